@@ -1,0 +1,44 @@
+# `make demo` and `make test` need python3 (>= 3.10) and nothing else: each makes its own virtual environment.
+PYTHON ?= python3
+VENV := .venv
+RUN := $(VENV)/bin/python
+export MPLBACKEND := Agg
+
+.PHONY: demo test lint urdf bench clean
+
+demo: $(VENV)/base.stamp
+	$(RUN) examples/demo.py
+
+test: $(VENV)/test.stamp
+	$(RUN) -m pytest
+
+lint: $(VENV)/lint.stamp
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/mypy
+
+# The generated robot descriptions under urdf/; a test fails when they are stale.
+urdf: $(VENV)/base.stamp
+	$(RUN) -m pinposture.thesis.arms urdf
+
+bench: $(VENV)/base.stamp
+	$(RUN) benchmarks/step_time.py
+
+clean:
+	rm -rf $(VENV) out build dist
+
+$(VENV)/bin/python:
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "pinposture needs Python 3.10 or newer")'
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/base.stamp: pyproject.toml | $(VENV)/bin/python
+	$(RUN) -m pip install --quiet --editable .
+	touch $@
+
+$(VENV)/test.stamp: $(VENV)/base.stamp
+	$(RUN) -m pip install --quiet --editable '.[test]'
+	touch $@
+
+$(VENV)/lint.stamp: $(VENV)/base.stamp
+	$(RUN) -m pip install --quiet --editable '.[test,lint]'
+	touch $@

@@ -1,0 +1,141 @@
+"""What can go wrong, by kind. Every error names the thing, the value and what was allowed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+
+def _rebuild(cls: type[PostureError], args: tuple[Any, ...], data: dict[str, Any]) -> PostureError:
+    error = cls.__new__(cls, *args)
+    error.args = args
+    error.__dict__.update(data)
+    return error
+
+
+class PostureError(Exception):
+    """Root of every error that this package raises on purpose."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Errors cross process borders in studies; the default would call __init__ with the message.
+        return _rebuild, (type(self), self.args, self.__dict__)
+
+
+class InvalidValue(PostureError, ValueError):
+    """A value of the wrong shape, size, sign, or not finite.
+
+    Attributes:
+        name: what the value is called.
+        value: the value as given.
+        allowed: what would have been accepted, in words.
+    """
+
+    def __init__(self, name: str, value: object, allowed: str) -> None:
+        self.name, self.value, self.allowed = name, value, allowed
+        text = repr(value)
+        super().__init__(f"{name} is {text if len(text) < 120 else text[:117] + '...'}; allowed: {allowed}")
+
+
+class UnknownName(PostureError, KeyError):
+    """A name (template, controller, frame, joint, preset) that does not exist.
+
+    Attributes:
+        kind: what sort of thing was named.
+        name: the name as given.
+        allowed: the names that exist.
+    """
+
+    def __init__(self, kind: str, name: object, allowed: Iterable[str]) -> None:
+        self.kind, self.name, self.allowed = kind, name, tuple(allowed)
+        close = get_close_matches(str(name), self.allowed, n=1)
+        listed = ", ".join(self.allowed[:12]) + (", ..." if len(self.allowed) > 12 else "")
+        hint = f" (did you mean {close[0]!r}?)" if close else ""
+        super().__init__(f"no {kind} is called {name!r}{hint}; there are: {listed or 'none'}")
+
+    def __str__(self) -> str:  # KeyError would show the repr of the message
+        return str(self.args[0])
+
+
+class FileError(PostureError, OSError):
+    """A file that is missing, unreadable, or does not hold what it should.
+
+    Attributes:
+        path: the file.
+        reason: what is wrong with it.
+    """
+
+    def __init__(self, path: str | Path, reason: str) -> None:
+        self.path, self.reason = Path(path), reason
+        super().__init__(f"{path}: {reason}")
+
+    def __str__(self) -> str:  # OSError formats its arguments in its own way
+        return str(self.args[0])
+
+
+class URDFError(PostureError, ValueError):
+    """A robot description that cannot be used.
+
+    Attributes:
+        source: the file, or "URDF text".
+        element: the link or joint at fault, e.g. "joint 'elbow'".
+        reason: what is wrong with it and what was allowed.
+    """
+
+    def __init__(self, source: str, element: str, reason: str) -> None:
+        self.source, self.element, self.reason = source, element, reason
+        super().__init__(f"{source}: {element}: {reason}")
+
+
+class CurveError(PostureError, ValueError):
+    """Points or parameters that do not describe a curve.
+
+    Attributes:
+        what: the part of the input at fault, e.g. "point 3".
+        reason: what is wrong with it and what was allowed.
+    """
+
+    def __init__(self, what: str, reason: str) -> None:
+        self.what, self.reason = what, reason
+        super().__init__(f"{what}: {reason}")
+
+
+class UnsupportedModule(PostureError):
+    """A module for which no kinematics solver (FK, IK, TP) is known.
+
+    Attributes:
+        module: index of the module, 1-based as in the thesis.
+        joints: names of its joints.
+        reason: why none of the solvers applies.
+    """
+
+    def __init__(self, module: int, joints: Iterable[str], reason: str) -> None:
+        self.module, self.joints, self.reason = module, tuple(joints), reason
+        super().__init__(f"module {module} (joints {', '.join(self.joints)}): {reason}")
+
+
+class TargetError(PostureError):
+    """A curve on which some control point has no place (Section 4.2).
+
+    Attributes:
+        module: index of the first module that could not be placed, 1-based.
+        parameter: arc length along the curve where its base stands [m].
+        reason: why, and what to do about it.
+    """
+
+    def __init__(self, module: int, parameter: float, reason: str) -> None:
+        self.module, self.parameter, self.reason = module, parameter, reason
+        super().__init__(f"module {module} (its base at {parameter:.4g} m along the curve): {reason}")
+
+
+class CurveEndsEarly(TargetError):
+    """The curve is over before the last module is placed."""
+
+
+class CurveLeavesTooSharply(TargetError):
+    """The curve leaves the base in a direction that the first module cannot take."""
+
+
+class CurveBendsTooMuch(TargetError):
+    """The curve bends more than a module can within its joint limits, or leaves its plane."""
