@@ -1,0 +1,59 @@
+"""Posture control of modular hyper-redundant serial arms: draw a curve, and the arm takes its shape.
+
+    import pinposture as pp
+
+    arm = pp.Arm.from_template("RyRz", modules=20)
+    curve = pp.Curve.helix(radius=0.06, pitch=0.15, turns=4)
+    target = pp.resolve_targets(arm, curve)
+    run = pp.track(arm, target, arm.random(rng), controller="selection")
+    pp.plot(run)
+
+SI units throughout: metres, radians, seconds.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from pinposture.arm import Adequacy, Arm, ArmState, JointLimits, JointSpec, ModuleTemplate, template
+from pinposture.control import Controller, Limits, Projection, Selection, Step
+from pinposture.curve import Curve
+from pinposture.errors import PostureError
+from pinposture.motion import Trajectory, track
+from pinposture.target import Target, resolve_targets
+
+if TYPE_CHECKING:
+    from pinposture.view import plot, plot_comparison, save_html, view
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Adequacy",
+    "Arm",
+    "ArmState",
+    "Controller",
+    "Curve",
+    "JointLimits",
+    "JointSpec",
+    "Limits",
+    "ModuleTemplate",
+    "PostureError",
+    "Projection",
+    "Selection",
+    "Step",
+    "Target",
+    "Trajectory",
+    "plot",
+    "plot_comparison",
+    "resolve_targets",
+    "save_html",
+    "template",
+    "track",
+    "view",
+]
+
+
+def __getattr__(name: str) -> Any:
+    # Matplotlib and meshcat take longer to import than everything else together: only when asked for.
+    if name in ("plot", "plot_comparison", "save_html", "view"):
+        return getattr(import_module("pinposture.view"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

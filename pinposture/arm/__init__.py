@@ -1,0 +1,18 @@
+"""What the robot is: module templates, URDF, loading, the arm and its state."""
+
+from pinposture.arm.adequacy import Adequacy, Excess
+from pinposture.arm.arm import Arm, JointLimits
+from pinposture.arm.state import ArmState
+from pinposture.arm.template import TEMPLATES, JointSpec, ModuleTemplate, template
+
+__all__ = [
+    "TEMPLATES",
+    "Adequacy",
+    "Arm",
+    "ArmState",
+    "Excess",
+    "JointLimits",
+    "JointSpec",
+    "ModuleTemplate",
+    "template",
+]

@@ -1,0 +1,416 @@
+"""The arm: a Pinocchio model with control points at its module boundaries."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from pinposture.arm.adequacy import Adequacy, CurveShape, adequacy
+from pinposture.arm.chain import Chain, read_chain
+from pinposture.arm.loading import load_model, place_base
+from pinposture.arm.state import ArmState
+from pinposture.arm.template import ModuleTemplate, template
+from pinposture.arm.urdf import modules_to_urdf
+from pinposture.errors import InvalidValue, UnknownName
+
+Array = NDArray[np.float64]
+
+
+class JointLimits(NamedTuple):
+    """Limits of the joints, one entry per degree of freedom; infinite where there is none.
+
+    Attributes:
+        lower: smallest joint position, (nv,) [rad or m].
+        upper: largest joint position, (nv,) [rad or m].
+        velocity: largest joint speed, (nv,) [rad/s or m/s].
+    """
+
+    lower: Array
+    upper: Array
+    velocity: Array
+
+
+class _Scratch(threading.local):
+    """One `pin.Data` per thread: Pinocchio writes into it during every computation."""
+
+    def __init__(self, model: pin.Model) -> None:
+        self.data = model.createData()
+
+
+class Arm:
+    """A serial arm with posture control points at its module boundaries.
+
+    Make one with `from_template`, `from_modules`, `from_urdf` or `from_model`. An arm is immutable and
+    pickles; it may be shared between threads. Configurations are Pinocchio's: `q` has `nq` entries and
+    moves only by `integrate`, because a continuous joint takes two of them.
+
+    Attributes:
+        model: the arm's own `pin.Model`, base placement included. Do not change it.
+        control_points: names of the control points from base to tip, (m,).
+        base_placement: where the base link stands in the world.
+        chain: the kinematic chain at the neutral configuration.
+        urdf: the description it was loaded from, or None.
+    """
+
+    def __init__(
+        self,
+        model: pin.Model,
+        control_points: Sequence[str],
+        base_placement: pin.SE3 | None = None,
+        urdf: str | None = None,
+    ) -> None:
+        self.model = model
+        self.control_points = tuple(control_points)
+        self.base_placement = pin.SE3.Identity() if base_placement is None else base_placement
+        self.urdf = urdf
+        frames = [model.frames[self._frame_id(model, name)] for name in self.control_points]
+        if not frames:
+            raise InvalidValue("control_points", list(control_points), "at least one frame name")
+        self._scratch = _Scratch(model)
+        self.chain: Chain = read_chain(model, self._scratch.data, self.control_points)
+        self._parents = [int(frame.parentJoint) for frame in frames]
+        self._offsets = np.array([frame.placement.translation for frame in frames])
+        self._turns = np.array([frame.placement.rotation for frame in frames])
+        self._support = np.zeros((len(frames), 1, model.nv))
+        for k, joints in enumerate(self.chain.module_slices):
+            self._support[k:, 0, self.chain.columns[joints]] = 1.0
+
+    @staticmethod
+    def _frame_id(model: pin.Model, name: str) -> int:
+        if not model.existFrame(name):
+            raise UnknownName("frame", name, [frame.name for frame in model.frames][1:])
+        return int(model.getFrameId(name))
+
+    @classmethod
+    def from_template(
+        cls,
+        name: str,
+        modules: int,
+        link_lengths: Sequence[float] | None = None,
+        base_placement: pin.SE3 | None = None,
+    ) -> Arm:
+        """Build an arm of equal modules from a shipped template.
+
+        Args:
+            name: template name, for instance "RyRz".
+            modules: number of modules, at least 1.
+            link_lengths: length of the link after each joint of the module [m]; the template's own if None.
+            base_placement: where the base stands in the world; the origin if None.
+
+        Returns:
+            The arm, stretched along x at its neutral configuration.
+
+        Raises:
+            UnknownName: no such template.
+            InvalidValue: a number of modules or link lengths that make no arm.
+        """
+        if isinstance(modules, bool) or not isinstance(modules, int) or modules < 1:
+            raise InvalidValue("modules", modules, "a whole number of at least 1")
+        module = template(name)
+        if link_lengths is not None:
+            module = module.with_lengths(link_lengths)
+        return cls.from_modules([module] * modules, base_placement=base_placement, name=f"{name}_{modules}")
+
+    @classmethod
+    def from_modules(
+        cls,
+        modules: Iterable[ModuleTemplate],
+        base_placement: pin.SE3 | None = None,
+        name: str = "arm",
+    ) -> Arm:
+        """Build an arm by chaining module templates from base to tip; they may differ.
+
+        Args:
+            modules: the templates in order.
+            base_placement: where the base stands in the world; the origin if None.
+            name: robot name written into the URDF.
+
+        Returns:
+            The arm, stretched along x at its neutral configuration.
+        """
+        listed = list(modules)
+        text = modules_to_urdf(listed, name)
+        return cls.from_urdf(text, modules=[len(m.joints) for m in listed], base_placement=base_placement)
+
+    @classmethod
+    def from_urdf(
+        cls,
+        source: str | Path,
+        base: str | None = None,
+        tip: str | None = None,
+        modules: int | Sequence[int] | None = None,
+        locked: Mapping[str, float] | None = None,
+        base_placement: pin.SE3 | None = None,
+    ) -> Arm:
+        """Load an arm from a URDF file or from URDF text; meshes are not needed.
+
+        Args:
+            source: path of the file, or the XML text itself.
+            base: link at which the arm begins; the root if None.
+            tip: link at which it ends; the end of the longest moving chain if None.
+            modules: joints per module: one number for all, or one for each module. If None, the smallest
+                modules that can follow a curve (`pinposture.arm.segmentation`).
+            locked: joints to hold still and their positions [rad or m]. Joints off the chain are locked
+                anyway, at the position nearest zero within their limits.
+            base_placement: where the root link stands in the world; the origin if None.
+
+        Returns:
+            The arm, with control points named "module_01", "module_02", ... at the ends of its modules.
+
+        Raises:
+            FileError: the file is missing or unreadable.
+            URDFError: the description cannot be used; names the link or joint and the reason.
+            UnknownName: `base`, `tip` or a locked joint does not exist.
+            InvalidValue: `modules` does not fit the number of joints.
+        """
+        placement = pin.SE3.Identity() if base_placement is None else pin.SE3(base_placement)
+        loaded = load_model(source, base, tip, modules, dict(locked or {}), placement)
+        return cls(loaded.model, loaded.control_points, placement, loaded.text)
+
+    @classmethod
+    def from_model(
+        cls, model: pin.Model, control_points: Sequence[str], base_placement: pin.SE3 | None = None
+    ) -> Arm:
+        """Use a Pinocchio model that exists already; it is copied and never written to.
+
+        Args:
+            model: the model; each joint on the chain has one degree of freedom.
+            control_points: names of existing frames from base to tip, the ends of the modules.
+            base_placement: moves the whole model in the world; not at all if None.
+
+        Returns:
+            The arm. Joints that move none of the control points stay in `q` and are never moved.
+
+        Raises:
+            UnknownName: a frame that does not exist.
+            InvalidValue: frames that are not in order along one chain.
+        """
+        own = pin.Model(model)
+        placement = pin.SE3.Identity() if base_placement is None else pin.SE3(base_placement)
+        place_base(own, placement)
+        return cls(own, control_points, placement)
+
+    @property
+    def nq(self) -> int:
+        """Number of entries of a configuration."""
+        return int(self.model.nq)
+
+    @property
+    def nv(self) -> int:
+        """Number of degrees of freedom: entries of `dq`."""
+        return int(self.model.nv)
+
+    @property
+    def n_modules(self) -> int:
+        """Number of modules m, which is the number of control points."""
+        return len(self.control_points)
+
+    @property
+    def columns(self) -> NDArray[np.intp]:
+        """Index in the tangent space of each joint of the chain, from base to tip, (n,)."""
+        return self.chain.columns
+
+    @property
+    def module_starts(self) -> NDArray[np.intp]:
+        """Index into the chain of the first joint of each module, (m,)."""
+        return self.chain.module_starts
+
+    @property
+    def module_joints(self) -> tuple[tuple[str, ...], ...]:
+        """Names of the joints of each module, from base to tip."""
+        return tuple(self.chain.joints[joints] for joints in self.chain.module_slices)
+
+    @cached_property
+    def plane(self) -> Array:
+        """Orthonormal basis of the directions in which the arm can move, (2, 3) or (3, 3), world frame."""
+        return self.chain.plane
+
+    @property
+    def dimension(self) -> int:
+        """2 if every joint axis is parallel (a planar arm), else 3."""
+        return len(self.plane)
+
+    @cached_property
+    def length(self) -> float:
+        """Length from the first joint to the tip, along the arm [m]."""
+        return self.chain.length
+
+    @cached_property
+    def limits(self) -> JointLimits:
+        """Joint limits, one entry per degree of freedom."""
+        lower, upper = np.full(self.nv, -np.inf), np.full(self.nv, np.inf)
+        velocity = np.array(self.model.velocityLimit, dtype=np.float64)
+        for joint in self.model.joints:
+            if joint.nq == joint.nv == 1:
+                lower[joint.idx_v] = self.model.lowerPositionLimit[joint.idx_q]
+                upper[joint.idx_v] = self.model.upperPositionLimit[joint.idx_q]
+        velocity[velocity <= 0.0] = np.inf
+        for array in (lower, upper, velocity):
+            array.flags.writeable = False
+        return JointLimits(lower, upper, velocity)
+
+    def adequate(self, curve: CurveShape) -> Adequacy:
+        """Tell whether the modules can follow a curve within their joint limits (Section 4.1).
+
+        Args:
+            curve: the curve to follow.
+
+        Returns:
+            The largest curvature and torsion that the modules can follow, and the stretches of the curve
+            that exceed them; truthy if there are none.
+        """
+        return adequacy(self.chain, self.limits.lower, self.limits.upper, curve)
+
+    def neutral(self) -> Array:
+        """The configuration in which every joint is at zero, (nq,)."""
+        return np.array(pin.neutral(self.model))
+
+    def straight(self) -> Array:
+        """The configuration that stretches the arm farthest, (nq,); the neutral one for our templates."""
+        return self.configuration(self._stretch)
+
+    @cached_property
+    def _stretch(self) -> Array:
+        from scipy.optimize import minimize
+
+        if np.linalg.norm(self.chain.points[-1] - self.chain.base) > (1.0 - 1e-9) * self.length:
+            return np.zeros(self.nv)
+
+        def shortness(positions: Array) -> tuple[float, Array]:
+            state = self.at(self.configuration(positions))
+            reach = state.points[-1] - self.chain.base
+            distance = max(float(np.linalg.norm(reach)), 1e-12 * self.length)
+            return -distance, -(reach / distance) @ state.jacobians[-1]
+
+        bounds = list(zip(self.limits.lower, self.limits.upper, strict=True))
+        start = np.clip(np.full(self.nv, 1e-3), self.limits.lower, self.limits.upper)
+        return np.asarray(minimize(shortness, start, jac=True, bounds=bounds, method="L-BFGS-B").x)
+
+    def random(self, rng: np.random.Generator) -> Array:
+        """A configuration drawn uniformly within the limits (+-pi where there is none), (nq,)."""
+        lower = np.where(np.isfinite(self.limits.lower), self.limits.lower, -np.pi)
+        upper = np.where(np.isfinite(self.limits.upper), self.limits.upper, np.pi)
+        return self.configuration(rng.uniform(lower, upper))
+
+    def configuration(self, positions: ArrayLike) -> Array:
+        """Configuration from joint positions.
+
+        Args:
+            positions: one number per degree of freedom, (nv,) [rad or m].
+
+        Returns:
+            Configuration (nq,).
+
+        Raises:
+            InvalidValue: wrong size or not finite.
+        """
+        return np.array(
+            pin.integrate(self.model, pin.neutral(self.model), self._vector(positions, "positions"))
+        )
+
+    def positions(self, q: ArrayLike) -> Array:
+        """Joint positions (nv,) [rad or m] of a configuration; continuous joints within +-pi."""
+        return np.array(pin.difference(self.model, pin.neutral(self.model), self.checked(q)))
+
+    def integrate(self, q: Array, dq: Array) -> Array:
+        """The configuration (nq,) reached from q by the joint displacement dq, (nv,) [rad or m]."""
+        return np.array(pin.integrate(self.model, q, dq))
+
+    def within_limits(self, q: ArrayLike, tolerance: float = 1e-9) -> bool:
+        """True if no joint of q is outside its limits by more than the tolerance [rad or m]."""
+        positions = self.positions(q)
+        low, high = self.limits.lower - tolerance, self.limits.upper + tolerance
+        return bool(np.all((positions >= low) & (positions <= high)))
+
+    def checked(self, q: ArrayLike, name: str = "q") -> Array:
+        """A configuration as a fresh float array, or an error that says what is wrong with it.
+
+        Args:
+            q: configuration, (nq,).
+            name: what to call it in the error.
+
+        Returns:
+            Copy of q, (nq,).
+
+        Raises:
+            InvalidValue: wrong size, not finite, or not a rotation where a continuous joint needs one.
+        """
+        checked = self._vector(q, name, self.nq)
+        if self.nq != self.nv and not pin.isNormalized(self.model, checked, 1e-6):
+            allowed = "cosine and sine of one angle for each continuous joint; see Arm.configuration"
+            raise InvalidValue(name, q, allowed)
+        return checked
+
+    def _vector(self, values: ArrayLike, name: str, size: int | None = None) -> Array:
+        size = self.nv if size is None else size
+        try:
+            vector = np.array(values, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise InvalidValue(name, values, f"{size} numbers") from None
+        if vector.shape != (size,):
+            raise InvalidValue(f"{name} (shape)", vector.shape, f"({size},) for this arm")
+        bad = np.flatnonzero(~np.isfinite(vector))
+        if len(bad):
+            raise InvalidValue(f"{name}[{bad[0]}]", float(vector[bad[0]]), "finite numbers")
+        return vector
+
+    def at(self, q: ArrayLike) -> ArmState:
+        """The state of the arm at a configuration; Pinocchio is read once.
+
+        Args:
+            q: configuration, (nq,).
+
+        Returns:
+            Placements and Jacobians of all control points, world frame.
+
+        Raises:
+            InvalidValue: q has the wrong size or is not finite.
+        """
+        q = self.checked(q)
+        data = self._scratch.data
+        spatial = pin.computeJointJacobians(self.model, data, q)
+        bodies = [data.oMi[joint] for joint in self._parents]
+        frames = np.array([body.rotation for body in bodies])
+        points = np.array([body.translation for body in bodies])
+        points += np.einsum("kij,kj->ki", frames, self._offsets)
+        # d p_k / d q_u = v_u + w_u x p_k for every joint u that moves k: columns of data.J are (v_u, w_u).
+        x, y, z = points.T[:, :, None]
+        v, w = spatial[:3], spatial[3:]
+        jacobians = np.empty((len(points), 3, self.nv))
+        jacobians[:, 0] = v[0] + w[1] * z - w[2] * y
+        jacobians[:, 1] = v[1] + w[2] * x - w[0] * z
+        jacobians[:, 2] = v[2] + w[0] * y - w[1] * x
+        jacobians *= self._support
+        return ArmState(self, q, points, frames @ self._turns, jacobians)
+
+    def to_dict(self) -> dict[str, Any]:
+        """What is needed to build this arm again, as data that JSON can hold."""
+        described: dict[str, Any] = {"control_points": list(self.control_points)}
+        described["base_placement"] = np.asarray(self.base_placement.homogeneous).tolist()
+        described["urdf"] = self.urdf
+        described["model"] = self.model.saveToString()
+        return described
+
+    @classmethod
+    def from_dict(cls, described: Mapping[str, Any]) -> Arm:
+        """Build the arm that `to_dict` described."""
+        model = pin.Model()
+        model.loadFromString(described["model"])
+        placement = pin.SE3(np.array(described["base_placement"]))
+        return cls(model, described["control_points"], placement, described["urdf"])
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Arm, (self.model, self.control_points, self.base_placement, self.urdf)
+
+    def __repr__(self) -> str:
+        kind = "planar" if self.dimension == 2 else "spatial"
+        return (
+            f"Arm({self.model.name!r}, {kind}, {self.n_modules} modules, {self.nv} DOF, {self.length:.4g} m)"
+        )

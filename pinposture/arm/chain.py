@@ -1,0 +1,130 @@
+"""The arm as a chain of joint axes, all given in one reference posture and in the world frame.
+
+Every joint u is a screw fixed to the body before it; at the reference (neutral) configuration its axis
+passes through `origins[u]` along `axes[u]`. Together with the control points in that posture this is
+the whole kinematics (product of exponentials), whatever frames the file happened to use.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pinposture.errors import InvalidValue
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Joints and control points of a serial arm at its neutral configuration, world frame.
+
+    Attributes:
+        joints: names of the moving joints from base to tip, (n,).
+        columns: index of each joint's velocity in the tangent space of the model, (n,).
+        revolute: True for a joint that turns, False for one that slides, (n,).
+        axes: unit joint axes, (n, 3).
+        origins: a point on each axis, (n, 3) [m].
+        base: position of control point 0, where the first module begins, (3,) [m].
+        points: control points, (m, 3) [m].
+        module_starts: index into `joints` of the first joint of each module, (m,).
+    """
+
+    joints: tuple[str, ...]
+    columns: NDArray[np.intp]
+    revolute: NDArray[np.bool_]
+    axes: Array
+    origins: Array
+    base: Array
+    points: Array
+    module_starts: NDArray[np.intp]
+
+    @cached_property
+    def module_slices(self) -> tuple[slice, ...]:
+        """Joints of each module as a range into `joints`."""
+        ends = [*self.module_starts[1:], len(self.joints)]
+        return tuple(slice(int(a), int(b)) for a, b in zip(self.module_starts, ends, strict=True))
+
+    @cached_property
+    def module_lengths(self) -> Array:
+        """Distance from the base to the end of each module at the neutral configuration, (m,) [m]."""
+        return np.asarray(np.linalg.norm(np.diff(np.vstack([self.base, self.points]), axis=0), axis=1))
+
+    @cached_property
+    def length(self) -> float:
+        """Arc length from the first joint along the joint origins and control points to the tip [m]."""
+        stations = [self.base]
+        for k, joints in enumerate(self.module_slices):
+            stations.extend(self.origins[joints])
+            stations.append(self.points[k])
+        return float(np.linalg.norm(np.diff(np.array(stations), axis=0), axis=1).sum())
+
+    @cached_property
+    def plane(self) -> Array:
+        """Orthonormal basis (2, 3) of the plane in which the arm moves, or (3, 3) if it is spatial."""
+        axes = self.axes[self.revolute]
+        if len(axes) == 0:
+            return np.eye(3)
+        normal = axes[0]
+        parallel = np.all(np.linalg.norm(np.cross(axes, normal), axis=1) < 1e-9)
+        flat = np.all(np.abs(self.axes[~self.revolute] @ normal) < 1e-9)
+        if not (parallel and flat):
+            return np.eye(3)
+        reach = self.points[-1] - self.base
+        along = reach - normal * (normal @ reach)
+        if np.linalg.norm(along) < 1e-9 * max(self.length, 1e-300):
+            along = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+        along = along / np.linalg.norm(along)
+        return np.array([along, np.cross(normal, along)])
+
+
+def read_chain(model: pin.Model, data: pin.Data, control_points: tuple[str, ...]) -> Chain:
+    """Read the chain that leads to the last control point out of a model.
+
+    Args:
+        model: the arm, base placement already applied.
+        data: scratch data of that model.
+        control_points: frame names in order from base to tip.
+
+    Returns:
+        The chain in the neutral configuration.
+
+    Raises:
+        InvalidValue: a control point that does not lie farther along the chain than the one before it,
+            or a joint with several degrees of freedom.
+    """
+    neutral = pin.neutral(model)
+    pin.computeJointJacobians(model, data, neutral)
+    pin.updateFramePlacements(model, data)
+    parents = [model.frames[model.getFrameId(name)].parentJoint for name in control_points]
+    support = [int(j) for j in model.supports[parents[-1]] if j > 0]
+    for j in support:
+        if model.joints[j].nv != 1:
+            allowed = "joints with one degree of freedom"
+            raise InvalidValue(f"joint {model.names[j]!r}", model.joints[j].shortname(), allowed)
+    starts, count = [], 0
+    for name, parent in zip(control_points, parents, strict=True):
+        reached = support.index(parent) + 1 if parent in support else 0
+        if reached <= count:
+            allowed = "frames with at least one more moving joint of the same chain each, from base to tip"
+            raise InvalidValue(f"control point {name!r}", f"moved by {reached} joints of the chain", allowed)
+        starts.append(count)
+        count = reached
+    columns = np.array([model.joints[j].idx_v for j in support])
+    angular, linear = data.J[3:, columns].T, data.J[:3, columns].T
+    revolute = np.linalg.norm(angular, axis=1) > 0.5
+    origins = np.array([data.oMi[j].translation for j in support])
+    return Chain(
+        joints=tuple(str(model.names[j]) for j in support),
+        columns=columns.astype(np.intp),
+        revolute=revolute,
+        axes=np.where(revolute[:, None], angular, linear),
+        origins=origins,
+        base=origins[0].copy(),
+        points=np.array([data.oMf[model.getFrameId(name)].translation for name in control_points]),
+        module_starts=np.array(starts, dtype=np.intp),
+    )

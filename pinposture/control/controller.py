@@ -1,0 +1,101 @@
+"""What every controller takes and returns."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.arm import ArmState
+from pinposture.control.limits import Limits
+from pinposture.target import Target
+
+Array = NDArray[np.float64]
+
+
+class Diagnostics(NamedTuple):
+    """How a step came about.
+
+    Attributes:
+        manipulability: smallest manipulability index among the conditions that the active set had to
+            clear, in [0, 1]; 0 if no control point is active.
+        sigma_min: smallest singular value of the posture control matrix [m/rad]; 0 if it is empty.
+        sigma_max: largest singular value of the posture control matrix [m/rad]; 0 if it is empty.
+        rows: number of rows of the posture control matrix.
+        dropped: control points that cleared their conditions and were dropped because the stacked matrix
+            was too close to singular, 0-based.
+        scale: factor by which the step was shortened to meet the step limit, in (0, 1].
+        clipped: which joints were cut short at a position limit, (nv,).
+        reason: why the controller does not move; empty if it does.
+    """
+
+    manipulability: float
+    sigma_min: float
+    sigma_max: float
+    rows: int
+    dropped: tuple[int, ...]
+    scale: float
+    clipped: NDArray[np.bool_]
+    reason: str
+
+
+class Memory(NamedTuple):
+    """What a controller wants to know again at the next step.
+
+    Attributes:
+        dq: the previous step, (nv,) [rad or m].
+    """
+
+    dq: Array
+
+
+class Step(NamedTuple):
+    """One control step.
+
+    Attributes:
+        dq: joint displacement within the limits, (nv,) [rad or m].
+        active: the active control set, indices of control points, 0-based and increasing.
+        diagnostics: how it came about.
+        memory: to be passed to the next step.
+    """
+
+    dq: Array
+    active: tuple[int, ...]
+    diagnostics: Diagnostics
+    memory: Memory
+
+
+class Controller(Protocol):
+    """Anything that moves an arm one step towards a target."""
+
+    @property
+    def name(self) -> str:
+        """Short name, as `track(controller=...)` takes it."""
+
+    def step(
+        self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
+    ) -> Step:
+        """Compute one step.
+
+        Args:
+            state: where the arm is.
+            target: where its control points should be.
+            limits: what the step may not exceed; `Limits()` if None.
+            memory: what the previous step returned; None at the first.
+        """
+
+
+def task_errors(state: ArmState, target: Target) -> Array:
+    """Errors c_k - p_k of all control points, zero for those without a target.
+
+    Returns:
+        Array (m, d) [m]: in world axes, or along the plane of a planar arm.
+    """
+    errors = (target.points - state.points) * target.placed[:, None]
+    return errors if state.arm.dimension == 3 else errors @ state.arm.plane.T
+
+
+def stack_rows(jacobians: Array) -> Array:
+    """Stack Jacobians (N, d, n) into one matrix (N d, n)."""
+    return jacobians.reshape(-1, jacobians.shape[-1])

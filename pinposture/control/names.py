@@ -1,0 +1,26 @@
+"""Controllers by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from pinposture.control.controller import Controller
+from pinposture.control.projection import Projection
+from pinposture.control.selection import Selection
+from pinposture.errors import UnknownName
+
+CONTROLLERS: dict[str, Callable[[], Controller]] = {"selection": Selection, "projection": Projection}
+"""Every controller with its default parameters, by the name that `track` and the command line take."""
+
+
+def controller_named(controller: str | Controller) -> Controller:
+    """The controller of that name with its defaults, or the controller itself.
+
+    Raises:
+        UnknownName: no controller has that name.
+    """
+    if not isinstance(controller, str):
+        return controller
+    if controller not in CONTROLLERS:
+        raise UnknownName("controller", controller, CONTROLLERS)
+    return CONTROLLERS[controller]()

@@ -1,0 +1,116 @@
+"""The Projection method: move every control point, each where it can move (Chapter 5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.arm import ArmState
+from pinposture.control.checks import require_positive, require_share
+from pinposture.control.controller import Diagnostics, Memory, Step, task_errors
+from pinposture.control.gradient import descent
+from pinposture.control.limits import Limits
+from pinposture.control.solve import decompose, pseudo_inverse_step
+from pinposture.errors import UnknownName
+from pinposture.target import Target
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Projection:
+    """Projection method with its parameters; the defaults come from `benchmarks/parameters.py`.
+
+    The motion of each control point relative to the one before it is confined to its manipulability
+    space: the left singular vectors of the module's own Jacobian whose singular values exceed a threshold
+    (5.3)-(5.5). The posture control matrix stacks what is left (5.9), (5.10).
+
+    Attributes:
+        threshold: smallest singular value that counts as motion (kappa), relative to the length of the
+            module [1/rad].
+        coupling: "full" keeps the columns of all joints that move a point, so that the matrix is block
+            lower triangular and knows that the base of a module moves; "local" keeps only the module's
+            own columns, (5.9) as printed.
+        gain: share of its projected error that a point is asked to cover in one step (K).
+        null_gain: weight of the null-space term of (4.7).
+    """
+
+    threshold: float = 0.05
+    coupling: Literal["full", "local"] = "full"
+    gain: float = 0.5
+    null_gain: float = 0.5
+    name: str = "projection"
+
+    def __post_init__(self) -> None:
+        require_share("threshold", self.threshold)
+        require_positive("gain", self.gain)
+        require_positive("null_gain", self.null_gain, zero=True)
+        if self.coupling not in ("full", "local"):
+            raise UnknownName("coupling", self.coupling, ("full", "local"))
+
+    def step(
+        self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
+    ) -> Step:
+        """Compute one step; see `Controller.step`."""
+        limits = Limits() if limits is None else limits
+        errors = task_errors(state, target)
+        matrix, velocity, active, smallest = self.posture_control_matrix(state, errors, target.placed)
+        gradient = self.null_gain * descent(state, errors, np.linalg.norm(errors, axis=1))
+        if len(matrix) == 0:
+            held = np.zeros(state.arm.nv)
+            reason = f"no module has a singular value above threshold = {self.threshold:g} of its length"
+            return Step(held, (), Diagnostics(0, 0, 0, 0, (), 1.0, held > 0.0, reason), Memory(held))
+        decomposed = decompose(matrix)
+        limited = limits.apply(state, pseudo_inverse_step(decomposed, self.gain * velocity, gradient))
+        diagnostics = Diagnostics(
+            manipulability=smallest,
+            sigma_min=float(decomposed.sigma[-1]),
+            sigma_max=float(decomposed.sigma[0]),
+            rows=len(matrix),
+            dropped=(),
+            scale=limited.scale,
+            clipped=limited.clipped,
+            reason="",
+        )
+        return Step(limited.dq, active, diagnostics, Memory(limited.dq))
+
+    def posture_control_matrix(
+        self, state: ArmState, errors: Array, eligible: NDArray[np.bool_]
+    ) -> tuple[Array, Array, tuple[int, ...], float]:
+        """Posture control matrix (5.9) and desired velocities (5.10).
+
+        The rotations E of (5.7) need no explicit factor: singular values do not depend on the frame, and
+        the left singular vectors of the Jacobian in task axes are those of the module frame, turned.
+
+        Args:
+            state: where the arm is.
+            errors: c_k - p_k, (m, d) [m], task axes.
+            eligible: which control points have a target, (m,).
+
+        Returns:
+            Matrix (r, nv) [m/rad], projected errors (r,) [m], control points used (0-based), and the
+            smallest ratio of a kept singular value to the largest of its module.
+        """
+        rows, velocity, active, smallest = [], [], [], 1.0
+        chain, jacobians = state.arm.chain, state.task_jacobians
+        for k in np.flatnonzero(eligible):
+            columns = chain.columns[chain.module_slices[k]]
+            left, sigma, right = np.linalg.svd(jacobians[k][:, columns], full_matrices=False)
+            kept = int(np.count_nonzero(sigma > self.threshold * chain.module_lengths[k]))
+            if kept == 0:
+                continue
+            if self.coupling == "full":
+                rows.append(left[:, :kept].T @ jacobians[k])
+            else:
+                block = np.zeros((kept, state.arm.nv))
+                block[:, columns] = sigma[:kept, None] * right[:kept]
+                rows.append(block)
+            velocity.append(left[:, :kept].T @ errors[k])
+            active.append(int(k))
+            smallest = min(smallest, float(sigma[kept - 1] / sigma[0]))
+        if not rows:
+            return np.zeros((0, state.arm.nv)), np.zeros(0), (), 0.0
+        return np.vstack(rows), np.concatenate(velocity), tuple(active), smallest

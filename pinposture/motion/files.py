@@ -1,0 +1,109 @@
+"""Runs as files: one `.npz` that holds the motion, the arm and the curve."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pinposture.arm import Arm
+from pinposture.control import Limits
+from pinposture.curve import Curve
+from pinposture.errors import FileError, PostureError
+from pinposture.motion.trajectory import Trajectory
+from pinposture.target import Target
+
+FORMAT = "pinposture-run"
+VERSION = 1
+
+_RUN_ARRAYS = (
+    "q",
+    "points",
+    "point_errors",
+    "active",
+    "index",
+    "sigma_min",
+    "sigma_max",
+    "rows",
+    "scale",
+    "clipped",
+)
+_TARGET_ARRAYS = ("points", "weights", "q", "parameters", "residual")
+
+
+def save_trajectory(run: Trajectory, path: Path) -> Path:
+    """Write a run; see `Trajectory.save`."""
+    path = path if path.suffix == ".npz" else path.with_name(path.name + ".npz")
+    arrays: dict[str, Any] = {name: getattr(run, name) for name in _RUN_ARRAYS}
+    for name in _TARGET_ARRAYS:
+        value = getattr(run.target, name)
+        if value is not None:
+            arrays[f"target_{name}"] = value
+    for name in ("step", "velocity"):
+        value = getattr(run.limits, name)
+        if value is not None:
+            arrays[f"limits_{name}"] = value
+    about = {
+        "format": FORMAT,
+        "version": VERSION,
+        "arm": run.arm.to_dict(),
+        "curve": None if run.target.curve is None else run.target.curve.to_dict(),
+        "incomplete": run.target.incomplete,
+        "controller": run.controller,
+        "dt": run.limits.dt,
+        "position_margin": run.limits.position_margin,
+        "status": run.status,
+        "reason": run.reason,
+    }
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # Written beside its final place and then renamed: a reader never sees half a file.
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                np.savez_compressed(file, about=np.array(json.dumps(about)), **arrays)
+            Path(name).replace(path)
+        except BaseException:
+            Path(name).unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise FileError(path, f"cannot be written ({error.strerror or error})") from error
+    return path
+
+
+def load_trajectory(path: Path) -> Trajectory:
+    """Read a run; see `Trajectory.load`."""
+    if not path.is_file():
+        raise FileError(path, "no such file")
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+        about = json.loads(str(arrays["about"]))
+        if about["format"] != FORMAT or about["version"] != VERSION:
+            raise FileError(
+                path, f"format {about['format']!r} version {about['version']}; allowed: {VERSION}"
+            )
+        curve = None if about["curve"] is None else Curve.from_dict(about["curve"])
+        target: dict[str, Any] = {name: arrays.get(f"target_{name}") for name in _TARGET_ARRAYS}
+        limits = {
+            name: value if value is None or value.ndim else float(value)
+            for name, value in ((name, arrays.get(f"limits_{name}")) for name in ("step", "velocity"))
+        }
+        return Trajectory(
+            arm=Arm.from_dict(about["arm"]),
+            target=Target(**target, curve=curve, incomplete=about["incomplete"]),
+            limits=Limits(**limits, dt=about["dt"], position_margin=about["position_margin"]),
+            controller=about["controller"],
+            status=about["status"],
+            reason=about["reason"],
+            **{name: arrays[name] for name in _RUN_ARRAYS},
+        )
+    except FileError:
+        raise
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, PostureError) as error:
+        raise FileError(path, f"is not a saved run ({type(error).__name__}: {error})") from error

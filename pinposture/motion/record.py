@@ -1,0 +1,82 @@
+"""What is written down while an arm moves."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.arm import Arm, ArmState
+from pinposture.control import Controller, Limits, Step
+from pinposture.motion.trajectory import Trajectory
+from pinposture.target import Target
+
+Array = NDArray[np.float64]
+
+
+class Recorder:
+    """Collects states and steps, and turns them into a trajectory."""
+
+    def __init__(self, target: Target, start: ArmState) -> None:
+        self._target = target
+        self._steps: list[Step] = []
+        self._q, self._points, self._errors = [start.q], [start.points], [self._point_errors(start)]
+        self._best, self._best_at = self.posture_error, 0
+
+    def _point_errors(self, state: ArmState) -> Array:
+        return np.asarray(np.linalg.norm(self._target.points - state.points, axis=1) * self._target.placed)
+
+    @property
+    def steps(self) -> int:
+        """Number of steps so far."""
+        return len(self._steps)
+
+    @property
+    def posture_error(self) -> float:
+        """Sum of the distances of the control points from their targets, now [m]."""
+        return float(self._errors[-1].sum())
+
+    @property
+    def mean_error(self) -> float:
+        """Mean distance of the control points that have a target from it, now [m]."""
+        return self.posture_error / int(np.count_nonzero(self._target.placed))
+
+    def add(self, state: ArmState, step: Step) -> None:
+        """Write down one step and the state it led to."""
+        self._steps.append(step)
+        self._q.append(state.q)
+        self._points.append(state.points)
+        self._errors.append(self._point_errors(state))
+
+    def steps_without_progress(self, share: float) -> int:
+        """Steps since the posture error last fell by this share below its lowest value before."""
+        if self.posture_error < self._best * (1.0 - share):
+            self._best, self._best_at = self.posture_error, self.steps
+        return self.steps - self._best_at
+
+    def trajectory(
+        self, arm: Arm, controller: Controller, limits: Limits, status: str, reason: str
+    ) -> Trajectory:
+        """Everything so far, as a result."""
+        steps = self._steps
+        active = np.zeros((len(steps), arm.n_modules), dtype=bool)
+        for row, step in zip(active, steps, strict=True):
+            row[list(step.active)] = True
+        notes = [step.diagnostics for step in steps]
+        return Trajectory(
+            arm=arm,
+            target=self._target,
+            controller=repr(controller),
+            limits=limits,
+            status=status,
+            reason=reason,
+            q=np.array(self._q),
+            points=np.array(self._points),
+            point_errors=np.array(self._errors),
+            active=active,
+            index=np.array([note.manipulability for note in notes]),
+            sigma_min=np.array([note.sigma_min for note in notes]),
+            sigma_max=np.array([note.sigma_max for note in notes]),
+            rows=np.array([note.rows for note in notes], dtype=np.intp),
+            scale=np.array([note.scale for note in notes]),
+            clipped=np.array([note.clipped for note in notes], dtype=bool).reshape(len(steps), arm.nv),
+        )

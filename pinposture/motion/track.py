@@ -1,0 +1,105 @@
+"""The loop: step towards the target until there, stuck, or out of steps."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pinposture.arm import Arm, ArmState
+from pinposture.control import Controller, Limits, Step, controller_named
+from pinposture.control.controller import Memory
+from pinposture.errors import InvalidValue
+from pinposture.motion.record import Recorder
+from pinposture.motion.trajectory import Trajectory
+from pinposture.target import Target
+
+Array = NDArray[np.float64]
+Callback = Callable[[int, ArmState, Step], object]
+
+logger = logging.getLogger(__name__)
+
+PATIENCE = 60
+"""Steps without a new lowest posture error after which a run counts as stalled."""
+
+PROGRESS = 1e-3
+"""Relative fall of the posture error that counts as progress within those steps."""
+
+
+def track(
+    arm: Arm,
+    target: Target,
+    q0: ArrayLike,
+    controller: str | Controller = "selection",
+    limits: Limits | None = None,
+    max_steps: int = 300,
+    tolerance: float | None = None,
+    callback: Callback | None = None,
+) -> Trajectory:
+    """Drive the arm from a configuration to a target posture.
+
+    Args:
+        arm: the arm.
+        target: where its control points should be.
+        q0: configuration to start from, (nq,).
+        controller: a controller, or the name of one with its default parameters.
+        limits: what a step may not exceed; `Limits()` if None.
+        max_steps: number of steps after which to stop.
+        tolerance: mean distance of the control points from their targets at which the run has converged
+            [m]; 1e-6 of the arm length if None.
+        callback: called after each step with its number (from 1), the state reached and the step. The
+            run stops if it returns True.
+
+    Returns:
+        The motion and everything recorded on the way. `status` is "converged", "stalled" (no progress
+        for 60 steps), "no_control_points" (the controller found none that it may move), "max_steps" or
+        "stopped" (by the callback); `reason` says it in words.
+
+    Raises:
+        InvalidValue: q0, the target, max_steps or the tolerance do not fit.
+        UnknownName: no controller has that name.
+    """
+    controller = controller_named(controller)
+    limits = Limits() if limits is None else limits
+    if target.points.shape != (arm.n_modules, 3):
+        raise InvalidValue("target.points (shape)", target.points.shape, f"({arm.n_modules}, 3) for this arm")
+    if isinstance(max_steps, bool) or not isinstance(max_steps, int) or max_steps < 1:
+        raise InvalidValue("max_steps", max_steps, "a whole number of at least 1")
+    tolerance = 1e-6 * arm.length if tolerance is None else tolerance
+    if not (np.isfinite(tolerance) and tolerance > 0.0):
+        raise InvalidValue("tolerance", tolerance, "a positive distance [m]")
+
+    state = arm.at(arm.checked(q0, "q0"))
+    recorder = Recorder(target, state)
+    memory: Memory | None = None
+    status, reason = "", ""
+    while not status:
+        status, reason = _verdict(recorder, tolerance, max_steps)
+        if status:
+            break
+        step = controller.step(state, target, limits, memory)
+        memory = step.memory
+        if step.diagnostics.reason:
+            status, reason = "no_control_points", step.diagnostics.reason
+            break
+        state = arm.at(arm.integrate(state.q, step.dq))
+        recorder.add(state, step)
+        if callback is not None and callback(recorder.steps, state, step) is True:
+            status, reason = "stopped", f"stopped by the callback after {recorder.steps} steps"
+    logger.info("%s: %s after %d steps: %s", controller.name, status, recorder.steps, reason)
+    return recorder.trajectory(arm, controller, limits, status, reason)
+
+
+def _verdict(recorder: Recorder, tolerance: float, max_steps: int) -> tuple[str, str]:
+    """Whether the run is over, and why; empty while it goes on."""
+    mean = recorder.mean_error
+    if mean <= tolerance:
+        return "converged", f"mean point error {mean:.3g} m is within the tolerance of {tolerance:.3g} m"
+    if recorder.steps >= max_steps:
+        return "max_steps", f"mean point error {mean:.3g} m after {max_steps} steps"
+    stuck = recorder.steps_without_progress(PROGRESS)
+    if stuck >= PATIENCE:
+        return "stalled", f"mean point error {mean:.3g} m, no progress in the last {stuck} steps"
+    return "", ""

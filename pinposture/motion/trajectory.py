@@ -1,0 +1,115 @@
+"""The result of a run: the motion, and what is needed to draw and to repeat it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.arm import Arm
+from pinposture.control import Limits
+from pinposture.target import Target
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A motion of an arm towards a target posture.
+
+    Rows of the arrays over configurations begin with the start; rows over steps with the first step.
+
+    Attributes:
+        arm: the arm that moved.
+        target: the target posture.
+        controller: the controller and its parameters, in words.
+        limits: what a step could not exceed.
+        status: "converged", "stalled", "no_control_points", "max_steps" or "stopped".
+        reason: why the run ended, in words.
+        q: configurations, (steps + 1, nq).
+        points: control points, (steps + 1, m, 3) [m], world frame.
+        point_errors: distance of each control point from its target, (steps + 1, m) [m]; 0 if it has none.
+        active: which control points were active, (steps, m).
+        index: smallest manipulability index that the active set had to clear, (steps,).
+        sigma_min: smallest singular value of the posture control matrix, (steps,) [m/rad].
+        sigma_max: largest singular value of the posture control matrix, (steps,) [m/rad].
+        rows: rows of the posture control matrix, (steps,).
+        scale: factor by which the step was shortened to meet the step limit, (steps,).
+        clipped: which joints were cut short at a position limit, (steps, nv).
+    """
+
+    arm: Arm
+    target: Target
+    controller: str
+    limits: Limits
+    status: str
+    reason: str
+    q: Array
+    points: Array
+    point_errors: Array
+    active: NDArray[np.bool_]
+    index: Array
+    sigma_min: Array
+    sigma_max: Array
+    rows: NDArray[np.intp]
+    scale: Array
+    clipped: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        for value in vars(self).values():
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
+
+    @property
+    def steps(self) -> int:
+        """Number of steps taken."""
+        return len(self.active)
+
+    @property
+    def converged(self) -> bool:
+        """True if the mean point error came within the tolerance."""
+        return self.status == "converged"
+
+    @cached_property
+    def posture_error(self) -> Array:
+        """Sum of the distances of the control points from their targets, (steps + 1,) [m]."""
+        return np.asarray(self.point_errors.sum(axis=1))
+
+    @cached_property
+    def active_sets(self) -> tuple[tuple[int, ...], ...]:
+        """Active control set of each step, indices of control points, 0-based."""
+        return tuple(tuple(int(k) for k in np.flatnonzero(row)) for row in self.active)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the run to one `.npz` file, all or nothing; it embeds the arm and the curve.
+
+        Args:
+            path: the file; ".npz" is added if it has no such ending.
+
+        Returns:
+            The path written.
+
+        Raises:
+            FileError: the file cannot be written.
+        """
+        from pinposture.motion.files import save_trajectory
+
+        return save_trajectory(self, Path(path))
+
+    @classmethod
+    def load(cls, path: str | Path) -> Trajectory:
+        """Read a run that `save` wrote.
+
+        Raises:
+            FileError: the file is missing, or is not such a run.
+        """
+        from pinposture.motion.files import load_trajectory
+
+        return load_trajectory(Path(path))
+
+    def __repr__(self) -> str:
+        first, last = self.posture_error[0], self.posture_error[-1]
+        return f"Trajectory({self.status}, {self.steps} steps, posture error {first:.4g} -> {last:.4g} m)"

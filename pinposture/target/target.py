@@ -1,0 +1,89 @@
+"""The target posture: where each control point should be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pinposture.arm import Arm
+from pinposture.curve import Curve
+from pinposture.errors import InvalidValue
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """Target positions of the control points, and how they were found.
+
+    Attributes:
+        points: target positions, (m, 3) [m], world frame.
+        weights: 1 for a control point that has a target, 0 for one that is free, (m,).
+        q: a configuration that takes the target posture, (nq,), or None if none is known.
+        curve: the curve as placed in the world, or None.
+        parameters: arc length along the curve at each point, (m,) [m], or None.
+        residual: distance of each point from the curve, (m,) [m], or None.
+        incomplete: why some control points have no place on the curve; empty if all have one. Those
+            have weight 0, and their `points` continue straight on from the last that was placed.
+    """
+
+    points: Array
+    weights: Array
+    q: Array | None = None
+    curve: Curve | None = None
+    parameters: Array | None = None
+    residual: Array | None = None
+    incomplete: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("points", "weights", "q", "parameters", "residual"):
+            value = getattr(self, name)
+            if value is not None:
+                array = np.array(value, dtype=np.float64)
+                array.flags.writeable = False
+                object.__setattr__(self, name, array)
+
+    @property
+    def placed(self) -> NDArray[np.bool_]:
+        """Which control points have a target, (m,)."""
+        return np.asarray(self.weights > 0.0)
+
+    @classmethod
+    def from_points(cls, arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) -> Target:
+        """Take target positions as they are, for instance measured ones.
+
+        Args:
+            arm: the arm.
+            points: one position per control point, (m, 3) [m], world frame.
+            weights: 1 to control a point, 0 to leave it free, (m,); all 1 if None.
+
+        Raises:
+            InvalidValue: wrong shape, not finite, negative weights, or no point with a weight.
+        """
+        m = arm.n_modules
+        checked = _array("points", points, (m, 3))
+        weighted = np.ones(m) if weights is None else _array("weights", weights, (m,))
+        if np.any(weighted < 0.0) or not np.any(weighted > 0.0):
+            raise InvalidValue("weights", weighted.tolist(), "numbers >= 0, at least one of them > 0")
+        return cls(checked, weighted)
+
+    @classmethod
+    def from_configuration(cls, arm: Arm, q: ArrayLike) -> Target:
+        """Take the posture that the arm has at a configuration q, (nq,)."""
+        state = arm.at(q)
+        return cls(state.points, np.ones(arm.n_modules), q=state.q)
+
+
+def _array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InvalidValue(name, values, f"numbers of shape {shape}") from None
+    if array.shape != shape:
+        raise InvalidValue(f"{name} (shape)", array.shape, f"{shape} for this arm")
+    if not np.all(np.isfinite(array)):
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise InvalidValue(f"{name}{list(where)}", float(array[where]), "finite numbers")
+    return array

@@ -1,0 +1,1 @@
+"""The arms, curves and scenarios of the thesis, as data."""

@@ -1,0 +1,237 @@
+"""The arm and its state against closed forms, finite differences and an independent index."""
+
+from __future__ import annotations
+
+import pickle
+from xml.etree import ElementTree
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from analytic import enumeration, planar, ryrz
+from hypothesis import given
+from hypothesis import strategies as st
+
+import pinposture as pp
+from pinposture.errors import InvalidValue, UnknownName
+
+L1, L2 = 0.03, 0.02
+PLACEMENT = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -2.0, 0.7]))
+
+
+@pytest.fixture(scope="module")
+def arm() -> pp.Arm:
+    return pp.Arm.from_template("RyRz", 6, (L1, L2))
+
+
+@pytest.fixture(scope="module")
+def placed() -> pp.Arm:
+    return pp.Arm.from_template("RyRz", 6, (L1, L2), base_placement=PLACEMENT)
+
+
+def finite_differences(arm: pp.Arm, q: np.ndarray, h: float = 1e-6) -> np.ndarray:
+    steps = h * np.eye(arm.nv)
+    ahead = [arm.at(arm.integrate(q, d)).points for d in steps]
+    behind = [arm.at(arm.integrate(q, -d)).points for d in steps]
+    return np.moveaxis(np.array(ahead) - np.array(behind), 0, -1) / (2 * h)
+
+
+@given(st.integers(0, 10**6))
+def test_placements_and_jacobians_equal_the_closed_form(seed: int) -> None:
+    for arm in (ARM, PLACED):
+        q = arm.random(np.random.default_rng(seed))
+        state = arm.at(q)
+        p0, E0 = arm.base_placement.translation, arm.base_placement.rotation
+        np.testing.assert_allclose(state.points, ryrz.points(q, L1, L2, p0, E0), atol=1e-12)
+        np.testing.assert_allclose(state.rotations, ryrz.rotations(q, L1, L2, p0, E0), atol=1e-12)
+        for k in (1, 3, 6):
+            expected = ryrz.jacobian(k, q, L1, L2, p0, E0)
+            np.testing.assert_allclose(state.jacobians[k - 1], expected, atol=1e-12)
+
+
+ARM = pp.Arm.from_template("RyRz", 6, (L1, L2))
+PLACED = pp.Arm.from_template("RyRz", 6, (L1, L2), base_placement=PLACEMENT)
+
+
+def test_planar_jacobians_equal_appendix_a() -> None:
+    arm = pp.Arm.from_template("Rz", 5, (0.15,))
+    q = arm.random(np.random.default_rng(1))
+    state = arm.at(q)
+    lengths = np.full(5, 0.15)
+    assert arm.dimension == 2
+    np.testing.assert_allclose(state.points[:, :2], planar.points(q, lengths), atol=1e-13)
+    # The rows follow `plane`, which for this arm is (x, y).
+    np.testing.assert_allclose(np.abs(arm.plane), np.eye(3)[:2], atol=1e-12)
+    for k in range(1, 6):
+        expected = np.zeros((2, 5))
+        expected[:, :k] = planar.jacobian(k, q, lengths)[:, :k]
+        np.testing.assert_allclose(arm.plane[:, :2] @ state.task_jacobians[k - 1], expected, atol=1e-13)
+
+
+def test_jacobians_equal_finite_differences_with_continuous_and_sliding_joints() -> None:
+    module = pp.ModuleTemplate(
+        "mixed",
+        (
+            pp.JointSpec((1.0, 1.0, 0.3)),
+            pp.JointSpec("z", type="continuous"),
+            pp.JointSpec("x", type="prismatic", lower=0.0, upper=0.05),
+        ),
+        (0.02, 0.03, 0.04),
+    )
+    arm = pp.Arm.from_modules([module] * 3, base_placement=PLACEMENT)
+    assert (arm.nq, arm.nv) == (12, 9)
+    for seed in range(5):
+        q = arm.random(np.random.default_rng(seed))
+        state = arm.at(q)
+        np.testing.assert_allclose(state.jacobians, finite_differences(arm, q), atol=1e-8)
+
+
+@given(st.integers(0, 10**6), st.sampled_from([0.0, 1e-6, 0.3, 3.0]))
+def test_indices_equal_those_of_the_section_jacobians(seed: int, amplitude: float) -> None:
+    q = amplitude * np.random.default_rng(seed).uniform(-1, 1, 12)
+    found = ARM.at(q).manipulability()
+    expected = enumeration.index_matrix(lambda s, i: ryrz.section_jacobian(i, s, q, L1, L2), 6)
+    np.testing.assert_allclose(found, expected, atol=2e-7)
+    assert np.all((found >= 0.0) & (found <= 1.0))
+
+
+def test_indices_do_not_depend_on_where_the_arm_stands(arm: pp.Arm) -> None:
+    far = pp.Arm.from_template(
+        "RyRz", 6, (L1, L2), base_placement=pin.SE3(PLACEMENT.rotation, np.full(3, 50.0))
+    )
+    q = arm.random(np.random.default_rng(3))
+    np.testing.assert_allclose(far.at(q).manipulability(), arm.at(q).manipulability(), atol=1e-7)
+
+
+def test_planar_indices_use_the_plane() -> None:
+    arm = pp.Arm.from_template("Rz", 6, (0.15,))
+    q = arm.random(np.random.default_rng(2))
+    lengths = np.full(6, 0.15)
+
+    def section(s: int, i: int) -> np.ndarray:
+        # Heading of the section does not matter for singular values.
+        return planar.jacobian(i - s, q[s:i], lengths[s:i])[:, : i - s]
+
+    np.testing.assert_allclose(arm.at(q).manipulability(), enumeration.index_matrix(section, 6), atol=1e-7)
+
+
+def test_state_is_read_only_and_does_not_change_with_later_states(arm: pp.Arm) -> None:
+    rng = np.random.default_rng(0)
+    state = arm.at(arm.random(rng))
+    before = state.points.copy()
+    arm.at(arm.random(rng))
+    assert np.array_equal(state.points, before)
+    for array in (state.q, state.points, state.rotations, state.jacobians, state.manipulability()):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0.0
+
+
+def test_the_callers_model_is_never_written_to() -> None:
+    model = pin.buildSampleModelManipulator()
+    before = model.saveToString()
+    names = [frame.name for frame in model.frames if frame.parentJoint > 0]
+    arm = pp.Arm.from_model(model, [names[2], names[-1]], base_placement=PLACEMENT)
+    arm.at(arm.random(np.random.default_rng(0))).manipulability()
+    assert model.saveToString() == before
+    plain = pp.Arm.from_model(model, [names[2], names[-1]])
+    q = arm.random(np.random.default_rng(1))
+    moved = plain.at(q).points @ PLACEMENT.rotation.T + PLACEMENT.translation
+    np.testing.assert_allclose(arm.at(q).points, moved, atol=1e-12)
+    np.testing.assert_allclose(arm.at(q).jacobians, finite_differences(arm, q), atol=1e-8)
+
+
+def test_an_arm_pickles_and_survives_as_data(placed: pp.Arm) -> None:
+    q = placed.random(np.random.default_rng(5))
+    for copy in (pickle.loads(pickle.dumps(placed)), pp.Arm.from_dict(placed.to_dict())):
+        assert copy.control_points == placed.control_points
+        np.testing.assert_array_equal(copy.at(q).points, placed.at(q).points)
+        np.testing.assert_array_equal(copy.at(q).jacobians, placed.at(q).jacobians)
+        np.testing.assert_array_equal(copy.limits.lower, placed.limits.lower)
+
+
+def test_modules_of_our_templates_are_found_in_a_file() -> None:
+    for names in (("RyRz",) * 4, ("RyRz", "RzRy", "RzRy", "RyRz"), ("Rz",) * 7):
+        made = pp.Arm.from_modules([pp.template(name) for name in names])
+        loaded = pp.Arm.from_urdf(made.urdf)
+        assert loaded.module_joints == made.module_joints
+        assert loaded.dimension == made.dimension
+    grouped = pp.Arm.from_urdf(made.urdf, modules=[3, 2, 2])
+    assert [len(joints) for joints in grouped.module_joints] == [3, 2, 2]
+    with pytest.raises(InvalidValue, match="divisor of 7"):
+        pp.Arm.from_urdf(made.urdf, modules=3)
+    with pytest.raises(InvalidValue, match="add up to 7"):
+        pp.Arm.from_urdf(made.urdf, modules=[3, 3])
+
+
+def test_locked_joints_leave_the_chain_where_they_were_locked() -> None:
+    full = pp.Arm.from_template("RyRz", 3, (L1, L2))
+    name = full.module_joints[1][0]
+    arm = pp.Arm.from_urdf(full.urdf, modules=[2, 1, 2], locked={name: 0.4})
+    assert arm.nv == 5
+    q = arm.random(np.random.default_rng(0))
+    # The first module now ends where the next joint that moves sits, one link farther on.
+    np.testing.assert_allclose(arm.at(q).points[1:], full.at(np.insert(q, 2, 0.4)).points[1:], atol=1e-12)
+    with pytest.raises(UnknownName, match="elbow"):
+        pp.Arm.from_urdf(full.urdf, locked={"elbow": 0.0})
+
+
+def test_base_and_tip_choose_the_part_of_the_chain() -> None:
+    full = pp.Arm.from_template("RyRz", 4, (L1, L2))
+    links = [frame.name for frame in full.model.frames if frame.type == pin.FrameType.BODY]
+    inner = next(name for name in links if name.startswith("m03"))
+    arm = pp.Arm.from_urdf(full.urdf, tip=inner)
+    assert arm.nv == 5
+    assert arm.chain.joints == full.chain.joints[:5]
+
+
+def test_straight_is_the_farthest_stretch_even_if_neutral_is_bent() -> None:
+    module = pp.ModuleTemplate(
+        "bent", (pp.JointSpec("z", lower=-2, upper=2), pp.JointSpec("y", lower=-2, upper=2)), (0.1, 0.1)
+    )
+    straight = pp.Arm.from_modules([module] * 2)
+    # Turn every later joint's frame by 0.9 rad about its own axis: neutral is now a zigzag.
+    root = ElementTree.fromstring(straight.urdf)
+    for joint in root.findall("joint")[1:]:
+        if joint.get("type") == "revolute":
+            axis = np.array([float(x) for x in joint.find("axis").get("xyz").split()])
+            joint.find("origin").set("rpy", " ".join(map(str, 0.9 * axis)))
+    arm = pp.Arm.from_urdf(ElementTree.tostring(root, encoding="unicode"))
+    assert np.linalg.norm(arm.at(arm.neutral()).points[-1]) < 0.35
+    reach = np.linalg.norm(arm.at(arm.straight()).points[-1] - arm.chain.base)
+    assert reach == pytest.approx(arm.length)
+    assert arm.length == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize(
+    ("q", "message"),
+    [
+        (np.zeros(11), r"shape.*\(11,\).*\(12,\)"),
+        (np.full(12, np.nan), r"q\[0\] is nan"),
+        (np.r_[np.zeros(7), np.inf, np.zeros(4)], r"q\[7\] is inf"),
+        ("abc", "12 numbers"),
+        (np.zeros((12, 1)), "shape"),
+    ],
+)
+def test_a_bad_configuration_is_named(arm: pp.Arm, q: object, message: str) -> None:
+    with pytest.raises(InvalidValue, match=message):
+        arm.at(q)
+
+
+def test_a_singular_rotation_is_refused_for_continuous_joints() -> None:
+    module = pp.ModuleTemplate("c", (pp.JointSpec("y", type="continuous"),) * 2, (0.1, 0.1))
+    arm = pp.Arm.from_modules([module])
+    with pytest.raises(InvalidValue, match="cosine and sine"):
+        arm.at(np.zeros(4))
+    positions = np.array([3.0, -0.5])
+    np.testing.assert_allclose(arm.positions(arm.configuration(positions)), positions, atol=1e-12)
+
+
+def test_control_points_must_exist_and_follow_the_chain() -> None:
+    model = pin.buildSampleModelManipulator()
+    names = [frame.name for frame in model.frames if frame.parentJoint > 0]
+    with pytest.raises(UnknownName, match="nowhere"):
+        pp.Arm.from_model(model, ["nowhere"])
+    with pytest.raises(InvalidValue, match="base to tip"):
+        pp.Arm.from_model(model, [names[-1], names[0]])
+    with pytest.raises(InvalidValue, match="at least one frame"):
+        pp.Arm.from_model(model, [])

@@ -1,0 +1,194 @@
+"""Selection and Projection: what their steps promise, checked by other means."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from analytic import ryrz
+from hypothesis import given
+from hypothesis import strategies as st
+
+import pinposture as pp
+from pinposture.control import CONTROLLERS, Step, controller_named
+from pinposture.control.controller import task_errors
+from pinposture.errors import InvalidValue, UnknownName
+
+ARM = pp.Arm.from_template("RyRz", 8)
+PLANAR = pp.Arm.from_template("Rz", 12)
+FREE = pp.Limits(step=None)
+
+
+def target_of(arm: pp.Arm, seed: int, amplitude: float = 0.5) -> pp.Target:
+    rng = np.random.default_rng(seed + 10**6)
+    return pp.Target.from_configuration(arm, arm.configuration(amplitude * rng.uniform(-1, 1, arm.nv)))
+
+
+def state_of(arm: pp.Arm, seed: int, amplitude: float) -> pp.ArmState:
+    return arm.at(arm.configuration(amplitude * np.random.default_rng(seed).uniform(-1, 1, arm.nv)))
+
+
+def active_jacobian(state: pp.ArmState, step: Step) -> np.ndarray:
+    return np.vstack([state.task_jacobians[k] for k in step.active])
+
+
+@given(st.integers(0, 10**6), st.sampled_from([0.3, 1.0, 3.0]), st.sampled_from(["spatial", "planar"]))
+def test_selection_moves_its_points_straight_to_their_targets(seed: int, amplitude: float, kind: str) -> None:
+    arm = ARM if kind == "spatial" else PLANAR
+    state, target = state_of(arm, seed, amplitude), target_of(arm, seed)
+    method = pp.Selection(gain=0.7, null_gain=0.3)
+    step = method.step(state, target, pp.Limits(step=1e6))
+    if not step.active:
+        assert step.diagnostics.reason
+        return
+    matrix = active_jacobian(state, step)
+    errors = task_errors(state, target)[list(step.active)].ravel()
+    if not step.diagnostics.clipped.any():
+        np.testing.assert_allclose(matrix @ step.dq, 0.7 * errors, atol=1e-8)
+    sigma = np.linalg.svd(matrix, compute_uv=False)
+    assert np.linalg.matrix_rank(matrix) == len(matrix) == step.diagnostics.rows
+    assert step.diagnostics.sigma_min == pytest.approx(sigma[-1], rel=1e-6)
+    assert sigma[-1] > method.conditioning * arm.length
+
+
+@given(st.integers(0, 10**6))
+def test_the_null_space_term_descends_and_leaves_the_active_points_alone(seed: int) -> None:
+    state, target = state_of(ARM, seed, 0.7), target_of(ARM, seed)
+    without = pp.Selection(null_gain=0.0).step(state, target, FREE)
+    with_it = pp.Selection(null_gain=0.5).step(state, target, FREE)
+    if without.diagnostics.clipped.any() or with_it.diagnostics.clipped.any():
+        return
+    difference = with_it.dq - without.dq
+    np.testing.assert_allclose(active_jacobian(state, with_it) @ difference, 0.0, atol=1e-10)
+    # Along it, half the squared error of all points falls to first order: by central differences.
+    h = 1e-6 / max(np.linalg.norm(difference), 1e-12)
+
+    def squared(factor: float) -> float:
+        points = ARM.at(ARM.integrate(state.q, factor * difference)).points
+        return 0.5 * float(np.sum((target.points - points) ** 2))
+
+    assert squared(h) - squared(-h) <= 1e-18
+
+
+@given(st.integers(0, 10**6), st.sampled_from([0.0, 1e-9, 1e-3, 0.5, 3.1]))
+def test_projection_has_full_row_rank_everywhere(seed: int, amplitude: float) -> None:
+    for arm in (ARM, PLANAR):
+        state, target = state_of(arm, seed, amplitude), target_of(arm, seed)
+        for coupling in ("full", "local"):
+            method = pp.Projection(coupling=coupling)
+            matrix, velocity, active, _ = method.posture_control_matrix(
+                state, task_errors(state, target), target.placed
+            )
+            assert len(matrix) == len(velocity)
+            sigma = np.linalg.svd(matrix, compute_uv=False)
+            assert sigma[-1] > 1e-9 * sigma[0]
+            assert len(active) > 0
+
+
+@given(st.integers(0, 10**6))
+def test_projection_moves_each_point_as_asked_within_its_manipulability_space(seed: int) -> None:
+    state, target = state_of(ARM, seed, 0.8), target_of(ARM, seed)
+    step = pp.Projection(gain=0.3, null_gain=0.0).step(state, target, pp.Limits(step=1e6))
+    if step.diagnostics.clipped.any():
+        return
+    moved = state.task_jacobians @ step.dq
+    for k in range(ARM.n_modules):
+        local = ryrz.section_jacobian(k + 1, k, state.q, 0.025, 0.025)
+        frame = np.eye(3) if k == 0 else ryrz.rotations(state.q, 0.025, 0.025)[k - 1]
+        u, sigma, _ = np.linalg.svd(local)
+        kept = u[:, : np.count_nonzero(sigma > pp.Projection().threshold * 0.05)]
+        asked = 0.3 * (target.points[k] - state.points[k])
+        np.testing.assert_allclose(kept.T @ frame.T @ moved[k], kept.T @ frame.T @ asked, atol=1e-9)
+
+
+def test_local_coupling_is_block_diagonal_and_full_is_block_triangular() -> None:
+    state, target = state_of(ARM, 3, 0.8), target_of(ARM, 3)
+    errors = task_errors(state, target)
+    full = pp.Projection(coupling="full").posture_control_matrix(state, errors, target.placed)[0]
+    local = pp.Projection(coupling="local").posture_control_matrix(state, errors, target.placed)[0]
+    assert full.shape == local.shape == (16, 16)
+    for k in range(8):
+        rows = slice(2 * k, 2 * k + 2)
+        assert not full[rows, 2 * k + 2 :].any()
+        outside = np.delete(local[rows], [2 * k, 2 * k + 1], axis=1)
+        assert not outside.any()
+        np.testing.assert_allclose(full[rows, rows], local[rows, rows], atol=1e-12)
+
+
+def test_selection_says_that_it_cannot_leave_the_straight_arm() -> None:
+    step = pp.Selection().step(ARM.at(ARM.straight()), target_of(ARM, 0))
+    assert step.active == ()
+    assert not step.dq.any()
+    assert "absolute manipulability condition" in step.diagnostics.reason
+    assert pp.Projection().step(ARM.at(ARM.straight()), target_of(ARM, 0)).dq.any()
+
+
+@given(
+    st.integers(0, 10**6),
+    st.sampled_from(sorted(CONTROLLERS)),
+    st.sampled_from([0.0, 1e-7, 0.5, 3.1]),
+    st.floats(1e-3, 0.5),
+)
+def test_every_output_is_finite_and_within_its_limits(
+    seed: int, name: str, amplitude: float, largest: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    arm = LIMITED
+    q = np.clip(amplitude * rng.uniform(-1, 1, arm.nv), -0.8, 0.8)
+    target = pp.Target.from_points(arm, rng.normal(0.0, rng.choice([1e-9, 0.1, 10.0]), (8, 3)))
+    limits = pp.Limits(step=largest, velocity=rng.uniform(0.5, 2.0, arm.nv), dt=0.05, position_margin=0.01)
+    state = arm.at(q)
+    for _ in range(3):
+        step = controller_named(name).step(state, target, limits)
+        assert np.all(np.isfinite(step.dq))
+        assert np.all(np.abs(step.dq) <= np.minimum(largest, limits.velocity * 0.05) + 1e-12)
+        state = arm.at(arm.integrate(state.q, step.dq))
+        inside = np.abs(q) <= 0.79
+        assert np.all(np.abs(state.q[inside]) <= 0.79 + 1e-12)
+
+
+LIMITED = pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.8, 0.8)] * 8)
+
+
+def test_free_control_points_are_not_used() -> None:
+    weights = np.zeros(8)
+    weights[[3, 7]] = 1.0
+    points = ARM.at(ARM.straight()).points + [0.0, 0.05, 0.0]
+    target = pp.Target.from_points(ARM, points, weights)
+    state = state_of(ARM, 5, 0.7)
+    for method in (pp.Selection(), pp.Projection()):
+        assert set(method.step(state, target).active) <= {3, 7}
+
+
+def test_limits_flag_what_they_did() -> None:
+    state = LIMITED.at(np.full(16, 0.75))
+    limited = pp.Limits(step=0.1).apply(state, np.r_[0.4, np.zeros(14), 0.2])
+    assert limited.scale == pytest.approx(0.25)
+    np.testing.assert_allclose(limited.dq[[0, 15]], [0.05, 0.05])
+    assert not limited.clipped[:15].all()
+    outside = LIMITED.at(np.full(16, 1.5))
+    back = pp.Limits(step=0.1).apply(outside, np.zeros(16))
+    np.testing.assert_allclose(back.dq, -0.1)
+    own = pp.Limits(step=None, dt=0.01).bound(state)
+    np.testing.assert_allclose(own, 0.01 * LIMITED.limits.velocity)
+
+
+@pytest.mark.parametrize(
+    ("make", "kind", "message"),
+    [
+        (lambda: pp.Limits(step=0.0), InvalidValue, "step is 0"),
+        (lambda: pp.Limits(step=[0.1, float("nan")]), InvalidValue, "step"),
+        (lambda: pp.Limits(velocity=1.0), InvalidValue, "dt"),
+        (lambda: pp.Limits(dt=-1.0), InvalidValue, "duration"),
+        (lambda: pp.Limits(position_margin=-0.1), InvalidValue, "position_margin"),
+        (lambda: pp.Selection(absolute=1.0), InvalidValue, "absolute"),
+        (lambda: pp.Selection(gain=0.0), InvalidValue, "gain"),
+        (lambda: pp.Selection(conditioning=float("inf")), InvalidValue, "conditioning"),
+        (lambda: pp.Projection(coupling="half"), UnknownName, "full, local"),
+        (lambda: pp.Projection(null_gain=-1.0), InvalidValue, "null_gain"),
+        (lambda: controller_named("selektion"), UnknownName, "did you mean 'selection'"),
+        (lambda: pp.Limits(step=np.ones(3)).bound(ARM.at(ARM.neutral())), InvalidValue, r"\(16,\)"),
+    ],
+)
+def test_bad_parameters_are_named(make: object, kind: type, message: str) -> None:
+    with pytest.raises(kind, match=message):
+        make()

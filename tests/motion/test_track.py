@@ -1,0 +1,183 @@
+"""The loop and its result: how runs end, what they record, and that files give it all back."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+
+import pinposture as pp
+from pinposture.errors import FileError, InvalidValue, UnknownName
+from pinposture.thesis.curves import HELIX, LINE
+
+ARM = pp.Arm.from_template("RyRz", 20)
+SHORT = pp.Arm.from_template("RyRz", 3)
+START = 0.4 * np.sin(np.arange(40))
+
+
+@pytest.fixture(scope="module")
+def run() -> pp.Trajectory:
+    target = pp.resolve_targets(ARM, HELIX, roll=0.4)
+    return pp.track(ARM, target, START, "projection", max_steps=40)
+
+
+def test_a_run_records_what_happened(run: pp.Trajectory) -> None:
+    assert run.q.shape == (run.steps + 1, 40)
+    assert run.point_errors.shape == run.points.shape[:2] == (run.steps + 1, 20)
+    assert len(run.active_sets) == len(run.index) == len(run.sigma_min) == run.steps
+    for step in (0, run.steps // 2, run.steps):
+        points = ARM.at(run.q[step]).points
+        np.testing.assert_array_equal(run.points[step], points)
+        errors = np.linalg.norm(points - run.target.points, axis=1)
+        np.testing.assert_allclose(run.point_errors[step], errors, atol=1e-14)
+        assert run.posture_error[step] == pytest.approx(errors.sum())
+    largest = np.abs(np.diff(run.q, axis=0)).max(axis=1)
+    assert np.all(largest <= 0.1 + 1e-12)
+    assert np.all((run.scale < 1.0) <= (largest > 0.1 - 1e-9))
+
+
+def test_close_targets_converge() -> None:
+    near = ARM.configuration(START + 0.01 * np.cos(np.arange(40)))
+    for name in ("selection", "projection"):
+        run = pp.track(ARM, pp.Target.from_configuration(ARM, near), START, name, max_steps=200)
+        if name == "projection":
+            assert run.converged
+            assert run.point_errors[-1].mean() <= 1e-6
+        assert run.posture_error[-1] < 0.3 * run.posture_error[0]
+
+
+def test_a_run_that_begins_at_the_target_takes_no_step() -> None:
+    run = pp.track(ARM, pp.Target.from_configuration(ARM, START), START)
+    assert (run.status, run.steps) == ("converged", 0)
+    assert run.active.shape == (0, 20)
+    assert run.clipped.shape == (0, 40)
+
+
+def test_every_other_ending_says_why() -> None:
+    helix = pp.resolve_targets(ARM, HELIX)
+    stuck = pp.track(ARM, helix, ARM.straight(), "selection")
+    assert stuck.status == "no_control_points"
+    assert stuck.steps == 0
+    assert "singular" in stuck.reason
+    short = pp.track(ARM, helix, START, "projection", max_steps=3)
+    assert short.status == "max_steps"
+    assert "after 3 steps" in short.reason
+    unreachable = pp.Target.from_points(ARM, helix.points + [0.0, 5.0, 0.0])
+    stalled = pp.track(ARM, unreachable, START, "projection", max_steps=2000)
+    assert stalled.status in ("stalled", "no_control_points")
+    assert "no progress" in stalled.reason
+    seen = []
+    stopped = pp.track(
+        ARM, helix, START, "projection", callback=lambda k, state, step: seen.append((k, state.q)) or k == 5
+    )
+    assert (stopped.status, stopped.steps) == ("stopped", 5)
+    assert [k for k, _ in seen] == [1, 2, 3, 4, 5]
+    np.testing.assert_array_equal(seen[-1][1], stopped.q[-1])
+
+
+def test_the_same_run_twice_is_the_same_run(run: pp.Trajectory) -> None:
+    again = pp.track(ARM, run.target, START, "projection", max_steps=40)
+    np.testing.assert_array_equal(again.q, run.q)
+
+
+def test_the_library_logs_and_prints_nothing(
+    capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.INFO, "pinposture"):
+        pp.track(ARM, pp.Target.from_configuration(ARM, START), START)
+    assert capsys.readouterr() == ("", "")
+    assert "converged after 0 steps" in caplog.text
+
+
+def test_a_file_gives_everything_back(run: pp.Trajectory, tmp_path: object) -> None:
+    path = run.save(tmp_path / "deep" / "run")
+    assert path.name == "run.npz"
+    assert [file.name for file in path.parent.iterdir()] == ["run.npz"]
+    loaded = pp.Trajectory.load(path)
+    for name in (
+        "q",
+        "points",
+        "point_errors",
+        "active",
+        "index",
+        "sigma_min",
+        "sigma_max",
+        "rows",
+        "scale",
+        "clipped",
+    ):
+        np.testing.assert_array_equal(getattr(loaded, name), getattr(run, name))
+    assert (loaded.status, loaded.reason, loaded.controller) == (run.status, run.reason, run.controller)
+    assert loaded.limits == run.limits
+    assert loaded.arm.urdf == ARM.urdf
+    np.testing.assert_array_equal(loaded.target.curve.resample(50), run.target.curve.resample(50))
+    repeated = pp.track(loaded.arm, loaded.target, loaded.q[0], "projection", loaded.limits, max_steps=40)
+    np.testing.assert_array_equal(repeated.q, run.q)
+
+
+def test_an_interrupted_save_leaves_the_old_file(
+    run: pp.Trajectory, tmp_path: object, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = run.save(tmp_path / "run.npz")
+    before = path.read_bytes()
+
+    def torn(file: object, **arrays: object) -> None:
+        file.write(b"half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(np, "savez_compressed", torn)
+    with pytest.raises(KeyboardInterrupt):
+        run.save(path)
+    assert path.read_bytes() == before
+    assert [file.name for file in tmp_path.iterdir()] == ["run.npz"]
+
+
+def test_files_that_are_no_runs_are_named(tmp_path: object, run: pp.Trajectory) -> None:
+    with pytest.raises(FileError, match="no such file"):
+        pp.Trajectory.load(tmp_path / "missing.npz")
+    text = tmp_path / "text.npz"
+    text.write_text("hello")
+    with pytest.raises(FileError, match="not a saved run"):
+        pp.Trajectory.load(text)
+    other = tmp_path / "other.npz"
+    np.savez(other, q=np.zeros(3))
+    with pytest.raises(FileError, match="not a saved run"):
+        pp.Trajectory.load(other)
+    cut = run.save(tmp_path / "cut.npz")
+    cut.write_bytes(cut.read_bytes()[:2000])
+    with pytest.raises(FileError, match="not a saved run"):
+        pp.Trajectory.load(cut)
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    with pytest.raises(FileError, match="cannot be written"):
+        run.save(blocked / "run.npz")
+
+
+@pytest.mark.parametrize(
+    ("change", "kind", "message"),
+    [
+        ({"q0": np.zeros(39)}, InvalidValue, r"q0 \(shape\)"),
+        ({"q0": np.full(40, np.nan)}, InvalidValue, r"q0\[0\] is nan"),
+        ({"controller": "lm"}, UnknownName, "selection, projection"),
+        ({"max_steps": 0}, InvalidValue, "max_steps"),
+        ({"tolerance": -1.0}, InvalidValue, "tolerance"),
+        (
+            {"target": pp.Target.from_configuration(pp.Arm.from_template("RyRz", 3), np.zeros(6))},
+            InvalidValue,
+            "target",
+        ),
+    ],
+)
+def test_bad_arguments_are_named(change: dict, kind: type, message: str) -> None:
+    arguments = {"arm": ARM, "target": pp.Target.from_configuration(ARM, START), "q0": START} | change
+    with pytest.raises(kind, match=message):
+        pp.track(**arguments)
+
+
+def test_partial_targets_are_tracked_by_the_points_that_have_one() -> None:
+    target = pp.resolve_targets(ARM, pp.Curve.line((0, 0, 0), (0.52, 0, 0)), incomplete="partial")
+    run = pp.track(ARM, target, START, "projection", max_steps=100)
+    assert not run.point_errors[:, 10:].any()
+    assert run.posture_error[-1] < 0.5 * run.posture_error[0]
+    assert LINE.length > 1.0

@@ -1,0 +1,211 @@
+"""Algorithm 1: the target lies on the curve, the configuration takes it, and failures say why."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import pinposture as pp
+from pinposture.errors import (
+    CurveBendsTooMuch,
+    CurveEndsEarly,
+    CurveLeavesTooSharply,
+    InvalidValue,
+    TargetError,
+    UnknownName,
+    UnsupportedModule,
+)
+from pinposture.thesis.curves import HELIX, LINE
+
+PLACEMENT = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -2.0, 0.7]))
+ARM = pp.Arm.from_template("RyRz", 20)
+
+
+def assert_consistent(arm: pp.Arm, target: pp.Target, tolerance: float) -> None:
+    """The configuration takes the points, which lie on the curve in order, within the limits."""
+    np.testing.assert_allclose(arm.at(target.q).points, target.points, atol=1e-11 * arm.length)
+    assert np.all(np.diff(target.parameters) > 0.0)
+    distance = target.curve.nearest(target.points)[1]
+    assert np.max(distance) < tolerance * arm.length
+    assert np.max(target.residual) < tolerance * arm.length
+    assert arm.within_limits(target.q)
+    assert np.all(target.placed)
+
+
+@pytest.mark.parametrize("template", ["RyRz", "RzRy"])
+@pytest.mark.parametrize("lengths", [(0.025, 0.025), (0.02, 0.03), (0.01, 0.04)])
+@given(roll=st.floats(-3.2, 3.2))
+def test_the_helix_is_taken_wherever_the_arm_stands(
+    template: str, lengths: tuple[float, float], roll: float
+) -> None:
+    arm = pp.Arm.from_template(template, 20, lengths, base_placement=PLACEMENT)
+    target = pp.resolve_targets(arm, HELIX, roll=roll)
+    assert_consistent(arm, target, 3e-6)
+    np.testing.assert_allclose(target.curve.start, arm.chain.base, atol=1e-12)
+    np.testing.assert_allclose(target.curve.tangent(0.0), PLACEMENT.rotation[:, 0], atol=1e-9)
+
+
+def test_the_line_is_the_straight_arm() -> None:
+    target = pp.resolve_targets(ARM, LINE)
+    np.testing.assert_allclose(target.q, 0.0, atol=1e-9)
+    np.testing.assert_allclose(target.parameters, np.linspace(0.05, 1.0, 20), atol=1e-9)
+
+
+def test_a_line_as_long_as_the_arm_is_long_enough() -> None:
+    target = pp.resolve_targets(ARM, pp.Curve.line((0, 0, 0), (1.0, 0, 0)))
+    assert np.all(target.placed)
+    with pytest.raises(CurveEndsEarly, match="module 20"):
+        pp.resolve_targets(ARM, pp.Curve.line((0, 0, 0), (0.999, 0, 0)))
+
+
+def test_the_residual_falls_with_the_number_of_samples() -> None:
+    coarse, fine = (pp.resolve_targets(ARM, HELIX, samples=n).residual.max() for n in (200, 2000))
+    assert fine < coarse / 50  # a chord cuts the curve off by the square of its length
+
+
+def test_a_smooth_posture_of_the_arm_itself_is_found_again() -> None:
+    # The curve through the links of a known posture, tangent to the first link.
+    rng = np.random.default_rng(4)
+    q = 0.25 * rng.uniform(-1, 1, 40)
+    points = np.vstack([np.zeros(3), ARM.at(q).points])
+    target = pp.resolve_targets(ARM, pp.Curve.points(np.vstack([points, 2 * points[-1] - points[-2]])))
+    assert_consistent(ARM, target, 1e-5)
+
+
+@given(st.integers(0, 10**6))
+def test_random_gentle_splines_resolve_for_planar_and_spatial_arms(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    steps = np.column_stack([np.full(9, 0.2), rng.uniform(-0.06, 0.06, (9, 2))])
+    points = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
+    assert_consistent(ARM, pp.resolve_targets(ARM, pp.Curve.spline(points)), 1e-5)
+    flat = pp.Curve.spline(points * [4.5, 4.5, 0.0])
+    for arm in (pp.Arm.from_template("Rz", 45), pp.Arm.from_template("RzRz", 22), PLANAR_TURNED):
+        placement = "align" if arm is not PLANAR_TURNED else "as_is"
+        moved = flat if arm is not PLANAR_TURNED else flat.moved(PLACEMENT.rotation, PLACEMENT.translation)
+        assert_consistent(arm, pp.resolve_targets(arm, moved, placement=placement), 1e-5)
+
+
+PLANAR_TURNED = pp.Arm.from_template("Rz", 45, base_placement=PLACEMENT)
+
+
+def test_mixed_arms_resolve_through_the_same_walk() -> None:
+    modules = [
+        pp.template(name).with_lengths(lengths)
+        for name, lengths in (("RyRz", (0.03, 0.02)), ("RzRy", (0.02, 0.02)), ("RyRz", (0.025, 0.035)))
+    ] * 4
+    arm = pp.Arm.from_modules(modules)
+    curve = pp.Curve.helix(radius=0.1, pitch=0.3, turns=3)
+    assert_consistent(arm, pp.resolve_targets(arm, curve), 1e-5)
+
+
+def test_a_module_longer_before_its_second_hinge_zigzags_and_says_so() -> None:
+    # Sequential placement multiplies a misalignment by -l1 / l2 from module to module.
+    arm = pp.Arm.from_template("RyRz", 20, (0.03, 0.02))
+    with pytest.raises(CurveBendsTooMuch, match="cannot turn"):
+        pp.resolve_targets(arm, HELIX)
+
+
+def test_placements_mean_what_they_say() -> None:
+    curve = LINE.moved(np.eye(3), [0.0, 0.3, 0.0])
+    translated = pp.resolve_targets(ARM, curve, placement="translate")
+    np.testing.assert_allclose(translated.points[-1], [1.0, 0, 0], atol=1e-9)
+    tilted = pp.Curve.line((0, 0, 0), (0.8, 0.0, 0.8))
+    kept = pp.resolve_targets(ARM, tilted, placement="translate")
+    np.testing.assert_allclose(kept.points[-1], np.array([1, 0, 1]) / np.sqrt(2), atol=1e-9)
+    turned = pp.resolve_targets(ARM, tilted)
+    np.testing.assert_allclose(turned.points[-1], [1.0, 0, 0], atol=1e-9)
+    backward = pp.resolve_targets(ARM, pp.Curve.line((0, 0, 0), (-1.1, 0, 0)))
+    np.testing.assert_allclose(backward.points[-1], [1.0, 0, 0], atol=1e-9)
+    with pytest.raises(CurveLeavesTooSharply, match=r"passes 0\.3 m from the base"):
+        pp.resolve_targets(ARM, curve, placement="as_is")
+
+
+def test_a_curve_that_passes_near_the_base_is_joined_on_the_way() -> None:
+    curve = pp.Curve.line((-0.5, 0.01, 0.0), (1.2, 0.01, 0.0))
+    target = pp.resolve_targets(ARM, curve, placement="as_is")
+    np.testing.assert_allclose(target.points[:, 1], 0.01, atol=1e-9)
+    assert 0.5 < target.parameters[0] < 0.56
+
+
+def test_curves_that_do_not_fit_are_named() -> None:
+    with pytest.raises(CurveEndsEarly, match=r"module 7.*lengthen the curve") as early:
+        pp.resolve_targets(ARM, pp.Curve.line((0, 0, 0), (0.31, 0, 0)))
+    assert early.value.module == 7
+    assert early.value.parameter == pytest.approx(0.3)
+    sideways = pp.Curve.line((0, 0, 0), (0.0, 1.5, 0.0))
+    with pytest.raises(CurveLeavesTooSharply, match="90 degrees off its axis"):
+        pp.resolve_targets(ARM, sideways, placement="as_is")
+    limited = pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.3, 0.3)] * 20)
+    with pytest.raises(CurveBendsTooMuch, match="joint limits"):
+        pp.resolve_targets(limited, HELIX)
+    planar = pp.Arm.from_template("Rz", 6)
+    with pytest.raises(CurveBendsTooMuch, match="plane"):
+        pp.resolve_targets(planar, pp.Curve.helix(radius=0.4, pitch=0.5, turns=3))
+
+
+def test_a_partial_target_says_which_points_have_no_place() -> None:
+    target = pp.resolve_targets(ARM, pp.Curve.line((0, 0, 0), (0.31, 0, 0)), incomplete="partial")
+    assert target.placed.tolist() == [True] * 6 + [False] * 14
+    assert "module 7" in target.incomplete
+    assert np.all(np.isfinite(target.points))
+    np.testing.assert_allclose(ARM.at(target.q).points, target.points, atol=1e-12)
+    whole = pp.resolve_targets(ARM, LINE, incomplete="partial")
+    assert whole.incomplete == ""
+
+
+def test_every_failure_is_a_target_error_and_never_nan() -> None:
+    rng = np.random.default_rng(0)
+    failures = 0
+    arm = pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.9, 0.9)] * 20)
+    for _ in range(60):
+        curve = pp.Curve.spline(np.vstack([np.zeros(3), rng.uniform(-0.5, 0.5, (6, 3))]))
+        for placement in ("as_is", "align"):
+            try:
+                target = pp.resolve_targets(arm, curve, placement=placement)
+            except TargetError:
+                failures += 1
+                target = pp.resolve_targets(arm, curve, placement=placement, incomplete="partial")
+            assert np.all(np.isfinite(target.points))
+            assert np.all(np.isfinite(target.q))
+            assert np.all(target.residual[target.placed] < 1e-4)
+    assert 10 < failures < 120
+
+
+def test_modules_without_a_solver_are_named() -> None:
+    roll = pp.ModuleTemplate("RxRy", (pp.JointSpec("x"), pp.JointSpec("y")), (0.02, 0.03))
+    with pytest.raises(UnsupportedModule, match=r"module 2 .*not across the module"):
+        pp.resolve_targets(pp.Arm.from_modules([pp.template("RyRz"), roll]), LINE)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "kind", "message"),
+    [
+        ({"placement": "centre"}, UnknownName, "'centre'.*as_is"),
+        ({"incomplete": "ignore"}, UnknownName, "partial"),
+        ({"samples": 1}, InvalidValue, "at least 2"),
+        ({"roll": float("nan")}, InvalidValue, "finite angle"),
+    ],
+)
+def test_bad_arguments_are_named(arguments: dict, kind: type, message: str) -> None:
+    with pytest.raises(kind, match=message):
+        pp.resolve_targets(ARM, LINE, **arguments)
+
+
+def test_targets_from_points_and_configurations() -> None:
+    q = ARM.random(np.random.default_rng(1))
+    taken = pp.Target.from_configuration(ARM, q)
+    np.testing.assert_array_equal(taken.points, ARM.at(q).points)
+    some = np.zeros(20)
+    some[[4, 19]] = 1.0
+    assert pp.Target.from_points(ARM, taken.points, some).placed.sum() == 2
+    for points, weights, message in (
+        (np.zeros((19, 3)), None, r"\(20, 3\)"),
+        (np.full((20, 3), np.nan), None, r"points\[0, 0\] is nan"),
+        (np.zeros((20, 3)), np.zeros(20), "at least one"),
+        (np.zeros((20, 3)), -np.ones(20), ">= 0"),
+    ):
+        with pytest.raises(InvalidValue, match=message):
+            pp.Target.from_points(ARM, points, weights)
