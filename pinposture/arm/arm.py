@@ -6,7 +6,7 @@ import threading
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -14,27 +14,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture.arm.adequacy import Adequacy, CurveShape, adequacy
 from pinposture.arm.chain import Chain, read_chain
+from pinposture.arm.checks import finite_vector
+from pinposture.arm.limits import JointLimits, joint_limits
 from pinposture.arm.loading import load_model, place_base
-from pinposture.arm.state import ArmState
+from pinposture.arm.state import ArmState, ControlFrames, sweep
+from pinposture.arm.stretch import farthest_stretch
 from pinposture.arm.template import ModuleTemplate, template
 from pinposture.arm.urdf import modules_to_urdf
 from pinposture.errors import InvalidValue, UnknownName
 
 Array = NDArray[np.float64]
-
-
-class JointLimits(NamedTuple):
-    """Limits of the joints, one entry per degree of freedom; infinite where there is none.
-
-    Attributes:
-        lower: smallest joint position, (nv,) [rad or m].
-        upper: largest joint position, (nv,) [rad or m].
-        velocity: largest joint speed, (nv,) [rad/s or m/s].
-    """
-
-    lower: Array
-    upper: Array
-    velocity: Array
 
 
 class _Scratch(threading.local):
@@ -57,6 +46,8 @@ class Arm:
         base_placement: where the base link stands in the world.
         chain: the kinematic chain at the neutral configuration.
         urdf: the description it was loaded from, or None.
+        own_joints: 1 where a degree of freedom belongs to a module, else 0, (m, nv).
+        frames: the control points as Pinocchio sees them.
     """
 
     def __init__(
@@ -75,12 +66,16 @@ class Arm:
             raise InvalidValue("control_points", list(control_points), "at least one frame name")
         self._scratch = _Scratch(model)
         self.chain: Chain = read_chain(model, self._scratch.data, self.control_points)
-        self._parents = [int(frame.parentJoint) for frame in frames]
-        self._offsets = np.array([frame.placement.translation for frame in frames])
-        self._turns = np.array([frame.placement.rotation for frame in frames])
-        self._support = np.zeros((len(frames), 1, model.nv))
-        for k, joints in enumerate(self.chain.module_slices):
-            self._support[k:, 0, self.chain.columns[joints]] = 1.0
+        self.own_joints = np.zeros((len(frames), model.nv))
+        for own, joints in zip(self.own_joints, self.chain.module_slices, strict=True):
+            own[self.chain.columns[joints]] = 1.0
+        self.own_joints.flags.writeable = False
+        self.frames = ControlFrames(
+            parents=tuple(int(frame.parentJoint) for frame in frames),
+            offsets=np.array([frame.placement.translation for frame in frames]),
+            turns=np.array([frame.placement.rotation for frame in frames]),
+            support=np.cumsum(self.own_joints, axis=0)[:, None, :],
+        )
 
     @staticmethod
     def _frame_id(model: pin.Model, name: str) -> int:
@@ -222,6 +217,12 @@ class Arm:
         """Index into the chain of the first joint of each module, (m,)."""
         return self.chain.module_starts
 
+    @cached_property
+    def own_columns(self) -> NDArray[np.intp]:
+        """Tangent space indices of each module's joints, (m, c); short modules are filled up with others."""
+        most = int(self.own_joints.sum(axis=1).max())
+        return np.argsort(-self.own_joints, axis=1, kind="stable")[:, :most]
+
     @property
     def module_joints(self) -> tuple[tuple[str, ...], ...]:
         """Names of the joints of each module, from base to tip."""
@@ -245,16 +246,7 @@ class Arm:
     @cached_property
     def limits(self) -> JointLimits:
         """Joint limits, one entry per degree of freedom."""
-        lower, upper = np.full(self.nv, -np.inf), np.full(self.nv, np.inf)
-        velocity = np.array(self.model.velocityLimit, dtype=np.float64)
-        for joint in self.model.joints:
-            if joint.nq == joint.nv == 1:
-                lower[joint.idx_v] = self.model.lowerPositionLimit[joint.idx_q]
-                upper[joint.idx_v] = self.model.upperPositionLimit[joint.idx_q]
-        velocity[velocity <= 0.0] = np.inf
-        for array in (lower, upper, velocity):
-            array.flags.writeable = False
-        return JointLimits(lower, upper, velocity)
+        return joint_limits(self.model)
 
     def adequate(self, curve: CurveShape) -> Adequacy:
         """Tell whether the modules can follow a curve within their joint limits (Section 4.1).
@@ -274,24 +266,7 @@ class Arm:
 
     def straight(self) -> Array:
         """The configuration that stretches the arm farthest, (nq,); the neutral one for our templates."""
-        return self.configuration(self._stretch)
-
-    @cached_property
-    def _stretch(self) -> Array:
-        from scipy.optimize import minimize
-
-        if np.linalg.norm(self.chain.points[-1] - self.chain.base) > (1.0 - 1e-9) * self.length:
-            return np.zeros(self.nv)
-
-        def shortness(positions: Array) -> tuple[float, Array]:
-            state = self.at(self.configuration(positions))
-            reach = state.points[-1] - self.chain.base
-            distance = max(float(np.linalg.norm(reach)), 1e-12 * self.length)
-            return -distance, -(reach / distance) @ state.jacobians[-1]
-
-        bounds = list(zip(self.limits.lower, self.limits.upper, strict=True))
-        start = np.clip(np.full(self.nv, 1e-3), self.limits.lower, self.limits.upper)
-        return np.asarray(minimize(shortness, start, jac=True, bounds=bounds, method="L-BFGS-B").x)
+        return self.configuration(farthest_stretch(self))
 
     def random(self, rng: np.random.Generator) -> Array:
         """A configuration drawn uniformly within the limits (+-pi where there is none), (nq,)."""
@@ -312,7 +287,7 @@ class Arm:
             InvalidValue: wrong size or not finite.
         """
         return np.array(
-            pin.integrate(self.model, pin.neutral(self.model), self._vector(positions, "positions"))
+            pin.integrate(self.model, pin.neutral(self.model), finite_vector("positions", positions, self.nv))
         )
 
     def positions(self, q: ArrayLike) -> Array:
@@ -342,24 +317,11 @@ class Arm:
         Raises:
             InvalidValue: wrong size, not finite, or not a rotation where a continuous joint needs one.
         """
-        checked = self._vector(q, name, self.nq)
+        checked = finite_vector(name, q, self.nq)
         if self.nq != self.nv and not pin.isNormalized(self.model, checked, 1e-6):
             allowed = "cosine and sine of one angle for each continuous joint; see Arm.configuration"
             raise InvalidValue(name, q, allowed)
         return checked
-
-    def _vector(self, values: ArrayLike, name: str, size: int | None = None) -> Array:
-        size = self.nv if size is None else size
-        try:
-            vector = np.array(values, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise InvalidValue(name, values, f"{size} numbers") from None
-        if vector.shape != (size,):
-            raise InvalidValue(f"{name} (shape)", vector.shape, f"({size},) for this arm")
-        bad = np.flatnonzero(~np.isfinite(vector))
-        if len(bad):
-            raise InvalidValue(f"{name}[{bad[0]}]", float(vector[bad[0]]), "finite numbers")
-        return vector
 
     def at(self, q: ArrayLike) -> ArmState:
         """The state of the arm at a configuration; Pinocchio is read once.
@@ -373,22 +335,7 @@ class Arm:
         Raises:
             InvalidValue: q has the wrong size or is not finite.
         """
-        q = self.checked(q)
-        data = self._scratch.data
-        spatial = pin.computeJointJacobians(self.model, data, q)
-        bodies = [data.oMi[joint] for joint in self._parents]
-        frames = np.array([body.rotation for body in bodies])
-        points = np.array([body.translation for body in bodies])
-        points += np.einsum("kij,kj->ki", frames, self._offsets)
-        # d p_k / d q_u = v_u + w_u x p_k for every joint u that moves k: columns of data.J are (v_u, w_u).
-        x, y, z = points.T[:, :, None]
-        v, w = spatial[:3], spatial[3:]
-        jacobians = np.empty((len(points), 3, self.nv))
-        jacobians[:, 0] = v[0] + w[1] * z - w[2] * y
-        jacobians[:, 1] = v[1] + w[2] * x - w[0] * z
-        jacobians[:, 2] = v[2] + w[0] * y - w[1] * x
-        jacobians *= self._support
-        return ArmState(self, q, points, frames @ self._turns, jacobians)
+        return sweep(self, self._scratch.data, self.checked(q))
 
     def to_dict(self) -> dict[str, Any]:
         """What is needed to build this arm again, as data that JSON can hold."""

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture.arm.manipulability import all_pairs
@@ -63,3 +64,44 @@ class ArmState:
 
     def __repr__(self) -> str:
         return f"ArmState(q={np.array2string(self.q, precision=3, threshold=8)}, m={len(self.points)})"
+
+
+class ControlFrames(NamedTuple):
+    """The control points as frames of the model.
+
+    Attributes:
+        parents: index of the joint that carries each, (m,).
+        offsets: position in the frame of that joint, (m, 3) [m].
+        turns: orientation in the frame of that joint, (m, 3, 3).
+        support: 1 where a degree of freedom moves a control point, else 0, (m, 1, nv).
+    """
+
+    parents: tuple[int, ...]
+    offsets: Array
+    turns: Array
+    support: Array
+
+
+def sweep(arm: Arm, data: pin.Data, q: Array) -> ArmState:
+    """Read placements and Jacobians of all control points out of one pass over the joints.
+
+    Args:
+        arm: the arm.
+        data: scratch data of its model.
+        q: configuration, (nq,).
+    """
+    frames = arm.frames
+    spatial = pin.computeJointJacobians(arm.model, data, q)
+    bodies = [data.oMi[joint] for joint in frames.parents]
+    turns = np.array([body.rotation for body in bodies])
+    points = np.array([body.translation for body in bodies])
+    points += np.einsum("kij,kj->ki", turns, frames.offsets)
+    # d p_k / d q_u = v_u + w_u x p_k for every joint u that moves k: columns of data.J are (v_u, w_u).
+    x, y, z = points.T[:, :, None]
+    v, w = spatial[:3], spatial[3:]
+    jacobians = np.empty((len(points), 3, arm.nv))
+    jacobians[:, 0] = v[0] + w[1] * z - w[2] * y
+    jacobians[:, 1] = v[1] + w[2] * x - w[0] * z
+    jacobians[:, 2] = v[2] + w[0] * y - w[1] * x
+    jacobians *= frames.support
+    return ArmState(arm, q, points, turns @ frames.turns, jacobians)

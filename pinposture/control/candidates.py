@@ -63,10 +63,10 @@ def active_set(
     score = np.where(clears, errors, -np.inf)
     before = np.full(len(errors), -1)
     for i in np.flatnonzero(clears):
-        earlier = np.flatnonzero(follows[:i, i])
-        if len(earlier):
-            best = earlier[np.argmax(score[earlier])]
-            score[i] += score[best]
+        reaching = np.where(follows[:i, i], score[:i], 0.0)
+        best = int(reaching.argmax()) if i else 0
+        if i and reaching[best] > 0.0:
+            score[i] += reaching[best]
             before[i] = best
     if not np.any(clears):
         return ()

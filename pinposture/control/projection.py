@@ -38,14 +38,15 @@ class Projection:
         null_gain: weight of the null-space term of (4.7).
     """
 
-    threshold: float = 0.05
+    threshold: float = 0.4
     coupling: Literal["full", "local"] = "full"
-    gain: float = 0.5
+    gain: float = 1.0
     null_gain: float = 0.5
     name: str = "projection"
 
     def __post_init__(self) -> None:
         require_share("threshold", self.threshold)
+        require_positive("threshold", self.threshold)
         require_positive("gain", self.gain)
         require_positive("null_gain", self.null_gain, zero=True)
         if self.coupling not in ("full", "local"):
@@ -94,23 +95,15 @@ class Projection:
             Matrix (r, nv) [m/rad], projected errors (r,) [m], control points used (0-based), and the
             smallest ratio of a kept singular value to the largest of its module.
         """
-        rows, velocity, active, smallest = [], [], [], 1.0
-        chain, jacobians = state.arm.chain, state.task_jacobians
-        for k in np.flatnonzero(eligible):
-            columns = chain.columns[chain.module_slices[k]]
-            left, sigma, right = np.linalg.svd(jacobians[k][:, columns], full_matrices=False)
-            kept = int(np.count_nonzero(sigma > self.threshold * chain.module_lengths[k]))
-            if kept == 0:
-                continue
-            if self.coupling == "full":
-                rows.append(left[:, :kept].T @ jacobians[k])
-            else:
-                block = np.zeros((kept, state.arm.nv))
-                block[:, columns] = sigma[:kept, None] * right[:kept]
-                rows.append(block)
-            velocity.append(left[:, :kept].T @ errors[k])
-            active.append(int(k))
-            smallest = min(smallest, float(sigma[kept - 1] / sigma[0]))
-        if not rows:
-            return np.zeros((0, state.arm.nv)), np.zeros(0), (), 0.0
-        return np.vstack(rows), np.concatenate(velocity), tuple(active), smallest
+        arm, jacobians = state.arm, state.task_jacobians
+        own = jacobians * arm.own_joints[:, None, :]
+        # Modules are far shorter than the arm: decompose their own columns only, padded to equal number.
+        narrow = np.take_along_axis(own, arm.own_columns[:, None, :], axis=2)  # (m, d, c)
+        left, sigma, _ = np.linalg.svd(narrow, full_matrices=False)  # (m, d, r), (m, r)
+        kept = (sigma > self.threshold * arm.chain.module_lengths[:, None]) & eligible[:, None]
+        across = left.swapaxes(1, 2)
+        rows = across @ (jacobians if self.coupling == "full" else own)
+        velocity = (across @ errors[:, :, None])[:, :, 0]
+        active = tuple(int(k) for k in np.flatnonzero(kept.any(axis=1)))
+        smallest = float((sigma / sigma[:, :1])[kept].min()) if active else 0.0
+        return rows[kept], velocity[kept], active, smallest

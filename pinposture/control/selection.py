@@ -38,10 +38,10 @@ class Selection:
         null_gain: weight of the null-space term (alpha, positive for descent); see `control.gradient`.
     """
 
-    absolute: float = 0.02
-    relative: float = 0.02
-    conditioning: float = 1e-3
-    gain: float = 0.5
+    absolute: float = 0.001
+    relative: float = 0.001
+    conditioning: float = 1e-4
+    gain: float = 1.0
     null_gain: float = 0.5
     name: str = "selection"
 

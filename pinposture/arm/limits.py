@@ -1,0 +1,39 @@
+"""How far and how fast the joints of an arm may move."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class JointLimits(NamedTuple):
+    """Limits of the joints, one entry per degree of freedom; infinite where there is none.
+
+    Attributes:
+        lower: smallest joint position, (nv,) [rad or m].
+        upper: largest joint position, (nv,) [rad or m].
+        velocity: largest joint speed, (nv,) [rad/s or m/s].
+    """
+
+    lower: Array
+    upper: Array
+    velocity: Array
+
+
+def joint_limits(model: pin.Model) -> JointLimits:
+    """Read the limits of a model; continuous joints have none, a speed limit of zero means none."""
+    lower, upper = np.full(model.nv, -np.inf), np.full(model.nv, np.inf)
+    velocity = np.array(model.velocityLimit, dtype=np.float64)
+    for joint in model.joints:
+        if joint.nq == joint.nv == 1:
+            lower[joint.idx_v] = model.lowerPositionLimit[joint.idx_q]
+            upper[joint.idx_v] = model.upperPositionLimit[joint.idx_q]
+    velocity[velocity <= 0.0] = np.inf
+    for array in (lower, upper, velocity):
+        array.flags.writeable = False
+    return JointLimits(lower, upper, velocity)

@@ -1,0 +1,229 @@
+"""The curve that an arm is to take the shape of: how to make one, move it, and keep it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import BSpline
+
+from pinposture.curve import build, fit
+from pinposture.curve.bspline import trim
+from pinposture.curve.checks import as_number, as_vector
+from pinposture.curve.describe import read_call
+from pinposture.curve.files import read_description, write_json
+from pinposture.curve.geometry import Geometry
+from pinposture.errors import CurveError, FileError, InvalidValue, UnknownName
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Curve(Geometry):
+    """A curve in space: made of points, moved about, asked by arc length.
+
+    Make one with `spline`, `line`, `helix`, `points`, `load` or `from_dict`; inside, each is a B-spline. A
+    curve does not change: what alters it returns another. It pickles, and equals another if degree, knots and
+    coefficients are equal to the last bit. Coordinates are in metres, in the frame of the points it was made
+    of. `Geometry` says what can be asked of a curve.
+    """
+
+    @classmethod
+    def _of(cls, spline: BSpline) -> Curve:
+        return cls(spline.t, spline.c, spline.k)
+
+    @classmethod
+    def spline(cls, control_points: ArrayLike, degree: int = 3, through: bool = False) -> Curve:
+        """Make a spline from a few points.
+
+        Args:
+            control_points: shape (n, 3), or (n, 2) with z = 0, n > degree [m].
+            degree: 1 to 5.
+            through: False: a B-spline *controlled by* the points, which begins at the first, ends at the
+                last, and is only drawn towards those between (clamped, uniform knots). True: a spline
+                *through* all the points (at chord-length parameters).
+
+        Raises:
+            CurveError: points that are too few, malformed, not finite or repeated, or that give a cusp.
+            InvalidValue: the degree, or `through`.
+        """
+        return cls._of(build.spline(control_points, degree, through))
+
+    @classmethod
+    def line(cls, a: ArrayLike, b: ArrayLike) -> Curve:
+        """Make the straight line from `a` to `b`, each shape (3,), or (2,) with z = 0 [m].
+
+        Raises:
+            CurveError: `a` and `b` are the same place.
+            InvalidValue: one that is not 2 or 3 finite numbers.
+        """
+        return cls._of(build.line(a, b))
+
+    @classmethod
+    def helix(
+        cls,
+        radius: float,
+        pitch: float,
+        turns: float,
+        axis: ArrayLike = (1, 0, 0),
+        *,
+        center: ArrayLike = (0, 0, 0),
+        phase: float = 0.0,
+        handedness: Literal["right", "left"] = "right",
+    ) -> Curve:
+        """Make a helix, or with pitch 0 a circle.
+
+        It advances along `axis` while it turns about it: as a common screw does if right-handed, the other
+        way round if left-handed. Phase 0 is the side of the axis that lies towards +z, or towards +x if the
+        axis is along z. The curve (6.17), x = 0.6 t, y = 0.06 sin(8 pi t), z = 0.06 cos(8 pi t), is
+        `Curve.helix(0.06, 0.15, 4, handedness="left")`.
+
+        A quintic spline stands for it: places within 1e-10 of the radius, curvature and torsion within 1e-6
+        of theirs.
+
+        Args:
+            radius: distance from the axis, at least 1e-6 [m].
+            pitch: advance in one turn, 0 or more [m].
+            turns: how many, above 0, at most 1000; need not be whole.
+            axis: direction, shape (3,), of any length.
+            center: the point of the axis beside which the helix starts, shape (3,) [m].
+            phase: where it starts, as an angle from phase 0 in the sense in which it turns [rad].
+            handedness: "right" or "left".
+
+        Raises:
+            InvalidValue: naming the argument.
+        """
+        return cls._of(
+            build.helix(radius, pitch, turns, axis, center=center, phase=phase, handedness=handedness)
+        )
+
+    @classmethod
+    def points(cls, xyz: ArrayLike, smoothing: float = 0.0) -> Curve:
+        """Make a curve from sampled or measured points.
+
+        Args:
+            xyz: shape (n, 3), or (n, 2) with z = 0, n >= 2 [m].
+            smoothing: RMS distance [m] from the points that the curve may keep in order to bend evenly; about
+                the RMS length of the errors of measurement. 0: through the points (a cubic; a parabola
+                through 3, a line through 2). So is the curve if there are 3 points or fewer, or if no
+                smoother one is close enough.
+
+        Raises:
+            CurveError: points that are too few, malformed, not finite or repeated, or that give a cusp.
+            InvalidValue: the smoothing.
+        """
+        return cls._of(fit.points(xyz, smoothing))
+
+    @classmethod
+    def from_dict(cls, description: Mapping[str, Any]) -> Curve:
+        """Make a curve from plain data, as `to_dict` gives it or as written by hand.
+
+        Args:
+            description: the name of a constructor under "type" and its arguments under their names, as in
+                {"type": "spline", "control_points": [...], "degree": 3, "through": True}. The types are
+                "spline", "line", "helix", "points" (where the points are under "points") and "bspline"
+                (knots, coefficients, degree).
+
+        Raises:
+            UnknownName: a type or key that does not exist.
+            CurveError: a missing key, or as the constructor.
+            InvalidValue: as the constructor.
+        """
+
+        def points(points: ArrayLike, smoothing: float = 0.0) -> Curve:
+            return cls.points(points, smoothing)
+
+        def bspline(knots: Any, coefficients: Any, degree: int) -> Curve:
+            return cls(knots, coefficients, degree)
+
+        constructors: dict[str, Callable[..., Curve]] = {
+            "spline": cls.spline,
+            "line": cls.line,
+            "helix": cls.helix,
+            "points": points,
+            "bspline": bspline,
+        }
+        call = read_call(description, constructors)
+        return constructors[call.type](**call.arguments)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give the curve as plain data that JSON can hold and `from_dict` turns back into an equal curve."""
+        return {
+            "type": "bspline",
+            "degree": self.degree,
+            "knots": self.knots.tolist(),
+            "coefficients": self.coefficients.tolist(),
+        }
+
+    @classmethod
+    def load(cls, path: str | Path) -> Curve:
+        """Read a curve from a file.
+
+        Args:
+            path: a .json file as `save` writes it, or with a description as in `from_dict`, or with a bare
+                list of points; or a .csv or .txt table with the columns x, y and perhaps z [m], separated by
+                commas, semicolons or spaces, with or without a line of headings, '#' beginning a comment. The
+                curve goes through listed points as in `points`.
+
+        Raises:
+            FileError: naming the file, and the line, row or key that is wrong.
+        """
+        path = Path(path)
+        try:
+            return cls.from_dict(read_description(path))
+        except (CurveError, InvalidValue, UnknownName) as error:
+            raise FileError(path, str(error)) from error
+
+    def save(self, path: str | Path) -> None:
+        """Write the curve to a .json file, from which `load` makes an equal curve.
+
+        A file that was there before is replaced in one stroke, so that none is ever found half written.
+
+        Raises:
+            FileError: the name does not end in .json, or the file cannot be written.
+        """
+        write_json(Path(path), self.to_dict())
+
+    def moved(self, rotation: ArrayLike, translation: ArrayLike = (0, 0, 0)) -> Curve:
+        """Give the curve turned about the origin, then shifted.
+
+        Args:
+            rotation: shape (3, 3), a proper rotation to within 1e-6.
+            translation: shape (3,) [m].
+
+        Raises:
+            InvalidValue: the rotation or the translation.
+        """
+        try:
+            turn = np.asarray(rotation, dtype=float)
+        except (TypeError, ValueError):
+            turn = np.empty(0)
+        # A NaN compares false, so it is refused here too.
+        if turn.shape != (3, 3) or not (
+            np.abs(turn @ turn.T - np.eye(3)).max() < 1e-6 and np.linalg.det(turn) > 0
+        ):
+            raise InvalidValue("rotation", rotation, "a (3, 3) rotation matrix: orthonormal, determinant +1")
+        shifted = self.coefficients @ turn.T + as_vector("translation", translation)
+        return type(self)(self.knots, shifted, self.degree)
+
+    def reversed(self) -> Curve:
+        """Give the same curve run from its end to its start."""
+        knots = (self.knots[0] + self.knots[-1]) - self.knots[::-1]
+        return type(self)(knots, self.coefficients[::-1], self.degree)
+
+    def trimmed(self, start: float, end: float) -> Curve:
+        """Give the part between two arc lengths [m], which must be more than 1e-6 of the length apart.
+
+        Raises:
+            InvalidValue: `start` or `end`.
+        """
+        span, length = 1e-6 * self.length, self.length
+        words = f"an arc length from {{}} to {{}} m, {span:.3g} m or more from the other end"
+        low = as_number("start", start, words.format(0, length), lambda s: 0 <= s <= length - span)
+        high = as_number(
+            "end", end, words.format(low, length), lambda s: low + span <= s <= length * (1 + 1e-9)
+        )
+        begin, stop = self._arc.parameter(np.array([low, min(high, length)]))
+        return self._of(trim(self._spline, float(begin), float(stop)))

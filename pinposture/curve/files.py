@@ -1,0 +1,129 @@
+"""Curve files: JSON and CSV to a description of a curve, and back to JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+import uuid
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pinposture.curve.checks import as_points, check_distinct
+from pinposture.errors import FileError
+
+_TABLES = (".csv", ".txt")
+
+
+def read_description(path: Path) -> dict[str, Any]:
+    """Read a curve file into what `Curve.from_dict` takes.
+
+    Raises:
+        FileError: missing, unreadable, of another format, or a malformed line.
+        CurveError: a line of a table that makes no curve, named by its number.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in (".json", *_TABLES):
+        raise FileError(path, f"the name ends in {suffix!r}; allowed: .json, .csv, .txt")
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise FileError(path, error.strerror or str(error)) from error
+    except UnicodeDecodeError as error:
+        raise FileError(path, f"not UTF-8 text: {error.reason} at byte {error.start}") from error
+    if suffix in _TABLES:
+        return {"type": "points", "points": _table(path, text)}
+    try:
+        content = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise FileError(path, f"line {error.lineno}, column {error.colno}: {error.msg}") from error
+    except ValueError as error:  # a number of thousands of digits
+        raise FileError(path, str(error)) from error
+    except RecursionError as error:
+        raise FileError(path, "lists within lists without end") from error
+    if isinstance(content, list):
+        return {"type": "points", "points": content}
+    if not isinstance(content, dict):
+        raise FileError(path, f"holds {content!r}; allowed: an object with a 'type', or a list of points")
+    return content
+
+
+def _table(path: Path, text: str) -> list[list[float]]:
+    """Rows of a table of coordinates, with or without a line of headings."""
+    lines: list[int] = []
+    rows: list[list[float]] = []
+    headings: list[str] | None = None
+    for number, raw in enumerate(text.splitlines(), start=1):
+        content = raw.partition("#")[0].strip()
+        if not content:
+            continue
+        fields = _fields(content)
+        values = [_number(field) for field in fields]
+        if (
+            not rows
+            and headings is None
+            and all(value is None and field for value, field in zip(values, fields, strict=True))
+        ):
+            headings = [field.strip("\"'").lower() for field in fields]
+            if headings not in (["x", "y"], ["x", "y", "z"]):
+                raise FileError(path, f"line {number}: columns {', '.join(fields)}; allowed: x, y or x, y, z")
+            continue
+        row = []
+        for column, value in enumerate(values, start=1):
+            if value is None:
+                raise FileError(
+                    path, f"line {number}, column {column}: {fields[column - 1]!r} is not a number"
+                )
+            row.append(value)
+        width = len(headings or (rows[0] if rows else row))
+        if len(row) != width or width not in (2, 3):
+            wanted = f"{width}, as before" if width in (2, 3) else "2 (then z = 0) or 3"
+            raise FileError(path, f"line {number}: {len(row)} columns; allowed: {wanted}")
+        lines.append(number)
+        rows.append(row)
+    if not rows:
+        raise FileError(path, "holds no points")
+
+    def name(i: int) -> str:
+        return f"line {lines[i]}"
+
+    check_distinct(as_points(rows, name=name), name)
+    return rows
+
+
+def _fields(content: str) -> list[str]:
+    for separator in (";", ","):
+        if separator in content:
+            return [field.strip() for field in content.split(separator)]
+    return content.split()
+
+
+def _number(field: str) -> float | None:
+    try:
+        return float(field)
+    except ValueError:
+        return None
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a JSON file whole or not at all: an old file of that name stays until the new one is complete.
+
+    Raises:
+        FileError: the name does not end in .json, or the file cannot be written.
+    """
+    if path.suffix.lower() != ".json":
+        raise FileError(path, f"the name ends in {path.suffix!r}; allowed: .json")
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
+    try:
+        with temporary.open("x", encoding="utf-8") as file:
+            json.dump(content, file, allow_nan=False)
+            file.write("\n")
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise FileError(path, error.strerror or str(error)) from error
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
