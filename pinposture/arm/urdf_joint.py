@@ -17,7 +17,7 @@ Fault = Callable[[str], URDFError]
 JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 
 # What Pinocchio takes for a number; Python alone would take "1_0" and "inf" as well.
-_NUMBER = re.compile(r" *[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
+_NUMBER = re.compile(r"[ \t\r\n]*[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
 # The parts of a joint that hold numbers: attributes that must be there, and those that may.
 _PARTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "limit": (("effort", "velocity"), ("lower", "upper")),
