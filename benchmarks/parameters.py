@@ -8,7 +8,8 @@ at 1e-6. The seeds (1000 to 1019) are not those on which the results are reporte
 
 The index thresholds of Selection end at 0.001 on purpose. On the helix they make no difference; towards
 the straight line the remaining error is proportional to them, and so is the largest step that the
-posture control matrix can ask for before it is shortened to the limit.
+posture control matrix can ask for before it is shortened to the limit. The threshold of Projection leaves
+out 0.5, the smaller singular value of a straight module with equal links: there it would flicker.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ from pinposture.thesis.scenarios import SPATIAL_SCENARIOS
 
 SEEDS = range(1000, 1020)
 FLOOR = 1e-6
+NOISE = 0.005
+"""Differences in the objective below this are rounding, amplified by chaotic runs."""
 SEARCHED = {
     "selection": (
         pp.Selection(),
@@ -40,7 +43,7 @@ SEARCHED = {
     "projection": (
         pp.Projection(),
         {
-            "threshold": (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6),
+            "threshold": (0.05, 0.1, 0.2, 0.3, 0.4, 0.6),
             "coupling": ("full", "local"),
             "gain": (0.25, 0.5, 1.0),
             "null_gain": (0.0, 0.25, 0.5, 1.0),
@@ -74,7 +77,7 @@ def search(name: str, jobs: int) -> dict[str, object]:
                 found = objective(arm, candidate, jobs)
                 tried.append({"parameters": repr(candidate), "objective": found})
                 print(f"{found:8.4f}  {candidate}", flush=True)
-                if found < lowest:
+                if found < lowest - NOISE:
                     best, lowest, changed = candidate, found, True
     print(f"best of {name}: {lowest:.4f}  {best}")
     return {"best": repr(best), "objective": lowest, "tried": tried}
