@@ -72,7 +72,9 @@ def main() -> None:
     found = {}
     for modules in arguments.modules:
         found[str(modules)] = measure(modules, arguments.repeats)
-        table = Table("", "p50 [us]", "p95 [us]", "p99 [us]", "p50 / before", title=f"{2 * modules} DOF")
+        table = Table(
+            "", r"p50 \[us]", r"p95 \[us]", r"p99 \[us]", "p50 / before", title=f"{2 * modules} DOF"
+        )
         for name, times in found[str(modules)].items():
             old = before.get(str(modules), {}).get(name)
             ratio = f"{times[0] / old[0]:.2f}" if old else "-"

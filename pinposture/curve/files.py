@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
-import uuid
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from pinposture.curve.checks import as_points, check_distinct
 from pinposture.errors import FileError
+from pinposture.storage import write_text
 
 _TABLES = (".csv", ".txt")
 
@@ -113,17 +112,4 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """
     if path.suffix.lower() != ".json":
         raise FileError(path, f"the name ends in {path.suffix!r}; allowed: .json")
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
-    try:
-        with temporary.open("x", encoding="utf-8") as file:
-            json.dump(content, file, allow_nan=False)
-            file.write("\n")
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise FileError(path, error.strerror or str(error)) from error
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+    write_text(path, json.dumps(content, allow_nan=False) + "\n")

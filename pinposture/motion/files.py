@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -16,6 +14,7 @@ from pinposture.control import Limits
 from pinposture.curve import Curve
 from pinposture.errors import FileError, PostureError
 from pinposture.motion.trajectory import Trajectory
+from pinposture.storage import replacing
 from pinposture.target import Target
 
 FORMAT = "pinposture-run"
@@ -60,19 +59,8 @@ def save_trajectory(run: Trajectory, path: Path) -> Path:
         "status": run.status,
         "reason": run.reason,
     }
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        # Written beside its final place and then renamed: a reader never sees half a file.
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                np.savez_compressed(file, about=np.array(json.dumps(about)), **arrays)
-            Path(name).replace(path)
-        except BaseException:
-            Path(name).unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        raise FileError(path, f"cannot be written ({error.strerror or error})") from error
+    with replacing(path) as file:
+        np.savez_compressed(file, about=np.array(json.dumps(about)), **arrays)
     return path
 
 

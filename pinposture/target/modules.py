@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -61,8 +62,9 @@ class Unit:
     kinematics: ModuleKinematics
 
 
+@lru_cache(maxsize=64)
 def arm_units(chain: Chain) -> tuple[Unit, ...]:
-    """Find a solver for every module of an arm.
+    """Find a solver for every module of an arm; remembered, because targets are resolved again and again.
 
     A module with two perpendicular hinges is a `Torus`; hinges that are all parallel are placed one by
     one as `Circle`s.

@@ -198,7 +198,9 @@ class _Walk:
         if not beyond:
             left, distance = self._curve.length - at, float(np.linalg.norm(local[-1]))
             advice = f"the module is {reach:.4g} m long; lengthen the curve or use fewer modules"
-            text = f"the curve ends {left:.4g} m ahead, {distance:.4g} m from its base; {advice}"
+            text = f"the curve ends {left:.4g} m farther on, {distance:.4g} m from its base; {advice}"
+            if left <= self._slack:
+                text = f"the curve ends there; {advice}"
             return CurveEndsEarly(module, at, text)
         gap = float(np.linalg.norm(local[0]))
         if gap > reach:

@@ -29,7 +29,7 @@ class Scenario:
 
 
 SPATIAL_SCENARIOS = (
-    Scenario("helix", "random posture -> helix", "6.1.2", "smooth", HELIX),
-    Scenario("line", "random posture -> straight line", "6.1.3", "smooth", LINE),
-    Scenario("from-straight", "straight arm -> helix", "6.1.4", "straight", HELIX),
+    Scenario("helix", "random -> helix", "6.1.2", "smooth", HELIX),
+    Scenario("line", "random -> line", "6.1.3", "smooth", LINE),
+    Scenario("from-straight", "straight -> helix", "6.1.4", "straight", HELIX),
 )

@@ -1,0 +1,31 @@
+"""First posture: a 40-joint arm takes the shape of a helix.
+
+python examples/01_first_posture.py
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+import pinposture as pp
+from pinposture.study import smooth_configuration
+
+# An arm of 20 modules, each with two crossed hinges: 40 degrees of freedom, 1 m long.
+arm = pp.Arm.from_template("RyRz", modules=20)
+
+# The shape that it should take. The curve is moved to the base and turned to the arm's axis.
+curve = pp.Curve.helix(radius=0.06, pitch=0.15, turns=4)
+target = pp.resolve_targets(arm, curve)
+
+# Any start will do; this one is a random, gently curved posture.
+start = smooth_configuration(arm, np.random.default_rng(0), amplitude=0.6)
+run = pp.track(arm, target, start, controller="selection", limits=pp.Limits(step=0.1))
+
+print(run.status, "-", run.reason)
+print(f"posture error {run.posture_error[0]:.3f} m -> {run.posture_error[-1]:.2g} m in {run.steps} steps")
+
+out = Path("out/first_posture")
+run.save(out / "run.npz")
+pp.plot(run).savefig(out / "run.png", dpi=120)
+pp.save_html(arm, run, out / "run.html")
+print(f"look at {out / 'run.png'}, and open {out / 'run.html'} in a browser to see it move")
