@@ -8,7 +8,7 @@ import pickle
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from pinposture.arm.template import TEMPLATES, JointSpec, ModuleTemplate, template
@@ -94,6 +94,8 @@ SIZE = st.floats(min_value=-1e300, max_value=1e300)
 
 
 @given(st.tuples(SIZE, SIZE, SIZE).filter(any))
+@example((5e-324, 5e-324, 0.0))
+@example((1.7e308, -1.7e308, 1.7e308))
 def test_the_direction_of_any_axis_is_a_unit_vector_along_it(axis):
     direction = np.array(JointSpec(axis).direction)
     scaled = np.array(axis) / np.max(np.abs(axis))
