@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from analytic import ryrz
 from hypothesis import given
@@ -16,6 +17,7 @@ from pinposture.errors import InvalidValue, UnknownName
 ARM = pp.Arm.from_template("RyRz", 8)
 PLANAR = pp.Arm.from_template("Rz", 12)
 FREE = pp.Limits(step=None)
+PLACEMENT = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -2.0, 0.7]))
 
 
 def target_of(arm: pp.Arm, seed: int, amplitude: float = 0.5) -> pp.Target:
@@ -112,6 +114,44 @@ def test_local_coupling_is_block_diagonal_and_full_is_block_triangular() -> None
         outside = np.delete(local[rows], [2 * k, 2 * k + 1], axis=1)
         assert not outside.any()
         np.testing.assert_allclose(full[rows, rows], local[rows, rows], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", sorted(CONTROLLERS))
+def test_every_posture_control_matrix_of_long_runs_has_full_row_rank(name: str) -> None:
+    arm = pp.Arm.from_template("RyRz", 10)
+    method = controller_named(name)
+    ranks = []
+
+    def keep(_: int, state: pp.ArmState, step: Step) -> None:
+        if isinstance(method, pp.Projection):
+            errors = task_errors(state, target)
+            matrix = method.posture_control_matrix(state, errors, target.placed)[0]
+        else:
+            again = method.step(state, target)
+            matrix = active_jacobian(state, again) if again.active else np.zeros((0, arm.nv))
+        ranks.append((np.linalg.matrix_rank(matrix, tol=1e-10), len(matrix)))
+
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        target = pp.Target.from_configuration(arm, rng.uniform(-1.5, 1.5, 20) * (seed % 3 > 0))
+        pp.track(arm, target, rng.uniform(-1.5, 1.5, 20), name, max_steps=150, callback=keep)
+    assert len(ranks) > 200
+    assert all(rank == rows for rank, rows in ranks)
+
+
+def test_singular_values_and_steps_do_not_depend_on_the_frame() -> None:
+    turned = pp.Arm.from_template("RyRz", 8, base_placement=PLACEMENT)
+    for seed in range(10):
+        q, goal = state_of(ARM, seed, 0.8).q, target_of(ARM, seed)
+        moved = goal.points @ PLACEMENT.rotation.T + PLACEMENT.translation
+        for name in sorted(CONTROLLERS):
+            here = controller_named(name).step(ARM.at(q), goal)
+            there = controller_named(name).step(turned.at(q), pp.Target.from_points(turned, moved))
+            assert here.active == there.active
+            assert here.diagnostics.sigma_min == pytest.approx(there.diagnostics.sigma_min, rel=1e-6)
+            np.testing.assert_allclose(here.dq, there.dq, atol=1e-8)
+            sigma = [np.linalg.svd(arm.at(q).jacobians, compute_uv=False) for arm in (ARM, turned)]
+            np.testing.assert_allclose(sigma[0], sigma[1], atol=1e-13)
 
 
 def test_selection_says_that_it_cannot_leave_the_straight_arm() -> None:

@@ -51,8 +51,9 @@ def test_the_record_covers_a_hundred_seeds_and_what_the_thesis_says() -> None:
     assert all(found["cases"] == 100 for found in figures.values())
     assert figures["from-straight", "selection"]["no_control_points"] == 1.0
     assert figures["from-straight", "projection"]["halved"] >= 0.9
-    assert figures["line", "selection"]["no_control_points"] >= 0.7
-    assert figures["line", "selection"]["median_last_points"] < figures["line", "selection"]["median_first_points"]
+    line = figures["line", "selection"]
+    assert line["no_control_points"] >= 0.7
+    assert line["median_last_points"] < line["median_first_points"]
     assert figures["helix", "selection"]["halved"] >= 0.9
     assert figures["helix", "projection"]["halved"] >= 0.9
 
