@@ -105,5 +105,6 @@ class Projection:
         rows = across @ (jacobians if self.coupling == "full" else own)
         velocity = (across @ errors[:, :, None])[:, :, 0]
         active = tuple(int(k) for k in np.flatnonzero(kept.any(axis=1)))
-        smallest = float((sigma / sigma[:, :1])[kept].min()) if active else 0.0
+        largest = np.broadcast_to(sigma[:, :1], sigma.shape)[kept]
+        smallest = float((sigma[kept] / largest).min()) if active else 0.0
         return rows[kept], velocity[kept], active, smallest
