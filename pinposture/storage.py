@@ -4,50 +4,58 @@ from __future__ import annotations
 
 import os
 import uuid
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
 
 from pinposture.errors import FileError
 
 
-@contextmanager
-def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Write a file beside its final place, and put it there when the block ends without error.
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file beside its final place, then put it there.
 
-    A file of that name stays as it was until then, and for good if the block raises; no reader ever sees
-    half of the new one. Missing directories are made.
-
-    Args:
-        path: the file to write.
-
-    Yields:
-        The file to write to.
+    A file of that name stays as it was until then, and for good if writing fails; no reader ever sees half
+    of the new one. Missing directories are made; a link is followed, not replaced.
 
     Raises:
-        FileError: it cannot be written.
+        FileError: it cannot be written, or a directory or device has that name.
     """
-    draft = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+    check_writable(path.parent)
+    if path.exists() and not path.is_file():
+        kind = "a directory" if path.is_dir() else "a device"
+        raise FileError(path, f"is {kind}; allowed: a file, or a name that is free")
+    final = path.resolve()
+    draft = final.with_name(f".{final.name}.{uuid.uuid4().hex}")
     try:
-        if path.exists() and not path.is_file():  # a directory, or a device
-            raise FileError(path, "is not a file; allowed: a file, or a name that is free")
-        path.parent.mkdir(parents=True, exist_ok=True)
+        final.parent.mkdir(parents=True, exist_ok=True)
         try:
             with draft.open("xb") as file:
-                yield file
+                file.write(content)
                 file.flush()
                 os.fsync(file.fileno())
-            draft.replace(path)
+            draft.replace(final)
         finally:
             draft.unlink(missing_ok=True)
-    except FileError:
-        raise
     except OSError as error:
         raise FileError(path, f"cannot be written ({error.strerror or error})") from error
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a UTF-8 text file in the way of `replacing`."""
-    with replacing(path) as file:
-        file.write(text.encode())
+    """Write a UTF-8 text file in the way of `write_bytes`."""
+    write_bytes(path, text.encode())
+
+
+def check_writable(directory: Path) -> None:
+    """Refuse a directory in which no file can be made, before work is done that would be lost.
+
+    Args:
+        directory: need not exist yet.
+
+    Raises:
+        FileError: it is a file, or it or the directory above in which it would be made is not writable.
+    """
+    there = directory.absolute()
+    while not there.exists() and there != there.parent:
+        there = there.parent
+    if not there.is_dir():
+        raise FileError(there, "is a file; allowed: a directory")
+    if not os.access(there, os.W_OK):
+        raise FileError(there, "cannot be written (permission denied)")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import zipfile
 from pathlib import Path
@@ -14,7 +15,7 @@ from pinposture.control import Limits
 from pinposture.curve import Curve
 from pinposture.errors import FileError, PostureError
 from pinposture.motion.trajectory import Trajectory
-from pinposture.storage import replacing
+from pinposture.storage import write_bytes
 from pinposture.target import Target
 
 FORMAT = "pinposture-run"
@@ -59,8 +60,9 @@ def save_trajectory(run: Trajectory, path: Path) -> Path:
         "status": run.status,
         "reason": run.reason,
     }
-    with replacing(path) as file:
-        np.savez_compressed(file, about=np.array(json.dumps(about)), **arrays)
+    content = io.BytesIO()
+    np.savez_compressed(content, about=np.array(json.dumps(about)), **arrays)
+    write_bytes(path, content.getvalue())
     return path
 
 
@@ -93,5 +95,14 @@ def load_trajectory(path: Path) -> Trajectory:
         )
     except FileError:
         raise
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, PostureError) as error:
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        EOFError,
+        zipfile.BadZipFile,
+        PostureError,
+    ) as error:
         raise FileError(path, f"is not a saved run ({type(error).__name__}: {error})") from error

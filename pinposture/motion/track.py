@@ -65,6 +65,8 @@ def track(
     limits = Limits() if limits is None else limits
     if target.points.shape != (arm.n_modules, 3):
         raise InvalidValue("target.points (shape)", target.points.shape, f"({arm.n_modules}, 3) for this arm")
+    if not np.any(target.placed):
+        raise InvalidValue("target.weights", 0.0, "at least one control point with a weight > 0")
     if isinstance(max_steps, bool) or not isinstance(max_steps, int) or max_steps < 1:
         raise InvalidValue("max_steps", max_steps, "a whole number of at least 1")
     tolerance = 1e-6 * arm.length if tolerance is None else tolerance

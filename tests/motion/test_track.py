@@ -116,23 +116,6 @@ def test_a_file_gives_everything_back(run: pp.Trajectory, tmp_path: object) -> N
     np.testing.assert_array_equal(repeated.q, run.q)
 
 
-def test_an_interrupted_save_leaves_the_old_file(
-    run: pp.Trajectory, tmp_path: object, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = run.save(tmp_path / "run.npz")
-    before = path.read_bytes()
-
-    def torn(file: object, **arrays: object) -> None:
-        file.write(b"half")
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(np, "savez_compressed", torn)
-    with pytest.raises(KeyboardInterrupt):
-        run.save(path)
-    assert path.read_bytes() == before
-    assert [file.name for file in tmp_path.iterdir()] == ["run.npz"]
-
-
 def test_files_that_are_no_runs_are_named(tmp_path: object, run: pp.Trajectory) -> None:
     with pytest.raises(FileError, match="no such file"):
         pp.Trajectory.load(tmp_path / "missing.npz")
@@ -150,8 +133,14 @@ def test_files_that_are_no_runs_are_named(tmp_path: object, run: pp.Trajectory) 
         pp.Trajectory.load(cut)
     blocked = tmp_path / "file"
     blocked.write_text("")
-    with pytest.raises(FileError, match="cannot be written"):
+    with pytest.raises(FileError, match="is a file"):
         run.save(blocked / "run.npz")
+
+
+def test_a_target_without_any_point_is_refused() -> None:
+    nothing = pp.resolve_targets(ARM, pp.Curve.line((0, 0, 0), (0.01, 0, 0)), incomplete="partial")
+    with pytest.raises(InvalidValue, match=r"target\.weights.*at least one"):
+        pp.track(ARM, nothing, START)
 
 
 @pytest.mark.parametrize(

@@ -162,7 +162,7 @@ def test_writing_makes_the_directory_replaces_files_and_leaves_nothing_else(tmp_
 def test_where_nothing_can_be_written_the_file_is_named_and_no_draft_stays(tmp_path):
     blocked = tmp_path / "blocked"
     blocked.write_text("a file, not a directory")
-    with pytest.raises(FileError, match=r"blocked.*ryrz20\.urdf: cannot be written"):
+    with pytest.raises(FileError, match="blocked: is a file"):
         arms.write_urdf_files(blocked)
     (tmp_path / "ryrz20.urdf").mkdir()
     with pytest.raises(FileError):
@@ -179,7 +179,7 @@ def test_the_command_says_what_it_wrote(tmp_path, monkeypatch):
     assert [arms.main(arguments) for arguments in ([], ["--help"], ["a", "b"])] == [2, 2, 2]
     assert err.getvalue().count("usage") == 3
     assert arms.main([str(tmp_path / "mixed12.urdf")]) == 1
-    assert "cannot be written" in err.getvalue()
+    assert "is a file" in err.getvalue()
 
 
 def test_the_command_runs_as_a_module(tmp_path):

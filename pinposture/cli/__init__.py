@@ -1,0 +1,5 @@
+"""The `pinposture` command: each verb reads its arguments, calls the library, and prints."""
+
+from pinposture.cli.app import app, main
+
+__all__ = ["app", "main"]

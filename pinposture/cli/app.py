@@ -1,0 +1,112 @@
+"""The command itself: its verbs, and how an error, a broken pipe and Ctrl-C end it."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from pinposture.cli import generate, inspect, track, view
+from pinposture.cli.output import print_error
+from pinposture.errors import PostureError
+
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as shells use it."""
+
+REFUSED = 2
+"""Exit code after wrong usage, and after input that cannot be used."""
+
+# Newer Typers carry a Click of their own, so the class is not imported by name.
+_UsageError: Any = typer.BadParameter.__bases__[0]
+
+
+class Commands(TyperGroup):
+    """A group of verbs that ends with one line for whoever typed the command, not with a traceback."""
+
+    def main(
+        self,
+        args: Sequence[str] | None = None,
+        prog_name: str | None = None,
+        complete_var: str | None = None,
+        standalone_mode: bool = True,
+        windows_expand_args: bool = True,
+        **extra: Any,
+    ) -> Any:
+        """Run a command line; exits with its code, or returns it if `standalone_mode` is false."""
+        try:
+            code = super().main(args, prog_name, complete_var, False, windows_expand_args, **extra) or 0
+        except PostureError as error:
+            print_error(str(error))
+            code = REFUSED
+        except _UsageError as error:
+            hint = f"; see {error.ctx.command_path} --help" if error.ctx else ""
+            print_error(error.format_message().rstrip(".") + hint)
+            code = REFUSED
+        except typer.Abort:  # what older Typers make of Ctrl-C; newer ones return the code
+            code = INTERRUPTED
+        if standalone_mode:
+            sys.exit(code)
+        return code
+
+
+def verb_with_examples(examples: tuple[str, ...]) -> type[TyperCommand]:
+    """A kind of verb whose help ends with examples, one a line and never rewrapped."""
+
+    class Verb(TyperCommand):
+        def format_help(self, ctx: Any, formatter: Any) -> None:
+            super().format_help(ctx, formatter)
+            lines = "".join(f"   $ {example}\n" for example in examples)
+            formatter.write(f" Examples:\n\n{lines}\n")
+
+    return Verb
+
+
+app = typer.Typer(
+    name="pinposture",
+    cls=Commands,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from pinposture import __version__
+
+        typer.echo(f"pinposture {__version__}")
+        raise typer.Exit
+
+
+@app.callback(invoke_without_command=True)
+def command(
+    ctx: typer.Context,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Posture control of modular hyper-redundant serial arms: draw a curve, and the arm takes its shape."""
+    if ctx.invoked_subcommand is None:
+        typer.echo(ctx.get_help())
+
+
+def _paragraphs(docstring: str) -> str:
+    """A docstring with each paragraph on one line: Typer keeps line breaks, and would break them again."""
+    return "\n\n".join(" ".join(paragraph.split()) for paragraph in docstring.split("\n\n"))
+
+
+for verb in (generate, inspect, track, view):
+    add = app.command(
+        verb.__name__.rpartition(".")[2],
+        cls=verb_with_examples(verb.EXAMPLES),
+        help=_paragraphs(verb.run.__doc__ or ""),
+    )
+    add(verb.run)
+
+
+def main() -> None:
+    """Run the command line of this process, and exit."""
+    app(prog_name="pinposture")

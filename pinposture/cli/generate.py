@@ -1,0 +1,94 @@
+"""`pinposture generate`: write the URDF of an arm of equal modules."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pinposture.cli.inputs import ARM, OUTPUT, JsonOption, read_numbers
+from pinposture.cli.output import print_json, print_note, print_table
+from pinposture.errors import InvalidValue
+
+EXAMPLES = (
+    "pinposture generate --list",
+    "pinposture generate RyRz --modules 20 -o arm.urdf",
+    "pinposture generate RyRz --modules 12 --link-lengths 0.03,0.02 -o long.urdf",
+    "pinposture generate Rz --modules 30 | pinposture inspect -",
+)
+
+MOST_MODULES = 10_000
+
+
+def _print_templates(wanted: bool) -> None:
+    if not wanted:
+        return
+    from pinposture.arm import TEMPLATES
+
+    rows = [
+        (
+            module.name,
+            ", ".join(f"{joint.type} {joint.axis}" for joint in module.joints),
+            ", ".join(f"{length:g}" for length in module.link_lengths),
+            module.length,
+        )
+        for module in TEMPLATES.values()
+    ]
+    print_table(("template", "joints and axes", "link lengths [m]", "length [m]"), rows)
+    raise typer.Exit
+
+
+def run(
+    *,
+    template: Annotated[
+        str, typer.Argument(metavar="TEMPLATE", help="Kind of module, RyRz for instance; --list shows them.")
+    ],
+    modules: Annotated[
+        int, typer.Option("--modules", "-n", metavar="N", help="Number of modules.", rich_help_panel=ARM)
+    ],
+    link_lengths: Annotated[
+        str | None,
+        typer.Option(
+            metavar="L,...",
+            help="Length of the link after each joint of a module, in metres; else the template's own.",
+            rich_help_panel=ARM,
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="Write here, not to stdout.", rich_help_panel=OUTPUT
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+    _: Annotated[
+        bool,
+        typer.Option("--list", callback=_print_templates, is_eager=True, help="List the templates and stop."),
+    ] = False,
+) -> None:
+    """Write the URDF of an arm of equal modules.
+
+    It goes to a file, or to stdout so that it pipes. The arm lies along x when all joints are at zero; its
+    links are "base", "m01_l1", "m01_l2" and so on, and "tip". A file appears whole or not at all.
+    """
+    from pinposture.arm import template as template_named
+    from pinposture.arm.urdf import modules_to_urdf
+    from pinposture.storage import write_text
+
+    module = template_named(template)
+    if not 1 <= modules <= MOST_MODULES:
+        raise InvalidValue("--modules", modules, f"a whole number from 1 to {MOST_MODULES}")
+    if link_lengths is not None:
+        module = module.with_lengths(read_numbers("--link-lengths", link_lengths))
+    text = modules_to_urdf([module] * modules, f"{module.name}_{modules}", "pinposture generate")
+    if output is not None:
+        write_text(output, text)
+    dof, length = modules * len(module.joints), modules * module.length
+    if as_json:
+        file = None if output is None else str(output)
+        print_json({"file": file, "template": template, "modules": modules, "dof": dof, "length": length})
+    elif output is None:
+        typer.echo(text, nl=False)
+    else:
+        print_note(f"wrote {output}: {modules} modules, {dof} DOF, {length:.4g} m")

@@ -1,0 +1,183 @@
+"""What the verbs read from the command line: arms, curves, starts, and lists of numbers."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pinposture.errors import FileError, InvalidValue, UnknownName
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from pinposture.arm import Arm
+    from pinposture.curve import Curve
+
+STARTS = ("straight", "smooth", "random")
+AMPLITUDES = (0.2, 1.0)
+"""Range of the largest joint position of a smooth start [rad or m]."""
+
+ARM, TARGET, MOTION, OUTPUT = "The arm", "The target", "The motion", "The output"
+"""Headings under which the help lists the options."""
+
+UrdfArgument = Annotated[str, typer.Argument(metavar="URDF", help="URDF file of the arm, or - for stdin.")]
+BaseOption = Annotated[
+    str | None,
+    typer.Option(
+        "--base", metavar="LINK", help="Link at which the arm begins; needs --tip.", rich_help_panel=ARM
+    ),
+]
+TipOption = Annotated[
+    str | None,
+    typer.Option(
+        "--tip",
+        metavar="LINK",
+        help="Link at which it ends, if not the end of the longest chain.",
+        rich_help_panel=ARM,
+    ),
+]
+ModulesOption = Annotated[
+    str | None,
+    typer.Option(
+        "--modules",
+        metavar="N,...",
+        help="Joints per module: one number for all, or one for each; else as few as can follow a curve.",
+        rich_help_panel=ARM,
+    ),
+]
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print one JSON object on stdout instead.", rich_help_panel=OUTPUT)
+]
+
+
+def read_arm(urdf: str, base: str | None, tip: str | None, modules: str | None) -> Arm:
+    """Load an arm as `Arm.from_urdf` does; "-" reads the URDF from stdin.
+
+    Raises:
+        PostureError: as `Arm.from_urdf`; or `modules` is not made of whole numbers.
+    """
+    from pinposture.arm import Arm
+
+    sizes = None if modules is None else read_integers("--modules", modules)
+    source: str | Path = Path(urdf)
+    if urdf == "-":
+        source = sys.stdin.read()
+        if not source.lstrip("\ufeff \t\r\n").startswith("<"):
+            raise FileError("stdin", "holds no URDF; allowed: XML text, which begins with '<'")
+    return Arm.from_urdf(source, base, tip, sizes[0] if sizes and len(sizes) == 1 else sizes)
+
+
+def read_curve(name: str) -> Curve:
+    """The preset of that name, or the curve in that file.
+
+    Raises:
+        UnknownName: neither a preset nor a file.
+        FileError: a file that holds no curve.
+    """
+    from pinposture.curve import Curve
+    from pinposture.thesis.curves import CURVES
+
+    if name in CURVES:
+        return CURVES[name]
+    if not Path(name).suffix:  # no curve file is without
+        raise UnknownName("curve preset or file", name, CURVES)
+    return Curve.load(name)
+
+
+def read_start(arm: Arm, text: str, seed: int) -> NDArray[np.float64]:
+    """The configuration to start from.
+
+    Args:
+        arm: the arm.
+        text: "straight", "smooth", "random", numbers separated by commas, or the path of a file of numbers.
+        seed: what to draw the smooth and the random one from.
+
+    Returns:
+        Configuration (nq,).
+
+    Raises:
+        UnknownName: not one of the names, no numbers, and no file.
+        FileError: a file that holds no numbers.
+        InvalidValue: as many numbers as the arm cannot use, or not finite; a seed below 0.
+    """
+    import numpy as np
+
+    from pinposture.study import smooth_configuration
+
+    if seed < 0:
+        raise InvalidValue("--seed", seed, "a whole number of at least 0")
+    rng = np.random.default_rng(seed)
+    if text == "straight":
+        return arm.straight()
+    if text == "random":
+        return arm.random(rng)
+    if text == "smooth":
+        return smooth_configuration(arm, rng, rng.uniform(*AMPLITUDES))
+    values = _read_file(Path(text)) if Path(text).suffix.lower() in _READERS else _parsed(text)
+    if values is None:
+        allowed = (*STARTS, *(f"a {suffix} file" for suffix in _READERS), "numbers separated by commas")
+        raise UnknownName("start", text, allowed)
+    # A continuous joint takes two entries of q, but whoever writes numbers down may think of one angle.
+    if len(values) == arm.nv != arm.nq:
+        return arm.configuration(values)
+    return arm.checked(values, "start")
+
+
+def read_numbers(name: str, text: str) -> list[float]:
+    """Numbers separated by commas; raises InvalidValue under that name if they are not."""
+    values = _parsed(text)
+    if values is None:
+        raise InvalidValue(name, text, "numbers separated by commas")
+    return values
+
+
+def read_integers(name: str, text: str) -> list[int]:
+    """Whole numbers separated by commas; raises InvalidValue under that name if they are not."""
+    try:
+        return [int(field) for field in text.split(",")]
+    except ValueError:
+        raise InvalidValue(name, text, "whole numbers separated by commas") from None
+
+
+def _parsed(text: str) -> list[float] | None:
+    try:
+        return [float(field) for field in text.split(",")]
+    except ValueError:
+        return None
+
+
+def _read_file(path: Path) -> list[float]:
+    try:
+        values = _READERS[path.suffix.lower()](path)
+        if not isinstance(values, list):
+            raise ValueError("not a list")
+        return [float(value) for value in values]
+    except FileNotFoundError:
+        raise FileError(path, "no such file") from None
+    except OSError as error:
+        raise FileError(path, f"cannot be read ({error.strerror or error})") from error
+    except (ValueError, TypeError, EOFError, RecursionError) as error:
+        raise FileError(path, f"is not a list of numbers ({error})") from error
+
+
+def _read_npy(path: Path) -> Any:
+    import numpy as np
+
+    values = np.load(path, allow_pickle=False)
+    return values.tolist() if isinstance(values, np.ndarray) else values
+
+
+def _read_csv(path: Path) -> Any:
+    return [float(field) for field in path.read_text(encoding="utf-8-sig").replace(",", " ").split()]
+
+
+def _read_json(path: Path) -> Any:
+    return json.loads(path.read_text(encoding="utf-8-sig"))
+
+
+_READERS = {".npy": _read_npy, ".csv": _read_csv, ".json": _read_json}

@@ -1,0 +1,129 @@
+"""What is printed, and where: data on stdout, everything else on stderr."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from pinposture.motion.track import Callback
+    from pinposture.target import Target
+
+UNLIMITED = 10_000
+"""Columns of a file or a pipe: enough for any table, none of which must be cut short there."""
+
+
+def print_json(data: Mapping[str, Any]) -> None:
+    """Print one JSON object on stdout; a number that is infinite, as an absent limit is, becomes null."""
+    typer.echo(json.dumps(_finite(data), indent=2, allow_nan=False))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def print_facts(facts: Mapping[str, str | tuple[str, str]]) -> None:
+    """Print names and what they stand for on stdout, one a line; a pair is a text and its style."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table.grid(padding=(0, 2))
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(overflow="fold")
+    for name, text in facts.items():
+        table.add_row(name, Text.assemble(text))
+    _print(table)
+
+
+def print_table(headings: Sequence[str], rows: Sequence[Sequence[str | float | None]]) -> None:
+    """Print a table on stdout; numbers are set to the right, None is a dash."""
+    from rich.box import SIMPLE
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=SIMPLE, header_style="bold", pad_edge=False)
+    for heading, first in zip(headings, rows[0], strict=True):
+        table.add_column(
+            Text(heading), justify="left" if isinstance(first, str) else "right", overflow="fold"
+        )
+    for row in rows:
+        table.add_row(*(Text(_cell(value)) for value in row))
+    _print(table)
+
+
+def _cell(value: str | float | None) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}" if math.isfinite(value) else "-"
+    return "-" if value is None else str(value)
+
+
+def _print(content: RenderableType) -> None:
+    from rich.console import Console
+
+    # Not the console's own idea of a terminal, which colours that are asked for would change.
+    width = None if sys.stdout.isatty() else UNLIMITED
+    Console(width=width, highlight=False).print(content)
+
+
+def print_note(text: str) -> None:
+    """Say something on stderr that is not part of the result."""
+    _print_line("", text)
+
+
+def print_error(text: str) -> None:
+    """Say on stderr, in one line, why there is no result."""
+    _print_line("error: ", text)
+
+
+def _print_line(label: str, text: str) -> None:
+    from rich.console import Console
+    from rich.text import Text
+
+    line = " ".join(part.strip() for part in text.splitlines())
+    Console(stderr=True).print(Text.assemble((label, "bold red"), line), soft_wrap=True)
+
+
+@contextmanager
+def step_progress(target: Target, steps: int) -> Iterator[Callback]:
+    """Show a progress bar on stderr while an arm moves; nothing at all if that is not a terminal.
+
+    Args:
+        target: where the arm is going.
+        steps: number of steps after which it stops.
+
+    Yields:
+        What `track` is to call after each step.
+    """
+    if not sys.stderr.isatty():
+        yield lambda *_: None
+        return
+    import numpy as np
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    # Short enough that the ^C of the terminal fits behind it: on a full line it would spoil the next one.
+    columns = (
+        TextColumn("tracking"),
+        BarColumn(bar_width=20),
+        TextColumn("step {task.completed} of {task.total}, posture error {task.fields[error]:.4g} m"),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("", total=steps, error=math.nan)
+
+        def show(step: int, state: Any, _: object) -> None:
+            distances = np.linalg.norm(target.points - state.points, axis=1)
+            progress.update(task, completed=step, error=float(distances[target.placed].sum()))
+
+        yield show

@@ -1,0 +1,192 @@
+from __future__ import annotations
+
+import json
+import os
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+
+class Case(NamedTuple):
+    """A command line that cannot work, and what the one line about it must contain."""
+
+    name: str
+    line: str
+    says: tuple[str, ...]
+
+
+CASES = [
+    # usage
+    Case("unknown verb", "tracc", ("'tracc'", "pinposture --help")),
+    Case("unknown option", "inspect ARM --depth 3", ("--depth", "pinposture inspect --help")),
+    Case("missing option", "track ARM", ("'--curve'", "pinposture track --help")),
+    Case("missing argument", "generate --modules 3", ("TEMPLATE", "pinposture generate --help")),
+    Case("not a number", "track ARM --curve helix --steps many", ("--steps", "integer")),
+    # generate
+    Case("unknown template", "generate RyRx --modules 3", ("'RyRx'", "did you mean 'RyRz'", "RzRzRz")),
+    Case("no modules", "generate RyRz --modules 0", ("--modules is 0", "1 to 10000")),
+    Case("too many modules", "generate RyRz --modules 10001", ("--modules is 10001", "1 to 10000")),
+    Case("a length too few", "generate RyRz -n 3 --link-lengths 0.1", ("link_lengths", "[0.1]", "2 lengths")),
+    Case("length NaN", "generate RyRz -n 3 --link-lengths 0.1,nan", ("link_lengths[1]", "nan", "0 to 1e6 m")),
+    Case("length -1", "generate RyRz -n 3 --link-lengths=-1,1", ("link_lengths[0]", "-1", "0 to 1e6 m")),
+    Case("no lengths", "generate RyRz -n 3 --link-lengths a,b", ("--link-lengths", "'a,b'", "numbers")),
+    Case("output is a directory", "generate RyRz -n 3 -o DIR", ("DIR", "is a directory", "a file")),
+    Case("output under a file", "generate RyRz -n 3 -o ARM/x.urdf", ("ARM", "a directory")),
+    Case("output is a pipe", "generate RyRz -n 3 -o DIR/pipe", ("DIR/pipe", "a device", "allowed: a file")),
+    # the arm
+    Case("missing arm", "inspect DIR/none.urdf", ("DIR/none.urdf", "no such file")),
+    Case("arm is a directory", "inspect DIR", ("DIR", "directory")),
+    Case("malformed URDF", "inspect DIR/broken.urdf", ("DIR/broken.urdf", "line 3", "XML")),
+    Case("no link of the joint", "track DIR/orphan.urdf --curve helix", ("joint 'j'", "'nowhere'")),
+    Case("nothing on stdin", "inspect -", ("stdin", "no URDF", "XML")),
+    Case("unknown tip", "inspect ARM --tip tipp", ("'tipp'", "did you mean 'tip'", "base, m01_l1")),
+    Case("unknown base", "track ARM --base x --tip tip --curve helix", ("'x'", "base, m01_l1")),
+    Case("base alone", "inspect ARM --base base", ("tip is None", "tip=")),
+    Case("indivisible", "inspect ARM --modules 5", ("modules", "5", "1, 2, 3, 4, 6, 12")),
+    Case("sizes that do not add up", "inspect ARM --modules 5,5", ("[5, 5]", "add up to 12")),
+    Case("no sizes", "inspect ARM --modules two", ("--modules is 'two'", "whole numbers")),
+    # the curve
+    Case("unknown preset", "track ARM --curve helx", ("'helx'", "did you mean 'helix'", "line, helix")),
+    Case("missing curve", "track ARM --curve DIR/none.csv", ("DIR/none.csv", "No such file")),
+    Case("odd kind of curve", "track ARM --curve DIR/one.xyz", ("DIR/one.xyz", ".json, .csv, .txt")),
+    Case("one point", "track ARM --curve DIR/one.csv", ("DIR/one.csv", "2")),
+    Case("repeated points", "track ARM --curve DIR/twice.csv", ("DIR/twice.csv", "line 3")),
+    Case("NaN in a CSV", "track ARM --curve DIR/nan.csv", ("DIR/nan.csv", "line 2")),
+    Case("text in a CSV", "track ARM --curve DIR/text.csv", ("DIR/text.csv", "line 2", "'hello'")),
+    Case("malformed JSON", "track ARM --curve DIR/broken.json", ("DIR/broken.json", "line 1")),
+    Case("curve too short", "track ARM --curve DIR/short.json", ("module 4", "lengthen the curve")),
+    Case("curve out of plane", "track DIR/flat.urdf --curve helix", ("module 1", "leaves the plane")),
+    Case("curve elsewhere", "track ARM --curve DIR/far.json --placement as_is", ("module 1", "5 m", "align")),
+    Case(
+        "no place at all", "track ARM --curve DIR/tiny.json --partial", ("--curve", "DIR/tiny.json", "first")
+    ),
+    Case("unknown placement", "track ARM --curve helix --placement up", ("'up'", "as_is, translate, align")),
+    Case("roll NaN", "track ARM --curve helix --roll nan", ("roll is nan", "finite")),
+    # the motion
+    Case("unknown controller", "track ARM --curve line --controller magic", ("'magic'", "selection, projec")),
+    Case("no steps", "track ARM --curve line --steps 0", ("max_steps is 0", "at least 1")),
+    Case("step limit 0", "track ARM --curve line --step-limit 0", ("step is 0", "positive")),
+    Case("step limit NaN", "track ARM --curve line --step-limit nan", ("step is nan", "positive")),
+    Case("tolerance 0", "track ARM --curve line --tolerance 0", ("tolerance is 0", "positive")),
+    Case("tolerance inf", "track ARM --curve line --tolerance inf", ("tolerance is inf", "positive")),
+    Case("seed -1", "track ARM --curve line --seed -1", ("--seed is -1", "at least 0")),
+    # the start
+    Case("unknown start", "track ARM --curve line --start strait", ("'strait'", "did you mean 'straight'")),
+    Case("short start", "track ARM --curve line --start 0.1,0.2", ("start", "(2,)", "(12,)")),
+    Case("start NaN", f"track ARM --curve line --start 0{',nan' * 11}", ("start[1] is nan", "finite")),
+    Case("start inf", f"track ARM --curve line --start 0{',inf' * 11}", ("start[1] is inf", "finite")),
+    Case("missing start", "track ARM --curve line --start DIR/q.npy", ("DIR/q.npy", "no such file")),
+    Case(
+        "pickled start",
+        "track ARM --curve line --start DIR/pickled.npy",
+        ("DIR/pickled.npy", "list of numbers"),
+    ),
+    Case(
+        "archived start",
+        "track ARM --curve line --start DIR/archive.npy",
+        ("DIR/archive.npy", "(not a list)"),
+    ),
+    Case("start matrix", "track ARM --curve line --start DIR/matrix.npy", ("DIR/matrix.npy", "numbers")),
+    Case("start in words", "track ARM --curve line --start DIR/text.csv", ("DIR/text.csv", "'hello'")),
+    Case("start object", "track ARM --curve line --start DIR/far.json", ("DIR/far.json", "(not a list)")),
+    Case("deep start", "track ARM --curve line --start DIR/deep.json", ("DIR/deep.json", "not a list")),
+    Case("start NaN in a file", "track ARM --curve line --start DIR/nan.json", ("start[3] is nan", "finite")),
+    # the output
+    Case("output is a file", "track ARM --curve line -o ARM", ("ARM", "is a file", "a directory")),
+    Case("output under a file ", "track ARM --curve line -o ARM/out", ("ARM", "is a file")),
+    # view
+    Case("missing run", "view DIR/none.npz", ("DIR/none.npz", "no such file")),
+    Case("directory without a run", "view DIR", ("DIR/run.npz", "no such file")),
+    Case("not a run", "view DIR/matrix.npy", ("DIR/matrix.npy", "is not a saved run")),
+    Case("picture under a file", "view RUN --png ARM/x.png", ("ARM", "a directory")),
+    Case("picture is a directory", "view RUN --png DIR", ("DIR", "is a directory", "a file")),
+    Case("animation under a file", "view RUN --html ARM/x.html", ("ARM/x.html", "cannot be written")),
+]
+
+
+@pytest.fixture(scope="module")
+def directory(command, tmp_path_factory):
+    """Files that hold what they should not, and a planar arm."""
+    path = tmp_path_factory.mktemp("bad")
+    command("generate", "Rz", "--modules", 4, "-o", path / "flat.urdf")
+    files = {
+        "broken.urdf": '<robot name="r">\n<link name="a">\n',
+        "orphan.urdf": '<robot name="r"><link name="a"/><joint name="j" type="revolute"><parent link="a"/>'
+        '<child link="nowhere"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="1" effort="1"/>'
+        "</joint></robot>",
+        "one.csv": "x,y,z\n0,0,0\n",
+        "one.xyz": "0 0 0\n1 0 0\n",
+        "twice.csv": "0,0,0\n1,0,0\n1,0,0\n2,0,0\n",
+        "nan.csv": "0,0,0\nnan,0,0\n2,0,0\n",
+        "text.csv": "0,0,0\n1,hello,0\n",
+        "broken.json": '{"type": "line",',
+        "deep.json": "[" * 100_000,
+        "nan.json": json.dumps([0.0] * 3 + [float("nan")] * 9),
+        "short.json": json.dumps({"type": "line", "a": [0, 0, 0], "b": [0.17, 0, 0]}),
+        "tiny.json": json.dumps({"type": "line", "a": [0, 0, 0], "b": [0.01, 0, 0]}),
+        "far.json": json.dumps({"type": "line", "a": [0, 5, 0], "b": [1, 5, 0]}),
+    }
+    for name, text in files.items():
+        (path / name).write_text(text)
+    np.save(path / "pickled.npy", np.zeros(12).astype(object), allow_pickle=True)
+    np.save(path / "matrix.npy", np.zeros((1, 12)))
+    os.mkfifo(path / "pipe")
+    with (path / "archive.npy").open("wb") as file:
+        np.savez(file, q=np.zeros(12))
+    return path
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_wrong_input_is_refused_in_one_line_that_names_it(
+    command, arm_file, run_directory, directory, case, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    places = {"ARM": str(arm_file), "DIR": str(directory), "RUN": str(run_directory)}
+
+    def placed(text: str) -> str:
+        for name, place in places.items():
+            text = text.replace(name, place)
+        return text
+
+    result = command(*(placed(word) for word in case.line.split()), input="hello")
+    assert result.code == 2
+    assert result.out == ""
+    assert result.err.startswith("error: ")
+    assert result.err.count("\n") == 1
+    assert result.err.endswith("\n")
+    for text in case.says:
+        assert placed(text) in result.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_refused_output_directory_costs_no_run(command, arm_file, monkeypatch):
+    def never(*_, **__):
+        raise AssertionError("tracked first")
+
+    monkeypatch.setattr("pinposture.motion.track", never)
+    assert command("track", arm_file, "--curve", "line", "-o", arm_file).code == 2
+
+
+def test_a_message_of_several_lines_becomes_one(command, arm_file, monkeypatch):
+    from pinposture.errors import InvalidValue
+
+    def refused(*_, **__):
+        raise InvalidValue("points", "", "first line,\n   second line")
+
+    monkeypatch.setattr("pinposture.motion.track", refused)
+    result = command("track", arm_file, "--curve", "line")
+    assert result.err == "error: points is ''; allowed: first line, second line\n"
+
+
+def test_brackets_in_a_message_are_text_and_no_markup(command):
+    assert "'[red]x[/red]'" in command("generate", "[red]x[/red]", "--modules", 2).err
+
+
+def test_an_interrupted_picture_leaves_nothing(command, run_directory, tmp_path, monkeypatch):
+    def interrupted(motion):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pinposture.view.plot", interrupted)
+    assert command("view", run_directory, "--png", tmp_path / "new" / "plot.png").code == 130
+    assert list(tmp_path.iterdir()) == []

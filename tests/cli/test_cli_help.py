@@ -1,0 +1,82 @@
+from __future__ import annotations
+
+import shlex
+
+import numpy as np
+import pytest
+
+import pinposture
+from pinposture.control import CONTROLLERS
+from pinposture.target.resolve import PLACEMENTS
+from pinposture.thesis.curves import CURVES
+
+VERBS = ("generate", "inspect", "track", "view")
+
+
+def examples(command, verb):
+    """The examples as the help shows them on a terminal of 80 columns."""
+    lines = command(verb, "--help", env={"COLUMNS": "80"}).out.splitlines()
+    return [line.strip()[2:] for line in lines if line.strip().startswith("$ ")]
+
+
+@pytest.mark.parametrize("arguments", [(), ("--help",), ("-h",)])
+def test_the_command_alone_tells_of_every_verb(command, arguments):
+    result = command(*arguments)
+    assert result.code == 0
+    for verb in VERBS:
+        assert f" {verb} " in result.out
+
+
+def test_the_version_is_that_of_the_package(command):
+    result = command("--version")
+    assert (result.code, result.out) == (0, f"pinposture {pinposture.__version__}\n")
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_help_has_a_paragraph_and_examples_of_one_line_each(command, verb):
+    out = command(verb, "--help", env={"COLUMNS": "80"}).out
+    wide = command(verb, "--help", env={"COLUMNS": "500"}).out
+    assert max(len(line.split()) for line in wide.split("╭")[0].splitlines()) > 30
+    shown = examples(command, verb)
+    assert len(shown) >= 3
+    assert all(example.startswith("pinposture ") for example in shown)
+    assert any(example.startswith(f"pinposture {verb} ") for example in shown)
+    assert max(map(len, out.splitlines())) <= 80
+
+
+def test_the_help_of_track_names_everything_that_can_be_named(command):
+    out = command("track", "--help", env={"COLUMNS": "200"}).out
+    for name in (*CONTROLLERS, *CURVES, *PLACEMENTS, "straight", "smooth", "random"):
+        assert name in out
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_the_examples_run_one_after_the_other(command, tmp_path, monkeypatch):
+    class Viewer:
+        url = "address"
+
+        def play(self):
+            pass
+
+        def close(self):
+            pass
+
+    def interrupted():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pinposture.view.view", lambda *_, **__: Viewer())
+    monkeypatch.setattr("pinposture.cli.view.wait", interrupted)
+    monkeypatch.chdir(tmp_path)
+    t = np.linspace(0, 1.2, 50)
+    np.savetxt("curve.csv", np.column_stack([t, 0.1 * np.sin(3 * t)]), delimiter=",")
+    for verb in VERBS:
+        for example in examples(command, verb):
+            output = ""
+            for stage in example.split("|"):
+                program, *arguments = shlex.split(stage)
+                assert program == "pinposture"
+                result = command(*arguments, input=output)
+                assert result.code == 0, (example, result.err)
+                output = result.out
+    made = {path.name for path in tmp_path.iterdir()}
+    assert made == {"curve.csv", "arm.urdf", "long.urdf", "out", "motion.html", "motion.png"}

@@ -1,0 +1,149 @@
+"""The command in a process of its own: streams, signals, terminals."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import pinposture
+
+COMMAND = [sys.executable, "-m", "pinposture"]
+posix = pytest.mark.skipif(os.name != "posix", reason="signals and pseudo-terminals of POSIX")
+
+
+def environment(**more: str) -> dict[str, str]:
+    """This environment without what would change colours and widths, and with this package to import."""
+    kept = {name: value for name, value in os.environ.items() if name not in ("FORCE_COLOR", "COLUMNS")}
+    path = [str(Path(pinposture.__file__).parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
+    return {**kept, "PYTHONPATH": os.pathsep.join(path), **more}
+
+
+def process(*arguments: object, **options: object) -> subprocess.CompletedProcess[str]:
+    line = [*COMMAND, *map(str, arguments)]
+    options = {"env": environment(), "capture_output": True, "text": True, "timeout": 60, **options}
+    return subprocess.run(line, check=False, **options)
+
+
+def test_stdout_holds_one_json_object_and_nothing_else(arm_file, tmp_path):
+    result = process("track", arm_file, "--curve", "helix", "--steps", 5, "--json", "-o", tmp_path)
+    assert result.returncode == 0
+    assert json.loads(result.stdout)["steps"] == 5
+    assert result.stderr.splitlines() == [
+        f"wrote {tmp_path / name}" for name in ("run.npz", "run.png", "run.html")
+    ]
+
+
+def test_an_error_is_one_line_on_stderr_with_code_2(tmp_path):
+    file = tmp_path / "broken.urdf"
+    file.write_text("<robot name='r'><link/></robot>")
+    result = process("inspect", file)
+    assert (result.returncode, result.stdout) == (2, "")
+    assert result.stderr.startswith(f"error: {file}: ")
+    assert result.stderr.count("\n") == 1
+    assert "Traceback" not in result.stderr
+
+
+def test_a_bug_shows_its_traceback_without_dumping_variables(arm_file):
+    code = (
+        "import pinposture.motion, pinposture.cli\n"
+        "def broken(*_): raise ZeroDivisionError('a bug')\n"
+        "pinposture.motion.track = broken\n"
+        f"pinposture.cli.app(['track', {str(arm_file)!r}, '--curve', 'helix'])\n"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], env=environment(), capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 1
+    assert result.stderr.startswith("Traceback")
+    assert result.stderr.endswith("ZeroDivisionError: a bug\n")
+    assert "locals" not in result.stderr
+
+
+@posix
+@pytest.mark.parametrize("arguments", [("inspect", "ARM"), ("generate", "RyRz", "-n", 300)])
+def test_a_reader_that_goes_away_is_no_news(arm_file, arguments):
+    line = [*COMMAND, *(str(arm_file) if word == "ARM" else str(word) for word in arguments)]
+    child = subprocess.Popen(line, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    child.stdout.close()
+    assert child.stderr.read() == b""
+    assert child.wait(60) != 0
+
+
+@posix
+def test_progress_shows_on_a_terminal_and_ctrl_c_ends_it_quietly(tmp_path, command):
+    import pty
+
+    arm = tmp_path / "arm.urdf"
+    command("generate", "RyRz", "--modules", 60, "--link-lengths", "0.008,0.008", "-o", arm)
+    ours, theirs = pty.openpty()
+    line = [*COMMAND, "track", str(arm), "--curve", "helix", "--tolerance", "1e-12", "--steps", "100000"]
+    child = subprocess.Popen(
+        [*line, "-o", str(tmp_path / "out"), "--json"],
+        env=environment(TERM="xterm", COLUMNS="80"),
+        stdout=subprocess.PIPE,
+        stderr=theirs,
+    )
+    os.close(theirs)
+    shown = b""
+    while b"posture error" not in shown:
+        shown += os.read(ours, 1000)
+    child.send_signal(signal.SIGINT)
+    assert child.stdout.read() == b""
+    assert child.wait(60) == 130
+    while True:
+        try:
+            more = os.read(ours, 1000)
+        except OSError:  # how Linux ends a pseudo-terminal
+            break
+        if not more:
+            break
+        shown += more
+    assert b"of 100000" in shown
+    assert b"Traceback" not in shown
+    assert b"Abort" not in shown
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["arm.urdf"]
+
+
+@posix
+def test_ctrl_c_closes_the_viewer_and_leaves_no_process_behind(run_directory):
+    line = [*COMMAND, "view", str(run_directory), "--no-browser"]
+    child = subprocess.Popen(
+        line,
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    address = child.stdout.readline()
+    assert address.startswith("http://")
+    assert "Ctrl-C" in child.stderr.readline()
+    child.send_signal(signal.SIGINT)
+    _, errors = child.communicate(timeout=60)
+    assert child.returncode == 0
+    assert errors.strip() == ""
+    with pytest.raises(ProcessLookupError):
+        os.killpg(child.pid, 0)
+
+
+def test_the_command_line_itself_loads_nothing_heavy():
+    # The package is replaced by an empty one, so that only what the command line asks for is loaded.
+    code = (
+        "import sys, types\n"
+        "package = types.ModuleType('pinposture')\n"
+        f"package.__path__ = [{str(Path(pinposture.__file__).parent)!r}]\n"
+        "sys.modules['pinposture'] = package\n"
+        "import pinposture.cli\n"
+        "heavy = {'numpy', 'scipy', 'pinocchio', 'matplotlib', 'meshcat', 'joblib'}\n"
+        "print(sorted(heavy & set(sys.modules)))\n"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], env=environment(), capture_output=True, text=True, check=True
+    )
+    assert result.stdout == "[]\n"

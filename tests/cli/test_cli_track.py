@@ -1,0 +1,211 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import pinposture as pp
+from pinposture.study import smooth_configuration
+from pinposture.thesis.curves import CURVES
+
+
+def track(command, arm_file, *options):
+    result = command("track", arm_file, "--curve", "helix", "--json", *options)
+    assert result.code == 0
+    return json.loads(result.out)
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_the_summary_describes_the_run_that_was_kept(command, arm_file, tmp_path):
+    summary = track(command, arm_file, "--steps", 15, "-o", tmp_path / "out")
+    run = pp.Trajectory.load(tmp_path / "out" / "run.npz")
+    errors = [np.linalg.norm(points - run.target.points, axis=1).sum() for points in run.points]
+    assert summary["steps"] == len(run.q) - 1 == 15
+    assert summary["start_error"] == pytest.approx(errors[0])
+    assert summary["final_error"] == pytest.approx(errors[-1])
+    assert summary["lowest_error"] == pytest.approx(min(errors))
+    assert summary["mean_error"] == pytest.approx(errors[-1] / 6)
+    assert summary["status"] == run.status == "max_steps"
+    assert summary["converged"] is False
+    assert summary["first_active_points"] == len(run.active_sets[0])
+    assert summary["last_active_points"] == len(run.active_sets[-1])
+    assert summary["control_points"] == summary["placed_points"] == 6
+
+
+def test_all_three_files_are_there_and_are_what_they_are_called(command, arm_file, tmp_path):
+    out = tmp_path / "deep" / "out"
+    summary = track(command, arm_file, "--steps", 3, "-o", out)
+    assert summary["files"] == {
+        kind: str(out / name) for kind, name in zip(("run", "plot", "animation"), NAMES, strict=True)
+    }
+    assert sorted(path.name for path in out.iterdir()) == sorted(NAMES)
+    assert (out / "run.png").read_bytes().startswith(b"\x89PNG\r\n")
+    assert "<html" in (out / "run.html").read_text(encoding="utf-8").lower()
+
+
+NAMES = ("run.npz", "run.png", "run.html")
+
+
+def test_without_a_directory_nothing_is_written(command, arm_file, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert track(command, arm_file, "--steps", 2)["files"] == {}
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_words_and_json_tell_the_same(command, arm_file, tmp_path):
+    summary = track(command, arm_file, "--steps", 4)
+    result = command("track", arm_file, "--curve", "helix", "--steps", 4, "-o", tmp_path)
+    lines = dict(line.split("  ", 1) for line in result.out.splitlines())
+    facts = {name.strip(): text.strip() for name, text in lines.items()}
+    assert facts["status"] == summary["status"]
+    assert facts["reason"] == summary["reason"]
+    assert facts["steps"] == "4"
+    assert f"{summary['start_error']:.4g} m at the start" in facts["posture error"]
+    assert f"{summary['final_error']:.4g} m at the end" in facts["posture error"]
+    first, last = summary["first_active_points"], summary["last_active_points"]
+    assert facts["active points"] == f"{first} at the first step, {last} at the last, of 6"
+    # What it says besides the result goes to stderr, and no progress bar when that is no terminal.
+    assert result.err.splitlines() == [f"wrote {tmp_path / name}" for name in NAMES]
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_options_reach_the_run(command, arm_file, tmp_path):
+    options = ("--controller", "projection", "--step-limit", 0.02, "--roll", 0.5, "--placement", "align")
+    track(command, arm_file, *options, "--steps", 8, "-o", tmp_path)
+    run = pp.Trajectory.load(tmp_path / "run.npz")
+    assert run.controller.startswith("Projection")
+    assert np.abs(np.diff(run.q, axis=0)).max() == pytest.approx(0.02)
+    target = pp.resolve_targets(pp.Arm.from_urdf(arm_file), CURVES["helix"], roll=0.5)
+    np.testing.assert_allclose(run.target.points, target.points, atol=1e-12)
+
+
+def test_a_tolerance_as_wide_as_the_start_ends_the_run_there(command, arm_file):
+    summary = track(command, arm_file, "--tolerance", 1.0)
+    assert (summary["status"], summary["steps"]) == ("converged", 0)
+    assert summary["first_active_points"] == 0
+
+
+def test_the_same_seed_gives_the_same_run_and_another_seed_another(command, arm_file):
+    runs = [track(command, arm_file, "--start", "random", "--steps", 2, "--seed", seed) for seed in (4, 4, 5)]
+    assert runs[0] == runs[1]
+    assert runs[0]["start_error"] != runs[2]["start_error"]
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_named_starts_are_those_of_the_library(command, arm_file, tmp_path):
+    arm = pp.Arm.from_urdf(arm_file)
+    rng = np.random.default_rng(9)
+    expected = {
+        "straight": np.zeros(12),
+        "random": arm.random(np.random.default_rng(9)),
+        "smooth": smooth_configuration(arm, rng, rng.uniform(0.2, 1.0)),
+    }
+    for start, q in expected.items():
+        track(command, arm_file, "--start", start, "--seed", 9, "--steps", 1, "-o", tmp_path / start)
+        np.testing.assert_array_equal(pp.Trajectory.load(tmp_path / start / "run.npz").q[0], q)
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_a_start_is_the_same_from_numbers_and_from_every_kind_of_file(command, arm_file, tmp_path):
+    q = np.random.default_rng(1).uniform(-1, 1, 12)
+    np.save(tmp_path / "q.npy", q)
+    (tmp_path / "row.csv").write_text(", ".join(map(repr, q.tolist())))
+    (tmp_path / "column.CSV").write_text("\n".join(map(repr, q.tolist())) + "\n")
+    (tmp_path / "q.json").write_text(json.dumps(q.tolist()))
+    files = [tmp_path / name for name in ("q.npy", "row.csv", "column.CSV", "q.json")]
+    for number, start in enumerate([*files, ",".join(map(repr, q.tolist()))]):
+        out = tmp_path / str(number)
+        track(command, arm_file, "--start", start, "--steps", 1, "-o", out)
+        np.testing.assert_array_equal(pp.Trajectory.load(out / "run.npz").q[0], q)
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_a_continuous_joint_may_be_given_as_one_angle_or_as_cosine_and_sine(command, arm_file, tmp_path):
+    text = arm_file.read_text().replace('type="revolute"', 'type="continuous"')
+    file = tmp_path / "arm.urdf"
+    file.write_text(text)
+    angles = np.linspace(-1, 1, 12)
+    pairs = np.column_stack([np.cos(angles), np.sin(angles)]).ravel()
+    for values, out in ((angles, tmp_path / "angles"), (pairs, tmp_path / "pairs")):
+        track(command, file, "--start", ",".join(map(repr, values.tolist())), "--steps", 1, "-o", out)
+        np.testing.assert_allclose(pp.Trajectory.load(out / "run.npz").q[0], pairs, atol=1e-12)
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_a_curve_from_a_file_is_followed(command, arm_file, tmp_path):
+    t = np.linspace(0, 0.5, 30)
+    np.savetxt(tmp_path / "c.csv", np.column_stack([t, 0.5 * t**2, 0 * t]), delimiter=",")
+    result = command(
+        "track", arm_file, "--curve", tmp_path / "c.csv", "--steps", 2, "-o", tmp_path / "out", "--json"
+    )
+    assert result.code == 0
+    x, y, z = pp.Trajectory.load(tmp_path / "out" / "run.npz").target.points.T
+    np.testing.assert_allclose(y, 0.5 * x**2, atol=1e-5)
+    np.testing.assert_allclose(z, 0, atol=1e-6)
+
+
+def test_partial_leaves_points_free_and_says_so(command, arm_file, tmp_path):
+    short = tmp_path / "short.json"
+    short.write_text(json.dumps({"type": "line", "a": [0, 0, 0], "b": [0.17, 0, 0]}))
+    result = command("track", arm_file, "--curve", short, "--partial", "--steps", 2, "--json")
+    summary = json.loads(result.out)
+    assert result.code == 0
+    assert summary["placed_points"] == 3
+    assert "module 4" in summary["incomplete"]
+    assert "only the first 3 of 6 control points" in result.err
+
+
+def test_the_exit_code_tells_of_convergence_only_when_asked(command, arm_file, tmp_path):
+    target = pp.resolve_targets(pp.Arm.from_urdf(arm_file), CURVES["helix"])
+    np.save(tmp_path / "there.npy", target.q)
+    base = ("track", arm_file, "--curve", "helix", "--steps", 1)
+    assert command(*base).code == 0
+    assert command(*base, "--require-convergence").code == 1
+    assert json.loads(command(*base, "--require-convergence", "--json").out)["converged"] is False
+    assert command(*base, "--require-convergence", "--start", tmp_path / "there.npy").code == 0
+
+
+def test_an_arm_comes_through_a_pipe(command):
+    text = command("generate", "RyRz", "--modules", 3).out
+    result = command("track", "-", "--curve", "helix", "--steps", 1, "--json", input=text)
+    assert json.loads(result.out)["control_points"] == 3
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_an_interrupted_run_leaves_an_earlier_one_as_it_was(command, arm_file, tmp_path, monkeypatch):
+    base = ("track", arm_file, "--curve", "helix", "-o", tmp_path)
+    command(*base, "--steps", 1)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pinposture.motion.track", interrupted)
+    assert command(*base, "--steps", 2).code == 130
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("variables", "coloured"),
+    [({}, False), ({"FORCE_COLOR": "1"}, True), ({"FORCE_COLOR": "1", "NO_COLOR": "1"}, False)],
+)
+def test_colours_come_when_forced_and_never_against_no_color(
+    command, arm_file, monkeypatch, variables, coloured
+):
+    for name in ("FORCE_COLOR", "NO_COLOR"):
+        monkeypatch.delenv(name, raising=False)
+    env = {**variables, "TERM": "xterm-256color"}
+    out = command("track", arm_file, "--curve", "helix", "--steps", 1, env=env).out
+    assert ("\x1b[33mmax_steps" in out) is coloured
+    assert coloured or "\x1b" not in out.replace("\x1b[1m", "").replace("\x1b[0m", "")
+
+
+def test_an_unexpected_error_is_not_swallowed(command, arm_file, monkeypatch):
+    def broken(*_, **__):
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr("pinposture.motion.track", broken)
+    with pytest.raises(ZeroDivisionError, match="a bug"):
+        command("track", arm_file, "--curve", "helix")

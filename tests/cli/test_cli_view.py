@@ -1,0 +1,86 @@
+from __future__ import annotations
+
+import json
+
+import pytest
+
+ADDRESS = "http://127.0.0.1:7000/static/"
+
+
+class Viewer:
+    """Stands in for meshcat, and writes down what is asked of it."""
+
+    url = ADDRESS
+
+    def __init__(self, asked):
+        self.asked = asked
+
+    def play(self):
+        self.asked.append("play")
+
+    def close(self):
+        self.asked.append("close")
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """What was asked of the viewer; Ctrl-C comes as soon as the command waits for it."""
+    asked = []
+
+    def view(arm, run=None, target=None, viewer="meshcat", open_browser=False):
+        asked.append(("view", arm.nv, run.steps, target is run.target, viewer, open_browser))
+        return Viewer(asked)
+
+    def wait():
+        asked.append("wait")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pinposture.view.view", view)
+    monkeypatch.setattr("pinposture.cli.view.wait", wait)
+    return asked
+
+
+@pytest.mark.parametrize("name", [".", "run.npz"])
+def test_a_run_plays_until_ctrl_c_which_is_no_failure(command, run_directory, asked, name):
+    result = command("view", run_directory / name)
+    assert (result.code, result.out) == (0, f"{ADDRESS}\n")
+    assert asked == [("view", 12, 20, True, "meshcat", True), "play", "wait", "close"]
+
+
+def test_no_browser_is_opened_if_none_is_wanted(command, run_directory, asked):
+    command("view", run_directory, "--no-browser")
+    assert asked[0][-1] is False
+
+
+def test_the_viewer_is_closed_after_an_error_too(command, run_directory, asked, monkeypatch):
+    def broken(_):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(Viewer, "play", broken)
+    with pytest.raises(ZeroDivisionError):
+        command("view", run_directory)
+    assert asked[-1] == "close"
+
+
+def test_files_are_written_instead_of_showing(command, run_directory, asked, tmp_path):
+    html, png = tmp_path / "a.html", tmp_path / "sub" / "plot"
+    result = command("view", run_directory, "--html", html, "--png", png)
+    assert (result.code, result.out) == (0, "")
+    assert result.err.splitlines() == [f"wrote {html}", f"wrote {png}"]
+    assert "<html" in html.read_text(encoding="utf-8").lower()
+    assert png.read_bytes().startswith(b"\x89PNG\r\n")
+    assert asked == []
+
+
+def test_track_shows_the_run_at_last_and_keeps_stdout_for_the_summary(command, arm_file, asked):
+    options = ("--steps", 2, "--view", "--json", "--require-convergence")
+    result = command("track", arm_file, "--curve", "helix", *options)
+    assert json.loads(result.out)["steps"] == 2
+    assert ADDRESS in result.err
+    assert [entry[0] if isinstance(entry, tuple) else entry for entry in asked] == [
+        "view",
+        "play",
+        "wait",
+        "close",
+    ]
+    assert result.code == 1
