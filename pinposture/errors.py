@@ -139,3 +139,19 @@ class CurveLeavesTooSharply(TargetError):
 
 class CurveBendsTooMuch(TargetError):
     """The curve bends more than a module can within its joint limits, or leaves its plane."""
+
+
+class ViewerError(PostureError, ConnectionError):
+    """A viewer that cannot be started or reached.
+
+    Attributes:
+        viewer: what was to be started or reached.
+        reason: what went wrong.
+    """
+
+    def __init__(self, viewer: str, reason: str) -> None:
+        self.viewer, self.reason = viewer, reason
+        super().__init__(f"{viewer}: {reason}")
+
+    def __str__(self) -> str:  # ConnectionError is an OSError, too
+        return str(self.args[0])

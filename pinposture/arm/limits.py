@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+UNLIMITED = 1e100
+
 
 class JointLimits(NamedTuple):
     """Limits of the joints, one entry per degree of freedom; infinite where there is none.
@@ -33,6 +35,8 @@ def joint_limits(model: pin.Model) -> JointLimits:
         if joint.nq == joint.nv == 1:
             lower[joint.idx_v] = model.lowerPositionLimit[joint.idx_q]
             upper[joint.idx_v] = model.upperPositionLimit[joint.idx_q]
+    # A model built by hand has the largest floats for limits it was never given.
+    lower[lower < -UNLIMITED], upper[upper > UNLIMITED] = -np.inf, np.inf
     velocity[velocity <= 0.0] = np.inf
     for array in (lower, upper, velocity):
         array.flags.writeable = False

@@ -140,6 +140,14 @@ def test_the_callers_model_is_never_written_to() -> None:
     np.testing.assert_allclose(arm.at(q).jacobians, finite_differences(arm, q), atol=1e-8)
 
 
+def test_a_model_without_limits_has_none() -> None:
+    model = pin.buildSampleModelManipulator()
+    model.lowerPositionLimit[:], model.upperPositionLimit[:] = -np.finfo(float).max, np.finfo(float).max
+    arm = pp.Arm.from_model(model, [model.frames[-1].name])
+    assert np.all(np.isinf(arm.limits.lower)) and np.all(np.isinf(arm.limits.upper))
+    assert np.all(np.abs(arm.random(np.random.default_rng(0))) <= np.pi)
+
+
 def test_an_arm_pickles_and_survives_as_data(placed: pp.Arm) -> None:
     q = placed.random(np.random.default_rng(5))
     for copy in (pickle.loads(pickle.dumps(placed)), pp.Arm.from_dict(placed.to_dict())):

@@ -1,0 +1,92 @@
+"""Single panels of a run against steps; each draws into axes that it is given."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.ticker import MaxNLocator
+
+from pinposture.motion import Trajectory
+from pinposture.view import palette
+from pinposture.view.axes import dress_steps, mark_end, mark_start, scale_counts, scale_values
+
+
+def plot_posture_error(run: Trajectory, ax: Axes, color: str | None = None, label: str | None = None) -> None:
+    """Draw the posture error [m] against steps, its first and last value written beside it.
+
+    Args:
+        run: the run.
+        ax: where to draw. Lines that are there already stay, and are taken into account by the scale.
+        color: colour of the line; that of the controller if None.
+        label: name of the line in a legend. A line with a name has only its last value written.
+    """
+    color = palette.controller_color(run.controller) if color is None else color
+    marker = "" if run.steps else "o"
+    steps = np.arange(run.steps + 1)
+    ax.plot(
+        steps, run.posture_error, color=color, lw=1.8, label=label, marker=marker, clip_on=bool(run.steps)
+    )
+    dress_steps(ax, "posture error [m]")
+    scale_values(ax)
+    if label is None:
+        mark_start(ax, float(run.posture_error[0]), color, "m")
+    if run.steps:
+        mark_end(ax, run.steps, float(run.posture_error[-1]), color, "m")
+
+
+def plot_point_errors(run: Trajectory, ax: Axes) -> None:
+    """Draw the error [m] of every control point that has a target against steps.
+
+    The colour tells how far along the arm a control point is; a bar beside the axes says how.
+
+    Args:
+        run: the run.
+        ax: where to draw.
+    """
+    m = run.arm.n_modules
+    colors = LinearSegmentedColormap.from_list("along the arm", palette.ALONG)
+    norm = Normalize(1, max(m, 2))
+    for k in np.flatnonzero(run.target.placed):
+        marker = "" if run.steps else "o"
+        steps = np.arange(run.steps + 1)
+        ax.plot(steps, run.point_errors[:, k], color=colors(norm(k + 1)), lw=1.0, marker=marker, ms=3)
+    dress_steps(ax, "point errors [m]")
+    scale_values(ax)
+    bar = ax.figure.colorbar(ScalarMappable(norm, colors), ax=ax, pad=0.02, aspect=16)
+    bar.set_ticks(MaxNLocator(nbins=5, integer=True, min_n_ticks=1) if m > 1 else [1])
+    bar.set_label("control point", fontsize=9)
+    bar.ax.tick_params(labelsize=8)
+    bar.outline.set_visible(False)
+    free = m - int(np.count_nonzero(run.target.placed))
+    if free:
+        note = f"{free} of {m} control points have no target"
+        ax.set_title(note, fontsize=8, loc="right", color=palette.INK)
+
+
+def plot_active_points(run: Trajectory, ax: Axes) -> None:
+    """Draw how many control points were active in each step, and how well conditioned they were.
+
+    A second axis holds the smallest singular value of the posture control matrix [m/rad].
+
+    Args:
+        run: the run.
+        ax: where to draw.
+    """
+    color = palette.controller_color(run.controller)
+    steps = np.arange(1, run.steps + 1)
+    marker = "o" if run.steps == 1 else ""
+    ax.plot(steps, run.active.sum(axis=1), color=color, lw=1.6, drawstyle="steps-mid", marker=marker)
+    dress_steps(ax, "active control points")
+    scale_counts(ax, run.arm.n_modules)
+    ax.yaxis.label.set_color(color)
+    if not run.steps:
+        ax.set_title("no step was taken", fontsize=8, loc="right", color=palette.INK)
+        return
+    other = ax.twinx()
+    other.plot(steps, run.sigma_min, color=palette.INK, lw=1.0, ls=(0, (4, 1.5)), marker=marker, ms=3)
+    scale_values(other)
+    other.set_ylabel(r"$\sigma_{\min}$ [m/rad]", fontsize=9, color=palette.INK)
+    other.tick_params(labelsize=8)
+    other.spines[["top", "left", "bottom"]].set_visible(False)

@@ -1,0 +1,103 @@
+"""Figures: one run told in one picture, and several runs side by side."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+from pinposture.errors import InvalidValue
+from pinposture.motion import Trajectory
+from pinposture.view import palette
+from pinposture.view.axes import dress_steps, scale_counts
+from pinposture.view.panels import plot_active_points, plot_point_errors, plot_posture_error
+from pinposture.view.postures import draw_runs, plot_postures
+from pinposture.view.words import controller_name, ending
+
+WIDTH, HEIGHT = 12.0, 7.2
+"""Size of a figure [inch]; 1200 pixels wide at the default resolution."""
+
+
+def plot(run: Trajectory) -> Figure:
+    """Tell a run in one figure: postures, posture error, errors of the control points, active points.
+
+    Args:
+        run: the run.
+
+    Returns:
+        A figure, 1200 pixels wide; `figure.savefig(path)` writes it. It is not shown, and pyplot does not
+        know of it.
+    """
+    figure, postures, panels = _lay_out(run, 3)
+    plot_postures(run, postures)
+    for draw, panel in zip((plot_posture_error, plot_point_errors, plot_active_points), panels, strict=True):
+        draw(run, panel)
+    _share_steps(panels)
+    _title(figure, [f"{controller_name(run)} {ending(run)}: {run.reason}"])
+    parameters = textwrap.fill(textwrap.shorten(run.controller, 500), 190)
+    figure.supxlabel(parameters, fontsize=8, x=0.012, ha="left", color=palette.QUIET, parse_math=False)
+    return figure
+
+
+def plot_comparison(runs: Mapping[str, Trajectory]) -> Figure:
+    """Show several runs towards one target in one figure: postures, posture errors, active points.
+
+    Args:
+        runs: the runs by the names that they are to have in the figure.
+
+    Returns:
+        A figure, 1200 pixels wide, as `plot` gives it.
+
+    Raises:
+        InvalidValue: no run at all, or runs of different arms or targets.
+    """
+    _require_same_target(runs)
+    colors = palette.distinct_colors(run.controller for run in runs.values())
+    figure, postures, (errors, counts) = _lay_out(next(iter(runs.values())), 2)
+    draw_runs(
+        [(run, label, color) for (label, run), color in zip(runs.items(), colors, strict=True)], postures
+    )
+    for (label, run), color in zip(runs.items(), colors, strict=True):
+        plot_posture_error(run, errors, color, label)
+        steps = np.arange(1, run.steps + 1)
+        marker = "o" if run.steps == 1 else ""
+        counts.plot(steps, run.active.sum(axis=1), color=color, lw=1.6, drawstyle="steps-mid", marker=marker)
+    dress_steps(counts, "active control points")
+    scale_counts(counts, max(run.arm.n_modules for run in runs.values()))
+    _share_steps([errors, counts])
+    _title(figure, [f"{label} {ending(run)}: {run.reason}" for label, run in runs.items()])
+    return figure
+
+
+def _lay_out(run: Trajectory, rows: int) -> tuple[Figure, Axes, list[Axes]]:
+    figure = Figure(
+        figsize=(WIDTH, HEIGHT), layout=ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.09, wspace=0.04)
+    )
+    grid = figure.add_gridspec(rows, 2, width_ratios=(1.1, 1.0))
+    postures = figure.add_subplot(grid[:, 0], projection="3d" if run.arm.dimension == 3 else None)
+    return figure, postures, [figure.add_subplot(grid[row, 1]) for row in range(rows)]
+
+
+def _share_steps(panels: list[Axes]) -> None:
+    for panel in panels[:-1]:
+        panel.set_xlabel("")
+        panel.tick_params(labelbottom=False)
+
+
+def _title(figure: Figure, sentences: list[str]) -> None:
+    text = "\n".join(textwrap.fill(sentence, 145) for sentence in sentences)
+    figure.suptitle(text, fontsize=10, x=0.012, ha="left", color=palette.INK, parse_math=False)
+
+
+def _require_same_target(runs: Mapping[str, Trajectory]) -> None:
+    if not runs:
+        raise InvalidValue("runs", dict(runs), "at least one run")
+    first_label, first = next(iter(runs.items()))
+    for label, run in runs.items():
+        same = run.target.points.shape == first.target.points.shape
+        if not (same and np.allclose(run.target.points, first.target.points, rtol=0.0, atol=1e-9)):
+            raise InvalidValue("runs", label, f"runs towards the same target as {first_label!r}")

@@ -1,0 +1,179 @@
+"""The posture panel: where the arm started, where it should be, where it ended."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from pinposture.arm import Arm
+from pinposture.errors import InvalidValue
+from pinposture.motion import Trajectory
+from pinposture.target import Target
+from pinposture.view import palette
+from pinposture.view.body import backbone
+from pinposture.view.framing import frame_points
+from pinposture.view.outline import outline
+
+Array = NDArray[np.float64]
+
+FILL = 0.78
+"""Share of three-dimensional axes that the plot takes; the rest is for its scales."""
+
+
+class PosturePanel:
+    """Draws postures and targets into one axes: in space, or for a planar arm in its plane.
+
+    Args:
+        arm: whose postures these are.
+        ax: axes with projection "3d"; for a planar arm also plain ones.
+
+    Raises:
+        InvalidValue: plain axes for an arm that moves in space.
+    """
+
+    def __init__(self, arm: Arm, ax: Axes) -> None:
+        self.arm, self.ax = arm, ax
+        self.spatial = ax.name == "3d"
+        if not self.spatial and arm.dimension == 3:
+            allowed = 'axes made with projection="3d", for an arm that moves in space'
+            raise InvalidValue("ax (projection)", ax.name, allowed)
+        # Seen from the other side if that makes the axes of the picture point the way the world's do.
+        signs = np.sign(arm.plane[np.arange(arm.dimension), np.abs(arm.plane).argmax(axis=1)])
+        self._plane = arm.plane * signs[:, None]
+        self._drawn: list[Array] = []
+
+    def coordinates(self, points: Array) -> tuple[Array, ...]:
+        """Points (n, 3) [m] of the world as the coordinates of the axes, each (n,) [m]."""
+        return tuple(points.T) if self.spatial else tuple(self._plane @ points.T)
+
+    def line(self, points: Array, **style: Any) -> None:
+        """Draw a line through points (n, 3) [m], world frame."""
+        self._drawn.append(points)
+        self.ax.plot(*self.coordinates(points), **style)
+
+    def posture(self, q: Array, color: str, label: str, width: float) -> None:
+        """Draw the arm at a configuration (nq,): its bodies, and its control points as dots."""
+        points = self.arm.at(q).points
+        # Thin lines go on top of thick ones, so that postures that coincide are both seen.
+        self.line(backbone(self.arm, q), color=color, lw=width, solid_capstyle="round", zorder=6 - width / 4)
+        dots: dict[str, Any] = {"marker": "o", "ms": 2.2 + 0.8 * width, "mec": "white", "mew": 0.4}
+        self.line(points, color=color, ls="none", zorder=6.01 - width / 4, **dots)
+        self.ax.plot([], [], color=color, lw=width, label=label, **dots)
+
+    def target(self, target: Target) -> None:
+        """Draw the target curve, or without one the target posture, and the target points.
+
+        The part of the curve beyond the last target point is drawn faintly; free points are left out.
+        """
+        placed = target.placed
+        lines = outline(self.arm, target)
+        if len(lines.rest):
+            self.line(lines.rest, color=palette.REST, lw=0.9, ls=(0, (4, 2)), zorder=2)
+        style: dict[str, Any] = {"color": palette.TARGET, "zorder": 3, "solid_capstyle": "round"}
+        if len(lines.covered):
+            label = "target posture" if target.curve is None else "target curve"
+            self.line(lines.covered, lw=1.4, label=label, **style)
+        else:
+            joined = np.vstack([self.arm.chain.base, np.where(placed[:, None], target.points, np.nan)])
+            self.ax.plot(*self.coordinates(joined), lw=1.0, ls=(0, (1, 1.5)), **style)
+        rings = {"ls": "none", "marker": "o", "ms": 4.6, "mfc": "white", "mec": palette.TARGET, "mew": 0.8}
+        self.line(target.points[placed], label="target points", zorder=3, **rings)
+
+    def finish(self) -> None:
+        """Set the view, the equal scales and the labels to fit what was drawn."""
+        base = self.arm.chain.base[None]
+        marks = {"ls": "none", "marker": "s", "ms": 6.5, "color": palette.BASE, "label": "base"}
+        self.line(base, zorder=6, **marks)
+        points = np.vstack(self._drawn)
+        if self.spatial:
+            _frame_space(self.ax, points)
+        else:
+            self._frame_plane()
+
+    def _frame_plane(self) -> None:
+        self.ax.set_aspect("equal", adjustable="datalim")
+        self.ax.margins(0.06)
+        names = ("along the arm [m]", "across the arm [m]")
+        labels = []
+        for name, direction in zip(names, self._plane, strict=True):
+            main = int(np.abs(direction).argmax())
+            labels.append(f"{'xyz'[main]} [m]" if direction[main] > 1.0 - 1e-9 else name)
+        self.ax.set_xlabel(labels[0], fontsize=9)
+        self.ax.set_ylabel(labels[1], fontsize=9)
+        self.ax.tick_params(labelsize=8)
+        self.ax.spines[["top", "right"]].set_visible(False)
+        self.ax.grid(color=palette.FAINT, lw=0.6)
+        self.ax.set_axisbelow(True)
+
+
+def plot_postures(run: Trajectory, ax: Axes) -> None:
+    """Draw the postures at the start and the end of a run, and the target.
+
+    Args:
+        run: the run.
+        ax: axes with projection "3d"; for a planar arm also plain ones.
+
+    Raises:
+        InvalidValue: plain axes for an arm that moves in space.
+    """
+    draw_runs([(run, "final posture", palette.controller_color(run.controller))], ax)
+
+
+def draw_runs(runs: Sequence[tuple[Trajectory, str, str]], ax: Axes) -> None:
+    """Draw several runs of one arm towards one target; each distinct start is drawn once.
+
+    Args:
+        runs: run, label and colour of each.
+        ax: as for `plot_postures`.
+    """
+    first = runs[0][0]
+    panel = PosturePanel(first.arm, ax)
+    panel.target(first.target)
+    starts: list[Array] = []
+    for run, _, _ in runs:
+        if not any(np.array_equal(run.q[0], start) for start in starts):
+            panel.posture(run.q[0], palette.START, "initial posture" if not starts else "_", width=1.2)
+            starts.append(run.q[0])
+    for i, (run, label, color) in enumerate(runs):
+        panel.posture(run.q[-1], color, label, width=2.2 + 1.2 * (len(runs) - 1 - i))
+    panel.finish()
+    ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=9, frameon=False, ncols=3)
+
+
+def _frame_space(ax: Any, points: Array) -> None:
+    framing = frame_points(points)
+    low, high = points.min(axis=0), points.max(axis=0)
+    # An axis along which nothing happens still needs some room for its ticks.
+    half = np.maximum((high - low) / 2.0, 0.2 * framing.radius) * 1.04
+    middle = (low + high) / 2.0
+    for name, center, size in zip("xyz", middle, half, strict=True):
+        getattr(ax, f"set_{name}lim")(center - size, center + size)
+        axis = getattr(ax, f"{name}axis")
+        locator = MaxNLocator(max(2, round(7 * size / half.max())), steps=[1, 2, 5, 10])
+        places = locator.tick_values(center - size, center + size)
+        # At the corners the scales of two axes would meet.
+        axis.set_ticks(places[np.abs(places - center) < 0.9 * size])
+        axis.pane.set(facecolor="none", edgecolor=palette.FAINT)
+        axis._axinfo["grid"].update(color=palette.FAINT, linewidth=0.6)  # there is no public way
+        axis.set_tick_params(labelsize=8, pad=0)
+        axis.set_label_text(f"{name} [m]", fontsize=9)
+        # A label is shifted by this many shares of the other two scales, which may be short.
+        slender = float(half.max() / np.delete(half, "xyz".index(name)).max())
+        axis.labelpad = 0.0 if name == "z" else 12.0 * slender
+    ax.set_proj_type("ortho")
+    ax.view_init(elev=np.degrees(framing.elevation), azim=np.degrees(framing.azimuth))
+    ax.set_box_aspect(tuple(half))  # a copy: it scales an array in place
+    ax.set_box_aspect(tuple(half), zoom=FILL / _extent(ax, middle, half))
+
+
+def _extent(ax: Any, middle: Array, half: Array) -> float:
+    """Share of the width or height of the axes, whichever is more, that the box of the plot takes."""
+    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+    corners = np.hstack([middle + signs * half, np.ones((8, 1))]) @ ax.get_proj().T
+    flat = ax.transLimits.transform(corners[:, :2] / corners[:, 3:])
+    return float(np.ptp(flat, axis=0).max())

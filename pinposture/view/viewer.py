@@ -1,0 +1,87 @@
+"""One call to see an arm, whatever draws it."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from typing import Protocol
+
+from numpy.typing import ArrayLike
+
+from pinposture.arm import Arm
+from pinposture.errors import UnknownName
+from pinposture.motion import Trajectory
+from pinposture.target import Target
+from pinposture.view.meshcat import MeshcatViewer
+
+logger = logging.getLogger(__name__)
+
+
+class Viewer(Protocol):
+    """An arm on the screen."""
+
+    @property
+    def url(self) -> str:
+        """What to open in a browser."""
+
+    def open(self) -> None:
+        """Open a browser on this computer."""
+
+    def show(self, q: ArrayLike) -> None:
+        """Show the arm at a configuration, (nq,) [rad or m]."""
+
+    def play(self) -> None:
+        """Play the run from its start, over and over."""
+
+    def close(self) -> None:
+        """End the viewer."""
+
+
+VIEWERS: dict[str, Callable[[Arm, Trajectory | None, Target | None, float, str | None], Viewer]] = {
+    "meshcat": MeshcatViewer
+}
+"""What can draw an arm, by name."""
+
+
+def view(
+    arm: Arm,
+    run: Trajectory | None = None,
+    target: Target | None = None,
+    viewer: str = "meshcat",
+    open_browser: bool = False,
+    fps: float = 20.0,
+    url: str | None = None,
+) -> Viewer:
+    """Show an arm in the browser: at its neutral configuration, or playing a run.
+
+    The arm is drawn from its kinematics, without meshes, in two shades that take turns from module to
+    module. Control points that are active are coloured and large.
+
+    Args:
+        arm: the arm.
+        run: a run to play, over and over; None to show the arm at rest.
+        target: the target to show; that of the run, if there is one, if None.
+        viewer: what draws it: "meshcat".
+        open_browser: whether to open a browser on this computer. Without, open the viewer's `url`.
+        fps: steps of the run shown per second; fewer if it is so short that it would last under 2 s.
+        url: where a server that runs already listens for commands, as in "tcp://127.0.0.1:6000"; None to
+            start one that only this machine can reach.
+
+    Returns:
+        The viewer: `show(q)` shows a configuration, `play()` plays the run again, `close()` ends it. It
+        lives until it is closed or Python ends.
+
+    Raises:
+        UnknownName: no viewer has that name.
+        InvalidValue: a run or target of another arm, or `fps`.
+        ViewerError: the server cannot be started or reached.
+    """
+    if viewer not in VIEWERS:
+        raise UnknownName("viewer", viewer, VIEWERS)
+    if target is None and run is not None:
+        target = run.target
+    shown = VIEWERS[viewer](arm, run, target, fps, url)
+    logger.info("%s viewer at %s", viewer, shown.url)
+    if open_browser:
+        shown.open()
+    return shown
