@@ -100,7 +100,7 @@ def _verdict(recorder: Recorder, tolerance: float, max_steps: int) -> tuple[str,
     if mean <= tolerance:
         return "converged", f"mean point error {mean:.3g} m is within the tolerance of {tolerance:.3g} m"
     if recorder.steps >= max_steps:
-        return "max_steps", f"mean point error {mean:.3g} m after {max_steps} steps"
+        return "max_steps", f"mean point error {mean:.3g} m, above the tolerance of {tolerance:.3g} m"
     stuck = recorder.steps_without_progress(PROGRESS)
     if stuck >= PATIENCE:
         return "stalled", f"mean point error {mean:.3g} m, no progress in the last {stuck} steps"
