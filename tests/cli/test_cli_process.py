@@ -65,6 +65,11 @@ def test_a_bug_shows_its_traceback_without_dumping_variables(arm_file):
     assert "locals" not in result.stderr
 
 
+def heed_interrupts() -> None:
+    """For a child: processes started in the background of a script inherit that Ctrl-C is ignored."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @posix
 @pytest.mark.parametrize("arguments", [("inspect", "ARM"), ("generate", "RyRz", "-n", 300)])
 def test_a_reader_that_goes_away_is_no_news(arm_file, arguments):
@@ -88,6 +93,7 @@ def test_progress_shows_on_a_terminal_and_ctrl_c_ends_it_quietly(tmp_path, comma
         env=environment(TERM="xterm", COLUMNS="80"),
         stdout=subprocess.PIPE,
         stderr=theirs,
+        preexec_fn=heed_interrupts,
     )
     os.close(theirs)
     shown = b""
@@ -120,6 +126,7 @@ def test_ctrl_c_closes_the_viewer_and_leaves_no_process_behind(run_directory):
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        preexec_fn=heed_interrupts,
     )
     address = child.stdout.readline()
     assert address.startswith("http://")
