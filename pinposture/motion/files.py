@@ -53,6 +53,7 @@ def save_trajectory(run: Trajectory, path: Path) -> Path:
         "version": VERSION,
         "arm": run.arm.to_dict(),
         "curve": None if run.target.curve is None else run.target.curve.to_dict(),
+        "method": run.target.method,
         "incomplete": run.target.incomplete,
         "controller": run.controller,
         "dt": run.limits.dt,
@@ -86,7 +87,7 @@ def load_trajectory(path: Path) -> Trajectory:
         }
         return Trajectory(
             arm=Arm.from_dict(about["arm"]),
-            target=Target(**target, curve=curve, incomplete=about["incomplete"]),
+            target=Target(**target, curve=curve, method=about["method"], incomplete=about["incomplete"]),
             limits=Limits(**limits, dt=about["dt"], position_margin=about["position_margin"]),
             controller=about["controller"],
             status=about["status"],

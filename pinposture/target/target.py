@@ -25,6 +25,7 @@ class Target:
         curve: the curve as placed in the world, or None.
         parameters: arc length along the curve at each point, (m,) [m], or None.
         residual: distance of each point from the curve, (m,) [m], or None.
+        method: how the points were found on the curve: "sequential", "smooth" or "closest"; or empty.
         incomplete: why some control points have no place on the curve; empty if all have one. Those
             have weight 0, and their `points` continue straight on from the last that was placed.
     """
@@ -35,6 +36,7 @@ class Target:
     curve: Curve | None = None
     parameters: Array | None = None
     residual: Array | None = None
+    method: str = ""
     incomplete: str = ""
 
     def __post_init__(self) -> None:

@@ -101,11 +101,15 @@ def test_mixed_arms_resolve_through_the_same_walk() -> None:
     assert_consistent(arm, pp.resolve_targets(arm, curve), 1e-5)
 
 
-def test_a_module_longer_before_its_second_hinge_zigzags_and_says_so() -> None:
+def test_a_module_longer_before_its_second_hinge_zigzags_and_is_placed_smoothly() -> None:
     # Sequential placement multiplies a misalignment by -l1 / l2 from module to module.
     arm = pp.Arm.from_template("RyRz", 20, (0.03, 0.02))
     with pytest.raises(CurveBendsTooMuch, match="cannot turn"):
-        pp.resolve_targets(arm, HELIX)
+        pp.resolve_targets(arm, HELIX, method="sequential")
+    target = pp.resolve_targets(arm, HELIX)
+    assert target.method == "smooth"
+    assert_consistent(arm, target, 1e-3)
+    assert np.abs(target.q).max() < 0.9
 
 
 def test_placements_mean_what_they_say() -> None:
@@ -125,7 +129,7 @@ def test_placements_mean_what_they_say() -> None:
 
 def test_a_curve_that_passes_near_the_base_is_joined_on_the_way() -> None:
     curve = pp.Curve.line((-0.5, 0.01, 0.0), (1.2, 0.01, 0.0))
-    target = pp.resolve_targets(ARM, curve, placement="as_is")
+    target = pp.resolve_targets(ARM, curve, placement="as_is", method="sequential")
     np.testing.assert_allclose(target.points[:, 1], 0.01, atol=1e-9)
     assert 0.5 < target.parameters[0] < 0.56
 
@@ -137,7 +141,7 @@ def test_curves_that_do_not_fit_are_named() -> None:
     assert early.value.parameter == pytest.approx(0.3)
     sideways = pp.Curve.line((0, 0, 0), (0.0, 1.5, 0.0))
     with pytest.raises(CurveLeavesTooSharply, match="90 degrees off its axis"):
-        pp.resolve_targets(ARM, sideways, placement="as_is")
+        pp.resolve_targets(ARM, sideways, placement="as_is", method="sequential")
     limited = pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.3, 0.3)] * 20)
     with pytest.raises(CurveBendsTooMuch, match="joint limits"):
         pp.resolve_targets(limited, HELIX)
@@ -164,10 +168,12 @@ def test_every_failure_is_a_target_error_and_never_nan() -> None:
         curve = pp.Curve.spline(np.vstack([np.zeros(3), rng.uniform(-0.5, 0.5, (6, 3))]))
         for placement in ("as_is", "align"):
             try:
-                target = pp.resolve_targets(arm, curve, placement=placement)
+                target = pp.resolve_targets(arm, curve, placement=placement, method="sequential")
             except TargetError:
                 failures += 1
-                target = pp.resolve_targets(arm, curve, placement=placement, incomplete="partial")
+                target = pp.resolve_targets(
+                    arm, curve, placement=placement, incomplete="partial", method="sequential"
+                )
             assert np.all(np.isfinite(target.points))
             assert np.all(np.isfinite(target.q))
             assert np.all(target.residual[target.placed] < 1e-4)
@@ -177,13 +183,14 @@ def test_every_failure_is_a_target_error_and_never_nan() -> None:
 def test_modules_without_a_solver_are_named() -> None:
     roll = pp.ModuleTemplate("RxRy", (pp.JointSpec("x"), pp.JointSpec("y")), (0.02, 0.03))
     with pytest.raises(UnsupportedModule, match=r"module 2 .*not across the module"):
-        pp.resolve_targets(pp.Arm.from_modules([pp.template("RyRz"), roll]), LINE)
+        pp.resolve_targets(pp.Arm.from_modules([pp.template("RyRz"), roll]), LINE, method="sequential")
 
 
 @pytest.mark.parametrize(
     ("arguments", "kind", "message"),
     [
         ({"placement": "centre"}, UnknownName, "'centre'.*as_is"),
+        ({"method": "newton"}, UnknownName, "closest"),
         ({"incomplete": "ignore"}, UnknownName, "partial"),
         ({"samples": 1}, InvalidValue, "at least 2"),
         ({"roll": float("nan")}, InvalidValue, "finite angle"),

@@ -1,0 +1,191 @@
+"""Placing all modules at once: the least-squares fit of an arm to a curve.
+
+Unknown are the joint positions and the arc length at which each control point belongs; the distances
+between them are minimised together, within the joint limits, with arc lengths that increase. Least
+squares alone would not know which way round to turn: the fit therefore begins with the straight arm on a
+straight curve, and bends both together into the shape.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from pinposture.arm import Arm
+from pinposture.curve import Curve
+
+Array = NDArray[np.float64]
+
+TURN = 2.0
+"""How far the tip of the curve may turn from one stage of bending to the next [rad]."""
+
+SAMPLES_PER_MODULE = 12
+"""How finely the curve is sampled on the way; the last stage uses the curve itself."""
+
+SHORTEST, LONGEST = 0.05, 3.0
+"""Bounds of the arc length between neighbouring control points, relative to the module's length."""
+
+
+class Fit(NamedTuple):
+    """An arm fitted to a curve.
+
+    Attributes:
+        positions: joint positions, (nv,) [rad or m].
+        parameters: arc length of each control point, (m,) [m]; beyond the curve's length where it ends early.
+    """
+
+    positions: Array
+    parameters: Array
+
+
+class Samples:
+    """A curve as samples, for the stages on the way.
+
+    Attributes:
+        s: arc lengths, (n,) [m].
+        points: places, (n, 3) [m].
+        tangents: unit tangents, (n, 3).
+    """
+
+    def __init__(self, s: Array, points: Array, tangents: Array) -> None:
+        self.s, self.points, self.tangents = s, points, tangents
+
+    @property
+    def length(self) -> float:
+        """Where the samples end [m]."""
+        return float(self.s[-1])
+
+    def at(self, s: Array) -> Array:
+        """Places (m, 3) [m] at the arc lengths s, (m,)."""
+        return np.column_stack([np.interp(s, self.s, axis) for axis in self.points.T])
+
+    def tangent(self, s: Array) -> Array:
+        """Tangents (m, 3) at the arc lengths s, (m,)."""
+        return np.column_stack([np.interp(s, self.s, axis) for axis in self.tangents.T])
+
+
+def fit_curve(arm: Arm, curve: Curve, start: float, bending: float) -> Fit:
+    """Fit an arm to a curve in the world.
+
+    Args:
+        arm: the arm.
+        curve: the curve, placed.
+        start: arc length at which the base of the arm belongs [m].
+        bending: weight of the joint positions, counted from the straight arm, against the distances, above
+            0 [m/rad].
+    """
+    # As much of the curve as the arm can cover, and a little more.
+    end = min(curve.length, start + 1.2 * arm.length)
+    s = np.linspace(start, end, SAMPLES_PER_MODULE * arm.n_modules + 1)
+    tangents = curve.tangent(s)
+    turns = _turns(tangents)
+    stages = int(np.ceil(float(np.linalg.norm(turns, axis=1).sum()) / TURN))
+    problem = _Problem(arm, start, bending)
+    unknowns = problem.first_guess()
+    for share in np.arange(stages) / max(stages, 1):
+        bent = _bent(s, curve.at(float(start)), tangents[0], share * turns)
+        unknowns = problem.solve(bent, unknowns, evaluations=4)
+    return Fit(*problem.split(problem.solve(curve, unknowns, evaluations=60)))
+
+
+def _turns(tangents: Array) -> Array:
+    """Rotation vectors (n - 1, 3) from each tangent to the next, in the frame carried along the curve."""
+    across = np.cross(tangents[:-1], tangents[1:])
+    sine = np.linalg.norm(across, axis=1)
+    angle = np.arctan2(sine, np.einsum("ij,ij->i", tangents[:-1], tangents[1:]))
+    turns = across * (angle / np.maximum(sine, 1e-300))[:, None]
+    frame, carried = np.eye(3), np.empty(turns.shape)
+    for i, matrix in enumerate(Rotation.from_rotvec(turns).as_matrix()):
+        carried[i] = turns[i] @ frame
+        frame = matrix @ frame
+    return carried
+
+
+def _bent(s: Array, origin: Array, tangent: Array, turns: Array) -> Samples:
+    """The curve from `origin` that sets out along `tangent` and turns by `turns` from sample to sample."""
+    tangents = np.empty((len(s), 3))
+    tangents[0], frame = tangent, np.eye(3)
+    for i, matrix in enumerate(Rotation.from_rotvec(turns).as_matrix(), start=1):
+        frame = frame @ matrix
+        tangents[i] = frame @ tangent
+    steps = np.diff(s)[:, None] * (tangents[:-1] + tangents[1:]) / 2.0
+    return Samples(s, origin + np.vstack([np.zeros(3), np.cumsum(steps, axis=0)]), tangents)
+
+
+class _Problem:
+    """Distances of the control points from their places, as a function of joint positions and arc lengths.
+
+    The unknowns are the positions of the joints (n,) and the arc lengths between neighbouring control points
+    (m,). Inside, every length is in arm lengths, so that arms of any size are alike.
+    """
+
+    def __init__(self, arm: Arm, start: float, bending: float) -> None:
+        self._arm, self._start, self._bending = arm, start, bending / arm.length
+        self._joints = len(arm.columns)
+        sliding = np.where(arm.chain.revolute, 1.0, arm.length)
+        self._units = np.concatenate([sliding, np.full(arm.n_modules, arm.length)])
+        lengths = arm.chain.module_lengths
+        # A module may have no length of its own, or gain some by sliding.
+        longest = LONGEST * np.maximum(lengths, lengths.mean())
+        straight = arm.positions(arm.straight())[arm.columns]
+        lower, upper = arm.limits.lower[arm.columns], arm.limits.upper[arm.columns]
+        self._lower = np.concatenate([lower, SHORTEST * lengths]) / self._units
+        self._upper = np.concatenate([upper, longest]) / self._units
+        self._straight = np.clip(np.concatenate([straight, lengths]) / self._units, self._lower, self._upper)
+
+    def first_guess(self) -> Array:
+        """The straight arm on a straight curve, in units of our own."""
+        return np.asarray(self._straight)
+
+    def split(self, unknowns: Array) -> tuple[Array, Array]:
+        """Joint positions (nv,) [rad or m] and arc lengths of the control points (m,) [m]."""
+        values = unknowns * self._units
+        positions = np.zeros(self._arm.nv)
+        positions[self._arm.columns] = values[: self._joints]
+        return positions, self._start + np.cumsum(values[self._joints :])
+
+    def solve(self, curve: Samples | Curve, guess: Array, evaluations: int) -> Array:
+        """Minimise from a guess, at most so many evaluations."""
+        last: dict[bytes, tuple[Array, Array]] = {}
+
+        def once(unknowns: Array) -> tuple[Array, Array]:
+            # The solver asks for the residual and the Jacobian of the same place one after the other.
+            key = unknowns.tobytes()
+            if key not in last:
+                last.clear()
+                last[key] = self._evaluate(curve, unknowns)
+            return last[key]
+
+        solution = least_squares(
+            lambda x: once(x)[0],
+            guess,
+            jac=lambda x: once(x)[1],
+            bounds=(self._lower, self._upper),
+            ftol=1e-15,
+            xtol=1e-12,
+            gtol=1e-15,
+            max_nfev=evaluations,
+        )
+        return np.asarray(np.clip(solution.x, self._lower, self._upper))
+
+    def _evaluate(self, curve: Samples | Curve, unknowns: Array) -> tuple[Array, Array]:
+        """Residuals (3 m + n,) and their Jacobian (3 m + n, n + m)."""
+        arm, n, m = self._arm, self._joints, self._arm.n_modules
+        positions, s = self.split(unknowns)
+        state = arm.at(arm.configuration(positions))
+        inside = np.clip(s, 0.0, curve.length)
+        tangents = curve.tangent(inside)
+        places = curve.at(inside) + (s - inside)[:, None] * tangents  # straight on beyond the end
+        jacobian = np.zeros((3 * m + n, n + m))
+        rows = jacobian[: 3 * m].reshape(m, 3, n + m)
+        rows[:, :, :n] = state.jacobians[:, :, arm.columns]
+        rows[:, :, n:] = -np.tril(np.ones((m, m)))[:, None, :] * tangents[:, :, None]
+        jacobian[: 3 * m] *= self._units / arm.length
+        jacobian[3 * m :, :n] = self._bending * np.eye(n)
+        distances = (state.points - places).ravel() / arm.length
+        bends = self._bending * (unknowns[:n] - self._straight[:n])
+        return np.concatenate([distances, bends]), jacobian
