@@ -55,5 +55,6 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     # Matplotlib and meshcat take longer to import than everything else together: only when asked for.
     if name in ("plot", "plot_comparison", "save_html", "view"):
-        return getattr(import_module("pinposture.view"), name)
+        drawing = import_module("pinposture.view")
+        return drawing if name == "view" else getattr(drawing, name)  # that package can be called
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

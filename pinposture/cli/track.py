@@ -70,7 +70,7 @@ def run(
     controller: Annotated[
         str,
         typer.Option(
-            metavar="NAME", help="What moves the arm: selection or projection.", rich_help_panel=MOTION
+            metavar="NAME", help="What moves the arm: selection, projection or joint.", rich_help_panel=MOTION
         ),
     ] = "selection",
     start: Annotated[

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from pinposture.control.baselines import JointInterpolation
 from pinposture.control.controller import Controller
 from pinposture.control.projection import Projection
 from pinposture.control.selection import Selection
 from pinposture.errors import UnknownName
 
-CONTROLLERS: dict[str, Callable[[], Controller]] = {"selection": Selection, "projection": Projection}
+CONTROLLERS: dict[str, Callable[[], Controller]] = {
+    "selection": Selection,
+    "projection": Projection,
+    "joint": JointInterpolation,
+}
 """Every controller with its default parameters, by the name that `track` and the command line take."""
 
 

@@ -10,13 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pinposture as pp
-from pinposture.control import CONTROLLERS, Step, controller_named
+from pinposture.control import Step, controller_named
 from pinposture.control.controller import task_errors
 from pinposture.errors import InvalidValue, UnknownName
 
 ARM = pp.Arm.from_template("RyRz", 8)
 PLANAR = pp.Arm.from_template("Rz", 12)
 FREE = pp.Limits(step=None)
+THESIS = ("selection", "projection")
 PLACEMENT = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -2.0, 0.7]))
 
 
@@ -116,7 +117,7 @@ def test_local_coupling_is_block_diagonal_and_full_is_block_triangular() -> None
         np.testing.assert_allclose(full[rows, rows], local[rows, rows], atol=1e-12)
 
 
-@pytest.mark.parametrize("name", sorted(CONTROLLERS))
+@pytest.mark.parametrize("name", THESIS)
 def test_every_posture_control_matrix_of_long_runs_has_full_row_rank(name: str) -> None:
     arm = pp.Arm.from_template("RyRz", 10)
     method = controller_named(name)
@@ -144,7 +145,7 @@ def test_singular_values_and_steps_do_not_depend_on_the_frame() -> None:
     for seed in range(10):
         q, goal = state_of(ARM, seed, 0.8).q, target_of(ARM, seed)
         moved = goal.points @ PLACEMENT.rotation.T + PLACEMENT.translation
-        for name in sorted(CONTROLLERS):
+        for name in THESIS:
             here = controller_named(name).step(ARM.at(q), goal)
             there = controller_named(name).step(turned.at(q), pp.Target.from_points(turned, moved))
             assert here.active == there.active
@@ -164,7 +165,7 @@ def test_selection_says_that_it_cannot_leave_the_straight_arm() -> None:
 
 @given(
     st.integers(0, 10**6),
-    st.sampled_from(sorted(CONTROLLERS)),
+    st.sampled_from(THESIS),
     st.sampled_from([0.0, 1e-7, 0.5, 3.1]),
     st.floats(1e-3, 0.5),
 )
@@ -197,6 +198,20 @@ def test_free_control_points_are_not_used() -> None:
     state = state_of(ARM, 5, 0.7)
     for method in (pp.Selection(), pp.Projection()):
         assert set(method.step(state, target).active) <= {3, 7}
+
+
+def test_joint_interpolation_goes_straight_and_exactly() -> None:
+    target = target_of(LIMITED, 4, 0.7)
+    start = state_of(LIMITED, 5, 0.7)
+    run = pp.track(LIMITED, target, start.q, "joint")
+    assert run.converged
+    assert run.steps == np.ceil(np.abs(target.q - start.q).max() / 0.1)
+    np.testing.assert_allclose(run.q[-1], target.q, atol=1e-12)
+    offsets = run.q - start.q
+    shares = offsets @ offsets[-1] / (offsets[-1] @ offsets[-1])
+    np.testing.assert_allclose(offsets, np.outer(shares, offsets[-1]), atol=1e-12)
+    with pytest.raises(InvalidValue, match=r"target\.q"):
+        pp.track(LIMITED, pp.Target.from_points(LIMITED, target.points), start.q, "joint")
 
 
 def test_limits_flag_what_they_did() -> None:

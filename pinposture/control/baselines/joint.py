@@ -1,0 +1,42 @@
+"""Straight through joint space to the configuration that takes the target posture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from pinposture.arm import ArmState
+from pinposture.control.controller import Diagnostics, Memory, Step
+from pinposture.control.limits import Limits
+from pinposture.errors import InvalidValue
+from pinposture.target import Target
+
+
+@dataclass(frozen=True)
+class JointInterpolation:
+    """Moves all joints at once towards the resolved configuration, on a straight line through joint space.
+
+    It gets there in few steps and exactly, and needs no Jacobian. What the control points do on the way is
+    nobody's concern: they sweep wide, and the posture error can grow before it falls.
+    """
+
+    name: str = "joint"
+
+    def step(
+        self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
+    ) -> Step:
+        """Compute one step; see `Controller.step`.
+
+        Raises:
+            InvalidValue: the target has no known configuration.
+        """
+        if target.q is None:
+            allowed = "a target with a known configuration, as `resolve_targets` returns it"
+            raise InvalidValue("target.q", None, allowed)
+        limits = Limits() if limits is None else limits
+        limited = limits.apply(state, np.array(pin.difference(state.arm.model, state.q, target.q)))
+        active = tuple(int(k) for k in np.flatnonzero(target.placed))
+        diagnostics = Diagnostics(0.0, 0.0, 0.0, 0, (), limited.scale, limited.clipped, "")
+        return Step(limited.dq, active, diagnostics, Memory(limited.dq))
