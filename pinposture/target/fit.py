@@ -23,6 +23,10 @@ Array = NDArray[np.float64]
 TURN = 2.0
 """How far the tip of the curve may turn from one stage of bending to the next [rad]."""
 
+RETRIES, NUDGE, EXACT = 4, 0.3, 1e-6
+"""How often another optimum is looked for, how far away [rad], and from what distance of the control points
+from the curve on (root mean square, in arm lengths)."""
+
 SAMPLES_PER_MODULE = 12
 """How finely the curve is sampled on the way; the last stage uses the curve itself."""
 
@@ -89,7 +93,13 @@ def fit_curve(arm: Arm, curve: Curve, start: float, bending: float) -> Fit:
     for share in np.arange(stages) / max(stages, 1):
         bent = _bent(s, curve.at(float(start)), tangents[0], share * turns)
         unknowns = problem.solve(bent, unknowns, evaluations=4)
-    return Fit(*problem.split(problem.solve(curve, unknowns, evaluations=60)))
+    best = problem.solve(curve, unknowns, evaluations=60)
+    # Off the curve it may be a local optimum: look around, always at the same places.
+    rng = np.random.default_rng(0)
+    for _ in range(RETRIES if problem.distance(curve, best) > EXACT else 0):
+        other = problem.solve(curve, problem.nudged(best, rng), evaluations=60)
+        best = min(best, other, key=lambda x: problem.distance(curve, x))
+    return Fit(*problem.split(best))
 
 
 def _turns(tangents: Array) -> Array:
@@ -140,6 +150,17 @@ class _Problem:
     def first_guess(self) -> Array:
         """The straight arm on a straight curve, in units of our own."""
         return np.asarray(self._straight)
+
+    def nudged(self, unknowns: Array, rng: np.random.Generator) -> Array:
+        """The same, with the joints moved a little at random."""
+        moved = unknowns.copy()
+        moved[: self._joints] += NUDGE * rng.normal(size=self._joints)
+        return np.asarray(np.clip(moved, self._lower, self._upper))
+
+    def distance(self, curve: Curve, unknowns: Array) -> float:
+        """Root mean square distance from the places on the curve, bending counted in, in arm lengths."""
+        residual, _ = self._evaluate(curve, unknowns)
+        return float(np.sqrt(residual @ residual / self._arm.n_modules))
 
     def split(self, unknowns: Array) -> tuple[Array, Array]:
         """Joint positions (nv,) [rad or m] and arc lengths of the control points (m,) [m]."""
