@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from pinposture.arm import Adequacy, Arm, ArmState, JointLimits, JointSpec, ModuleTemplate, template
 from pinposture.control import Controller, Limits, Projection, Selection, Step
 from pinposture.curve import Curve
-from pinposture.errors import PostureError
+from pinposture.errors import PostureError, PostureWarning
 from pinposture.motion import Trajectory, track
 from pinposture.target import Target, resolve_targets
 
@@ -37,6 +37,7 @@ __all__ = [
     "Limits",
     "ModuleTemplate",
     "PostureError",
+    "PostureWarning",
     "Projection",
     "Selection",
     "Step",

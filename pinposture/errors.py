@@ -23,6 +23,10 @@ class PostureError(Exception):
         return _rebuild, (type(self), self.args, self.__dict__)
 
 
+class PostureWarning(UserWarning):
+    """Something in the input that was settled in a way that the user may not expect."""
+
+
 class InvalidValue(PostureError, ValueError):
     """A value of the wrong shape, size, sign, or not finite.
 

@@ -129,7 +129,9 @@ def _largest_curvature(chain: Chain, module: int, lower: Array, upper: Array) ->
     """
     start = chain.base if module == 0 else chain.points[module - 1]
     span = chain.points[module] - start
-    along = span / np.linalg.norm(span)
+    if chain.module_lengths[module] <= 1e-12 * chain.length:
+        return 0.0  # its end is where it begins: it bends nothing
+    along = span / chain.module_lengths[module]
     reachable: dict[int, float] = {}
     for u in range(*chain.module_slices[module].indices(len(chain.joints))):
         across = chain.axes[u] - along * (along @ chain.axes[u])

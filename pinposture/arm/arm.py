@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -13,15 +14,17 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture.arm.adequacy import Adequacy, CurveShape, adequacy
-from pinposture.arm.chain import Chain, read_chain
+from pinposture.arm.chain import Chain, frame_id, read_chain
 from pinposture.arm.checks import finite_vector
 from pinposture.arm.limits import JointLimits, joint_limits
-from pinposture.arm.loading import load_model, place_base
+from pinposture.arm.loading import Modules, load_model, place_base
+from pinposture.arm.report import LoadReport
+from pinposture.arm.segmentation import Segmentation
 from pinposture.arm.state import ArmState, ControlFrames, sweep
 from pinposture.arm.stretch import farthest_stretch
 from pinposture.arm.template import ModuleTemplate, template
 from pinposture.arm.urdf import modules_to_urdf
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture.errors import InvalidValue, PostureWarning
 
 Array = NDArray[np.float64]
 
@@ -46,8 +49,13 @@ class Arm:
         base_placement: where the base link stands in the world.
         chain: the kinematic chain at the neutral configuration.
         urdf: the description it was loaded from, or None.
+        report: what was decided while it was loaded (base, tip, warnings, ...); None if it was not.
+        segmentation: how its joints are grouped into modules, and why.
         own_joints: 1 where a degree of freedom belongs to a module, else 0, (m, nv).
         frames: the control points as Pinocchio sees them.
+        sliding_unit: the slide that weighs as much as a turn of one radian, where both are compared [m]: the
+            mean module length, unless told otherwise by `with_sliding_unit`.
+        joint_units: the motion of each joint that counts as one, (nv,): one radian, or `sliding_unit` metres.
     """
 
     def __init__(
@@ -56,16 +64,20 @@ class Arm:
         control_points: Sequence[str],
         base_placement: pin.SE3 | None = None,
         urdf: str | None = None,
+        report: LoadReport | None = None,
+        sliding_unit: float | None = None,
     ) -> None:
         self.model = model
         self.control_points = tuple(control_points)
         self.base_placement = pin.SE3.Identity() if base_placement is None else base_placement
-        self.urdf = urdf
-        frames = [model.frames[self._frame_id(model, name)] for name in self.control_points]
+        self.urdf, self.report = urdf, report
+        frames = [model.frames[frame_id(model, name)] for name in self.control_points]
         if not frames:
             raise InvalidValue("control_points", list(control_points), "at least one frame name")
         self._scratch = _Scratch(model)
         self.chain: Chain = read_chain(model, self._scratch.data, self.control_points)
+        sizes = tuple(joints.stop - joints.start for joints in self.chain.module_slices)
+        self.segmentation = report.segmentation if report else Segmentation(sizes, "control points as given")
         self.own_joints = np.zeros((len(frames), model.nv))
         for own, joints in zip(self.own_joints, self.chain.module_slices, strict=True):
             own[self.chain.columns[joints]] = 1.0
@@ -77,11 +89,20 @@ class Arm:
             support=np.cumsum(self.own_joints, axis=0)[:, None, :],
         )
 
-    @staticmethod
-    def _frame_id(model: pin.Model, name: str) -> int:
-        if not model.existFrame(name):
-            raise UnknownName("frame", name, [frame.name for frame in model.frames][1:])
-        return int(model.getFrameId(name))
+        self.sliding_unit = float(self.chain.module_lengths.mean()) if sliding_unit is None else sliding_unit
+        self.joint_units = np.ones(model.nv)
+        self.joint_units[self.chain.columns[~self.chain.revolute]] = self.sliding_unit
+        self.joint_units.flags.writeable = False
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was settled while loading in a way that the user may not expect."""
+        return self.report.warnings if self.report else ()
+
+    @property
+    def package_dirs(self) -> tuple[str, ...]:
+        """Folders in which viewers look for meshes."""
+        return self.report.package_dirs if self.report else ()
 
     @classmethod
     def from_template(
@@ -140,8 +161,9 @@ class Arm:
         source: str | Path,
         base: str | None = None,
         tip: str | None = None,
-        modules: int | Sequence[int] | None = None,
+        modules: Modules = None,
         locked: Mapping[str, float] | None = None,
+        package_dirs: Sequence[str | Path] | None = None,
         base_placement: pin.SE3 | None = None,
     ) -> Arm:
         """Load an arm from a URDF file or from URDF text; meshes are not needed.
@@ -149,25 +171,32 @@ class Arm:
         Args:
             source: path of the file, or the XML text itself.
             base: link at which the arm begins; the root if None.
-            tip: link at which it ends; the end of the longest moving chain if None.
-            modules: joints per module: one number for all, or one for each module. If None, the smallest
-                modules that can follow a curve (`pinposture.arm.segmentation`).
+            tip: link at which it ends; if None, the last of the links in `modules`, or the end of the longest
+                moving chain (`pinposture.arm.default_tip`).
+            modules: joints per module: one number for all, or one for each module; or names of the links at
+                whose origins modules end. If None, the smallest modules that can follow any curve
+                (`pinposture.arm.segmentation`).
             locked: joints to hold still and their positions [rad or m]. Joints off the chain are locked
-                anyway, at the position nearest zero within their limits.
+                anyway, where the joint that they mimic puts them or at the position nearest zero within their
+                limits.
+            package_dirs: folders in which viewers look for meshes; loading needs none.
             base_placement: where the root link stands in the world; the origin if None.
 
         Returns:
-            The arm, with control points named "module_01", "module_02", ... at the ends of its modules.
+            The arm, with control points named "module_01", "module_02", ... at the ends of its modules. What
+            was settled in a way that may surprise is in `warnings`, and each is a `PostureWarning`.
 
         Raises:
             FileError: the file is missing or unreadable.
             URDFError: the description cannot be used; names the link or joint and the reason.
             UnknownName: `base`, `tip` or a locked joint does not exist.
-            InvalidValue: `modules` does not fit the number of joints.
+            InvalidValue: `modules` does not fit the chain, or a value that is none.
         """
         placement = pin.SE3.Identity() if base_placement is None else pin.SE3(base_placement)
-        loaded = load_model(source, base, tip, modules, dict(locked or {}), placement)
-        return cls(loaded.model, loaded.control_points, placement, loaded.text)
+        loaded = load_model(source, base, tip, modules, dict(locked or {}), placement, package_dirs)
+        for message in loaded.report.warnings:
+            warnings.warn(message, PostureWarning, stacklevel=2)
+        return cls(loaded.model, loaded.control_points, placement, loaded.text, loaded.report)
 
     @classmethod
     def from_model(
@@ -268,10 +297,26 @@ class Arm:
         """The configuration that stretches the arm farthest, (nq,); the neutral one for our templates."""
         return self.configuration(farthest_stretch(self))
 
+    @cached_property
+    def slides(self) -> NDArray[np.bool_]:
+        """True for a degree of freedom of the chain that slides, (nv,)."""
+        slides = np.zeros(self.nv, dtype=np.bool_)
+        slides[self.columns[~self.chain.revolute]] = True
+        return slides
+
+    @property
+    def units(self) -> Array:
+        """What counts as one for each degree of freedom, (nv,): a radian, or the arm's length [m]."""
+        return np.where(self.slides, self.length, 1.0)
+
     def random(self, rng: np.random.Generator) -> Array:
-        """A configuration drawn uniformly within the limits (+-pi where there is none), (nq,)."""
-        lower = np.where(np.isfinite(self.limits.lower), self.limits.lower, -np.pi)
-        upper = np.where(np.isfinite(self.limits.upper), self.limits.upper, np.pi)
+        """A configuration drawn uniformly within the limits, (nq,).
+
+        Where there is none, within +-pi, or within the arm's length either way if the joint slides.
+        """
+        free = np.where(self.slides, self.length, np.pi)
+        lower = np.where(np.isfinite(self.limits.lower), self.limits.lower, -free)
+        upper = np.where(np.isfinite(self.limits.upper), self.limits.upper, free)
         return self.configuration(rng.uniform(lower, upper))
 
     def configuration(self, positions: ArrayLike) -> Array:
@@ -299,9 +344,9 @@ class Arm:
         return np.array(pin.integrate(self.model, q, dq))
 
     def within_limits(self, q: ArrayLike, tolerance: float = 1e-9) -> bool:
-        """True if no joint of q is outside its limits by more than the tolerance [rad or m]."""
-        positions = self.positions(q)
-        low, high = self.limits.lower - tolerance, self.limits.upper + tolerance
+        """True if no joint of q is outside its limits by more than the tolerance [rad], or times `units`."""
+        positions, slack = self.positions(q), tolerance * self.units
+        low, high = self.limits.lower - slack, self.limits.upper + slack
         return bool(np.all((positions >= low) & (positions <= high)))
 
     def checked(self, q: ArrayLike, name: str = "q") -> Array:
@@ -337,11 +382,28 @@ class Arm:
         """
         return sweep(self, self._scratch.data, self.checked(q))
 
+    def with_sliding_unit(self, sliding_unit: float) -> Arm:
+        """The same arm, with another slide that weighs as much as a turn of one radian [m].
+
+        Manipulability conditions, the smallest joint motions that controllers look for, and singular values
+        compare motions of all joints; for slides and turns there is no natural scale between them.
+
+        Raises:
+            InvalidValue: not a finite length above 0.
+        """
+        if not (np.isfinite(sliding_unit) and sliding_unit > 0.0):
+            raise InvalidValue("sliding_unit", sliding_unit, "a finite length above 0 [m]")
+        return Arm(
+            self.model, self.control_points, self.base_placement, self.urdf, self.report, float(sliding_unit)
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """What is needed to build this arm again, as data that JSON can hold."""
         described: dict[str, Any] = {"control_points": list(self.control_points)}
         described["base_placement"] = np.asarray(self.base_placement.homogeneous).tolist()
         described["urdf"] = self.urdf
+        described["report"] = self.report.to_dict() if self.report else None
+        described["sliding_unit"] = self.sliding_unit
         described["model"] = self.model.saveToString()
         return described
 
@@ -351,10 +413,13 @@ class Arm:
         model = pin.Model()
         model.loadFromString(described["model"])
         placement = pin.SE3(np.array(described["base_placement"]))
-        return cls(model, described["control_points"], placement, described["urdf"])
+        report = LoadReport.from_dict(described["report"]) if described.get("report") else None
+        points, urdf, unit = (described[key] for key in ("control_points", "urdf", "sliding_unit"))
+        return cls(model, points, placement, urdf, report, unit)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Arm, (self.model, self.control_points, self.base_placement, self.urdf)
+        parts = (self.model, self.control_points, self.base_placement, self.urdf, self.report)
+        return Arm, (*parts, self.sliding_unit)
 
     def __repr__(self) -> str:
         kind = "planar" if self.dimension == 2 else "spatial"

@@ -14,7 +14,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pinposture.errors import InvalidValue
+from pinposture.arm.skeleton import JointLines, joint_lines, plane_normal
+from pinposture.errors import InvalidValue, UnknownName
 
 Array = NDArray[np.float64]
 
@@ -66,17 +67,13 @@ class Chain:
     @cached_property
     def plane(self) -> Array:
         """Orthonormal basis (2, 3) of the plane in which the arm moves, or (3, 3) if it is spatial."""
-        axes = self.axes[self.revolute]
-        if len(axes) == 0:
-            return np.eye(3)
-        normal = axes[0]
-        parallel = np.all(np.linalg.norm(np.cross(axes, normal), axis=1) < 1e-9)
-        flat = np.all(np.abs(self.axes[~self.revolute] @ normal) < 1e-9)
-        if not (parallel and flat):
+        lines = JointLines(self.axes, self.origins, self.revolute)
+        normal = plane_normal(lines, self.points[-1], self.length)
+        if normal is None:
             return np.eye(3)
         reach = self.points[-1] - self.base
         along = reach - normal * (normal @ reach)
-        if np.linalg.norm(along) < 1e-9 * max(self.length, 1e-300):
+        if np.linalg.norm(along) <= 1e-9 * self.length:
             along = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
         along = along / np.linalg.norm(along)
         return np.array([along, np.cross(normal, along)])
@@ -97,10 +94,8 @@ def read_chain(model: pin.Model, data: pin.Data, control_points: tuple[str, ...]
         InvalidValue: a control point that does not lie farther along the chain than the one before it,
             or a joint with several degrees of freedom.
     """
-    neutral = pin.neutral(model)
-    pin.computeJointJacobians(model, data, neutral)
-    pin.updateFramePlacements(model, data)
-    parents = [model.frames[model.getFrameId(name)].parentJoint for name in control_points]
+    ids = [frame_id(model, name) for name in control_points]
+    parents = [model.frames[index].parentJoint for index in ids]
     support = [int(j) for j in model.supports[parents[-1]] if j > 0]
     for j in support:
         if model.joints[j].nv != 1:
@@ -114,17 +109,28 @@ def read_chain(model: pin.Model, data: pin.Data, control_points: tuple[str, ...]
             raise InvalidValue(f"control point {name!r}", f"moved by {reached} joints of the chain", allowed)
         starts.append(count)
         count = reached
-    columns = np.array([model.joints[j].idx_v for j in support])
-    angular, linear = data.J[3:, columns].T, data.J[:3, columns].T
-    revolute = np.linalg.norm(angular, axis=1) > 0.5
-    origins = np.array([data.oMi[j].translation for j in support])
+    lines = joint_lines(model, data, support)
+    pin.updateFramePlacements(model, data)
     return Chain(
         joints=tuple(str(model.names[j]) for j in support),
-        columns=columns.astype(np.intp),
-        revolute=revolute,
-        axes=np.where(revolute[:, None], angular, linear),
-        origins=origins,
-        base=origins[0].copy(),
-        points=np.array([data.oMf[model.getFrameId(name)].translation for name in control_points]),
+        columns=np.array([model.joints[j].idx_v for j in support], dtype=np.intp),
+        revolute=lines.revolute,
+        axes=lines.axes,
+        origins=lines.origins,
+        base=lines.origins[0].copy(),
+        points=np.array([data.oMf[index].translation for index in ids]),
         module_starts=np.array(starts, dtype=np.intp),
     )
+
+
+def frame_id(model: pin.Model, name: str) -> int:
+    """Index of a frame; where a link and a joint have the same name, that of the link.
+
+    Raises:
+        UnknownName: there is no such frame.
+    """
+    found = [index for index, frame in enumerate(model.frames) if frame.name == name]
+    if not found:
+        raise UnknownName("frame", name, [frame.name for frame in model.frames][1:])
+    kinds = (pin.FrameType.OP_FRAME, pin.FrameType.BODY)
+    return next((index for index in found if model.frames[index].type in kinds), found[0])

@@ -13,6 +13,7 @@ from functools import cached_property
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
+from pinposture.arm.default_tip import default_tip
 from pinposture.arm.urdf_joint import JointDescription, read_joint
 from pinposture.arm.urdf_source import load_text, parse_xml, text_for_pinocchio
 from pinposture.errors import UnknownName, URDFError
@@ -59,7 +60,7 @@ class Description:
             URDFError: the tip is not below the base.
         """
         for link in (base, tip):
-            if link != self.root and link not in self._joint_before:
+            if not isinstance(link, str) or (link != self.root and link not in self._joint_before):
                 raise UnknownName("link", link, self.links)
         path: list[JointDescription] = []
         link = tip
@@ -73,25 +74,22 @@ class Description:
             link = path[-1].parent
         return tuple(reversed(path))
 
-    def longest_chain(self) -> tuple[str, str]:
-        """Where the chain with most moving joints begins and ends.
+    def longest_chain(self, base: str | None = None) -> tuple[str, str]:
+        """Where the chain with most moving joints begins and ends; see `default_tip`.
+
+        Args:
+            base: link at which it begins; the root if None.
 
         Returns:
-            The root and a link without children. If the same joints move several such links, the one behind
-            most fixed joints, and of those the first in the text.
+            That link and the one at the end.
 
         Raises:
+            UnknownName: there is no such link.
             URDFError: several chains with different joints have equally many; names their ends.
         """
-        inner = {joint.parent for joint in self.joints}
-        chains = {tip: self.chain(self.root, tip) for tip in self.links if tip not in inner}
-        moving = {tip: tuple(joint.name for joint in chain if joint.moves) for tip, chain in chains.items()}
-        most = max(map(len, moving.values()))
-        tips = [tip for tip, names in moving.items() if len(names) == most]
-        if len({moving[tip] for tip in tips}) > 1:
-            reason = f"are reached by different joints, {most} moving ones each; pass tip= to choose"
-            raise URDFError(self.source, f"links {_listed(tips)}", reason)
-        return self.root, max(tips, key=lambda tip: len(chains[tip]))
+        base = self.root if base is None else base
+        self.chain(base, base)
+        return base, default_tip(self, base)
 
 
 def read_description(source: str | Path) -> Description:

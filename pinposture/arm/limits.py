@@ -12,6 +12,9 @@ Array = NDArray[np.float64]
 
 UNLIMITED = 1e100
 
+UNLIMITED = 1e9
+"""A limit this large [rad, m, rad/s or m/s] is none: files write 1e16 or the largest float for it."""
+
 
 class JointLimits(NamedTuple):
     """Limits of the joints, one entry per degree of freedom; infinite where there is none.
@@ -28,16 +31,20 @@ class JointLimits(NamedTuple):
 
 
 def joint_limits(model: pin.Model) -> JointLimits:
-    """Read the limits of a model; continuous joints have none, a speed limit of zero means none."""
+    """Read the limits of a model; continuous joints have none, a speed limit of zero means none.
+
+    So do limits of `UNLIMITED` or more.
+    """
     lower, upper = np.full(model.nv, -np.inf), np.full(model.nv, np.inf)
     velocity = np.array(model.velocityLimit, dtype=np.float64)
-    for joint in model.joints:
+    for joint in list(model.joints)[1:]:  # the first one is the world, which claims entries of its own
         if joint.nq == joint.nv == 1:
             lower[joint.idx_v] = model.lowerPositionLimit[joint.idx_q]
             upper[joint.idx_v] = model.upperPositionLimit[joint.idx_q]
     # A model built by hand has the largest floats for limits it was never given.
     lower[lower < -UNLIMITED], upper[upper > UNLIMITED] = -np.inf, np.inf
-    velocity[velocity <= 0.0] = np.inf
+    lower[lower <= -UNLIMITED], upper[upper >= UNLIMITED] = -np.inf, np.inf
+    velocity[(velocity <= 0.0) | (velocity >= UNLIMITED)] = np.inf
     for array in (lower, upper, velocity):
         array.flags.writeable = False
     return JointLimits(lower, upper, velocity)

@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+import operator
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import pinocchio as pin
 
 from pinposture.arm.description import Description, JointDescription, read_description
-from pinposture.arm.segmentation import module_sizes
-from pinposture.errors import InvalidValue, UnknownName, URDFError
+from pinposture.arm.holding import checked_locks, hold, holding_warnings
+from pinposture.arm.report import LoadReport
+from pinposture.arm.segmentation import Segmentation, equal_modules, given_modules, segment
+from pinposture.arm.skeleton import Skeleton, joint_lines
+from pinposture.arm.stations import end_frames, modules_to_links
+from pinposture.arm.urdf_joint import CHAIN_JOINTS
+from pinposture.errors import InvalidValue, URDFError
 
-CHAIN_JOINTS = ("revolute", "prismatic", "continuous")
+Modules: TypeAlias = "int | Sequence[int] | Sequence[str] | None"
+"""How to cut the chain: joints per module, one number for all or one for each, or links where modules end."""
+
+LENGTHS = (1e-9, 1e9)
+"""Shortest and longest chain that is accepted [m]; the squares of others leave the range of numbers."""
 
 
 class LoadedModel(NamedTuple):
@@ -23,36 +34,59 @@ class LoadedModel(NamedTuple):
         model: the chain, base placement applied, with a frame at the end of each module.
         control_points: names of those frames, from base to tip.
         text: the URDF that was read.
+        report: what was decided on the way.
     """
 
     model: pin.Model
     control_points: tuple[str, ...]
     text: str
+    report: LoadReport
 
 
 def load_model(
     source: str | Path,
     base: str | None,
     tip: str | None,
-    modules: int | Sequence[int] | None,
+    modules: Modules,
     locked: Mapping[str, float],
     base_placement: pin.SE3,
+    package_dirs: Sequence[str | Path] | None = None,
 ) -> LoadedModel:
     """Load, check, reduce to the chain from base to tip, cut into modules. See `Arm.from_urdf`."""
     description = read_description(source)
+    links, sizes = _read_modules(modules)
+    if tip is None and links:
+        tip = links[-1]
     if base is None and tip is None:
         base, tip = description.longest_chain()
     elif tip is None:
         message = "base= alone does not say which chain; pass tip= as well"
         raise InvalidValue("tip", None, f"the link at which the arm ends ({message})")
     base = description.root if base is None else base
-    moving = _moving_joints(description, base, tip, locked)
-    model = pin.buildModelFromXML(description.text)
-    _open_absent_limits(model, description)
-    model = _hold_the_rest(model, [joint.name for joint in moving], locked)
+    locks = checked_locks(description, locked)
+    moving = _moving_joints(description, base, tip, locks)
+    names = [joint.name for joint in moving]
+    try:
+        model = pin.buildModelFromXML(description.text)
+    except (ValueError, RuntimeError) as error:
+        raise URDFError(description.source, "<robot>", f"is refused by Pinocchio: {error}") from None
+    model = hold(model, description, names, locks)
+    _set_limits(model, moving)
     place_base(model, base_placement)
-    names = _add_control_points(model, [joint.name for joint in moving], tip, modules)
-    return LoadedModel(model, names, description.text)
+    skeleton = _skeleton(model, moving, tip)
+    if not LENGTHS[0] <= skeleton.length <= LENGTHS[1]:
+        reason = f"is {skeleton.length:.3g} m long; allowed: {LENGTHS[0]:g} to {LENGTHS[1]:g} m"
+        if skeleton.length == 0.0:
+            reason = "has no length: all its joints and its tip are in one place"
+        raise URDFError(description.source, f"chain from {base!r} to {tip!r}", reason)
+    segmentation = modules_to_links(model, skeleton, links) if links else _segmentation(skeleton, sizes)
+    points = end_frames(model, names, tip, segmentation.sizes, links)
+    warnings = holding_warnings(description, base, tip, names, locks)
+    if segmentation.adequate is False:
+        warnings.append(segmentation.reason)
+    folders = _package_dirs(source, package_dirs)
+    report = LoadReport(base, tip, folders, tuple(warnings), segmentation)
+    return LoadedModel(model, points, description.text, report)
 
 
 def place_base(model: pin.Model, placement: pin.SE3) -> None:
@@ -65,84 +99,90 @@ def place_base(model: pin.Model, placement: pin.SE3) -> None:
             frame.placement = placement * frame.placement
 
 
+def _read_modules(modules: Modules) -> tuple[tuple[str, ...], int | tuple[int, ...] | None]:
+    """Links at which modules end, if any are given, and sizes of modules, if any are given."""
+    if modules is None:
+        return (), None
+    if isinstance(modules, str):
+        return (modules,), None
+    try:
+        listed = list(modules) if isinstance(modules, (Sequence, np.ndarray)) else None
+        if listed and all(isinstance(entry, str) for entry in listed):
+            return tuple(map(str, listed)), None
+        numbers: list[Any] = [modules] if listed is None else listed
+        if any(isinstance(number, (bool, np.bool_)) for number in numbers):
+            raise TypeError
+        whole = tuple(operator.index(number) for number in numbers)
+    except TypeError:
+        allowed = "a whole number, whole numbers, or names of links"
+        raise InvalidValue("modules", modules, allowed) from None
+    return (), whole[0] if listed is None else whole
+
+
 def _moving_joints(
     description: Description, base: str, tip: str, locked: Mapping[str, float]
 ) -> list[JointDescription]:
-    known = [joint.name for joint in description.joints if joint.type != "fixed"]
-    for name, value in locked.items():
-        if name not in known:
-            raise UnknownName("moving joint", name, known)
-        if not np.isfinite(value):
-            raise InvalidValue(f"locked[{name!r}]", value, "a finite joint position")
-    moving = []
-    for joint in description.chain(base, tip):
+    moving: list[JointDescription] = []
+    chain = description.chain(base, tip)
+    for joint in chain:
         element = f"joint {joint.name!r}"
-        if joint.type == "fixed" or joint.name in locked or joint.lower == joint.upper:
+        if joint.name in locked or not joint.moves:
             continue
         if joint.type not in CHAIN_JOINTS:
-            reason = (
-                f"type {joint.type!r} cannot be part of the chain; allowed: {', '.join(CHAIN_JOINTS)}, fixed"
-            )
+            if not moving:  # a base that floats: it stays where it is
+                continue
+            allowed = ", ".join(CHAIN_JOINTS)
+            reason = f"type {joint.type!r} cannot be part of the chain; allowed: {allowed}, fixed"
             raise URDFError(description.source, element, reason)
-        if joint.mimic:
-            reason = "mimics another joint, which a chain cannot follow; pass it in locked= or remove <mimic>"
+        if joint.follows is not None:
+            reason = (
+                f"mimics joint {joint.follows.joint!r}, which a chain cannot follow; pass it in locked= or "
+                "remove <mimic>"
+            )
             raise URDFError(description.source, element, reason)
         moving.append(joint)
     if not moving:
-        raise URDFError(description.source, f"chain from {base!r} to {tip!r}", "has no moving joint")
+        stuck = [joint.name for joint in chain if joint.type != "fixed" and not joint.moves]
+        why = f"; limits leave one position to: {', '.join(map(repr, stuck[:8]))}" if stuck else ""
+        raise URDFError(description.source, f"chain from {base!r} to {tip!r}", f"has no moving joint{why}")
     return moving
 
 
-def _open_absent_limits(model: pin.Model, description: Description) -> None:
+def _set_limits(model: pin.Model, moving: Sequence[JointDescription]) -> None:
     """Pinocchio reads a limit without lower and upper as (0, 0); it means that there is none."""
-    for joint in description.joints:
-        if joint.type in ("revolute", "prismatic") and np.isinf(joint.lower):
-            at = model.joints[model.getJointId(joint.name)].idx_q
-            model.lowerPositionLimit[at] = joint.lower
-            model.upperPositionLimit[at] = joint.upper
+    for joint in moving:
+        index = model.joints[model.getJointId(joint.name)]
+        if index.nq == 1:
+            model.lowerPositionLimit[index.idx_q] = joint.lower
+            model.upperPositionLimit[index.idx_q] = joint.upper
 
 
-def _hold_the_rest(model: pin.Model, moving: Sequence[str], locked: Mapping[str, float]) -> pin.Model:
-    """Lock every joint that is not listed, at its given position or the one nearest zero."""
-    reference = pin.neutral(model)
-    held = []
-    for index in range(1, model.njoints):
-        name, joint = model.names[index], model.joints[index]
-        if name in moving:
-            continue
-        held.append(index)
-        if joint.nq == 1:
-            lower, upper = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
-            reference[joint.idx_q] = locked.get(name, min(max(0.0, lower), upper))
-        elif joint.nv == 1:
-            angle = locked.get(name, 0.0)
-            reference[joint.idx_q : joint.idx_q + 2] = np.cos(angle), np.sin(angle)
-    return pin.buildReducedModel(model, held, reference) if held else model
-
-
-def _add_control_points(
-    model: pin.Model, moving: Sequence[str], tip: str, modules: int | Sequence[int] | None
-) -> tuple[str, ...]:
-    """Add a frame where each module ends: where the next one's first joint sits, or at the tip."""
+def _skeleton(model: pin.Model, moving: Sequence[JointDescription], tip: str) -> Skeleton:
     data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    ids = [model.getJointId(name) for name in moving]
-    columns = [model.joints[index].idx_v for index in ids]
-    angular, linear = data.J[3:, columns].T, data.J[:3, columns].T
-    revolute = np.linalg.norm(angular, axis=1) > 0.5
-    axes = np.where(revolute[:, None], angular, linear)
-    ends = np.cumsum(module_sizes(axes, revolute, modules))
-    names = tuple(f"module_{k:02d}" for k in range(1, len(ends) + 1))
-    for name, end in zip(names, ends, strict=True):
-        if model.existFrame(name):
-            taken = [frame.name for frame in model.frames]
-            raise InvalidValue(
-                "link or joint name", name, f"any but the control points' own; taken: {taken[:5]}"
-            )
-        if end < len(ids):
-            parent, placement = model.parents[ids[end]], model.jointPlacements[ids[end]]
-        else:
-            frame = model.frames[model.getFrameId(tip, pin.FrameType.BODY)]
-            parent, placement = frame.parentJoint, frame.placement
-        model.addFrame(pin.Frame(name, parent, placement, pin.FrameType.OP_FRAME))
-    return names
+    lines = joint_lines(model, data, [model.getJointId(joint.name) for joint in moving])
+    frame = model.frames[model.getFrameId(tip, pin.FrameType.BODY)]
+    place = (data.oMi[frame.parentJoint] * frame.placement).translation
+    lower = np.array([joint.lower for joint in moving])
+    upper = np.array([joint.upper for joint in moving])
+    return Skeleton(tuple(joint.name for joint in moving), lines, place, lower, upper)
+
+
+def _segmentation(skeleton: Skeleton, sizes: int | tuple[int, ...] | None) -> Segmentation:
+    if sizes is None:
+        return segment(skeleton)
+    if isinstance(sizes, int):
+        return equal_modules(len(skeleton.names), sizes)
+    return given_modules(len(skeleton.names), sizes)
+
+
+def _package_dirs(source: str | Path, given: Sequence[str | Path] | None) -> tuple[str, ...]:
+    """Folders to look for meshes in: those given, then the one of the file."""
+    if isinstance(given, (str, os.PathLike)):
+        given = [given]
+    try:
+        folders = [Path(folder).absolute() for folder in given or ()]
+    except TypeError:
+        raise InvalidValue("package_dirs", given, "paths of folders") from None
+    if not (isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<")):
+        folders.append(Path(source).absolute().parent)
+    return tuple(dict.fromkeys(map(str, folders)))

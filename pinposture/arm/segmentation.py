@@ -2,62 +2,180 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pinposture.arm.pattern import Repetition, repetitions
+from pinposture.arm.placing import Placing
+from pinposture.arm.skeleton import Skeleton
 from pinposture.errors import InvalidValue
 
-Array = NDArray[np.float64]
+SPARE = 4
+"""How many joints beyond the fewest a module may have where nothing repeats."""
 
 
-def module_sizes(axes: Array, revolute: NDArray[np.bool_], modules: int | Sequence[int] | None) -> list[int]:
-    """Group the joints of a chain into modules.
+@dataclass(frozen=True)
+class Segmentation:
+    """How the joints of an arm were grouped into modules.
 
-    A module must be able to put its end on any curve through its base (Section 4.1). In the plane one
-    joint does that; in space it takes two, with axes that are not parallel. Unless told otherwise, joints
-    are therefore gathered from the base until a module has what it needs; what is left at the tip joins
-    the last module.
+    Attributes:
+        sizes: number of joints of each module, from base to tip.
+        reason: why, in words.
+        period: number of joints after which the arm repeats; None if it does not, or was not asked.
+        adequate: False if the end of some module cannot be placed on every curve; None if not asked.
+    """
+
+    sizes: tuple[int, ...]
+    reason: str
+    period: int | None = None
+    adequate: bool | None = None
+
+
+def segment(skeleton: Skeleton) -> Segmentation:
+    """Group the joints into the smallest modules whose ends can be placed on any curve.
+
+    A module ends where the next joint sits, the last one at the tip. Its end must be able to move in every
+    direction across the line from its base to its end (see `placing`), which also keeps control points apart.
+    Where the arm repeats, the cuts repeat with it: they are made in one period, or in as many periods as it
+    takes, and the phase is the one that gives most modules. Where it does not, there are as many modules as
+    can be, cut so that the end of each moves as well as can be. Joints before and behind the repetition form
+    modules of their own where they can, and join the neighbour where not, as do joints that move nothing: a
+    roll about the link at the tip, a last joint with no link after it.
 
     Args:
-        axes: unit joint axes at the neutral configuration, (n, 3), world frame.
-        revolute: True for a joint that turns, (n,).
-        modules: joints per module, the same for all or one number each; None to choose.
+        skeleton: the joints of the arm.
 
     Returns:
-        Number of joints of each module, from base to tip; the sum is n.
+        The sizes of the modules, and why.
+    """
+    placing, n = Placing(skeleton), len(skeleton.names)
+    choices = []
+    for repetition in repetitions(skeleton):
+        for head in range(repetition.first, repetition.first + repetition.period):
+            cuts = _repeated(placing, repetition, head, n)
+            if cuts is not None:
+                sizes = _settled(placing, cuts)
+                usual = Counter(sizes).most_common(1)[0][1]
+                choices.append((len(sizes), usual, -head, -repetition.period, sizes, repetition))
+    if choices:
+        *_, sizes, found = max(choices, key=lambda choice: choice[:4])
+        return _explained(skeleton, placing, sizes, found)
+    return _explained(skeleton, placing, _settled(placing, _most_modules(placing, n)), None)
+
+
+def equal_modules(joints: int, size: int) -> Segmentation:
+    """The same number of joints for every module.
 
     Raises:
-        InvalidValue: sizes that are not positive or do not add up to the number of joints.
+        InvalidValue: not a divisor of the number of joints.
     """
-    n = len(axes)
-    if modules is None:
-        return _smallest_modules(axes, revolute)
-    if isinstance(modules, int):
-        if modules < 1 or n % modules:
-            divisors = ", ".join(str(k) for k in range(1, n + 1) if n % k == 0)
-            raise InvalidValue("modules (joints per module)", modules, f"a divisor of {n} joints: {divisors}")
-        return [modules] * (n // modules)
-    sizes = list(modules)
-    if not sizes or any(not isinstance(size, int) or size < 1 for size in sizes) or sum(sizes) != n:
-        raise InvalidValue("modules (sizes)", sizes, f"positive whole numbers that add up to {n} joints")
-    return sizes
+    if size < 1 or joints % size:
+        divisors = ", ".join(str(k) for k in range(1, joints + 1) if joints % k == 0)
+        allowed = f"a divisor of {joints} joints: {divisors}"
+        raise InvalidValue("modules (joints per module)", size, allowed)
+    return Segmentation((size,) * (joints // size), f"{_joints(size)} for each module, as asked")
 
 
-def _smallest_modules(axes: Array, revolute: NDArray[np.bool_]) -> list[int]:
-    turning = axes[revolute]
-    if len(turning) and np.all(np.linalg.norm(np.cross(turning, turning[0]), axis=1) < 1e-9):
-        return [1] * len(axes)
-    sizes: list[int] = []
-    first = 0
-    for u in range(1, len(axes)):
-        if np.any(np.linalg.norm(np.cross(axes[first:u], axes[u]), axis=1) > 1e-3):
-            sizes.append(u + 1 - first)
-            first = u + 1
-    left = len(axes) - first
-    if left > 0 and sizes:
-        sizes[-1] += left
-    elif left > 0:
-        sizes.append(left)
-    return sizes
+def given_modules(joints: int, sizes: Sequence[int]) -> Segmentation:
+    """A number of joints for each module.
+
+    Raises:
+        InvalidValue: numbers that are not positive or do not add up to the number of joints.
+    """
+    if not sizes or min(sizes) < 1 or sum(sizes) != joints:
+        allowed = f"positive whole numbers that add up to {joints} joints"
+        raise InvalidValue("modules (sizes)", list(sizes), allowed)
+    return Segmentation(tuple(sizes), "sizes as asked")
+
+
+def _filled(placing: Placing, first: int, stop: int) -> list[int]:
+    """Where modules end if each is made as small as it can be; joints may be left before `stop`."""
+    cuts, end = list[int](), first
+    while True:
+        start = end
+        end = next((end for end in range(start + 1, stop + 1) if placing(start, end)), 0)
+        if not end:
+            return cuts
+        cuts.append(end)
+
+
+def _most_modules(placing: Placing, n: int) -> list[int]:
+    """Where modules end if there are to be as many as possible, and the ends of all of them to move well."""
+    best: dict[int, tuple[int, float, list[int]]] = {n: (0, np.inf, [])}
+    for start in range(n - 1, -1, -1):
+        smallest = next((end for end in range(start + 1, n) if placing(start, end)), n)
+        for end in dict.fromkeys([*range(smallest, min(smallest + SPARE, n)), n]):
+            if end in best and placing(start, end):
+                count, motion, cuts = best[end]
+                found = (count + 1, min(motion, placing.motion(start, end)), [end, *cuts])
+                best[start] = max(best.get(start, found), found, key=lambda entry: entry[:2])
+    return best[0][2] if 0 in best else [n]
+
+
+def _cuts(placing: Placing, first: int, stop: int) -> list[int]:
+    """Where modules end if each is made as small as it can be; what is left joins the last one."""
+    return [*_filled(placing, first, stop)[:-1], stop]
+
+
+def _repeated(placing: Placing, repetition: Repetition, head: int, n: int) -> list[int] | None:
+    """Cuts that repeat from joint `head` on, or None if too little of the arm repeats in that way."""
+    period, stop = repetition.period, repetition.stop
+    sizes = range(period, (stop - head) // 2 + 1, period)
+    unit = next((size for size in sizes if placing(head, head + size)), None)
+    if unit is None:
+        return None
+    times = (stop - head) // unit
+    if 2 * times * unit < n:
+        return None
+    within = [cut - head for cut in _cuts(placing, head, head + unit)]
+    repeated = [head + k * unit + cut for k in range(times) for cut in within]
+    tail = _cuts(placing, repeated[-1], n) if repeated[-1] < n else []
+    return [*_filled(placing, 0, head), *repeated, *tail]
+
+
+def _settled(placing: Placing, cuts: Sequence[int]) -> list[int]:
+    """Sizes of the modules after each one that cannot place its end has joined its neighbour."""
+    bounds = [0, *cuts]
+    k = 0
+    while k < len(bounds) - 1:
+        if len(bounds) == 2 or placing(bounds[k], bounds[k + 1]):
+            k += 1
+        elif k > 0:
+            del bounds[k]
+            k -= 1
+        else:
+            del bounds[1]
+    return [stop - start for start, stop in pairwise(bounds)]
+
+
+def _explained(
+    skeleton: Skeleton, placing: Placing, sizes: Sequence[int], found: Repetition | None
+) -> Segmentation:
+    n = len(skeleton.names)
+    if skeleton.normal is None:
+        need = "the arm is spatial, so the end of a module must move in two directions across the curve"
+    else:
+        need = "the arm is planar, so the end of a module must move in one direction across the curve"
+    if len(sizes) == 1 and not placing(0, n):
+        reason = f"{need}; no group of its joints does that, so the arm is one module"
+        return Segmentation(tuple(sizes), reason, None, adequate=False)
+    usual = Counter(sizes).most_common(1)[0][0]
+    if found is None:
+        parts = [need, "no pattern of joints repeats; these are the most modules that do that"]
+    else:
+        first, last = skeleton.names[found.first], skeleton.names[found.stop - 1]
+        often = "every joint is like the next" if found.period == 1 else f"{_joints(found.period)} repeat"
+        parts = [need, f"from {first!r} to {last!r} {often}; {_joints(usual)} do that"]
+        others = [f"module {k} has {_joints(size)}" for k, size in enumerate(sizes, 1) if size != usual]
+        if others:
+            listed = ", ".join(others[:4]) + (", ..." if len(others) > 4 else "")
+            parts.append(f"{listed}, for the joints beside the pattern, or that move nothing there, join it")
+    return Segmentation(tuple(sizes), "; ".join(parts), found.period if found else None, adequate=True)
+
+
+def _joints(count: int) -> str:
+    return "1 joint" if count == 1 else f"{count} joints"

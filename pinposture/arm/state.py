@@ -36,14 +36,15 @@ class ArmState:
 
     @cached_property
     def task_jacobians(self) -> Array:
-        """Position Jacobians along the directions in which the arm can move at all.
+        """Position Jacobians in comparable units, along the directions in which the arm can move at all.
 
         Returns:
-            Array (m, d, nv) [m/rad]: d = 3 in world axes, or d = 2 along the plane of a planar arm.
+            Array (m, d, nv) [m per unit of joint motion, see `Arm.joint_units`]: d = 3 in world axes, or
+            d = 2 along the plane of a planar arm.
         """
-        if self.arm.dimension == 3:
+        if self.arm.dimension == 3 and np.all(self.arm.chain.revolute):
             return self.jacobians
-        jacobians: Array = self.arm.plane @ self.jacobians
+        jacobians: Array = (self.arm.plane @ self.jacobians) * self.arm.joint_units
         jacobians.flags.writeable = False
         return jacobians
 

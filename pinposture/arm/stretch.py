@@ -17,19 +17,26 @@ Array = NDArray[np.float64]
 def farthest_stretch(arm: Arm) -> Array:
     """Joint positions (nv,) [rad or m] that maximise the distance from base to tip, within the limits.
 
-    They are zero if the arm is straight there; otherwise the maximum is searched from there, and is a
-    local one for arms that can stretch in several ways.
+    They are zero if the arm is straight there and cannot slide; otherwise the maximum is searched from
+    there, and is a local one for arms that can stretch in several ways. A joint that slides without limit
+    goes as far as the arm is long.
     """
-    if np.linalg.norm(arm.chain.points[-1] - arm.chain.base) > (1.0 - 1e-9) * arm.length:
+    start_point, length, units = arm.chain.base, arm.length, arm.units
+    straight = np.linalg.norm(arm.chain.points[-1] - start_point) > (1.0 - 1e-9) * length
+    if straight and np.all(arm.chain.revolute) and arm.within_limits(arm.neutral()):
         return np.zeros(arm.nv)
 
-    def shortness(positions: Array) -> tuple[float, Array]:
-        state = arm.at(arm.configuration(positions))
-        reach = state.points[-1] - arm.chain.base
-        distance = max(float(np.linalg.norm(reach)), 1e-12 * arm.length)
-        return -distance, -(reach / distance) @ state.jacobians[-1]
+    def shortness(amounts: Array) -> tuple[float, Array]:
+        state = arm.at(arm.configuration(amounts * units))
+        reach = (state.points[-1] - start_point) / length
+        distance = max(float(np.linalg.norm(reach)), 1e-12)
+        return -distance, -(reach / distance) @ state.jacobians[-1] * units / length
 
-    bounds = list(zip(arm.limits.lower, arm.limits.upper, strict=True))
+    low, high = arm.limits.lower / units, arm.limits.upper / units
+    low = np.where(arm.slides & np.isinf(low), np.minimum(-1.0, high), low)
+    high = np.where(arm.slides & np.isinf(high), np.maximum(1.0, low), high)
     # Zero itself can be a stationary point, for instance of an arm that is folded there.
-    start = np.clip(np.full(arm.nv, 1e-3), arm.limits.lower, arm.limits.upper)
-    return np.asarray(minimize(shortness, start, jac=True, bounds=bounds, method="L-BFGS-B").x)
+    start = np.clip(np.full(arm.nv, 1e-3), low, high)
+    bounds = list(zip(low, high, strict=True))
+    found = minimize(shortness, start, jac=True, bounds=bounds, method="L-BFGS-B").x
+    return np.asarray(np.clip(found, low, high) * units)

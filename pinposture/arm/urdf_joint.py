@@ -8,16 +8,19 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 from pinposture.errors import URDFError
 
 Vector = tuple[float, float, float]
 Fault = Callable[[str], URDFError]
 
-JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+CHAIN_JOINTS = ("revolute", "continuous", "prismatic")
+JOINT_TYPES = (*CHAIN_JOINTS, "fixed", "floating", "planar")
 
 # What Pinocchio takes for a number; Python alone would take "1_0" and "inf" as well.
 _NUMBER = re.compile(r"[ \t\r\n]*[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
+_INFINITE = re.compile(r"\+?inf(inity)?", re.IGNORECASE)
 # The parts of a joint that hold numbers: attributes that must be there, and those that may.
 _PARTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "limit": (("effort", "velocity"), ("lower", "upper")),
@@ -26,6 +29,20 @@ _PARTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "dynamics": ((), ("damping", "friction")),
     "mimic": ((), ("multiplier", "offset")),
 }
+
+
+class Follows(NamedTuple):
+    """What <mimic> says: position = multiplier * position of another joint + offset.
+
+    Attributes:
+        joint: name of the joint that is followed.
+        multiplier: factor of its position; 1 if not given.
+        offset: added to it [rad or m]; 0 if not given.
+    """
+
+    joint: str
+    multiplier: float
+    offset: float
 
 
 @dataclass(frozen=True)
@@ -37,22 +54,31 @@ class JointDescription:
         type: one of `JOINT_TYPES`.
         parent: the link before it.
         child: the link after it.
+        origin: where the joint sits in the frame of the link before it, (3,) [m].
+        rpy: how its frame is turned there: roll, pitch, yaw, (3,) [rad].
         axis: unit vector, (3,), in the frame of the joint; x if the description gives none.
         lower: smallest position [rad or m]; -inf without limits, 0 if fixed.
         upper: largest position [rad or m]; inf without limits, 0 if fixed.
-        velocity: largest speed [rad/s or m/s], or None without <limit>.
-        mimic: True if it follows another joint.
+        velocity: largest speed [rad/s or m/s], may be infinite; None without <limit>.
+        follows: how it follows another joint; None if it moves by itself.
     """
 
     name: str
     type: str
     parent: str
     child: str
+    origin: Vector
+    rpy: Vector
     axis: Vector
     lower: float
     upper: float
     velocity: float | None
-    mimic: bool
+    follows: Follows | None
+
+    @property
+    def mimic(self) -> bool:
+        """True if it follows another joint."""
+        return self.follows is not None
 
     @property
     def moves(self) -> bool:
@@ -79,16 +105,19 @@ def read_joint(element: ET.Element, source: str) -> JointDescription:
     parent, child = _end(element, "parent", fault), _end(element, "child", fault)
     if parent == child:
         raise fault(f"has link {parent!r} for its parent and for its child")
-    for attribute in ("xyz", "rpy"):
-        _vector(element, "origin", attribute, (0.0, 0.0, 0.0), fault)
+    origin = _vector(element, "origin", "xyz", (0.0, 0.0, 0.0), fault)
+    rpy = _vector(element, "origin", "rpy", (0.0, 0.0, 0.0), fault)
     axis: Vector = (1.0, 0.0, 0.0)
     if kind not in ("fixed", "floating"):
         axis = _unit(_vector(element, "axis", "xyz", axis, fault), fault)
     numbers = {tag: _part(element, tag, fault) for tag in _PARTS}
     lower, upper = _limits(kind, numbers["limit"], fault)
     velocity = (numbers["limit"] or {}).get("velocity")
-    mimic = numbers["mimic"] is not None
-    return JointDescription(name, kind, parent, child, axis, lower, upper, velocity, mimic)
+    follows, mimic = None, element.find("mimic")
+    if mimic is not None:
+        given = {"multiplier": 1.0, "offset": 0.0, **(numbers["mimic"] or {})}
+        follows = Follows(mimic.attrib["joint"], **given)
+    return JointDescription(name, kind, parent, child, origin, rpy, axis, lower, upper, velocity, follows)
 
 
 def _end(element: ET.Element, role: str, fault: Fault) -> str:
@@ -142,7 +171,12 @@ def _part(element: ET.Element, tag: str, fault: Fault) -> dict[str, float] | Non
     given = [attribute for attribute in required + optional if attribute in part.attrib]
     if tag == "dynamics" and not given:
         raise fault("<dynamics> has neither damping nor friction")
-    return {name: _number(part.attrib[name], f"<{tag}> {name}", fault) for name in given}
+    return {
+        name: math.inf
+        if name in ("effort", "velocity") and _INFINITE.fullmatch(part.attrib[name])
+        else _number(part.attrib[name], f"<{tag}> {name}", fault)
+        for name in given
+    }
 
 
 def _limits(kind: str, limit: dict[str, float] | None, fault: Fault) -> tuple[float, float]:

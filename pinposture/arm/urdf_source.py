@@ -13,6 +13,7 @@ from pinposture.errors import FileError, InvalidValue, URDFError
 _BLANK = "\ufeff \t\r\n"
 _DEEPEST = 400  # the XML parser behind Pinocchio gives up a little below 500
 _VECTOR_ATTRIBUTE = re.compile(r"""\b(?:xyz|rpy)\s*=\s*(?:"[^"<]*"|'[^'<]*')""")
+_INFINITE_ATTRIBUTE = re.compile(r"""(\b(?:velocity|effort)\s*=\s*["'])\+?inf(?:inity)?(?=["'])""", re.I)
 
 
 def load_text(source: str | Path) -> tuple[str, str]:
@@ -98,8 +99,13 @@ def parse_xml(text: str, source: str) -> ET.Element:
 
 
 def text_for_pinocchio(text: str) -> str:
-    """The same XML with each vector on one line: Pinocchio splits them at blanks only."""
-    return _VECTOR_ATTRIBUTE.sub(lambda match: re.sub(r"[\t\r\n]", " ", match[0]), text.lstrip(_BLANK))
+    """The same XML as Pinocchio can read it.
+
+    Each vector is on one line, for Pinocchio splits them at blanks only; an infinite speed or effort is a
+    huge number, for it reads digits only.
+    """
+    text = _VECTOR_ATTRIBUTE.sub(lambda match: re.sub(r"[\t\r\n]", " ", match[0]), text.lstrip(_BLANK))
+    return _INFINITE_ATTRIBUTE.sub(r"\g<1>1e300", text)
 
 
 def _declares_document_type(text: str) -> bool:

@@ -23,7 +23,7 @@ def descent(state: ArmState, errors: Array, distances: Array) -> Array:
         distances: their norms, (m,) [m].
 
     Returns:
-        Joint displacement (nv,) [rad]; zero where the gradient vanishes.
+        Joint displacement (nv,) in `Arm.joint_units`; zero where the gradient vanishes.
     """
     jacobians = state.task_jacobians
     gradient = np.einsum("kdu,kd->u", jacobians, errors)

@@ -65,7 +65,8 @@ class Projection:
             reason = f"no module has a singular value above threshold = {self.threshold:g} of its length"
             return Step(held, (), Diagnostics(0, 0, 0, 0, (), 1.0, held > 0.0, reason), Memory(held))
         decomposed = decompose(matrix)
-        limited = limits.apply(state, pseudo_inverse_step(decomposed, self.gain * velocity, gradient))
+        asked = pseudo_inverse_step(decomposed, self.gain * velocity, gradient)
+        limited = limits.apply(state, asked * state.arm.joint_units)
         diagnostics = Diagnostics(
             manipulability=smallest,
             sigma_min=float(decomposed.sigma[-1]),

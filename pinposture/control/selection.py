@@ -69,7 +69,7 @@ class Selection:
             return Step(held, (), none, Memory(held))
         gradient = self.null_gain * descent(state, errors, distances)
         asked = pseudo_inverse_step(matrix, self.gain * errors[list(active)].ravel(), gradient)
-        limited = limits.apply(state, asked)
+        limited = limits.apply(state, asked * state.arm.joint_units)
         diagnostics = Diagnostics(
             manipulability=float(min(indices[s, i] for s, i in _sections(active))),
             sigma_min=float(matrix.sigma[-1]),

@@ -35,10 +35,10 @@ def pseudo_inverse_step(matrix: Decomposition, velocity: Array, gradient: Array)
     Args:
         matrix: decomposition of J; its smallest singular value is positive.
         velocity: desired velocities of the rows, (r,) [m].
-        gradient: desired joint displacement, (nv,) [rad].
+        gradient: desired joint displacement, (nv,), in the units of the columns of J.
 
     Returns:
-        Joint displacement (nv,) [rad].
+        Joint displacement (nv,) in the same units.
     """
     along = matrix.right @ gradient
     return np.asarray(gradient + matrix.right.T @ ((matrix.left.T @ velocity) / matrix.sigma - along))

@@ -13,9 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pinposture as pp
+from pinposture.control import controller_named
 from pinposture.errors import InvalidValue, UnknownName
 
 L1, L2 = 0.03, 0.02
+SLIDE = pp.JointSpec("x", type="prismatic", lower=0.0, upper=0.05)
+SLIDE_10 = pp.JointSpec("x", type="prismatic", lower=0.0, upper=0.5)
 PLACEMENT = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -2.0, 0.7]))
 
 
@@ -146,6 +149,32 @@ def test_a_model_without_limits_has_none() -> None:
     arm = pp.Arm.from_model(model, [model.frames[-1].name])
     assert np.all(np.isinf(arm.limits.lower)) and np.all(np.isinf(arm.limits.upper))
     assert np.all(np.abs(arm.random(np.random.default_rng(0))) <= np.pi)
+
+
+def test_slides_and_turns_are_compared_by_a_scale_that_can_be_chosen() -> None:
+    modules = [pp.ModuleTemplate("s", (pp.JointSpec("y"), pp.JointSpec("z"), SLIDE), (0.02, 0.03, 0.05))] * 3
+    arm = pp.Arm.from_modules(modules)
+    q = arm.random(np.random.default_rng(1))
+    assert arm.sliding_unit == pytest.approx(0.1)
+    for unit in (0.1, 0.01):
+        scaled = arm.with_sliding_unit(unit)
+        expected = enumeration.index(arm.at(q).jacobians[2] * np.tile([1.0, 1.0, unit], 3))
+        assert scaled.at(q).manipulability()[0, 3] == pytest.approx(expected, abs=1e-7)
+        assert pickle.loads(pickle.dumps(scaled)).sliding_unit == unit
+        assert pp.Arm.from_dict(scaled.to_dict()).sliding_unit == unit
+    # Ten times the size: the same indices.
+    ten = [pp.ModuleTemplate("s", (pp.JointSpec("y"), pp.JointSpec("z"), SLIDE_10), (0.2, 0.3, 0.5), 0.1)] * 3
+    large, bigger = pp.Arm.from_modules(ten), q * np.tile([1.0, 1.0, 10.0], 3)
+    np.testing.assert_allclose(large.at(bigger).manipulability(), arm.at(q).manipulability(), atol=1e-7)
+    for name in ("selection", "projection"):
+        goal = pp.Target.from_configuration(arm, arm.random(np.random.default_rng(2)))
+        ten_times = pp.Target.from_points(large, 10.0 * goal.points)
+        free = pp.Limits(step=100.0)
+        small = controller_named(name).step(arm.at(q), goal, free).dq
+        found = controller_named(name).step(large.at(bigger), ten_times, free).dq
+        np.testing.assert_allclose(found, small * np.tile([1.0, 1.0, 10.0], 3), atol=1e-6)
+    with pytest.raises(InvalidValue, match="sliding_unit"):
+        arm.with_sliding_unit(0.0)
 
 
 def test_an_arm_pickles_and_survives_as_data(placed: pp.Arm) -> None:
