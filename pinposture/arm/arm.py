@@ -90,8 +90,7 @@ class Arm:
         )
 
         self.sliding_unit = float(self.chain.module_lengths.mean()) if sliding_unit is None else sliding_unit
-        self.joint_units = np.ones(model.nv)
-        self.joint_units[self.chain.columns[~self.chain.revolute]] = self.sliding_unit
+        self.joint_units = np.where(self.slides, self.sliding_unit, 1.0)
         self.joint_units.flags.writeable = False
 
     @property
@@ -304,11 +303,6 @@ class Arm:
         slides[self.columns[~self.chain.revolute]] = True
         return slides
 
-    @property
-    def units(self) -> Array:
-        """What counts as one for each degree of freedom, (nv,): a radian, or the arm's length [m]."""
-        return np.where(self.slides, self.length, 1.0)
-
     def random(self, rng: np.random.Generator) -> Array:
         """A configuration drawn uniformly within the limits, (nq,).
 
@@ -344,8 +338,8 @@ class Arm:
         return np.array(pin.integrate(self.model, q, dq))
 
     def within_limits(self, q: ArrayLike, tolerance: float = 1e-9) -> bool:
-        """True if no joint of q is outside its limits by more than the tolerance [rad], or times `units`."""
-        positions, slack = self.positions(q), tolerance * self.units
+        """True if no joint of q is outside its limits by more than the tolerance, in `joint_units`."""
+        positions, slack = self.positions(q), tolerance * self.joint_units
         low, high = self.limits.lower - slack, self.limits.upper + slack
         return bool(np.all((positions >= low) & (positions <= high)))
 

@@ -10,6 +10,7 @@ import pinocchio as pin
 
 from pinposture.arm.default_tip import leading_joint
 from pinposture.arm.description import Description, JointDescription
+from pinposture.arm.limits import UNLIMITED
 from pinposture.errors import InvalidValue, UnknownName, URDFError
 
 _MARK = "\n"  # no name in a description has one
@@ -20,7 +21,7 @@ def checked_locks(description: Description, locked: Mapping[str, float]) -> dict
 
     Raises:
         UnknownName: no such joint, or one that cannot move.
-        InvalidValue: not a finite number, or a joint whose position is not one number.
+        InvalidValue: not a number, or one out of range, or a joint whose position is not one number.
     """
     known = {joint.name: joint for joint in description.joints if joint.type != "fixed"}
     checked = {}
@@ -34,8 +35,8 @@ def checked_locks(description: Description, locked: Mapping[str, float]) -> dict
             checked[name] = float(value)
         except (TypeError, ValueError):
             checked[name] = np.nan
-        if not np.isfinite(checked[name]):
-            raise InvalidValue(f"locked[{name!r}]", value, "a finite joint position")
+        if not abs(checked[name]) < UNLIMITED:
+            raise InvalidValue(f"locked[{name!r}]", value, f"a joint position within +-{UNLIMITED:g}")
     return checked
 
 

@@ -169,11 +169,13 @@ def _explained(
     else:
         first, last = skeleton.names[found.first], skeleton.names[found.stop - 1]
         often = "every joint is like the next" if found.period == 1 else f"{_joints(found.period)} repeat"
-        parts = [need, f"from {first!r} to {last!r} {often}; {_joints(usual)} do that"]
+        parts = [need, f"from {first!r} to {last!r} {often}; a module of {_joints(usual)} does that"]
         others = [f"module {k} has {_joints(size)}" for k, size in enumerate(sizes, 1) if size != usual]
         if others:
             listed = ", ".join(others[:4]) + (", ..." if len(others) > 4 else "")
-            parts.append(f"{listed}, for the joints beside the pattern, or that move nothing there, join it")
+            parts.append(
+                f"{listed}: joints beside the pattern, or that move no control point, join a neighbour"
+            )
     return Segmentation(tuple(sizes), "; ".join(parts), found.period if found else None, adequate=True)
 
 

@@ -67,10 +67,10 @@ def plane_normal(lines: JointLines, tip: Array, length: float) -> Array | None:
     else:
         crosses = np.cross(slides, slides[0])
         normal = crosses[np.argmax(np.linalg.norm(crosses, axis=1))]
-    length = np.linalg.norm(normal)
-    if length < 1e-3:  # slides along one line
+    size = np.linalg.norm(normal)
+    if size < PARALLEL:  # slides along one line
         return None
-    normal = normal / length
+    normal = normal / size
     parallel = np.all(np.linalg.norm(np.cross(turns, normal), axis=1) < PARALLEL)
     return normal if parallel and np.all(np.abs(slides @ normal) < PARALLEL) else None
 
@@ -97,8 +97,9 @@ class Skeleton:
 
     @cached_property
     def length(self) -> float:
-        """Arc length from the first joint by way of the others to the tip [m]."""
-        return float(np.linalg.norm(np.diff(self.stations, axis=0), axis=1).sum())
+        """Arc length from the first joint by way of the others to the tip [m]; inf or NaN if out of range."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return float(np.linalg.norm(np.diff(self.stations, axis=0), axis=1).sum())
 
     @cached_property
     def normal(self) -> Array | None:

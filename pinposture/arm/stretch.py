@@ -21,7 +21,7 @@ def farthest_stretch(arm: Arm) -> Array:
     there, and is a local one for arms that can stretch in several ways. A joint that slides without limit
     goes as far as the arm is long.
     """
-    start_point, length, units = arm.chain.base, arm.length, arm.units
+    start_point, length, units = arm.chain.base, arm.length, arm.joint_units
     straight = np.linalg.norm(arm.chain.points[-1] - start_point) > (1.0 - 1e-9) * length
     if straight and np.all(arm.chain.revolute) and arm.within_limits(arm.neutral()):
         return np.zeros(arm.nv)
