@@ -33,8 +33,8 @@ def farthest_stretch(arm: Arm) -> Array:
         return -distance, -(reach / distance) @ state.jacobians[-1] * units / length
 
     low, high = arm.limits.lower / units, arm.limits.upper / units
-    low = np.where(arm.slides & np.isinf(low), np.minimum(-1.0, high), low)
-    high = np.where(arm.slides & np.isinf(high), np.maximum(1.0, low), high)
+    low = np.where(arm.slides & np.isinf(low), np.minimum(-length / units, high), low)
+    high = np.where(arm.slides & np.isinf(high), np.maximum(length / units, low), high)
     # Zero itself can be a stationary point, for instance of an arm that is folded there.
     start = np.clip(np.full(arm.nv, 1e-3), low, high)
     bounds = list(zip(low, high, strict=True))
