@@ -22,7 +22,7 @@ from pinposture.motion import Trajectory, track
 from pinposture.target import Target, resolve_targets
 
 if TYPE_CHECKING:
-    from pinposture.view import plot, plot_comparison, save_html, view
+    from pinposture.view import plot, plot_arm, plot_comparison, save_html, view
 
 __version__ = "0.1.0"
 
@@ -44,6 +44,7 @@ __all__ = [
     "Target",
     "Trajectory",
     "plot",
+    "plot_arm",
     "plot_comparison",
     "resolve_targets",
     "save_html",
@@ -55,7 +56,7 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     # Matplotlib and meshcat take longer to import than everything else together: only when asked for.
-    if name in ("plot", "plot_comparison", "save_html", "view"):
+    if name in ("plot", "plot_arm", "plot_comparison", "save_html", "view"):
         drawing = import_module("pinposture.view")
         return drawing if name == "view" else getattr(drawing, name)  # that package can be called
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

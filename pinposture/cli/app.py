@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from types import ModuleType
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from pinposture.cli import generate, inspect, track, view
-from pinposture.cli.output import print_error
+from pinposture.cli import arms, generate, inspect, track, view
+from pinposture.cli.output import print_error, warnings_as_notes
 from pinposture.errors import PostureError
 
 INTERRUPTED = 130
@@ -37,7 +38,8 @@ class Commands(TyperGroup):
     ) -> Any:
         """Run a command line; exits with its code, or returns it if `standalone_mode` is false."""
         try:
-            code = super().main(args, prog_name, complete_var, False, windows_expand_args, **extra) or 0
+            with warnings_as_notes():
+                code = super().main(args, prog_name, complete_var, False, windows_expand_args, **extra) or 0
         except PostureError as error:
             print_error(str(error))
             code = REFUSED
@@ -98,13 +100,25 @@ def _paragraphs(docstring: str) -> str:
     return "\n\n".join(" ".join(paragraph.split()) for paragraph in docstring.split("\n\n"))
 
 
-for verb in (generate, inspect, track, view):
-    add = app.command(
-        verb.__name__.rpartition(".")[2],
-        cls=verb_with_examples(verb.EXAMPLES),
-        help=_paragraphs(verb.run.__doc__ or ""),
-    )
-    add(verb.run)
+studies = typer.Typer()
+
+
+@studies.callback(invoke_without_command=True)
+def _study(ctx: typer.Context) -> None:
+    """Many arms at once: what works on one may not work on the next."""
+    if ctx.invoked_subcommand is None:
+        typer.echo(ctx.get_help())
+
+
+def _add(verb: ModuleType, group: typer.Typer) -> None:
+    name, kind = verb.__name__.rpartition(".")[2], verb_with_examples(verb.EXAMPLES)
+    group.command(name, cls=kind, help=_paragraphs(verb.run.__doc__ or ""))(verb.run)
+
+
+for module in (generate, inspect, track, view):
+    _add(module, app)
+_add(arms, studies)
+app.add_typer(studies, name="study")
 
 
 def main() -> None:

@@ -46,7 +46,8 @@ ModulesOption = Annotated[
     typer.Option(
         "--modules",
         metavar="N,...",
-        help="Joints per module: one number for all, or one for each; else as few as can follow a curve.",
+        help="Joints per module, one number for all or one for each, or links at whose origins modules end: "
+        "m01_l2,m02_l2; else as few joints as can follow a curve.",
         rich_help_panel=ARM,
     ),
 ]
@@ -59,17 +60,16 @@ def read_arm(urdf: str, base: str | None, tip: str | None, modules: str | None) 
     """Load an arm as `Arm.from_urdf` does; "-" reads the URDF from stdin.
 
     Raises:
-        PostureError: as `Arm.from_urdf`; or `modules` is not made of whole numbers.
+        PostureError: as `Arm.from_urdf`; or nothing between two of the commas of `modules`.
     """
     from pinposture.arm import Arm
 
-    sizes = None if modules is None else read_integers("--modules", modules)
     source: str | Path = Path(urdf)
     if urdf == "-":
         source = sys.stdin.read()
         if not source.lstrip("\ufeff \t\r\n").startswith("<"):
             raise FileError("stdin", "holds no URDF; allowed: XML text, which begins with '<'")
-    return Arm.from_urdf(source, base, tip, sizes[0] if sizes and len(sizes) == 1 else sizes)
+    return Arm.from_urdf(source, base, tip, None if modules is None else read_modules(modules))
 
 
 def read_curve(name: str) -> Curve:
@@ -136,12 +136,20 @@ def read_numbers(name: str, text: str) -> list[float]:
     return values
 
 
-def read_integers(name: str, text: str) -> list[int]:
-    """Whole numbers separated by commas; raises InvalidValue under that name if they are not."""
+def read_modules(text: str) -> int | list[int] | list[str]:
+    """Joints per module, one number or several, or names of links, separated by commas.
+
+    Raises:
+        InvalidValue: nothing between two commas, or at either end.
+    """
+    fields = [field.strip() for field in text.split(",")]
+    if not all(fields):
+        raise InvalidValue("--modules", text, "whole numbers or names of links, separated by commas")
     try:
-        return [int(field) for field in text.split(",")]
+        sizes = [int(field) for field in fields]
     except ValueError:
-        raise InvalidValue(name, text, "whole numbers separated by commas") from None
+        return fields
+    return sizes[0] if len(sizes) == 1 else sizes
 
 
 def _parsed(text: str) -> list[float] | None:

@@ -2,17 +2,33 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pinposture.cli.inputs import BaseOption, JsonOption, ModulesOption, TipOption, UrdfArgument, read_arm
-from pinposture.cli.output import print_facts, print_json, print_table
+import typer
+
+from pinposture.cli.inputs import (
+    OUTPUT,
+    BaseOption,
+    JsonOption,
+    ModulesOption,
+    TipOption,
+    UrdfArgument,
+    read_arm,
+)
+from pinposture.cli.output import print_facts, print_json, print_note, print_table
+from pinposture.cli.results import write_picture
+from pinposture.errors import InvalidValue, UnsupportedModule
 
 if TYPE_CHECKING:
     from pinposture.arm import Arm
 
 EXAMPLES = (
     "pinposture inspect arm.urdf",
+    "pinposture inspect arm.urdf --plot arm.png",
     "pinposture inspect arm.urdf --base m05_l2 --tip tip --modules 2",
+    "pinposture inspect arm.urdf --modules m05_l2,m10_l2,m15_l2,tip",
     "pinposture inspect arm.urdf --json",
 )
 
@@ -23,37 +39,35 @@ def run(
     base: BaseOption = None,
     tip: TipOption = None,
     modules: ModulesOption = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Leave a PNG picture of modules, joint axes and control points here.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Show what the library makes of a robot description.
 
     Of all the links it takes one chain, from --base to --tip or the longest one there is, and cuts it into
     modules with a control point at the end of each. Meshes are not needed. Limits are in rad and rad/s, or in
-    metres and m/s for a prismatic joint; positions are those at zero joint positions, in the world.
+    metres and m/s for a prismatic joint; positions are those at zero joint positions, in the world. The reach
+    is the distance from base to tip when the arm is stretched.
     """
     arm = read_arm(urdf, base, tip, modules)
-    about = describe(arm, base, tip)
+    about = describe(arm)
+    if plot is not None:
+        from pinposture.view import plot_arm
+
+        write_picture(plot_arm(arm), plot)
     if as_json:
-        print_json({"file": urdf, **about})
-        return
-    print_facts(
-        {
-            "robot": about["name"],
-            "chain": f"from link {about['base']} to link {about['tip']}",
-            "kind": "planar" if arm.dimension == 2 else "spatial",
-            "modules": str(arm.n_modules),
-            "DOF": str(arm.nv),
-            "length": f"{arm.length:.4g} m",
-            "held still": ", ".join(about["held"]) or "no joint",
-        }
-    )
-    joints = [tuple(joint[key] for key in _JOINT_KEYS) for joint in about["joints"]]
-    print_table(_JOINT_HEADINGS, joints)
-    points = [
-        (point["module"], point["name"], point["length"], *point["position"])
-        for point in about["control_points"]
-    ]
-    print_table(_POINT_HEADINGS, points)
+        print_json({"file": urdf, **about, "plot": None if plot is None else str(plot)})
+    else:
+        _print_tables(about)
+    if plot is not None:
+        print_note(f"wrote {plot}")
 
 
 _JOINT_KEYS = ("module", "name", "type", "parent", "child", "lower", "upper", "velocity")
@@ -61,57 +75,100 @@ _JOINT_HEADINGS = ("module", "joint", "type", "parent", "child", "lower", "upper
 _POINT_HEADINGS = ("module", "control point", "module length [m]", "x [m]", "y [m]", "z [m]")
 
 
-def describe(arm: Arm, base: str | None, tip: str | None) -> dict[str, Any]:
+def _print_tables(about: Mapping[str, Any]) -> None:
+    placing = "closed form for every module" if about["closed_form"] else "least squares over the whole arm"
+    facts = {
+        "robot": about["name"],
+        "chain": f"from link {about['base']} to link {about['tip']}",
+        "kind": "planar" if about["dimension"] == 2 else "spatial",
+        "modules": str(about["modules"]),
+        "why so": about["modules_reason"],
+        "DOF": str(about["dof"]),
+        "length": f"{about['length']:.4g} m",
+        "reach": f"{about['reach']:.4g} m",
+        "kinematics": "; ".join(filter(None, (placing, about["closed_form_reason"]))),
+        "held still": ", ".join(about["held"]) or "no joint",
+    }
+    notes = {"note" if k == 0 else " " * k: text for k, text in enumerate(about["warnings"])}
+    print_facts({**facts, **notes})
+    print_table(_JOINT_HEADINGS, [tuple(joint[key] for key in _JOINT_KEYS) for joint in about["joints"]])
+    points = [
+        (point["module"], point["name"], point["length"], *point["position"])
+        for point in about["control_points"]
+    ]
+    print_table(_POINT_HEADINGS, points)
+
+
+def describe(arm: Arm) -> dict[str, Any]:
     """What there is to know about an arm, as data that JSON can hold.
 
     Args:
         arm: an arm loaded from a URDF.
-        base: link at which it was asked to begin, if any.
-        tip: link at which it was asked to end, if any.
 
     Returns:
         Lengths in metres, angles in radians; positions at the neutral configuration, in the world.
+
+    Raises:
+        InvalidValue: an arm that was not loaded from a URDF.
     """
+    import numpy as np
+
     from pinposture.arm.description import read_description
 
-    description = read_description(arm.urdf or "")
-    first, last = (base or description.root, tip) if tip else description.longest_chain()
-    described = {joint.name: joint for joint in description.joints}
-    joints: list[dict[str, Any]] = []
-    for module, names in enumerate(arm.module_joints, start=1):
-        for name in names:
-            joint = described[name]
-            column = arm.columns[len(joints)]
-            joints.append(
-                {
-                    "name": name,
-                    "module": module,
-                    "type": joint.type,
-                    "parent": joint.parent,
-                    "child": joint.child,
-                    "lower": float(arm.limits.lower[column]),
-                    "upper": float(arm.limits.upper[column]),
-                    "velocity": float(arm.limits.velocity[column]),
-                    "unit": "m" if joint.type == "prismatic" else "rad",
-                }
-            )
-    lengths = arm.chain.module_lengths
-    points = [
-        {"name": name, "module": k + 1, "length": float(lengths[k]), "position": arm.chain.points[k].tolist()}
-        for k, name in enumerate(arm.control_points)
-    ]
+    if arm.report is None or arm.urdf is None:
+        raise InvalidValue("arm", arm, "one that was loaded from a URDF")
+    description = read_description(arm.urdf)
+    moving = set(arm.chain.joints)
+    unsolved = _without_closed_form(arm)
     return {
         "name": description.name,
-        "base": first,
-        "tip": last,
+        "base": arm.report.base,
+        "tip": arm.report.tip,
         "dimension": arm.dimension,
         "modules": arm.n_modules,
+        "modules_reason": arm.segmentation.reason,
         "dof": arm.nv,
         "nq": arm.nq,
         "length": arm.length,
-        "held": [
-            joint.name for joint in described.values() if joint.moves and joint.name not in arm.chain.joints
+        "reach": float(np.linalg.norm(arm.at(arm.straight()).points[-1] - arm.chain.base)),
+        "closed_form": not unsolved,
+        "closed_form_reason": unsolved,
+        "warnings": list(arm.warnings),
+        "held": [joint.name for joint in description.joints if joint.moves and joint.name not in moving],
+        "joints": _joints(arm, {joint.name: joint for joint in description.joints}),
+        "control_points": [
+            {"name": name, "module": k, "length": float(length), "position": point.tolist()}
+            for k, (name, length, point) in enumerate(
+                zip(arm.control_points, arm.chain.module_lengths, arm.chain.points, strict=True), start=1
+            )
         ],
-        "joints": joints,
-        "control_points": points,
     }
+
+
+def _joints(arm: Arm, described: Mapping[str, Any]) -> list[dict[str, Any]]:
+    names = [(module, name) for module, names in enumerate(arm.module_joints, start=1) for name in names]
+    return [
+        {
+            "name": name,
+            "module": module,
+            "type": described[name].type,
+            "parent": described[name].parent,
+            "child": described[name].child,
+            "lower": float(arm.limits.lower[column]),
+            "upper": float(arm.limits.upper[column]),
+            "velocity": float(arm.limits.velocity[column]),
+            "unit": "m" if described[name].type == "prismatic" else "rad",
+        }
+        for (module, name), column in zip(names, arm.columns, strict=True)
+    ]
+
+
+def _without_closed_form(arm: Arm) -> str:
+    """The first module without closed-form kinematics, and why it has none; empty if all have them."""
+    from pinposture.target.modules import arm_units
+
+    try:
+        arm_units(arm.chain)
+    except UnsupportedModule as error:
+        return str(error)
+    return ""

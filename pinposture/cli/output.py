@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import math
 import sys
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import typer
+
+from pinposture.errors import PostureWarning
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -79,20 +82,42 @@ def _print(content: RenderableType) -> None:
 
 def print_note(text: str) -> None:
     """Say something on stderr that is not part of the result."""
-    _print_line("", text)
+    _print_line("", "", text)
+
+
+def print_warning(text: str) -> None:
+    """Say on stderr, in one line, what was settled in a way that may surprise."""
+    _print_line("note: ", "yellow", text)
 
 
 def print_error(text: str) -> None:
     """Say on stderr, in one line, why there is no result."""
-    _print_line("error: ", text)
+    _print_line("error: ", "bold red", text)
 
 
-def _print_line(label: str, text: str) -> None:
+@contextmanager
+def warnings_as_notes() -> Iterator[None]:
+    """Print every `PostureWarning` as a note on stderr, whatever the filters say; others as Python does."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", PostureWarning)
+        show = warnings.showwarning
+
+        def note(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if issubclass(category, PostureWarning):
+                print_warning(str(message))
+            else:
+                show(message, category, *where, **more)
+
+        warnings.showwarning = note
+        yield
+
+
+def _print_line(label: str, style: str, text: str) -> None:
     from rich.console import Console
     from rich.text import Text
 
     line = " ".join(part.strip() for part in text.splitlines())
-    Console(stderr=True).print(Text.assemble((label, "bold red"), line), soft_wrap=True)
+    Console(stderr=True).print(Text.assemble((label, style), line), soft_wrap=True)
 
 
 @contextmanager

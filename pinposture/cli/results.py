@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from pinposture.motion import Trajectory
 
 RUN, PLOT, ANIMATION = "run.npz", "run.png", "run.html"
@@ -27,11 +29,21 @@ def keep(motion: Trajectory, directory: Path) -> None:
 
 def write_plot(motion: Trajectory, path: Path) -> None:
     """Write the plot of a run as PNG, whatever the name of the file."""
-    from pinposture.storage import write_bytes
     from pinposture.view import plot
 
+    write_picture(plot(motion), path)
+
+
+def write_picture(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG, whatever the name of the file.
+
+    Raises:
+        FileError: it cannot be written.
+    """
+    from pinposture.storage import write_bytes
+
     picture = io.BytesIO()
-    plot(motion).savefig(picture, format="png")
+    figure.savefig(picture, format="png")
     write_bytes(path, picture.getvalue())
 
 
@@ -46,7 +58,8 @@ def summarize(motion: Trajectory) -> dict[str, Any]:
     """A run in numbers that JSON can hold; lengths in metres."""
     from pinposture.study import outcome
 
-    result = outcome(motion, "", "", 0)
+    result, target = outcome(motion, "", "", 0), motion.target
+    off = None if target.residual is None else float(target.residual[target.placed].max())
     return {
         "status": motion.status,
         "converged": motion.converged,
@@ -58,22 +71,27 @@ def summarize(motion: Trajectory) -> dict[str, Any]:
         "mean_error": result.mean_share * motion.arm.length,
         "arm_length": motion.arm.length,
         "control_points": motion.arm.n_modules,
-        "placed_points": int(motion.target.placed.sum()),
+        "placed_points": int(target.placed.sum()),
+        "placed_by": target.method,
+        "largest_residual": off,
         "first_active_points": result.first_points,
         "last_active_points": result.last_points,
-        "incomplete": motion.target.incomplete,
+        "incomplete": target.incomplete,
     }
 
 
 def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
     """A summary as a person reads it; the status with the colour in which to print it."""
     first, last, mean = (summary[key] for key in ("start_error", "final_error", "mean_error"))
+    off, length = summary["largest_residual"], summary["arm_length"]
     words: dict[str, str | tuple[str, str]] = {
         "status": (summary["status"], "green" if summary["converged"] else "yellow"),
         "reason": str(summary["reason"]),
         "steps": str(summary["steps"]),
+        "placed by": f"{summary['placed_by']} placement, at most {off:.2g} m off the curve, "
+        f"{off / length:.2g} of the arm length",
         "posture error": f"{first:.4g} m at the start, {last:.4g} m at the end",
-        "mean error": f"{mean:.4g} m for each point, {mean / summary['arm_length']:.2g} of the arm length",
+        "mean error": f"{mean:.4g} m for each point, {mean / length:.2g} of the arm length",
         "active points": f"{summary['first_active_points']} at the first step, "
         f"{summary['last_active_points']} at the last, of {summary['control_points']}",
     }

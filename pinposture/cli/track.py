@@ -29,6 +29,7 @@ EXAMPLES = (
     "pinposture track arm.urdf --curve helix -o out",
     "pinposture track arm.urdf --curve helix --seed 3 --steps 500 -o out",
     "pinposture track arm.urdf --curve line --controller projection --json",
+    "pinposture track arm.urdf --curve line --method smooth --modules 4",
     "pinposture track arm.urdf --curve curve.csv --partial -o out --view",
 )
 
@@ -61,6 +62,15 @@ def run(
             help="Turn of an aligned curve about the axis of the arm, in rad.", rich_help_panel=TARGET
         ),
     ] = 0.0,
+    method: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="How modules are placed: sequential (one by one, exactly), smooth (all at once, bending "
+            "little), closest (all at once), or auto.",
+            rich_help_panel=TARGET,
+        ),
+    ] = "auto",
     partial: Annotated[
         bool,
         typer.Option(
@@ -123,9 +133,10 @@ def run(
 ) -> None:
     """Drive an arm to the shape of a curve, and say how it went.
 
-    Each control point gets its place on the curve, and the controller moves the arm there step by step. With
-    -o the run is kept in a directory: run.npz holds everything, run.png plots it, run.html plays it in any
-    browser. The exit code is 0 whether or not the arm got there, 2 if it could not start.
+    Each control point gets its place on the curve, and the controller moves the arm there step by step; the
+    summary tells which method placed them and how far off the curve the farthest of them belongs. With -o the
+    run is kept in a directory: run.npz holds everything, run.png plots it, run.html plays it in any browser.
+    The exit code is 0 whether or not the arm got there, 2 if it could not start.
     """
     from pinposture.control import Limits, controller_named
     from pinposture.motion import track
@@ -140,6 +151,7 @@ def run(
         placement=cast(Literal["as_is", "translate", "align"], placement),  # checked there
         roll=roll,
         incomplete="partial" if partial else "raise",
+        method=cast(Literal["auto", "sequential", "smooth", "closest"], method),
     )
     if not target.placed.any():
         raise InvalidValue("--curve", curve, f"one with a place for the first module: {target.incomplete}")

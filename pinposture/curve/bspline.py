@@ -76,9 +76,16 @@ def breaks(spline: BSpline) -> NDArray[np.float64]:
     return np.asarray(np.unique(spline.t[spline.k : len(spline.t) - spline.k]))
 
 
+def derivative(spline: BSpline, u: NDArray[np.float64], order: int) -> NDArray[np.float64]:
+    """Derivative of the spline, (n, 3), at the parameters u (n,)."""
+    if order > spline.k:  # zero; older versions of scipy end the process instead
+        return np.zeros((*np.shape(u), spline.c.shape[1]))
+    return np.asarray(spline(u, order))
+
+
 def speed(spline: BSpline, u: NDArray[np.float64]) -> NDArray[np.float64]:
     """Speed (n,) [m per unit of parameter] at the parameters u (n,)."""
-    velocity = spline(u, 1)
+    velocity = derivative(spline, u, 1)
     return np.asarray(np.sqrt(np.einsum("ni,ni->n", velocity, velocity)))
 
 
@@ -105,7 +112,7 @@ def check_regular(spline: BSpline) -> None:
     high = u[span, np.minimum(sample + 1, _SAMPLES - 1)]
 
     def half_square_slope(x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        d1, d2, d3 = spline(x, 1), spline(x, 2), spline(x, 3)
+        d1, d2, d3 = (derivative(spline, x, order) for order in (1, 2, 3))
         value = np.einsum("ni,ni->n", d1, d2)
         return value, np.einsum("ni,ni->n", d2, d2) + np.einsum("ni,ni->n", d1, d3)
 

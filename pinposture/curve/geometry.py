@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline
 
 from pinposture.curve.arclength import ArcLength
-from pinposture.curve.bspline import breaks, make_bspline, speed
+from pinposture.curve.bspline import breaks, derivative, make_bspline, speed
 from pinposture.curve.checks import as_count, as_points
 from pinposture.curve.nearest import Nearest, nearest
 from pinposture.errors import InvalidValue
@@ -125,7 +125,7 @@ class Geometry:
     def tangent(self, s: float | Lengths) -> Array:
         """Unit tangents, shape (n, 3) or (3,), towards the end, at the arc lengths `s` [m]."""
         u, shape = self._parameter(s)
-        velocity = self._spline(u, 1)
+        velocity = derivative(self._spline, u, 1)
         return _shaped(velocity / np.linalg.norm(velocity, axis=1)[:, None], shape)
 
     @overload
@@ -152,7 +152,7 @@ class Geometry:
         bending, v = self._bending(u)
         square = np.einsum("ni,ni->n", bending, bending)
         bent = np.sqrt(square) * self.length > _STRAIGHT * v**3
-        volume = np.einsum("ni,ni->n", bending, self._spline(u, 3))
+        volume = np.einsum("ni,ni->n", bending, derivative(self._spline, u, 3))
         torsion = np.divide(volume, square, out=np.zeros_like(v), where=bent & (self.dimension == 3))
         return _scalar(torsion, shape)
 
@@ -199,8 +199,8 @@ class Geometry:
 
     def _bending(self, u: Array) -> tuple[Array, Array]:
         """First cross second derivative (n, 3), and the speed (n,)."""
-        velocity = self._spline(u, 1)
-        return np.cross(velocity, self._spline(u, 2)), np.linalg.norm(velocity, axis=1)
+        velocity = derivative(self._spline, u, 1)
+        return np.cross(velocity, derivative(self._spline, u, 2)), np.linalg.norm(velocity, axis=1)
 
 
 def _shaped(places: Array, shape: tuple[int, ...]) -> Array:

@@ -10,6 +10,7 @@ from scipy.interpolate import BSpline
 from scipy.spatial.distance import cdist
 
 from pinposture.curve.arclength import ArcLength
+from pinposture.curve.bspline import derivative
 from pinposture.curve.newton import crossings
 
 Values = NDArray[np.float64]
@@ -65,7 +66,7 @@ def _search(spline: BSpline, points: Values, low: Values, high: Values) -> Value
 
     def slopes(u: Values) -> tuple[Values, Values]:
         """Half the first and second derivatives of the squared distance."""
-        offset, d1, d2 = spline(u) - points, spline(u, 1), spline(u, 2)
+        offset, d1, d2 = spline(u) - points, derivative(spline, u, 1), derivative(spline, u, 2)
         value = np.einsum("ni,ni->n", offset, d1)
         return value, np.einsum("ni,ni->n", d1, d1) + np.einsum("ni,ni->n", offset, d2)
 

@@ -4,6 +4,7 @@ import sys
 from types import ModuleType
 from typing import Any
 
+from pinposture.view.anatomy import plot_arm
 from pinposture.view.html import save_html
 from pinposture.view.panels import plot_active_points, plot_point_errors, plot_posture_error
 from pinposture.view.plots import plot, plot_comparison
@@ -14,6 +15,7 @@ __all__ = [
     "Viewer",
     "plot",
     "plot_active_points",
+    "plot_arm",
     "plot_comparison",
     "plot_point_errors",
     "plot_posture_error",

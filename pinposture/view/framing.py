@@ -35,7 +35,7 @@ class Framing(NamedTuple):
     @property
     def axes(self) -> Array:
         """Unit vectors to the right, up, and towards the eye, (3, 3), world frame."""
-        return _axes(self.azimuth, self.elevation)
+        return look(self.azimuth, self.elevation)
 
     def distance(self, points: Array, opening: float, aspect: float) -> float:
         """How far from the centre the eye must be to see all points.
@@ -68,14 +68,15 @@ def frame_points(points: Array) -> Framing:
     chosen, largest = (0.0, 0.0), 0.0
     for elevation in ELEVATIONS:
         for azimuth in AZIMUTHS:
-            screen = _axes(float(azimuth), float(elevation))[:2]
+            screen = look(float(azimuth), float(elevation))[:2]
             area = float(np.sqrt(np.linalg.det(screen @ scatter @ screen.T)))
             if area > BETTER * largest:
                 chosen, largest = (float(azimuth), float(elevation)), area
     return Framing(center, radius, *chosen)
 
 
-def _axes(azimuth: float, elevation: float) -> Array:
+def look(azimuth: float, elevation: float) -> Array:
+    """Unit vectors to the right, up, and towards an eye that stands there [rad], (3, 3), world frame."""
     eye = np.array(
         [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
     )

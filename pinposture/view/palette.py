@@ -37,6 +37,12 @@ MODULES = ("#4F779F", "#A3B8CC")
 ALONG = ("#440154", "#46327E", "#365C8D", "#277F8E", "#1FA187", "#4AC16D", "#A0DA39")
 """From base to tip: dark to light, without the yellows that white paper swallows."""
 
+TURN = "#B03A6F"
+"""Axis of a joint that turns."""
+
+SLIDE = "#0B7A5B"
+"""Axis of a joint that slides."""
+
 BASE = "#4A5560"
 """What the arm stands on."""
 

@@ -16,7 +16,7 @@ from pinposture.motion import Trajectory
 from pinposture.target import Target
 from pinposture.view import palette
 from pinposture.view.body import backbone
-from pinposture.view.framing import frame_points
+from pinposture.view.framing import frame_points, look
 from pinposture.view.outline import outline
 
 Array = NDArray[np.float64]
@@ -44,12 +44,21 @@ class PosturePanel:
             raise InvalidValue("ax (projection)", ax.name, allowed)
         # Seen from the other side if that makes the axes of the picture point the way the world's do.
         signs = np.sign(arm.plane[np.arange(arm.dimension), np.abs(arm.plane).argmax(axis=1)])
-        self._plane = arm.plane * signs[:, None]
+        self._plane: Array = arm.plane * signs[:, None]
         self._drawn: list[Array] = []
 
     def coordinates(self, points: Array) -> tuple[Array, ...]:
         """Points (n, 3) [m] of the world as the coordinates of the axes, each (n,) [m]."""
         return tuple(points.T) if self.spatial else tuple(self._plane @ points.T)
+
+    @property
+    def screen(self) -> Array:
+        """Unit vectors to the right and up in the finished picture, (2, 3), world frame."""
+        if not self.spatial:
+            return self._plane
+        view: Any = self.ax
+        right, up, _ = look(np.radians(view.azim), np.radians(view.elev))
+        return np.array([right, up])
 
     def line(self, points: Array, **style: Any) -> None:
         """Draw a line through points (n, 3) [m], world frame."""
@@ -90,6 +99,7 @@ class PosturePanel:
         marks = {"ls": "none", "marker": "s", "ms": 6.5, "color": palette.BASE, "label": "base"}
         self.line(base, zorder=6, **marks)
         points = np.vstack(self._drawn)
+        points = points[np.isfinite(points).all(axis=1)]  # a line may have gaps
         if self.spatial:
             _frame_space(self.ax, points)
         else:
@@ -160,20 +170,20 @@ def _frame_space(ax: Any, points: Array) -> None:
         axis.set_ticks(places[np.abs(places - center) < 0.9 * size])
         axis.pane.set(facecolor="none", edgecolor=palette.FAINT)
         axis._axinfo["grid"].update(color=palette.FAINT, linewidth=0.6)  # there is no public way
-        axis.set_tick_params(labelsize=8, pad=0)
         axis.set_label_text(f"{name} [m]", fontsize=9)
-        # A label is shifted by this many shares of the other two scales, which may be short.
+        # Labels are shifted by this many shares of the other two scales, which may be short.
         slender = float(half.max() / np.delete(half, "xyz".index(name)).max())
-        axis.labelpad = 0.0 if name == "z" else 12.0 * slender
+        axis.set_tick_params(labelsize=8, pad=3.0 * (slender - 1.0))
+        axis.labelpad = 8.0 * (slender - 1.0) if name == "z" else 12.0 * slender
     ax.set_proj_type("ortho")
     ax.view_init(elev=np.degrees(framing.elevation), azim=np.degrees(framing.azimuth))
     ax.set_box_aspect(tuple(half))  # a copy: it scales an array in place
-    ax.set_box_aspect(tuple(half), zoom=FILL / _extent(ax, middle, half))
+    ax.set_box_aspect(tuple(half), zoom=FILL / box_extent(ax).max())
 
 
-def _extent(ax: Any, middle: Array, half: Array) -> float:
-    """Share of the width or height of the axes, whichever is more, that the box of the plot takes."""
-    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-    corners = np.hstack([middle + signs * half, np.ones((8, 1))]) @ ax.get_proj().T
-    flat = ax.transLimits.transform(corners[:, :2] / corners[:, 3:])
-    return float(np.ptp(flat, axis=0).max())
+def box_extent(ax: Any) -> Array:
+    """Shares of the width and the height of three-dimensional axes that the box of the plot takes, (2,)."""
+    corners = np.array(np.meshgrid(ax.get_xlim(), ax.get_ylim(), ax.get_zlim())).reshape(3, -1).T
+    projected = np.hstack([corners, np.ones((8, 1))]) @ ax.get_proj().T
+    flat = ax.transLimits.transform(projected[:, :2] / projected[:, 3:])
+    return np.asarray(np.ptp(flat, axis=0))

@@ -45,7 +45,13 @@ CASES = [
     Case("base alone", "inspect ARM --base base", ("tip is None", "tip=")),
     Case("indivisible", "inspect ARM --modules 5", ("modules", "5", "1, 2, 3, 4, 6, 12")),
     Case("sizes that do not add up", "inspect ARM --modules 5,5", ("[5, 5]", "add up to 12")),
-    Case("no sizes", "inspect ARM --modules two", ("--modules is 'two'", "whole numbers")),
+    Case("no sizes", "inspect ARM --modules 2,,2", ("--modules is '2,,2'", "whole numbers or names")),
+    Case("unknown link", "inspect ARM --modules tipp", ("'tipp'", "did you mean 'tip'")),
+    Case("unknown link of several", "track ARM --curve line --modules m9,tip", ("link", "'m9'", "m01_l1")),
+    Case("sizes and links", "inspect ARM --modules 2,tip", ("'2'", "link")),
+    Case("links out of order", "inspect ARM --modules m03_l2,m02_l2,tip", ("'m02_l2'", "in order")),
+    Case("plot under a file", "inspect ARM --plot ARM/x.png", ("ARM", "a directory")),
+    Case("plot is a directory", "inspect ARM --plot DIR", ("DIR", "is a directory", "a file")),
     # the curve
     Case("unknown preset", "track ARM --curve helx", ("'helx'", "did you mean 'helix'", "line, helix")),
     Case("missing curve", "track ARM --curve DIR/none.csv", ("DIR/none.csv", "No such file")),
@@ -62,6 +68,14 @@ CASES = [
         "no place at all", "track ARM --curve DIR/tiny.json --partial", ("--curve", "DIR/tiny.json", "first")
     ),
     Case("unknown placement", "track ARM --curve helix --placement up", ("'up'", "as_is, translate, align")),
+    Case(
+        "unknown method", "track ARM --curve helix --method best", ("'best'", "auto, sequential, smooth, cl")
+    ),
+    Case(
+        "no closed form",
+        "track ARM --curve helix --method sequential --modules 4",
+        ("module 1", "neither parallel nor a perpendicular pair"),
+    ),
     Case("roll NaN", "track ARM --curve helix --roll nan", ("roll is nan", "finite")),
     # the motion
     Case("unknown controller", "track ARM --curve line --controller magic", ("'magic'", "selection, projec")),
@@ -95,6 +109,13 @@ CASES = [
     # the output
     Case("output is a file", "track ARM --curve line -o ARM", ("ARM", "is a file", "a directory")),
     Case("output under a file ", "track ARM --curve line -o ARM/out", ("ARM", "is a file")),
+    # study
+    Case("unknown study", "study armz", ("'armz'", "arms", "pinposture study --help")),
+    Case("no directory", "study arms DIR/none", ("DIR/none", "no directory")),
+    Case("directory is a file", "study arms ARM", ("ARM", "no directory")),
+    Case("directory without arms", "study arms RUN", ("RUN", "no file that ends in .urdf")),
+    Case("study with seed -1", "study arms DIR --seed -1", ("--seed is -1", "at least 0")),
+    Case("study without jobs", "study arms DIR --jobs 0", ("--jobs is 0", "at least 1")),
     # view
     Case("missing run", "view DIR/none.npz", ("DIR/none.npz", "no such file")),
     Case("directory without a run", "view DIR", ("DIR/run.npz", "no such file")),

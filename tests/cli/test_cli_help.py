@@ -7,15 +7,15 @@ import pytest
 
 import pinposture
 from pinposture.control import CONTROLLERS
-from pinposture.target.resolve import PLACEMENTS
+from pinposture.target.resolve import METHODS, PLACEMENTS
 from pinposture.thesis.curves import CURVES
 
-VERBS = ("generate", "inspect", "track", "view")
+VERBS = ("generate", "inspect", "track", "view", "study arms")
 
 
 def examples(command, verb):
     """The examples as the help shows them on a terminal of 80 columns."""
-    lines = command(verb, "--help", env={"COLUMNS": "80"}).out.splitlines()
+    lines = command(*verb.split(), "--help", env={"COLUMNS": "80"}).out.splitlines()
     return [line.strip()[2:] for line in lines if line.strip().startswith("$ ")]
 
 
@@ -24,7 +24,14 @@ def test_the_command_alone_tells_of_every_verb(command, arguments):
     result = command(*arguments)
     assert result.code == 0
     for verb in VERBS:
-        assert f" {verb} " in result.out
+        assert f" {verb.split()[0]} " in result.out
+
+
+@pytest.mark.parametrize("arguments", [(), ("--help",), ("-h",)])
+def test_the_group_alone_tells_of_its_verbs(command, arguments):
+    result = command("study", *arguments)
+    assert (result.code, result.err) == (0, "")
+    assert " arms " in result.out
 
 
 def test_the_version_is_that_of_the_package(command):
@@ -34,8 +41,8 @@ def test_the_version_is_that_of_the_package(command):
 
 @pytest.mark.parametrize("verb", VERBS)
 def test_every_help_has_a_paragraph_and_examples_of_one_line_each(command, verb):
-    out = command(verb, "--help", env={"COLUMNS": "80"}).out
-    wide = command(verb, "--help", env={"COLUMNS": "500"}).out
+    out = command(*verb.split(), "--help", env={"COLUMNS": "80"}).out
+    wide = command(*verb.split(), "--help", env={"COLUMNS": "500"}).out
     assert max(len(line.split()) for line in wide.split("╭")[0].splitlines()) > 30
     shown = examples(command, verb)
     assert len(shown) >= 3
@@ -46,7 +53,7 @@ def test_every_help_has_a_paragraph_and_examples_of_one_line_each(command, verb)
 
 def test_the_help_of_track_names_everything_that_can_be_named(command):
     out = command("track", "--help", env={"COLUMNS": "200"}).out
-    for name in (*CONTROLLERS, *CURVES, *PLACEMENTS, "straight", "smooth", "random"):
+    for name in (*CONTROLLERS, *CURVES, *PLACEMENTS, *METHODS, "straight", "smooth", "random"):
         assert name in out
 
 
@@ -69,6 +76,8 @@ def test_the_examples_run_one_after_the_other(command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     t = np.linspace(0, 1.2, 50)
     np.savetxt("curve.csv", np.column_stack([t, 0.1 * np.sin(3 * t)]), delimiter=",")
+    (tmp_path / "urdf").mkdir()
+    command("generate", "Rz", "--modules", 8, "-o", tmp_path / "urdf" / "flat.urdf")
     for verb in VERBS:
         for example in examples(command, verb):
             output = ""
@@ -79,4 +88,13 @@ def test_the_examples_run_one_after_the_other(command, tmp_path, monkeypatch):
                 assert result.code == 0, (example, result.err)
                 output = result.out
     made = {path.name for path in tmp_path.iterdir()}
-    assert made == {"curve.csv", "arm.urdf", "long.urdf", "out", "motion.html", "motion.png"}
+    assert made == {
+        "curve.csv",
+        "urdf",
+        "arm.urdf",
+        "arm.png",
+        "long.urdf",
+        "out",
+        "motion.html",
+        "motion.png",
+    }

@@ -7,6 +7,9 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
+import pinposture as pp
+import pinposture.view
+
 LIMITS = '<limit lower="-1" upper="2" velocity="3" effort="1"/>'
 
 
@@ -78,6 +81,92 @@ def test_joints_off_the_chain_are_named(command):
     assert "finger" in command("inspect", "-", input=text).out
 
 
+def test_reach_is_the_farthest_that_the_tip_gets_from_the_base(command):
+    # Two links at a right angle, which reach farther than they do at zero joint positions.
+    text = robot(
+        [("j1", "revolute", "base", "a"), ("j2", "revolute", "a", "b"), ("end", "fixed", "b", "tip")]
+    )
+    text = text.replace("0 1 0", "0 0 1").replace('lower="-1"', 'lower="-3"')
+    *_, last = text.rpartition('<origin xyz="0.1 0 0"/>')
+    text = text.removesuffix(last).removesuffix('<origin xyz="0.1 0 0"/>') + '<origin xyz="0 0.2 0"/>' + last
+    about = json.loads(command("inspect", "-", "--json", input=text).out)
+    assert np.linalg.norm(about["control_points"][-1]["position"]) == pytest.approx(math.hypot(0.2, 0.2))
+    assert about["reach"] == pytest.approx(0.3)
+    assert about["length"] == pytest.approx(0.3)
+    assert "reach       0.3 m" in command("inspect", "-", input=text).out
+
+
+def test_it_says_why_the_modules_were_cut_so(command, arm_file):
+    arm = pp.Arm.from_urdf(arm_file)
+    for options, expected in (((), arm), (("--modules", 4), pp.Arm.from_urdf(arm_file, modules=4))):
+        assert json.loads(command("inspect", arm_file, *options, "--json").out)["modules_reason"] == (
+            expected.segmentation.reason
+        )
+        assert expected.segmentation.reason in command("inspect", arm_file, *options).out
+
+
+def test_it_says_which_module_has_no_closed_form_kinematics(command, arm_file):
+    about = json.loads(command("inspect", arm_file, "--json").out)
+    assert (about["closed_form"], about["closed_form_reason"]) == (True, "")
+    assert "closed form for every module" in command("inspect", arm_file).out
+    options = ("--modules", "2,2,4,4")
+    about = json.loads(command("inspect", arm_file, *options, "--json").out)
+    assert about["closed_form"] is False
+    assert about["closed_form_reason"].startswith("module 3 (joints m03_j1_y, m03_j2_z, m04_j1_y, m04_j2_z)")
+    assert about["closed_form_reason"] in command("inspect", arm_file, *options).out
+
+
+def test_modules_end_at_links_that_are_named(command, arm_file):
+    options = ("--modules", "m02_l2, m03_l2,tip")
+    about = json.loads(command("inspect", arm_file, *options, "--json").out)
+    arm = pp.Arm.from_urdf(arm_file, modules=["m02_l2", "m03_l2", "tip"])
+    assert arm.n_modules == 3
+    assert [joint["module"] for joint in about["joints"]] == [
+        k for k, names in enumerate(arm.module_joints, start=1) for _ in names
+    ]
+    places = [point["position"] for point in about["control_points"]]
+    np.testing.assert_allclose(places, arm.at(arm.neutral()).points, atol=1e-12)
+    one = json.loads(command("inspect", arm_file, "--modules", "m03_l2", "--json").out)
+    assert (one["tip"], one["modules"], one["dof"]) == ("m03_l2", 1, 6)
+
+
+def test_what_loading_warns_of_is_told_in_the_table_in_the_json_and_in_one_line_each(command):
+    text = robot([*CHAIN, ("finger", "revolute", "a", "nail")])
+    with pytest.warns(pp.PostureWarning) as warned:
+        arm = pp.Arm.from_urdf(text)
+    assert [str(warning.message) for warning in warned] == list(arm.warnings)
+    assert len(arm.warnings) == 1
+    words, data = command("inspect", "-", input=text), command("inspect", "-", "--json", input=text)
+    assert json.loads(data.out)["warnings"] == list(arm.warnings)
+    assert f"note        {arm.warnings[0]}\n" in "\n".join(map(str.rstrip, words.out.splitlines())) + "\n"
+    assert words.err == data.err == f"note: {arm.warnings[0]}\n"
+
+
+def test_several_warnings_are_all_in_the_table(command):
+    text = robot([*CHAIN, ("finger", "revolute", "a", "nail")]).replace('lower="-1" upper="2" ', "", 1)
+    about = json.loads(command("inspect", "-", "--json", input=text).out)
+    assert len(about["warnings"]) == 2
+    out = command("inspect", "-", input=text).out
+    assert all(warning in out for warning in about["warnings"])
+
+
+@pytest.mark.parametrize("as_json", [(), ("--json",)])
+def test_a_picture_is_left_under_whatever_name(command, arm_file, tmp_path, as_json):
+    path = tmp_path / "sub" / "picture"
+    result = command("inspect", arm_file, "--plot", path, *as_json)
+    assert result.err == f"wrote {path}\n"
+    assert path.read_bytes().startswith(b"\x89PNG\r\n")
+    if as_json:
+        assert json.loads(result.out)["plot"] == str(path)
+
+
+def test_the_picture_is_that_of_the_arm(command, arm_file, tmp_path, monkeypatch):
+    seen, real = [], pinposture.view.plot_arm
+    monkeypatch.setattr("pinposture.view.plot_arm", lambda arm: seen.append(arm) or real(arm))
+    command("inspect", arm_file, "--modules", 4, "--plot", tmp_path / "arm.png")
+    assert [arm.n_modules for arm in seen] == [3]
+
+
 def test_the_tables_say_what_the_json_says(command, arm_file):
     out = command("inspect", arm_file).out
     about = json.loads(command("inspect", arm_file, "--json").out)
@@ -93,7 +182,11 @@ def test_the_tables_say_what_the_json_says(command, arm_file):
 
 def test_the_tables_of_our_own_arms_fit_a_terminal_of_80_columns(command):
     text = command("generate", "RyRz", "--modules", 12).out
-    assert max(len(line.rstrip()) for line in command("inspect", "-", input=text).out.splitlines()) <= 80
+    lines = command("inspect", "-", input=text).out.splitlines()
+    tables = lines[
+        next(k for k, line in enumerate(lines) if line.startswith(" module")) :
+    ]  # not the sentences
+    assert max(len(line.rstrip()) for line in tables) <= 80
 
 
 def test_nothing_is_cut_short_in_a_pipe(command):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -47,6 +48,23 @@ def test_an_error_is_one_line_on_stderr_with_code_2(tmp_path):
     assert result.stderr.startswith(f"error: {file}: ")
     assert result.stderr.count("\n") == 1
     assert "Traceback" not in result.stderr
+
+
+def test_notes_come_whatever_the_filters_say_and_leave_other_warnings_alone(arm_file, tmp_path):
+    file = tmp_path / "limitless.urdf"
+    file.write_text(re.sub(r'lower="\S+" upper="\S+"', "", arm_file.read_text()))
+    for filters in ("ignore", "error"):
+        result = process("inspect", file, "--json", env=environment(PYTHONWARNINGS=filters))
+        assert result.returncode == 0
+        assert json.loads(result.stdout)["dof"] == 12
+        assert [line[:26] for line in result.stderr.splitlines()] == ["note: no limits are given "]
+    code = (
+        "import warnings, pinposture.cli.output as o\n"
+        "with o.warnings_as_notes(): warnings.warn('another', UserWarning)\n"
+    )
+    line = [sys.executable, "-c", code]
+    result = subprocess.run(line, env=environment(), capture_output=True, text=True, check=True)
+    assert "UserWarning: another" in result.stderr
 
 
 def test_a_bug_shows_its_traceback_without_dumping_variables(arm_file):

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -79,6 +80,58 @@ def test_options_reach_the_run(command, arm_file, tmp_path):
     assert np.abs(np.diff(run.q, axis=0)).max() == pytest.approx(0.02)
     target = pp.resolve_targets(pp.Arm.from_urdf(arm_file), CURVES["helix"], roll=0.5)
     np.testing.assert_allclose(run.target.points, target.points, atol=1e-12)
+
+
+@pytest.mark.usefixtures("no_pictures")
+@pytest.mark.parametrize("method", ["auto", "sequential", "smooth", "closest"])
+def test_modules_are_placed_by_the_method_asked_for_and_the_summary_tells(
+    command, arm_file, tmp_path, method
+):
+    summary = track(command, arm_file, "--method", method, "--steps", 1, "-o", tmp_path)
+    target = pp.resolve_targets(pp.Arm.from_urdf(arm_file), CURVES["helix"], method=method)
+    np.testing.assert_allclose(
+        pp.Trajectory.load(tmp_path / "run.npz").target.points, target.points, atol=1e-12
+    )
+    assert summary["placed_by"] == target.method != "auto"
+    distances = target.curve.nearest(target.points)[1]
+    assert summary["largest_residual"] == pytest.approx(distances.max(), rel=1e-3, abs=1e-7)
+    out = command("track", arm_file, "--curve", "helix", "--method", method, "--steps", 1).out
+    assert f"{target.method} placement, at most {summary['largest_residual']:.2g} m off the curve" in out
+
+
+def test_smooth_placement_leaves_the_curve_and_sequential_does_not(command, arm_file):
+    off = {
+        method: track(command, arm_file, "--method", method, "--steps", 1)["largest_residual"]
+        for method in ("sequential", "smooth")
+    }
+    assert 3 * off["sequential"] < off["smooth"]
+
+
+def test_the_largest_residual_is_that_of_the_points_that_have_a_place(command, arm_file, tmp_path):
+    short = tmp_path / "short.json"
+    short.write_text(json.dumps({"type": "line", "a": [0, 0, 0], "b": [0.17, 0, 0]}))
+    result = command("track", arm_file, "--curve", short, "--partial", "--steps", 1, "--json")
+    assert json.loads(result.out)["largest_residual"] < 1e-9  # the others are 0.13 m beyond its end
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_modules_end_at_links_that_are_named(command, arm_file, tmp_path):
+    track(command, arm_file, "--modules", "m02_l2,m04_l2,tip", "--steps", 1, "-o", tmp_path)
+    run = pp.Trajectory.load(tmp_path / "run.npz")
+    named = pp.Arm.from_urdf(arm_file, modules=["m02_l2", "m04_l2", "tip"])
+    assert run.arm.module_joints == named.module_joints
+    assert run.arm.n_modules == 3
+
+
+def test_what_loading_warns_of_is_a_note_on_stderr(command, arm_file, tmp_path):
+    file = tmp_path / "limitless.urdf"
+    file.write_text(re.sub(r'lower="\S+" upper="\S+"', "", arm_file.read_text(), count=1))
+    with pytest.warns(pp.PostureWarning) as warned:
+        pp.Arm.from_urdf(file)
+    result = command("track", file, "--curve", "helix", "--steps", 1, "--json")
+    assert json.loads(result.out)["steps"] == 1
+    assert result.err == "".join(f"note: {warning.message}\n" for warning in warned)
+    assert len(warned) == 1
 
 
 def test_a_tolerance_as_wide_as_the_start_ends_the_run_there(command, arm_file):
