@@ -94,7 +94,8 @@ def place_base(model: pin.Model, placement: pin.SE3) -> None:
     for joint in range(1, model.njoints):
         if model.parents[joint] == 0:
             model.jointPlacements[joint] = placement * model.jointPlacements[joint]
-    for frame in model.frames[1:]:
+    for index in range(1, model.nframes):  # not a slice: that would be a copy
+        frame = model.frames[index]
         if frame.parentJoint == 0:
             frame.placement = placement * frame.placement
 

@@ -15,6 +15,7 @@ from pinposture.view import palette
 from pinposture.view.body import Body, backbone, bodies, body_poses
 from pinposture.view.commands import Command, draw, set_property, transform
 from pinposture.view.framing import frame_points
+from pinposture.view.link_meshes import body_meshes
 from pinposture.view.mesh import Mesh, ball, disc, merge, tube
 from pinposture.view.outline import outline
 
@@ -67,15 +68,20 @@ def require_fitting(arm: Arm, run: Trajectory | None, target: Target | None) -> 
 
 
 def arm_commands(arm: Arm, q: Array) -> list[Command]:
-    """Draw the arm at a configuration (nq,): one mesh for each body, control points fixed to theirs."""
+    """Draw the arm at a configuration (nq,): one mesh for each body, control points fixed to theirs.
+
+    Bodies are drawn with the meshes of their description where those can be read.
+    """
     radius = link_radius(arm)
-    commands = [draw(f"{ROOT}/arm/base", _base_mesh(arm, radius), palette.BASE)]
+    own = body_meshes(arm)
+    commands = [draw(f"{ROOT}/arm/base", own.base or _base_mesh(arm, radius), palette.BASE)]
     listed = bodies(arm)
     for u, body in enumerate(listed):
         # The ball of the next joint closes a bar, unless it slides away or there is none.
         closed = u + 1 < len(listed) and bool(arm.chain.revolute[u + 1])
         shade = palette.MODULES[body.module % len(palette.MODULES)]
-        commands.append(draw(f"{body_path(u)}/link", _body_mesh(body, radius, closed), shade))
+        surface = own.bodies[u] or _body_mesh(body, radius, closed)
+        commands.append(draw(f"{body_path(u)}/link", surface, shade))
         if body.point is not None:
             commands.append(draw(point_path(u), ball(np.zeros(3), POINT_SIZE * radius), palette.IDLE))
             commands.append(transform(point_path(u), _placed(body.point, IDLE_SIZE)))

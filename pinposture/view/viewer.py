@@ -54,8 +54,9 @@ def view(
 ) -> Viewer:
     """Show an arm in the browser: at its neutral configuration, or playing a run.
 
-    The arm is drawn from its kinematics, without meshes, in two shades that take turns from module to
-    module. Control points that are active are coloured and large.
+    The arm is drawn with the visual meshes of its description where there are any that can be read, elsewhere
+    from its kinematics, in two shades that take turns from module to module. Control points that are active
+    are coloured and large. One `PostureWarning` names the meshes that are not drawn.
 
     Args:
         arm: the arm.

@@ -177,6 +177,11 @@ def test_slides_and_turns_are_compared_by_a_scale_that_can_be_chosen() -> None:
         arm.with_sliding_unit(0.0)
 
 
+def test_links_fixed_to_the_world_move_with_the_base() -> None:
+    frame = PLACED.model.frames[PLACED.model.getFrameId("base", pin.FrameType.BODY)]
+    np.testing.assert_allclose(frame.placement.homogeneous, PLACEMENT.homogeneous, atol=1e-15)
+
+
 def test_an_arm_pickles_and_survives_as_data(placed: pp.Arm) -> None:
     q = placed.random(np.random.default_rng(5))
     for copy in (pickle.loads(pickle.dumps(placed)), pp.Arm.from_dict(placed.to_dict())):
