@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture.arm.adequacy import Adequacy, CurveShape, adequacy
 from pinposture.arm.chain import Chain, frame_id, read_chain
-from pinposture.arm.checks import finite_vector
-from pinposture.arm.limits import JointLimits, joint_limits
+from pinposture.arm.configurations import ConfigurationSpace
 from pinposture.arm.loading import Modules, load_model, place_base
 from pinposture.arm.report import LoadReport
 from pinposture.arm.segmentation import Segmentation
@@ -36,7 +35,7 @@ class _Scratch(threading.local):
         self.data = model.createData()
 
 
-class Arm:
+class Arm(ConfigurationSpace):
     """A serial arm with posture control points at its module boundaries.
 
     Make one with `from_template`, `from_modules`, `from_urdf` or `from_model`. An arm is immutable and
@@ -67,7 +66,7 @@ class Arm:
         report: LoadReport | None = None,
         sliding_unit: float | None = None,
     ) -> None:
-        self.model = model
+        super().__init__(model)
         self.control_points = tuple(control_points)
         self.base_placement = pin.SE3.Identity() if base_placement is None else base_placement
         self.urdf, self.report = urdf, report
@@ -88,7 +87,6 @@ class Arm:
             turns=np.array([frame.placement.rotation for frame in frames]),
             support=np.cumsum(self.own_joints, axis=0)[:, None, :],
         )
-
         self.sliding_unit = float(self.chain.module_lengths.mean()) if sliding_unit is None else sliding_unit
         self.joint_units = np.where(self.slides, self.sliding_unit, 1.0)
         self.joint_units.flags.writeable = False
@@ -221,16 +219,6 @@ class Arm:
         return cls(own, control_points, placement)
 
     @property
-    def nq(self) -> int:
-        """Number of entries of a configuration."""
-        return int(self.model.nq)
-
-    @property
-    def nv(self) -> int:
-        """Number of degrees of freedom: entries of `dq`."""
-        return int(self.model.nv)
-
-    @property
     def n_modules(self) -> int:
         """Number of modules m, which is the number of control points."""
         return len(self.control_points)
@@ -271,11 +259,6 @@ class Arm:
         """Length from the first joint to the tip, along the arm [m]."""
         return self.chain.length
 
-    @cached_property
-    def limits(self) -> JointLimits:
-        """Joint limits, one entry per degree of freedom."""
-        return joint_limits(self.model)
-
     def adequate(self, curve: CurveShape) -> Adequacy:
         """Tell whether the modules can follow a curve within their joint limits (Section 4.1).
 
@@ -287,10 +270,6 @@ class Arm:
             that exceed them; truthy if there are none.
         """
         return adequacy(self.chain, self.limits.lower, self.limits.upper, curve)
-
-    def neutral(self) -> Array:
-        """The configuration in which every joint is at zero, (nq,)."""
-        return np.array(pin.neutral(self.model))
 
     def straight(self) -> Array:
         """The configuration that stretches the arm farthest, (nq,); the neutral one for our templates."""
@@ -313,54 +292,11 @@ class Arm:
         upper = np.where(np.isfinite(self.limits.upper), self.limits.upper, free)
         return self.configuration(rng.uniform(lower, upper))
 
-    def configuration(self, positions: ArrayLike) -> Array:
-        """Configuration from joint positions.
-
-        Args:
-            positions: one number per degree of freedom, (nv,) [rad or m].
-
-        Returns:
-            Configuration (nq,).
-
-        Raises:
-            InvalidValue: wrong size or not finite.
-        """
-        return np.array(
-            pin.integrate(self.model, pin.neutral(self.model), finite_vector("positions", positions, self.nv))
-        )
-
-    def positions(self, q: ArrayLike) -> Array:
-        """Joint positions (nv,) [rad or m] of a configuration; continuous joints within +-pi."""
-        return np.array(pin.difference(self.model, pin.neutral(self.model), self.checked(q)))
-
-    def integrate(self, q: Array, dq: Array) -> Array:
-        """The configuration (nq,) reached from q by the joint displacement dq, (nv,) [rad or m]."""
-        return np.array(pin.integrate(self.model, q, dq))
-
     def within_limits(self, q: ArrayLike, tolerance: float = 1e-9) -> bool:
         """True if no joint of q is outside its limits by more than the tolerance, in `joint_units`."""
         positions, slack = self.positions(q), tolerance * self.joint_units
         low, high = self.limits.lower - slack, self.limits.upper + slack
         return bool(np.all((positions >= low) & (positions <= high)))
-
-    def checked(self, q: ArrayLike, name: str = "q") -> Array:
-        """A configuration as a fresh float array, or an error that says what is wrong with it.
-
-        Args:
-            q: configuration, (nq,).
-            name: what to call it in the error.
-
-        Returns:
-            Copy of q, (nq,).
-
-        Raises:
-            InvalidValue: wrong size, not finite, or not a rotation where a continuous joint needs one.
-        """
-        checked = finite_vector(name, q, self.nq)
-        if self.nq != self.nv and not pin.isNormalized(self.model, checked, 1e-6):
-            allowed = "cosine and sine of one angle for each continuous joint; see Arm.configuration"
-            raise InvalidValue(name, q, allowed)
-        return checked
 
     def at(self, q: ArrayLike) -> ArmState:
         """The state of the arm at a configuration; Pinocchio is read once.

@@ -1,0 +1,92 @@
+"""Configurations of a model: where its joints are, and how they move on the manifold."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from pinposture.arm.checks import finite_vector
+from pinposture.arm.limits import JointLimits, joint_limits
+from pinposture.errors import InvalidValue
+
+Array = NDArray[np.float64]
+
+
+class ConfigurationSpace:
+    """The configurations of a Pinocchio model.
+
+    A configuration `q` has `nq` entries and moves only by `integrate`, because a continuous joint takes two
+    of them: the cosine and the sine of its angle. Joint positions have `nv` entries, one for each degree of
+    freedom.
+
+    Attributes:
+        model: the model.
+    """
+
+    def __init__(self, model: pin.Model) -> None:
+        self.model = model
+
+    @property
+    def nq(self) -> int:
+        """Number of entries of a configuration."""
+        return int(self.model.nq)
+
+    @property
+    def nv(self) -> int:
+        """Number of degrees of freedom: entries of `dq`."""
+        return int(self.model.nv)
+
+    @cached_property
+    def limits(self) -> JointLimits:
+        """Joint limits, one entry per degree of freedom."""
+        return joint_limits(self.model)
+
+    def neutral(self) -> Array:
+        """The configuration in which every joint is at zero, (nq,)."""
+        return np.array(pin.neutral(self.model))
+
+    def configuration(self, positions: ArrayLike) -> Array:
+        """Configuration from joint positions.
+
+        Args:
+            positions: one number per degree of freedom, (nv,) [rad or m].
+
+        Returns:
+            Configuration (nq,).
+
+        Raises:
+            InvalidValue: wrong size or not finite.
+        """
+        return np.array(
+            pin.integrate(self.model, pin.neutral(self.model), finite_vector("positions", positions, self.nv))
+        )
+
+    def positions(self, q: ArrayLike) -> Array:
+        """Joint positions (nv,) [rad or m] of a configuration; continuous joints within +-pi."""
+        return np.array(pin.difference(self.model, pin.neutral(self.model), self.checked(q)))
+
+    def integrate(self, q: Array, dq: Array) -> Array:
+        """The configuration (nq,) reached from q by the joint displacement dq, (nv,) [rad or m]."""
+        return np.array(pin.integrate(self.model, q, dq))
+
+    def checked(self, q: ArrayLike, name: str = "q") -> Array:
+        """A configuration as a fresh float array, or an error that says what is wrong with it.
+
+        Args:
+            q: configuration, (nq,).
+            name: what to call it in the error.
+
+        Returns:
+            Copy of q, (nq,).
+
+        Raises:
+            InvalidValue: wrong size, not finite, or not a rotation where a continuous joint needs one.
+        """
+        checked = finite_vector(name, q, self.nq)
+        if self.nq != self.nv and not pin.isNormalized(self.model, checked, 1e-6):
+            allowed = "cosine and sine of one angle for each continuous joint; see Arm.configuration"
+            raise InvalidValue(name, q, allowed)
+        return checked
