@@ -19,7 +19,7 @@ from pinposture.control import Controller, Limits, Projection, Selection, Step
 from pinposture.curve import Curve
 from pinposture.errors import PostureError, PostureWarning
 from pinposture.motion import Trajectory, track
-from pinposture.target import Target, resolve_targets
+from pinposture.target import Target, fit_points, resolve_targets
 
 if TYPE_CHECKING:
     from pinposture.view import plot, plot_arm, plot_comparison, save_html, view
@@ -43,6 +43,7 @@ __all__ = [
     "Step",
     "Target",
     "Trajectory",
+    "fit_points",
     "plot",
     "plot_arm",
     "plot_comparison",

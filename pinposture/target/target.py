@@ -24,7 +24,8 @@ class Target:
         q: a configuration that takes the target posture, (nq,), or None if none is known.
         curve: the curve as placed in the world, or None.
         parameters: arc length along the curve at each point, (m,) [m], or None.
-        residual: distance of each point from the curve, (m,) [m], or None.
+        residual: distance of each point from the curve, or of the posture at `q` from measured points, (m,)
+            [m], or None.
         method: how the points were found on the curve: "sequential", "smooth" or "closest"; or empty.
         incomplete: why some control points have no place on the curve; empty if all have one. Those
             have weight 0, and their `points` continue straight on from the last that was placed.

@@ -1,0 +1,77 @@
+"""The configuration that comes closest to measured control points, which no arm can take exactly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import least_squares
+
+from pinposture.arm import Arm
+from pinposture.curve import Curve
+from pinposture.errors import PostureError
+from pinposture.target.fit import fit_curve
+from pinposture.target.target import Target
+
+Array = NDArray[np.float64]
+
+STRAIGHTENING = 1e-8
+"""Weight of the joint positions against distances in arm lengths [1/rad]; it settles what those leave open."""
+
+
+def fit_points(arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) -> Target:
+    """Fit the arm to target positions, for instance measured ones, by least squares within its limits.
+
+    Two starts are tried: the fit of the whole arm to a curve through the points, which knows the way round,
+    and the straight arm.
+
+    Args:
+        arm: the arm.
+        points: one position per control point, (m, 3) [m], world frame.
+        weights: 1 to control a point, 0 to leave it free, (m,); all 1 if None.
+
+    Returns:
+        The target at those points, with the configuration `q` that comes closest to them and the distance of
+        its control points from them as `residual`.
+
+    Raises:
+        InvalidValue: wrong shape, not finite, negative weights, or no point with a weight.
+    """
+    target = Target.from_points(arm, points, weights)
+    columns, units = arm.columns, arm.joint_units[arm.columns]
+    root = np.sqrt(np.repeat(target.weights, 3))
+    lower, upper = arm.limits.lower[columns] / units, arm.limits.upper[columns] / units
+    straight = np.clip(arm.positions(arm.straight())[columns] / units, lower, upper)
+
+    def configuration(amounts: Array) -> Array:
+        positions = np.zeros(arm.nv)
+        positions[columns] = amounts * units
+        return arm.configuration(positions)
+
+    def distances(amounts: Array) -> Array:
+        offsets = (arm.at(configuration(amounts)).points - target.points).ravel() / arm.length
+        return np.concatenate([root * offsets, STRAIGHTENING * (amounts - straight)])
+
+    def jacobian(amounts: Array) -> Array:
+        state = arm.at(configuration(amounts))
+        rows = state.jacobians[:, :, columns].reshape(-1, len(columns)) * units / arm.length
+        return np.vstack([root[:, None] * rows, STRAIGHTENING * np.eye(len(columns))])
+
+    starts = [straight]
+    try:
+        curve = Curve.points(np.vstack([arm.chain.base, target.points[target.placed]]))
+        bent = fit_curve(arm, curve, 0.0, STRAIGHTENING * arm.length).positions[columns] / units
+        starts.insert(0, np.clip(bent, lower, upper))
+    except PostureError:
+        pass  # points that make no curve, two in one place for instance: the straight arm has to do
+    found = [
+        least_squares(
+            distances, start, jac=jacobian, bounds=(lower, upper), xtol=1e-12, ftol=1e-15, gtol=1e-15
+        )
+        for start in starts
+    ]
+    best = np.clip(min(found, key=lambda fit: fit.cost).x, lower, upper)
+    q = configuration(best)
+    residual = np.linalg.norm(arm.at(q).points - target.points, axis=1)
+    return replace(target, q=q, residual=residual, method="closest")
