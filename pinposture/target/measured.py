@@ -17,7 +17,7 @@ from pinposture.target.target import Target
 Array = NDArray[np.float64]
 
 STRAIGHTENING = 1e-8
-"""Weight of the joint positions against distances in arm lengths [1/rad]; it settles what those leave open."""
+"""Weight of the joint positions against distances in arm lengths [1/rad]: it settles what they leave open."""
 
 
 def fit_points(arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) -> Target:
