@@ -65,7 +65,9 @@ class Selection:
         dropped = tuple(k for k in chosen if k not in active)
         if matrix is None:
             held = np.zeros(state.arm.nv)
-            none = Diagnostics(0.0, 0.0, 0.0, 0, dropped, 1.0, held > 0.0, self._why_none(indices, chosen))
+            none = Diagnostics(
+                0.0, 0.0, 0.0, 0, dropped, 1.0, held > 0.0, self._why_none(indices, chosen, target)
+            )
             return Step(held, (), none, Memory(held))
         gradient = self.null_gain * descent(state, errors, distances)
         asked = pseudo_inverse_step(matrix, self.gain * errors[list(active)].ravel(), gradient)
@@ -96,14 +98,14 @@ class Selection:
             del active[int(np.argmax(blame))]
         return (), None
 
-    def _why_none(self, indices: Array, chosen: tuple[int, ...]) -> str:
+    def _why_none(self, indices: Array, chosen: tuple[int, ...], target: Target) -> str:
         if chosen:
             kept = f"conditioning = {self.conditioning:g} of the arm length"
             return f"no control point keeps the smallest singular value of its own Jacobian above {kept}"
-        best = float(indices[0, 1:].max())
+        best = float(np.max(indices[0, 1:], where=target.placed, initial=0.0))
         return (
-            f"no control point clears the absolute manipulability condition: the largest index is "
-            f"{best:.2g}, the threshold {self.absolute:g}; the posture is singular or nearly so"
+            f"no control point with a target clears the absolute manipulability condition: the largest "
+            f"index is {best:.2g}, the threshold {self.absolute:g}; the posture is singular or nearly so"
         )
 
 

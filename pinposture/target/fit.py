@@ -102,6 +102,12 @@ def fit_curve(arm: Arm, curve: Curve, start: float, bending: float) -> Fit:
     return Fit(*problem.split(best))
 
 
+def free_columns(arm: Arm) -> NDArray[np.intp]:
+    """Tangent space indices of the joints of the chain that have room to move, from base to tip."""
+    room = arm.limits.upper - arm.limits.lower
+    return np.asarray(arm.columns[room[arm.columns] > 0.0])
+
+
 def _turns(tangents: Array) -> Array:
     """Rotation vectors (n - 1, 3) from each tangent to the next, in the frame carried along the curve."""
     across = np.cross(tangents[:-1], tangents[1:])
@@ -135,17 +141,19 @@ class _Problem:
 
     def __init__(self, arm: Arm, start: float, bending: float) -> None:
         self._arm, self._start, self._bending = arm, start, bending / arm.length
-        self._joints = len(arm.columns)
-        sliding = np.where(arm.chain.revolute, 1.0, arm.length)
+        self._columns = free_columns(arm)
+        self._joints = len(self._columns)
+        self._rest = arm.positions(arm.straight())
+        sliding = np.where(arm.slides[self._columns], arm.length, 1.0)
         self._units = np.concatenate([sliding, np.full(arm.n_modules, arm.length)])
         lengths = arm.chain.module_lengths
         # A module may have no length of its own, or gain some by sliding.
         longest = LONGEST * np.maximum(lengths, lengths.mean())
-        straight = arm.positions(arm.straight())[arm.columns]
-        lower, upper = arm.limits.lower[arm.columns], arm.limits.upper[arm.columns]
+        lower, upper = arm.limits.lower[self._columns], arm.limits.upper[self._columns]
         self._lower = np.concatenate([lower, SHORTEST * lengths]) / self._units
         self._upper = np.concatenate([upper, longest]) / self._units
-        self._straight = np.clip(np.concatenate([straight, lengths]) / self._units, self._lower, self._upper)
+        straight = np.concatenate([self._rest[self._columns], lengths]) / self._units
+        self._straight = np.clip(straight, self._lower, self._upper)
 
     def first_guess(self) -> Array:
         """The straight arm on a straight curve, in units of our own."""
@@ -165,8 +173,8 @@ class _Problem:
     def split(self, unknowns: Array) -> tuple[Array, Array]:
         """Joint positions (nv,) [rad or m] and arc lengths of the control points (m,) [m]."""
         values = unknowns * self._units
-        positions = np.zeros(self._arm.nv)
-        positions[self._arm.columns] = values[: self._joints]
+        positions = self._rest.copy()
+        positions[self._columns] = values[: self._joints]
         return positions, self._start + np.cumsum(values[self._joints :])
 
     def solve(self, curve: Samples | Curve, guess: Array, evaluations: int) -> Array:
@@ -203,7 +211,7 @@ class _Problem:
         places = curve.at(inside) + (s - inside)[:, None] * tangents  # straight on beyond the end
         jacobian = np.zeros((3 * m + n, n + m))
         rows = jacobian[: 3 * m].reshape(m, 3, n + m)
-        rows[:, :, :n] = state.jacobians[:, :, arm.columns]
+        rows[:, :, :n] = state.jacobians[:, :, self._columns]
         rows[:, :, n:] = -np.tril(np.ones((m, m)))[:, None, :] * tangents[:, :, None]
         jacobian[: 3 * m] *= self._units / arm.length
         jacobian[3 * m :, :n] = self._bending * np.eye(n)

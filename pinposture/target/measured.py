@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.errors import PostureError
-from pinposture.target.fit import fit_curve
+from pinposture.target.fit import fit_curve, free_columns
 from pinposture.target.target import Target
 
 Array = NDArray[np.float64]
@@ -39,13 +39,15 @@ def fit_points(arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) ->
         InvalidValue: wrong shape, not finite, negative weights, or no point with a weight.
     """
     target = Target.from_points(arm, points, weights)
-    columns, units = arm.columns, arm.joint_units[arm.columns]
+    columns = free_columns(arm)
+    units = arm.joint_units[columns]
     root = np.sqrt(np.repeat(target.weights, 3))
     lower, upper = arm.limits.lower[columns] / units, arm.limits.upper[columns] / units
-    straight = np.clip(arm.positions(arm.straight())[columns] / units, lower, upper)
+    rest = arm.positions(arm.straight())
+    straight = np.clip(rest[columns] / units, lower, upper)
 
     def configuration(amounts: Array) -> Array:
-        positions = np.zeros(arm.nv)
+        positions = rest.copy()
         positions[columns] = amounts * units
         return arm.configuration(positions)
 

@@ -198,6 +198,10 @@ def test_free_control_points_are_not_used() -> None:
     state = state_of(ARM, 5, 0.7)
     for method in (pp.Selection(), pp.Projection()):
         assert set(method.step(state, target).active) <= {3, 7}
+    # The first point never clears the absolute condition, however well the others do.
+    first = pp.Selection().step(state, pp.Target.from_points(ARM, points, np.eye(8)[0]))
+    assert first.active == ()
+    assert "largest index is 0," in first.diagnostics.reason or "e-" in first.diagnostics.reason
 
 
 def test_joint_interpolation_goes_straight_and_exactly() -> None:

@@ -123,6 +123,28 @@ def test_harsh_curves_within_narrow_limits_give_a_target_or_a_reason() -> None:
     assert len(outcomes) > 1
 
 
+def test_a_joint_without_room_and_a_base_behind_the_curve_are_no_accident() -> None:
+    model = pp.Arm.from_template("RyRz", 6).model.copy()
+    model.lowerPositionLimit[4] = model.upperPositionLimit[4] = 0.1
+    arm = pp.Arm.from_model(model, [f"module_{k:02d}" for k in range(1, 7)])
+    curve = gentle(arm)
+    for target in (
+        pp.resolve_targets(arm, curve, method="closest", incomplete="partial"),
+        pp.fit_points(arm, curve.resample(7)[1:]),
+        pp.resolve_targets(
+            arm,
+            pp.Curve.line((-2, 0, 0), (-1, 0, 0)),
+            placement="as_is",
+            method="smooth",
+            incomplete="partial",
+        ),
+    ):
+        assert arm.within_limits(target.q)
+        assert arm.positions(target.q)[4] == pytest.approx(0.1, abs=1e-9)
+        assert np.all(np.isfinite(target.points))
+        assert np.all(np.isfinite(target.residual))
+
+
 def test_failures_are_named() -> None:
     arm = pp.Arm.from_modules([AWKWARD["three hinges"]] * 5)
     with pytest.raises(CurveEndsEarly, match=r"module 4.*lengthen"):
