@@ -28,6 +28,8 @@ class Diagnostics(NamedTuple):
         scale: factor by which the step was shortened to meet the step limit, in (0, 1].
         clipped: which joints were cut short at a position limit, (nv,).
         reason: why the controller does not move; empty if it does.
+        method: which of its methods a controller used that has several, by name; empty if it has one.
+        switched: why it changed to that method in this step; empty if it did not.
     """
 
     manipulability: float
@@ -38,6 +40,8 @@ class Diagnostics(NamedTuple):
     scale: float
     clipped: NDArray[np.bool_]
     reason: str
+    method: str = ""
+    switched: str = ""
 
 
 class Memory(NamedTuple):
@@ -45,9 +49,11 @@ class Memory(NamedTuple):
 
     Attributes:
         dq: the previous step, (nv,) [rad or m].
+        own: whatever else the controller keeps, for its own eyes.
     """
 
     dq: Array
+    own: object = None
 
 
 class Step(NamedTuple):

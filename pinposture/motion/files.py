@@ -19,7 +19,7 @@ from pinposture.storage import write_bytes
 from pinposture.target import Target
 
 FORMAT = "pinposture-run"
-VERSION = 1
+VERSION = 2
 
 _RUN_ARRAYS = (
     "q",
@@ -32,6 +32,8 @@ _RUN_ARRAYS = (
     "rows",
     "scale",
     "clipped",
+    "method",
+    "switched",
 )
 _TARGET_ARRAYS = ("points", "weights", "q", "parameters", "residual")
 

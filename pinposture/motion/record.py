@@ -79,4 +79,6 @@ class Recorder:
             rows=np.array([note.rows for note in notes], dtype=np.intp),
             scale=np.array([note.scale for note in notes]),
             clipped=np.array([note.clipped for note in notes], dtype=bool).reshape(len(steps), arm.nv),
+            method=np.array([note.method for note in notes], dtype=np.str_),
+            switched=np.array([note.switched for note in notes], dtype=np.str_),
         )

@@ -39,6 +39,8 @@ class Trajectory:
         rows: rows of the posture control matrix, (steps,).
         scale: factor by which the step was shortened to meet the step limit, (steps,).
         clipped: which joints were cut short at a position limit, (steps, nv).
+        method: which of its methods the controller used, (steps,) names; empty where it has only one.
+        switched: why it changed to that method, (steps,) sentences; empty where it did not.
     """
 
     arm: Arm
@@ -57,6 +59,8 @@ class Trajectory:
     rows: NDArray[np.intp]
     scale: Array
     clipped: NDArray[np.bool_]
+    method: NDArray[np.str_]
+    switched: NDArray[np.str_]
 
     def __post_init__(self) -> None:
         for value in vars(self).values():
