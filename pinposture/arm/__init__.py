@@ -2,6 +2,7 @@
 
 from pinposture.arm.adequacy import Adequacy, Excess
 from pinposture.arm.arm import Arm
+from pinposture.arm.ellipsoid import ControlPoints, Ellipsoid
 from pinposture.arm.limits import JointLimits
 from pinposture.arm.state import ArmState
 from pinposture.arm.template import TEMPLATES, JointSpec, ModuleTemplate, template
@@ -11,6 +12,8 @@ __all__ = [
     "Adequacy",
     "Arm",
     "ArmState",
+    "ControlPoints",
+    "Ellipsoid",
     "Excess",
     "JointLimits",
     "JointSpec",

@@ -9,6 +9,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pinposture.arm.ellipsoid import (
+    ControlPoints,
+    Ellipsoid,
+    chosen_points,
+    section_bases,
+    section_ellipsoid,
+)
 from pinposture.arm.manipulability import all_pairs
 
 if TYPE_CHECKING:
@@ -62,6 +69,33 @@ class ArmState:
         indices = all_pairs(self.task_jacobians[:, :, self.arm.columns], self.arm.module_starts)
         indices.flags.writeable = False
         return indices
+
+    def ellipsoids(
+        self, points: ControlPoints | None = None, relative_to: str = "base"
+    ) -> tuple[Ellipsoid, ...]:
+        """Manipulability ellipsoids, with the measures of closeness to a singularity (Section 3.3).
+
+        Args:
+            points: control points, by their indices, 0-based or from the tip as -1, or by their names; all of
+                them if None.
+            relative_to: "base" to let all joints move; "previous" for those alone that come after the chosen
+                control point before, as in the relative manipulability condition of a control set.
+
+        Returns:
+            One ellipsoid for each, in the order of `points`. Radii and measures are in comparable units, as
+            `task_jacobians` is.
+
+        Raises:
+            InvalidValue: an index that no control point has, or a control point chosen twice.
+            UnknownName: a name that no control point has, or another `relative_to`.
+        """
+        arm = self.arm
+        chosen = chosen_points(arm.control_points, range(arm.n_modules) if points is None else points)
+        listed = []
+        for point, base in zip(chosen, section_bases(chosen, relative_to), strict=True):
+            own = self.task_jacobians[point][:, arm.columns[arm.module_starts[base] :]]
+            listed.append(section_ellipsoid(own, arm.plane, point, base, self.points[point]))
+        return tuple(listed)
 
     def __repr__(self) -> str:
         return f"ArmState(q={np.array2string(self.q, precision=3, threshold=8)}, m={len(self.points)})"

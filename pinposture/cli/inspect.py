@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,6 +18,7 @@ from pinposture.cli.inputs import (
     read_arm,
 )
 from pinposture.cli.output import print_facts, print_json, print_note, print_table
+from pinposture.cli.points import read_points
 from pinposture.cli.results import write_picture
 from pinposture.errors import InvalidValue, UnsupportedModule
 
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 EXAMPLES = (
     "pinposture inspect arm.urdf",
     "pinposture inspect arm.urdf --plot arm.png",
+    "pinposture inspect arm.urdf --plot arm.png --ellipsoids 5,10,20",
     "pinposture inspect arm.urdf --base m05_l2 --tip tip --modules 2",
     "pinposture inspect arm.urdf --modules m05_l2,m10_l2,m15_l2,tip",
     "pinposture inspect arm.urdf --json",
@@ -47,6 +49,15 @@ def run(
             rich_help_panel=OUTPUT,
         ),
     ] = None,
+    ellipsoids: Annotated[
+        str | None,
+        typer.Option(
+            metavar="N,...|all",
+            help="Tell how near a singularity these control points are, counted from 1 at the base, in place "
+            "of the tip; with --plot, draw their manipulability ellipsoids.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Show what the library makes of a robot description.
@@ -54,14 +65,16 @@ def run(
     Of all the links it takes one chain, from --base to --tip or the longest one there is, and cuts it into
     modules with a control point at the end of each. Meshes are not needed. Limits are in rad and rad/s, or in
     metres and m/s for a prismatic joint; positions are those at zero joint positions, in the world. The reach
-    is the distance from base to tip when the arm is stretched.
+    is the distance from base to tip when the arm is stretched. Zero joint positions are often a singular
+    posture: there manipulability measure, minimum singular value and index are 0, the condition number inf.
     """
     arm = read_arm(urdf, base, tip, modules)
-    about = describe(arm)
+    points = () if ellipsoids is None else read_points("--ellipsoids", ellipsoids, arm)
+    about = describe(arm, points or (-1,))
     if plot is not None:
         from pinposture.view import plot_arm
 
-        write_picture(plot_arm(arm), plot)
+        write_picture(plot_arm(arm, ellipsoids=points), plot)
     if as_json:
         print_json({"file": urdf, **about, "plot": None if plot is None else str(plot)})
     else:
@@ -73,6 +86,8 @@ def run(
 _JOINT_KEYS = ("module", "name", "type", "parent", "child", "lower", "upper", "velocity")
 _JOINT_HEADINGS = ("module", "joint", "type", "parent", "child", "lower", "upper", "speed")
 _POINT_HEADINGS = ("module", "control point", "module length [m]", "x [m]", "y [m]", "z [m]")
+_MEASURE_KEYS = ("module", "name", "measure", "condition", "minimum_singular_value", "index")
+_MEASURE_HEADINGS = ("module", "control point", "measure", "condition", "min. singular value", "index")
 
 
 def _print_tables(about: Mapping[str, Any]) -> None:
@@ -97,16 +112,21 @@ def _print_tables(about: Mapping[str, Any]) -> None:
         for point in about["control_points"]
     ]
     print_table(_POINT_HEADINGS, points)
+    # As text, because a table shows an infinite number as an absent one.
+    told = [{**one, "condition": f"{one['condition']:.4g}"} for one in about["manipulability"]]
+    print_table(_MEASURE_HEADINGS, [tuple(one[key] for key in _MEASURE_KEYS) for one in told])
 
 
-def describe(arm: Arm) -> dict[str, Any]:
+def describe(arm: Arm, measured: Sequence[int]) -> dict[str, Any]:
     """What there is to know about an arm, as data that JSON can hold.
 
     Args:
         arm: an arm loaded from a URDF.
+        measured: indices of the control points whose closeness to a singularity is told, 0-based or -1.
 
     Returns:
-        Lengths in metres, angles in radians; positions at the neutral configuration, in the world.
+        Lengths in metres, angles in radians; positions and measures of manipulability at the neutral
+        configuration, positions in the world.
 
     Raises:
         InvalidValue: an arm that was not loaded from a URDF.
@@ -141,6 +161,17 @@ def describe(arm: Arm) -> dict[str, Any]:
             for k, (name, length, point) in enumerate(
                 zip(arm.control_points, arm.chain.module_lengths, arm.chain.points, strict=True), start=1
             )
+        ],
+        "manipulability": [
+            {
+                "name": arm.control_points[one.point],
+                "module": one.point + 1,
+                "measure": one.measure,
+                "condition": one.condition,
+                "minimum_singular_value": one.smallest,
+                "index": one.index,
+            }
+            for one in arm.at(arm.neutral()).ellipsoids(measured)
         ],
     }
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from pinposture.cli.output import print_note
-from pinposture.cli.results import RUN, write_animation, write_plot
+from pinposture.cli.points import read_points
+from pinposture.cli.results import RUN, write_plot
+from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:
     from pinposture.motion import Trajectory
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
 EXAMPLES = (
     "pinposture view out",
     "pinposture view out/run.npz --no-browser",
+    "pinposture view out --ellipsoids 5,10,20",
     "pinposture view out --html motion.html --png motion.png",
 )
 
@@ -36,37 +39,59 @@ def run(
     no_browser: Annotated[
         bool, typer.Option("--no-browser", help="Print the address, but open no browser.")
     ] = False,
+    ellipsoids: Annotated[
+        str | None,
+        typer.Option(
+            metavar="N,...|all",
+            help="Show the manipulability ellipsoids of these control points, counted from 1 at the base.",
+        ),
+    ] = None,
 ) -> None:
     """Look at a run that was kept.
 
     It plays in the browser until Ctrl-C; its address is printed, so that another browser can watch as well.
-    With --html or --png its animation or its plot are written to files instead.
+    With --html or --png its animation or its plot are written to files instead. Ellipsoids are red and flat
+    where the arm is singular, green far from that, yellow in between.
     """
     from pinposture.motion import Trajectory
 
     motion = Trajectory.load(path / RUN if path.is_dir() else path)
+    if ellipsoids is not None and html is None and png is not None:
+        raise InvalidValue("--ellipsoids", ellipsoids, "with --html or without --png; the plot shows none")
+    points = () if ellipsoids is None else read_points("--ellipsoids", ellipsoids, motion.arm)
     if html is not None:
-        print_note(f"wrote {write_animation(motion, html)}")
+        from pinposture.view import save_html
+
+        print_note(f"wrote {save_html(motion.arm, motion, html, ellipsoids=points)}")
     if png is not None:
         write_plot(motion, png)
         print_note(f"wrote {png}")
     if html is None and png is None:
-        show(motion, not no_browser, typer.echo)
+        show(motion, not no_browser, typer.echo, points)
 
 
-def show(motion: Trajectory, open_browser: bool, announce: Callable[[str], object]) -> None:
+def show(
+    motion: Trajectory,
+    open_browser: bool,
+    announce: Callable[[str], object],
+    ellipsoids: Sequence[int] = (),
+) -> None:
     """Play a run in meshcat until Ctrl-C, which is the way to end it and no failure.
 
     Args:
         motion: the run.
         open_browser: whether to open a browser at its address, too.
         announce: called with that address.
+        ellipsoids: indices of the control points to show the manipulability ellipsoids of, 0-based.
     """
     from pinposture.view import view
+    from pinposture.view.ellipsoids import scale_in_words
 
-    viewer = view(motion.arm, motion, motion.target, open_browser=open_browser)
+    viewer = view(motion.arm, motion, motion.target, open_browser=open_browser, ellipsoids=ellipsoids)
     try:
         announce(viewer.url)
+        if ellipsoids:
+            print_note(f"ellipsoids: {scale_in_words(motion.arm, ellipsoids)}")
         viewer.play()
         print_note("press Ctrl-C to end")
         wait()

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.patheffects import withStroke
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture.arm import Arm
+from pinposture.arm import Arm, ControlPoints, Ellipsoid
 from pinposture.view import palette
 from pinposture.view.body import bodies, body_poses
+from pinposture.view.ellipsoids import draw_ellipsoids, ellipsoid_key, scale_in_words, shade_ellipsoids
 from pinposture.view.postures import PosturePanel, box_extent
 
 Array = NDArray[np.float64]
@@ -63,28 +66,35 @@ def anatomy(arm: Arm, q: ArrayLike) -> Anatomy:
     return Anatomy(modules, joints, axes, points)
 
 
-def plot_arm(arm: Arm, q: ArrayLike | None = None) -> Figure:
+def plot_arm(arm: Arm, q: ArrayLike | None = None, ellipsoids: ControlPoints = ()) -> Figure:
     """Show how an arm is built: modules in two shades that take turns, joint axes, numbered control points.
 
     A joint that turns has a bar along its axis, or in the plane of a planar arm, where its axis is seen from
     its end, a ring; one that slides has a dotted bar. Where control points crowd, some have no number.
+    Manipulability ellipsoids (Section 3.3) have the colour of their index; the legend says at what scale.
 
     Args:
         arm: the arm.
         q: configuration, (nq,) [rad or m]; the neutral one if None.
+        ellipsoids: control points to draw the manipulability ellipsoids of, by their indices, 0-based or from
+            the tip as -1, or by their names.
 
     Returns:
         A figure, 1200 pixels wide, as `plot` gives it; a planar arm is seen in its plane, others in space.
 
     Raises:
-        InvalidValue: a configuration of the wrong size, or not finite.
+        InvalidValue: a configuration of the wrong size, or not finite; or no choice of control points.
+        UnknownName: a name that no control point has.
     """
-    parts = anatomy(arm, arm.neutral() if q is None else q)
+    shown = arm.neutral() if q is None else q
+    parts, chosen = anatomy(arm, shown), arm.at(shown).ellipsoids(ellipsoids)
     half = _half_bar(arm)
     planar = arm.dimension == 2
     figure = Figure(figsize=(WIDTH, HEIGHTS[0]))
-    ax = figure.add_subplot(projection=None if planar else "3d")
+    # In space, too, the arm lies on top of what may be around it.
+    ax = figure.add_subplot(**({} if planar else {"projection": "3d", "computed_zorder": False}))
     panel = PosturePanel(arm, ax)
+    draw_ellipsoids(panel, chosen)
     for k, line in enumerate(parts.modules):
         shade = palette.MODULES[k % 2]
         panel.line(line, color=shade, lw=5.0, solid_capstyle="butt", solid_joinstyle="round", zorder=3)
@@ -93,13 +103,10 @@ def plot_arm(arm: Arm, q: ArrayLike | None = None) -> Figure:
     panel.line(parts.points[:-1], label="control points", zorder=6, **dots)
     panel.finish()
     panel.line(parts.points[-1:], ls="none", marker="D", ms=6.0, color=palette.INK, label="tip", zorder=7)
-    _fit(figure, panel, np.vstack(parts.modules))
+    shade_ellipsoids(panel, chosen)
+    _fit(figure, panel)
     _number(panel, parts.points, arm.chain.base, 1.3 * half)
-    for name, shade in zip(("odd modules", "even modules"), palette.MODULES[: arm.n_modules], strict=False):
-        ax.plot([], [], color=shade, lw=5.0, label=name)
-    handles, labels = ax.get_legend_handles_labels()
-    corner: Literal["outside lower left", "lower left"] = "outside lower left" if planar else "lower left"
-    figure.legend(handles, labels, loc=corner, fontsize=9, frameon=False, ncols=8)
+    _explain(figure, panel, chosen)
     kind = "planar" if planar else "spatial"
     modules = "1 module" if arm.n_modules == 1 else f"{arm.n_modules} modules"
     where = ", neutral configuration" if q is None else ""
@@ -113,10 +120,10 @@ def _half_bar(arm: Arm) -> float:
     return float(np.clip(0.3 * np.median(arm.chain.module_lengths), 0.012 * arm.length, 0.035 * arm.length))
 
 
-def _fit(figure: Figure, panel: PosturePanel, points: Array) -> None:
+def _fit(figure: Figure, panel: PosturePanel) -> None:
     """Make the figure as high as the picture of the arm needs if it fills the width, or all there may be."""
     if not panel.spatial:
-        wide, high = np.ptp(points @ panel.screen.T, axis=0)
+        wide, high = np.ptp(panel.drawn @ panel.screen.T, axis=0)
         slope = high / max(wide, 1e-9 * panel.arm.length)
         figure.set_figheight(float(np.clip(MARGIN + WIDTH * slope, *HEIGHTS)))
         figure.set_layout_engine(ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.09))
@@ -156,6 +163,25 @@ def _draw_axes(panel: PosturePanel, arm: Arm, parts: Anatomy, half: float) -> No
             panel.line(joints, label=label, zorder=5, **style)
 
 
+def _explain(figure: Figure, panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> None:
+    """Write the legends: below what the arm is made of, at the top on the right what the ellipsoids say."""
+    shades = palette.MODULES[: panel.arm.n_modules]
+    for name, shade in zip(("odd modules", "even modules"), shades, strict=False):
+        panel.ax.plot([], [], color=shade, lw=5.0, label=name)
+    lower: Literal["outside lower left", "lower left"] = (
+        "lower left" if panel.spatial else "outside lower left"
+    )
+    upper: Literal["outside upper right", "upper right"] = (
+        "upper right" if panel.spatial else "outside upper right"
+    )
+    handles, labels = panel.ax.get_legend_handles_labels()
+    figure.legend(handles, labels, loc=lower, fontsize=9, frameon=False, ncols=8)
+    if ellipsoids:
+        title = f"manipulability ellipsoids, {scale_in_words(panel.arm, [one.point for one in ellipsoids])}"
+        style: dict[str, Any] = {"title": title, "title_fontsize": 9, "alignment": "left"}
+        figure.legend(handles=ellipsoid_key(), loc=upper, fontsize=9, frameon=False, ncols=8, **style)
+
+
 def _number(panel: PosturePanel, points: Array, base: Array, offset: float) -> None:
     """Write the number of each control point beside the arm, the last one first; none upon another."""
     screen, ax = panel.screen, cast(Any, panel.ax)  # text in space has three coordinates
@@ -166,6 +192,7 @@ def _number(panel: PosturePanel, points: Array, base: Array, offset: float) -> N
     lengths = np.linalg.norm(beside, axis=1, keepdims=True)
     beside = np.where(lengths > 1e-9 * size, beside / np.maximum(lengths, 1e-300), (0.0, 1.0))
     beside[beside @ (0.5, 1.0) < 0.0] *= -1.0  # above the arm, or on the right of one that stands
+    halo = {"path_effects": [withStroke(linewidth=2.0, foreground="white", alpha=0.7)]}
     written: list[Array] = []
     for k in (len(points), *range(1, len(points))):
         place = flat[k] + offset * beside[k]
@@ -173,4 +200,4 @@ def _number(panel: PosturePanel, points: Array, base: Array, offset: float) -> N
             continue
         written.append(place)
         (where,) = np.transpose(panel.coordinates(points[k - 1 : k] + offset * beside[k] @ screen))
-        ax.text(*where, str(k), fontsize=8, ha="center", va="center", color=palette.INK, zorder=8)
+        ax.text(*where, str(k), fontsize=8, ha="center", va="center", color=palette.INK, zorder=8, **halo)

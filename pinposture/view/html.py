@@ -6,11 +6,15 @@ import base64
 import html
 import importlib.util
 import json
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from string import Template
 
-from pinposture.arm import Arm
+import numpy as np
+
+from pinposture.arm import Arm, ControlPoints
+from pinposture.arm.ellipsoid import chosen_points
 from pinposture.errors import FileError
 from pinposture.motion import Trajectory
 from pinposture.storage import write_text
@@ -18,6 +22,8 @@ from pinposture.target import Target
 from pinposture.view import palette
 from pinposture.view.animation import Film, film, tracks
 from pinposture.view.commands import animate, pack
+from pinposture.view.ellipsoids import KEY, scale_in_words
+from pinposture.view.moving_ellipsoids import ball_commands, ball_ends, ball_tracks, balls
 from pinposture.view.scene import (
     ASPECT,
     arm_commands,
@@ -36,6 +42,7 @@ def save_html(
     target: Target | None = None,
     fps: float = 20.0,
     max_frames: int = 240,
+    ellipsoids: ControlPoints = (),
 ) -> Path:
     """Write a run as an animation to one HTML file, all or nothing.
 
@@ -49,29 +56,35 @@ def save_html(
         target: the target to show; that of the run if None.
         fps: configurations shown per second; fewer if the run is so short that it would last under 2 s.
         max_frames: number of configurations shown at most; of longer runs some are skipped.
+        ellipsoids: control points to show the manipulability ellipsoids of, as for `view`; the page says what
+            their colours mean, and at what scale they are drawn.
 
     Returns:
         The path written.
 
     Raises:
         FileError: the file cannot be written.
-        InvalidValue: a run of another arm, or `fps` or `max_frames`.
+        InvalidValue: a run of another arm, `fps` or `max_frames`, or no choice of control points.
+        UnknownName: a name that no control point has.
     """
     path = Path(path)
     path = path if path.suffix.lower() in (".html", ".htm") else path.with_name(f"{path.name}.html")
     target = run.target if target is None else target
     require_fitting(arm, run, target)
-    write_text(path, _page(arm, film(run, fps, max_frames), target))
+    points = chosen_points(arm.control_points, ellipsoids)
+    write_text(path, _page(arm, film(run, fps, max_frames), target, points))
     return path
 
 
-def _page(arm: Arm, shown: Film, target: Target) -> str:
+def _page(arm: Arm, shown: Film, target: Target, points: tuple[int, ...]) -> str:
     run = shown.run
+    ellipsoids = balls(arm, points, run.q[shown.rows])
     commands = [
-        *stage_commands(arm, stage_points(arm, run, target)),
+        *stage_commands(arm, np.vstack([stage_points(arm, run, target), ball_ends(ellipsoids)])),
         *arm_commands(arm, run.q[0]),
         *target_commands(arm, target),
-        animate(tracks(arm, shown), shown.fps),
+        *ball_commands(ellipsoids),
+        animate([*tracks(arm, shown), *ball_tracks(ellipsoids, shown)], shown.fps),
     ]
     packed = [base64.b64encode(pack(command)).decode("ascii") for command in commands]
     described = {"fps": shown.fps, "before": float(shown.times[0]), "texts": _texts(shown)}
@@ -79,7 +92,7 @@ def _page(arm: Arm, shown: Film, target: Target) -> str:
     return Template(template).substitute(
         title=html.escape(f"{controller_name(run)} {ending(run)}"),
         reason=html.escape(run.reason),
-        legend=_legend(run.steps > 0),
+        legend=_legend(run.steps > 0, f"ellipsoids, {scale_in_words(arm, points)}:" if points else ""),
         ink=palette.INK,
         end=shown.end / shown.fps,
         aspect=ASPECT,
@@ -102,10 +115,17 @@ def _texts(shown: Film) -> list[str]:
     return texts
 
 
-def _legend(moves: bool) -> str:
+def _legend(moves: bool, ellipsoids: str) -> str:
     entries = {"target": palette.TARGET, "control point": palette.IDLE}
     if moves:
         entries = {"target": palette.TARGET, "active control point": palette.ACTIVE, "idle": palette.IDLE}
+    words = _dots(entries)
+    if ellipsoids:
+        words += f"<br>{ellipsoids} " + _dots({f"index {meaning}": color for color, meaning in KEY.items()})
+    return words
+
+
+def _dots(entries: Mapping[str, str]) -> str:
     dots = [f'<span class="dot" style="background: {color}"></span>{name}' for name, color in entries.items()]
     return "".join(dots)
 

@@ -5,14 +5,17 @@ from __future__ import annotations
 import webbrowser
 from types import TracebackType
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from pinposture.arm import Arm
+from pinposture.arm import Arm, ControlPoints
+from pinposture.arm.ellipsoid import chosen_points
 from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory
 from pinposture.target import Target
 from pinposture.view.animation import film, tracks
 from pinposture.view.commands import animate, delete
+from pinposture.view.moving_ellipsoids import ball_commands, ball_ends, ball_tracks, balls
 from pinposture.view.scene import (
     ROOT,
     arm_commands,
@@ -38,19 +41,30 @@ class MeshcatViewer:
         arm: the arm.
         run: the run that `play` plays, or None.
         target: the target shown, or None.
+        ellipsoids: indices of the control points with an ellipsoid, 0-based.
     """
 
     def __init__(
-        self, arm: Arm, run: Trajectory | None, target: Target | None, fps: float, url: str | None
+        self,
+        arm: Arm,
+        run: Trajectory | None,
+        target: Target | None,
+        fps: float,
+        url: str | None,
+        ellipsoids: ControlPoints = (),
     ) -> None:
         require_fitting(arm, run, target)
         self.arm, self.run, self.target = arm, run, target
+        self.ellipsoids = chosen_points(arm.control_points, ellipsoids)
         self._film = None if run is None else film(run, fps, MOST_FRAMES)
+        rows = arm.neutral()[None] if run is None or self._film is None else run.q[self._film.rows]
+        self._balls = balls(arm, self.ellipsoids, rows)
         self._playing = False
+        stage = np.vstack([stage_points(arm, run, target), ball_ends(self._balls)])
         self._server = Server(url)
         try:
-            self._server.send([delete(ROOT), *stage_commands(arm, stage_points(arm, run, target))])
-            self._server.send(arm_commands(arm, arm.neutral() if run is None else run.q[0]))
+            self._server.send([delete(ROOT), *stage_commands(arm, stage)])
+            self._server.send([*arm_commands(arm, rows[0]), *ball_commands(self._balls)])
             if target is not None:
                 self._server.send(target_commands(arm, target))
             if run is not None:
@@ -71,7 +85,7 @@ class MeshcatViewer:
     def show(self, q: ArrayLike) -> None:
         """Show the arm at a configuration, in place of the run if that is being played.
 
-        Takes about a millisecond per joint; 20 times a second is as much as a browser follows.
+        Takes about a millisecond per joint and ellipsoid; 20 times a second is as much as a browser follows.
 
         Args:
             q: configuration, (nq,) [rad or m].
@@ -80,7 +94,8 @@ class MeshcatViewer:
             InvalidValue: q has the wrong size or is not finite.
             ViewerError: the viewer was closed, or its server does not answer.
         """
-        commands = pose_commands(self.arm, self.arm.checked(q))
+        q = self.arm.checked(q)
+        commands = [*pose_commands(self.arm, q), *ball_commands(balls(self.arm, self.ellipsoids, q[None]))]
         if self._playing and self._film is not None:
             commands = [animate([], self._film.fps), *commands]
             self._playing = False
@@ -95,7 +110,8 @@ class MeshcatViewer:
         """
         if self._film is None:
             raise InvalidValue("run", None, "a run to play, as in view(arm, run)")
-        self._server.send([animate(tracks(self.arm, self._film), self._film.fps)])
+        listed = [*tracks(self.arm, self._film), *ball_tracks(self._balls, self._film)]
+        self._server.send([animate(listed, self._film.fps)])
         self._playing = True
 
     def close(self) -> None:

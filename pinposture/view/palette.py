@@ -52,6 +52,12 @@ ACTIVE = "#E69F00"
 IDLE = "#FFFFFF"
 """A control point that is not active."""
 
+SINGULAR, WORSE, REGULAR = "#CC2A1E", "#D6CB2A", "#009E73"
+"""A manipulability ellipsoid of index 0, of a quarter of `REGULAR_INDEX`, of that and more."""
+
+REGULAR_INDEX = 0.4
+"""Manipulability index from which on an ellipsoid has the colour of a posture far from singular."""
+
 INK = "#333333"
 """Text and axes."""
 
@@ -84,6 +90,19 @@ def distinct_colors(controllers: Iterable[str]) -> list[str]:
         free = [color for color in (own, *SPARE, *CONTROLLERS.values()) if color not in colors]
         colors.append(free[0] if free else own)
     return colors
+
+
+def index_color(index: float) -> str:
+    """Colour of a manipulability ellipsoid by its index in [0, 1]: small ones differ more than large ones.
+
+    One of 33, so that an arm that moves a little need not be coloured anew.
+    """
+    share = round(32.0 * min(index / REGULAR_INDEX, 1.0) ** 0.5) / 16.0  # 0 to 1 to 2 along three colours
+    before, after = SINGULAR, WORSE
+    if share > 1.0:
+        share, before, after = share - 1.0, WORSE, REGULAR
+    mixed = ((1.0 - share) * a + share * b for a, b in zip(rgb(before), rgb(after), strict=True))
+    return "#" + "".join(f"{round(255.0 * part):02X}" for part in mixed)
 
 
 def rgb(color: str) -> tuple[float, float, float]:

@@ -60,6 +60,12 @@ class PosturePanel:
         right, up, _ = look(np.radians(view.azim), np.radians(view.elev))
         return np.array([right, up])
 
+    @property
+    def drawn(self) -> Array:
+        """The points that lines were drawn through so far, (n, 3) [m], world frame."""
+        points = np.vstack(self._drawn)
+        return points[np.isfinite(points).all(axis=1)]  # a line may have gaps
+
     def line(self, points: Array, **style: Any) -> None:
         """Draw a line through points (n, 3) [m], world frame."""
         self._drawn.append(points)
@@ -98,10 +104,8 @@ class PosturePanel:
         base = self.arm.chain.base[None]
         marks = {"ls": "none", "marker": "s", "ms": 6.5, "color": palette.BASE, "label": "base"}
         self.line(base, zorder=6, **marks)
-        points = np.vstack(self._drawn)
-        points = points[np.isfinite(points).all(axis=1)]  # a line may have gaps
         if self.spatial:
-            _frame_space(self.ax, points)
+            _frame_space(self.ax, self.drawn)
         else:
             self._frame_plane()
 

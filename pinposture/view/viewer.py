@@ -8,7 +8,7 @@ from typing import Protocol
 
 from numpy.typing import ArrayLike
 
-from pinposture.arm import Arm
+from pinposture.arm import Arm, ControlPoints
 from pinposture.errors import UnknownName
 from pinposture.motion import Trajectory
 from pinposture.target import Target
@@ -37,9 +37,9 @@ class Viewer(Protocol):
         """End the viewer."""
 
 
-VIEWERS: dict[str, Callable[[Arm, Trajectory | None, Target | None, float, str | None], Viewer]] = {
-    "meshcat": MeshcatViewer
-}
+VIEWERS: dict[
+    str, Callable[[Arm, Trajectory | None, Target | None, float, str | None, ControlPoints], Viewer]
+] = {"meshcat": MeshcatViewer}
 """What can draw an arm, by name."""
 
 
@@ -51,6 +51,7 @@ def view(
     open_browser: bool = False,
     fps: float = 20.0,
     url: str | None = None,
+    ellipsoids: ControlPoints = (),
 ) -> Viewer:
     """Show an arm in the browser: at its neutral configuration, or playing a run.
 
@@ -67,21 +68,24 @@ def view(
         fps: steps of the run shown per second; fewer if it is so short that it would last under 2 s.
         url: where a server that runs already listens for commands, as in "tcp://127.0.0.1:6000"; None to
             start one that only this machine can reach.
+        ellipsoids: control points to show the manipulability ellipsoids of (Section 3.3), by their indices,
+            0-based or from the tip as -1, or by their names. They follow the arm. In a singular posture they
+            are red and flat, far from one green, in between yellow.
 
     Returns:
         The viewer: `show(q)` shows a configuration, `play()` plays the run again, `close()` ends it. It
         lives until it is closed or Python ends.
 
     Raises:
-        UnknownName: no viewer has that name.
-        InvalidValue: a run or target of another arm, or `fps`.
+        UnknownName: no viewer has that name, or no control point.
+        InvalidValue: a run or target of another arm, `fps`, or no choice of control points.
         ViewerError: the server cannot be started or reached.
     """
     if viewer not in VIEWERS:
         raise UnknownName("viewer", viewer, VIEWERS)
     if target is None and run is not None:
         target = run.target
-    shown = VIEWERS[viewer](arm, run, target, fps, url)
+    shown = VIEWERS[viewer](arm, run, target, fps, url, ellipsoids)
     logger.info("%s viewer at %s", viewer, shown.url)
     if open_browser:
         shown.open()

@@ -162,9 +162,68 @@ def test_a_picture_is_left_under_whatever_name(command, arm_file, tmp_path, as_j
 
 def test_the_picture_is_that_of_the_arm(command, arm_file, tmp_path, monkeypatch):
     seen, real = [], pinposture.view.plot_arm
-    monkeypatch.setattr("pinposture.view.plot_arm", lambda arm: seen.append(arm) or real(arm))
+
+    def plot_arm(arm, ellipsoids):
+        seen.append((arm.n_modules, ellipsoids))
+        return real(arm, ellipsoids=ellipsoids)
+
+    monkeypatch.setattr("pinposture.view.plot_arm", plot_arm)
     command("inspect", arm_file, "--modules", 4, "--plot", tmp_path / "arm.png")
-    assert [arm.n_modules for arm in seen] == [3]
+    command("inspect", arm_file, "--plot", tmp_path / "arm.png", "--ellipsoids", "2,6")
+    command("inspect", arm_file, "--plot", tmp_path / "arm.png", "--ellipsoids", "all")
+    assert seen == [(3, ()), (6, (1, 5)), (6, (0, 1, 2, 3, 4, 5))]
+
+
+def bent(joints: int) -> str:
+    """URDF text of an arm in a plane, each link of which stands across the one before."""
+    text = robot(
+        [(f"j{k}", "revolute", f"l{k}", f"l{k + 1}") for k in range(joints)]
+        + [("end", "fixed", f"l{joints}", "tip")]
+    ).replace('axis xyz="0 1 0"', 'axis xyz="0 0 1"')
+    turned = '<origin xyz="0.1 0 0" rpy="0 0 1.5707963267948966"/>'
+    return text.replace('<origin xyz="0.1 0 0"/>', turned)
+
+
+def test_it_tells_how_near_a_singularity_the_tip_is(command, arm_file):
+    straight = json.loads(command("inspect", arm_file, "--json").out)["manipulability"]
+    assert straight == [
+        {
+            "name": "module_06",
+            "module": 6,
+            "measure": 0.0,
+            "condition": None,
+            "minimum_singular_value": 0.0,
+            "index": 0.0,
+        }
+    ]
+    rows = [line.split() for line in command("inspect", arm_file).out.splitlines()]
+    assert ["6", "module_06", "0", "inf", "0", "0"] in rows
+    (two,) = json.loads(command("inspect", "-", "--json", input=bent(2)).out)["manipulability"]
+    # Two links of 0.1 m at a right angle: J = 0.1 [[-1, -1], [1, 0]] but for the choice of axes.
+    sigma = np.linalg.svd(0.1 * np.array([[-1.0, -1.0], [1.0, 0.0]]), compute_uv=False)
+    assert two["measure"] == pytest.approx(0.01)
+    assert two["condition"] == pytest.approx(sigma[0] / sigma[1])
+    assert two["minimum_singular_value"] == pytest.approx(sigma[1])
+    assert two["index"] == pytest.approx(sigma[1] / sigma[0])
+
+
+def test_it_tells_so_of_the_points_that_are_asked_for_in_the_table_and_in_the_json(command):
+    options = ("--modules", 1, "--ellipsoids", "3, 2")
+    told = json.loads(command("inspect", "-", *options, "--json", input=bent(3)).out)["manipulability"]
+    assert [one["module"] for one in told] == [3, 2]
+    assert told[1]["measure"] == pytest.approx(0.01)
+    rows = [line.split() for line in command("inspect", "-", *options, input=bent(3)).out.splitlines()]
+    for one in told:
+        keys = ("measure", "condition", "minimum_singular_value", "index")
+        numbers = [f"{one[key]:.4g}" for key in keys]
+        assert [str(one["module"]), one["name"], *numbers] in rows
+
+
+@pytest.mark.parametrize("points", ["0", "7", "tip", "1,1", ","])
+def test_numbers_of_no_control_point_are_refused(command, arm_file, points):
+    result = command("inspect", arm_file, "--ellipsoids", points)
+    assert (result.code, result.out) == (2, "")
+    assert result.err.startswith(f"error: --ellipsoids is '{points}'; allowed: numbers of control points")
 
 
 def test_the_tables_say_what_the_json_says(command, arm_file):

@@ -27,7 +27,9 @@ def asked(monkeypatch):
     """What was asked of the viewer; Ctrl-C comes as soon as the command waits for it."""
     asked = []
 
-    def view(arm, run=None, target=None, viewer="meshcat", open_browser=False):
+    def view(arm, run=None, target=None, viewer="meshcat", open_browser=False, ellipsoids=()):
+        if ellipsoids:
+            asked.append(("ellipsoids", *ellipsoids))
         asked.append(("view", arm.nv, run.steps, target is run.target, viewer, open_browser))
         return Viewer(asked)
 
@@ -84,3 +86,38 @@ def test_track_shows_the_run_at_last_and_keeps_stdout_for_the_summary(command, a
         "close",
     ]
     assert result.code == 1
+
+
+def test_ellipsoids_are_shown_at_points_given_by_number_at_the_scale_that_is_told(
+    command, run_directory, asked
+):
+    result = command("view", run_directory, "--ellipsoids", "2, 6")
+    assert (result.code, result.out) == (0, f"{ADDRESS}\n")
+    assert asked[0] == ("ellipsoids", 1, 5)
+    assert "1 m/rad drawn as " in result.err
+    command("view", run_directory, "--ellipsoids", "all")
+    assert ("ellipsoids", 0, 1, 2, 3, 4, 5) in asked
+
+
+def test_ellipsoids_are_in_the_animation_that_is_written(command, run_directory, asked, tmp_path):
+    html = tmp_path / "a.html"
+    result = command("view", run_directory, "--html", html, "--ellipsoids", "6")
+    assert result.err == f"wrote {html}\n"
+    assert "ellipsoids, 1 m/rad drawn as" in html.read_text(encoding="utf-8")
+    command("view", run_directory, "--html", html)
+    assert "ellipsoids, 1 m/rad drawn as" not in html.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("points", ["0", "7", "1,7", "1,,2", "", "one", "1.0", "2,2", "-1", "all,1"])
+def test_numbers_of_no_control_point_are_refused(command, run_directory, asked, points):
+    result = command("view", run_directory, "--ellipsoids", points)
+    assert result.code == 2
+    assert result.err.startswith("error: --ellipsoids is ")
+    assert "from 1 to 6" in result.err
+    assert asked == []
+
+
+def test_ellipsoids_for_a_plot_that_shows_none_are_refused(command, run_directory, tmp_path):
+    result = command("view", run_directory, "--png", tmp_path / "a.png", "--ellipsoids", "all")
+    assert (result.code, list(tmp_path.iterdir())) == (2, [])
+    assert "--html" in result.err

@@ -1,0 +1,136 @@
+"""How manipulability ellipsoids are drawn: at what scale, in what colour, and into figures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from matplotlib.patches import Patch
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
+from numpy.typing import NDArray
+
+from pinposture.arm import Arm, Ellipsoid
+from pinposture.view import palette
+from pinposture.view.postures import PosturePanel
+
+Array = NDArray[np.float64]
+
+LARGEST = 0.2
+"""Largest radius that is drawn, relative to the length of the arm, or not much above."""
+
+STEPS = (7.0, 5.0, 3.0, 2.0, 1.5, 1.0)
+"""First digits that a scale may have."""
+
+KEY = {
+    palette.SINGULAR: "0, singular",
+    palette.WORSE: f"{palette.REGULAR_INDEX / 4:g}",
+    palette.REGULAR: f"{palette.REGULAR_INDEX:g} and more",
+}
+"""What the colours of ellipsoids say of their index (4.4)."""
+
+SIDES = 48
+"""Corners of the polygon that stands for an ellipse."""
+
+
+def drawn_length(arm: Arm, points: Sequence[int]) -> float:
+    """Length with which 1 m/rad is drawn, the same in every posture, so that ellipsoids can be compared.
+
+    Args:
+        arm: the arm.
+        points: indices of the control points whose ellipsoids are shown, 0-based.
+
+    Returns:
+        A round length [m] at which the largest of them is well seen beside the arm.
+    """
+    # A joint that turns moves a point by the length of the arm between them at most, per radian.
+    fastest = max((float(np.linalg.norm(_levers(arm, point))) for point in points), default=0.0)
+    # In space joints share out their motion over two directions across the arm.
+    radius = max(fastest / np.sqrt(arm.dimension - 1.0), 0.01 * arm.length)
+    length = LARGEST * arm.length / radius
+    power = 10.0 ** np.floor(np.log10(length))
+    return float(next(step for step in STEPS if step * power <= length * (1.0 + 1e-9)) * power)
+
+
+def scale_in_words(arm: Arm, points: Sequence[int]) -> str:
+    """The scale of ellipsoids as a legend says it."""
+    return f"1 m/rad drawn as {drawn_length(arm, points):.3g} m"
+
+
+def draw_ellipsoids(panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> None:
+    """Draw the ellipse of each two principal axes, below the arm; a flat one leaves a rim or a line.
+
+    Call it before the panel is finished, so that it makes room for them.
+
+    Args:
+        panel: the panel.
+        ellipsoids: ellipsoids of the arm of the panel.
+    """
+    for color, center, axes in _drawn(panel, ellipsoids):
+        for pair in combinations(axes, 2):
+            panel.line(center + _circle() @ pair, color=color, lw=0.9, zorder=1.9)
+
+
+def shade_ellipsoids(panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> None:
+    """Shade ellipsoids, drawn before, within their outlines; call it after the panel is finished.
+
+    Args:
+        panel: the panel.
+        ellipsoids: ellipsoids of the arm of the panel.
+    """
+    ax: Any = panel.ax
+    for color, center, axes in _drawn(panel, ellipsoids):
+        outline = center + silhouette(axes, panel.screen)
+        panel.line(outline, color=color, lw=1.3, zorder=1.9)
+        style = {"facecolor": (*palette.rgb(color), 0.22), "edgecolor": "none", "zorder": 1.8}
+        if panel.spatial:
+            ax.add_collection3d(Poly3DCollection([outline], **style))
+        else:
+            ax.fill(*panel.coordinates(outline), **style)
+
+
+def silhouette(axes: Array, screen: Array) -> Array:
+    """Where rays to a far eye touch an ellipsoid about the origin.
+
+    Args:
+        axes: its semi-axes, (d, 3) [m], world frame.
+        screen: unit vectors to the right and up, (2, 3), world frame.
+
+    Returns:
+        A closed line, (n, 3) [m], world frame.
+    """
+    # The points of the unit ball that become the rim of its picture: those across the line of sight.
+    _, _, rim = np.linalg.svd(screen @ axes.T, full_matrices=False)
+    return np.asarray(_circle() @ rim @ axes)
+
+
+def ellipsoid_key() -> list[Patch]:
+    """Entries of a legend for the colours of ellipsoids."""
+    listed = []
+    for color, meaning in KEY.items():
+        red, green, blue = palette.rgb(color)
+        listed.append(Patch(facecolor=(red, green, blue, 0.3), edgecolor=color, label=f"index {meaning}"))
+    return listed
+
+
+def _drawn(panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> Iterator[tuple[str, Array, Array]]:
+    """Colour, centre (3,) [m] and semi-axes (d, 3) [m] as drawn of each."""
+    length = drawn_length(panel.arm, [one.point for one in ellipsoids])
+    for one in ellipsoids:
+        yield palette.index_color(one.index), one.center, length * one.semi_axes
+
+
+def _levers(arm: Arm, point: int) -> Array:
+    """How far each joint can move a control point per unit of its motion at most, (n,) [m]."""
+    chain = arm.chain
+    end = chain.module_slices[point].stop
+    legs = np.linalg.norm(np.diff(np.vstack([chain.origins[:end], chain.points[point]]), axis=0), axis=1)
+    reach = np.cumsum(legs[::-1])[::-1]
+    return np.where(chain.revolute[:end], reach, arm.sliding_unit)
+
+
+def _circle() -> Array:
+    """Points of the unit circle, closed, (SIDES + 1, 2)."""
+    around = np.linspace(0.0, 2.0 * np.pi, SIDES + 1)
+    return np.column_stack([np.cos(around), np.sin(around)])
