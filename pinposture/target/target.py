@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -53,6 +53,31 @@ class Target:
     def placed(self) -> NDArray[np.bool_]:
         """Which control points have a target, (m,)."""
         return np.asarray(self.weights > 0.0)
+
+    def region(self, first: int, last: int) -> Target:
+        """The same target for control points `first` to `last` only; the others are free.
+
+        Weights within the region stay as they are. So does `q`, which still takes the whole posture.
+
+        Args:
+            first: first control point of the region, 0-based.
+            last: last control point of the region, included.
+
+        Raises:
+            InvalidValue: not a region of the arm, or none of its points has a target.
+        """
+        m = len(self.weights)
+        for name, value, lowest in (("first", first, 0), ("last", last, first)):
+            whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+            if not (whole and lowest <= value < m):
+                raise InvalidValue(name, value, f"a whole number from {lowest} to {m - 1}")
+        inside = np.zeros(m, dtype=np.bool_)
+        inside[first : last + 1] = True
+        if not np.any(self.placed & inside):
+            placed = ", ".join(map(str, np.flatnonzero(self.placed)))
+            allowed = f"a region with a control point that has a target: {placed}"
+            raise InvalidValue("region", (int(first), int(last)), allowed)
+        return replace(self, weights=np.where(inside, self.weights, 0.0))
 
     @classmethod
     def from_points(cls, arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) -> Target:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pinposture as pp
-from pinposture.control import Step, controller_named
+from pinposture.control import SectionTree, Step, active_set, controller_named, section_indices
 from pinposture.control.controller import task_errors
 from pinposture.errors import InvalidValue, UnknownName
 
@@ -204,6 +204,53 @@ def test_free_control_points_are_not_used() -> None:
     assert "largest index is 0," in first.diagnostics.reason or "e-" in first.diagnostics.reason
 
 
+def test_each_score_takes_the_best_of_its_own_sets() -> None:
+    taken = set()
+    for seed in range(20):
+        state, target = state_of(PLANAR, seed, 1.0), target_of(PLANAR, seed)
+        indices = state.manipulability()
+        distances = np.linalg.norm(task_errors(state, target), axis=1)
+        clear = indices[0, 1:] > 0.01
+        tree = SectionTree(section_indices(state, (2, 3)), clear, 0.05, 0, 11)
+        expected = {"error": active_set(indices, distances, 0.01, 0.05)}
+        for score in ("thesis", "geometric"):
+            branches = [tree.pruned(branch, score) for branch in tree.branches()]
+            expected[score] = max(branches, key=lambda left: left.score).points
+        for score, points in expected.items():
+            step = pp.Selection(absolute=0.01, relative=0.05, score=score).step(state, target)
+            assert tuple(sorted(step.active + step.diagnostics.dropped)) == points
+        taken.add(tuple(expected.values()))
+    assert any(len(set(sets)) == 3 for sets in taken)  # no score is another by a different name
+
+
+def test_sections_are_for_planar_arms_of_single_joints_and_unbroken_regions() -> None:
+    two_joints = pp.Arm.from_template("RzRz", 6)
+    holes = np.tile([1.0, 1.0, 0.0], 4)
+    for seed in range(5):
+        for arm, weights, expected in (
+            (ARM, None, "error"),
+            (two_joints, None, "error"),
+            (PLANAR, None, "geometric"),
+            (PLANAR, holes, "error"),
+            (PLANAR, np.r_[np.zeros(4), np.ones(7), 0.0], "geometric"),
+        ):
+            state = state_of(arm, seed, 1.0)
+            target = pp.Target.from_points(arm, target_of(arm, seed).points, weights)
+            auto, same = (pp.Selection(score=s).step(state, target) for s in ("auto", expected))
+            assert auto.active == same.active
+            np.testing.assert_array_equal(auto.dq, same.dq)
+    assert pp.Selection() == pp.Selection(score="auto", strides=[3, 2])
+
+
+def test_selection_says_that_no_section_is_stable() -> None:
+    state, target = state_of(PLANAR, 0, 0.3), target_of(PLANAR, 0)
+    step = pp.Selection(relative=0.99).step(state, target)
+    assert step.active == ()
+    assert "no section of 2 or 3 modules" in step.diagnostics.reason
+    assert "relative = 0.99" in step.diagnostics.reason
+    assert pp.Selection(relative=0.99).step(state, target.region(5, 5)).active == (5,)
+
+
 def test_joint_interpolation_goes_straight_and_exactly() -> None:
     target = target_of(LIMITED, 4, 0.7)
     start = state_of(LIMITED, 5, 0.7)
@@ -242,6 +289,9 @@ def test_limits_flag_what_they_did() -> None:
         (lambda: pp.Selection(absolute=1.0), InvalidValue, "absolute"),
         (lambda: pp.Selection(gain=0.0), InvalidValue, "gain"),
         (lambda: pp.Selection(conditioning=float("inf")), InvalidValue, "conditioning"),
+        (lambda: pp.Selection(score="errors"), UnknownName, "did you mean 'error'"),
+        (lambda: pp.Selection(strides=(2, 0)), InvalidValue, r"strides is \(2, 0\)"),
+        (lambda: pp.Selection(strides=(2.0,)), InvalidValue, "whole numbers"),
         (lambda: pp.Projection(coupling="half"), UnknownName, "full, local"),
         (lambda: pp.Projection(null_gain=-1.0), InvalidValue, "null_gain"),
         (lambda: controller_named("selektion"), UnknownName, "did you mean 'selection'"),

@@ -1,0 +1,213 @@
+"""Control sets as chains of short sections: the tree of Section 4.6.1 and its best branch.
+
+Where modules have one joint, neighbouring control points always conflict (Appendix A). Points two or three
+joints apart conflict only where the section between them is singular, so a control set is a chain of such
+sections. All chains over a region of the arm form a tree (Figure 4.7): nodes are control points, edges are
+sections. Algorithm 2 leaves out the points at which an unstable edge ends.
+
+The points left have a posture control matrix of full row rank. For neighbours r < s among them, the matrix is
+block lower triangular with the Jacobian of s relative to r on its diagonal. The edge (v, s] of the branch has
+v >= r and a positive index, so the Jacobian of s relative to v has full row rank; that relative to r has the
+same columns and more, so its smallest singular value is no smaller. The first point clears the absolute
+condition. Every other point must, too, because a later point need not clear it when an earlier one does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.errors import InvalidValue
+
+Array = NDArray[np.float64]
+SectionScore = Literal["thesis", "geometric"]
+
+
+class SectionSet(NamedTuple):
+    """What Algorithm 2 leaves of a branch.
+
+    Attributes:
+        points: control points, 0-based and increasing; empty if none is left.
+        edges: number of edges left (eta).
+        score: natural logarithm of the score, because a product of many indices underflows; minus infinity
+            if no point is left.
+    """
+
+    points: tuple[int, ...]
+    edges: int
+    score: float
+
+
+NOTHING = SectionSet((), 0, -np.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class SectionTree:
+    """The tree of sections over a region of the arm; it is never built.
+
+    Nodes are numbered as in the matrix of indices: 0 is the base, k + 1 is control point k.
+
+    Attributes:
+        indices: manipulability index of each section, (m + 1, m + 1), as `section_indices` gives them.
+        usable: which control points may be active: they have a target and clear the absolute condition, (m,).
+        threshold: an edge is unstable unless its index exceeds this.
+        first: first control point of the region, 0-based.
+        last: last control point of the region, 0-based.
+        strides: how many modules a section may have.
+    """
+
+    indices: Array
+    usable: NDArray[np.bool_]
+    threshold: float
+    first: int
+    last: int
+    strides: tuple[int, ...] = (2, 3)
+
+    def __post_init__(self) -> None:
+        m = len(self.usable)
+        if self.indices.shape != (m + 1, m + 1):
+            raise InvalidValue("indices (shape)", self.indices.shape, f"({m + 1}, {m + 1})")
+        if not 0 <= self.first <= self.last < m:
+            raise InvalidValue("region", (self.first, self.last), f"0 <= first <= last <= {m - 1}")
+        if not self.threshold >= 0.0:
+            raise InvalidValue("threshold", self.threshold, "a number >= 0")
+        object.__setattr__(self, "strides", checked_strides(self.strides))
+
+    @property
+    def root(self) -> int:
+        """Where every branch begins: the first control point of the region.
+
+        It is the base if the region starts at control point 0, which is one module from the base and hence
+        less than a section.
+        """
+        return 0 if self.first == 0 else self.first + 1
+
+    @property
+    def leaf(self) -> int:
+        """The last node of the region; no branch goes beyond it."""
+        return self.last + 1
+
+    def branches(self) -> Iterator[tuple[int, ...]]:
+        """Enumerate all branches, one at a time, depth first.
+
+        Yields:
+            Nodes from the root to where no further section fits into the region. Their number grows
+            exponentially with the region: take what you need from the iterator.
+        """
+        begun: list[tuple[int, ...]] = [(self.root,)]
+        while begun:
+            branch = begun.pop()
+            ends = [branch[-1] + stride for stride in self.strides if branch[-1] + stride <= self.leaf]
+            if not ends:
+                yield branch
+            begun.extend((*branch, end) for end in reversed(ends))
+
+    def pruned(self, branch: Sequence[int], score: SectionScore) -> SectionSet:
+        """Leave out the nodes that an unstable edge leads to, and those that are not usable (Algorithm 2).
+
+        Args:
+            branch: nodes, as `branches` gives them.
+            score: "thesis" for (4.8), (eta + 1) times the product of the indices of the edges left; or
+                "geometric", with the geometric mean in place of the product.
+        """
+        kept = [edge for edge in pairwise(branch) if self._stable[edge]]
+        points = tuple(end - 1 for _, end in kept)
+        if self._root_counts:
+            points = (self.root - 1, *points)
+        if not points:
+            return NOTHING
+        logs = np.array([[self._logs[edge] for edge in kept]]).sum(axis=1)
+        return SectionSet(points, len(kept), float(_scores(np.array([len(kept)]), logs, score)[0]))
+
+    def best(self, score: SectionScore) -> SectionSet:
+        """The set with the largest score over all branches, without looking at them one by one.
+
+        The score depends on how many edges are left and on the product of their indices. Of all ways to a
+        node on which as many edges are left, only that with the largest product can be part of the best
+        branch: O(m^2) ways for m points.
+
+        Args:
+            score: see `pruned`.
+
+        Returns:
+            The best set; an empty one if Algorithm 2 leaves no branch a point.
+        """
+        shortest = min(self.strides)
+        counts = np.arange((self.leaf - self.root) // shortest + 2)
+        product = np.full((self.leaf + 1, len(counts)), -np.inf)  # its logarithm, by node and edges left
+        before = np.zeros(product.shape, dtype=np.intp)
+        product[self.root, 0] = 0.0
+        for node in range(self.root + shortest, self.leaf + 1):
+            for start in (node - stride for stride in self.strides if node - stride >= self.root):
+                reached = product[start]
+                if self._stable[start, node]:
+                    reached = np.full(len(counts), -np.inf)
+                    reached[1:] = product[start, :-1] + self._logs[start, node]
+                better = reached > product[node]
+                product[node, better] = reached[better]
+                before[node, better] = start
+        ends = np.arange(max(self.root, self.leaf - shortest + 1), self.leaf + 1)
+        scores = _scores(counts, product[ends], score)
+        if not self._root_counts:
+            scores[:, 0] = -np.inf
+        end, edges = (int(i) for i in np.unravel_index(np.argmax(scores), scores.shape))
+        if scores[end, edges] == -np.inf:
+            return NOTHING
+        points = self._trace(before, int(ends[end]), edges)
+        return SectionSet(points, edges, float(scores[end, edges]))
+
+    @cached_property
+    def _stable(self) -> NDArray[np.bool_]:
+        """Edges that are left, (m + 1, m + 1)."""
+        return np.asarray((self.indices > self.threshold) & np.append(False, self.usable))
+
+    @cached_property
+    def _logs(self) -> Array:
+        """Logarithms of the indices of the edges that are left, (m + 1, m + 1)."""
+        return np.log(np.where(self._stable, self.indices, 1.0))
+
+    @property
+    def _root_counts(self) -> bool:
+        return self.root > 0 and bool(self.usable[self.root - 1])
+
+    def _trace(self, before: NDArray[np.intp], node: int, edges: int) -> tuple[int, ...]:
+        """Points of the way to a node on which a number of edges is left."""
+        points = []
+        while node != self.root:
+            start = int(before[node, edges])
+            if self._stable[start, node]:
+                points.append(node - 1)
+                edges -= 1
+            node = start
+        if self._root_counts:
+            points.append(self.root - 1)
+        return tuple(reversed(points))
+
+
+def checked_strides(strides: Sequence[int]) -> tuple[int, ...]:
+    """Numbers of modules that a section may have, increasing.
+
+    Raises:
+        InvalidValue: none, or other than whole numbers of at least 1.
+    """
+    allowed = "one or more whole numbers of at least 1"
+    try:
+        listed = tuple(strides)
+    except TypeError:
+        raise InvalidValue("strides", strides, allowed) from None
+    whole = all(isinstance(stride, int | np.integer) and not isinstance(stride, bool) for stride in listed)
+    if not listed or not whole or min(listed) < 1:
+        raise InvalidValue("strides", strides, allowed)
+    return tuple(sorted({int(stride) for stride in listed}))
+
+
+def _scores(edges: NDArray[np.intp], logs: Array, score: SectionScore) -> Array:
+    """Logarithm of the score by the number of edges and the logarithm of the product of their indices."""
+    mean = logs / np.maximum(edges, 1) if score == "geometric" else logs
+    return np.asarray(np.log(edges + 1.0) + mean)
