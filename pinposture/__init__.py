@@ -14,8 +14,17 @@ SI units throughout: metres, radians, seconds.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from pinposture.arm import Adequacy, Arm, ArmState, JointLimits, JointSpec, ModuleTemplate, template
-from pinposture.control import Controller, Limits, Projection, Selection, Step
+from pinposture.arm import (
+    Adequacy,
+    Arm,
+    ArmState,
+    Ellipsoid,
+    JointLimits,
+    JointSpec,
+    ModuleTemplate,
+    template,
+)
+from pinposture.control import Controller, Limits, Projection, Selection, Step, Switching
 from pinposture.curve import Curve
 from pinposture.errors import PostureError, PostureWarning
 from pinposture.motion import Trajectory, track
@@ -32,6 +41,7 @@ __all__ = [
     "ArmState",
     "Controller",
     "Curve",
+    "Ellipsoid",
     "JointLimits",
     "JointSpec",
     "Limits",
@@ -41,6 +51,7 @@ __all__ = [
     "Projection",
     "Selection",
     "Step",
+    "Switching",
     "Target",
     "Trajectory",
     "fit_points",

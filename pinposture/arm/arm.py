@@ -233,12 +233,6 @@ class Arm(ConfigurationSpace):
         """Index into the chain of the first joint of each module, (m,)."""
         return self.chain.module_starts
 
-    @cached_property
-    def own_columns(self) -> NDArray[np.intp]:
-        """Tangent space indices of each module's joints, (m, c); short modules are filled up with others."""
-        most = int(self.own_joints.sum(axis=1).max())
-        return np.argsort(-self.own_joints, axis=1, kind="stable")[:, :most]
-
     @property
     def module_joints(self) -> tuple[tuple[str, ...], ...]:
         """Names of the joints of each module, from base to tip."""

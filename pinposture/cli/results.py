@@ -76,6 +76,7 @@ def summarize(motion: Trajectory) -> dict[str, Any]:
         "largest_residual": off,
         "first_active_points": result.first_points,
         "last_active_points": result.last_points,
+        "switches": [switch._asdict() for switch in motion.switches],
         "incomplete": target.incomplete,
     }
 
@@ -95,6 +96,12 @@ def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
         "active points": f"{summary['first_active_points']} at the first step, "
         f"{summary['last_active_points']} at the last, of {summary['control_points']}",
     }
+    if summary["switches"]:
+        first_switch = summary["switches"][0]
+        words["switches"] = (
+            f"{len(summary['switches'])}; the first in step {first_switch['step'] + 1} to "
+            f"{first_switch['method']}: {first_switch['reason']}"
+        )
     if summary["incomplete"]:
         words["incomplete"] = str(summary["incomplete"])
     return words

@@ -80,9 +80,12 @@ def run(
     controller: Annotated[
         str,
         typer.Option(
-            metavar="NAME", help="What moves the arm: selection, projection or joint.", rich_help_panel=MOTION
+            metavar="NAME",
+            help="What moves the arm: selection, projection, or the two by turns, switching; or, to compare "
+            "them with, joint, pinv, task-constraints, extended, augmented, dls or lm.",
+            rich_help_panel=MOTION,
         ),
-    ] = "selection",
+    ] = "switching",
     start: Annotated[
         str,
         typer.Option(

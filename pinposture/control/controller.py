@@ -30,6 +30,8 @@ class Diagnostics(NamedTuple):
         reason: why the controller does not move; empty if it does.
         method: which of its methods a controller used that has several, by name; empty if it has one.
         switched: why it changed to that method in this step; empty if it did not.
+        escape: True if the step is meant to lead out of a place where the posture error cannot fall, so that
+            it may rise on the way.
     """
 
     manipulability: float
@@ -42,6 +44,7 @@ class Diagnostics(NamedTuple):
     reason: str
     method: str = ""
     switched: str = ""
+    escape: bool = False
 
 
 class Memory(NamedTuple):

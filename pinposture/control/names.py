@@ -4,16 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from pinposture.control.baselines import JointInterpolation
+from pinposture.control.baselines import (
+    AugmentedJacobian,
+    DampedLeastSquares,
+    ExtendedJacobian,
+    JointInterpolation,
+    LevenbergMarquardt,
+    PseudoInverse,
+    TaskConstraints,
+)
 from pinposture.control.controller import Controller
 from pinposture.control.projection import Projection
 from pinposture.control.selection import Selection
+from pinposture.control.switching import Switching
 from pinposture.errors import UnknownName
 
 CONTROLLERS: dict[str, Callable[[], Controller]] = {
     "selection": Selection,
     "projection": Projection,
+    "switching": Switching,
     "joint": JointInterpolation,
+    "pinv": PseudoInverse,
+    "task-constraints": TaskConstraints,
+    "extended": ExtendedJacobian,
+    "augmented": AugmentedJacobian,
+    "dls": DampedLeastSquares,
+    "lm": LevenbergMarquardt,
 }
 """Every controller with its default parameters, by the name that `track` and the command line take."""
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from functools import lru_cache
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture.arm import ArmState
+from pinposture.arm import Arm, ArmState
 from pinposture.control.checks import require_positive, require_share
 from pinposture.control.controller import Diagnostics, Memory, Step, task_errors
 from pinposture.control.gradient import descent
@@ -18,6 +19,9 @@ from pinposture.errors import UnknownName
 from pinposture.target import Target
 
 Array = NDArray[np.float64]
+Coupling = Literal["full", "local", "relative"]
+
+COUPLINGS: tuple[Coupling, ...] = ("full", "local", "relative")
 
 
 @dataclass(frozen=True)
@@ -30,16 +34,18 @@ class Projection:
 
     Attributes:
         threshold: smallest singular value that counts as motion (kappa), relative to the length of the
-            module [1/rad].
+            module [1/rad]. Where points have no target, the modules up to the next one that has count as one.
         coupling: "full" keeps the columns of all joints that move a point, so that the matrix is block
             lower triangular and knows that the base of a module moves; "local" keeps only the module's
-            own columns, (5.9) as printed.
+            own columns, (5.9) as printed; "relative" asks of each point to cover the error that it has
+            relative to the point before, so that a module turns into its direction on the target posture
+            wherever its base is.
         gain: share of its projected error that a point is asked to cover in one step (K).
         null_gain: weight of the null-space term of (4.7).
     """
 
     threshold: float = 0.4
-    coupling: Literal["full", "local"] = "full"
+    coupling: Coupling = "full"
     gain: float = 1.0
     null_gain: float = 0.5
     name: str = "projection"
@@ -49,23 +55,38 @@ class Projection:
         require_positive("threshold", self.threshold)
         require_positive("gain", self.gain)
         require_positive("null_gain", self.null_gain, zero=True)
-        if self.coupling not in ("full", "local"):
-            raise UnknownName("coupling", self.coupling, ("full", "local"))
+        if self.coupling not in COUPLINGS:
+            raise UnknownName("coupling", self.coupling, COUPLINGS)
 
     def step(
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
     ) -> Step:
         """Compute one step; see `Controller.step`."""
+        errors = task_errors(state, target)
+        secondary = self.null_gain * descent(state, errors, np.linalg.norm(errors, axis=1))
+        return self.step_with(secondary, state, target, limits)
+
+    def step_with(
+        self, secondary: Array, state: ArmState, target: Target, limits: Limits | None = None
+    ) -> Step:
+        """Compute one step with something else to follow in the null space than the descent of (4.7).
+
+        Args:
+            secondary: joint displacement to follow as far as the control points leave room, (nv,), in
+                `Arm.joint_units`.
+            state: where the arm is.
+            target: where its control points should be.
+            limits: what the step may not exceed; `Limits()` if None.
+        """
         limits = Limits() if limits is None else limits
         errors = task_errors(state, target)
         matrix, velocity, active, smallest = self.posture_control_matrix(state, errors, target.placed)
-        gradient = self.null_gain * descent(state, errors, np.linalg.norm(errors, axis=1))
         if len(matrix) == 0:
             held = np.zeros(state.arm.nv)
             reason = f"no module has a singular value above threshold = {self.threshold:g} of its length"
             return Step(held, (), Diagnostics(0, 0, 0, 0, (), 1.0, held > 0.0, reason), Memory(held))
         decomposed = decompose(matrix)
-        asked = pseudo_inverse_step(decomposed, self.gain * velocity, gradient)
+        asked = pseudo_inverse_step(decomposed, self.gain * velocity, secondary)
         limited = limits.apply(state, asked * state.arm.joint_units)
         diagnostics = Diagnostics(
             manipulability=smallest,
@@ -96,16 +117,53 @@ class Projection:
             Matrix (r, nv) [m/rad], projected errors (r,) [m], control points used (0-based), and the
             smallest ratio of a kept singular value to the largest of its module.
         """
-        arm, jacobians = state.arm, state.task_jacobians
-        own = jacobians * arm.own_joints[:, None, :]
+        sections = _sections(state.arm, eligible.tobytes())
+        jacobians, wanted = state.task_jacobians[sections.ends], errors[sections.ends]
+        own = jacobians * sections.own[:, None, :]
         # Modules are far shorter than the arm: decompose their own columns only, padded to equal number.
-        narrow = np.take_along_axis(own, arm.own_columns[:, None, :], axis=2)  # (m, d, c)
-        left, sigma, _ = np.linalg.svd(narrow, full_matrices=False)  # (m, d, r), (m, r)
-        kept = (sigma > self.threshold * arm.chain.module_lengths[:, None]) & eligible[:, None]
+        narrow = np.take_along_axis(own, sections.columns[:, None, :], axis=2)  # (p, d, c)
+        left, sigma, _ = np.linalg.svd(narrow, full_matrices=False)  # (p, d, r), (p, r)
+        kept = sigma > self.threshold * sections.lengths[:, None]
         across = left.swapaxes(1, 2)
-        rows = across @ (jacobians if self.coupling == "full" else own)
-        velocity = (across @ errors[:, :, None])[:, :, 0]
-        active = tuple(int(k) for k in np.flatnonzero(kept.any(axis=1)))
+        # The own columns of a section are the same in all couplings, and those of later ones are zero: the
+        # matrix is block triangular, and of full row rank, in each of them.
+        if self.coupling == "local":
+            jacobians = own
+        elif self.coupling == "relative":
+            jacobians, wanted = _differences(jacobians), _differences(wanted)
+        rows = across @ jacobians
+        velocity = (across @ wanted[:, :, None])[:, :, 0]
+        active = tuple(int(k) for k in sections.ends[kept.any(axis=1)])
         largest = np.broadcast_to(sigma[:, :1], sigma.shape)[kept]
         smallest = float((sigma[kept] / largest).min()) if active else 0.0
         return rows[kept], velocity[kept], active, smallest
+
+
+class _Sections(NamedTuple):
+    """The arm cut at the control points that have a target: modules, if all of them have one.
+
+    Attributes:
+        ends: control points that have a target, (p,), 0-based.
+        own: 1 where a degree of freedom belongs to a section, else 0, (p, nv).
+        columns: degrees of freedom of each section, (p, c); short sections are filled up with others.
+        lengths: arc lengths, (p,) [m].
+    """
+
+    ends: NDArray[np.intp]
+    own: Array
+    columns: NDArray[np.intp]
+    lengths: Array
+
+
+@lru_cache(maxsize=16)
+def _sections(arm: Arm, eligible: bytes) -> _Sections:
+    ends = np.flatnonzero(np.frombuffer(eligible, dtype=np.bool_))
+    own = _differences(arm.frames.support[ends, 0])
+    columns = np.argsort(-own, axis=1, kind="stable")[:, : int(own.sum(axis=1).max(initial=0.0))]
+    lengths = _differences(np.cumsum(arm.chain.module_lengths)[ends])
+    return _Sections(ends, own, columns, lengths)
+
+
+def _differences(rows: Array) -> Array:
+    """Each entry along the first axis less the one before; the first as it is."""
+    return np.concatenate([rows[:1], np.diff(rows, axis=0)])

@@ -43,12 +43,13 @@ class Recorder:
     def add(self, state: ArmState, step: Step) -> None:
         """Write down one step and the state it led to."""
         self._steps.append(step)
+        self._best_at += step.diagnostics.escape  # while it escapes, an arm is not stuck
         self._q.append(state.q)
         self._points.append(state.points)
         self._errors.append(self._point_errors(state))
 
     def steps_without_progress(self, share: float) -> int:
-        """Steps since the posture error last fell by this share below its lowest value before."""
+        """Steps, escapes apart, since the posture error last fell by this share below its lowest before."""
         if self.posture_error < self._best * (1.0 - share):
             self._best, self._best_at = self.posture_error, self.steps
         return self.steps - self._best_at

@@ -32,7 +32,7 @@ def track(
     arm: Arm,
     target: Target,
     q0: ArrayLike,
-    controller: str | Controller = "selection",
+    controller: str | Controller = "switching",
     limits: Limits | None = None,
     max_steps: int = 300,
     tolerance: float | None = None,
@@ -44,7 +44,7 @@ def track(
         arm: the arm.
         target: where its control points should be.
         q0: configuration to start from, (nq,).
-        controller: a controller, or the name of one with its default parameters.
+        controller: a controller, or the name of one with its default parameters; see `CONTROLLERS`.
         limits: what a step may not exceed; `Limits()` if None.
         max_steps: number of steps after which to stop.
         tolerance: mean distance of the control points from their targets at which the run has converged
@@ -54,8 +54,8 @@ def track(
 
     Returns:
         The motion and everything recorded on the way. `status` is "converged", "stalled" (no progress
-        for 60 steps), "no_control_points" (the controller found none that it may move), "max_steps" or
-        "stopped" (by the callback); `reason` says it in words.
+        for 60 steps, escapes not counted), "no_control_points" (the controller found none that it may
+        move), "max_steps" or "stopped" (by the callback); `reason` says it in words.
 
     Raises:
         InvalidValue: q0, the target, max_steps or the tolerance do not fit.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,20 @@ from pinposture.control import Limits
 from pinposture.target import Target
 
 Array = NDArray[np.float64]
+
+
+class Switch(NamedTuple):
+    """A change of method.
+
+    Attributes:
+        step: the first step of the new method, counted from 0.
+        method: its name.
+        reason: why it took over.
+    """
+
+    step: int
+    method: str
+    reason: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +101,12 @@ class Trajectory:
     def active_sets(self) -> tuple[tuple[int, ...], ...]:
         """Active control set of each step, indices of control points, 0-based."""
         return tuple(tuple(int(k) for k in np.flatnonzero(row)) for row in self.active)
+
+    @cached_property
+    def switches(self) -> tuple[Switch, ...]:
+        """Where a controller that has several methods changed from one to another, and why."""
+        changes = np.flatnonzero(self.switched != "")
+        return tuple(Switch(int(k), str(self.method[k]), str(self.switched[k])) for k in changes)
 
     def save(self, path: str | Path) -> Path:
         """Write the run to one `.npz` file, all or nothing; it embeds the arm and the curve.

@@ -140,7 +140,7 @@ def test_a_target_without_any_point_is_refused() -> None:
     [
         ({"q0": np.zeros(39)}, InvalidValue, r"q0 \(shape\)"),
         ({"q0": np.full(40, np.nan)}, InvalidValue, r"q0\[0\] is nan"),
-        ({"controller": "lm"}, UnknownName, "selection, projection, joint"),
+        ({"controller": "simplex"}, UnknownName, "selection, projection, switching"),
         ({"max_steps": 0}, InvalidValue, "max_steps"),
         ({"tolerance": -1.0}, InvalidValue, "tolerance"),
         (

@@ -36,7 +36,8 @@ class JointInterpolation:
             allowed = "a target with a known configuration, as `resolve_targets` returns it"
             raise InvalidValue("target.q", None, allowed)
         limits = Limits() if limits is None else limits
-        limited = limits.apply(state, np.array(pin.difference(state.arm.model, state.q, target.q)))
+        way = pin.difference(state.arm.model, state.q, target.q)
+        limited = limits.apply(state, way * state.arm.frames.support[-1, 0])  # joints off the chain stay
         active = tuple(int(k) for k in np.flatnonzero(target.placed))
         diagnostics = Diagnostics(0.0, 0.0, 0.0, 0, (), limited.scale, limited.clipped, "")
         return Step(limited.dq, active, diagnostics, Memory(limited.dq))

@@ -1,0 +1,127 @@
+"""What holds for the steps of every baseline, and within the limits for those of every controller."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import pinposture as pp
+from pinposture.control import CONTROLLERS, controller_named
+
+BASELINES = ("pinv", "task-constraints", "extended", "augmented", "dls", "lm")
+PLACEMENT = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -2.0, 0.7]))
+SLIDE = pp.JointSpec("x", type="prismatic", lower=-0.04, upper=0.05)
+ENDLESS = pp.JointSpec("z", type="continuous")
+SLIDING = pp.ModuleTemplate("slides", (pp.JointSpec("y"), SLIDE, ENDLESS), (0.03,) * 3)
+SPATIAL = pp.Arm.from_template("RyRz", 7)
+ARMS = {
+    "spatial": SPATIAL,
+    "planar": pp.Arm.from_template("Rz", 8, base_placement=PLACEMENT),
+    "sliding": pp.Arm.from_modules([SLIDING] * 4),
+    "limited": pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.8, 0.6)] * 5),
+    "single": pp.Arm.from_template("RyRz", 1),
+}
+
+
+def state_of(arm: pp.Arm, seed: int, amplitude: float = 0.8) -> pp.ArmState:
+    rng = np.random.default_rng(seed)
+    return arm.at(arm.configuration(amplitude * arm.joint_units * rng.uniform(-1, 1, arm.nv)))
+
+
+def target_of(arm: pp.Arm, seed: int, weights: object = None) -> pp.Target:
+    target = pp.Target.from_points(arm, state_of(arm, seed + 10**6).points, weights)
+    return pp.Target(target.points, target.weights, q=state_of(arm, seed + 10**6).q)
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_steps_do_not_depend_on_where_the_base_stands(name: str) -> None:
+    turned = pp.Arm.from_template("RyRz", 7, base_placement=PLACEMENT)
+    for seed in range(4):
+        q, goal = state_of(SPATIAL, seed).q, target_of(SPATIAL, seed)
+        moved = goal.points @ PLACEMENT.rotation.T + PLACEMENT.translation
+        here = controller_named(name).step(SPATIAL.at(q), goal)
+        there = controller_named(name).step(turned.at(q), pp.Target.from_points(turned, moved))
+        assert here.active == there.active
+        assert here.diagnostics.sigma_max == pytest.approx(there.diagnostics.sigma_max, rel=1e-9)
+        np.testing.assert_allclose(here.dq, there.dq, atol=1e-6)
+
+
+@given(
+    name=st.sampled_from(sorted(CONTROLLERS)),
+    kind=st.sampled_from(sorted(ARMS)),
+    amplitude=st.sampled_from([0.0, 1e-15, 1e-12, 1e-7, 1e-3, 0.5, 3.0]),
+    free=st.sampled_from(["none", "first", "last", "most"]),
+    largest=st.sampled_from([None, 1e-3, 0.1]),
+    seed=st.integers(0, 10**6),
+)
+@settings(max_examples=40)
+def test_every_step_is_finite_and_within_the_limits(
+    name: str, kind: str, amplitude: float, free: str, largest: float | None, seed: int
+) -> None:
+    arm, rng = ARMS[kind], np.random.default_rng(seed)
+    m = arm.n_modules
+    weights = np.ones(m)
+    if m > 1:
+        none = {"none": [], "first": [0], "last": [m - 1], "most": rng.permutation(m)[: m - 1]}[free]
+        weights[none] = 0.0
+    start = np.clip(arm.positions(state_of(arm, seed, amplitude).q), arm.limits.lower, arm.limits.upper)
+    target = target_of(arm, seed, weights)
+    if name != "joint" and seed % 3 == 0:
+        target = pp.Target.from_points(arm, rng.normal(0.0, 10.0 * arm.length, (m, 3)), weights)
+    limits = pp.Limits(step=largest)
+    q, memory = arm.configuration(start), None
+    for _ in range(4):
+        step = controller_named(name).step(arm.at(q), target, limits, memory)
+        memory = step.memory
+        assert np.all(np.isfinite(step.dq))
+        assert np.all(np.isfinite(step.diagnostics[:4]))
+        assert set(step.active) <= set(np.flatnonzero(weights))
+        assert np.all(np.abs(step.dq) <= (np.inf if largest is None else largest * (1 + 1e-12)))
+        assert bool(step.diagnostics.reason) == (step.active == ())
+        q = arm.integrate(q, step.dq)
+        assert arm.within_limits(q)
+
+
+@pytest.mark.parametrize("name", (*BASELINES, "joint"))
+def test_joints_that_move_no_control_point_stay(name: str) -> None:
+    # The joint "aside" hangs on the first one and comes second in the model: columns with a gap.
+    model, link = pin.Model(), pin.SE3(np.eye(3), np.array([0.1, 0.0, 0.0]))
+    joints = [(0, "a"), (1, "aside"), (1, "b"), (3, "c"), (4, "d"), (5, "e")]
+    for parent, joint in joints:
+        turn = pin.JointModelRZ() if joint != "d" else pin.JointModelPX()
+        model.addJoint(parent, turn, link, joint)
+    for joint in ("b", "c", "e"):
+        parent = model.getJointId(joint)
+        model.addFrame(pin.Frame(f"end_{joint}", parent, 0, link, pin.FrameType.OP_FRAME))
+    model.lowerPositionLimit, model.upperPositionLimit = np.full(6, -1.0), np.full(6, 1.0)
+    arm = pp.Arm.from_model(model, ["end_b", "end_c", "end_e"])
+    state, goal = (
+        arm.at(arm.configuration(np.full(6, 0.5) * s))
+        for s in ([1, 1, -1, 1, 0.2, 1], [0.8, 0.1, 0.7, 0.8, 0.8, 0.8])
+    )
+    controller = controller_named(name)
+    if name in ("pinv", "augmented", "extended"):
+        controller = replace(controller, objective="joint_limits")
+    step = controller.step(state, pp.Target.from_configuration(arm, goal.q))
+    assert np.all(step.dq[[0, 2, 3, 4, 5]] != 0.0)
+    assert step.dq[1] == 0.0
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_without_any_target_the_arm_stands_and_says_so(name: str) -> None:
+    target = pp.Target(SPATIAL.at(SPATIAL.straight()).points, np.zeros(7))
+    step = controller_named(name).step(state_of(SPATIAL, 0), target)
+    assert not step.dq.any()
+    assert step.active == ()
+    assert "target" in step.diagnostics.reason
+
+
+def test_every_name_makes_the_controller_of_that_name() -> None:
+    assert set(BASELINES) < set(CONTROLLERS)
+    for name in CONTROLLERS:
+        assert controller_named(name).name == name

@@ -1,0 +1,171 @@
+"""Switching: which method has control when, and that together they get there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import groupby, pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import pinposture as pp
+from pinposture.control import Memory, controller_named
+from pinposture.errors import InvalidValue
+from pinposture.study import smooth_configuration
+from pinposture.thesis.curves import HELIX, LINE
+
+ARM = pp.Arm.from_template("RyRz", 12)
+LONG = pp.Arm.from_template("RyRz", 20)
+PLANAR = pp.Arm.from_template("Rz", 20)
+
+
+def posture(arm: pp.Arm, seed: int, amplitude: float = 0.6) -> np.ndarray:
+    return smooth_configuration(arm, np.random.default_rng(seed), amplitude)
+
+
+def stints(run: pp.Trajectory) -> list[tuple[str, int]]:
+    return [(name, len(list(steps))) for name, steps in groupby(run.method.tolist())]
+
+
+@pytest.fixture(scope="module")
+def hard() -> pp.Trajectory:
+    """A run from which Selection alone and Projection alone do not get to the helix."""
+    return pp.track(LONG, pp.resolve_targets(LONG, HELIX), posture(LONG, 10, 0.9), "switching", max_steps=400)
+
+
+def test_it_gets_where_neither_part_gets_alone(hard: pp.Trajectory) -> None:
+    alone = [
+        pp.track(LONG, hard.target, hard.q[0], name, max_steps=400) for name in ("selection", "projection")
+    ]
+    assert hard.converged
+    assert all(run.point_errors[-1].mean() > 1e-3 * LONG.length for run in alone)
+
+
+def test_each_step_is_one_of_the_method_that_it_names(hard: pp.Trajectory) -> None:
+    """Selection's steps are Selection's; Projection's are those towards the target or towards a waypoint."""
+    method = pp.Switching()
+    aims = []
+    for k in range(hard.steps):
+        state = LONG.at(hard.q[k])
+        moved = hard.q[k + 1] - hard.q[k]
+        if hard.method[k] == "selection":
+            expected = method.selection.step(state, hard.target)
+            np.testing.assert_allclose(moved, expected.dq, atol=1e-12)
+            continue
+        straight = method.projection.step(state, hard.target).dq
+        way = hard.target.q - hard.q[k]
+        ahead = LONG.at(hard.q[k] + way * min(1.0, method.reach / np.abs(way).max())).points
+        waypoint = method.projection.step(state, replace(hard.target, points=ahead)).dq
+        fits = [bool(np.allclose(moved, dq, atol=1e-12)) for dq in (straight, waypoint)]
+        assert any(fits)
+        aims.append(fits[0])
+    assert aims[0]  # the first failover aims at the target itself, as in Figure 4.8
+    assert not all(aims)
+
+
+def test_every_change_of_method_is_recorded_with_its_reason(hard: pp.Trajectory) -> None:
+    changes = [k + 1 for k, (a, b) in enumerate(pairwise(hard.method)) if a != b]
+    assert [switch.step for switch in hard.switches] == changes
+    assert len(changes) > 2
+    for switch in hard.switches:
+        expected = "has control points again" if switch.method == "selection" else "did not fall by 10 %"
+        assert expected in switch.reason
+
+
+def test_the_stints_of_projection_double_so_that_it_cannot_chatter(hard: pp.Trajectory) -> None:
+    # Some last longer, because Selection finds no control points when they are over; the last one may be cut.
+    lengths = [length for name, length in stints(hard) if name == "projection"]
+    assert len(lengths) > 2
+    for turn, length in enumerate(lengths[:-1]):
+        assert length >= 5 * 2**turn
+    waits = [length for name, length in stints(hard) if name == "selection"]
+    assert all(wait >= 3 for wait in waits)
+
+
+def test_from_the_straight_arm_projection_begins_and_says_why() -> None:
+    run = pp.track(ARM, pp.resolve_targets(ARM, HELIX), ARM.straight(), "switching")
+    assert run.method[0] == "projection"
+    assert "absolute manipulability condition" in run.switched[0]
+    assert "selection" in run.method
+    assert run.converged
+
+
+def test_near_the_straight_line_projection_takes_over_and_stays() -> None:
+    run = pp.track(ARM, pp.resolve_targets(ARM, LINE), posture(ARM, 1), "switching")
+    assert run.converged
+    assert run.method[-1] == "projection"
+    assert pp.track(ARM, run.target, run.q[0], "selection").status == "no_control_points"
+
+
+def test_without_a_known_configuration_every_stint_is_short_and_aims_at_the_target() -> None:
+    start = posture(ARM, 4)
+    goal = pp.Target.from_points(ARM, ARM.at(posture(ARM, 5)).points)
+    run = pp.track(ARM, goal, start, "switching", max_steps=120)
+    assert not any(run.method[k] == "projection" and _is_escape(run, k) for k in range(run.steps))
+    assert all(length <= 5 for name, length in stints(run)[:-1] if name == "projection")
+
+
+def _is_escape(run: pp.Trajectory, k: int) -> bool:
+    step = pp.Switching().projection.step(run.arm.at(run.q[k]), run.target)
+    return not np.allclose(step.dq, run.q[k + 1] - run.q[k], atol=1e-12)
+
+
+@pytest.mark.parametrize("largest", [0.02, 0.1])
+def test_its_course_does_not_depend_on_the_rate_of_control(largest: float) -> None:
+    """Durations are joint travel: with a fifth of the step limit, a stint has five times as many steps."""
+    target = pp.resolve_targets(LONG, HELIX)
+    run = pp.track(
+        LONG, target, LONG.straight(), "switching", pp.Limits(step=largest), max_steps=round(40 / largest)
+    )
+    assert run.converged
+    assert stints(run)[0] == ("projection", round(0.5 / largest))
+
+
+@given(st.integers(0, 10**6), st.sampled_from(["spatial", "planar"]), st.sampled_from([0.0, 1e-6, 0.7, 3.0]))
+@settings(deadline=None, max_examples=30)
+def test_its_steps_are_finite_and_within_limits(seed: int, kind: str, amplitude: float) -> None:
+    arm = ARM if kind == "spatial" else PLANAR
+    rng = np.random.default_rng(seed)
+    points = rng.normal(0.0, rng.choice([1e-9, 0.2, 10.0]), (arm.n_modules, 3))
+    known = pp.Target.from_configuration(arm, arm.configuration(rng.uniform(-3.0, 3.0, arm.nv)))
+    target = known if seed % 2 else pp.Target.from_points(arm, points)
+    run = pp.track(arm, target, amplitude * rng.uniform(-1, 1, arm.nv), "switching", max_steps=40)
+    assert np.all(np.isfinite(run.q))
+    assert np.all(np.abs(np.diff(run.q, axis=0)) <= 0.1 + 1e-12)
+    assert np.all(np.abs(run.q) <= np.pi + 1e-12)
+    assert set(run.method) <= {"selection", "projection"}
+
+
+def test_what_another_controller_remembers_is_not_its_own() -> None:
+    target = pp.resolve_targets(ARM, HELIX)
+    state = ARM.at(posture(ARM, 2))
+    method = controller_named("switching")
+    fresh = method.step(state, target)
+    foreign = method.step(state, target, memory=Memory(np.ones(ARM.nv), own="something else"))
+    np.testing.assert_array_equal(fresh.dq, foreign.dq)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"patience": 0.0}, "patience"),
+        ({"stay": -1.0}, "stay"),
+        ({"reach": float("nan")}, "reach"),
+        ({"progress": 1.0}, "progress"),
+        ({"selection": "selection"}, r"Selection\(\.\.\.\)"),
+        ({"projection": pp.Selection()}, r"Projection\(\.\.\.\)"),
+    ],
+)
+def test_bad_parameters_are_named(parameters: dict, message: str) -> None:
+    with pytest.raises(InvalidValue, match=message):
+        pp.Switching(**parameters)
+
+
+@pytest.mark.parametrize("region", [(19, 19), (10, 19), (0, 9), (5, 12)])
+def test_a_region_of_the_arm_gets_there_too(region: tuple[int, int]) -> None:
+    """The joints before the region must bring its base into place, though no point of theirs has a target."""
+    target = pp.Target.from_configuration(LONG, posture(LONG, 7, 0.8)).region(*region)
+    run = pp.track(LONG, target, posture(LONG, 8, 0.8), "switching", max_steps=400)
+    assert run.point_errors[-1].max() < 1e-3 * LONG.length
