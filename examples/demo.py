@@ -1,4 +1,4 @@
-"""The three spatial scenarios of the thesis, by Selection and by Projection: one table, pictures, animations.
+"""Scenarios of the thesis by Selection, Projection, and both by turns: one table, pictures, animations.
 
 make demo
 """
@@ -12,11 +12,12 @@ from rich.table import Table
 
 import pinposture as pp
 from pinposture.study import case
-from pinposture.thesis.scenarios import SPATIAL_SCENARIOS
+from pinposture.thesis.scenarios import PLANAR_SCENARIOS, SPATIAL_SCENARIOS
 
 SEED = 17
 OUT = Path("out")
-URDF = Path(__file__).parents[1] / "urdf/ryrz20.urdf"
+URDF = Path(__file__).parents[1] / "urdf"
+CONTROLLERS = ("selection", "projection", "switching")
 
 
 def main() -> None:
@@ -24,23 +25,23 @@ def main() -> None:
     begun = time.perf_counter()
     console = Console()
     if not console.is_terminal:
-        console = Console(width=140)  # whoever reads a pipe or a log wants whole lines
-    arm = pp.Arm.from_urdf(URDF)
-    console.print(f"{URDF.name}: {arm}")
-    console.print(f"start and roll of the curve from seed {SEED}, |dq| <= 0.1 rad per step")
-    table = Table("scenario", "controller", r"posture error \[m]", "steps", "points used", "ending")
+        console = Console(width=150)  # whoever reads a pipe or a log wants whole lines
+    scenarios = (*SPATIAL_SCENARIOS, *PLANAR_SCENARIOS[:2])
+    console.print(f"starts and targets from seed {SEED}, |dq| <= 0.1 rad per step")
+    table = Table("arm", "scenario", "controller", r"posture error \[m]", "steps", "points used", "ending")
     with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("tracking", total=2 * len(SPATIAL_SCENARIOS))
-        for scenario in SPATIAL_SCENARIOS:
+        task = progress.add_task("tracking", total=len(CONTROLLERS) * len(scenarios))
+        for scenario in scenarios:
+            arm = pp.Arm.from_urdf(URDF / f"{scenario.arm}.urdf")
             start, target = case(arm, scenario, SEED)
             runs = {}
-            for name in ("selection", "projection"):
+            for name in CONTROLLERS:
                 run = runs[name] = pp.track(arm, target, start, name)
                 errors, points = run.posture_error, run.active.sum(axis=1)
                 used = f"{points[0]} -> {points[-1]}" if run.steps else "none"
                 change = f"{errors[0]:.3g} -> {errors[-1]:.3g}"
                 ending = f"{run.status}: {run.reason}"
-                table.add_row(scenario.title, name, change, str(run.steps), used, ending)
+                table.add_row(scenario.arm, scenario.title, name, change, str(run.steps), used, ending)
                 folder = OUT / scenario.name / name
                 run.save(folder / "run.npz")
                 pp.plot(run).savefig(folder / "run.png", dpi=120)

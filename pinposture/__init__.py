@@ -5,7 +5,7 @@
     arm = pp.Arm.from_template("RyRz", modules=20)
     curve = pp.Curve.helix(radius=0.06, pitch=0.15, turns=4)
     target = pp.resolve_targets(arm, curve)
-    run = pp.track(arm, target, arm.random(rng), controller="selection")
+    run = pp.track(arm, target, arm.random(rng))
     pp.plot(run)
 
 SI units throughout: metres, radians, seconds.

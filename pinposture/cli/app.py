@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from pinposture.cli import arms, generate, inspect, track, view
+from pinposture.cli import arms, generate, inspect, methods, reproduce, track, view
 from pinposture.cli.output import print_error, warnings_as_notes
 from pinposture.errors import PostureError
 
@@ -105,7 +105,7 @@ studies = typer.Typer()
 
 @studies.callback(invoke_without_command=True)
 def _study(ctx: typer.Context) -> None:
-    """Many arms at once: what works on one may not work on the next."""
+    """Many arms, or many methods: what works in one picture may not work in the next."""
     if ctx.invoked_subcommand is None:
         typer.echo(ctx.get_help())
 
@@ -115,9 +115,10 @@ def _add(verb: ModuleType, group: typer.Typer) -> None:
     group.command(name, cls=kind, help=_paragraphs(verb.run.__doc__ or ""))(verb.run)
 
 
-for module in (generate, inspect, track, view):
+for module in (generate, inspect, track, view, reproduce):
     _add(module, app)
-_add(arms, studies)
+for module in (arms, methods):
+    _add(module, studies)
 app.add_typer(studies, name="study")
 
 

@@ -11,12 +11,26 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.control import Controller, Limits, controller_named
+from pinposture.curve import Curve
 from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory, track
 from pinposture.target import Target, resolve_targets
+from pinposture.thesis.curves import TARGET_CURVES
 from pinposture.thesis.scenarios import Scenario
 
 Array = NDArray[np.float64]
+
+AMPLITUDES = (0.2, 1.0)
+"""Range of the largest joint position of an arbitrary posture of a spatial arm [rad or m]."""
+
+HEADINGS = (0.5, 1.5)
+"""Range of the largest heading of a link in an arbitrary posture of a planar arm [rad]."""
+
+SLIGHT_HEADINGS = (0.02, 0.06)
+"""The same for a target curve that is almost straight [rad]."""
+
+NEARLY = 1e-3
+"""Largest joint position of a start that is almost straight [rad or m]."""
 
 
 class Outcome(NamedTuple):
@@ -88,17 +102,81 @@ def smooth_configuration(arm: Arm, rng: np.random.Generator, amplitude: float) -
     return arm.configuration(np.clip(positions, arm.limits.lower, arm.limits.upper))
 
 
+def bent_configuration(arm: Arm, rng: np.random.Generator, heading: float) -> Array:
+    """A smooth random configuration of a planar arm, told by how far its links turn from the base axis.
+
+    A long arm that bends a little at each of its many joints rolls up. The heading of its links says how
+    arbitrary its posture looks, whatever their number.
+
+    Args:
+        arm: a planar arm whose joints turn.
+        rng: source of randomness.
+        heading: largest angle between a link and the same link of the straight arm [rad].
+
+    Returns:
+        Configuration within the limits of the arm, (nq,).
+
+    Raises:
+        InvalidValue: a heading that is no finite number >= 0, or an arm that is not planar.
+    """
+    if not (np.isfinite(heading) and heading >= 0.0):
+        raise InvalidValue("heading", heading, "a finite number >= 0 [rad]")
+    if arm.dimension != 2:
+        raise InvalidValue("arm", arm, "a planar arm")
+    positions = arm.positions(smooth_configuration(arm, rng, 1.0))
+    senses = np.sign(arm.chain.axes @ np.cross(*arm.plane)) * arm.chain.revolute
+    largest = float(np.abs(np.cumsum(senses * positions[arm.columns])).max())
+    positions = positions * (heading / max(largest, 1e-300))
+    return arm.configuration(np.clip(positions, arm.limits.lower, arm.limits.upper))
+
+
 def case(arm: Arm, scenario: Scenario, seed: int) -> tuple[Array, Target]:
     """Start configuration and target of one seed.
 
-    The seed draws the start (amplitude 0.2 to 1.0 rad) and how far the curve is rolled about the arm.
+    The seed draws how far a curve is rolled about a spatial arm, the start if it is not straight, and the
+    target if it is not a fixed curve, in this order. Arbitrary postures of a spatial arm have their largest
+    joint angle between 0.2 and 1.0 rad, those of a planar arm the largest heading between 0.5 and 1.5 rad.
     """
     rng = np.random.default_rng(seed)
     roll = rng.uniform(-np.pi, np.pi)
-    start = arm.straight()
-    if scenario.start == "smooth":
-        start = smooth_configuration(arm, rng, rng.uniform(0.2, 1.0))
-    return start, resolve_targets(arm, scenario.curve, roll=roll)
+    if scenario.start == "straight":
+        start = arm.straight()
+    elif scenario.start == "near-straight":
+        start = smooth_configuration(arm, rng, NEARLY)
+    else:
+        start = arbitrary_configuration(arm, rng)
+    return start, _target(arm, scenario, start, roll, rng)
+
+
+def arbitrary_configuration(arm: Arm, rng: np.random.Generator) -> Array:
+    """An arbitrary non-singular configuration, as the starts of scenarios are drawn; see `case`."""
+    if arm.dimension == 2:
+        return bent_configuration(arm, rng, rng.uniform(*HEADINGS))
+    return smooth_configuration(arm, rng, rng.uniform(*AMPLITUDES))
+
+
+def _target(arm: Arm, scenario: Scenario, start: Array, roll: float, rng: np.random.Generator) -> Target:
+    if scenario.target == "opposite":
+        return Target.from_configuration(arm, arm.configuration(-arm.positions(start)))
+    if scenario.target in ("random", "near-line"):
+        if scenario.target == "random":
+            goal = arbitrary_configuration(arm, rng)
+        elif arm.dimension == 2:
+            goal = bent_configuration(arm, rng, rng.uniform(*SLIGHT_HEADINGS))
+        else:
+            goal = smooth_configuration(arm, rng, NEARLY)
+        if arm.dimension == 3:  # a curve that leaves the base at an angle makes two-joint modules zigzag
+            return Target.from_configuration(arm, goal)
+        return resolve_targets(arm, _curve_along(arm, goal), placement="as_is")
+    curve = TARGET_CURVES[scenario.arm, scenario.target]
+    return resolve_targets(arm, curve, roll=roll if arm.dimension == 3 else 0.0)
+
+
+def _curve_along(arm: Arm, q: Array) -> Curve:
+    """The curve through the control points at a configuration, continued straight by two modules."""
+    points = np.vstack([arm.chain.base, arm.at(q).points])
+    on = points[-1] + np.outer((1.0, 2.0), points[-1] - points[-2])
+    return Curve.points(np.vstack([points, on]))
 
 
 def outcome(run: Trajectory, scenario: str, controller: str, seed: int) -> Outcome:

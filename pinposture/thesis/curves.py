@@ -1,6 +1,9 @@
-"""The target curves of Section 6.1.2, in metres."""
+"""The target curves of chapter 6, in metres."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
 
 from pinposture.curve import Curve
 
@@ -12,5 +15,13 @@ HELIX = Curve.helix(radius=0.06, pitch=0.15, turns=4, handedness="left")
 
 The thesis does not say where t ends. A helix of four turns (t = 1) is 1.62 m long; the arm covers 1 m."""
 
+PLANAR_LINE = Curve.line((0.0, 0.0, 0.0), (7.425, 0.0, 0.0))
+"""A straight line for the planar arm of Section 6.2, like (6.16) a tenth longer than the arm."""
+
 CURVES = {"line": LINE, "helix": HELIX}
 """The curves by the names that the command line takes."""
+
+TARGET_CURVES: Mapping[tuple[str, str], Curve] = MappingProxyType(
+    {("ryrz20", "helix"): HELIX, ("ryrz20", "line"): LINE, ("planar45", "line"): PLANAR_LINE}
+)
+"""The curve of each arm for each kind of target that is the same for every seed."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -11,6 +13,9 @@ from matplotlib.ticker import MaxNLocator
 from pinposture.motion import Trajectory
 from pinposture.view import palette
 from pinposture.view.axes import dress_steps, mark_end, mark_start, scale_counts, scale_values
+
+MARK = "#CC0000"
+"""Steps that are pointed out, as on the step axis of Figure 6.12 of the thesis."""
 
 
 def plot_posture_error(run: Trajectory, ax: Axes, color: str | None = None, label: str | None = None) -> None:
@@ -90,3 +95,72 @@ def plot_active_points(run: Trajectory, ax: Axes) -> None:
     other.set_ylabel(r"$\sigma_{\min}$ [m/rad]", fontsize=9, color=palette.INK)
     other.tick_params(labelsize=8)
     other.spines[["top", "left", "bottom"]].set_visible(False)
+
+
+def plot_point_count(run: Trajectory, ax: Axes, color: str | None = None) -> None:
+    """Draw how many control points were active in each step.
+
+    Args:
+        run: the run.
+        ax: where to draw.
+        color: colour of the line; that of the controller if None.
+    """
+    color = palette.controller_color(run.controller) if color is None else color
+    steps = np.arange(1, run.steps + 1)
+    marker = "o" if run.steps == 1 else ""
+    ax.plot(steps, run.active.sum(axis=1), color=color, lw=1.4, drawstyle="steps-mid", marker=marker)
+    dress_steps(ax, "active control points")
+    scale_counts(ax, run.arm.n_modules)
+
+
+def plot_used_points(run: Trajectory, ax: Axes) -> None:
+    """Draw a dot for each control point that was active in a step.
+
+    Args:
+        run: the run.
+        ax: where to draw.
+    """
+    color = palette.controller_color(run.controller)
+    steps, points = np.nonzero(run.active)
+    size = float(np.clip(260.0 / max(run.steps, 1), 1.2, 4.0))
+    ax.plot(steps + 1, points + 1, ls="none", marker="o", ms=size, mew=0.0, color=color)
+    dress_steps(ax, "control point, from base to tip")
+    ax.set_xlim(0.0, run.steps + 1.0)
+    ax.set_ylim(0.0, run.arm.n_modules + 1.0)
+    ax.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True, min_n_ticks=1))
+
+
+def plot_points_and_index(run: Trajectory, ax: Axes) -> None:
+    """Draw how many control points were active in each step, and the smallest index among their conditions.
+
+    A second axis holds the manipulability index.
+
+    Args:
+        run: the run.
+        ax: where to draw.
+    """
+    plot_point_count(run, ax)
+    ax.yaxis.label.set_color(palette.controller_color(run.controller))
+    other = ax.twinx()
+    marker = "o" if run.steps == 1 else ""
+    style: dict[str, Any] = {"color": palette.INK, "lw": 1.0, "ls": (0, (4, 1.5)), "marker": marker, "ms": 3}
+    other.plot(np.arange(1, run.steps + 1), run.index, **style)
+    scale_values(other)
+    other.set_ylabel("manipulability index", fontsize=9, color=palette.INK)
+    other.tick_params(labelsize=8)
+    other.spines[["top", "left", "bottom"]].set_visible(False)
+
+
+def mark_method(run: Trajectory, ax: Axes, method: str = "projection") -> None:
+    """Mark the steps that a controller of several methods left to one of them, by red dots on the step axis.
+
+    Args:
+        run: the run.
+        ax: axes that hold something against steps already.
+        method: which of its methods.
+    """
+    steps = np.flatnonzero(run.method == method) + 1
+    where: dict[str, Any] = {"transform": ax.get_xaxis_transform(), "clip_on": False, "zorder": 6}
+    ax.plot(
+        steps, np.zeros(len(steps)), ls="none", marker="o", ms=3.2, mew=0.0, color=MARK, label=method, **where
+    )

@@ -10,7 +10,8 @@ from pinposture.control import CONTROLLERS
 from pinposture.target.resolve import METHODS, PLACEMENTS
 from pinposture.thesis.curves import CURVES
 
-VERBS = ("generate", "inspect", "track", "view", "study arms")
+QUICK = ("generate", "inspect", "track", "view", "study arms")
+VERBS = (*QUICK, "study methods", "reproduce")  # the examples of these two take minutes
 
 
 def examples(command, verb):
@@ -32,6 +33,7 @@ def test_the_group_alone_tells_of_its_verbs(command, arguments):
     result = command("study", *arguments)
     assert (result.code, result.err) == (0, "")
     assert " arms " in result.out
+    assert " methods " in result.out
 
 
 def test_the_version_is_that_of_the_package(command):
@@ -78,7 +80,7 @@ def test_the_examples_run_one_after_the_other(command, tmp_path, monkeypatch):
     np.savetxt("curve.csv", np.column_stack([t, 0.1 * np.sin(3 * t)]), delimiter=",")
     (tmp_path / "urdf").mkdir()
     command("generate", "Rz", "--modules", 8, "-o", tmp_path / "urdf" / "flat.urdf")
-    for verb in VERBS:
+    for verb in QUICK:
         for example in examples(command, verb):
             output = ""
             for stage in example.split("|"):

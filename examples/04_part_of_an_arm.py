@@ -1,0 +1,40 @@
+"""Part of an arm: the last half of a planar arm takes a shape, the rest helps; three methods compared.
+
+python examples/04_part_of_an_arm.py
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+import pinposture as pp
+from pinposture.study import bent_configuration
+
+# A planar arm of 45 joints; each joint is a control point.
+arm = pp.Arm.from_template("Rz", modules=45, link_lengths=(0.15,))
+rng = np.random.default_rng(3)
+start = bent_configuration(arm, rng, heading=1.2)
+
+# The posture to take: that of another bent configuration, but only from control point 23 to the tip.
+goal = pp.Target.from_configuration(arm, bent_configuration(arm, rng, heading=1.5))
+target = goal.region(22, 44)
+
+# Selection takes the points that it can move safely, Projection moves all points as far as they can go,
+# Switching has both by turns and says why.
+runs = {name: pp.track(arm, target, start, name) for name in ("selection", "projection", "switching")}
+for name, run in runs.items():
+    mean = run.posture_error[-1] / target.placed.sum()
+    print(f"{name}: {run.status} after {run.steps} steps, mean point error {mean:.2g} m")
+for switch in runs["switching"].switches:
+    print(f"  step {switch.step + 1}: {switch.method}, because {switch.reason}")
+
+# How freely can the tip still move? The ellipsoid of its Jacobian is flat where the posture is singular.
+(tip,) = arm.at(runs["switching"].q[-1]).ellipsoids([-1])
+print(f"tip: condition number {tip.condition:.3g}, smallest singular value {tip.smallest:.3g} m/rad")
+
+out = Path("out/part_of_an_arm")
+out.mkdir(parents=True, exist_ok=True)
+pp.plot_comparison(runs).savefig(out / "comparison.png", dpi=120)
+pp.plot_arm(arm, runs["switching"].q[-1], ellipsoids=[22, 33, 44]).savefig(out / "ellipsoids.png", dpi=120)
+pp.save_html(arm, runs["switching"], out / "run.html", ellipsoids=[44])
+print(f"look at {out}, and open {out / 'run.html'} in a browser to see it move")

@@ -1,0 +1,157 @@
+"""Methods side by side: the columns of Table 1.1 that can be measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from joblib import Parallel, delayed
+from numpy.typing import NDArray
+
+from pinposture.arm import Arm
+from pinposture.control import Controller, Limits, controller_named
+from pinposture.errors import InvalidValue
+from pinposture.motion import track
+from pinposture.study.cases import smooth_configuration
+from pinposture.target import Target
+
+Array = NDArray[np.float64]
+
+REACHED = 1e-3
+"""Mean point error, relative to the arm length, below which a run has reached its target."""
+
+DISTANCES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
+"""Distances from the straight arm at which steps are measured: largest joint motion [rad or sliding unit]."""
+
+
+class MethodResult(NamedTuple):
+    """What one method made of all seeds. Distances are relative to the arm length.
+
+    Attributes:
+        controller: name of the method.
+        runs: number of seeds.
+        posture_error: final posture error, the sum over the control points; median over the seeds.
+        end_effector_error: final distance of the last control point from its target; median.
+        reached: share of runs that end with a mean point error below `REACHED`.
+        returned: driven from A to B and back to the posture of A, largest difference of any joint from where
+            it was at first, in `Arm.joint_units`; median. 0 for a motion that can be repeated.
+        peaks: largest motion of any joint that the method asks for in a step without limits, in
+            `Arm.joint_units`, for a mean point error of one arm length, at each of `DISTANCES` from the
+            straight arm, (6,); largest over the seeds. What grows without bound is not stable near singular
+            postures. 0 where the method stands still at every seed.
+    """
+
+    controller: str
+    runs: int
+    posture_error: float
+    end_effector_error: float
+    reached: float
+    returned: float
+    peaks: tuple[float, ...]
+
+
+class _Case(NamedTuple):
+    """What came of one seed; fields as in `MethodResult`."""
+
+    posture_error: float
+    end_effector_error: float
+    mean_error: float
+    returned: float
+    peaks: tuple[float, ...]
+
+
+def compare_methods(
+    arm: Arm,
+    controllers: Sequence[str | Controller],
+    seeds: Sequence[int],
+    max_steps: int = 200,
+    jobs: int = 1,
+    progress: Callable[[MethodResult], object] | None = None,
+) -> list[MethodResult]:
+    """Run every method from smooth random starts to smooth random targets, and back.
+
+    Starts and targets are configurations with their largest joint position between 0.2 and 1.0, so that
+    every target can be reached. All control points have a target; a method for the end-effector takes the
+    last one and leaves the rest.
+
+    Args:
+        arm: the arm.
+        controllers: controllers, or their names.
+        seeds: seeds of the cases.
+        max_steps: steps of each way.
+        jobs: number of processes; joblib's backends apply.
+        progress: called with the result of each method as it arrives.
+
+    Returns:
+        One result for each controller, in their order. They depend on the arguments alone, not on `jobs`.
+
+    Raises:
+        InvalidValue: no controller or no seed.
+        UnknownName: no controller has that name.
+    """
+    for name, values in (("controllers", controllers), ("seeds", seeds)):
+        if len(values) == 0:
+            raise InvalidValue(name, values, "at least one")
+    listed = [controller_named(controller) for controller in controllers]
+    tasks = (delayed(_one)(arm, controller, seed, max_steps) for controller in listed for seed in seeds)
+    arriving = iter(Parallel(n_jobs=jobs, return_as="generator")(tasks))
+    results = []
+    for controller in listed:
+        results.append(_summary(controller.name, [next(arriving) for _ in seeds]))
+        if progress is not None:
+            progress(results[-1])
+    return results
+
+
+def _summary(controller: str, cases: Sequence[_Case]) -> MethodResult:
+    return MethodResult(
+        controller=controller,
+        runs=len(cases),
+        posture_error=float(np.median([case.posture_error for case in cases])),
+        end_effector_error=float(np.median([case.end_effector_error for case in cases])),
+        reached=float(np.mean([case.mean_error < REACHED for case in cases])),
+        returned=float(np.median([case.returned for case in cases])),
+        peaks=tuple(float(peak) for peak in np.max([case.peaks for case in cases], axis=0)),
+    )
+
+
+def _one(arm: Arm, controller: Controller, seed: int, max_steps: int) -> _Case:
+    rng = np.random.default_rng(seed)
+    start, goal = (smooth_configuration(arm, rng, rng.uniform(0.2, 1.0)) for _ in range(2))
+    there, back = (Target.from_configuration(arm, q) for q in (goal, start))
+    run = track(arm, there, start, controller, max_steps=max_steps)
+    errors = run.point_errors[-1] / arm.length
+    again = track(arm, back, run.q[-1], controller, max_steps=max_steps)
+    apart = pin.difference(arm.model, start, again.q[-1]) / arm.joint_units
+    return _Case(
+        posture_error=float(errors.sum()),
+        end_effector_error=float(errors[-1]),
+        mean_error=float(errors.mean()),
+        returned=float(np.abs(apart).max()),
+        peaks=_peaks(arm, controller, goal, seed),
+    )
+
+
+def _peaks(arm: Arm, controller: Controller, goal: Array, seed: int) -> tuple[float, ...]:
+    """Largest motion asked for near the straight arm, per unit of mean point error; one for each distance."""
+    free = _without_limits(arm)  # otherwise no joint could be asked for more than it has room for
+    target = Target.from_configuration(free, goal)
+    straight = arm.positions(arm.straight())
+    shape = arm.positions(smooth_configuration(free, np.random.default_rng((seed, 1)), 1.0))
+    peaks = []
+    for distance in DISTANCES:
+        state = free.at(free.configuration(straight + distance * shape))
+        step = controller.step(state, target, Limits(step=None))
+        error = float(np.linalg.norm(target.points - state.points, axis=1).mean()) / arm.length
+        peaks.append(float(np.abs(step.dq / arm.joint_units).max()) / error)
+    return tuple(peaks)
+
+
+def _without_limits(arm: Arm) -> Arm:
+    """The same arm without joint position limits."""
+    model = pin.Model(arm.model)
+    model.lowerPositionLimit = np.full(arm.nq, -np.inf)
+    model.upperPositionLimit = np.full(arm.nq, np.inf)
+    return Arm(model, arm.control_points, arm.base_placement, sliding_unit=arm.sliding_unit)

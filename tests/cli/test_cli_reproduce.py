@@ -1,0 +1,149 @@
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+
+import pytest
+
+from pinposture.cli.reproduce import EXAMPLES
+from pinposture.study import reproduce as package
+from pinposture.study.reproduce import NAMES
+from pinposture.thesis.claims import CLAIMS
+from pinposture.thesis.figures import FIGURES
+
+
+@pytest.fixture(scope="module")
+def done(command, tmp_path_factory):
+    """One figure of few steps, kept."""
+    directory = tmp_path_factory.mktemp("out") / "kept"
+    arguments = ("reproduce", "6.8", "--steps", 3, "--jobs", 1, "-o", directory)
+    return command(*arguments), directory
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """What the library is asked for, instead of doing it."""
+    calls = []
+
+    def take(*arguments):
+        calls.append(arguments[:-1])
+        return package.Reproduction([], [], {"figures": []}, [])
+
+    monkeypatch.setattr("pinposture.study.reproduce.reproduce", take)
+    return calls
+
+
+def test_alone_it_lists_what_there_is_and_runs_nothing(command, asked):
+    result = command("reproduce")
+    assert (result.code, result.err, asked) == (0, "", [])
+    words = [line.split() for line in result.out.splitlines() if line.strip()]
+    assert [line[0] for line in words if line[0] in NAMES] == list(NAMES)
+    assert all(f"Section {figure.section}" in result.out for figure in FIGURES.values())
+    assert f"verdicts on {len(CLAIMS)} claims" in result.out
+
+
+def test_a_figure_leaves_its_picture_and_its_numbers(done):
+    result, directory = done
+    assert result.code == 0
+    assert sorted(path.name for path in directory.iterdir()) == ["figure-6.08.png", "results.json"]
+    (figure,) = json.loads((directory / "results.json").read_text())["figures"]
+    (run,) = figure["runs"]
+    row = next(line.split() for line in result.out.splitlines() if line.strip().startswith("6.8"))
+    assert row[:6] == [
+        "6.8",
+        "Projection",
+        f"{run['start_error']:.3g}",
+        "->",
+        f"{run['final_error']:.3g}",
+        str(run["steps"]),
+    ]
+    assert result.err.splitlines() == [
+        f"wrote {directory / 'figure-6.08.png'}",
+        f"wrote {directory / 'results.json'}",
+    ]
+
+
+def test_json_is_the_file(command, done, tmp_path):
+    _, directory = done
+    result = command("reproduce", "6.8", "--steps", 3, "--jobs", 1, "-o", tmp_path, "--json")
+    assert json.loads(result.out) == json.loads((directory / "results.json").read_text())
+
+
+def test_verdicts_are_a_table(command, monkeypatch, tmp_path):
+    from pinposture.study.reproduce.verdicts import Finding, Share
+
+    claim = CLAIMS["tracks-singular"]
+    finding = Finding({"a": Share(1, 4), "b": Share(4, 4)}, {}, "")
+    judged = package.Judged(claim, "holds partly", finding, {})
+    result = package.Reproduction([], [judged], {}, [])
+    monkeypatch.setattr("pinposture.study.reproduce.reproduce", lambda *_: result)
+    out = command("reproduce", "claims", "-o", tmp_path).out
+    row = next(line for line in out.splitlines() if claim.text in line)
+    assert row.split() == ["holds", "partly", "25%", "to", "100%", *claim.text.split(), *claim.where.split()]
+
+
+def test_options_reach_the_library(command, asked):
+    command("reproduce", "6.3", "claims", "--seeds", 7, "--steps", 9, "--jobs", 2, "-o", "there")
+    command("reproduce", "all")
+    assert asked == [
+        (["6.3", "claims"], Path("there"), 7, 9, 2),
+        (["all"], Path("out/reproduce"), 100, 200, -1),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("6.2",), ("no figure is called '6.2'", "6.3, 6.4", "claims, all")),
+        (("claim",), ("did you mean 'claims'?",)),
+        (("6.3", "--seeds", "0"), ("seeds is 0",)),
+        (("6.3", "--steps", "0"), ("max_steps is 0",)),
+        (("6.3", "--jobs", "0"), ("jobs is 0",)),
+        (("6.3", "--seeds", "few"), ("--seeds",)),
+    ],
+)
+def test_what_cannot_be_done_is_one_line_and_leaves_nothing(command, tmp_path, monkeypatch, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    result = command("reproduce", *arguments)
+    assert (result.code, result.out) == (2, "")
+    (line,) = result.err.splitlines()
+    assert line.startswith("error: ")
+    assert all(word in line for word in words)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_directory_that_is_a_file_is_refused_before_anything_runs(command, tmp_path):
+    (tmp_path / "file").write_text("")
+    result = command("reproduce", "6.3", "-o", tmp_path / "file")
+    assert (result.code, result.out) == (2, "")
+    assert "file" in result.err
+
+
+def test_the_examples_are_what_can_be_asked_for(command, asked, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for example in EXAMPLES:
+        program, *arguments = shlex.split(example)
+        assert program == "pinposture"
+        assert command(*arguments).code == 0
+    assert [names for names, *_ in asked] == [["6.3", "6.4"], ["claims"], ["all"]]
+    assert all(name in NAMES for names, *_ in asked for name in names)
+
+
+def test_the_help_says_what_figures_there_are(command):
+    out = command("reproduce", "--help", env={"COLUMNS": "80"}).out
+    for word in ("6.3 to 6.12", "claims", "all", "results.json", "claims.md", "--seeds", "--jobs"):
+        assert word in out
+    assert max(map(len, out.splitlines())) <= 80
+
+
+def test_a_terminal_sees_how_many_runs_are_done(monkeypatch, capsys):
+    from pinposture.cli.reproduce import _progress
+
+    with _progress() as tell:
+        tell(1, 4)
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    with _progress() as tell:
+        tell(3, 4)
+    assert "run 3 of 4" in capsys.readouterr().err

@@ -1,0 +1,188 @@
+"""Verdicts on claims: the rule, the counting, and that every claim has its measure."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from study.handmade import one
+
+from pinposture.study.reproduce import evaluate, postures
+from pinposture.study.reproduce.measures import Descent
+from pinposture.study.reproduce.reading import DEFAULT, READINGS, Reading
+from pinposture.study.reproduce.runs import VARIANTS
+from pinposture.study.reproduce.verdicts import RULES, Share, judge, share
+from pinposture.thesis.claims import CLAIMS
+
+USUALLY = RULES["usually"]
+
+
+@pytest.mark.parametrize(
+    ("shares", "verdict"),
+    [
+        ([(9, 10), (10, 10)], "holds"),
+        ([(9, 10), (8, 10)], "holds partly"),
+        ([(9, 10), (0, 10)], "holds partly"),
+        ([(5, 10)], "holds partly"),
+        ([(4, 10), (0, 10)], "does not hold"),
+        ([(10, 10), (0, 0)], "holds"),
+        ([(0, 0)], "not seen"),
+        ([], "not seen"),
+    ],
+)
+def test_a_claim_is_judged_by_its_shares(shares, verdict):
+    assert judge({str(i): Share(*each) for i, each in enumerate(shares)}, USUALLY) == verdict
+
+
+def test_a_single_exception_refutes_what_is_said_of_every_case():
+    assert judge({"": Share(999, 1000)}, RULES["always"]) == "holds partly"
+    assert judge({"": Share(1000, 1000)}, RULES["always"]) == "holds"
+
+
+@given(truths=st.lists(st.booleans()))
+@settings(deadline=None, max_examples=30)
+def test_shares_count(truths):
+    found = share(truths)
+    assert (found.true, found.cases) == (truths.count(True), len(truths))
+    assert found.value * max(len(truths), 1) == pytest.approx(truths.count(True))
+
+
+def test_every_claim_has_one_measure_a_rule_and_the_runs_it_needs():
+    assert set(evaluate.MEASURES) | set(postures.MEASURES) == set(CLAIMS)
+    assert not set(evaluate.MEASURES) & set(postures.MEASURES)
+    for claim in CLAIMS.values():
+        assert claim.rule in RULES
+        assert re.search(r"\d|Abstract|Appendix", claim.where)
+        assert set(claim.methods) <= {"selection", "projection", "switching"}
+        assert claim.text.endswith(".") and not claim.measured.endswith(".")
+    assert len({(batch.scenario, batch.variant) for batch in evaluate.BATCHES}) == len(evaluate.BATCHES)
+    used = {batch.variant for batch in evaluate.BATCHES}
+    assert used == set(VARIANTS) >= {name for names in READINGS.values() for name in names.values()}
+
+
+def judged(claim, pool):
+    """The shares of a claim on runs by scenario and variant."""
+    finding = evaluate.MEASURES[claim](Reading(pool, READINGS[DEFAULT]))
+    return {name: (each.true, each.cases) for name, each in finding.shares.items()}
+
+
+def test_runs_that_end_close_enough_count_as_arrived():
+    pool = {("helix", "selection"): [one((1, 0.01)), one((1, 0.0101)), one((0.2, 0.005))]}
+    assert judged("tracks-arbitrary", pool) == {"spatial, random -> helix, selection": (2, 3)}
+
+
+def test_methods_are_compared_seed_by_seed():
+    pool = {
+        ("line", "selection"): [one((1, 0.1)), one((1, 0.1)), one((1, 1e-7)), one((1, 0.1))],
+        ("line", "projection"): [one((1, 0.05)), one((1, 0.2)), one((1, 5e-7)), one((1, 0.1))],
+    }
+    # Lower, higher, both converged, equal.
+    assert judged("projection-lower-singular", pool) == {"spatial, random -> line": (2, 4)}
+    helix = {("helix", variant): runs for (_, variant), runs in pool.items()}
+    # Within a factor of 2, at it, both close, equal.
+    assert judged("similar-performance", helix) == {"spatial, random -> helix": (4, 4)}
+
+
+def test_switching_must_beat_both_parts():
+    scenario = "planar-near-line"
+    pool = {
+        (scenario, "selection"): [one((1, 0.1))] * 3,
+        (scenario, "projection"): [one((1, 0.01))] * 3,
+        (scenario, "switching"): [one((1, 0.005)), one((1, 0.05)), one((1, 0.2))],
+    }
+    assert judged("switching-lower", pool) == {"planar, random -> near line": (1, 3)}
+
+
+def test_a_few_steps_are_counted_to_where_a_run_comes_close():
+    early = one([1.0] * 50 + [0.005, 0.004])
+    late = one([1.0] * 51 + [0.005])
+    lost = one([1.0, 0.005, 0.5])
+    pool = {("planar-random", "selection"): [early, late, lost]}
+    assert list(judged("selection-few-steps", pool).values()) == [(1, 3)]
+
+
+def test_monotone_runs_have_no_rising_step():
+    pool = {("helix", "selection"): [one((3, 2, 1)), one((3, 1, 2))]}
+    assert list(judged("selection-monotone", pool).values()) == [(1, 2)]
+    assert list(judged("null-space-descends", pool).values()) == [(3, 4)]
+    turned = {("helix", "projection"): pool["helix", "selection"]}
+    assert list(judged("projection-not-monotone", turned).values()) == [(1, 2)]
+
+
+def test_active_points_that_rise_are_exceptions():
+    pool = {("helix", "selection"): [one(descent=Descent(2, 0, 0, 1, 20, 3, 10, 0, 5)), one()]}
+    assert list(judged("active-points-descend", pool).values()) == [(17 + 10, 30)]
+    assert list(judged("point-errors-not-monotone", pool).values()) == [(1, 2)]
+
+
+def test_stranded_runs_have_run_out_of_points_however_many_they_had_last():
+    runs = [
+        one(points=[10], status="no_control_points"),
+        one(points=[10, 5], errors=(3, 2, 1)),
+        one(points=[10]),
+    ]
+    pool = {("line", "selection"): runs}
+    assert list(judged("selection-runs-out", pool).values()) == [(2, 3)]
+    assert list(judged("selection-stranded", pool).values()) == [(1, 3)]
+
+
+def test_runs_without_a_step_did_not_start():
+    pool = {("from-straight", "selection"): [one([1.0]), one()]}
+    assert list(judged("selection-cannot-start", pool).values()) == [(1, 2)]
+
+
+def test_predictable_runs_are_direct_and_insensitive():
+    runs = [one(sweep=1.5, separation=1e-3), one(sweep=1.6, separation=0.0), one(sweep=1.0, separation=0.01)]
+    assert list(judged("selection-predictable", {("helix", "selection"): runs}).values()) == [(1, 3)]
+    assert list(judged("projection-unpredictable", {("helix", "projection"): runs}).values()) == [(2, 3)]
+    without = {("helix", "selection"): [one()], ("helix", "projection"): [one()]}  # twins
+    assert list(judged("selection-predictable", without).values()) == [(0, 0)]
+    assert list(judged("projection-unpredictable", without).values()) == [(0, 0)]
+
+
+def test_only_steps_near_a_singular_posture_are_judged_there():
+    run = one((4, 3, 2, 1), [9] * 3, nearness=[0.2, 0.01, 0.029], asked=[9.0, 3.2, 3.0], turn=[2, 0.4, 0.6])
+    pool = {("line", "selection"): [run]}
+    assert list(judged("stable-near-singular", pool).values()) == [(1, 2)]
+    assert list(judged("smooth-near-singular", pool).values()) == [(1, 2)]
+
+
+def test_a_blow_up_is_an_error_that_doubles_after_coming_near():
+    calm = one((9, 3, 1, 1.9), [9] * 3, nearness=[0.2, 0.2, 0.01])
+    wild = one((9, 1, 0.4, 2.1), [9] * 3, nearness=[0.2, 0.01, 0.2])
+    far = one((1, 9, 9), nearness=[0.2, 0.2])
+    assert list(judged("no-blow-up", {("line", "selection"): [calm, wild, far]}).values()) == [(1, 2)]
+
+
+def test_points_are_counted_by_the_step():
+    pool = {
+        ("planar-random", "selection"): [one((2, 1), [4]), one((3, 2, 1), [5, 20])],
+        ("planar-random", "projection"): [one((2, 1), [20]), one((3, 2, 1), [20, 20])],
+    }
+    assert list(judged("many-points", pool).values()) == [(2, 3), (3, 3)]
+    assert list(judged("projection-uses-all", pool).values()) == [(3, 3)]
+    assert list(judged("projection-more-points", pool).values()) == [(2, 2)]
+
+
+def test_ranks_are_counted_by_the_step():
+    pool = {("helix", "projection"): [one((3, 2, 1), deficient=1), one()]}
+    assert list(judged("projection-full-rank", pool).values()) == [(2, 3)]
+
+
+def test_other_readings_are_judged_apart_and_only_where_they_differ():
+    pool = {
+        ("helix", "selection"): [one((1, 0.001))],
+        ("helix", "projection"): [one((1, 0.001))],
+        ("helix", "projection, local"): [one((1, 0.5))],
+    }
+    evidence = evaluate.Evidence(pool, [], 1, 2)
+    found = evaluate._judged(CLAIMS["tracks-arbitrary"], evidence)
+    assert found.verdict == "holds"
+    assert {name: verdict for name, (verdict, _) in found.readings.items()} == {
+        "(5.9) as printed": "does not hold"
+    }
+    ((_, finding),) = found.readings.values()
+    assert list(finding.shares) == ["spatial, random -> helix, projection"]
+    assert not evaluate._judged(CLAIMS["selection-monotone"], evidence).readings

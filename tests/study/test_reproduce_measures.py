@@ -1,0 +1,177 @@
+"""Measures of runs, against runs made by hand and formulas that share no code with them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from study.handmade import made
+
+import pinposture as pp
+from pinposture.control import controller_named
+from pinposture.study.reproduce import measures
+from pinposture.study.reproduce.runs import Batch, measure, run_one, thesis_arm
+
+FLAT = pp.Arm.from_template("Rz", modules=3, link_lengths=(0.1,))
+SPATIAL = pp.Arm.from_template("RyRz", modules=4)
+
+
+def straight_motion(steps=7, m=3):
+    ends = np.random.default_rng(0).normal(size=(2, m, 3))
+    shares = np.sort(np.r_[0.0, np.random.default_rng(1).uniform(size=steps - 1), 1.0])
+    return ends[0] + shares[:, None, None] * (ends[1] - ends[0])
+
+
+def test_the_sweep_of_a_straight_motion_is_one_and_of_a_corner_its_two_sides():
+    assert measures.sweep(straight_motion()) == pytest.approx(1.0, abs=1e-12)
+    corner = np.array([[[0, 0, 0]], [[3, 0, 0]], [[3, 4, 0]]], dtype=float)
+    assert measures.sweep(corner) == pytest.approx(7 / 5)
+    # Long ways count for more than short ones: (7 + 1) / (5 + 1).
+    straight = np.array([[[0, 0, 0]], [[0.5, 0, 0]], [[1, 0, 0]]], dtype=float)
+    assert measures.sweep(np.concatenate([corner, straight], axis=1)) == pytest.approx(8 / 6)
+
+
+def test_the_sweep_of_nothing_and_of_a_way_back_is_one():
+    assert measures.sweep(np.zeros((4, 2, 3))) == 1.0
+    assert measures.sweep(np.zeros((1, 2, 3))) == 1.0
+    assert measures.sweep(np.array([[[0, 0, 0]], [[1, 0, 0]], [[0, 0, 0]]], dtype=float)) == 1.0
+
+
+@given(seed=st.integers(0, 10_000), scale=st.floats(1e-3, 1e3))
+@settings(deadline=None, max_examples=30)
+def test_the_sweep_does_not_depend_on_where_things_are_nor_on_the_unit(seed, scale):
+    rng = np.random.default_rng(seed)
+    points = np.cumsum(rng.normal(size=(6, 4, 3)), axis=0)
+    moved = scale * points @ Rotation.random(random_state=seed).as_matrix().T + rng.normal(size=3)
+    assert measures.sweep(points) >= 1.0
+    assert measures.sweep(moved) == pytest.approx(measures.sweep(points), rel=1e-9)
+
+
+def test_separation_is_the_largest_distance_and_a_run_that_ended_waits():
+    run = made(FLAT, [[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]])
+    assert measures.separation(run, run) == 0.0
+    other = made(FLAT, [[0, 0, 0], [0.1, 0, 0]])
+    # The tip is 0.3 m from the base, which is the length: a turn by 0.1 rad moves it by a chord.
+    assert measures.separation(run, other) == pytest.approx(2 * np.sin(0.05))
+    assert measures.separation(other, run) == pytest.approx(2 * np.sin(0.05))
+
+
+def test_turns_of_steps_that_go_on_turn_square_reverse_and_stop():
+    dq = np.array([[1, 0], [1, 0], [0, 1], [0, -1], [0, -0.5], [0, 0], [0, 0]], dtype=float)
+    np.testing.assert_allclose(measures.turns(dq), [0, 0, np.sqrt(2), 2, 0.5, 1, 0])
+    assert measures.turns(np.zeros((0, 2))).shape == (0,)
+    assert measures.turns(dq[:1]).tolist() == [0]
+
+
+def test_changes_of_the_active_set_are_shares_of_what_either_holds():
+    active = np.array(
+        [[1, 1, 0, 0], [1, 1, 0, 0], [1, 0, 1, 0], [0, 0, 0, 1], [0, 0, 0, 0], [0, 0, 0, 0]], bool
+    )
+    np.testing.assert_allclose(measures.set_changes(active), [0, 0, 2 / 3, 1, 1, 0])
+    assert measures.set_changes(active[:0]).shape == (0,)
+
+
+def test_nearness_is_the_smallest_singular_value_and_zero_for_the_straight_arm():
+    for arm in (FLAT, SPATIAL):
+        assert measures.nearness(arm.at(arm.straight())) == pytest.approx(0.0, abs=1e-9)
+        q = np.random.default_rng(2).uniform(-1, 1, arm.nv)
+        jacobian = arm.at(q).jacobians[-1][: arm.dimension]
+        assert measures.nearness(arm.at(q)) == pytest.approx(
+            np.linalg.svd(jacobian, compute_uv=False)[-1] / arm.length, rel=1e-9
+        )
+
+
+def test_nearness_of_two_links_in_closed_form():
+    arm = pp.Arm.from_template("Rz", modules=2, link_lengths=(1.0,))
+    bend = 0.7
+    # J J^T of the tip of two unit links: determinant sin^2, trace 3 + 2 cos.
+    trace = 3 + 2 * np.cos(bend)
+    least = (trace - np.sqrt(trace**2 - 4 * np.sin(bend) ** 2)) / 2
+    assert measures.nearness(arm.at([0.3, bend])) == pytest.approx(np.sqrt(least) / 2)
+
+
+@pytest.mark.parametrize("arm", [FLAT, SPATIAL])
+def test_error_slopes_are_the_derivatives_of_the_errors(arm):
+    rng = np.random.default_rng(4)
+    q, dq = rng.uniform(-1, 1, arm.nv), rng.normal(size=arm.nv)
+    goals = rng.normal(size=(arm.n_modules, 3)) * arm.length
+    placed = np.arange(arm.n_modules) != 1
+
+    def distances(t):
+        return np.linalg.norm(arm.at(q + t * dq).points - goals, axis=1)
+
+    slopes = measures.error_slopes(arm.at(q), goals, placed, dq)
+    expected = (distances(1e-6) - distances(-1e-6)) / 2e-6
+    np.testing.assert_allclose(slopes[placed], expected[placed], atol=1e-8)
+    assert slopes[1] == 0.0
+    there = measures.error_slopes(arm.at(q), arm.at(q).points, np.ones(arm.n_modules, bool), dq)
+    assert not there.any()
+
+
+def test_rising_errors_are_counted_and_those_of_active_points_apart():
+    errors = [[3.0, 1.0, 1.0], [2.0, 1.5, 1.0], [2.1, 1.7, 1.0], [2.1, 1.6, 0.5]]
+    active = [[1, 1, 0], [0, 1, 1], [1, 0, 0]]
+    q = np.zeros((4, 3))
+    run = made(FLAT, q, active=active, point_errors=np.array(errors))
+    found = measures.descent(run, measures.states_before_steps(run))
+    assert (found.steps, found.rose, found.points_rose) == (3, 1, 3)
+    assert (found.active, found.active_rose) == (5, 2)
+    assert (found.uphill, found.active_uphill) == (0, 0)  # nothing moved
+
+
+def test_steps_uphill_are_told_by_their_first_direction_alone():
+    # The tip swings from 40 degrees by 80 past its target at 45 degrees: first towards it, in the end away.
+    arm = pp.Arm.from_template("Rz", modules=2, link_lengths=(1.0,))
+    start, end, goal = (np.radians(angle) for angle in (40.0, 120.0, 45.0))
+    target = arm.at([goal, 0.0]).points
+    over = made(arm, [[start, 0], [end, 0]], target)
+    found = measures.descent(over, measures.states_before_steps(over))
+    assert (found.rose, found.uphill, found.active_rose, found.active_uphill) == (1, 0, 2, 0)
+    away = made(arm, [[start, 0], [start - 0.1, 0]], target)
+    found = measures.descent(away, measures.states_before_steps(away))
+    assert (found.rose, found.uphill, found.active_rose, found.active_uphill) == (1, 1, 2, 2)
+    stopped = made(arm, [[start, 0], [start - 0.1, 0]], target, clipped=np.array([[True, False]]))
+    found = measures.descent(stopped, measures.states_before_steps(stopped))
+    assert (found.clipped, found.active_free, found.active_uphill, found.uphill) == (1, 0, 0, 1)
+
+
+def test_matrices_of_less_than_full_rank_are_counted_and_empty_ones_are_not():
+    q = np.zeros((4, 3))
+    run = made(FLAT, q, sigma_min=np.array([0.0, 0.0, 1e-3]), rows=np.array([4, 0, 4]))
+    assert measures.deficient_steps(run) == 1
+
+
+@pytest.mark.parametrize("controller", ["selection", "projection"])
+def test_what_was_asked_is_what_would_be_done_without_a_limit(controller):
+    rng = np.random.default_rng(5)
+    q = rng.uniform(-0.3, 0.3, SPATIAL.nv)
+    target = pp.Target.from_configuration(SPATIAL, q + rng.uniform(-0.05, 0.05, SPATIAL.nv))
+    run = pp.track(SPATIAL, target, q, controller, pp.Limits(step=1e-3), max_steps=4)
+    steps = measures.per_step(run, measures.states_before_steps(run))
+    for k in range(run.steps):
+        free = controller_named(controller).step(SPATIAL.at(run.q[k]), target, pp.Limits(step=None))
+        assert not free.diagnostics.clipped.any()
+        assert steps.asked[k] == pytest.approx(np.abs(free.dq).max(), rel=1e-6)
+
+
+def test_a_measurement_tells_of_its_run():
+    batch = Batch("helix", "selection", twins=True)
+    found, run = measure(batch, 0, max_steps=6), run_one(batch, 0, max_steps=6)
+    twin = run_one(batch, 0, max_steps=6, nudged=True)
+    assert 0.0 < np.abs(twin.q[0] - run.q[0]).max() <= 1e-6
+    assert found.separation == measures.separation(run, twin) > 0.0
+    np.testing.assert_allclose(found.mean_errors, run.point_errors.mean(axis=1), rtol=1e-12)  # it is 1 m long
+    np.testing.assert_array_equal(found.points, run.active.sum(axis=1))
+    assert (found.modules, found.outcome.steps, found.outcome.seed) == (20, 6, 0)
+    assert all(len(values) == 6 for values in found.steps)
+    assert found.off_curve == pytest.approx(run.target.residual.max())
+
+
+def test_joints_without_limits_go_beyond_half_a_turn():
+    assert thesis_arm("ryrz20").limits.upper.max() == pytest.approx(np.pi)
+    assert thesis_arm("ryrz20", free=True).limits.upper.min() > 100.0
+    start = run_one(Batch("helix", "selection"), 1, max_steps=1).q[0]
+    free = run_one(Batch("helix", "selection, free joints"), 1, max_steps=1).q[0]
+    np.testing.assert_array_equal(start, free)

@@ -1,0 +1,154 @@
+"""Figures and claims in one call: what comes of it, what is kept, and that it can be repeated."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from pinposture.control import CONTROLLERS
+from pinposture.errors import FileError, InvalidValue, UnknownName
+from pinposture.study.reproduce import NAMES, reproduce, run_figures
+from pinposture.study.reproduce.figures import count_runs
+from pinposture.thesis.claims import CLAIMS
+from pinposture.thesis.figures import FIGURES
+
+VERDICTS = {"holds", "holds partly", "does not hold", "not seen"}
+
+
+@pytest.fixture(scope="module")
+def judged(tmp_path_factory):
+    """Claims over one seed of five steps, and what was reported on the way."""
+    directory, heard = tmp_path_factory.mktemp("claims") / "deep", []
+    done = reproduce(["claims"], directory, seeds=1, max_steps=5, progress=lambda *now: heard.append(now))
+    return done, directory, heard
+
+
+def test_runs_that_several_figures_show_are_made_once():
+    errors, postures = run_figures(["6.4", "6.3"], max_steps=3)
+    assert (errors.about.number, postures.about.number) == ("6.4", "6.3")
+    assert list(errors.runs) == ["Selection", "Projection"]
+    assert all(errors.runs[name] is postures.runs[name] for name in errors.runs)
+    assert (count_runs(["6.4", "6.3"]), count_runs(["6.10", "6.12"]), count_runs([])) == (2, 3, 0)
+
+
+def test_initial_postures_are_reused_where_the_thesis_reuses_them():
+    first, second = run_figures(["6.3", "6.5"], max_steps=1)
+    assert np.array_equal(first.runs["Selection"].q[0], second.runs["Projection"].q[0])
+    assert not np.allclose(first.runs["Selection"].target.points, second.runs["Selection"].target.points)
+
+
+def test_numbers_of_a_figure_are_those_of_its_runs():
+    done = reproduce(["6.12", "6.8"], max_steps=4)
+    assert not done.files
+    figure = done.results["figures"][1]
+    assert [each["figure"] for each in done.results["figures"]] == ["6.8", "6.12"]  # as in the thesis
+    assert {"scenario": "planar-near-line", "arm": "planar45", "section": "6.2.4"}.items() <= figure.items()
+    (run,) = done.figures[1].runs.values()
+    (told,) = figure["runs"]
+    assert told["posture_error"] == run.posture_error.tolist()
+    assert told["start"] == run.q[0].tolist()
+    assert told["active_points"] == run.active.sum(axis=1).tolist()
+    assert told["by_projection"] == (run.method == "projection").tolist()
+    assert (told["steps"], told["status"], told["start_error"]) == (4, "max_steps", run.posture_error[0])
+    assert told["parameters"] == run.controller != told["controller"] == "switching"
+    assert [each["controller"] for each in figure["compared"]] == ["selection", "projection"]
+    assert done.results["figures"][0]["runs"][0]["by_projection"] is None
+
+
+def test_files_are_named_after_the_thesis_and_written_whole(tmp_path):
+    done = reproduce(["6.3", "6.11"], tmp_path / "new", max_steps=2)
+    names = ["figure-6.03.png", "figure-6.11.png", "results.json"]
+    assert [path.name for path in done.files] == names == sorted(p.name for p in (tmp_path / "new").iterdir())
+    for path in done.files[:2]:
+        assert path.read_bytes().startswith(b"\x89PNG")
+    assert json.loads(done.files[2].read_text()) == done.results
+
+
+def test_every_claim_gets_a_verdict_and_a_place_in_the_file(judged):
+    done, directory, _ = judged
+    results = json.loads((directory / "results.json").read_text())
+    assert results == done.results
+    assert set(results) == {"format", "version", "parameters", "figures", "claims", "runs"}
+    assert (results["format"], results["version"]) == ("pinposture-reproduction", 1)
+    parameters = results["parameters"]
+    assert (parameters["seeds"], parameters["max_steps"], parameters["step_limit"]) == (1, 5, 0.1)
+    assert parameters["rules"]["always"] == {
+        "words": "guaranteed, or said of every case",
+        "holds": 1.0,
+        "partly": 0.5,
+    }
+    assert [claim["id"] for claim in results["claims"]] == list(CLAIMS)
+    for claim in results["claims"]:
+        keys = {
+            "id",
+            "where",
+            "claim",
+            "measured",
+            "rule",
+            "verdict",
+            "shares",
+            "figures",
+            "instead",
+            "readings",
+        }
+        assert set(claim) == keys
+        assert claim["verdict"] in VERDICTS
+        for found in (claim, *claim["readings"].values()):
+            assert set(found) >= {"verdict", "shares", "figures", "instead"}
+            for each in found["shares"].values():
+                assert 0 <= each["true"] <= each["cases"] and each["cases"] > 0
+                assert each["share"] == each["true"] / each["cases"]
+            assert all(np.isfinite(list(found["figures"].values())))
+    runs = {(each["scenario"], each["variant"]): each for each in results["runs"]}
+    assert runs["helix", "selection"]["endings"] == {"max_steps": 1}
+    assert runs["from-straight", "selection"]["endings"] == {"no_control_points": 1}
+
+
+def test_the_table_of_claims_tells_the_same(judged):
+    done, directory, _ = judged
+    text = (directory / "claims.md").read_text()
+    for each in done.judged:
+        assert f"| {each.claim.text} | {each.claim.where} | {each.verdict} |" in text
+        assert f"## {each.claim.id}\n" in text
+    assert "Over 1 seeds" not in text
+    lines = [line for line in text.splitlines() if line.startswith("|")]
+    assert all(line.endswith("|") for line in lines)
+
+
+def test_progress_counts_every_run_once(judged):
+    _, _, heard = judged
+    assert [done for done, _ in heard] == sorted(done for done, _ in heard)
+    assert heard[-1][0] == heard[-1][1] == {total for _, total in heard}.pop()
+
+
+def test_results_do_not_depend_on_the_number_of_processes(judged):
+    again = reproduce(["claims"], None, seeds=1, max_steps=5, jobs=2)
+    assert again.results == judged[0].results
+
+
+def test_what_does_not_exist_or_makes_no_sense_is_refused(tmp_path):
+    with pytest.raises(UnknownName) as caught:
+        reproduce(["6.3", "6.2"], tmp_path)
+    assert caught.value.allowed == NAMES == (*FIGURES, "claims", "all")
+    for arguments in ({"seeds": 0}, {"max_steps": 0}, {"jobs": 0}, {"jobs": -2}, {"seeds": True}):
+        with pytest.raises(InvalidValue, match=next(iter(arguments))):
+            reproduce(["6.3"], tmp_path, **arguments)
+    with pytest.raises(InvalidValue, match="names"):
+        reproduce([], tmp_path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(FileError):
+        reproduce(["6.3"], tmp_path / "file")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file"]
+
+
+def test_figures_name_scenarios_and_controllers_that_exist():
+    from pinposture.thesis.scenarios import SCENARIOS
+
+    assert list(FIGURES) == [f"6.{number}" for number in range(3, 13)]
+    for number, figure in FIGURES.items():
+        assert figure.number == number
+        assert {*figure.controllers, *figure.compared} <= set(CONTROLLERS)
+        assert SCENARIOS[figure.scenario].section in (figure.section, "6.2.2")
+        assert (SCENARIOS[figure.scenario].arm == "planar45") is (figure.layout == "planar")

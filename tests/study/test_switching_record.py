@@ -1,0 +1,44 @@
+"""What is said of Switching comes out, and no change makes it worse than what was recorded."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+
+import pytest
+
+from pinposture.thesis.scenarios import FAMILIES
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+RECORD = json.loads((BENCHMARKS / "results/switching.json").read_text())
+REPEATED = ("ryrz20: smooth -> helix", "ryrz20: straight -> helix", "planar45: smooth -> line")
+
+SPEC = importlib.util.spec_from_file_location("switching_benchmark", BENCHMARKS / "switching.py")
+benchmark = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(benchmark)
+
+
+@pytest.mark.parametrize("name", REPEATED)
+def test_the_recorded_figures_are_reached_again(name: str) -> None:
+    scenario = next(each for each in FAMILIES if each.name == name)
+    found = benchmark.summary([benchmark.ends(scenario, seed, False) for seed in range(benchmark.SUBSET)])
+    recorded = RECORD["families"][name]["subset"]
+    assert found["cases"] == recorded["cases"]
+    assert found["arrived"]["switching"] == recorded["arrived"]["switching"] == 1.0
+    assert found["worst_excess"] < 1.0
+    # Rounding differs between processors, and runs may end some steps sooner or later.
+    assert found["median_steps"]["switching"] <= 1.5 * recorded["median_steps"]["switching"] + 10
+
+
+def test_the_record_covers_every_family_and_keeps_what_is_promised() -> None:
+    smooth = {scenario.name: RECORD["families"][scenario.name]["all"] for scenario in FAMILIES}
+    assert len(smooth) >= 13
+    for found in smooth.values():
+        assert found["cases"] >= 200
+        assert found["arrived"]["switching"] >= 0.95
+        assert found["worst_excess"] <= 1.0
+
+
+def test_switching_takes_few_turns() -> None:
+    assert max(found["all"]["most_switches"] for found in RECORD["families"].values()) <= 20
