@@ -149,6 +149,18 @@ def test_only_steps_near_a_singular_posture_are_judged_there():
     assert list(judged("smooth-near-singular", pool).values()) == [(1, 2)]
 
 
+def test_steps_are_told_apart_by_their_nearness_to_a_singular_posture():
+    run = one((4, 3, 2, 1), [9] * 3, nearness=[0.2, 0.01, 0.029], asked=[9.0, 3.2, 3.0], turn=[2, 0.4, 0.6])
+    reading = Reading({("line", "selection"): [run]}, READINGS[DEFAULT])
+    (asked,) = {each.quantity for each in evaluate.MEASURES["stable-near-singular"](reading).by_nearness}
+    found = evaluate.MEASURES["stable-near-singular"](reading).by_nearness
+    assert [(each.low, each.high, each.steps, each.median, each.largest) for each in found] == [
+        (0.01, 0.03, 2, pytest.approx(3.1), 3.2),
+        (0.1, float("inf"), 1, 9.0, 9.0),
+    ]
+    assert "[rad]" in asked
+
+
 def test_a_blow_up_is_an_error_that_doubles_after_coming_near():
     calm = one((9, 3, 1, 1.9), [9] * 3, nearness=[0.2, 0.2, 0.01])
     wild = one((9, 1, 0.4, 2.1), [9] * 3, nearness=[0.2, 0.01, 0.2])

@@ -90,6 +90,7 @@ def test_every_claim_gets_a_verdict_and_a_place_in_the_file(judged):
             "verdict",
             "shares",
             "figures",
+            "by_nearness",
             "instead",
             "readings",
         }

@@ -67,6 +67,10 @@ def _finding(verdict: Verdict, finding: Finding) -> dict[str, Any]:
             if each.cases
         },
         "figures": dict(finding.figures),
+        "by_nearness": [
+            each._asdict() | {"high": each.high if np.isfinite(each.high) else None}
+            for each in finding.by_nearness
+        ],
         "instead": "" if verdict == "holds" else finding.instead,
     }
 
@@ -105,11 +109,8 @@ def claims_as_markdown(judged: Sequence[Judged], seeds: int) -> str:
     parts = [
         "# The claims of the thesis, measured",
         f"Over {seeds} seed{'s' * (seeds != 1)}. A claim holds if the share of cases in which it is true "
-        "reaches the first "
-        "threshold "
-        "of its rule in everything that was tried, does not hold if the share stays below the second in "
-        "all of "
-        "it, and else holds partly. The rules are for claims that are",
+        "reaches the first threshold of its rule in everything that was tried, does not hold if the share "
+        "stays below the second in all of it, and else holds partly. The rules are for claims that are",
         "\n".join(rules),
         "\n".join(["| claim | where | verdict | true in | read otherwise |", "|---|---|---|---|---|", *rows]),
         *(_section(each) for each in judged),
@@ -133,6 +134,7 @@ def _section(judged: Judged) -> str:
     ]
     if judged.verdict != "holds" and judged.finding.instead:
         lines.append(f"What holds: {judged.finding.instead}")
+    lines += _nearness_tables(judged.finding)
     return "\n\n".join(lines)
 
 
@@ -145,6 +147,27 @@ def _table(findings: Mapping[str, tuple[Verdict, Finding]]) -> str:
             if each.cases
         ]
     return "\n".join(rows)
+
+
+def _nearness_tables(finding: Finding) -> list[str]:
+    """Medians and largest values by nearness, a table for each quantity."""
+    tables = []
+    for quantity in dict.fromkeys(each.quantity for each in finding.by_nearness):
+        own = [each for each in finding.by_nearness if each.quantity == quantity]
+        classes = sorted({(each.low, each.high) for each in own})
+        heads = " | ".join(
+            f"{low:g} to {high:g}" if np.isfinite(high) else f"above {low:g}" for low, high in classes
+        )
+        rows = [f"| {quantity}: median (largest), by nearness | {heads} |", "|---" * (len(classes) + 1) + "|"]
+        for group in dict.fromkeys(each.group for each in own):
+            cells = {
+                (each.low, each.high): f"{each.median:.2g} ({each.largest:.2g})"
+                for each in own
+                if each.group == group
+            }
+            rows.append(f"| {group} | {' | '.join(cells.get(bounds, '') for bounds in classes)} |")
+        tables.append("\n".join(rows))
+    return tables
 
 
 def span(shares: Mapping[str, Share]) -> str:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pinposture.study.reproduce.reading import Reading, label, median
 from pinposture.study.reproduce.runs import Measured
 from pinposture.study.reproduce.tracking import BOTH, SINGULAR, arrived, errors_of
-from pinposture.study.reproduce.verdicts import Finding, share
+from pinposture.study.reproduce.verdicts import Class, Finding, share
 
 NEAR = 0.03
 """Smallest singular value of the tip's Jacobian, per arm length, up to which a posture is nearly singular."""
@@ -34,17 +34,16 @@ def _near(runs: Sequence[Measured], name: str, low: float = 0.0, high: float = N
     return np.concatenate([np.zeros(0), *parts])
 
 
-def _by_nearness(groups: Mapping[str, Sequence[Measured]], name: str, unit: str) -> dict[str, float]:
+def _by_nearness(groups: Mapping[str, Sequence[Measured]], name: str, quantity: str) -> list[Class]:
     """Medians and largest values of something about the steps, by nearness."""
-    figures = {}
+    classes = []
     for group, runs in groups.items():
         for low, high in pairwise(BINS):
             values = _near(runs, name, low, high)
             if len(values):
-                where = f"nearness {low:g} to {high:g}: {group}"
-                figures[f"median {unit}, {where}"] = median(values)
-                figures[f"largest {unit}, {where}"] = float(values.max())
-    return figures
+                largest = float(values.max())
+                classes.append(Class(quantity, group, low, high, len(values), median(values), largest))
+    return classes
 
 
 def _asked(reading: Reading) -> Finding:
@@ -53,10 +52,13 @@ def _asked(reading: Reading) -> Finding:
     told = "; ".join(f"{name}: {value:.3g} rad" for name, value in largest.items())
     return Finding(
         {name: share(_near(runs, "asked") <= HALF_TURN) for name, runs in groups.items()},
-        _by_nearness(groups, "asked", "|dq| asked for [rad]"),
-        f"The most that was asked of a joint in one step near a singular posture: {told}. A step limit "
-        "takes care "
-        "of it.",
+        {
+            f"largest |dq| asked for near a singular posture [rad]: {name}": most
+            for name, most in largest.items()
+        },
+        f"The most that was asked of a joint in one step near a singular posture: {told}. "
+        "A step limit takes care of it.",
+        _by_nearness(groups, "asked", "largest |dq| of a joint asked for [rad]"),
     )
 
 
@@ -89,9 +91,10 @@ def _smooth(reading: Reading) -> Finding:
     told = "; ".join(f"{name}: {near[name]:.2f} near, {far[name]:.2f} elsewhere" for name in groups)
     return Finding(
         {name: share(_near(runs, "turn") <= ABRUPT) for name, runs in groups.items()},
-        _by_nearness(groups, "turn", "change of dq per size")
-        | _by_nearness(groups, "change", "share of the active set exchanged"),
+        {f"median change of dq per size, near: {name}": change for name, change in near.items()},
         f"Median change of the joint displacement from step to step, per size: {told}.",
+        _by_nearness(groups, "turn", "change of dq from step to step, per size")
+        + _by_nearness(groups, "change", "share of the active set exchanged from step to step"),
     )
 
 

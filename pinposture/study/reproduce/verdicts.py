@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple
 
 Verdict = Literal["holds", "holds partly", "does not hold", "not seen"]
@@ -53,6 +53,28 @@ def share(truths: Iterable[bool]) -> Share:
     return Share(sum(listed), len(listed))
 
 
+class Class(NamedTuple):
+    """Something about the steps that lie within one class of nearness to a singular posture.
+
+    Attributes:
+        quantity: what it is, with its unit.
+        group: what was tried.
+        low: least nearness of the class: smallest singular value of the tip's Jacobian per arm length.
+        high: where the class ends.
+        steps: number of steps in it.
+        median: median over them.
+        largest: largest value.
+    """
+
+    quantity: str
+    group: str
+    low: float
+    high: float
+    steps: int
+    median: float
+    largest: float
+
+
 class Finding(NamedTuple):
     """What was measured for a claim.
 
@@ -60,11 +82,13 @@ class Finding(NamedTuple):
         shares: in how many cases it is true, by what was tried; these decide.
         figures: further numbers that tell how it is, by name.
         instead: what holds, in words; said where the claim does not hold throughout.
+        by_nearness: how it depends on the distance to the nearest singular posture, where that was measured.
     """
 
     shares: Mapping[str, Share]
     figures: Mapping[str, float]
     instead: str
+    by_nearness: Sequence[Class] = ()
 
 
 def judge(shares: Mapping[str, Share], rule: Rule) -> Verdict:
