@@ -14,7 +14,7 @@ from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory
 from pinposture.view import palette
 from pinposture.view.axes import dress_steps, scale_counts
-from pinposture.view.panels import plot_active_points, plot_point_errors, plot_posture_error
+from pinposture.view.panels import mark_method, plot_active_points, plot_point_errors, plot_posture_error
 from pinposture.view.postures import draw_runs, plot_postures
 from pinposture.view.words import controller_name, ending
 
@@ -24,6 +24,8 @@ WIDTH, HEIGHT = 12.0, 7.2
 
 def plot(run: Trajectory) -> Figure:
     """Tell a run in one figure: postures, posture error, errors of the control points, active points.
+
+    Where a controller took turns, red dots on the axis mark the steps that it left to Projection.
 
     Args:
         run: the run.
@@ -37,6 +39,9 @@ def plot(run: Trajectory) -> Figure:
     for draw, panel in zip((plot_posture_error, plot_point_errors, plot_active_points), panels, strict=True):
         draw(run, panel)
     _share_steps(panels)
+    if run.switches:
+        mark_method(run, panels[-1])
+        panels[-1].set_xlabel("step (red: steps by Projection)")
     _title(figure, [f"{controller_name(run)} {ending(run)}: {run.reason}"])
     parameters = textwrap.fill(textwrap.shorten(run.controller, 500), 190)
     figure.supxlabel(parameters, fontsize=8, x=0.012, ha="left", color=palette.QUIET, parse_math=False)
