@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pinposture.cli.inputs import ARM, MOTION, JsonOption
+from pinposture.cli.inputs import ARM, MOTION, JobsOption, JsonOption, check_jobs
 from pinposture.cli.output import print_json, print_note, print_table, print_warning
 from pinposture.errors import InvalidValue
 
@@ -50,12 +50,7 @@ def run(
         int, typer.Option(metavar="N", help="Leave out arms of fewer moving joints.", rich_help_panel=ARM)
     ] = 5,
     seed: Annotated[int, typer.Option(help="What the starts are drawn from.", rich_help_panel=MOTION)] = 0,
-    jobs: Annotated[
-        int,
-        typer.Option(
-            metavar="N", help="Number of processes; -1 for all there can be.", rich_help_panel=MOTION
-        ),
-    ] = 1,
+    jobs: JobsOption = 1,
     as_json: JsonOption = False,
 ) -> None:
     """Try every arm of a directory: place it on a gentle curve, and drive it there.
@@ -69,8 +64,7 @@ def run(
 
     if seed < 0:
         raise InvalidValue("--seed", seed, "a whole number of at least 0")
-    if jobs < 1 and jobs != -1:
-        raise InvalidValue("--jobs", jobs, "a whole number of at least 1, or -1")
+    check_jobs(jobs)
     results = survey_arms(directory, least_joints, seed, jobs, _report)
     if as_json:
         asked = {"directory": str(directory), "least_joints": least_joints, "seed": seed}

@@ -54,6 +54,16 @@ ModulesOption = Annotated[
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print one JSON object on stdout instead.", rich_help_panel=OUTPUT)
 ]
+JobsOption = Annotated[
+    int,
+    typer.Option(metavar="N", help="Number of processes; -1 for all there can be.", rich_help_panel=MOTION),
+]
+
+
+def check_jobs(jobs: int) -> None:
+    """Raise InvalidValue unless that can be a number of processes."""
+    if jobs < 1 and jobs != -1:
+        raise InvalidValue("--jobs", jobs, "a whole number of at least 1, or -1")
 
 
 def read_arm(urdf: str, base: str | None, tip: str | None, modules: str | None) -> Arm:

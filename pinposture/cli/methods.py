@@ -6,7 +6,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pinposture.cli.inputs import ARM, MOTION, BaseOption, JsonOption, ModulesOption, TipOption, read_arm
+from pinposture.cli.inputs import (
+    ARM,
+    MOTION,
+    BaseOption,
+    JobsOption,
+    JsonOption,
+    ModulesOption,
+    TipOption,
+    check_jobs,
+    read_arm,
+)
 from pinposture.cli.output import print_json, print_note, print_table
 from pinposture.errors import InvalidValue
 
@@ -37,12 +47,7 @@ def run(
         int, typer.Option(metavar="N", help="Number of cases for each method.", rich_help_panel=MOTION)
     ] = 20,
     steps: Annotated[int, typer.Option(metavar="N", help="Steps of each way.", rich_help_panel=MOTION)] = 200,
-    jobs: Annotated[
-        int,
-        typer.Option(
-            metavar="N", help="Number of processes; -1 for all there can be.", rich_help_panel=MOTION
-        ),
-    ] = 1,
+    jobs: JobsOption = 1,
     as_json: JsonOption = False,
 ) -> None:
     """Compare every method on the same arm: what it reaches, what it asks for, whether it comes back.
@@ -61,8 +66,7 @@ def run(
     for option, value in (("--seeds", seeds), ("--steps", steps)):
         if value < 1:
             raise InvalidValue(option, value, "a whole number of at least 1")
-    if jobs < 1 and jobs != -1:
-        raise InvalidValue("--jobs", jobs, "a whole number of at least 1, or -1")
+    check_jobs(jobs)
     names = list(CONTROLLERS) if controllers is None else [name.strip() for name in controllers.split(",")]
     if urdf is None:
         from pinposture.arm import Arm

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pinposture.cli.inputs import MOTION, OUTPUT, JsonOption
+from pinposture.cli.inputs import MOTION, OUTPUT, JobsOption, JsonOption
 from pinposture.cli.output import print_json, print_note, print_table
 
 if TYPE_CHECKING:
@@ -36,12 +36,7 @@ def run(
     steps: Annotated[
         int, typer.Option(metavar="N", help="Steps after which a run ends.", rich_help_panel=MOTION)
     ] = 200,
-    jobs: Annotated[
-        int,
-        typer.Option(
-            metavar="N", help="Number of processes; -1 for all there can be.", rich_help_panel=MOTION
-        ),
-    ] = -1,
+    jobs: JobsOption = -1,
     output: Annotated[
         Path,
         typer.Option("--output", "-o", metavar="DIR", help="Where to leave files.", rich_help_panel=OUTPUT),

@@ -2,46 +2,20 @@
 
 from __future__ import annotations
 
-import base64
 import re
 import sys
 
 import numpy as np
 import pytest
-import umsgpack
-import zmq
+from view.listening import held
 
 import pinposture as pp
 import pinposture.view
 from pinposture.errors import InvalidValue, PostureError, UnknownName, ViewerError
 from pinposture.view import server
 from pinposture.view.body import body_poses
-from pinposture.view.server import Server
 
 ARM = pp.Arm.from_template("RyRz", modules=3)
-
-
-@pytest.fixture(scope="module")
-def running():
-    """A server that runs already, shared by the tests of this file."""
-    try:
-        own = Server()
-    except ViewerError as error:
-        pytest.skip(f"no meshcat server can run here: {error}")
-    yield own
-    own.close()
-
-
-def held(address: str) -> list[dict]:
-    """What the server would tell a browser that comes now, in its order."""
-    with zmq.Context.instance().socket(zmq.REQ) as line:
-        line.setsockopt(zmq.LINGER, 0)
-        line.setsockopt(zmq.RCVTIMEO, 10_000)
-        line.connect(address)
-        line.send(b"get_scene")
-        page = line.recv().decode()
-    packed = re.findall(r'fetch\("data:application/octet-binary;base64,([^"]*)"\)', page)
-    return [umsgpack.unpackb(base64.b64decode(data)) for data in packed]
 
 
 def some_run() -> pp.Trajectory:

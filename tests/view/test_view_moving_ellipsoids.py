@@ -11,19 +11,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import umsgpack
-import zmq
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from view.ellipsoid_shapes import PLANAR, SPATIAL, gram, levels, some_run
+from view.listening import held
 
 import pinposture as pp
-from pinposture.errors import InvalidValue, UnknownName, ViewerError
+from pinposture.errors import InvalidValue, UnknownName
 from pinposture.view import palette
 from pinposture.view.animation import film
 from pinposture.view.ellipsoids import KEY, drawn_length
 from pinposture.view.moving_ellipsoids import Balls, ball_commands, ball_ends, ball_tracks, balls, carried_on
-from pinposture.view.server import Server
 
 RNG = np.random.default_rng(12)
 
@@ -208,29 +207,6 @@ def test_without_ellipsoids_the_page_is_what_it_was(tmp_path):
     assert plain.read_bytes() == none.read_bytes()
     assert "m/rad drawn as" not in plain.read_text(encoding="utf-8")
     assert by_kind(page_commands(plain.read_text(encoding="utf-8")), "set_object") == {}
-
-
-@pytest.fixture(scope="module")
-def running():
-    """A server that runs already, shared by the tests of this file."""
-    try:
-        own = Server()
-    except ViewerError as error:
-        pytest.skip(f"no meshcat server can run here: {error}")
-    yield own
-    own.close()
-
-
-def held(address: str) -> list[dict]:
-    """What the server would tell a browser that comes now, in its order."""
-    with zmq.Context.instance().socket(zmq.REQ) as line:
-        line.setsockopt(zmq.LINGER, 0)
-        line.setsockopt(zmq.RCVTIMEO, 10_000)
-        line.connect(address)
-        line.send(b"get_scene")
-        page = line.recv().decode()
-    packed = re.findall(r'fetch\("data:application/octet-binary;base64,([^"]*)"\)', page)
-    return [umsgpack.unpackb(base64.b64decode(data)) for data in packed]
 
 
 def test_the_live_viewer_shows_them_wherever_the_arm_goes_and_keeps_nothing_of_before(running):
