@@ -66,8 +66,8 @@ class Outcome(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Final posture error relative to the one at the start."""
-        return self.final_error / self.start_error
+        """Final posture error relative to the one at the start; 0 if there was none."""
+        return self.final_error / self.start_error if self.start_error else 0.0
 
 
 def smooth_configuration(arm: Arm, rng: np.random.Generator, amplitude: float) -> Array:

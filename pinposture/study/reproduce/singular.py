@@ -58,7 +58,7 @@ def _asked(reading: Reading) -> Finding:
         },
         f"The most that was asked of a joint in one step near a singular posture: {told}. "
         "A step limit takes care of it.",
-        _by_nearness(groups, "asked", "largest |dq| of a joint asked for [rad]"),
+        _by_nearness(groups, "asked", "largest motion of a joint asked for [rad]"),
     )
 
 
