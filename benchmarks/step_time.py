@@ -1,4 +1,4 @@
-"""Time of one control step and of one target resolution.
+"""Time of one step of every controller, and of one target resolution.
 
     python benchmarks/step_time.py [--modules 20 50] [--save FILE] [--compare FILE]
 
@@ -19,7 +19,9 @@ from rich.console import Console
 from rich.table import Table
 
 import pinposture as pp
+from pinposture.control import CONTROLLERS, controller_named
 from pinposture.study import smooth_configuration
+from pinposture.thesis.arms import PLANAR
 
 
 def percentiles(action: Callable[[], object], repeats: int) -> list[float]:
@@ -34,28 +36,26 @@ def percentiles(action: Callable[[], object], repeats: int) -> list[float]:
     return [float(x) * 1e6 for x in np.percentile(times, [50, 95, 99])]
 
 
-def measure(modules: int, repeats: int) -> dict[str, list[float]]:
-    """Times of what one cycle of a controller is made of, for an arm of so many RyRz modules."""
-    arm = pp.Arm.from_template("RyRz", modules)
-    rng = np.random.default_rng(0)
-    q = smooth_configuration(arm, rng, 0.6)
-    curve = pp.Curve.helix(radius=0.06, pitch=0.15, turns=0.2 * modules)
+def measure(arm: pp.Arm, repeats: int) -> dict[str, list[float]]:
+    """Times of what one cycle of a controller is made of."""
+    curve = pp.Curve.line((0, 0, 0), (1.1 * arm.length, 0, 0))
+    amplitude = 0.05
+    if arm.dimension == 3:
+        curve, amplitude = pp.Curve.helix(radius=0.06, pitch=0.15, turns=4 * arm.length), 0.6
+    q = smooth_configuration(arm, np.random.default_rng(0), amplitude)
     target = pp.resolve_targets(arm, curve)
     data = arm.model.createData()
-
-    def cycle(controller: pp.Controller) -> Callable[[], object]:
-        return lambda: controller.step(arm.at(q), target)
-
-    return {
-        "Pinocchio: all joint Jacobians": percentiles(
-            lambda: pin.computeJointJacobians(arm.model, data, q), repeats
-        ),
-        "Arm.at": percentiles(lambda: arm.at(q), repeats),
-        "Arm.at + all-pairs manipulability": percentiles(lambda: arm.at(q).manipulability(), repeats),
-        "Arm.at + Selection step": percentiles(cycle(pp.Selection()), repeats),
-        "Arm.at + Projection step": percentiles(cycle(pp.Projection()), repeats),
-        "resolve_targets, 2000 samples": percentiles(lambda: pp.resolve_targets(arm, curve), repeats // 10),
+    actions: dict[str, Callable[[], object]] = {
+        "Pinocchio: all joint Jacobians": lambda: pin.computeJointJacobians(arm.model, data, q),
+        "Arm.at": lambda: arm.at(q),
+        "Arm.at + all-pairs manipulability": lambda: arm.at(q).manipulability(),
     }
+    for name in CONTROLLERS:
+        controller = controller_named(name)
+        actions[f"Arm.at + step of {name}"] = lambda own=controller: own.step(arm.at(q), target)
+    found = {name: percentiles(action, repeats) for name, action in actions.items()}
+    resolving = percentiles(lambda: pp.resolve_targets(arm, curve), repeats // 10)
+    return found | {"resolve_targets, 2000 samples": resolving}
 
 
 def main() -> None:
@@ -70,13 +70,13 @@ def main() -> None:
     arguments = parser.parse_args()
     before = json.loads(arguments.compare.read_text()) if arguments.compare else {}
     found = {}
-    for modules in arguments.modules:
-        found[str(modules)] = measure(modules, arguments.repeats)
-        table = Table(
-            "", r"p50 \[us]", r"p95 \[us]", r"p99 \[us]", "p50 / before", title=f"{2 * modules} DOF"
-        )
-        for name, times in found[str(modules)].items():
-            old = before.get(str(modules), {}).get(name)
+    arms = [pp.Arm.from_template("RyRz", modules) for modules in arguments.modules]
+    for arm in (*arms, pp.Arm.from_modules(PLANAR, name="planar45")):
+        found[arm.model.name] = measure(arm, arguments.repeats)
+        title = f"{arm.model.name}, {arm.nv} DOF"
+        table = Table("", r"p50 \[us]", r"p95 \[us]", r"p99 \[us]", "p50 / before", title=title)
+        for name, times in found[arm.model.name].items():
+            old = before.get(arm.model.name, {}).get(name)
             ratio = f"{times[0] / old[0]:.2f}" if old else "-"
             table.add_row(name, *(f"{value:.0f}" for value in times), ratio)
         Console().print(table)

@@ -111,6 +111,8 @@ def _texts(shown: Film) -> list[str]:
         if run.steps:
             count = int(run.active[min(row, run.steps - 1)].sum())
             text += f", {count} of {run.arm.n_modules} control points active"
+            if run.switches:
+                text += f" by {run.method[min(row, run.steps - 1)].capitalize()}"
         texts.append(text)
     return texts
 
