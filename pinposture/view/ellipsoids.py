@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.patches import Patch
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm, Ellipsoid

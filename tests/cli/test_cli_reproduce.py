@@ -143,6 +143,7 @@ def test_a_terminal_sees_how_many_runs_are_done(monkeypatch, capsys):
     with _progress() as tell:
         tell(1, 4)
     assert capsys.readouterr().err == ""
+    monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     with _progress() as tell:
         tell(3, 4)

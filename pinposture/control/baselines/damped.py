@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from pinposture.arm import ArmState
-from pinposture.control.baselines.tasks import NO_TARGET, all_points_task, damped_step, finished, held
+from pinposture.control.baselines.baseline import Baseline
+from pinposture.control.baselines.tasks import all_points_task, damped_step, finished
 from pinposture.control.checks import require_positive
-from pinposture.control.controller import Memory, Step
+from pinposture.control.controller import Step
 from pinposture.control.limits import Limits
 from pinposture.control.solve import decompose
 from pinposture.target import Target
 
 
 @dataclass(frozen=True)
-class DampedLeastSquares:
+class DampedLeastSquares(Baseline):
     """Moves all control points that have a target: dq minimises |J dq - K e|^2 + lambda^2 |dq|^2.
 
     No step is longer than |K e| / (2 lambda), singular or not; in exchange, directions with singular values
@@ -35,12 +34,7 @@ class DampedLeastSquares:
         require_positive("damping", self.damping)
         require_positive("gain", self.gain)
 
-    def step(
-        self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
-    ) -> Step:
-        """Compute one step; see `Controller.step`."""
-        if not np.any(target.placed):
-            return held(state, NO_TARGET)
+    def _step(self, state: ArmState, target: Target, limits: Limits | None) -> Step:
         task = all_points_task(state, target)
         matrix = decompose(task.jacobian)
         damping = (self.damping * state.arm.length) ** 2

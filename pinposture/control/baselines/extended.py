@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import ArmState
+from pinposture.control.baselines.baseline import Baseline
 from pinposture.control.baselines.derivatives import PositionDerivatives
 from pinposture.control.baselines.objectives import (
     Objective,
@@ -15,9 +16,9 @@ from pinposture.control.baselines.objectives import (
     objective_hessian,
     require_objective,
 )
-from pinposture.control.baselines.tasks import NO_TARGET, RANK, Task, end_effector_task, finished, held
+from pinposture.control.baselines.tasks import RANK, Task, end_effector_task, finished, held
 from pinposture.control.checks import require_positive
-from pinposture.control.controller import Memory, Step
+from pinposture.control.controller import Step
 from pinposture.control.limits import Limits
 from pinposture.control.solve import decompose, pseudo_inverse_step
 from pinposture.errors import UnknownName
@@ -27,7 +28,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class ExtendedJacobian:
+class ExtendedJacobian(Baseline):
     """Moves the end-effector and stays where an objective function is extremal, (2.12)-(2.14).
 
     At an extremum under the task, f_c = N^T grad h = 0 for a basis N of the null space of J (2.12). Both
@@ -50,6 +51,8 @@ class ExtendedJacobian:
     gets to one, unless `restore` asks for it. J_e is singular where J is, and also where an extremum meets
     another or is flat (algorithmic singularities); near that, steps are huge. At one the step is held.
 
+    The singular values of its diagnostics are those of J_e, see `system`.
+
     Attributes:
         objective: what is extremal, see `objectives.OBJECTIVES`.
         gain: share of its error that the end-effector is asked to cover in one step.
@@ -68,12 +71,7 @@ class ExtendedJacobian:
         require_positive("gain", self.gain)
         require_positive("restore", self.restore, zero=True)
 
-    def step(
-        self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
-    ) -> Step:
-        """Compute one step; see `Controller.step`. The singular values are those of J_e, see `system`."""
-        if not np.any(target.placed):
-            return held(state, NO_TARGET)
+    def _step(self, state: ArmState, target: Target, limits: Limits | None) -> Step:
         task = end_effector_task(state, target)
         columns, extended, constraint = self.system(state, task)
         if len(extended) < len(columns):

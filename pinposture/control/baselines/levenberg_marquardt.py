@@ -7,20 +7,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from pinposture.arm import ArmState
-from pinposture.control.baselines.tasks import NO_TARGET, all_points_task, damped_step, finished, held
+from pinposture.control.baselines.baseline import Baseline
+from pinposture.control.baselines.tasks import all_points_task, damped_step, finished
 from pinposture.control.checks import require_positive
-from pinposture.control.controller import Memory, Step
+from pinposture.control.controller import Step
 from pinposture.control.limits import Limits
 from pinposture.control.solve import decompose
 from pinposture.target import Target
 
 
 @dataclass(frozen=True)
-class LevenbergMarquardt:
+class LevenbergMarquardt(Baseline):
     """Moves all control points that have a target, with the damping of Sugihara (2011).
 
     Each step solves (J^T W J + lambda I) dq = J^T W e, with W = diag(weights) / length^2 of the arm and
     lambda = e^T W e / 2 + bias: careful from afar, nearly Gauss-Newton close by, regular everywhere.
+
+    The singular values of its diagnostics are those of W^(1/2) J, in metres.
 
     Attributes:
         bias: damping that stays at the target, in squared arm lengths [1/rad^2].
@@ -32,12 +35,7 @@ class LevenbergMarquardt:
     def __post_init__(self) -> None:
         require_positive("bias", self.bias)
 
-    def step(
-        self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
-    ) -> Step:
-        """Compute one step; see `Controller.step`. The singular values are those of W^(1/2) J, in metres."""
-        if not np.any(target.placed):
-            return held(state, NO_TARGET)
+    def _step(self, state: ArmState, target: Target, limits: Limits | None) -> Step:
         task = all_points_task(state, target)
         weights = np.repeat(np.sqrt(target.weights[list(task.points)]), state.arm.dimension)
         matrix = decompose(weights[:, None] * task.jacobian)

@@ -8,17 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import ArmState
+from pinposture.control.baselines.baseline import Baseline
 from pinposture.control.baselines.tasks import (
-    NO_TARGET,
     Task,
     end_effector_task,
     finished,
-    held,
     regular_part,
     task_of,
 )
 from pinposture.control.checks import require_positive
-from pinposture.control.controller import Memory, Step
+from pinposture.control.controller import Step
 from pinposture.control.limits import Limits
 from pinposture.control.solve import Decomposition, decompose
 from pinposture.errors import InvalidValue
@@ -28,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class TaskConstraints:
+class TaskConstraints(Baseline):
     """Moves the end-effector, and other control points in its null space, (2.6) with (2.11).
 
         dq = J^+ dp + (I - J^+J) (J_c (I - J^+J))^+ (dp_c - J_c J^+ dp)
@@ -38,6 +37,8 @@ class TaskConstraints:
     for them, where n joints move the end-effector and m is the rank of J: so many of them are taken, spread
     evenly along the arm. They may still ask for more than the null space can do; then the step is the
     least-squares one, and where it nearly can it is huge, for nothing is damped.
+
+    The singular values of its diagnostics are those of J and of J_c (I - J^+J).
 
     Attributes:
         constraints: how many other control points to move at most; None: as many as (2.9) allows.
@@ -54,12 +55,7 @@ class TaskConstraints:
             raise InvalidValue("constraints", given, "a whole number >= 0, or None")
         require_positive("gain", self.gain)
 
-    def step(
-        self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
-    ) -> Step:
-        """Compute one step; see `Controller.step`. The singular values are those of J and J_c (I - J^+J)."""
-        if not np.any(target.placed):
-            return held(state, NO_TARGET)
+    def _step(self, state: ArmState, target: Target, limits: Limits | None) -> Step:
         primary = end_effector_task(state, target)
         left, every, right = np.linalg.svd(primary.jacobian)
         matrix = regular_part(Decomposition(left, every, right[: len(every)]))

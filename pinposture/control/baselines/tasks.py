@@ -18,9 +18,6 @@ Array = NDArray[np.float64]
 RANK = 1e-12
 """Singular values up to this share of the largest one count as zero: they are rounding errors."""
 
-NO_TARGET = "no control point has a target"
-"""Why a step is held that has nothing to do."""
-
 
 class Task(NamedTuple):
     """Control points to be moved, J dq = dp.
