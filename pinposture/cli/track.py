@@ -21,6 +21,7 @@ from pinposture.cli.inputs import (
     read_start,
 )
 from pinposture.cli.output import print_facts, print_json, print_note, step_progress
+from pinposture.cli.points import read_region
 from pinposture.cli.results import FILES, in_words, keep, summarize
 from pinposture.cli.view import show
 from pinposture.errors import InvalidValue
@@ -30,6 +31,7 @@ EXAMPLES = (
     "pinposture track arm.urdf --curve helix --seed 3 --steps 500 -o out",
     "pinposture track arm.urdf --curve line --controller projection --json",
     "pinposture track arm.urdf --curve line --method smooth --modules 4",
+    "pinposture track arm.urdf --curve helix --region 10-20",
     "pinposture track arm.urdf --curve curve.csv --partial -o out --view",
 )
 
@@ -77,6 +79,14 @@ def run(
             "--partial", help="Leave points free that have no place on the curve.", rich_help_panel=TARGET
         ),
     ] = False,
+    region: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FIRST-LAST",
+            help="Control points that are to take the shape, as in 10-20; the others are free.",
+            rich_help_panel=TARGET,
+        ),
+    ] = None,
     controller: Annotated[
         str,
         typer.Option(
@@ -161,6 +171,8 @@ def run(
     q0 = read_start(arm, start, seed)
     if target.incomplete:
         print_note(f"only the first {target.placed.sum()} of {arm.n_modules} control points have a place")
+    if region is not None:
+        target = target.region(*read_region("--region", region, arm))
     if output is not None:
         check_writable(output)  # now, so that nobody waits for a run that cannot be kept
     with step_progress(target, steps) as callback:

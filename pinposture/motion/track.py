@@ -90,6 +90,8 @@ def track(
         recorder.add(state, step)
         if callback is not None and callback(recorder.steps, state, step) is True:
             status, reason = "stopped", f"stopped by the callback after {recorder.steps} steps"
+    if status in ("stalled", "max_steps") and target.q is None:
+        reason += "; the target knows no configuration, with which Switching finds the way: see fit_points"
     logger.info("%s: %s after %d steps: %s", controller.name, status, recorder.steps, reason)
     return recorder.trajectory(arm, controller, limits, status, reason)
 

@@ -262,3 +262,20 @@ def test_an_unexpected_error_is_not_swallowed(command, arm_file, monkeypatch):
     monkeypatch.setattr("pinposture.motion.track", broken)
     with pytest.raises(ZeroDivisionError, match="a bug"):
         command("track", arm_file, "--curve", "helix")
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_a_region_leaves_the_other_points_free(command, arm_file, tmp_path):
+    asked = ("track", arm_file, "--curve", "helix", "--region", "3-5", "-o", tmp_path / "out")
+    found = json.loads(command(*asked, "--json").out)
+    assert (found["placed_points"], found["control_points"]) == (3, 6)
+    kept = pp.Trajectory.load(tmp_path / "out" / "run.npz")
+    np.testing.assert_array_equal(np.flatnonzero(kept.target.placed), [2, 3, 4])
+
+
+@pytest.mark.parametrize("region", ["0-3", "5-3", "3", "3-7", "a-b", "-", "1-2-3"])
+def test_a_region_that_is_none_is_refused(command, arm_file, region):
+    done = command("track", arm_file, "--curve", "helix", "--region", region)
+    assert done.code == 2
+    assert "--region" in done.err
+    assert "from 1 to 6" in done.err

@@ -162,3 +162,12 @@ def test_partial_targets_are_tracked_by_the_points_that_have_one() -> None:
     assert not run.point_errors[:, 10:].any()
     assert run.posture_error[-1] < 0.5 * run.posture_error[0]
     assert LINE.length > 1.0
+
+
+def test_a_run_that_does_not_get_there_for_want_of_a_configuration_says_so() -> None:
+    known = pp.resolve_targets(ARM, HELIX)
+    bare = pp.Target.from_points(ARM, known.points)
+    run = pp.track(ARM, bare, START, "selection", max_steps=3)
+    assert "fit_points" in run.reason
+    assert "fit_points" not in pp.track(ARM, known, START, "selection", max_steps=3).reason
+    assert pp.track(ARM, pp.fit_points(ARM, known.points), START).converged
