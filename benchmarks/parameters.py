@@ -12,11 +12,11 @@ The index thresholds of Selection end at 0.001 on purpose. On the helix they mak
 the straight line the remaining error is proportional to them, and so is the largest step that the
 posture control matrix can ask for before it is shortened to the limit. The threshold of Projection leaves
 out 0.5, the smaller singular value of a straight module with equal links: there it would flicker. The
-planar search finds the score "error" a little ahead of "geometric", which "auto" takes for planar arms all the
-same: there the posture error rises on 4 to 6 % of the steps against 26 %, and arcs and harsh starts end closer. The
-search may find "relative" to be the best coupling of Projection, and does; the default remains "full", which
-is the method of the thesis put right. The patience of Switching begins at 0.3, three steps of the usual
-length: below that Selection would hardly have a say.
+planar search finds the score "error" a little ahead of "geometric", which "auto" takes for planar arms
+all the same: there the posture error rises on 4 to 6 % of the steps against 26 %, and arcs and harsh starts
+end closer. The search may find "relative" to be the best coupling of Projection, and does; the default
+remains "full", which is the method of the thesis put right. The patience of Switching begins at 0.3, three
+steps of the usual length: below that Selection would hardly have a say.
 """
 
 from __future__ import annotations
