@@ -37,6 +37,7 @@ _HEADINGS = (
     *_PLACED,
     "reached",
     "Projection",
+    "Switching",
     "limits held",
 )
 
@@ -57,8 +58,8 @@ def run(
 
     Each distance is relative to the length of the arm. The residual is how far off the curve the control
     points are placed (root mean square), the reference the same of the best of several independent fits; the
-    ratio of the two is ok up to 1.05. After that come the mean point error to which joint interpolation and
-    Projection drive the arm from a random start, and whether they kept within the joint limits.
+    ratio of the two is ok up to 1.05. After that come the mean point error to which joint interpolation,
+    Projection and Switching drive the arm from a random start, and whether they kept within the joint limits.
     """
     from pinposture.study import survey_arms
 
@@ -119,6 +120,7 @@ def _row(result: ArmSurvey) -> tuple[str | float | None, ...]:
         "ok" if _is_close(result) else _short(_ratio(result)),
         _short(result.reached),
         _short(result.projection),
+        _short(result.switching),
         "yes" if result.within_limits else "no",
     )
 

@@ -38,6 +38,8 @@ class ArmSurvey(NamedTuple):
         steps: steps of that run.
         within_limits: whether every configuration on the way was within the joint limits.
         projection: mean point error after 300 steps of Projection from the same start.
+        switching: mean point error after at most 300 steps of Switching from the same start.
+        switching_steps: steps that Switching took.
         notes: what loading warned of.
     """
 
@@ -54,6 +56,8 @@ class ArmSurvey(NamedTuple):
     steps: int = 0
     within_limits: bool = True
     projection: float | None = None
+    switching: float | None = None
+    switching_steps: int = 0
     notes: tuple[str, ...] = ()
 
 
@@ -130,13 +134,17 @@ def _survey(path: Path, least_joints: int, seed: int) -> ArmSurvey | None:
     # All points are to be reached, also those that lie off the curve: the arm can take that posture.
     posture = Target(target.points, np.ones(arm.n_modules), q=target.q)
     direct = track(arm, posture, start, "joint", max_steps=1000)
-    projected = track(arm, posture, start, "projection", max_steps=300)
-    inside = all(arm.within_limits(q) for run in (direct, projected) for q in run.q)
+    projected, switched = (
+        track(arm, posture, start, name, max_steps=300) for name in ("projection", "switching")
+    )
+    inside = all(arm.within_limits(q) for run in (direct, projected, switched) for q in run.q)
     return found._replace(
         reached=float(direct.point_errors[-1].mean()) / arm.length,
         steps=direct.steps,
         within_limits=inside,
         projection=float(projected.point_errors[-1].mean()) / arm.length,
+        switching=float(switched.point_errors[-1].mean()) / arm.length,
+        switching_steps=switched.steps,
     )
 
 
