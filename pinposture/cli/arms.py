@@ -35,7 +35,7 @@ _HEADINGS = (
     "kind",
     "length [m]",
     *_PLACED,
-    "reached",
+    "joint",
     "Projection",
     "Switching",
     "limits held",
@@ -58,8 +58,9 @@ def run(
 
     Each distance is relative to the length of the arm. The residual is how far off the curve the control
     points are placed (root mean square), the reference the same of the best of several independent fits; the
-    ratio of the two is ok up to 1.05. After that come the mean point error to which joint interpolation,
-    Projection and Switching drive the arm from a random start, and whether they kept within the joint limits.
+    ratio of the two is ok up to 1.05 (plus 1e-6). After that come the mean point error to which joint
+    interpolation, Projection and Switching drive the arm from a random start, and whether they kept within
+    the joint limits.
     """
     from pinposture.study import survey_arms
 

@@ -50,7 +50,7 @@ def run(
     All of it takes some minutes.
     """
     if not figures:
-        _list()
+        _list(as_json)
         return
     from pinposture.study.reproduce import reproduce
 
@@ -64,7 +64,7 @@ def run(
         print_note(f"wrote {file}")
 
 
-def _list() -> None:
+def _list(as_json: bool) -> None:
     """Say what there is to reproduce."""
     from pinposture.thesis.claims import CLAIMS
     from pinposture.thesis.figures import FIGURES
@@ -72,6 +72,10 @@ def _list() -> None:
     rows: list[tuple[str, str, str]] = [
         (number, each.title, f"Section {each.section}") for number, each in FIGURES.items()
     ]
+    if as_json:
+        shown = [{"figure": number, "title": title, "section": section} for number, title, section in rows]
+        print_json({"figures": shown, "claims": len(CLAIMS)})
+        return
     rows.append(("claims", f"verdicts on {len(CLAIMS)} claims", "all chapters"))
     rows.append(("all", "everything", ""))
     print_table(("figure", "shows", "thesis"), rows)

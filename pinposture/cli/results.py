@@ -22,9 +22,9 @@ def keep(motion: Trajectory, directory: Path) -> None:
     Raises:
         FileError: one of them cannot be written.
     """
-    motion.save(directory / RUN)
     write_plot(motion, directory / PLOT)
     write_animation(motion, directory / ANIMATION)
+    motion.save(directory / RUN)  # last: where it is, its pictures are
 
 
 def write_plot(motion: Trajectory, path: Path) -> None:

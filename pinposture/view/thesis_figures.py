@@ -190,14 +190,13 @@ def _draw_progress(
     plot_posture_error(run, error, label=name if compared else None)
     plot_points_and_index(run, points)
     low, high = error.get_ylim()
-    error.set_ylim(
-        low, high * (4.0 if error.get_yscale() == "log" else 1.1)
-    )  # room for what is written there
-    longest = max(each.steps for each in (run, *compared.values()))
-    for ax in (error, points):
-        ax.set_xlim(0.0, longest + 1.0)
-    error.set_xlabel("")
-    error.tick_params(labelbottom=False)
+    logarithmic = error.get_yscale() == "log"  # room for what is written above and below
+    error.set_ylim(low * (0.1 if logarithmic else 1.0), high * (4.0 if logarithmic else 1.1))
+    error.set_xlim(0.0, max(each.steps for each in (run, *compared.values())) + 1.0)
+    points.set_xlim(0.0, run.steps + 1.0)
+    if not compared:  # otherwise the other runs may be far longer
+        error.set_xlabel("")
+        error.tick_params(labelbottom=False)
     if (run.method == "projection").any():
         mark_method(run, points)
         points.set_xlabel("step (red: steps by Projection)", fontsize=9)

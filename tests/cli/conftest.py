@@ -11,6 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from pinposture.cli import app
+from pinposture.storage import write_text
 
 
 class Result(NamedTuple):
@@ -58,4 +59,4 @@ def run_directory(command: Command, arm_file: Path, tmp_path_factory: pytest.Tem
 def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Spares a test the plot and the animation, which take most of the time of a short run."""
     for name in ("write_plot", "write_animation"):
-        monkeypatch.setattr(f"pinposture.cli.results.{name}", lambda _, path: path.write_text(""))
+        monkeypatch.setattr(f"pinposture.cli.results.{name}", lambda _, path: write_text(path, ""))

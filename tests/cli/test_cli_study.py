@@ -60,7 +60,7 @@ def test_the_table_says_what_the_json_says(surveyed):
         assert rows[arm["file"]] == row
     assert first["joints"] == 8
     assert flat["joints"] == 6
-    headings = ("placed by", "residual", "reference", "ratio", "reached", "Projection", "Switching")
+    headings = ("placed by", "residual", "reference", "ratio", "joint", "Projection", "Switching")
     for heading in (*headings, "limits held"):
         assert heading in surveyed[0].out
 

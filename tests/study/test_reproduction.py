@@ -118,6 +118,21 @@ def test_the_table_of_claims_tells_the_same(judged):
     assert all(line.endswith("|") for line in lines)
 
 
+def test_a_later_call_for_figures_leaves_the_claims_where_they_are(tmp_path):
+    reproduce(["6.7", "claims"], tmp_path, seeds=1, max_steps=3)
+    before = json.loads((tmp_path / "results.json").read_text())
+    reproduce(["6.3"], tmp_path, max_steps=3)
+    after = json.loads((tmp_path / "results.json").read_text())
+    assert [each["figure"] for each in after["figures"]] == ["6.3", "6.7"]
+    for name in ("parameters", "claims", "runs"):
+        assert after[name] == before[name]
+    (tmp_path / "results.json").write_text("of somebody else")
+    reproduce(["6.3"], tmp_path, max_steps=3)
+    assert [each["figure"] for each in json.loads((tmp_path / "results.json").read_text())["figures"]] == [
+        "6.3"
+    ]
+
+
 def test_progress_counts_every_run_once(judged):
     _, _, heard = judged
     assert [done for done, _ in heard] == sorted(done for done, _ in heard)

@@ -12,7 +12,7 @@ from pinposture.errors import InvalidValue, UnknownName
 from pinposture.storage import check_writable, write_bytes, write_text
 from pinposture.study.reproduce.evaluate import BATCHES, Evidence, Judged, gather, judge_claims
 from pinposture.study.reproduce.figures import FigureRuns, count_runs, draw_figure, run_figures
-from pinposture.study.reproduce.report import claims_as_markdown, describe
+from pinposture.study.reproduce.report import FORMAT, VERSION, claims_as_markdown, describe
 from pinposture.study.reproduce.runs import MAX_STEPS
 from pinposture.thesis.figures import FIGURES
 
@@ -53,7 +53,8 @@ def reproduce(
     Args:
         names: numbers of figures, "6.3" to "6.12"; "claims"; or "all".
         directory: where to leave each figure as PNG, results.json, and claims.md if claims were judged; made
-            if it does not exist. None: nothing is kept.
+            if it does not exist. What an earlier call left there of other figures, or of claims, stays.
+            None: nothing is kept.
         seeds: number of seeds that claims are judged over.
         max_steps: steps after which a run ends.
         jobs: number of processes; the results do not depend on it.
@@ -116,7 +117,24 @@ def _write(
         write_bytes(files[-1], picture.getvalue())
     if evidence is not None:
         files.append(directory / CLAIMS_TABLE)
-        write_text(files[-1], claims_as_markdown(judged, evidence.seeds))
+        write_text(files[-1], claims_as_markdown(judged, evidence.seeds, results["parameters"]["max_steps"]))
     files.append(directory / RESULTS)
-    write_text(files[-1], json.dumps(results, indent=1, allow_nan=False) + "\n")
+    kept = _with_earlier(results, files[-1], evidence is not None)
+    write_text(files[-1], json.dumps(kept, indent=1, allow_nan=False) + "\n")
     return files
+
+
+def _with_earlier(results: dict[str, Any], path: Path, with_claims: bool) -> dict[str, Any]:
+    """These results, and those of an earlier call that they do not replace."""
+    try:
+        earlier = json.loads(path.read_text())
+        if (earlier["format"], earlier["version"]) != (FORMAT, VERSION):
+            return results
+        figures = {each["figure"]: each for each in (*earlier["figures"], *results["figures"])}
+        claims = results if with_claims else earlier
+        return results | {
+            "figures": [figures[number] for number in FIGURES if number in figures],
+            **{name: claims[name] for name in ("parameters", "claims", "runs")},
+        }
+    except (OSError, ValueError, KeyError, TypeError):
+        return results
