@@ -110,8 +110,8 @@ def claims_as_markdown(judged: Sequence[Judged], seeds: int, max_steps: int) -> 
         "# The claims of the thesis, measured",
         f"Over {seeds} seed{'s' * (seeds != 1)}, at most {max_steps} steps a run. A claim holds if the share "
         "of cases in which it is true reaches the first threshold of its rule in everything that was tried, "
-        "does not hold if the share stays below the second in all of it, and else holds partly. The rules are "
-        "for claims that are",
+        "does not hold if the share stays below the second in all of it, and else holds partly. The rules "
+        "are for claims that are",
         "\n".join(rules),
         "\n".join(["| claim | where | verdict | true in | read otherwise |", "|---|---|---|---|---|", *rows]),
         *(_section(each) for each in judged),
