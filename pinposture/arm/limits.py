@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-UNLIMITED = 1e100
-
 UNLIMITED = 1e9
 """A limit this large [rad, m, rad/s or m/s] is none: files write 1e16 or the largest float for it."""
 
@@ -42,7 +40,6 @@ def joint_limits(model: pin.Model) -> JointLimits:
             lower[joint.idx_v] = model.lowerPositionLimit[joint.idx_q]
             upper[joint.idx_v] = model.upperPositionLimit[joint.idx_q]
     # A model built by hand has the largest floats for limits it was never given.
-    lower[lower < -UNLIMITED], upper[upper > UNLIMITED] = -np.inf, np.inf
     lower[lower <= -UNLIMITED], upper[upper >= UNLIMITED] = -np.inf, np.inf
     velocity[(velocity <= 0.0) | (velocity >= UNLIMITED)] = np.inf
     for array in (lower, upper, velocity):

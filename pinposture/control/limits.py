@@ -14,6 +14,10 @@ from pinposture.errors import InvalidValue
 Array = NDArray[np.float64]
 
 
+USUAL_STEP = 0.1
+"""Joint travel of a step where limits allow more, or where there are none [rad]."""
+
+
 class LimitedStep(NamedTuple):
     """A step after the limits were applied.
 
@@ -69,6 +73,11 @@ class Limits:
             bound = np.minimum(bound, arm.limits.velocity * self.dt)
         return bound
 
+    def travel(self, state: ArmState) -> float:
+        """Joint travel that limits allow in a step, median over the joints, at most `USUAL_STEP` [rad]."""
+        arm = state.arm
+        return min(USUAL_STEP, float(np.median((self.bound(state) / arm.joint_units)[arm.columns])))
+
     def apply(self, state: ArmState, dq: Array) -> LimitedStep:
         """Shorten a step until it meets the step limit, then cut it at the position limits.
 
@@ -84,8 +93,10 @@ class Limits:
         scale = 1.0 / largest if largest > 1.0 else 1.0
         scaled = dq * scale
         positions = state.arm.positions(state.q)
-        limits = state.arm.limits
-        lower, upper = limits.lower + self.position_margin, limits.upper - self.position_margin
+        limits, moved = state.arm.limits, state.arm.frames.support[-1, 0] > 0.0
+        # What does not move the arm is not ours to bring back.
+        lower = np.where(moved, limits.lower + self.position_margin, -np.inf)
+        upper = np.where(moved, limits.upper - self.position_margin, np.inf)
         if np.any(lower > upper):
             joint = int(np.argmax(lower - upper))
             room = (limits.upper[joint] - limits.lower[joint]) / 2.0

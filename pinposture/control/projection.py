@@ -87,7 +87,8 @@ class Projection:
             return Step(held, (), Diagnostics(0, 0, 0, 0, (), 1.0, held > 0.0, reason), Memory(held))
         decomposed = decompose(matrix)
         asked = pseudo_inverse_step(decomposed, self.gain * velocity, secondary)
-        limited = limits.apply(state, asked * state.arm.joint_units)
+        arm = state.arm  # joints off the chain have zero columns, and singular vectors round zero
+        limited = limits.apply(state, asked * arm.joint_units * arm.frames.support[-1, 0])
         diagnostics = Diagnostics(
             manipulability=smallest,
             sigma_min=float(decomposed.sigma[-1]),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm import ArmState
 from pinposture.control.checks import require_positive, require_share
-from pinposture.control.controller import Memory, Step, task_errors
+from pinposture.control.controller import Diagnostics, Memory, Step, task_errors
 from pinposture.control.limits import Limits
 from pinposture.control.projection import Projection
 from pinposture.control.selection import Selection
@@ -40,9 +40,6 @@ class Phase(NamedTuple):
 
 
 FIRST = Phase("selection", np.inf, 0.0, 0.0, 0)
-
-USUAL_STEP = 0.1
-"""Joint travel of a step where limits allow more, or where there are none [rad]."""
 
 ROUNDING = 1e-6
 """Share of a step by which sums of steps may be off."""
@@ -93,7 +90,7 @@ class Switching:
         """Compute one step; see `Controller.step`. The diagnostics say which method made it, and why."""
         limits = Limits() if limits is None else limits
         error = float(np.linalg.norm(task_errors(state, target), axis=1).sum())
-        travel = min(USUAL_STEP, float(np.median(limits.bound(state) / state.arm.joint_units)))
+        travel = limits.travel(state)
         known = memory.own if memory is not None else None
         phase = known if isinstance(known, Phase) else FIRST
         idle = phase.method == "projection"
@@ -109,10 +106,10 @@ class Switching:
         step = self.selection.step(state, target, limits)
         if not step.diagnostics.reason:
             return _labelled(step, entered, "Selection has control points again" if idle else "")
-        if idle:
+        if idle and target.q is None:  # there is nothing to hand back to yet
             return self._project(state, target, limits, phase, travel, "")
         failed = self._failover(entered, target)
-        return self._project(state, target, limits, failed, travel, step.diagnostics.reason)
+        return self._project(state, target, limits, failed, travel, "" if idle else step.diagnostics.reason)
 
     def _failover(self, phase: Phase, target: Target) -> Phase:
         """Take control from Selection, for twice as long as the last time if that may lead elsewhere."""
@@ -122,11 +119,19 @@ class Switching:
     def _project(
         self, state: ArmState, target: Target, limits: Limits, phase: Phase, travel: float, why: str
     ) -> Step:
+        phase = phase._replace(left=phase.left - travel)
         if phase.failovers > 1 and target.q is not None:
-            step = self._escape(state, target, target.q, limits)
-        else:
-            step = self.projection.step(state, target, limits)
-        return _labelled(step, phase._replace(left=phase.left - travel), why)
+            return _labelled(self._escape(state, target, target.q, limits), phase, why)
+        step = self.projection.step(state, target, limits)
+        if not step.diagnostics.reason:
+            return _labelled(step, phase, why)
+        if target.q is not None:
+            phase = phase._replace(failovers=2)
+            return _labelled(self._escape(state, target, target.q, limits), phase, why)
+        selected = self.selection.step(state, target, limits)
+        if selected.diagnostics.reason:
+            return _labelled(step, phase, why)
+        return _labelled(selected, FIRST._replace(failovers=phase.failovers), step.diagnostics.reason)
 
     def _escape(self, state: ArmState, target: Target, goal: Array, limits: Limits) -> Step:
         """A step of Projection to the posture a short way ahead on the straight line through joint space.
@@ -134,11 +139,15 @@ class Switching:
         Joints that the control points leave room follow that line, too: those before a region, for one.
         """
         arm = state.arm
-        way = np.array(pin.difference(arm.model, state.q, goal))
+        way = np.array(pin.difference(arm.model, state.q, goal)) * arm.frames.support[-1, 0]
         farthest = float(np.max(np.abs(way) / arm.joint_units, initial=0.0))
         ahead = way * min(1.0, self.reach / max(farthest, 1e-300))
         waypoint = replace(target, points=arm.at(arm.integrate(state.q, ahead)).points)
         step = self.projection.step_with(ahead / arm.joint_units, state, waypoint, limits)
+        if step.diagnostics.reason:  # no control point can move: the joints go on their own
+            limited = limits.apply(state, ahead)
+            moved = Diagnostics(0.0, 0.0, 0.0, 0, (), limited.scale, limited.clipped, "")
+            step = Step(limited.dq, (), moved, Memory(limited.dq))
         return step._replace(diagnostics=step.diagnostics._replace(escape=True))
 
 

@@ -20,7 +20,7 @@ class Recorder:
         self._target = target
         self._steps: list[Step] = []
         self._q, self._points, self._errors = [start.q], [start.points], [self._point_errors(start)]
-        self._best, self._best_at = self.posture_error, 0
+        self._best, self._idle = self.posture_error, 0.0
 
     def _point_errors(self, state: ArmState) -> Array:
         return np.asarray(np.linalg.norm(self._target.points - state.points, axis=1) * self._target.placed)
@@ -40,19 +40,29 @@ class Recorder:
         """Mean distance of the control points that have a target from it, now [m]."""
         return self.posture_error / int(np.count_nonzero(self._target.placed))
 
-    def add(self, state: ArmState, step: Step) -> None:
-        """Write down one step and the state it led to."""
+    def add(self, state: ArmState, step: Step, travel: float) -> None:
+        """Write down one step and the state it led to.
+
+        Args:
+            state: the state.
+            step: the step.
+            travel: joint travel that the limits allowed in it [rad].
+        """
         self._steps.append(step)
-        self._best_at += step.diagnostics.escape  # while it escapes, an arm is not stuck
+        if not step.diagnostics.escape:  # while it escapes, an arm is not stuck
+            self._idle += travel
         self._q.append(state.q)
         self._points.append(state.points)
         self._errors.append(self._point_errors(state))
 
-    def steps_without_progress(self, share: float) -> int:
-        """Steps, escapes apart, since the posture error last fell by this share below its lowest before."""
+    def travel_without_progress(self, share: float) -> float:
+        """Joint travel since the posture error last fell by this share below its lowest before [rad].
+
+        It is the travel that the limits allowed, escapes apart, so that it means the same at any rate.
+        """
         if self.posture_error < self._best * (1.0 - share):
-            self._best, self._best_at = self.posture_error, self.steps
-        return self.steps - self._best_at
+            self._best, self._idle = self.posture_error, 0.0
+        return self._idle
 
     def trajectory(
         self, arm: Arm, controller: Controller, limits: Limits, status: str, reason: str

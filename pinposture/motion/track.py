@@ -21,11 +21,14 @@ Callback = Callable[[int, ArmState, Step], object]
 
 logger = logging.getLogger(__name__)
 
-PATIENCE = 60
-"""Steps without a new lowest posture error after which a run counts as stalled."""
+PATIENCE = 6.0
+"""Joint travel without a new lowest posture error after which a run is stalled [rad]: 60 usual steps."""
 
 PROGRESS = 1e-3
-"""Relative fall of the posture error that counts as progress within those steps."""
+"""Relative fall of the posture error that counts as progress within it."""
+
+ROUNDING = 1e-9
+"""Share by which a sum of steps may be off."""
 
 
 def track(
@@ -53,9 +56,10 @@ def track(
             run stops if it returns True.
 
     Returns:
-        The motion and everything recorded on the way. `status` is "converged", "stalled" (no progress
-        for 60 steps, escapes not counted), "no_control_points" (the controller found none that it may
-        move), "max_steps" or "stopped" (by the callback); `reason` says it in words.
+        The motion and everything recorded on the way. `status` is "converged", "stalled" (no progress in 6
+        rad of allowed joint travel, 60 steps of 0.1 rad, escapes not counted), "no_control_points" (the
+        controller found none that it may move), "max_steps" or "stopped" (by the callback); `reason` says it
+        in words.
 
     Raises:
         InvalidValue: q0, the target, max_steps or the tolerance do not fit.
@@ -87,7 +91,7 @@ def track(
             status, reason = "no_control_points", step.diagnostics.reason
             break
         state = arm.at(arm.integrate(state.q, step.dq))
-        recorder.add(state, step)
+        recorder.add(state, step, limits.travel(state))
         if callback is not None and callback(recorder.steps, state, step) is True:
             status, reason = "stopped", f"stopped by the callback after {recorder.steps} steps"
     if status in ("stalled", "max_steps") and target.q is None:
@@ -103,7 +107,10 @@ def _verdict(recorder: Recorder, tolerance: float, max_steps: int) -> tuple[str,
         return "converged", f"mean point error {mean:.3g} m is within the tolerance of {tolerance:.3g} m"
     if recorder.steps >= max_steps:
         return "max_steps", f"mean point error {mean:.3g} m, above the tolerance of {tolerance:.3g} m"
-    stuck = recorder.steps_without_progress(PROGRESS)
-    if stuck >= PATIENCE:
-        return "stalled", f"mean point error {mean:.3g} m, no progress in the last {stuck} steps"
+    idle = recorder.travel_without_progress(PROGRESS)
+    if idle >= PATIENCE * (1.0 - ROUNDING):
+        return (
+            "stalled",
+            f"mean point error {mean:.3g} m, no progress in the last {idle:.3g} rad of joint travel",
+        )
     return "", ""

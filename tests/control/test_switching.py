@@ -6,12 +6,13 @@ from dataclasses import replace
 from itertools import groupby, pairwise
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pinposture as pp
-from pinposture.control import Memory, controller_named
+from pinposture.control import CONTROLLERS, Memory, controller_named
 from pinposture.errors import InvalidValue
 from pinposture.study import smooth_configuration
 from pinposture.thesis.curves import HELIX, LINE
@@ -169,3 +170,39 @@ def test_a_region_of_the_arm_gets_there_too(region: tuple[int, int]) -> None:
     target = pp.Target.from_configuration(LONG, posture(LONG, 7, 0.8)).region(*region)
     run = pp.track(LONG, target, posture(LONG, 8, 0.8), "switching", max_steps=400)
     assert run.point_errors[-1].max() < 1e-3 * LONG.length
+
+
+@pytest.mark.parametrize("largest", [0.01, 0.003])
+def test_small_steps_get_there_as_well(largest: float) -> None:
+    """Patience of the controller and of the loop are joint travel, not numbers of steps."""
+    rng = np.random.default_rng(1)
+    arm = pp.Arm.from_template("RyRz", 8)
+    target = pp.Target.from_configuration(arm, arm.random(rng))
+    run = pp.track(
+        arm, target, arm.random(rng), limits=pp.Limits(step=largest), max_steps=round(60 / largest)
+    )
+    assert run.converged
+
+
+@pytest.mark.parametrize("point", [0, 1, 2])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_single_point_near_the_base_gets_there_though_selection_never_may_move_it(
+    point: int, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    arm = pp.Arm.from_template("RyRz", 10)
+    target = pp.Target.from_configuration(arm, arm.random(rng)).region(point, point)
+    run = pp.track(arm, target, arm.random(rng))
+    assert run.converged, run.reason
+
+
+def test_joints_off_the_chain_stay_where_they_are() -> None:
+    model = pin.Model(ARM.model)
+    camera = model.addJoint(4, pin.JointModelRX(), pin.SE3.Identity(), "camera")
+    arm = pp.Arm.from_model(model, ARM.control_points)
+    column = arm.model.joints[camera].idx_v
+    rng = np.random.default_rng(0)
+    start, goal = rng.uniform(-0.6, 0.6, (2, arm.nq))
+    for name in CONTROLLERS:
+        run = pp.track(arm, pp.Target.from_configuration(arm, goal), start, name, max_steps=60)
+        assert np.all(run.q[:, column] == run.q[0, column]), name
