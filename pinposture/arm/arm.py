@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Sequence
 from functools import cached_property
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -181,7 +182,7 @@ class Arm(Blueprint):
         Raises:
             InvalidValue: not a finite length above 0.
         """
-        if not (np.isfinite(sliding_unit) and sliding_unit > 0.0):
+        if not (isinstance(sliding_unit, Real) and np.isfinite(sliding_unit) and sliding_unit > 0.0):
             raise InvalidValue("sliding_unit", sliding_unit, "a finite length above 0 [m]")
         return Arm(
             self.model, self.control_points, self.base_placement, self.urdf, self.report, float(sliding_unit)

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 import pinocchio as pin
 
+from pinposture.arm.checks import rigid_placement
 from pinposture.arm.configurations import ConfigurationSpace
 from pinposture.arm.loading import Modules, load_model, place_base
 from pinposture.arm.report import LoadReport
@@ -147,7 +148,7 @@ class Blueprint(ConfigurationSpace):
             UnknownName: `base`, `tip` or a locked joint does not exist.
             InvalidValue: `modules` does not fit the chain, or a value that is none.
         """
-        placement = pin.SE3.Identity() if base_placement is None else pin.SE3(base_placement)
+        placement = rigid_placement("base_placement", base_placement)
         loaded = load_model(source, base, tip, modules, dict(locked or {}), placement, package_dirs)
         for message in loaded.report.warnings:
             warnings.warn(message, PostureWarning, stacklevel=2)
@@ -174,8 +175,10 @@ class Blueprint(ConfigurationSpace):
             UnknownName: a frame that does not exist.
             InvalidValue: frames that are not in order along one chain.
         """
+        if not isinstance(model, pin.Model):
+            raise InvalidValue("model", model, "a pin.Model")
         own = pin.Model(model)
-        placement = pin.SE3.Identity() if base_placement is None else pin.SE3(base_placement)
+        placement = rigid_placement("base_placement", base_placement)
         place_base(own, placement)
         return cls(own, control_points, placement)
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture.arm import ArmState
+from pinposture.control.checks import require_positive
 from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
@@ -32,7 +33,7 @@ class LimitedStep(NamedTuple):
     clipped: NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Limits:
     """Limits of one control step. Joint position limits of the arm always hold as well.
 
@@ -53,12 +54,23 @@ class Limits:
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, _positive(name, value))
-        if self.dt is not None and not (np.isfinite(self.dt) and self.dt > 0.0):
-            raise InvalidValue("dt", self.dt, "a positive duration [s]")
+        if self.dt is not None:
+            require_positive("dt", self.dt)
+            object.__setattr__(self, "dt", float(self.dt))
         if self.velocity is not None and self.dt is None:
             raise InvalidValue("dt", None, "a positive duration [s], needed to limit the velocity")
-        if not (np.isfinite(self.position_margin) and self.position_margin >= 0.0):
-            raise InvalidValue("position_margin", self.position_margin, "a finite number >= 0 [rad or m]")
+        require_positive("position_margin", self.position_margin, zero=True)
+        object.__setattr__(self, "position_margin", float(self.position_margin))
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Limits):
+            return NotImplemented
+        return all(
+            np.array_equal(getattr(self, each.name), getattr(other, each.name)) for each in fields(self)
+        )
+
+    def __hash__(self) -> int:
+        return hash((str(self.step), str(self.velocity), self.dt, self.position_margin))
 
     def bound(self, state: ArmState) -> Array:
         """Largest |dq| of each joint in one step, (nv,) [rad or m]; infinite where there is no limit."""
@@ -107,9 +119,13 @@ class Limits:
 
 
 def _positive(name: str, value: ArrayLike) -> float | Array:
-    array = np.array(value, dtype=np.float64)
-    if array.ndim > 1 or array.size == 0 or not np.all(array > 0.0) or np.any(np.isnan(array)):
-        raise InvalidValue(name, value, "a positive number, or one for each degree of freedom")
+    allowed = "a positive number, or one for each degree of freedom"
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InvalidValue(name, value, allowed) from None
+    if isinstance(value, bool) or array.ndim > 1 or array.size == 0 or not np.all(array > 0.0):
+        raise InvalidValue(name, value, allowed)
     if array.ndim == 0:
         return float(array)
     array.flags.writeable = False

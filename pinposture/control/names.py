@@ -17,7 +17,7 @@ from pinposture.control.controller import Controller
 from pinposture.control.projection import Projection
 from pinposture.control.selection import Selection
 from pinposture.control.switching import Switching
-from pinposture.errors import UnknownName
+from pinposture.errors import InvalidValue, UnknownName
 
 CONTROLLERS: dict[str, Callable[[], Controller]] = {
     "selection": Selection,
@@ -39,8 +39,11 @@ def controller_named(controller: str | Controller) -> Controller:
 
     Raises:
         UnknownName: no controller has that name.
+        InvalidValue: neither a name nor a controller.
     """
     if not isinstance(controller, str):
+        if isinstance(controller, type) or not callable(getattr(controller, "step", None)):
+            raise InvalidValue("controller", controller, "a name, or an object with a method `step`")
         return controller
     if controller not in CONTROLLERS:
         raise UnknownName("controller", controller, CONTROLLERS)

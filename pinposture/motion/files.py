@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ import numpy as np
 from pinposture.arm import Arm
 from pinposture.control import Limits
 from pinposture.curve import Curve
-from pinposture.errors import FileError, PostureError
+from pinposture.errors import FileError, InvalidValue
 from pinposture.motion.trajectory import Trajectory
 from pinposture.storage import write_bytes
 from pinposture.target import Target
@@ -87,8 +86,10 @@ def load_trajectory(path: Path) -> Trajectory:
             name: value if value is None or value.ndim else float(value)
             for name, value in ((name, arrays.get(f"limits_{name}")) for name in ("step", "velocity"))
         }
+        arm = Arm.from_dict(about["arm"])
+        _check_shapes(arm, arrays)
         return Trajectory(
-            arm=Arm.from_dict(about["arm"]),
+            arm=arm,
             target=Target(**target, curve=curve, method=about["method"], incomplete=about["incomplete"]),
             limits=Limits(**limits, dt=about["dt"], position_margin=about["position_margin"]),
             controller=about["controller"],
@@ -98,14 +99,21 @@ def load_trajectory(path: Path) -> Trajectory:
         )
     except FileError:
         raise
-    except (
-        OSError,
-        ValueError,
-        KeyError,
-        TypeError,
-        AttributeError,
-        EOFError,
-        zipfile.BadZipFile,
-        PostureError,
-    ) as error:
+    except Exception as error:  # a damaged file can trip zlib, numpy's reader or Pinocchio's, anything
         raise FileError(path, f"is not a saved run ({type(error).__name__}: {error})") from error
+
+
+def _check_shapes(arm: Arm, arrays: dict[str, Any]) -> None:
+    """Raise InvalidValue unless the arrays of a run fit each other and the arm."""
+    steps, m = len(arrays["active"]), arm.n_modules
+    shapes = {
+        "q": (steps + 1, arm.nq),
+        "points": (steps + 1, m, 3),
+        "point_errors": (steps + 1, m),
+        "active": (steps, m),
+        "clipped": (steps, arm.nv),
+    }
+    for name in _RUN_ARRAYS:
+        expected = shapes.get(name, (steps,))
+        if arrays[name].shape != expected:
+            raise InvalidValue(f"{name} (shape)", arrays[name].shape, str(expected))

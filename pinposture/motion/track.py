@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture.arm import Arm, ArmState
 from pinposture.control import Controller, Limits, Step, controller_named
+from pinposture.control.checks import require_positive, require_whole
 from pinposture.control.controller import Memory
 from pinposture.errors import InvalidValue
 from pinposture.motion.record import Recorder
@@ -67,15 +68,12 @@ def track(
     """
     controller = controller_named(controller)
     limits = Limits() if limits is None else limits
-    if target.points.shape != (arm.n_modules, 3):
-        raise InvalidValue("target.points (shape)", target.points.shape, f"({arm.n_modules}, 3) for this arm")
-    if not np.any(target.placed):
-        raise InvalidValue("target.weights", 0.0, "at least one control point with a weight > 0")
-    if isinstance(max_steps, bool) or not isinstance(max_steps, int) or max_steps < 1:
-        raise InvalidValue("max_steps", max_steps, "a whole number of at least 1")
+    if not isinstance(limits, Limits):
+        raise InvalidValue("limits", limits, "Limits(...), or None")
+    _check_target(arm, target)
+    require_whole("max_steps", max_steps, 1)
     tolerance = 1e-6 * arm.length if tolerance is None else tolerance
-    if not (np.isfinite(tolerance) and tolerance > 0.0):
-        raise InvalidValue("tolerance", tolerance, "a positive distance [m]")
+    require_positive("tolerance", tolerance)
 
     state = arm.at(arm.checked(q0, "q0"))
     recorder = Recorder(target, state)
@@ -98,6 +96,26 @@ def track(
         reason += "; the target knows no configuration, with which Switching finds the way: see fit_points"
     logger.info("%s: %s after %d steps: %s", controller.name, status, recorder.steps, reason)
     return recorder.trajectory(arm, controller, limits, status, reason)
+
+
+def _check_target(arm: Arm, target: Target) -> None:
+    """Raise InvalidValue unless the target is one of this arm."""
+    if not isinstance(target, Target):
+        raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
+    m = arm.n_modules
+    if target.points.shape != (m, 3):
+        raise InvalidValue("target.points (shape)", target.points.shape, f"({m}, 3) for this arm")
+    if target.weights.shape != (m,):
+        raise InvalidValue("target.weights (shape)", target.weights.shape, f"({m},) for this arm")
+    if not np.any(target.placed):
+        raise InvalidValue("target.weights", 0.0, "at least one control point with a weight > 0")
+    for name, values in (("points", target.points), ("weights", target.weights)):
+        if not np.all(np.isfinite(values)):
+            where = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
+            allowed = "finite numbers, also for points of weight 0"
+            raise InvalidValue(f"target.{name}{list(where)}", float(values[where]), allowed)
+    if target.q is not None:
+        arm.checked(target.q, "target.q")
 
 
 def _verdict(recorder: Recorder, tolerance: float, max_steps: int) -> tuple[str, str]:

@@ -284,7 +284,7 @@ def test_limits_flag_what_they_did() -> None:
         (lambda: pp.Limits(step=0.0), InvalidValue, "step is 0"),
         (lambda: pp.Limits(step=[0.1, float("nan")]), InvalidValue, "step"),
         (lambda: pp.Limits(velocity=1.0), InvalidValue, "dt"),
-        (lambda: pp.Limits(dt=-1.0), InvalidValue, "duration"),
+        (lambda: pp.Limits(dt=-1.0), InvalidValue, "dt is -1"),
         (lambda: pp.Limits(position_margin=-0.1), InvalidValue, "position_margin"),
         (lambda: pp.Selection(absolute=1.0), InvalidValue, "absolute"),
         (lambda: pp.Selection(gain=0.0), InvalidValue, "gain"),

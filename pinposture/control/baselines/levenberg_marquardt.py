@@ -23,7 +23,7 @@ class LevenbergMarquardt(Baseline):
     Each step solves (J^T W J + lambda I) dq = J^T W e, with W = diag(weights) / length^2 of the arm and
     lambda = e^T W e / 2 + bias: careful from afar, nearly Gauss-Newton close by, regular everywhere.
 
-    The singular values of its diagnostics are those of W^(1/2) J, in metres.
+    The singular values of its diagnostics are those of diag(weights)^(1/2) J.
 
     Attributes:
         bias: damping that stays at the target, in squared arm lengths [1/rad^2].
