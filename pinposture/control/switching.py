@@ -54,7 +54,9 @@ class Switching:
     folds it up, and Selection would lead back to the same place. So from the second failover on, Projection
     aims at a waypoint: the posture a short way ahead through joint space to the configuration that takes the
     target posture, if the target knows one (`Target.q`; `fit_points` finds it for measured points). Each of
-    these stints is twice as long as the one before, so that the methods cannot take turns for ever.
+    these stints is twice as long as the one before, so that the methods cannot take turns for ever; where
+    Selection has no control points after one, the next begins at once. Where Projection cannot move any point
+    either, the joints go on along that line by themselves.
 
     Durations are counted in joint travel, that which the limits allow in each step, so that they mean the
     same at any rate of control.
