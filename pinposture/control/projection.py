@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Literal, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,7 +118,7 @@ class Projection:
             Matrix (r, nv) [m/rad], projected errors (r,) [m], control points used (0-based), and the
             smallest ratio of a kept singular value to the largest of its module.
         """
-        sections = _sections(state.arm, eligible.tobytes())
+        sections = _sections(state.arm, eligible)
         jacobians, wanted = state.task_jacobians[sections.ends], errors[sections.ends]
         own = jacobians * sections.own[:, None, :]
         # Modules are far shorter than the arm: decompose their own columns only, padded to equal number.
@@ -156,9 +156,22 @@ class _Sections(NamedTuple):
     lengths: Array
 
 
-@lru_cache(maxsize=16)
-def _sections(arm: Arm, eligible: bytes) -> _Sections:
-    ends = np.flatnonzero(np.frombuffer(eligible, dtype=np.bool_))
+_KNOWN: WeakKeyDictionary[Arm, dict[bytes, _Sections]] = WeakKeyDictionary()
+_MOST = 16  # regions of one arm that are remembered
+
+
+def _sections(arm: Arm, eligible: NDArray[np.bool_]) -> _Sections:
+    """The sections of an arm; remembered as long as the arm lives, because every step asks for the same."""
+    known = _KNOWN.setdefault(arm, {})
+    key = eligible.tobytes()
+    if key not in known:
+        if len(known) >= _MOST:
+            known.clear()
+        known[key] = _cut(arm, np.flatnonzero(eligible))
+    return known[key]
+
+
+def _cut(arm: Arm, ends: NDArray[np.intp]) -> _Sections:
     own = _differences(arm.frames.support[ends, 0])
     columns = np.argsort(-own, axis=1, kind="stable")[:, : int(own.sum(axis=1).max(initial=0.0))]
     lengths = _differences(np.cumsum(arm.chain.module_lengths)[ends])

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,9 +59,20 @@ def beginning(arm: Arm, curve: Curve) -> tuple[float, bool]:
     return float(nearest), float(distance) <= slack
 
 
-@lru_cache(maxsize=64)
+_AXES: WeakKeyDictionary[Arm, Array] = WeakKeyDictionary()
+
+
 def arm_axis(arm: Arm) -> Array:
-    """Direction in which the arm stretches from its base, unit vector (3,), world frame."""
+    """Direction in which the arm stretches from its base, unit vector (3,), world frame.
+
+    Remembered as long as the arm lives, and no longer: it holds much memory.
+    """
+    if arm not in _AXES:
+        _AXES[arm] = _stretch(arm)
+    return _AXES[arm]
+
+
+def _stretch(arm: Arm) -> Array:
     reach = arm.at(arm.straight()).points[-1] - arm.chain.base
     axis: Array = np.asarray(reach / max(float(np.linalg.norm(reach)), 1e-300))
     axis.flags.writeable = False

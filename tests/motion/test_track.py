@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import logging
+import weakref
 
 import numpy as np
 import pytest
@@ -171,3 +173,13 @@ def test_a_run_that_does_not_get_there_for_want_of_a_configuration_says_so() -> 
     assert "fit_points" in run.reason
     assert "fit_points" not in pp.track(ARM, known, START, "selection", max_steps=3).reason
     assert pp.track(ARM, pp.fit_points(ARM, known.points), START).converged
+
+
+def test_nothing_keeps_an_arm_alive_after_it_was_used() -> None:
+    """Pinocchio's scratch data of an arm grows with the cube of its joints."""
+    arm = pp.Arm.from_template("RyRz", 3)
+    pp.track(arm, pp.resolve_targets(arm, HELIX), arm.straight(), max_steps=3)
+    gone = weakref.ref(arm)
+    del arm
+    gc.collect()
+    assert gone() is None
