@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pinposture.cli.inputs import ARM, MOTION, JobsOption, JsonOption, check_jobs
+from pinposture.cli.inputs import ARM, MOTION, JobsOption, JsonOption
 from pinposture.cli.output import print_json, print_note, print_table, print_warning
 from pinposture.errors import InvalidValue
 
@@ -66,7 +66,6 @@ def run(
 
     if seed < 0:
         raise InvalidValue("--seed", seed, "a whole number of at least 0")
-    check_jobs(jobs)
     results = survey_arms(directory, least_joints, seed, jobs, _report)
     if as_json:
         asked = {"directory": str(directory), "least_joints": least_joints, "seed": seed}

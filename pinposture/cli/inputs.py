@@ -60,12 +60,6 @@ JobsOption = Annotated[
 ]
 
 
-def check_jobs(jobs: int) -> None:
-    """Raise InvalidValue unless that can be a number of processes."""
-    if jobs < 1 and jobs != -1:
-        raise InvalidValue("--jobs", jobs, "a whole number of at least 1, or -1")
-
-
 def read_arm(urdf: str, base: str | None, tip: str | None, modules: str | None) -> Arm:
     """Load an arm as `Arm.from_urdf` does; "-" reads the URDF from stdin.
 

@@ -14,7 +14,6 @@ from pinposture.cli.inputs import (
     JsonOption,
     ModulesOption,
     TipOption,
-    check_jobs,
     read_arm,
 )
 from pinposture.cli.output import print_json, print_note, print_table
@@ -66,7 +65,6 @@ def run(
     for option, value in (("--seeds", seeds), ("--steps", steps)):
         if value < 1:
             raise InvalidValue(option, value, "a whole number of at least 1")
-    check_jobs(jobs)
     names = list(CONTROLLERS) if controllers is None else [name.strip() for name in controllers.split(",")]
     if urdf is None:
         from pinposture.arm import Arm

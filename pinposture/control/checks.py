@@ -25,7 +25,12 @@ def require_share(name: str, value: float) -> None:
         raise InvalidValue(name, value, "a number in [0, 1)")
 
 
+def is_whole(value: object) -> bool:
+    """Whether it is a whole number, of Python or of numpy; truth values are not."""
+    return isinstance(value, Integral) and not isinstance(value, bool)
+
+
 def require_whole(name: str, value: int, least: int) -> None:
     """Raise InvalidValue unless the value is a whole number of at least that much."""
-    if not (isinstance(value, Integral) and not isinstance(value, bool) and value >= least):
+    if not (is_whole(value) and value >= least):
         raise InvalidValue(name, value, f"a whole number of at least {least}")

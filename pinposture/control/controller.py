@@ -18,8 +18,9 @@ class Diagnostics(NamedTuple):
     """How a step came about.
 
     Attributes:
-        manipulability: smallest manipulability index among the conditions that the active set had to
-            clear, in [0, 1]; 0 if no control point is active.
+        manipulability: smallest manipulability index of an active point, relative to the base and to the
+            active point before, in [0, 1]; of Projection, of a section within its manipulability space. 0 if
+            no control point is active.
         sigma_min: smallest singular value of the posture control matrix [m/rad]; 0 if it is empty.
         sigma_max: largest singular value of the posture control matrix [m/rad]; 0 if it is empty.
         rows: number of rows of the posture control matrix.

@@ -41,6 +41,8 @@ class Phase(NamedTuple):
 
 FIRST = Phase("selection", np.inf, 0.0, 0.0, 0)
 
+HANDED_BACK = "Projection has had its time, and Selection has control points"
+
 ROUNDING = 1e-6
 """Share of a step by which sums of steps may be off."""
 
@@ -107,7 +109,7 @@ class Switching:
             return self._project(state, target, limits, self._failover(entered, target), travel, why)
         step = self.selection.step(state, target, limits)
         if not step.diagnostics.reason:
-            return _labelled(step, entered, "Selection has control points again" if idle else "")
+            return _labelled(step, entered, HANDED_BACK if idle else "")
         if idle and target.q is None:  # there is nothing to hand back to yet
             return self._project(state, target, limits, phase, travel, "")
         failed = self._failover(entered, target)
@@ -121,19 +123,26 @@ class Switching:
     def _project(
         self, state: ArmState, target: Target, limits: Limits, phase: Phase, travel: float, why: str
     ) -> Step:
-        phase = phase._replace(left=phase.left - travel)
-        if phase.failovers > 1 and target.q is not None:
-            return _labelled(self._escape(state, target, target.q, limits), phase, why)
-        step = self.projection.step(state, target, limits)
-        if not step.diagnostics.reason:
-            return _labelled(step, phase, why)
-        if target.q is not None:
+        phase, goal = phase._replace(left=phase.left - travel), target.q
+        if goal is None or phase.failovers < 2:
+            step = self.projection.step(state, target, limits)
+            if not step.diagnostics.reason:
+                return _labelled(step, phase, why)
+            if goal is None:
+                return self._last_resort(state, target, limits, phase, step, why)
             phase = phase._replace(failovers=2)
-            return _labelled(self._escape(state, target, target.q, limits), phase, why)
-        selected = self.selection.step(state, target, limits)
-        if selected.diagnostics.reason:
-            return _labelled(step, phase, why)
-        return _labelled(selected, FIRST._replace(failovers=phase.failovers), step.diagnostics.reason)
+        return _labelled(self._escape(state, target, goal, limits), phase, why)
+
+    def _last_resort(
+        self, state: ArmState, target: Target, limits: Limits, phase: Phase, held: Step, why: str
+    ) -> Step:
+        """Selection after all, where Projection cannot move and no way is known; else nothing moves."""
+        step = self.selection.step(state, target, limits)
+        if step.diagnostics.reason:
+            return _labelled(held, phase, why)
+        # A reason to fail over means that Selection had control: it keeps it, and nothing changes.
+        changed = "" if why else held.diagnostics.reason
+        return _labelled(step, FIRST._replace(failovers=phase.failovers), changed)
 
     def _escape(self, state: ArmState, target: Target, goal: Array, limits: Limits) -> Step:
         """A step of Projection to the posture a short way ahead on the straight line through joint space.

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from joblib import Parallel, delayed
+from joblib import delayed
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
@@ -16,6 +16,7 @@ from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.errors import FileError, PostureError
 from pinposture.motion import track
+from pinposture.study.processes import in_order
 from pinposture.target import Target, resolve_targets
 
 Array = NDArray[np.float64]
@@ -97,7 +98,7 @@ def survey_arms(
         raise FileError(directory, "holds no file that ends in .urdf")
     results = []
     tasks = (delayed(_survey)(path, least_joints, seed) for path in files)
-    for result in Parallel(n_jobs=jobs, return_as="generator")(tasks):
+    for result in in_order(tasks, jobs):
         if result is not None:
             results.append(result)
             if progress is not None:

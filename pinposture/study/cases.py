@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from joblib import Parallel, delayed
+from joblib import delayed
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
@@ -14,6 +14,7 @@ from pinposture.control import Controller, Limits, controller_named
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory, track
+from pinposture.study.processes import in_order
 from pinposture.target import Target, resolve_targets
 from pinposture.thesis.curves import TARGET_CURVES
 from pinposture.thesis.scenarios import Scenario
@@ -229,7 +230,7 @@ def study(
     todo = [(scenario, controller, seed) for scenario in scenarios for controller in listed for seed in seeds]
     outcomes = []
     tasks = (delayed(_one)(arm, *item, limits, max_steps) for item in todo)
-    for result in Parallel(n_jobs=jobs, return_as="generator")(tasks):
+    for result in in_order(tasks, jobs):
         outcomes.append(result)
         if progress is not None:
             progress(result)

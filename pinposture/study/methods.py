@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from joblib import Parallel, delayed
+from joblib import delayed
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
@@ -15,6 +15,7 @@ from pinposture.control import Controller, Limits, controller_named
 from pinposture.errors import InvalidValue
 from pinposture.motion import track
 from pinposture.study.cases import smooth_configuration
+from pinposture.study.processes import in_order
 from pinposture.target import Target
 
 Array = NDArray[np.float64]
@@ -96,7 +97,7 @@ def compare_methods(
             raise InvalidValue(name, values, "at least one")
     listed = [controller_named(controller) for controller in controllers]
     tasks = (delayed(_one)(arm, controller, seed, max_steps) for controller in listed for seed in seeds)
-    arriving = iter(Parallel(n_jobs=jobs, return_as="generator")(tasks))
+    arriving = in_order(tasks, jobs)
     results = []
     for controller in listed:
         results.append(_summary(controller.name, [next(arriving) for _ in seeds]))

@@ -20,8 +20,8 @@ class Target:
 
     Attributes:
         points: target positions, (m, 3) [m], world frame.
-        weights: 1 for a control point that has a target, 0 for one that is free, (m,). `fit_points` weighs by
-            them; controllers only ask whether they are above 0.
+        weights: 1 for a control point that has a target, 0 for one that is free, (m,). `fit_points` and
+            `LevenbergMarquardt` weigh by them; other controllers only ask whether they are above 0.
         q: a configuration that takes the target posture, (nq,), or None if none is known.
         curve: the curve as placed in the world, or None.
         parameters: arc length along the curve at each point, (m,) [m], or None.

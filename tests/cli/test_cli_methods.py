@@ -40,7 +40,7 @@ def test_json_and_table_are_what_the_library_found(command, urdf):
         (("--controllers", "simplex"), "simplex"),
         (("--seeds", "0"), "--seeds"),
         (("--steps", "0"), "--steps"),
-        (("--jobs", "0"), "--jobs"),
+        (("--jobs", "0"), "jobs is 0"),
     ],
 )
 def test_wrong_usage_is_one_line(command, arguments, message):

@@ -71,7 +71,7 @@ def test_every_change_of_method_is_recorded_with_its_reason(hard: pp.Trajectory)
     assert [switch.step for switch in hard.switches] == changes
     assert len(changes) > 2
     for switch in hard.switches:
-        expected = "has control points again" if switch.method == "selection" else "did not fall by 10 %"
+        expected = "Selection has control points" if switch.method == "selection" else "did not fall by 10 %"
         assert expected in switch.reason
 
 
@@ -206,3 +206,20 @@ def test_joints_off_the_chain_stay_where_they_are() -> None:
     for name in CONTROLLERS:
         run = pp.track(arm, pp.Target.from_configuration(arm, goal), start, name, max_steps=60)
         assert np.all(run.q[:, column] == run.q[0, column]), name
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize(
+    "threshold", [0.4, 0.99]
+)  # with the second, Projection hardly ever can move anything
+@pytest.mark.parametrize("point", [0, 3, 11])
+def test_a_switch_is_recorded_exactly_where_the_method_changes(
+    known: bool, threshold: float, point: int
+) -> None:
+    target = pp.Target.from_configuration(ARM, posture(ARM, 7, 0.9)).region(0, point)
+    if not known:
+        target = replace(target, q=None)
+    method = pp.Switching(projection=pp.Projection(threshold=threshold, coupling="relative"))
+    run = pp.track(ARM, target, posture(ARM, 8, 0.9), method, max_steps=80)
+    before = np.concatenate([["selection"], run.method[:-1]])
+    assert [switch.step for switch in run.switches] == np.flatnonzero(run.method != before).tolist()

@@ -16,11 +16,10 @@ from pinposture.control.baselines.tasks import (
     regular_part,
     task_of,
 )
-from pinposture.control.checks import require_positive
+from pinposture.control.checks import require_positive, require_whole
 from pinposture.control.controller import Step
 from pinposture.control.limits import Limits
 from pinposture.control.solve import Decomposition, decompose
-from pinposture.errors import InvalidValue
 from pinposture.target import Target
 
 Array = NDArray[np.float64]
@@ -50,9 +49,8 @@ class TaskConstraints(Baseline):
     name: str = "task-constraints"
 
     def __post_init__(self) -> None:
-        given = self.constraints
-        if given is not None and (isinstance(given, bool) or not isinstance(given, int) or given < 0):
-            raise InvalidValue("constraints", given, "a whole number >= 0, or None")
+        if self.constraints is not None:
+            require_whole("constraints", self.constraints, 0)
         require_positive("gain", self.gain)
 
     def _step(self, state: ArmState, target: Target, limits: Limits | None) -> Step:

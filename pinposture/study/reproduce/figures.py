@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from joblib import Parallel, delayed
+from joblib import delayed
 
 from pinposture.errors import UnknownName
 from pinposture.motion import Trajectory
+from pinposture.study.processes import in_order
 from pinposture.study.reproduce.runs import MAX_STEPS, Batch, run_one
 from pinposture.thesis.figures import FIGURES, ThesisFigure
 from pinposture.thesis.scenarios import SCENARIOS
@@ -58,7 +59,7 @@ def run_figures(
     todo = _todo(listed)
     tasks = (delayed(run_one)(Batch(scenario, name), seed, max_steps) for scenario, name, seed in todo)
     done = {}
-    for key, run in zip(todo, Parallel(n_jobs=jobs, return_as="generator")(tasks), strict=True):
+    for key, run in zip(todo, in_order(tasks, jobs), strict=True):
         done[key] = run
         if progress is not None:
             progress(1)

@@ -6,11 +6,12 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
-from joblib import Parallel, delayed
+from joblib import delayed
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ArmState
 from pinposture.study.cases import arbitrary_configuration
+from pinposture.study.processes import in_order
 from pinposture.study.reproduce.runs import BUNDLE, thesis_arm
 from pinposture.study.reproduce.verdicts import Finding, Share, share
 
@@ -64,7 +65,7 @@ def count_postures(seeds: int, jobs: int = 1) -> list[Counted]:
         for name in ARM_NAMES
         for first in range(0, seeds, BUNDLE)
     ]
-    found = Parallel(n_jobs=jobs)(delayed(_count)(name, bundle) for name, bundle in bundles)
+    found = in_order((delayed(_count)(name, bundle) for name, bundle in bundles), jobs)
     return [each for listed in found for each in listed]
 
 

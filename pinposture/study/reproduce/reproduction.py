@@ -8,8 +8,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from pinposture.control.checks import require_whole
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.storage import check_writable, write_bytes, write_text
+from pinposture.study.processes import check_jobs
 from pinposture.study.reproduce.evaluate import BATCHES, Evidence, Judged, gather, judge_claims
 from pinposture.study.reproduce.figures import FigureRuns, count_runs, draw_figure, run_figures
 from pinposture.study.reproduce.report import FORMAT, VERSION, claims_as_markdown, describe
@@ -67,10 +69,8 @@ def reproduce(
     """
     numbers, with_claims = _asked(names)
     for name, value in (("seeds", seeds), ("max_steps", max_steps)):
-        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-            raise InvalidValue(name, value, "a whole number of at least 1")
-    if isinstance(jobs, bool) or not isinstance(jobs, int) or (jobs < 1 and jobs != -1):
-        raise InvalidValue("jobs", jobs, "a whole number of at least 1, or -1")
+        require_whole(name, value, 1)
+    check_jobs(jobs)
     if directory is not None:
         check_writable(Path(directory))  # now, so that nobody waits for results that cannot be kept
     total = count_runs(numbers) + with_claims * seeds * len(BATCHES)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from joblib import Parallel, delayed
+from joblib import delayed
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
@@ -18,6 +18,7 @@ from pinposture.control import Controller, Limits, Projection, Selection, contro
 from pinposture.errors import UnknownName
 from pinposture.motion import Trajectory, track
 from pinposture.study.cases import Outcome, case, outcome
+from pinposture.study.processes import in_order
 from pinposture.study.reproduce.measures import (
     Descent,
     Steps,
@@ -231,7 +232,7 @@ def make_pool(
     todo = [(batch, bundle) for batch in listed for bundle in bundles]
     pool: dict[tuple[str, str], list[Measured]] = {(b.scenario, b.variant): [] for b in listed}
     tasks = (delayed(_work_off)(batch, bundle, max_steps) for batch, bundle in todo)
-    results = Parallel(n_jobs=jobs, return_as="generator")(tasks)
+    results = in_order(tasks, jobs)
     for (batch, bundle), found in zip(todo, results, strict=True):
         pool[batch.scenario, batch.variant].extend(found)
         if progress is not None:
