@@ -223,3 +223,22 @@ def test_a_switch_is_recorded_exactly_where_the_method_changes(
     run = pp.track(ARM, target, posture(ARM, 8, 0.9), method, max_steps=80)
     before = np.concatenate([["selection"], run.method[:-1]])
     assert [switch.step for switch in run.switches] == np.flatnonzero(run.method != before).tolist()
+
+
+def test_selection_keeps_control_where_projection_cannot_move_and_no_way_is_known() -> None:
+    arm = pp.Arm.from_template("Rz", 3)
+    folded = np.array([0.0, 2.5, -2.6])
+    goal = pp.Target.from_configuration(arm, folded + [0.3, 0.1, -0.2]).region(2, 2)
+    method = pp.Switching(
+        projection=pp.Projection(threshold=0.99, coupling="relative"), patience=0.1, progress=0.9
+    )
+    run = pp.track(arm, replace(goal, q=None), folded, method, pp.Limits(step=0.02), max_steps=30)
+    assert run.steps > 5
+    assert set(run.method) == {"selection"}
+    assert run.switches == ()
+    assert run.posture_error[-1] < run.posture_error[0]
+    known = pp.track(arm, goal, folded, method, pp.Limits(step=0.02), max_steps=30)
+    assert "projection" in known.method
+    by_projection = np.flatnonzero(known.method == "projection")
+    assert not known.active[by_projection].any()  # the joints went on by themselves
+    assert np.all(np.abs(known.q[by_projection + 1] - known.q[by_projection]).max(axis=1) > 0.0)
