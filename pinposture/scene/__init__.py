@@ -1,0 +1,23 @@
+"""What is in the way: obstacles, the arm itself, and how far it is from both."""
+
+from pinposture.scene.clearance import Clearance, Closest, Nearness
+from pinposture.scene.mesh import Mesh
+from pinposture.scene.obstacles import Box, Capsule, Cylinder, HalfSpace, Obstacle, Sphere, obstacle_from_dict
+from pinposture.scene.pairs import LeftOut
+from pinposture.scene.scene import Scene
+
+__all__ = [
+    "Box",
+    "Capsule",
+    "Clearance",
+    "Closest",
+    "Cylinder",
+    "HalfSpace",
+    "LeftOut",
+    "Mesh",
+    "Nearness",
+    "Obstacle",
+    "Scene",
+    "Sphere",
+    "obstacle_from_dict",
+]
