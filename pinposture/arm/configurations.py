@@ -44,6 +44,14 @@ class ConfigurationSpace:
         """Joint limits, one entry per degree of freedom."""
         return joint_limits(self.model)
 
+    @cached_property
+    def joint_names(self) -> tuple[str, ...]:
+        """Name of the joint that each degree of freedom belongs to, (nv,), on the chain or off it."""
+        names = [""] * self.nv
+        for joint, name in list(zip(self.model.joints, self.model.names, strict=True))[1:]:
+            names[joint.idx_v : joint.idx_v + joint.nv] = [str(name)] * joint.nv
+        return tuple(names)
+
     def neutral(self) -> Array:
         """The configuration in which every joint is at zero, (nq,)."""
         return np.array(pin.neutral(self.model))

@@ -33,13 +33,28 @@ class ArmState:
         points: positions of the control points, (m, 3) [m], world frame.
         rotations: orientations of the control points, (m, 3, 3), from control-point to world frame.
         jacobians: position Jacobians of the control points, (m, 3, nv) [m/rad], world axes.
+        axes: how each degree of freedom turns what it carries, (3, nv) [rad/rad], world axes: the unit axis
+            of a joint that turns, zero for one that slides.
     """
 
-    def __init__(self, arm: Arm, q: Array, points: Array, rotations: Array, jacobians: Array) -> None:
-        for array in (q, points, rotations, jacobians):
+    def __init__(
+        self, arm: Arm, q: Array, points: Array, rotations: Array, jacobians: Array, axes: Array
+    ) -> None:
+        for array in (q, points, rotations, jacobians, axes):
             array.flags.writeable = False
         self.arm, self.q = arm, q
-        self.points, self.rotations, self.jacobians = points, rotations, jacobians
+        self.points, self.rotations, self.jacobians, self.axes = points, rotations, jacobians, axes
+
+    @cached_property
+    def angular_jacobians(self) -> Array:
+        """Angular Jacobians of the control points, (m, 3, nv) [rad/rad], world axes.
+
+        A column is the rotation vector, per unit of joint motion, by which the joint turns the control point;
+        zero where it does not turn it.
+        """
+        jacobians: Array = self.axes * self.arm.frames.support
+        jacobians.flags.writeable = False
+        return jacobians
 
     @cached_property
     def task_jacobians(self) -> Array:
@@ -139,4 +154,5 @@ def sweep(arm: Arm, data: pin.Data, q: Array) -> ArmState:
     jacobians[:, 1] = v[1] + w[2] * x - w[0] * z
     jacobians[:, 2] = v[2] + w[0] * y - w[1] * x
     jacobians *= frames.support
-    return ArmState(arm, q, points, turns @ frames.turns, jacobians)
+    axes = np.array(w).reshape(3, arm.nv)  # a copy, in case it is Pinocchio's scratch
+    return ArmState(arm, q, points, turns @ frames.turns, jacobians, axes)

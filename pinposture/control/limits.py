@@ -2,21 +2,40 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture.arm import ArmState
+from pinposture.arm import Arm, ArmState
+from pinposture.arm.checks import finite_vector
+from pinposture.control.braking import confined, farthest, full_braking
 from pinposture.control.checks import require_positive
+from pinposture.control.giving_way import relaxed_limits
+from pinposture.control.joint_bounds import JointBounds, joint_bounds
 from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
 
+ROUNDING = 1e-9
+"""What a limit may be exceeded by without being named [rad or m]."""
 
-USUAL_STEP = 0.1
-"""Joint travel of a step where limits allow more, or where there are none [rad]."""
+
+class Box(NamedTuple):
+    """The steps that the limits allow: all dq with lower <= dq <= upper. There always are some.
+
+    Attributes:
+        lower: smallest joint displacement, (nv,) [rad or m].
+        upper: largest joint displacement, (nv,) [rad or m].
+        relaxed: the limits that cannot be kept from here on, in words; see `Limits.box`.
+    """
+
+    lower: Array
+    upper: Array
+    relaxed: tuple[str, ...]
 
 
 class LimitedStep(NamedTuple):
@@ -25,7 +44,8 @@ class LimitedStep(NamedTuple):
     Attributes:
         dq: joint displacement, (nv,) [rad or m].
         scale: factor by which the whole step was shortened to meet the step limit, in (0, 1].
-        clipped: which joints were cut short at a position limit, (nv,).
+        clipped: which joints were cut short at a position limit, or on their way to it because they could not
+            stop there otherwise, (nv,).
     """
 
     dq: Array
@@ -42,80 +62,161 @@ class Limits:
         velocity: largest joint speed [rad/s or m/s]; one number or (nv,). Needs `dt`. None: the arm's own.
         dt: duration of a step [s]. None: speeds are not limited.
         position_margin: distance to keep from each joint position limit [rad or m].
+        acceleration: largest joint acceleration [rad/s^2 or m/s^2]; one number or (nv,). Needs `dt`. In one
+            step dq changes by at most acceleration * dt^2, and joints brake early enough to stop at their
+            position limits. None: no such limit.
     """
 
     step: float | Array | None = 0.1
     velocity: float | Array | None = None
     dt: float | None = None
     position_margin: float = 0.0
+    acceleration: float | Array | None = None
 
     def __post_init__(self) -> None:
-        for name in ("step", "velocity"):
+        for name in ("step", "velocity", "acceleration"):
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, _positive(name, value))
         if self.dt is not None:
             require_positive("dt", self.dt)
             object.__setattr__(self, "dt", float(self.dt))
-        if self.velocity is not None and self.dt is None:
-            raise InvalidValue("dt", None, "a positive duration [s], needed to limit the velocity")
+        for name in ("velocity", "acceleration"):
+            if getattr(self, name) is not None and self.dt is None:
+                raise InvalidValue("dt", None, f"a positive duration [s], needed to limit the {name}")
         require_positive("position_margin", self.position_margin, zero=True)
         object.__setattr__(self, "position_margin", float(self.position_margin))
 
+    @cached_property
+    def _key(self) -> tuple[object, ...]:
+        values = (self.step, self.velocity, self.acceleration)
+        numbers = [value.tobytes() if isinstance(value, np.ndarray) else value for value in values]
+        return (*numbers, self.dt, self.position_margin)
+
     def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Limits):
-            return NotImplemented
-        return all(
-            np.array_equal(getattr(self, each.name), getattr(other, each.name)) for each in fields(self)
-        )
+        return self._key == other._key if isinstance(other, Limits) else NotImplemented
 
     def __hash__(self) -> int:
-        return hash((str(self.step), str(self.velocity), self.dt, self.position_margin))
+        return hash(self._key)
 
     def bound(self, state: ArmState) -> Array:
         """Largest |dq| of each joint in one step, (nv,) [rad or m]; infinite where there is no limit."""
-        arm = state.arm
-        bound = np.full(arm.nv, np.inf)
-        for name, value, factor in (("step", self.step, 1.0), ("velocity", self.velocity, self.dt)):
-            if value is not None and factor is not None:
-                if np.ndim(value) == 1 and len(np.asarray(value)) != arm.nv:
-                    raise InvalidValue(f"{name} (shape)", np.shape(value), f"one number or ({arm.nv},)")
-                bound = np.minimum(bound, np.asarray(value) * factor)
-        if self.dt is not None and self.velocity is None:
-            bound = np.minimum(bound, arm.limits.velocity * self.dt)
-        return bound
+        return self.for_arm(state.arm).bound
 
     def travel(self, state: ArmState) -> float:
-        """Joint travel that limits allow in a step, median over the joints, at most `USUAL_STEP` [rad]."""
-        arm = state.arm
-        return min(USUAL_STEP, float(np.median((self.bound(state) / arm.joint_units)[arm.columns])))
+        """Joint travel that limits allow in a step, median over the joints, at most 0.1 [rad]."""
+        return self.for_arm(state.arm).travel
 
-    def apply(self, state: ArmState, dq: Array) -> LimitedStep:
+    def box(self, state: ArmState, previous: Array | None = None) -> Box:
+        """The steps that each joint may take so that it keeps its limits now and can keep them later.
+
+        That is, it keeps its step, speed and acceleration limits and its position limits, and after the step
+        it can still brake and stop before its position limit: how, and why there always is such a step, is
+        derived in `control.braking`. Some states leave no such step. Then this gives way:
+
+        * Never the step and speed limits: a drive has no more, and people rely on it.
+        * The acceleration limit, if the joint was faster than its bound before. It then takes the bound.
+        * The position limit, if the joint cannot stop before it. It then brakes as hard as it may: stopping
+          harder on paper makes no real joint stop harder.
+        * The position limit, if the joint is outside to begin with. It then comes back, as fast as it can
+          come to rest at the limit, or faster. From rest it never goes farther out.
+
+        Joints that move no control point have no position limits here: they are not ours to bring back.
+
+        Args:
+            state: where the step begins.
+            previous: the step before, (nv,) [rad or m]; None: the arm was at rest.
+
+        Raises:
+            InvalidValue: limits that do not fit the arm, or a previous step that does not.
+        """
+        bounds = self.for_arm(state.arm)
+        bound, brake = bounds.bound, bounds.brake
+        positions = state.arm.positions(state.q)
+        offsets = bounds.edges - positions
+        if brake is None:  # with nothing to brake, any joint may stand still
+            sides, slowest = offsets, np.zeros_like(bound)
+            lower, upper = np.minimum(np.maximum(sides, -bound), bound)
+        else:
+            before = _previous(state.arm, previous)
+            sides, slowest = farthest(offsets, brake), full_braking(before, brake)
+            lower, upper = confined(sides, before, bound, brake)
+        slack = np.minimum(
+            np.minimum(sides[1], bound) - np.maximum(slowest, 0.0),
+            np.minimum(slowest, 0.0) - np.maximum(sides[0], -bound),
+        )
+        if slack.min() >= -ROUNDING:
+            return Box(lower, upper, ())
+        short = np.flatnonzero(slack < -ROUNDING)
+        relaxed = relaxed_limits(state.arm, short, positions, bounds.edges, sides, slowest, bound, ROUNDING)
+        return Box(lower, upper, relaxed)
+
+    def apply(self, state: ArmState, dq: Array, previous: Array | None = None) -> LimitedStep:
         """Shorten a step until it meets the step limit, then cut it at the position limits.
 
         A joint that is outside its position limits to begin with is brought back, no faster than the
         step limit allows.
 
+        With an acceleration limit, the step asked for counts as the way that each joint wants to go: it goes
+        no faster than it can stop at the end of it, or it would swing about its goal. The step is then moved
+        into the `box`.
+
         Args:
             state: where the step begins.
             dq: the step asked for, (nv,) [rad or m].
+            previous: the step before, (nv,) [rad or m]; None: the arm was at rest.
         """
-        bound = self.bound(state)
+        bounds = self.for_arm(state.arm)
+        bound, brake = bounds.bound, bounds.brake
         largest = float(np.max(np.abs(dq) / bound, initial=0.0))
         scale = 1.0 / largest if largest > 1.0 else 1.0
         scaled = dq * scale
-        positions = state.arm.positions(state.q)
-        limits, moved = state.arm.limits, state.arm.frames.support[-1, 0] > 0.0
-        # What does not move the arm is not ours to bring back.
-        lower = np.where(moved, limits.lower + self.position_margin, -np.inf)
-        upper = np.where(moved, limits.upper - self.position_margin, np.inf)
-        if np.any(lower > upper):
-            joint = int(np.argmax(lower - upper))
-            room = (limits.upper[joint] - limits.lower[joint]) / 2.0
-            allowed = f"at most {room:.4g}, half the range of degree of freedom {joint}"
-            raise InvalidValue("position_margin", self.position_margin, allowed)
-        clipped = np.clip(np.clip(scaled, lower - positions, upper - positions), -bound, bound)
-        return LimitedStep(clipped, scale, clipped != scaled)
+        sides = bounds.edges - state.arm.positions(state.q)
+        if brake is not None:
+            sides = farthest(sides, brake)
+        cut = np.clip(np.clip(scaled, sides[0], sides[1]), -bound, bound)
+        clipped = cut != scaled
+        if brake is not None:
+            lower, upper = confined(sides, _previous(state.arm, previous), bound, brake)
+            goal = np.abs(farthest(dq, brake))
+            cut = np.clip(np.clip(scaled, -goal, goal), lower, upper)
+        return LimitedStep(cut, scale, clipped)
+
+    def hold(self, state: ArmState, previous: Array | None = None) -> LimitedStep:
+        """The step of a controller that has nowhere to go: joints stop as soon as their limits allow.
+
+        Without an acceleration limit that is at once. Joints outside their position limits are not brought
+        back: an arm that says why it stands still does so.
+
+        Args:
+            state: where the step begins.
+            previous: the step before, (nv,) [rad or m]; None: the arm was at rest.
+        """
+        bounds = self.for_arm(state.arm)
+        dq = np.zeros(state.arm.nv)
+        if bounds.brake is not None:
+            dq = full_braking(_previous(state.arm, previous), bounds.brake)
+        return LimitedStep(np.clip(dq, -bounds.bound, bounds.bound), 1.0, np.zeros(len(dq), dtype=np.bool_))
+
+    def for_arm(self, arm: Arm) -> JointBounds:
+        """What these limits mean for the joints of an arm; remembered as long as it lives."""
+        known = _KNOWN.setdefault(arm, {})
+        bounds = known.get(self._key)
+        if bounds is None:
+            if len(known) >= _MOST:
+                known.clear()
+            values = (self.step, self.velocity, self.acceleration, self.dt, self.position_margin)
+            bounds = known[self._key] = joint_bounds(arm, *values)
+        return bounds
+
+
+_KNOWN: WeakKeyDictionary[Arm, dict[tuple[object, ...], JointBounds]] = WeakKeyDictionary()
+_MOST = 16  # limits of one arm that are remembered
+
+
+def _previous(arm: Arm, previous: Array | None) -> Array:
+    """The step before, (nv,); zero if there was none."""
+    return np.zeros(arm.nv) if previous is None else finite_vector("previous", previous, arm.nv)
 
 
 def _positive(name: str, value: ArrayLike) -> float | Array:

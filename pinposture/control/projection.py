@@ -64,10 +64,15 @@ class Projection:
         """Compute one step; see `Controller.step`."""
         errors = task_errors(state, target)
         secondary = self.null_gain * descent(state, errors, np.linalg.norm(errors, axis=1))
-        return self.step_with(secondary, state, target, limits)
+        return self.step_with(secondary, state, target, limits, memory)
 
     def step_with(
-        self, secondary: Array, state: ArmState, target: Target, limits: Limits | None = None
+        self,
+        secondary: Array,
+        state: ArmState,
+        target: Target,
+        limits: Limits | None = None,
+        memory: Memory | None = None,
     ) -> Step:
         """Compute one step with something else to follow in the null space than the descent of (4.7).
 
@@ -77,18 +82,21 @@ class Projection:
             state: where the arm is.
             target: where its control points should be.
             limits: what the step may not exceed; `Limits()` if None.
+            memory: what the previous step returned; None at the first.
         """
         limits = Limits() if limits is None else limits
+        previous = memory.dq if memory is not None else None
         errors = task_errors(state, target)
         matrix, velocity, active, smallest = self.posture_control_matrix(state, errors, target.placed)
         if len(matrix) == 0:
-            held = np.zeros(state.arm.nv)
+            held = limits.hold(state, previous)
             reason = f"no module has a singular value above threshold = {self.threshold:g} of its length"
-            return Step(held, (), Diagnostics(0, 0, 0, 0, (), 1.0, held > 0.0, reason), Memory(held))
+            none = Diagnostics(0, 0, 0, 0, (), held.scale, held.clipped, reason)
+            return Step(held.dq, (), none, Memory(held.dq))
         decomposed = decompose(matrix)
         asked = pseudo_inverse_step(decomposed, self.gain * velocity, secondary)
         arm = state.arm  # joints off the chain have zero columns, and singular vectors round zero
-        limited = limits.apply(state, asked * arm.joint_units * arm.frames.support[-1, 0])
+        limited = limits.apply(state, asked * arm.joint_units * arm.frames.support[-1, 0], previous)
         diagnostics = Diagnostics(
             manipulability=smallest,
             sigma_min=float(decomposed.sigma[-1]),

@@ -81,6 +81,7 @@ class Selection:
     ) -> Step:
         """Compute one step; see `Controller.step`. Without a candidate set it stands still and says so."""
         limits = Limits() if limits is None else limits
+        previous = memory.dq if memory is not None else None
         errors = task_errors(state, target)
         distances = np.linalg.norm(errors, axis=1)
         indices = state.manipulability()
@@ -88,15 +89,13 @@ class Selection:
         active, matrix = self._conditioned(state, chosen)
         dropped = tuple(k for k in chosen if k not in active)
         if matrix is None:
-            held = np.zeros(state.arm.nv)
-            none = Diagnostics(
-                0.0, 0.0, 0.0, 0, dropped, 1.0, held > 0.0, self._why_none(indices, chosen, target)
-            )
-            return Step(held, (), none, Memory(held))
+            held, reason = limits.hold(state, previous), self._why_none(indices, chosen, target)
+            none = Diagnostics(0.0, 0.0, 0.0, 0, dropped, held.scale, held.clipped, reason)
+            return Step(held.dq, (), none, Memory(held.dq))
         gradient = self.null_gain * descent(state, errors, distances)
         asked = pseudo_inverse_step(matrix, self.gain * errors[list(active)].ravel(), gradient)
         arm = state.arm  # joints off the chain have zero columns, and singular vectors round zero
-        limited = limits.apply(state, asked * arm.joint_units * arm.frames.support[-1, 0])
+        limited = limits.apply(state, asked * arm.joint_units * arm.frames.support[-1, 0], previous)
         diagnostics = Diagnostics(
             manipulability=float(min(indices[s, i] for s, i in _neighbours(active))),
             sigma_min=float(matrix.sigma[-1]),

@@ -99,21 +99,23 @@ class Switching:
         phase = known if isinstance(known, Phase) else FIRST
         idle = phase.method == "projection"
         if idle and phase.left > ROUNDING * travel:
-            return self._project(state, target, limits, phase, travel, "")
+            return self._project(state, target, limits, memory, phase, travel, "")
         if idle or error < phase.best * (1.0 - self.progress):
             entered = phase._replace(method="selection", best=error, waited=0.0)
         else:
             entered = phase._replace(waited=phase.waited + travel)
         if entered.waited >= self.patience - ROUNDING * travel:
             why = f"the posture error did not fall by {100 * self.progress:g} % in {entered.waited:.3g} rad"
-            return self._project(state, target, limits, self._failover(entered, target), travel, why)
-        step = self.selection.step(state, target, limits)
+            failed = self._failover(entered, target)
+            return self._project(state, target, limits, memory, failed, travel, why)
+        step = self.selection.step(state, target, limits, memory)
         if not step.diagnostics.reason:
             return _labelled(step, entered, HANDED_BACK if idle else "")
         if idle and target.q is None:  # there is nothing to hand back to yet
-            return self._project(state, target, limits, phase, travel, "")
+            return self._project(state, target, limits, memory, phase, travel, "")
         failed = self._failover(entered, target)
-        return self._project(state, target, limits, failed, travel, "" if idle else step.diagnostics.reason)
+        why = "" if idle else step.diagnostics.reason
+        return self._project(state, target, limits, memory, failed, travel, why)
 
     def _failover(self, phase: Phase, target: Target) -> Phase:
         """Take control from Selection, for twice as long as the last time if that may lead elsewhere."""
@@ -121,30 +123,46 @@ class Switching:
         return phase._replace(method="projection", left=stint, failovers=phase.failovers + 1)
 
     def _project(
-        self, state: ArmState, target: Target, limits: Limits, phase: Phase, travel: float, why: str
+        self,
+        state: ArmState,
+        target: Target,
+        limits: Limits,
+        memory: Memory | None,
+        phase: Phase,
+        travel: float,
+        why: str,
     ) -> Step:
         phase, goal = phase._replace(left=phase.left - travel), target.q
         if goal is None or phase.failovers < 2:
-            step = self.projection.step(state, target, limits)
+            step = self.projection.step(state, target, limits, memory)
             if not step.diagnostics.reason:
                 return _labelled(step, phase, why)
             if goal is None:
-                return self._last_resort(state, target, limits, phase, step, why)
+                return self._last_resort(state, target, limits, memory, phase, step, why)
             phase = phase._replace(failovers=2)
-        return _labelled(self._escape(state, target, goal, limits), phase, why)
+        return _labelled(self._escape(state, target, goal, limits, memory), phase, why)
 
     def _last_resort(
-        self, state: ArmState, target: Target, limits: Limits, phase: Phase, held: Step, why: str
+        self,
+        state: ArmState,
+        target: Target,
+        limits: Limits,
+        memory: Memory | None,
+        phase: Phase,
+        held: Step,
+        why: str,
     ) -> Step:
         """Selection after all, where Projection cannot move and no way is known; else nothing moves."""
-        step = self.selection.step(state, target, limits)
+        step = self.selection.step(state, target, limits, memory)
         if step.diagnostics.reason:
             return _labelled(held, phase, why)
         # A reason to fail over means that Selection had control: it keeps it, and nothing changes.
         changed = "" if why else held.diagnostics.reason
         return _labelled(step, FIRST._replace(failovers=phase.failovers), changed)
 
-    def _escape(self, state: ArmState, target: Target, goal: Array, limits: Limits) -> Step:
+    def _escape(
+        self, state: ArmState, target: Target, goal: Array, limits: Limits, memory: Memory | None
+    ) -> Step:
         """A step of Projection to the posture a short way ahead on the straight line through joint space.
 
         Joints that the control points leave room follow that line, too: those before a region, for one.
@@ -154,9 +172,9 @@ class Switching:
         farthest = float(np.max(np.abs(way) / arm.joint_units, initial=0.0))
         ahead = way * min(1.0, self.reach / max(farthest, 1e-300))
         waypoint = replace(target, points=arm.at(arm.integrate(state.q, ahead)).points)
-        step = self.projection.step_with(ahead / arm.joint_units, state, waypoint, limits)
+        step = self.projection.step_with(ahead / arm.joint_units, state, waypoint, limits, memory)
         if step.diagnostics.reason:  # no control point can move: the joints go on their own
-            limited = limits.apply(state, ahead)
+            limited = limits.apply(state, ahead, memory.dq if memory is not None else None)
             moved = Diagnostics(0.0, 0.0, 0.0, 0, (), limited.scale, limited.clipped, "")
             step = Step(limited.dq, (), moved, Memory(limited.dq))
         return step._replace(diagnostics=step.diagnostics._replace(escape=True))

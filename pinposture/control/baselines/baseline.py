@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pinposture.arm import ArmState
 from pinposture.control.baselines.objectives import Objective, objective_gradient, require_objective
@@ -16,20 +17,24 @@ from pinposture.control.limits import Limits
 from pinposture.control.solve import decompose, pseudo_inverse_step
 from pinposture.target import Target
 
+Array = NDArray[np.float64]
+
 
 class Baseline(ABC):
-    """A method that remembers nothing, and stands still if no control point has a target."""
+    """A method that remembers nothing but its step, and stands still if no control point has a target."""
 
     def step(
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
     ) -> Step:
         """Compute one step; see `Controller.step`."""
+        limits = Limits() if limits is None else limits
+        previous = memory.dq if memory is not None else None
         if not np.any(target.placed):
-            return held(state, "no control point has a target")
-        return self._step(state, target, limits)
+            return held(state, "no control point has a target", limits, previous)
+        return self._step(state, target, limits, previous)
 
     @abstractmethod
-    def _step(self, state: ArmState, target: Target, limits: Limits | None) -> Step:
+    def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:
         """Compute one step; some control point has a target."""
 
 
@@ -57,11 +62,11 @@ class NullSpaceMethod(Baseline):
     def _task(self, state: ArmState, target: Target) -> Task:
         """What is to be moved."""
 
-    def _step(self, state: ArmState, target: Target, limits: Limits | None) -> Step:
+    def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:
         task = self._task(state, target)
         matrix = decompose(task.jacobian)
         kappa = np.zeros(state.arm.nv)
         if self.objective is not None:
             kappa = self.null_gain * objective_gradient(self.objective, state, task.end_effector)
         asked = pseudo_inverse_step(regular_part(matrix), self.gain * task.errors, kappa)
-        return finished(state, task.points, len(task.errors), matrix.sigma, asked, limits)
+        return finished(state, task.points, len(task.errors), matrix.sigma, asked, limits, previous)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pinposture.arm import ArmState
 from pinposture.control.baselines.baseline import Baseline
 from pinposture.control.baselines.tasks import all_points_task, damped_step, finished
@@ -12,6 +15,8 @@ from pinposture.control.controller import Step
 from pinposture.control.limits import Limits
 from pinposture.control.solve import decompose
 from pinposture.target import Target
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -34,9 +39,9 @@ class DampedLeastSquares(Baseline):
         require_positive("damping", self.damping)
         require_positive("gain", self.gain)
 
-    def _step(self, state: ArmState, target: Target, limits: Limits | None) -> Step:
+    def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:
         task = all_points_task(state, target)
         matrix = decompose(task.jacobian)
         damping = (self.damping * state.arm.length) ** 2
         asked = damped_step(matrix, self.gain * task.errors, damping)
-        return finished(state, task.points, len(task.errors), matrix.sigma, asked, limits)
+        return finished(state, task.points, len(task.errors), matrix.sigma, asked, limits, previous)

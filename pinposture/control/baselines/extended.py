@@ -71,18 +71,28 @@ class ExtendedJacobian(Baseline):
         require_positive("gain", self.gain)
         require_positive("restore", self.restore, zero=True)
 
-    def _step(self, state: ArmState, target: Target, limits: Limits | None) -> Step:
+    def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:
         task = end_effector_task(state, target)
         columns, extended, constraint = self.system(state, task)
         if len(extended) < len(columns):
-            return held(state, "the Jacobian of the end-effector is singular: there is no extended Jacobian")
+            return held(
+                state,
+                "the Jacobian of the end-effector is singular: there is no extended Jacobian",
+                limits,
+                previous,
+            )
         matrix = decompose(extended)
         if matrix.sigma[-1] <= RANK * matrix.sigma[0]:
-            return held(state, f"the extended Jacobian is singular: {self.objective} has no single extremum")
+            return held(
+                state,
+                f"the extended Jacobian is singular: {self.objective} has no single extremum",
+                limits,
+                previous,
+            )
         velocity = np.concatenate([self.gain * task.errors, -self.restore * constraint])
         asked = np.zeros(state.arm.nv)
         asked[columns] = pseudo_inverse_step(matrix, velocity, np.zeros(len(columns)))
-        return finished(state, task.points, len(extended), matrix.sigma, asked, limits)
+        return finished(state, task.points, len(extended), matrix.sigma, asked, limits, previous)
 
     def system(self, state: ArmState, task: Task) -> tuple[NDArray[np.intp], Array, Array]:
         """The extended Jacobian J_e and the constraint f_c.

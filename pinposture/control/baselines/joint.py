@@ -37,7 +37,9 @@ class JointInterpolation:
             raise InvalidValue("target.q", None, allowed)
         limits = Limits() if limits is None else limits
         way = pin.difference(state.arm.model, state.q, target.q)
-        limited = limits.apply(state, way * state.arm.frames.support[-1, 0])  # joints off the chain stay
+        previous = memory.dq if memory is not None else None
+        # Joints off the chain stay.
+        limited = limits.apply(state, way * state.arm.frames.support[-1, 0], previous)
         active = tuple(int(k) for k in np.flatnonzero(target.placed))
         diagnostics = Diagnostics(0.0, 0.0, 0.0, 0, (), limited.scale, limited.clipped, "")
         return Step(limited.dq, active, diagnostics, Memory(limited.dq))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pinposture.arm import ArmState
 from pinposture.control.baselines.baseline import Baseline
@@ -14,6 +15,8 @@ from pinposture.control.controller import Step
 from pinposture.control.limits import Limits
 from pinposture.control.solve import decompose
 from pinposture.target import Target
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -35,11 +38,11 @@ class LevenbergMarquardt(Baseline):
     def __post_init__(self) -> None:
         require_positive("bias", self.bias)
 
-    def _step(self, state: ArmState, target: Target, limits: Limits | None) -> Step:
+    def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:
         task = all_points_task(state, target)
         weights = np.repeat(np.sqrt(target.weights[list(task.points)]), state.arm.dimension)
         matrix = decompose(weights[:, None] * task.jacobian)
         errors, length = weights * task.errors, state.arm.length
         damping = 0.5 * float(errors @ errors) + self.bias * length**2
         asked = damped_step(matrix, errors, damping)
-        return finished(state, task.points, len(task.errors), matrix.sigma, asked, limits)
+        return finished(state, task.points, len(task.errors), matrix.sigma, asked, limits, previous)

@@ -53,7 +53,7 @@ class TaskConstraints(Baseline):
             require_whole("constraints", self.constraints, 0)
         require_positive("gain", self.gain)
 
-    def _step(self, state: ArmState, target: Target, limits: Limits | None) -> Step:
+    def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:
         primary = end_effector_task(state, target)
         left, every, right = np.linalg.svd(primary.jacobian)
         matrix = regular_part(Decomposition(left, every, right[: len(every)]))
@@ -62,7 +62,7 @@ class TaskConstraints(Baseline):
         asked = matrix.right.T @ ((matrix.left.T @ (self.gain * primary.errors)) / matrix.sigma)
         secondary = self._constraints(state, target, primary, rank)
         if not secondary.points:
-            return finished(state, primary.points, len(primary.errors), every, asked, limits)
+            return finished(state, primary.points, len(primary.errors), every, asked, limits, previous)
         # J_c (I - J^+J) has the singular values of J_c V with V the basis, and needs no projection after.
         projected = decompose(secondary.jacobian @ null.T)
         inverted = regular_part(projected)
@@ -70,7 +70,7 @@ class TaskConstraints(Baseline):
         asked = asked + null.T @ (inverted.right.T @ ((inverted.left.T @ missing) / inverted.sigma))
         rows = len(primary.errors) + len(secondary.errors)
         sigma = np.concatenate([every, projected.sigma])
-        return finished(state, secondary.points + primary.points, rows, sigma, asked, limits)
+        return finished(state, secondary.points + primary.points, rows, sigma, asked, limits, previous)
 
     def _constraints(self, state: ArmState, target: Target, primary: Task, rank: int) -> Task:
         """The other control points that (2.9) has room for."""

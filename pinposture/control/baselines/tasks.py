@@ -76,7 +76,13 @@ def damped_step(matrix: Decomposition, velocity: Array, damping: float) -> Array
 
 
 def finished(
-    state: ArmState, points: tuple[int, ...], rows: int, sigma: Array, asked: Array, limits: Limits | None
+    state: ArmState,
+    points: tuple[int, ...],
+    rows: int,
+    sigma: Array,
+    asked: Array,
+    limits: Limits,
+    previous: Array | None,
 ) -> Step:
     """Bring a step within the limits, and describe it.
 
@@ -86,7 +92,8 @@ def finished(
         rows: number of rows of the matrix that was inverted.
         sigma: its singular values in any order, at least one [m/rad].
         asked: joint displacement asked for, (nv,), in `Arm.joint_units`.
-        limits: what the step may not exceed; `Limits()` if None.
+        limits: what the step may not exceed.
+        previous: the step before, (nv,) [rad or m]; None: there was none.
 
     Returns:
         The step. Its manipulability index is the smallest of its points relative to the base.
@@ -94,7 +101,7 @@ def finished(
     arm = state.arm
     # Joints off the chain have zero columns, and singular vectors round zero.
     moved = asked * arm.joint_units * arm.frames.support[-1, 0]
-    limited = (Limits() if limits is None else limits).apply(state, moved)
+    limited = limits.apply(state, moved, previous)
     diagnostics = Diagnostics(
         manipulability=float(state.manipulability()[0, np.array(points) + 1].min()),
         sigma_min=float(sigma.min()),
@@ -108,7 +115,8 @@ def finished(
     return Step(limited.dq, points, diagnostics, Memory(limited.dq))
 
 
-def held(state: ArmState, reason: str) -> Step:
-    """A step that does not move, and why."""
-    dq = np.zeros(state.arm.nv)
-    return Step(dq, (), Diagnostics(0.0, 0.0, 0.0, 0, (), 1.0, dq > 0.0, reason), Memory(dq))
+def held(state: ArmState, reason: str, limits: Limits, previous: Array | None) -> Step:
+    """A step that only brakes, if there is anything to brake, and why."""
+    still = limits.hold(state, previous)
+    none = Diagnostics(0.0, 0.0, 0.0, 0, (), still.scale, still.clipped, reason)
+    return Step(still.dq, (), none, Memory(still.dq))

@@ -1,0 +1,79 @@
+"""How far a joint may go in one step and still stop in time: braking in discrete time.
+
+A joint that moves by d in this step may move by d - A, d - 2A, ... in the next ones, until less than A is
+left and it stands: A is the acceleration limit times the square of the duration of a step. From d > 0 on,
+this step included, it covers at least
+
+    S(d) = sum over j >= 0 of max(d - j A, 0) = max over n >= 1 of (n d - A n (n - 1) / 2).
+
+S grows with d, so that the joint stops within a room r >= 0 if and only if S(d) <= r, that is, if d is at
+most
+
+    g(r) = min over n >= 1 of (r / n + A (n - 1) / 2), taken at n = max(1, ceil(sqrt(1/4 + 2 r / A) - 1/2)).
+
+To the other side all signs change: let g(-r) = -g(r). Call L and U the displacements to the lower and the
+upper limit, b the largest |d| of a step, and p the step before. The joint may take any d with
+
+    g(L) <= d <= g(U),    p - A <= d <= p + A,    -b <= d <= b.
+
+A state is viable if L <= 0 <= U, |p| <= b, and full braking from p stops in time: S(p - A) <= U if p > A, and
+S(-p - A) <= -L if p < -A.
+
+* From a viable state there is such a d: full braking, d = p - A, or 0 if 0 <= p <= A. It is at most g(U)
+  because S(d) <= U, not below g(L) <= 0, and not above b; for p < 0 the same with the signs changed.
+* Whichever is taken, the next state is viable. Take d >= 0: S(d) <= U gives d <= U and, if d > A,
+  S(d - A) = S(d) - d <= U - d, which is what viability asks of the next state; L - d <= 0 and |d| <= b hold.
+* No larger box will do: beyond g(U) the joint leaves its limits however it brakes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+MOST = 1e60
+"""Number of braking steps that counts as any number: a joint without position limits has that many."""
+
+
+def farthest(room: Array, brake: Array) -> Array:
+    """The largest step towards a place from which a joint can still stop at it, g(r) above.
+
+    A joint that takes it again and again comes to rest there, as fast as it can.
+
+    Args:
+        room: displacement to that place, with its sign, (..., nv) [rad or m]; may be infinite.
+        brake: the most that a step may differ from the one before, A, (nv,) [rad or m]; finite, > 0.
+
+    Returns:
+        Steps of the signs of `room`, none longer than it, (..., nv) [rad or m].
+    """
+    distance = np.abs(room)
+    steps = np.ceil(np.sqrt(0.25 + distance * (2.0 / brake)) - 0.5)
+    steps = np.minimum(np.maximum(steps, 1.0), MOST)
+    return np.copysign(distance / steps + 0.5 * brake * (steps - 1.0), room)
+
+
+def full_braking(previous: Array, brake: Array) -> Array:
+    """The step that comes closest to standing still after the step before, (nv,) [rad or m]."""
+    return previous - np.minimum(np.maximum(previous, -brake), brake)
+
+
+def confined(sides: Array, previous: Array, bound: Array, brake: Array) -> Array:
+    """The steps that a joint may take: within the sides, close to the step before, within the bound.
+
+    Where that is impossible, what is named later wins: the interval shrinks to the point of the later one
+    that is closest. So it is never empty.
+
+    Args:
+        sides: g(L) and g(U), (2, nv) [rad or m].
+        previous: the step before, (nv,) [rad or m].
+        bound: largest |d|, (nv,) [rad or m].
+        brake: the most that a step may differ from the one before, (nv,) [rad or m].
+
+    Returns:
+        Smallest and largest step, (2, nv) [rad or m].
+    """
+    near = np.minimum(np.maximum(sides, previous - brake), previous + brake)
+    return np.asarray(np.minimum(np.maximum(near, -bound), bound))
