@@ -1,0 +1,127 @@
+"""What tasks refuse, and that they say why."""
+
+from __future__ import annotations
+
+import re
+from itertools import product
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from task_arms import state_of, target_of
+
+import pinposture as pp
+from pinposture.control import EndEffector, JointPosture, Tangents
+from pinposture.errors import InvalidValue, UnknownName
+
+MIRRORED = np.diag([1.0, 1.0, -1.0, 1.0])
+POINT = (0.1, 0.2, 0.3)
+
+REFUSED = [
+    (EndEffector, "position and pose"),
+    (lambda: EndEffector(POINT, pin.SE3.Identity()), "position and pose"),
+    (lambda: EndEffector((0.1, 0.2)), "position (shape)"),
+    (lambda: EndEffector((0.1, np.nan, 0.3)), "position[1]"),
+    (lambda: EndEffector((0.1, 0.2, -np.inf)), "position[2]"),
+    (lambda: EndEffector("here"), "position"),
+    (lambda: EndEffector([(1, 2), (3,)]), "position"),
+    (lambda: EndEffector(pose=np.eye(3)), "pose"),
+    (lambda: EndEffector(pose=MIRRORED), "pose"),
+    (lambda: EndEffector(pose=2.0 * np.eye(4)), "pose"),
+    (lambda: EndEffector(pose=np.full((4, 4), np.nan)), "pose"),
+    (lambda: EndEffector(pose="home"), "pose"),
+    (lambda: EndEffector(POINT, point=1.5), "point"),
+    (lambda: EndEffector(POINT, point=True), "point"),
+    (lambda: EndEffector(POINT, point=None), "point"),
+    (lambda: EndEffector(POINT, point=[0]), "point"),
+    (lambda: EndEffector(POINT, strict="yes"), "strict"),
+    (lambda: EndEffector(POINT, strict=1), "strict"),
+    (lambda: EndEffector(POINT, axis_only=True), "axis_only"),
+    (lambda: EndEffector(pose=pin.SE3.Identity(), axis_only=None), "axis_only"),
+    (lambda: Tangents([]), "directions"),
+    (lambda: Tangents(np.zeros((0, 3)), ()), "directions"),
+    (lambda: Tangents([(1, 0)]), "directions (shape)"),
+    (lambda: Tangents(1.0), "directions (shape)"),
+    (lambda: Tangents([(1, 0, 0), (0, 1)]), "directions"),
+    (lambda: Tangents([(1, 0, 0), (0, 0, 0)]), "directions[1]"),
+    (lambda: Tangents((0, 0, 0)), "directions[0]"),
+    (lambda: Tangents([(1, 0, 0), (np.inf, 0, 0)]), "directions[1, 0]"),
+    (lambda: Tangents("up"), "directions"),
+    (lambda: Tangents((1, 0, 0), (0, 1)), "points"),
+    (lambda: Tangents([(1, 0, 0)] * 2, 0), "points"),
+    (lambda: Tangents((1, 0, 0), 0.5), "points"),
+    (lambda: Tangents((1, 0, 0), [True]), "points"),
+    (lambda: Tangents((1, 0, 0), np.array([0.0])), "points"),
+    (lambda: JointPosture(None), "q"),
+    (lambda: JointPosture("neutral"), "q"),
+    (lambda: JointPosture([]), "q"),
+    (lambda: JointPosture(np.zeros((2, 2))), "q (shape)"),
+    (lambda: JointPosture([0.0, np.nan]), "q[1]"),
+    (lambda: JointPosture([0.0], joints=[]), "joints"),
+    (lambda: JointPosture([0.0], joints=["a", "a"]), "joints"),
+    (lambda: JointPosture([0.0], joints=[1]), "joints"),
+    (lambda: JointPosture([0.0], joints=3), "joints"),
+]
+
+SCALES = [0.0, -1.0, np.nan, np.inf, "1", True, [1.0]]
+
+
+@pytest.mark.parametrize(("make", "name"), REFUSED)
+def test_bad_input_is_refused_by_name(make: object, name: str) -> None:
+    with pytest.raises(InvalidValue, match=f"(?s)^{re.escape(name)} is .*; allowed: ."):
+        make()
+
+
+@pytest.mark.parametrize(("name", "value"), [("weight", None), *product(("weight", "length"), SCALES)])
+def test_weights_and_levers_are_numbers_above_0(name: str, value: object) -> None:
+    for kind, first in ((EndEffector, POINT), (Tangents, (1, 0, 0)), (JointPosture, (0.0,))):
+        with pytest.raises(InvalidValue, match=f"^{name} is"):
+            kind(first, **{name: value})
+
+
+@pytest.mark.parametrize(
+    ("task", "kind", "message"),
+    [
+        (EndEffector(POINT, point=4), InvalidValue, r"^point is 4; allowed: whole numbers from 0 to 3"),
+        (EndEffector(POINT, point=-5), InvalidValue, "^point is -5"),
+        (EndEffector(POINT, point="module_2"), UnknownName, "control point.*module_2.*mean 'module_02'"),
+        (Tangents((1, 0, 0)), InvalidValue, r"^directions \(shape\) is \(1, 3\).*each of 4"),
+        (Tangents((1, 0, 0), 4), InvalidValue, "^points is 4"),
+        (Tangents([(1, 0, 0)] * 2, (3, -1)), InvalidValue, "^points is .*each control point once"),
+        (Tangents((1, 0, 0), "tip"), UnknownName, "control point.*tip"),
+        (JointPosture(np.zeros(7)), InvalidValue, r"^q \(shape\) is \(7,\)"),
+        (JointPosture(np.zeros(8), joints="m09_j1_y"), UnknownName, "joint.*m09_j1_y"),
+    ],
+)
+def test_a_task_that_does_not_fit_the_arm_says_so(task: object, kind: type, message: str) -> None:
+    state = state_of("spatial", 0)
+    with pytest.raises(kind, match=message):
+        task.rows(state, target_of(state.arm))
+
+
+def test_a_configuration_of_continuous_joints_must_be_one() -> None:
+    state = state_of("mixed", 0)
+    with pytest.raises(InvalidValue, match="cosine and sine"):
+        JointPosture(np.zeros(12)).rows(state, target_of(state.arm))
+
+
+def test_what_cannot_be_held_is_refused() -> None:
+    state = state_of("spatial", 0)
+    with pytest.raises(UnknownName, match=r"'poses'.*'pose'"):
+        EndEffector.held(state, "poses")
+    with pytest.raises(InvalidValue, match=r"^point is 9"):
+        EndEffector.held(state, point=9)
+    with pytest.raises(InvalidValue, match="axis_only"):
+        EndEffector.held(state, "position", axis_only=True)
+
+
+def test_tangents_of_a_curve_need_one() -> None:
+    arm = pp.Arm.from_template("RyRz", 4)
+    with pytest.raises(InvalidValue, match=r"^target.curve is None; allowed: .*resolve_targets"):
+        Tangents.of_curve(target_of(arm))
+    target = pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (1, 0, 0)))
+    for points in (4, -5, "module_01", [0.5]):
+        with pytest.raises(InvalidValue, match=r"^points is"):
+            Tangents.of_curve(target, points)
+    with pytest.raises(InvalidValue, match=r"^directions"):
+        Tangents.of_curve(target, [])
