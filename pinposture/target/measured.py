@@ -12,6 +12,7 @@ from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.errors import PostureError
 from pinposture.target.fit import fit_curve, free_columns
+from pinposture.target.in_turn import exact_positions
 from pinposture.target.target import Target
 
 Array = NDArray[np.float64]
@@ -23,8 +24,9 @@ STRAIGHTENING = 1e-8
 def fit_points(arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) -> Target:
     """Fit the arm to target positions, for instance measured ones, by least squares within its limits.
 
-    Two starts are tried: the fit of the whole arm to a curve through the points, which knows the way round,
-    and the straight arm.
+    Points that the arm can take exactly are taken module by module, where modules have closed forms.
+    Otherwise two starts are tried: the fit of the whole arm to a curve through the points, which knows the
+    way round, and the straight arm.
 
     Args:
         arm: the arm.
@@ -39,6 +41,9 @@ def fit_points(arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) ->
         InvalidValue: wrong shape, not finite, negative weights, or no point with a weight.
     """
     target = Target.from_points(arm, points, weights)
+    exact = exact_positions(arm, target.points) if np.all(target.placed) else None
+    if exact is not None:
+        return _fitted(arm, target, arm.configuration(exact))
     columns = free_columns(arm)
     units = arm.joint_units[columns]
     root = np.sqrt(np.repeat(target.weights, 3))
@@ -74,6 +79,10 @@ def fit_points(arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) ->
         for start in starts
     ]
     best = np.clip(min(found, key=lambda fit: fit.cost).x, lower, upper)
-    q = configuration(best)
+    return _fitted(arm, target, configuration(best))
+
+
+def _fitted(arm: Arm, target: Target, q: Array) -> Target:
+    """The target with a configuration, and what that leaves."""
     residual = np.linalg.norm(arm.at(q).points - target.points, axis=1)
     return replace(target, q=q, residual=residual, method="closest")
