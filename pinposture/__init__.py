@@ -24,10 +24,22 @@ from pinposture.arm import (
     ModuleTemplate,
     template,
 )
-from pinposture.control import Controller, Limits, Projection, Selection, Step, Switching
+from pinposture.control import (
+    ConstrainedQP,
+    Controller,
+    EndEffector,
+    JointPosture,
+    Limits,
+    Projection,
+    Selection,
+    Step,
+    Switching,
+    Tangents,
+)
 from pinposture.curve import Curve
 from pinposture.errors import PostureError, PostureWarning
 from pinposture.motion import Trajectory, track
+from pinposture.scene import Box, Capsule, Cylinder, HalfSpace, Mesh, Scene, Sphere
 from pinposture.target import Target, fit_points, resolve_targets
 
 if TYPE_CHECKING:
@@ -39,19 +51,30 @@ __all__ = [
     "Adequacy",
     "Arm",
     "ArmState",
+    "Box",
+    "Capsule",
+    "ConstrainedQP",
     "Controller",
     "Curve",
+    "Cylinder",
     "Ellipsoid",
+    "EndEffector",
+    "HalfSpace",
     "JointLimits",
+    "JointPosture",
     "JointSpec",
     "Limits",
+    "Mesh",
     "ModuleTemplate",
     "PostureError",
     "PostureWarning",
     "Projection",
+    "Scene",
     "Selection",
+    "Sphere",
     "Step",
     "Switching",
+    "Tangents",
     "Target",
     "Trajectory",
     "fit_points",

@@ -33,6 +33,11 @@ class Diagnostics(NamedTuple):
         switched: why it changed to that method in this step; empty if it did not.
         escape: True if the step is meant to lead out of a place where the posture error cannot fall, so that
             it may rise on the way.
+        relaxed: which constraints gave way in this step because not all could hold, in words, in the order
+            in which they did.
+        near: what distances to obstacles hold the step back, in words.
+        on_way: True if the step gets on along a way that ends where the controller wants to be, whatever the
+            posture error does on it.
     """
 
     manipulability: float
@@ -46,6 +51,9 @@ class Diagnostics(NamedTuple):
     method: str = ""
     switched: str = ""
     escape: bool = False
+    relaxed: tuple[str, ...] = ()
+    near: tuple[str, ...] = ()
+    on_way: bool = False
 
 
 class Memory(NamedTuple):

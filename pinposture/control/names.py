@@ -13,6 +13,7 @@ from pinposture.control.baselines import (
     PseudoInverse,
     TaskConstraints,
 )
+from pinposture.control.constrained import ConstrainedQP
 from pinposture.control.controller import Controller
 from pinposture.control.projection import Projection
 from pinposture.control.selection import Selection
@@ -20,6 +21,7 @@ from pinposture.control.switching import Switching
 from pinposture.errors import InvalidValue, UnknownName
 
 CONTROLLERS: dict[str, Callable[[], Controller]] = {
+    "qp": ConstrainedQP,
     "selection": Selection,
     "projection": Projection,
     "switching": Switching,

@@ -14,11 +14,12 @@ from pinposture.control import Limits
 from pinposture.curve import Curve
 from pinposture.errors import FileError, InvalidValue
 from pinposture.motion.trajectory import Trajectory
+from pinposture.scene import Scene
 from pinposture.storage import write_bytes
 from pinposture.target import Target
 
 FORMAT = "pinposture-run"
-VERSION = 2
+VERSION = 3
 
 _RUN_ARRAYS = (
     "q",
@@ -33,7 +34,11 @@ _RUN_ARRAYS = (
     "clipped",
     "method",
     "switched",
+    "escape",
+    "relaxed",
+    "clearance",
 )
+_LIMITS_ARRAYS = ("step", "velocity", "acceleration")
 _TARGET_ARRAYS = ("points", "weights", "q", "parameters", "residual")
 
 
@@ -45,7 +50,7 @@ def save_trajectory(run: Trajectory, path: Path) -> Path:
         value = getattr(run.target, name)
         if value is not None:
             arrays[f"target_{name}"] = value
-    for name in ("step", "velocity"):
+    for name in _LIMITS_ARRAYS:
         value = getattr(run.limits, name)
         if value is not None:
             arrays[f"limits_{name}"] = value
@@ -59,6 +64,7 @@ def save_trajectory(run: Trajectory, path: Path) -> Path:
         "controller": run.controller,
         "dt": run.limits.dt,
         "position_margin": run.limits.position_margin,
+        "scene": None if run.scene is None else run.scene.to_dict(),
         "status": run.status,
         "reason": run.reason,
     }
@@ -84,7 +90,7 @@ def load_trajectory(path: Path) -> Trajectory:
         target: dict[str, Any] = {name: arrays.get(f"target_{name}") for name in _TARGET_ARRAYS}
         limits = {
             name: value if value is None or value.ndim else float(value)
-            for name, value in ((name, arrays.get(f"limits_{name}")) for name in ("step", "velocity"))
+            for name, value in ((name, arrays.get(f"limits_{name}")) for name in _LIMITS_ARRAYS)
         }
         arm = Arm.from_dict(about["arm"])
         _check_shapes(arm, arrays)
@@ -92,6 +98,7 @@ def load_trajectory(path: Path) -> Trajectory:
             arm=arm,
             target=Target(**target, curve=curve, method=about["method"], incomplete=about["incomplete"]),
             limits=Limits(**limits, dt=about["dt"], position_margin=about["position_margin"]),
+            scene=None if about["scene"] is None else Scene.from_dict(about["scene"]),
             controller=about["controller"],
             status=about["status"],
             reason=about["reason"],
@@ -110,6 +117,7 @@ def _check_shapes(arm: Arm, arrays: dict[str, Any]) -> None:
         "q": (steps + 1, arm.nq),
         "points": (steps + 1, m, 3),
         "point_errors": (steps + 1, m),
+        "clearance": (steps + 1,),
         "active": (steps, m),
         "clipped": (steps, arm.nv),
     }

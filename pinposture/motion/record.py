@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm, ArmState
 from pinposture.control import Controller, Limits, Step
 from pinposture.motion.trajectory import Trajectory
+from pinposture.scene import Scene
 from pinposture.target import Target
 
 Array = NDArray[np.float64]
@@ -16,14 +17,24 @@ Array = NDArray[np.float64]
 class Recorder:
     """Collects states and steps, and turns them into a trajectory."""
 
-    def __init__(self, target: Target, start: ArmState) -> None:
-        self._target = target
+    def __init__(self, target: Target, start: ArmState, scene: Scene | None = None) -> None:
+        self._target, self._scene = target, scene
+        self._clearance = None if scene is None else scene.around(start.arm)
+        self._distances = [self._distance(start)]
         self._steps: list[Step] = []
         self._q, self._points, self._errors = [start.q], [start.points], [self._point_errors(start)]
         self._best, self._idle = self.posture_error, 0.0
 
     def _point_errors(self, state: ArmState) -> Array:
         return np.asarray(np.linalg.norm(self._target.points - state.points, axis=1) * self._target.placed)
+
+    def _distance(self, state: ArmState) -> float:
+        return np.inf if self._clearance is None else self._clearance.minimum(state.q).distance
+
+    @property
+    def last(self) -> Step | None:
+        """The last step; None before the first."""
+        return self._steps[-1] if self._steps else None
 
     @property
     def steps(self) -> int:
@@ -49,9 +60,10 @@ class Recorder:
             travel: joint travel that the limits allowed in it [rad].
         """
         self._steps.append(step)
-        if not step.diagnostics.escape:  # while it escapes, an arm is not stuck
+        if not (step.diagnostics.escape or step.diagnostics.on_way):  # else the arm is not stuck
             self._idle += travel
         self._q.append(state.q)
+        self._distances.append(self._distance(state))
         self._points.append(state.points)
         self._errors.append(self._point_errors(state))
 
@@ -92,4 +104,8 @@ class Recorder:
             clipped=np.array([note.clipped for note in notes], dtype=bool).reshape(len(steps), arm.nv),
             method=np.array([note.method for note in notes], dtype=np.str_),
             switched=np.array([note.switched for note in notes], dtype=np.str_),
+            escape=np.array([note.escape for note in notes], dtype=bool),
+            relaxed=np.array(["\n".join(note.relaxed) for note in notes], dtype=np.str_),
+            clearance=np.array(self._distances),
+            scene=self._scene,
         )

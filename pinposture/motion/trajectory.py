@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.control import Limits
+from pinposture.scene import Scene
 from pinposture.target import Target
 
 Array = NDArray[np.float64]
@@ -56,6 +57,12 @@ class Trajectory:
         clipped: which joints were cut short at a position limit, (steps, nv).
         method: which of its methods the controller used, (steps,) names; empty where it has only one.
         switched: why it changed to that method, (steps,) sentences; empty where it did not.
+        escape: whether the step was meant to lead out of a place where the posture error cannot fall,
+            (steps,); it may rise there.
+        relaxed: which constraints gave way because not all could hold, (steps,) lines; usually empty.
+        clearance: smallest distance to an obstacle, or between parts of the arm, (steps + 1,) [m]; negative
+            in penetration, infinite where there was no scene.
+        scene: what the arm was to keep clear of; None if nothing.
     """
 
     arm: Arm
@@ -76,6 +83,10 @@ class Trajectory:
     clipped: NDArray[np.bool_]
     method: NDArray[np.str_]
     switched: NDArray[np.str_]
+    escape: NDArray[np.bool_]
+    relaxed: NDArray[np.str_]
+    clearance: Array
+    scene: Scene | None = None
 
     def __post_init__(self) -> None:
         for value in vars(self).values():

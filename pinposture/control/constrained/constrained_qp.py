@@ -1,0 +1,170 @@
+"""The controller that gets there: directly, within all limits, around obstacles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.arm import ArmState
+from pinposture.control.checks import require_positive
+from pinposture.control.constrained.avoidance import Avoidance
+from pinposture.control.constrained.course import Course
+from pinposture.control.constrained.following import Asked, close_in, follow
+from pinposture.control.constrained.planning import plan
+from pinposture.control.constrained.posture import Posture
+from pinposture.control.constrained.settling import Scope
+from pinposture.control.controller import Diagnostics, Memory, Step
+from pinposture.control.joint_bounds import JointBounds
+from pinposture.control.limits import Box, Limits
+from pinposture.control.tasks import Task
+from pinposture.errors import InvalidValue
+from pinposture.scene import Scene
+from pinposture.target import Target
+
+Array = NDArray[np.float64]
+
+WAIT, COURSES = 1.0, 3
+"""Joint travel without getting on after which another way is looked for [rad], and how many are."""
+
+ROUNDING = 1e-12
+"""What is lost in the arithmetic of a step, in `Arm.joint_units` or arm lengths."""
+
+
+@dataclass(frozen=True)
+class ConstrainedQP:
+    """Takes the arm along the most direct way to its target, by a constrained least-squares step at a time.
+
+    Before it moves, it settles where to go: the configuration that the target knows, or the one that comes
+    closest to its points; and on what way: the one on which the control points travel least
+    (`control.constrained.direct`). Each step then is the solution of a convex quadratic program: of all
+    steps that the limits of speed, position and acceleration allow, and that lose no more than a share of
+    the distance to any obstacle, the one that is nearest to the step along the way in what control points
+    and chords feel. Where nothing hinders, that is the step along the way itself. At the end of the way, what
+    errors are left are reduced by damped least squares within the same limits.
+
+    The way is planned again when the target changes, and when the arm does not get on.
+
+    What gives way where not all can hold, named in `Diagnostics.relaxed`: tasks and posture first, by their
+    weights, strict tasks after the others; then the margin to obstacles, of which each step regains what it
+    can; then limits of acceleration, and of position, as `Limits.box` says. Limits of speed never do.
+
+    Attributes:
+        haste: weight of the motion of joints against that of control points: how far, in module lengths, all
+            control points may move to save one radian of a joint. Towards 0 the points go as straight as can
+            be, and joints take long ways; large values lead to joint interpolation.
+        chord: weight of the squared error of a chord, where that of a point has weight 1.
+        tasks: what else the arm is asked to do.
+        scene: what to keep clear of; nothing if None. `track(..., scene=)` sets it.
+    """
+
+    haste: float = 0.2
+    chord: float = 1.0
+    tasks: tuple[Task, ...] = ()
+    scene: Scene | None = None
+    name: str = "qp"
+
+    def __post_init__(self) -> None:
+        require_positive("haste", self.haste)
+        require_positive("chord", self.chord, zero=True)
+        tasks = tuple(self.tasks) if isinstance(self.tasks, Iterable) else (self.tasks,)
+        for task in tasks:
+            if isinstance(task, type) or not callable(getattr(task, "rows", None)):
+                raise InvalidValue("tasks", task, "EndEffector(...), Tangents(...) or JointPosture(...)")
+        object.__setattr__(self, "tasks", tasks)
+        if not (self.scene is None or isinstance(self.scene, Scene)):
+            raise InvalidValue("scene", self.scene, "a Scene(...), or None")
+
+    def with_scene(self, scene: Scene | None) -> ConstrainedQP:
+        """The same controller in another scene."""
+        return replace(self, scene=scene)
+
+    def step(
+        self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
+    ) -> Step:
+        """Compute one step; see `Controller.step`. The first one for a target takes longer: it plans."""
+        limits = Limits() if limits is None else limits
+        course = self._course(state, target, limits, memory)
+        posture, avoidance = course.posture, self._avoidance(course.posture)
+        box = limits.box(state, memory.dq if memory is not None else None)
+        lower, upper = posture.own(box.lower), posture.own(box.upper)
+        rows = None if avoidance is None else avoidance.rows(state, lower, upper)
+        scope = Scope(state, lower, upper, rows)
+        asked = close_in(course, scope) if course.arrived else follow(course, scope, limits, self._mu(state))
+        return _checked(asked, state, box, limits.for_arm(state.arm), avoidance)
+
+    def _avoidance(self, posture: Posture) -> Avoidance | None:
+        return None if self.scene is None else Avoidance(self.scene.around(posture.arm), posture)
+
+    def _course(self, state: ArmState, target: Target, limits: Limits, memory: Memory | None) -> Course:
+        """The course so far; a new one at first, for a new target, and where the arm does not get on."""
+        course = memory.own if memory is not None and isinstance(memory.own, Course) else None
+        bounds = limits.for_arm(state.arm)
+        tries, posture = 0, Posture(state.arm, target, self.tasks, self.chord)
+        if course is not None and course.posture.arm is state.arm and _alike(course.posture.target, target):
+            if course.posture.tasks != self.tasks:  # they follow something that moves: no way leads there
+                return course._replace(posture=posture, arrived=True)
+            if course.waited < WAIT or course.arrived:
+                return course if course.bounds is bounds else course.within(bounds)
+            tries, posture = course.tries + 1, course.posture
+            if tries >= COURSES or course.place >= course.path.end:
+                return course._replace(arrived=True)
+        return plan(posture, state, bounds, self._avoidance(posture), self._mu(state), tries)
+
+    def _mu(self, state: ArmState) -> float:
+        """Weight of joint motion [m per `Arm.joint_units`]: `haste` module lengths of each of m points."""
+        return self.haste * state.arm.length / float(np.sqrt(state.arm.n_modules))
+
+
+def _checked(
+    asked: Asked, state: ArmState, box: Box, bounds: JointBounds, avoidance: Avoidance | None
+) -> Step:
+    """The step as it leaves: finite, within its limits and clear, whatever was computed before."""
+    arm, course = state.arm, asked.course
+    dq = course.posture.displacement(np.nan_to_num(asked.x, nan=0.0, posinf=0.0, neginf=0.0))
+    dq[arm.columns] = np.minimum(np.maximum(dq, box.lower), box.upper)[arm.columns]
+    slack = ROUNDING * arm.joint_units
+    room = bounds.edges - arm.positions(state.q)
+    at_limit = (dq >= room[1] - slack) | (dq <= room[0] + slack)
+    relaxed, share = list(box.relaxed), 1.0
+    near: tuple[str, ...] = ()
+    if avoidance is not None:
+        share = avoidance.shortened(state, dq)
+        dq = share * dq
+        if np.any(((dq < box.lower - slack) | (dq > box.upper + slack))[arm.columns]):
+            relaxed.append("acceleration limits: braking within them would come too close to something")
+        relaxed.extend(avoidance.too_close(state))
+        near = () if asked.solution is None else avoidance.named(state, asked.solution.binding)
+        near += (course.hindrance,) if course.hindrance else ()
+    target = course.posture.target
+    before, after = (_posture_error(at, target) for at in (state, arm.at(arm.integrate(state.q, dq))))
+    active = tuple(int(k) for k in np.flatnonzero(target.placed))
+    diagnostics = Diagnostics(
+        manipulability=0.0,
+        sigma_min=0.0,
+        sigma_max=0.0,
+        rows=len(active) * arm.dimension,
+        dropped=(),
+        scale=share,
+        clipped=at_limit & (arm.frames.support[-1, 0] > 0.0),
+        reason=asked.reason,
+        escape=after > before + ROUNDING * arm.length,
+        relaxed=tuple(relaxed),
+        near=near,
+        on_way=not course.arrived and course.waited == 0.0,
+    )
+    return Step(dq, active, diagnostics, Memory(dq, course))
+
+
+def _alike(one: Target, other: Target) -> bool:
+    """Whether two targets ask for the same."""
+    if one is other:
+        return True
+    known = one.q is other.q if one.q is None or other.q is None else np.array_equal(one.q, other.q)
+    return known and np.array_equal(one.points, other.points) and np.array_equal(one.weights, other.weights)
+
+
+def _posture_error(state: ArmState, target: Target) -> float:
+    return float((np.linalg.norm(target.points - state.points, axis=1) * target.placed).sum())

@@ -1,0 +1,71 @@
+"""Where a controller is on its way."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.control.constrained.pace import Pace
+from pinposture.control.constrained.path import JointPath
+from pinposture.control.constrained.posture import Posture
+from pinposture.control.joint_bounds import JointBounds
+
+Array = NDArray[np.float64]
+
+PROGRESS = 0.005
+"""Share of a path that counts as getting on."""
+
+
+class Course(NamedTuple):
+    """A way to a goal, and how far the arm has come on it.
+
+    Attributes:
+        posture: what is asked of the arm.
+        path: the way to the configuration that does it best.
+        place: where the arm is on it, in waypoints.
+        bounds: the limits that the pace keeps.
+        pace: how fast it may go along the path; None where acceleration is not limited.
+        speed: how fast it last did, in waypoints per step.
+        passed: the place that the arm last passed in good time.
+        waited: joint travel that the limits have allowed since then [rad].
+        tries: how many ways were tried before this one.
+        arrived: whether the path is behind the arm; what errors are left are then reduced directly.
+        damping: factor of the damping with which they are.
+        hindrance: what the best way that was found comes too close to, in words; empty if it is clear.
+        strict_errors: errors of strict tasks at the start and at the goal, 2 x (r,) [m]; between, they are
+            to change in proportion to the place.
+    """
+
+    posture: Posture
+    path: JointPath
+    bounds: JointBounds
+    place: float = 0.0
+    pace: Pace | None = None
+    speed: float = 0.0
+    passed: float = 0.0
+    waited: float = 0.0
+    tries: int = 0
+    arrived: bool = False
+    damping: float = 1.0
+    hindrance: str = ""
+    strict_errors: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
+
+    def gone_to(self, place: float, travel: float, hindered: bool) -> Course:
+        """The course after a step.
+
+        Args:
+            place: where the step leads.
+            travel: joint travel that the limits allow in it [rad].
+            hindered: whether it leads less far than the pace would have it.
+        """
+        course = self._replace(place=place, speed=place - self.place)
+        if hindered and place < self.passed + PROGRESS * self.path.end:
+            return course._replace(waited=self.waited + travel)
+        return course._replace(passed=place, waited=0.0)
+
+    def within(self, bounds: JointBounds) -> Course:
+        """The same course with the pace that other limits allow."""
+        pace = None if bounds.brake is None else Pace(self.path, bounds.bound, bounds.brake)
+        return self._replace(bounds=bounds, pace=pace)

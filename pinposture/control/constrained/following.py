@@ -1,0 +1,119 @@
+"""One step along the way, or what is left of it within limits and around obstacles."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.control.braking import farthest
+from pinposture.control.constrained.course import Course
+from pinposture.control.constrained.program import Solution
+from pinposture.control.constrained.settling import (
+    EASIER,
+    HARDER,
+    LEAST,
+    Scope,
+    corrected,
+    first_things_first,
+    reducing_step,
+    then_the_rest,
+)
+from pinposture.control.limits import Limits
+
+Array = NDArray[np.float64]
+
+TRIES = 8
+"""How often a step is damped harder when it fails to reduce the errors, before none is taken."""
+
+CORRECTING = 0.25
+"""Share of the acceleration limit with which an arm that is behind catches up."""
+
+ARRIVED = 1e-9
+"""Joint motion left at which a way is behind the arm, in `Arm.joint_units`."""
+
+
+class Asked(NamedTuple):
+    """A step before the last checks.
+
+    Attributes:
+        x: the step, (n,), in `Arm.joint_units`.
+        course: where the arm will be on its course.
+        solution: what the program said; None if it need not be asked.
+        reason: why the arm does not move; empty if it does.
+    """
+
+    x: Array
+    course: Course
+    solution: Solution | None = None
+    reason: str = ""
+
+
+def follow(course: Course, scope: Scope, limits: Limits, mu: float) -> Asked:
+    """The step along the way, if its scope has it; else the one in it that is nearest in what points feel.
+
+    Nearest means: it minimises |A (x - x_way)|^2 + mu^2 |x - x_way|^2, with all rows A of the posture and the
+    weight mu of joint motion by which the way was found. Strict tasks come first; the way heeds the others.
+
+    Args:
+        course: where the arm is on its way.
+        scope: what the step may do.
+        limits: what it is made of.
+        mu: weight of joint motion [m per `Arm.joint_units`].
+    """
+    posture, path, state = course.posture, course.path, scope.state
+    bounds, here = limits.for_arm(state.arm), course.place
+    offset = path.offset_of(state.q, here)
+    if course.pace is None or bounds.brake is None:
+        bound = posture.displacement(np.maximum(np.abs(scope.lower), np.abs(scope.upper)))
+        (place, dq), hindered = path.ahead(offset, here, bound), True  # unless it gets on
+    else:
+        reach, paced = path.ahead(offset, here, bounds.bound).place, course.pace.next(here, course.speed)
+        place, hindered = min(here + paced, reach), reach < here + paced
+        # What is behind is made good no faster than it can be stopped, or the arm would swing about its way.
+        lag = farthest(path.smooth(here) - offset, CORRECTING * bounds.brake)
+        dq = path.smooth(place) - path.smooth(here) + lag
+    wanted = posture.own(dq)
+    if (
+        place >= path.end
+        and float(np.abs(posture.own(path.offsets[-1] - offset)).max(initial=0.0)) <= ARRIVED
+    ):
+        return close_in(course._replace(arrived=True), scope)
+    course = course.gone_to(place, limits.travel(state), hindered)
+    inside = bool(np.all((wanted >= scope.lower) & (wanted <= scope.upper)))
+    clear = scope.rows is None or bool(np.all(scope.rows.matrix @ wanted >= scope.rows.least))
+    strict = posture.task_rows(state, strict=True)
+    if inside and clear and strict is None:
+        return Asked(wanted, course)  # the program would say the same
+    matrix = posture.rows(state).matrix
+    hessian = matrix.T @ matrix
+    hessian[np.diag_indices(len(hessian))] += mu**2
+    first = None
+    if strict is not None:
+        share = place / path.end
+        intended = (1.0 - share) * course.strict_errors[0] + share * course.strict_errors[1]
+        first = first_things_first(posture, scope, strict, strict.errors - intended)
+    found = then_the_rest(hessian, -(hessian @ wanted), scope, first)
+    x = np.clip(wanted, scope.lower, scope.upper) if found.x is None else corrected(posture, scope, found.x)
+    return Asked(x, course, found)
+
+
+def close_in(course: Course, scope: Scope) -> Asked:
+    """The step that reduces what errors are left, damped until it does.
+
+    Args:
+        course: a course whose way is behind the arm.
+        scope: what the step may do.
+    """
+    posture, damping, found = course.posture, course.damping, None
+    merit = posture.merit(scope.state)
+    for _ in range(TRIES):
+        found = reducing_step(posture, scope, damping)
+        x = None if found.x is None else corrected(posture, scope, found.x)
+        if x is not None and posture.merit(posture.moved(scope.state, x)) < merit:
+            return Asked(x, course._replace(damping=max(damping * EASIER, LEAST)), found)
+        damping *= HARDER
+    rest = np.clip(np.zeros(len(scope.lower)), scope.lower, scope.upper)  # which braking may still forbid
+    reason = "" if np.any(rest) else "no step within the limits reduces the errors any more"
+    return Asked(rest, course, found, reason)

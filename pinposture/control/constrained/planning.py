@@ -1,0 +1,133 @@
+"""Where to go and on what way: what the controller settles before it moves."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.arm import ArmState
+from pinposture.control.constrained.avoidance import Avoidance
+from pinposture.control.constrained.course import Course
+from pinposture.control.constrained.direct import Penalty, direct_path
+from pinposture.control.constrained.goal import find_goal
+from pinposture.control.constrained.path import JointPath
+from pinposture.control.constrained.posture import STRICT, Linear, Posture
+from pinposture.control.joint_bounds import JointBounds
+from pinposture.scene import Closest
+
+Array = NDArray[np.float64]
+
+logger = logging.getLogger(__name__)
+
+GOOD = 1e-8
+"""Mean distance of the control points from their targets at which a configuration takes the posture, in arm
+lengths: a run converges at 1e-6 unless told otherwise."""
+
+HEEDED, CLEAR = 0.4, (100.0, 30.0)
+"""Roots of the weights of tasks and of clearances on the way, against the motion of control points. Ways are
+looked for with a large and a small one by turns: the one pushes out, the other leads round."""
+
+WAYS = 12
+"""How many ways are looked for until one leads clear of all obstacles."""
+
+SAMPLES = 2
+"""Places on each straight piece of a way at which its distance is looked up."""
+
+
+def plan(
+    posture: Posture,
+    state: ArmState,
+    bounds: JointBounds,
+    avoidance: Avoidance | None,
+    mu: float,
+    tries: int = 0,
+) -> Course:
+    """Find where to go, and the most direct way there that is clear.
+
+    Args:
+        posture: what is asked of the arm.
+        state: where it is.
+        bounds: what the limits mean for its joints.
+        avoidance: what to keep clear of; nothing if None.
+        mu: weight of joint motion against the motion of control points [m per `Arm.joint_units`].
+        tries: how many ways were tried before; each try looks for another.
+    """
+    goal = find_goal(posture, state, bounds.edges, avoidance, GOOD * posture.arm.length).state
+    path, hindrance = _way(posture, state, goal, bounds, avoidance, mu, tries)
+    course = Course(posture, path, bounds, tries=tries, hindrance=hindrance).within(bounds)
+    first, last = (posture.task_rows(at, strict=True) for at in (state, goal))
+    if first is not None and last is not None:
+        course = course._replace(strict_errors=(first.errors, last.errors))
+    logger.debug("a way of %d pieces%s", path.end, f", hindered: {hindrance}" if hindrance else "")
+    return course
+
+
+def _way(
+    posture: Posture,
+    state: ArmState,
+    goal: ArmState,
+    bounds: JointBounds,
+    avoidance: Avoidance | None,
+    mu: float,
+    tries: int,
+) -> tuple[JointPath, str]:
+    """The most direct way, or the first of several that is clear, and what the best comes too close to."""
+
+    def found(number: int) -> JointPath:
+        penalty = _penalty(posture, state, goal, avoidance, CLEAR[number % len(CLEAR)])
+        return direct_path(posture, state.q, goal.q, mu, bounds.edges, penalty, number)
+
+    if avoidance is None:
+        return found(tries), ""
+    # A way cannot be clearer than its ends.
+    ends = (avoidance.clearance.minimum(at.q).distance for at in (state, goal))
+    possible = min(avoidance.margin, *ends) - 1e-9 * posture.arm.length
+    best, closest = None, Closest(-np.inf, None)
+    for number in range(tries, tries + WAYS):
+        path = found(number)
+        room = _room(path, avoidance)
+        if best is None or room.distance > closest.distance:
+            best, closest = path, room
+        if closest.distance >= possible:
+            return best, ""
+    assert best is not None  # there always is a first one
+    pair = " to ".join(closest.pair or ())
+    return best, f"no clear way was found, the best has {pair}: {1e3 * closest.distance:.3g} mm apart"
+
+
+def _penalty(
+    posture: Posture, state: ArmState, goal: ArmState, avoidance: Avoidance | None, clear: float
+) -> Penalty | None:
+    """What else matters on the way: tasks, and to keep clear; None if nothing does."""
+    if not posture.tasks and avoidance is None:
+        return None
+    kinds = [(HEEDED, False), (HEEDED * float(np.sqrt(STRICT)), True)]
+    ends = [[posture.task_rows(at, strict) for at in (state, goal)] for _, strict in kinds]
+
+    def penalty(at: ArmState, share: float) -> Linear:
+        parts = []
+        for (root, strict), (first, last) in zip(kinds, ends, strict=True):
+            asked = posture.task_rows(at, strict)
+            if asked is None or first is None or last is None:
+                continue
+            # The errors are to change steadily from what they are to what they will be.
+            left = asked.errors - (1.0 - share) * first.errors - share * last.errors
+            parts.append(Linear(root * asked.matrix, root * left))
+        if avoidance is not None:
+            near = avoidance.intrusions(at)
+            parts.append(Linear(clear * near.matrix, clear * near.errors))
+        return Linear(np.concatenate([p.matrix for p in parts]), np.concatenate([p.errors for p in parts]))
+
+    return penalty
+
+
+def _room(path: JointPath, avoidance: Avoidance) -> Closest:
+    """The pair that comes closest on a path, its ends included."""
+    ways = zip(path.offsets[:-1], np.diff(path.offsets, axis=0), strict=True)
+    found = [
+        avoidance.clearance.minimum_between(path.arm.integrate(path.start, offset), way, SAMPLES)
+        for offset, way in ways
+    ]
+    return min([avoidance.clearance.minimum(path.start), *found], key=lambda each: each.distance)

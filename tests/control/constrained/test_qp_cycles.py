@@ -1,0 +1,104 @@
+"""Targets that change: closed cycles of them, and changes in mid-run."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from qp_runs import ARMS, check_limits, within
+
+import pinposture as pp
+
+ROUNDS = 3
+
+
+def cycled(arm: pp.Arm, targets: list[pp.Target], tolerance: float) -> np.ndarray:
+    """Configurations at the end of each round, (ROUNDS, nq)."""
+    q, ends = arm.straight(), []
+    for _ in range(ROUNDS):
+        for target in targets:
+            run = pp.track(arm, target, q, tolerance=tolerance * arm.length, max_steps=400)
+            assert run.converged, run.reason
+            q = run.q[-1]
+        ends.append(q)
+    return np.array(ends)
+
+
+def corners(arm: pp.Arm, known: bool, seed: int = 0) -> list[pp.Target]:
+    rng = np.random.default_rng(seed)
+    goals = [within(arm, pp.Limits(), rng, 0.4) for _ in range(4)]
+    targets = [pp.Target.from_configuration(arm, goal) for goal in goals]
+    return targets if known else [pp.Target.from_points(arm, each.points) for each in targets]
+
+
+@pytest.mark.parametrize("name", ["planar", "spatial", "sliding"])
+def test_a_cycle_of_known_configurations_does_not_drift(name: str) -> None:
+    arm = ARMS[name]
+    ends = cycled(arm, corners(arm, known=True), 1e-12)
+    drift = np.abs(np.diff([arm.positions(q) for q in ends], axis=0)) / arm.joint_units
+    assert drift.max() < 1e-9
+
+
+@pytest.mark.parametrize("name", ["planar", "spatial"])
+def test_a_cycle_of_postures_does_not_drift_where_points_settle_the_joints(name: str) -> None:
+    arm = ARMS[name]
+    ends = cycled(arm, corners(arm, known=False), 1e-10)
+    assert np.abs(np.diff(ends[1:], axis=0)).max() < 1e-6
+
+
+def test_tips_of_a_redundant_arm_drift_less_in_every_round() -> None:
+    """Nothing settles the other joints, and no configuration is remembered: they find their place."""
+    arm = ARMS["planar"]
+    targets = [target.region(6, 6) for target in corners(arm, known=False)]
+    ends = cycled(arm, targets, 1e-10)
+    drift = np.abs(np.diff(ends, axis=0)).max(axis=1)
+    assert drift[1] < max(drift[0], 1e-6)
+    assert drift[1] < 0.5
+
+
+@pytest.mark.parametrize(("name", "acceleration"), [("planar", None), ("spatial", None), ("spatial", 5.0)])
+def test_what_it_remembers_outlives_a_change_of_target(name: str, acceleration: float | None) -> None:
+    """The target changes in mid-motion, twice, and once back to what it was; limits hold all the way."""
+    arm = ARMS[name]
+    limits = pp.Limits(step=0.1, dt=0.1, velocity=1.0, acceleration=acceleration)
+    controller = pp.ConstrainedQP()
+    one, two, three = corners(arm, known=True, seed=3)[:3]
+    two = pp.Target.from_points(arm, two.points)
+    q, memory, seen = arm.straight(), None, [arm.straight()]
+    for target, most in ((one, 4), (two, 4), (one, 3), (three, 600)):
+        for _ in range(most):
+            state = arm.at(q)
+            if np.linalg.norm(target.points - state.points, axis=1).mean() <= 1e-6 * arm.length:
+                break
+            step = controller.step(state, target, limits, memory)
+            q, memory = arm.integrate(q, step.dq), step.memory
+            seen.append(q)
+    check_limits(arm, limits, np.array(seen))
+    assert np.linalg.norm(three.points - arm.at(q).points, axis=1).mean() <= 1e-6 * arm.length
+
+
+def test_an_equal_target_does_not_make_it_plan_again() -> None:
+    arm, controller = ARMS["spatial"], pp.ConstrainedQP()
+    goal = within(arm, pp.Limits(), np.random.default_rng(1))
+    q, memory, paths = arm.straight(), None, []
+    for _ in range(5):
+        step = controller.step(arm.at(q), pp.Target.from_configuration(arm, goal), None, memory)
+        q, memory = arm.integrate(q, step.dq), step.memory
+        paths.append(memory.own.path)
+    assert all(a is b for a, b in pairwise(paths))
+    moved = controller.step(arm.at(q), pp.Target.from_configuration(arm, 0.9 * goal), None, memory)
+    assert moved.memory.own.path is not paths[-1]
+
+
+def test_memory_of_another_arm_or_controller_is_no_memory() -> None:
+    arm, other = ARMS["spatial"], ARMS["planar"]
+    target = pp.Target.from_configuration(arm, within(arm, pp.Limits(), np.random.default_rng(1)))
+    foreign = pp.ConstrainedQP().step(
+        other.at(other.straight()), pp.Target.from_configuration(other, np.full(7, 0.3))
+    )
+    strange = foreign.memory._replace(dq=np.zeros(arm.nv))
+    fresh = pp.ConstrainedQP().step(arm.at(arm.straight()), target)
+    for memory in (strange, strange._replace(own="something else")):
+        step = pp.ConstrainedQP().step(arm.at(arm.straight()), target, None, memory)
+        np.testing.assert_array_equal(step.dq, fresh.dq)

@@ -1,0 +1,96 @@
+"""Ways through joint space against fine sampling of the same polyline."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from control.task_arms import ARMS
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import pinposture as pp
+from pinposture.control.constrained.path import JointPath
+
+SEEDS = st.integers(0, 2**32 - 1)
+ARM = pp.Arm.from_template("Rz", 4)
+FINE = 4000
+
+
+def drawn(rng: np.random.Generator, arm: pp.Arm = ARM, size: float = 1.0) -> JointPath:
+    """A polyline with long and short pieces, some of which do not move, and some joints that do not."""
+    pieces = size * rng.normal(size=(int(rng.integers(1, 7)), arm.nv))
+    pieces *= 10.0 ** rng.uniform(-1.0, 0.0, (len(pieces), 1)) * (rng.random((len(pieces), arm.nv)) > 0.2)
+    offsets = np.vstack([np.zeros(arm.nv), pieces.cumsum(axis=0)])
+    start = arm.random(rng) if arm is not ARM else rng.uniform(-1.0, 1.0, arm.nv)
+    return JointPath(arm, start, offsets)
+
+
+def sampled(path: JointPath, place: np.ndarray) -> np.ndarray:
+    """Offsets at places, by interpolation of each joint."""
+    along = np.arange(len(path.offsets))
+    return np.column_stack([np.interp(place, along, joint) for joint in path.offsets.T])
+
+
+@given(seed=SEEDS)
+@settings(deadline=None, max_examples=40)
+def test_ahead_is_the_farthest_place_without_a_gap(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    path = drawn(rng)
+    place = float(rng.uniform(0.0, path.end))
+    bound = 10.0 ** rng.uniform(-2.0, 0.5, ARM.nv)
+    offset = sampled(path, np.array([place]))[0] + rng.uniform(-0.9, 0.9, ARM.nv) * bound * (seed % 2)
+    ahead = path.ahead(offset, place, bound)
+    places = np.linspace(place, path.end, FINE)
+    within = np.all(np.abs(sampled(path, places) - offset) <= bound * (1.0 + 1e-9), axis=1)
+    first_out = int(np.argmin(within)) if not within.all() else FINE
+    expected = places[max(first_out - 1, 0)]
+    gap = path.end / FINE
+    assert expected - 1e-9 <= ahead.place <= expected + gap + 1e-9
+    np.testing.assert_allclose(ahead.dq, sampled(path, np.array([ahead.place]))[0] - offset, atol=1e-12)
+    assert np.all(np.abs(ahead.dq) <= bound * (1.0 + 1e-9))
+
+
+@pytest.mark.parametrize(
+    "side",
+    [
+        1.0,
+        -1.0,
+    ],
+)
+def test_an_arm_that_is_off_the_path_waits_at_its_place(side: float) -> None:
+    """On either side: joint 0 is out of reach of the path, on which only joint 1 moves."""
+    path = JointPath(ARM, np.zeros(4), np.array([[0.0, 0, 0, 0], [0.0, 0.05, 0, 0], [0.0, 0.1, 0, 0]]))
+    ahead = path.ahead(np.array([0.5 * side, 0.0, 0.0, 0.0]), 0.2, np.full(4, 0.1))
+    assert ahead.place == 0.2
+    np.testing.assert_allclose(ahead.dq, [-0.5 * side, 0.01, 0.0, 0.0], atol=1e-12)
+
+
+def test_stepping_ahead_again_and_again_ends_at_the_end() -> None:
+    for seed in range(20):
+        path = drawn(np.random.default_rng(seed))
+        bound = np.full(ARM.nv, 0.07)
+        pieces = np.abs(np.diff(path.offsets, axis=0)).max(axis=1).sum() / 0.07
+        place, offset, steps = 0.0, np.zeros(ARM.nv), 0
+        while place < path.end:
+            ahead = path.ahead(offset, place, bound)
+            place, offset, steps = ahead.place, offset + ahead.dq, steps + 1
+            # Each step but the last covers a chord of one bound, so at least as much of the path.
+            assert steps <= np.ceil(pieces)
+        np.testing.assert_allclose(offset, path.offsets[-1], atol=1e-12)
+
+
+def test_places_and_configurations_belong_together_on_every_arm() -> None:
+    for name, arm in ARMS.items():
+        rng = np.random.default_rng(len(name))
+        path = drawn(rng, arm, 0.05)
+        before = None
+        for place in np.linspace(0.0, path.end, 23):
+            q = path.configuration(place)
+            np.testing.assert_allclose(
+                path.offset_of(q, place), sampled(path, np.array([place]))[0], atol=1e-10
+            )
+            if before is not None:  # no jump at a waypoint
+                apart = np.linalg.norm(arm.at(q).points - before, axis=1).max()
+                most = np.abs(np.diff(path.offsets, axis=0)).sum(axis=1).max() * path.end / 22.0
+                assert apart <= 2.0 * most * max(1.0, arm.length) + 1e-12
+            before = arm.at(q).points

@@ -1,0 +1,103 @@
+"""Rows of the sum of squares against its derivative, on arms of every kind."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from control.task_arms import ARMS, STATES, derivative, state_of, target_of
+
+import pinposture as pp
+from pinposture.control.constrained.posture import Posture
+from pinposture.control.tasks import EndEffector, JointPosture
+
+
+def apart(arm: pp.Arm, seed: int, weights: np.ndarray | None = None) -> pp.Target:
+    """A target that no state of the tests takes, in the plane of a planar arm."""
+    shift = np.random.default_rng(seed).normal(size=(arm.n_modules, arm.dimension)) * 0.05
+    points = target_of(arm).points + shift @ arm.plane
+    return pp.Target.from_points(arm, points, weights)
+
+
+def weighed(arm: pp.Arm) -> np.ndarray:
+    """Weights of all sizes, and a region where the arm has room for one."""
+    weights = np.linspace(0.3, 2.0, arm.n_modules)
+    if arm.n_modules > 2:
+        weights[1] = 0.0
+    return weights
+
+
+def errors_by_hand(state: pp.ArmState, target: pp.Target, chord: float) -> np.ndarray:
+    """Weighted errors of points, then of chords between points that follow each other and have a target."""
+    placed = [k for k in range(state.arm.n_modules) if target.weights[k] > 0.0]
+    error = [state.arm.plane @ (target.points[k] - state.points[k]) for k in placed]
+    rows = [np.sqrt(target.weights[k]) * e for k, e in zip(placed, error, strict=True)]
+    for i in range(len(placed) - 1 if chord else 0):
+        weight = chord * min(target.weights[placed[i]], target.weights[placed[i + 1]])
+        rows.append(np.sqrt(weight) * (error[i + 1] - error[i]))
+    return np.concatenate(rows)
+
+
+@pytest.mark.parametrize("name, seed", STATES)
+@pytest.mark.parametrize("chord", [0.0, 0.7])
+def test_errors_and_their_derivative(name: str, seed: int | None, chord: float) -> None:
+    state, arm = state_of(name, seed), ARMS[name]
+    target = apart(arm, 3, weighed(arm))
+    posture = Posture(arm, target, (), chord)
+    linear = posture.rows(state)
+    np.testing.assert_allclose(linear.errors, errors_by_hand(state, target, chord), atol=1e-14)
+    slope = derivative(state, lambda at: -posture.rows(at).errors)[:, posture.columns] * posture.units
+    np.testing.assert_allclose(linear.matrix, slope, atol=1e-8)
+    assert posture.merit(state) == pytest.approx(0.5 * float(linear.errors @ linear.errors))
+    gradient = derivative(state, lambda at: np.array([posture.merit(at)]))[0, posture.columns] * posture.units
+    np.testing.assert_allclose(gradient, -linear.matrix.T @ linear.errors, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", ["spatial", "planar", "mixed", "scara"])
+def test_rows_of_tasks_follow_with_their_weights(name: str) -> None:
+    state, arm = state_of(name, 1), ARMS[name]
+    tip = EndEffector(position=state.points[-1] + 0.01 * arm.plane[0], weight=9.0)
+    rest = JointPosture(q=arm.neutral(), weight=0.04)
+    posture, target = Posture(arm, apart(arm, 1), (tip, rest)), apart(arm, 1)
+    linear, alone = posture.rows(state), Posture(arm, target).rows(state)
+    assert len(linear.errors) == len(alone.errors) + arm.dimension + arm.nv
+    np.testing.assert_array_equal(linear.errors[: len(alone.errors)], alone.errors)
+    np.testing.assert_allclose(
+        linear.errors[len(alone.errors) :][: arm.dimension], 3.0 * 0.01 * np.eye(arm.dimension)[0], atol=1e-12
+    )
+    slope = derivative(state, lambda at: -posture.rows(at).errors)[:, posture.columns] * posture.units
+    np.testing.assert_allclose(linear.matrix, slope, atol=1e-7)
+
+
+def test_strict_tasks_are_listed_by_themselves() -> None:
+    state, arm = state_of("spatial", 1), ARMS["spatial"]
+    first = EndEffector(position=np.ones(3), weight=1.0, strict=True)
+    posture = Posture(arm, apart(arm, 1), (JointPosture(q=arm.neutral()), first))
+    strict = posture.task_rows(state, strict=True)
+    moves = state.jacobians[-1][:, posture.columns] * posture.units
+    share = np.linalg.norm(strict.errors) / np.linalg.norm(np.ones(3) - state.points[-1])
+    np.testing.assert_allclose(strict.errors, share * (np.ones(3) - state.points[-1]))
+    np.testing.assert_allclose(strict.matrix, share * moves)
+    rest = posture.task_rows(state, strict=False)
+    assert len(rest.errors) == arm.nv
+    assert Posture(arm, apart(arm, 1), (JointPosture(q=arm.neutral()),)).task_rows(state, True) is None
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_a_step_and_its_displacement_are_the_same_thing(name: str) -> None:
+    arm, state = ARMS[name], state_of(name, 0)
+    posture = Posture(arm, target_of(arm))
+    x = np.random.default_rng(0).normal(size=len(posture.columns))
+    dq = posture.displacement(x)
+    np.testing.assert_allclose(posture.own(dq), x, rtol=1e-14)
+    np.testing.assert_array_equal(posture.moved(state, x).q, arm.integrate(state.q, dq))
+
+
+def test_joints_without_room_stay_out() -> None:
+    limits = pp.template("RyRz").with_limits(-1.0, 1.0)
+    still = pp.ModuleTemplate(
+        "still", (pp.JointSpec("y", lower=0.2, upper=0.2 + 1e-15), pp.JointSpec("z")), (0.1, 0.1)
+    )
+    arm = pp.Arm.from_modules([limits, still, limits])
+    posture = Posture(arm, pp.Target.from_points(arm, arm.at(arm.straight()).points))
+    free = arm.limits.upper > arm.limits.lower
+    np.testing.assert_array_equal(posture.columns, np.flatnonzero(free))

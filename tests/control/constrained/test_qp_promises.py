@@ -1,0 +1,162 @@
+"""What the controller promises of every run, as properties."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from qp_runs import ARMS, KINDS, check_limits, drawn, steps_of
+
+import pinposture as pp
+from pinposture.control.constrained import program
+
+SEEDS = st.integers(0, 2**32 - 1)
+NAMES = st.sampled_from(sorted(ARMS))
+
+
+@given(seed=SEEDS, name=NAMES, kind=st.sampled_from(KINDS))
+@settings(deadline=None, max_examples=20)
+def test_limits_hold_and_errors_rise_only_in_escapes(seed: int, name: str, kind: str) -> None:
+    case = drawn(seed, name, kind)
+    run = case.track(max_steps=60)
+    check_limits(case.arm, case.limits, run.q)
+    assert np.all(np.isfinite(run.point_errors))
+    assert not any(run.relaxed)
+    rise = np.diff(run.posture_error)
+    assert np.all(rise[~run.escape] <= 1e-11 * case.arm.length)
+
+
+def most_steps(case: object, first: pp.ArmState) -> float:
+    """Steps that the way of a case takes: the length of its pieces in units of the slowest joint.
+
+    Each step but the last has a joint at its bound. No joint goes farther in a step than on the way between
+    its ends, so each takes at least one unit off the way.
+    """
+    step = pp.ConstrainedQP().step(first, case.target, case.limits)
+    pieces = np.abs(np.diff(step.memory.own.path.offsets, axis=0)) / case.limits.bound(first)
+    return float(pieces.max(axis=1).sum())
+
+
+@given(seed=SEEDS, name=NAMES, size=st.sampled_from([0.05, 0.1, 0.3]), margin=st.sampled_from([0.0, 0.02]))
+@settings(deadline=None, max_examples=10)
+def test_a_known_configuration_is_reached_in_the_steps_that_its_way_takes(
+    seed: int, name: str, size: float, margin: float
+) -> None:
+    arm = ARMS[name]
+    case = drawn(seed, name, "known", pp.Limits(step=size * arm.joint_units, position_margin=margin))
+    bound = int(np.ceil(most_steps(case, arm.at(case.start)))) + 1
+    run = case.track(max_steps=bound, tolerance=1e-9 * arm.length)
+    assert run.converged, run.reason
+    goal = np.array([pin.difference(arm.model, run.q[-1], case.target.q)])
+    assert np.abs(goal / arm.joint_units).max() < 1e-6
+
+
+@given(seed=SEEDS, name=NAMES)
+@settings(deadline=None, max_examples=15)
+def test_the_way_is_no_longer_than_a_bound_known_beforehand(seed: int, name: str) -> None:
+    """mu |way of the joints| <= length of joint interpolation in the metric J^T J + mu^2 I, by its energy."""
+    case = drawn(seed, name, "known", pp.Limits())
+    arm, controller = case.arm, pp.ConstrainedQP()
+    mu = controller.haste * arm.length / np.sqrt(arm.n_modules)
+    offsets = controller.step(arm.at(case.start), case.target).memory.own.path.offsets / arm.joint_units
+    line = np.linspace(0.0, 1.0, len(offsets))[:, None] * offsets[-1]
+    points = [arm.at(arm.integrate(case.start, x * arm.joint_units)).points for x in line]
+    energy = float((np.diff(points, axis=0) ** 2).sum() + mu**2 * (np.diff(line, axis=0) ** 2).sum())
+    travel = np.linalg.norm(np.diff(offsets, axis=0), axis=1).sum()
+    assert mu * travel <= np.sqrt((len(offsets) - 1) * energy) * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize("kind", ["known", "points", "far"])
+@pytest.mark.parametrize("name", ["planar", "spatial"])
+def test_the_same_call_gives_the_same_bits(name: str, kind: str) -> None:
+    case = drawn(11, name, kind)
+    first, again = (case.track(max_steps=40) for _ in range(2))
+    assert first.q.tobytes() == again.q.tobytes()
+    assert (first.status, first.reason) == (again.status, again.reason)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_an_acceleration_limit_does_not_keep_it_from_a_known_configuration(name: str) -> None:
+    """Where a joint comes to full speed within ten steps."""
+    arm, limits = ARMS[name], pp.Limits(step=None, dt=0.1, velocity=1.0, acceleration=1.0)
+    for seed in range(2):
+        case = drawn(seed, name, "known", limits)
+        run = case.track(max_steps=1500)
+        check_limits(arm, limits, run.q)
+        assert run.converged, (seed, run.reason)
+
+
+@pytest.mark.parametrize(("dt", "acceleration"), [(0.01, 3.0), (0.002, 3.0)])
+def test_a_low_acceleration_limit_costs_little_more_than_joint_interpolation(
+    dt: float, acceleration: float
+) -> None:
+    """From rest it takes 50 and 250 steps to full speed; six times the way joint by joint is allowed."""
+    limits = pp.Limits(step=None, dt=dt, velocity=1.5, acceleration=acceleration)
+    arm = pp.Arm.from_template("RyRz", 5)
+    start, goal = np.random.default_rng(0).uniform(-0.7, 0.7, (2, arm.nv))
+    target = pp.Target.from_configuration(arm, goal)
+    each = pp.track(arm, target, start, "joint", limits, max_steps=1000)
+    assert each.converged
+    run = pp.track(arm, target, start, limits=limits, max_steps=6 * each.steps)
+    assert run.converged
+    assert run.escape.mean() < 0.1
+
+
+@pytest.mark.parametrize("poison", ["nan", "garbage", "flag", "huge", "sometimes"])
+@pytest.mark.parametrize("kind", ["points", "far"])
+def test_a_poisoned_solver_breaks_no_limit(poison: str, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng, honest = np.random.default_rng(0), program.daqp.solve
+
+    def solve(hessian: np.ndarray, gradient: np.ndarray, *rest: object, **options: object) -> tuple:
+        n = len(gradient)
+        if poison == "sometimes" and rng.random() < 0.5:
+            return honest(hessian, gradient, *rest, **options)
+        if poison == "flag":
+            return np.zeros(n), 0.0, int(rng.choice([-1, -2, -3, -4, -5, 0, 7])), {}
+        x = {"nan": np.full(n, np.nan), "huge": np.full(n, 1e300)}.get(poison, rng.normal(size=n))
+        return x, 0.0, 1, {}
+
+    monkeypatch.setattr(program.daqp, "solve", solve)
+    for seed, name in enumerate(ARMS):
+        case = drawn(seed, name, kind)
+        run = case.track(max_steps=15)
+        check_limits(case.arm, case.limits, run.q)
+        rise = np.diff(run.posture_error)
+        assert np.all(rise[~run.escape] <= 1e-11 * case.arm.length)
+
+
+def test_a_poisoned_solver_does_not_keep_an_unhindered_arm_from_a_known_configuration(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its way needs no program."""
+    monkeypatch.setattr(program.daqp, "solve", lambda _, g, *__, **___: (np.full(len(g), np.nan), 0.0, 1, {}))
+    case = drawn(3, "planar", "known", pp.Limits())
+    assert case.track().converged
+
+
+def test_disturbed_steps_still_arrive() -> None:
+    """Between steps the arm is pushed by more than it moves itself, at first."""
+    for seed, name in enumerate(("planar", "spatial", "short")):
+        case = drawn(seed, name, "known", pp.Limits(step=0.1))
+        arm, controller, memory, rng = case.arm, pp.ConstrainedQP(), None, np.random.default_rng(seed)
+        q, steps = case.start, 0
+        while steps < 400:
+            state = arm.at(q)
+            if np.linalg.norm(case.target.points - state.points, axis=1).mean() < 1e-6 * arm.length:
+                break
+            step = controller.step(state, case.target, case.limits, memory)
+            assert np.all(np.abs(step.dq) <= 0.1 + 1e-12)
+            push = 0.15 * rng.normal(size=arm.nv) if steps < 15 else np.zeros(arm.nv)
+            pushed = arm.positions(arm.integrate(q, step.dq)) + push
+            q = arm.configuration(np.clip(pushed, arm.limits.lower, arm.limits.upper))
+            memory, steps = step.memory, steps + 1
+        assert steps < 400, name
+
+
+def test_steps_are_what_the_record_says() -> None:
+    case = drawn(5, "sliding", "known", pp.Limits(step=0.05))
+    steps: list[np.ndarray] = []
+    run = case.track(callback=lambda _, __, step: steps.append(step.dq) and None)
+    np.testing.assert_allclose(steps_of(case.arm, run.q), steps, atol=1e-12)

@@ -1,0 +1,119 @@
+"""Runs that cannot end at their target say what holds them, and do what they can."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from qp_runs import ARMS, check_limits
+from scipy.optimize import least_squares, minimize
+
+import pinposture as pp
+from pinposture.control.tasks import EndEffector
+from pinposture.scene import Scene, Sphere
+
+
+def span(m: int) -> np.ndarray:
+    """What makes errors of points and of chords out of those of points, (2 m - 1, m)."""
+    return np.vstack([np.eye(m), np.diff(np.eye(m), axis=0)])
+
+
+def test_a_joint_at_its_limit_is_named_and_no_other() -> None:
+    arm = pp.Arm.from_modules([pp.template("Rz").with_limits(-0.5, 0.5)] * 4)
+    free = pp.Arm.from_template("Rz", 4)
+    wanted = free.at(np.array([0.2, 1.2, -0.1, 0.1]))
+    run = pp.track(arm, pp.Target.from_points(arm, wanted.points), arm.straight())
+    assert run.status == "stalled"
+    assert "m02_j1_z at its limit" in run.reason
+    held = {name for name in arm.joint_names if f"{name} at its limit" in run.reason}
+    at = {name for name, angle in zip(arm.joint_names, run.q[-1], strict=True) if abs(angle) > 0.5 - 1e-9}
+    assert held == at
+    assert len(held) < 4
+
+
+def test_joints_that_only_accelerate_are_not_said_to_be_at_their_limits() -> None:
+    arm = pp.Arm.from_template("Rz", 4)
+    limits = pp.Limits(step=None, dt=0.1, velocity=1.0, acceleration=0.5)
+    run = pp.track(arm, pp.Target.from_configuration(arm, np.full(4, 0.8)), arm.straight(), limits=limits)
+    assert np.abs(run.q).max() < 2.0  # far from pi
+    assert not run.clipped.any()
+
+
+def test_points_out_of_reach_end_at_the_best_posture_with_a_reason() -> None:
+    for name in ("planar", "spatial"):
+        arm = ARMS[name]
+        points = 1.5 * arm.at(arm.configuration(np.full(arm.nv, 0.1))).points
+        target = pp.Target.from_points(arm, points)
+        run = pp.track(arm, target, arm.straight(), "qp", max_steps=1000)
+        assert run.status == "stalled"
+        assert "no step" in run.reason or "no progress" in run.reason
+        check_limits(arm, pp.Limits(), run.q)
+        # Chords count as well as points: at the end no joint can improve their sum of squares.
+        both = span(arm.n_modules)
+        best = least_squares(
+            lambda q, arm=arm, both=both, points=points: (both @ (points - arm.at(q).points)).ravel(),
+            run.q[-1],
+            bounds=(arm.limits.lower, arm.limits.upper),
+        )
+        left = both @ (points - run.points[-1])
+        assert 0.5 * float((left**2).sum()) <= 1.001 * best.cost
+
+
+def test_an_obstacle_on_the_target_stops_it_short_and_is_named() -> None:
+    arm = pp.Arm.from_template("Rz", 6)
+    target = pp.Target.from_points(arm, arm.at(np.full(6, 0.15)).points)
+    ball = Sphere(tuple(target.points[-1]), 0.05)
+    scene = Scene({"ball": ball}, margin=0.004, arm_radius=0.01)
+    run = pp.track(arm, target, np.full(6, -0.3), scene=scene)
+    assert run.status == "stalled"
+    assert "ball" in run.reason
+    assert run.clearance.min() >= 0.004 - 1e-9
+    between = scene.around(arm)
+    for q, dq in zip(run.q[:-1], np.diff(run.q, axis=0), strict=True):
+        assert between.minimum_between(q, dq, 10).distance >= 0.004 - 1e-9
+
+
+def test_an_obstacle_beside_the_target_does_not() -> None:
+    arm = pp.Arm.from_template("Rz", 6)
+    start, goal = np.full(6, -0.3), np.full(6, 0.15)
+    ends = np.concatenate([arm.at(start).points, arm.at(goal).points])
+    place = np.array([0.5 * arm.length, 0.75 * arm.length, 0.0])
+    assert np.linalg.norm(ends - place, axis=1).min() > 0.05
+    scene = Scene({"ball": Sphere(tuple(place), 0.02)}, margin=0.004, arm_radius=0.01)
+    assert pp.track(arm, pp.Target.from_configuration(arm, goal), start, scene=scene).converged
+
+
+def test_a_strict_end_effector_gets_what_it_would_get_alone() -> None:
+    """Out of reach: the tip ends as near as with nothing else to do, whatever the points ask for."""
+    arm = ARMS["short"]
+    place = np.array([1.3 * arm.length, 0.4 * arm.length, 0.0])
+    posture = pp.Target.from_points(arm, arm.at(np.array([-1.0, 0.8, 0.9])).points)
+    tip = pp.Target.from_points(arm, np.tile(place, (3, 1)), np.array([0.0, 0.0, 1.0]))
+    alone = pp.track(arm, tip, np.array([0.3, -0.2, 0.4]), max_steps=1000)
+    both = pp.ConstrainedQP(tasks=(EndEffector(position=place, strict=True),))
+    run = pp.track(arm, posture, np.array([0.3, -0.2, 0.4]), both, max_steps=1000)
+    check_limits(arm, pp.Limits(), run.q)
+    errors = [np.linalg.norm(each.points[-1][-1] - place) for each in (alone, run)]
+    nearest = np.linalg.norm(place) - arm.length
+    assert errors[0] == pytest.approx(nearest, rel=1e-3)
+    assert errors[1] <= 1.001 * nearest
+
+
+def test_a_strict_end_effector_in_reach_is_met_while_the_points_do_what_is_left() -> None:
+    arm = ARMS["planar"]
+    start = np.full(7, 0.2)
+    held = EndEffector.held(arm.at(start), "position", strict=True)
+    posture = pp.Target.from_points(arm, arm.at(np.full(7, -0.1)).points)
+    run = pp.track(arm, posture, start, pp.ConstrainedQP(tasks=(held,)), max_steps=300)
+    tip = np.linalg.norm(run.points[:, -1] - run.points[0, -1], axis=1)
+    assert tip[-1] < 1e-4 * arm.length
+    assert tip.max() < 0.01 * arm.length
+    both = span(7)
+
+    def left(q: np.ndarray) -> float:
+        return float(((both @ (posture.points - arm.at(q).points)) ** 2).sum())
+
+    there = {"type": "eq", "fun": lambda q: (arm.at(q).points[-1] - run.points[0, -1])[:2]}
+    best = minimize(left, start, constraints=[there], method="SLSQP", options={"maxiter": 500})
+    assert best.success
+    assert best.fun < 0.999 * left(start)
+    assert left(run.q[-1]) <= 1.0001 * best.fun

@@ -1,0 +1,64 @@
+"""The block tridiagonal solver against a dense one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pinposture.control.constrained.tridiagonal import solve_tridiagonal
+
+
+def dense(diagonal: np.ndarray, above: np.ndarray) -> np.ndarray:
+    count, n = diagonal.shape[:2]
+    whole = np.zeros((count * n, count * n))
+    for i in range(count):
+        here = slice(i * n, (i + 1) * n)
+        whole[here, here] = diagonal[i]
+        if i < count - 1:
+            after = slice((i + 1) * n, (i + 2) * n)
+            whole[here, after], whole[after, here] = above[i], above[i].T
+    return whole
+
+
+def drawn(seed: int, count: int, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Blocks of L L^T with a random lower block bidiagonal L, which is positive definite."""
+    rng = np.random.default_rng(seed)
+    own = np.tril(rng.normal(size=(count, n, n))) + 2.0 * np.eye(n)
+    side = rng.normal(size=(count - 1, n, n))  # of row i + 1, left of its diagonal
+    diagonal = own @ own.transpose(0, 2, 1)
+    diagonal[1:] += side @ side.transpose(0, 2, 1)
+    return diagonal, own[:-1] @ side.transpose(0, 2, 1), rng.normal(size=(count, n))
+
+
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 12), n=st.integers(1, 8))
+@settings(deadline=None, max_examples=40)
+def test_it_solves_what_a_dense_solver_solves(seed: int, count: int, n: int) -> None:
+    diagonal, above, right = drawn(seed, count, n)
+    given_ = [array.copy() for array in (diagonal, above, right)]
+    found = solve_tridiagonal(diagonal, above, right)
+    assert found is not None
+    whole = dense(diagonal, above)
+    expected = np.linalg.solve(whole, right.ravel())
+    tolerance = 1e-13 * np.linalg.cond(whole) * np.abs(expected).max()
+    np.testing.assert_allclose(found.ravel(), expected, rtol=0.0, atol=tolerance)
+    for before, after in zip(given_, (diagonal, above, right), strict=True):
+        np.testing.assert_array_equal(before, after)
+
+
+@pytest.mark.parametrize("block", [0, 1, 4])
+def test_an_indefinite_matrix_gives_none(block: int) -> None:
+    diagonal, above, right = drawn(7, 5, 3)
+    diagonal[block] -= 1.001 * np.eye(3) * np.linalg.eigvalsh(diagonal[block])[0]
+    diagonal[block] -= 0.01 * np.eye(3)
+    assert np.linalg.eigvalsh(dense(diagonal, above))[0] < 0.0
+    assert solve_tridiagonal(diagonal, above, right) is None
+
+
+def test_it_says_none_exactly_where_the_smallest_eigenvalue_is_negative() -> None:
+    diagonal, above, right = drawn(3, 6, 4)
+    smallest = np.linalg.eigvalsh(dense(diagonal, above))[0]
+    for share, definite in ((0.99, True), (1.01, False)):
+        shifted = diagonal - share * smallest * np.eye(4)
+        assert (solve_tridiagonal(shifted, above, right) is not None) == definite
