@@ -28,7 +28,7 @@ adequacy = arm.adequate(curve)
 print(f"curvature they follow: {adequacy.max_curvature:.1f} /m; of the curve: {adequacy.curvature:.1f} /m")
 
 target = pp.resolve_targets(arm, curve)
-run = pp.track(arm, target, arm.straight())
+run = pp.track(arm, target, arm.straight())  # by the default controller, "qp", within the limits above
 print(run.status, "-", run.reason)
 pp.save_html(arm, run, out / "run.html")
 print(f"open {out / 'run.html'} in a browser to see it move")

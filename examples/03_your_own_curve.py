@@ -34,6 +34,6 @@ partial = pp.resolve_targets(arm, short, incomplete="partial")
 print(f"placed all the same: {partial.placed.sum()} of {arm.n_modules} control points")
 
 start = smooth_configuration(arm, np.random.default_rng(6), amplitude=0.4)
-run = pp.track(arm, target, start)
+run = pp.track(arm, target, start)  # by the default controller, "qp"
 pp.plot(run).savefig(out / "run.png", dpi=120)
 print(f"{run.status} after {run.steps} steps; look at {out / 'run.png'}")

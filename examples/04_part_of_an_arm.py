@@ -1,4 +1,4 @@
-"""Part of an arm: the last half of a planar arm takes a shape, the rest helps; three methods compared.
+"""Part of an arm: the last half of a planar arm takes a shape, the rest helps; four methods compared.
 
 python examples/04_part_of_an_arm.py
 """
@@ -19,9 +19,11 @@ start = bent_configuration(arm, rng, heading=1.2)
 goal = pp.Target.from_configuration(arm, bent_configuration(arm, rng, heading=1.5))
 target = goal.region(22, 44)
 
-# Selection takes the points that it can move safely, Projection moves all points as far as they can go,
-# Switching has both by turns and says why.
-runs = {name: pp.track(arm, target, start, name) for name in ("selection", "projection", "switching")}
+# The default controller, "qp", plans the most direct way and follows it. Selection takes the points that it
+# can move safely, Projection moves all points as far as they can go, Switching has both by turns, and says
+# why.
+names = ("qp", "selection", "projection", "switching")
+runs = {name: pp.track(arm, target, start, name) for name in names}
 for name, run in runs.items():
     mean = run.posture_error[-1] / target.placed.sum()
     print(f"{name}: {run.status} after {run.steps} steps, mean point error {mean:.2g} m")

@@ -1,4 +1,4 @@
-"""Scenarios of the thesis by Selection, Projection, and both by turns: one table, pictures, animations.
+"""Scenarios of the thesis by qp, the default, by Selection, Projection, and both by turns: a table, pictures.
 
 make demo
 """
@@ -17,7 +17,7 @@ from pinposture.thesis.scenarios import PLANAR_SCENARIOS, SPATIAL_SCENARIOS
 SEED = 17
 OUT = Path("out")
 URDF = Path(__file__).parents[1] / "urdf"
-CONTROLLERS = ("selection", "projection", "switching")
+CONTROLLERS = ("qp", "selection", "projection", "switching")
 
 
 def main() -> None:

@@ -5,10 +5,11 @@ from types import ModuleType
 from typing import Any
 
 from pinposture.view.anatomy import plot_arm
+from pinposture.view.clearance import plot_clearance
 from pinposture.view.html import save_html
 from pinposture.view.panels import plot_active_points, plot_point_errors, plot_posture_error
 from pinposture.view.plots import plot, plot_comparison
-from pinposture.view.postures import plot_postures
+from pinposture.view.run_postures import plot_postures
 from pinposture.view.viewer import Viewer, view
 
 __all__ = [
@@ -16,6 +17,7 @@ __all__ = [
     "plot",
     "plot_active_points",
     "plot_arm",
+    "plot_clearance",
     "plot_comparison",
     "plot_point_errors",
     "plot_posture_error",

@@ -12,8 +12,10 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture.arm import Arm, ControlPoints, Ellipsoid
+from pinposture.scene import Scene
 from pinposture.view import palette
 from pinposture.view.body import bodies, body_poses
+from pinposture.view.drawn_obstacles import draw_obstacles, surround
 from pinposture.view.ellipsoids import draw_ellipsoids, ellipsoid_key, scale_in_words, shade_ellipsoids
 from pinposture.view.postures import PosturePanel, box_extent
 
@@ -66,7 +68,9 @@ def anatomy(arm: Arm, q: ArrayLike) -> Anatomy:
     return Anatomy(modules, joints, axes, points)
 
 
-def plot_arm(arm: Arm, q: ArrayLike | None = None, ellipsoids: ControlPoints = ()) -> Figure:
+def plot_arm(
+    arm: Arm, q: ArrayLike | None = None, ellipsoids: ControlPoints = (), scene: Scene | None = None
+) -> Figure:
     """Show how an arm is built: modules in two shades that take turns, joint axes, numbered control points.
 
     A joint that turns has a bar along its axis, or in the plane of a planar arm, where its axis is seen from
@@ -78,6 +82,7 @@ def plot_arm(arm: Arm, q: ArrayLike | None = None, ellipsoids: ControlPoints = (
         q: configuration, (nq,) [rad or m]; the neutral one if None.
         ellipsoids: control points to draw the manipulability ellipsoids of, by their indices, 0-based or from
             the tip as -1, or by their names.
+        scene: what surrounds the arm; obstacles are shown where they are near.
 
     Returns:
         A figure, 1200 pixels wide, as `plot` gives it; a planar arm is seen in its plane, others in space.
@@ -101,7 +106,9 @@ def plot_arm(arm: Arm, q: ArrayLike | None = None, ellipsoids: ControlPoints = (
     _draw_axes(panel, arm, parts, half)
     dots = {"ls": "none", "marker": "o", "ms": 4.2, "mfc": "white", "mec": palette.INK, "mew": 0.9}
     panel.line(parts.points[:-1], label="control points", zorder=6, **dots)
+    surroundings = surround(panel, scene)
     panel.finish()
+    draw_obstacles(panel, surroundings)
     panel.line(parts.points[-1:], ls="none", marker="D", ms=6.0, color=palette.INK, label="tip", zorder=7)
     shade_ellipsoids(panel, chosen)
     _fit(figure, panel)

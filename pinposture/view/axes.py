@@ -62,6 +62,11 @@ def mark_end(ax: Axes, step: int, value: float, color: str, unit: str) -> None:
     _mark(ax, step, value, color, unit, (6, 0), "left", "center")
 
 
+def mark_least(ax: Axes, step: int, value: float, color: str, unit: str) -> None:
+    """Write a least value above its place, where the line leaves room on both sides."""
+    _mark(ax, step, value, color, unit, (0, 8), "center", "bottom")
+
+
 def _mark(
     ax: Axes, step: int, value: float, color: str, unit: str, offset: tuple[int, int], ha: str, va: str
 ) -> None:

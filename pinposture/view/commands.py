@@ -45,8 +45,8 @@ class Track(NamedTuple):
     smooth: bool
 
 
-def draw(path: str, mesh: Mesh, color: str) -> Command:
-    """Draw a surface [m] of one colour "#RRGGBB"."""
+def draw(path: str, mesh: Mesh, color: str, opacity: float = 1.0) -> Command:
+    """Draw a surface [m] of one colour "#RRGGBB", which may let through what is behind it."""
     # Names within one command only have to differ from those of other objects in the scene.
     geometry = {
         "uuid": f"{path}/geometry",
@@ -56,13 +56,15 @@ def draw(path: str, mesh: Mesh, color: str) -> Command:
             "index": _packed(mesh.faces, "Uint32Array"),
         },
     }
-    material = {
+    material: dict[str, Any] = {
         "uuid": f"{path}/material",
         "type": "MeshPhongMaterial",
         "color": int(color.lstrip("#"), 16),
         "shininess": 40,
         "side": 2,
     }
+    if opacity < 1.0:  # what shines through must not hide what is drawn later
+        material.update(transparent=True, opacity=opacity, depthWrite=False)
     shape = {
         "uuid": f"{path}/mesh",
         "type": "Mesh",

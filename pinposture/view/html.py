@@ -21,9 +21,11 @@ from pinposture.storage import write_text
 from pinposture.target import Target
 from pinposture.view import palette
 from pinposture.view.animation import Film, film, tracks
+from pinposture.view.clearance import has_clearance
 from pinposture.view.commands import animate, pack
 from pinposture.view.ellipsoids import KEY, scale_in_words
 from pinposture.view.moving_ellipsoids import ball_commands, ball_ends, ball_tracks, balls
+from pinposture.view.obstacles import near_corners, obstacle_commands, shown_obstacles
 from pinposture.view.scene import (
     ASPECT,
     arm_commands,
@@ -48,6 +50,7 @@ def save_html(
 
     The file holds all that it needs, the viewer's script included: it opens from disk, offline. The run
     plays over and over; the mouse turns, shifts and zooms. Active control points are coloured and large.
+    Obstacles are translucent; of a half-space there is a patch.
 
     Args:
         arm: the arm.
@@ -79,10 +82,13 @@ def save_html(
 def _page(arm: Arm, shown: Film, target: Target, points: tuple[int, ...]) -> str:
     run = shown.run
     ellipsoids = balls(arm, points, run.q[shown.rows])
+    stage = np.vstack([stage_points(arm, run, target), ball_ends(ellipsoids)])
+    obstacles = shown_obstacles(run.scene, stage)
     commands = [
-        *stage_commands(arm, np.vstack([stage_points(arm, run, target), ball_ends(ellipsoids)])),
+        *stage_commands(arm, np.vstack([stage, near_corners(obstacles)])),
         *arm_commands(arm, run.q[0]),
         *target_commands(arm, target),
+        *obstacle_commands(obstacles),
         *ball_commands(ellipsoids),
         animate([*tracks(arm, shown), *ball_tracks(ellipsoids, shown)], shown.fps),
     ]
@@ -92,7 +98,7 @@ def _page(arm: Arm, shown: Film, target: Target, points: tuple[int, ...]) -> str
     return Template(template).substitute(
         title=html.escape(f"{controller_name(run)} {ending(run)}"),
         reason=html.escape(run.reason),
-        legend=_legend(run.steps > 0, f"ellipsoids, {scale_in_words(arm, points)}:" if points else ""),
+        legend=_legend(run.steps > 0, bool(obstacles), scale_in_words(arm, points) if points else ""),
         ink=palette.INK,
         end=shown.end / shown.fps,
         aspect=ASPECT,
@@ -113,17 +119,23 @@ def _texts(shown: Film) -> list[str]:
             text += f", {count} of {run.arm.n_modules} control points active"
             if run.switches:
                 text += f" by {run.method[min(row, run.steps - 1)].capitalize()}"
+        if has_clearance(run):
+            text += f", clearance {run.clearance[row]:.3g} m"
         texts.append(text)
     return texts
 
 
-def _legend(moves: bool, ellipsoids: str) -> str:
+def _legend(moves: bool, obstacles: bool, scale: str) -> str:
     entries = {"target": palette.TARGET, "control point": palette.IDLE}
     if moves:
         entries = {"target": palette.TARGET, "active control point": palette.ACTIVE, "idle": palette.IDLE}
+    if obstacles:
+        entries["obstacle"] = palette.OBSTACLE
     words = _dots(entries)
-    if ellipsoids:
-        words += f"<br>{ellipsoids} " + _dots({f"index {meaning}": color for color, meaning in KEY.items()})
+    if scale:
+        words += f"<br>ellipsoids, {scale}: " + _dots(
+            {f"index {meaning}": color for color, meaning in KEY.items()}
+        )
     return words
 
 

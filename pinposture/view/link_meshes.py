@@ -5,13 +5,9 @@ Only drawing asks for them: where a mesh is missing or cannot be read, a body ke
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from importlib.util import find_spec
-from pathlib import Path
 from typing import NamedTuple
-from urllib.parse import unquote, urlsplit
 
 import numpy as np
 import pinocchio as pin
@@ -20,15 +16,13 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm
 from pinposture.arm.urdf_source import parse_xml
 from pinposture.errors import FileError, PostureWarning
+from pinposture.scene.mesh_files import find_mesh, read_mesh
 from pinposture.view.mesh import Mesh, merge
 
 Array = NDArray[np.float64]
 
 MOST_TRIANGLES = 200_000
 """Triangles of all meshes together that are drawn at most, for a browser to turn them smoothly."""
-
-FORMATS = (".stl", ".obj", ".dae", ".ply")
-"""Endings of the files that are read."""
 
 _LISTED = 12  # files that a warning names before it only counts them
 
@@ -89,7 +83,7 @@ def body_meshes(arm: Arm, most_triangles: int = MOST_TRIANGLES) -> BodyMeshes:
         owner, name = owners[joint], visual.filename
         try:
             if name not in faults and name not in surfaces:
-                surfaces[name] = read_mesh(find_mesh(name, arm.package_dirs))
+                surfaces[name] = Mesh(*read_mesh(find_mesh(name, arm.package_dirs)))
             if name in surfaces:
                 placed = _placed(surfaces[name], visual, link, origins[owner])
                 parts.setdefault(owner, []).append(placed)
@@ -122,64 +116,6 @@ def visual_meshes(arm: Arm) -> list[VisualMesh]:
             scale = _three(mesh.get("scale", "1 1 1"))
             listed.append(VisualMesh(link.get("name", ""), mesh.get("filename", ""), scale, placement))
     return listed
-
-
-def find_mesh(filename: str, package_dirs: Sequence[str] = ()) -> Path:
-    """The file that a description means.
-
-    Args:
-        filename: "package://name/rest", "file:///...", or a path; relative paths start at `package_dirs`.
-        package_dirs: folders to look in, those that hold packages, are packages, or lie in packages. Packages
-            are looked for in the folders of the environment variable ROS_PACKAGE_PATH as well.
-
-    Raises:
-        FileError: there is no such file.
-    """
-    folders = [Path(folder) for folder in package_dirs]
-    if filename.startswith("package://"):
-        name, _, rest = filename.removeprefix("package://").partition("/")
-        ros = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
-        folders += [Path(folder) for folder in ros if folder]
-        candidates = [folder / name / rest for folder in folders]
-        for folder in folders:
-            candidates += [at / rest for at in (folder, *folder.parents) if at.name == name]
-    elif filename.startswith("file://"):
-        candidates = [Path(unquote(urlsplit(filename).path))]
-    else:
-        # An absolute path replaces the folder that it is joined to.
-        candidates = [folder / filename for folder in folders] or [Path(filename)]
-    for candidate in candidates:
-        if _is_file(candidate):
-            return candidate
-    searched = ", ".join(map(str, folders)) or "no folder, for package_dirs is empty"
-    raise FileError(filename, f"is not there (looked in: {searched})")
-
-
-def read_mesh(path: Path) -> Mesh:
-    """Read a file of one of the FORMATS; COLLADA in the unit that it states, others in metres.
-
-    Raises:
-        FileError: another format, or the file does not hold triangles as it should.
-    """
-    if path.suffix.lower() not in FORMATS:
-        raise FileError(path, f"is of an unknown format; allowed: {', '.join(FORMATS)}")
-    if path.suffix.lower() == ".dae" and find_spec("collada") is None:
-        raise FileError(path, "is COLLADA, which only the package pycollada reads; install it")
-    try:
-        import trimesh  # here, because most arms need no files
-
-        scene = trimesh.load_scene(path, process=False)
-        if path.suffix.lower() == ".dae" and scene.units is not None:
-            scene = scene.convert_units("meters")
-        surface = scene.to_mesh()
-        mesh = Mesh(np.array(surface.vertices, dtype=np.float64), np.array(surface.faces, dtype=np.intp))
-    except Exception as error:  # a broken file makes a reader fail in any way
-        raise FileError(path, f"cannot be read: {str(error) or type(error).__name__}") from error
-    if not mesh.faces.size:
-        raise FileError(path, "holds no triangles")
-    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
-        raise FileError(path, "has triangles with corners that it does not hold")
-    return mesh
 
 
 def _placed(mesh: Mesh, visual: VisualMesh, link: pin.SE3, origin: Array) -> Mesh:
@@ -233,10 +169,3 @@ def _three(text: str) -> Array:
     except ValueError:
         numbers = np.empty(0)
     return numbers if numbers.shape == (3,) else np.full(3, np.nan)
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # a name that is too long, or no name at all
-        return False

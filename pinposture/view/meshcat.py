@@ -12,10 +12,12 @@ from pinposture.arm import Arm, ControlPoints
 from pinposture.arm.ellipsoid import chosen_points
 from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory
+from pinposture.scene import Scene
 from pinposture.target import Target
 from pinposture.view.animation import film, tracks
 from pinposture.view.commands import animate, delete
 from pinposture.view.moving_ellipsoids import ball_commands, ball_ends, ball_tracks, balls
+from pinposture.view.obstacles import near_corners, obstacle_commands, shown_obstacles
 from pinposture.view.scene import (
     ROOT,
     arm_commands,
@@ -41,6 +43,7 @@ class MeshcatViewer:
         arm: the arm.
         run: the run that `play` plays, or None.
         target: the target shown, or None.
+        scene: what surrounds the arm, or None.
         ellipsoids: indices of the control points with an ellipsoid, 0-based.
     """
 
@@ -52,21 +55,26 @@ class MeshcatViewer:
         fps: float,
         url: str | None,
         ellipsoids: ControlPoints = (),
+        scene: Scene | None = None,
     ) -> None:
         require_fitting(arm, run, target)
-        self.arm, self.run, self.target = arm, run, target
+        self.arm, self.run, self.target, self.scene = arm, run, target, scene
         self.ellipsoids = chosen_points(arm.control_points, ellipsoids)
         self._film = None if run is None else film(run, fps, MOST_FRAMES)
         rows = arm.neutral()[None] if run is None or self._film is None else run.q[self._film.rows]
         self._balls = balls(arm, self.ellipsoids, rows)
         self._playing = False
         stage = np.vstack([stage_points(arm, run, target), ball_ends(self._balls)])
+        obstacles = shown_obstacles(scene, stage)
+        stage = np.vstack([stage, near_corners(obstacles)])
         self._server = Server(url)
         try:
             self._server.send([delete(ROOT), *stage_commands(arm, stage)])
             self._server.send([*arm_commands(arm, rows[0]), *ball_commands(self._balls)])
             if target is not None:
                 self._server.send(target_commands(arm, target))
+            if obstacles:
+                self._server.send(obstacle_commands(obstacles))
             if run is not None:
                 self.play()
         except BaseException:

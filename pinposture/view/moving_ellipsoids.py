@@ -70,9 +70,7 @@ def ball_commands(shown: Balls) -> list[Command]:
     """Draw the ellipsoids of the first configuration, or draw them anew."""
     commands = []
     for p, point in enumerate(shown.points):
-        drawing = draw(_path(point), _BALL, palette.index_color(shown.indices[0, p]))
-        # What shines through must not hide what is drawn later.
-        drawing["object"]["materials"][0].update(transparent=True, opacity=OPACITY, depthWrite=False)
+        drawing = draw(_path(point), _BALL, palette.index_color(shown.indices[0, p]), OPACITY)
         matrix = np.eye(4)
         matrix[:3, :3] = (shown.frames[0, p] * shown.radii[0, p, :, None]).T
         matrix[:3, 3] = shown.centers[0, p]

@@ -28,6 +28,9 @@ CONTROLLERS = {
 }
 """Colour of each controller, by its name."""
 
+SHORT = {"constrainedqp": "qp"}
+"""Short names of controllers whose parameters in words begin with another, in small letters."""
+
 SPARE = ("#56B4E9", "#8C510A", "#6A51A3", "#666666")
 """Colours of runs whose controllers have none, or share one."""
 
@@ -46,6 +49,15 @@ SLIDE = "#0B7A5B"
 BASE = "#4A5560"
 """What the arm stands on."""
 
+OBSTACLE = "#94897A"
+"""What the arm must keep clear of."""
+
+SEE_THROUGH = 0.45
+"""How opaque obstacles are."""
+
+ESCAPE = "#E4D9F2"
+"""Steps that lead out of a place where the posture error cannot fall, behind what is drawn."""
+
 ACTIVE = "#E69F00"
 """A control point in the active control set."""
 
@@ -57,6 +69,9 @@ SINGULAR, WORSE, REGULAR = "#CC2A1E", "#D6CB2A", "#009E73"
 
 REGULAR_INDEX = 0.4
 """Manipulability index from which on an ellipsoid has the colour of a posture far from singular."""
+
+MARK = "#CC0000"
+"""Steps that are pointed out, as on the step axis of Figure 6.12 of the thesis."""
 
 INK = "#333333"
 """Text and axes."""
@@ -75,7 +90,7 @@ def controller_color(controller: str) -> str:
         controller: its name, or its parameters in words as a trajectory records them.
     """
     name = controller.partition("(")[0].strip().lower()
-    return CONTROLLERS.get(name, FINAL)
+    return CONTROLLERS.get(SHORT.get(name, name), FINAL)
 
 
 def distinct_colors(controllers: Iterable[str]) -> list[str]:
@@ -101,8 +116,19 @@ def index_color(index: float) -> str:
     before, after = SINGULAR, WORSE
     if share > 1.0:
         share, before, after = share - 1.0, WORSE, REGULAR
-    mixed = ((1.0 - share) * a + share * b for a, b in zip(rgb(before), rgb(after), strict=True))
-    return "#" + "".join(f"{round(255.0 * part):02X}" for part in mixed)
+    return mixed(before, after, share)
+
+
+def mixed(color: str, other: str, share: float) -> str:
+    """A colour with a share of another in it.
+
+    Args:
+        color: a colour "#RRGGBB".
+        other: what to mix in.
+        share: of the other, in [0, 1].
+    """
+    parts = ((1.0 - share) * a + share * b for a, b in zip(rgb(color), rgb(other), strict=True))
+    return "#" + "".join(f"{round(255.0 * part):02X}" for part in parts)
 
 
 def rgb(color: str) -> tuple[float, float, float]:

@@ -14,8 +14,16 @@ from pinposture.motion import Trajectory
 from pinposture.view import palette
 from pinposture.view.axes import dress_steps, mark_end, mark_start, scale_counts, scale_values
 
-MARK = "#CC0000"
-"""Steps that are pointed out, as on the step axis of Figure 6.12 of the thesis."""
+
+def is_conditioned(run: Trajectory) -> bool:
+    """Whether the controller inverted a posture control matrix, whose singular values were recorded."""
+    return bool(np.any(run.sigma_max > 0.0))
+
+
+def chooses_points(run: Trajectory) -> bool:
+    """Whether there is something to tell of the control points that were active: a choice, or conditions."""
+    counts = run.active.sum(axis=1)
+    return not run.steps or is_conditioned(run) or bool(np.any(counts != counts[0]))
 
 
 def plot_posture_error(run: Trajectory, ax: Axes, color: str | None = None, label: str | None = None) -> None:
@@ -73,7 +81,7 @@ def plot_point_errors(run: Trajectory, ax: Axes) -> None:
 def plot_active_points(run: Trajectory, ax: Axes) -> None:
     """Draw how many control points were active in each step, and how well conditioned they were.
 
-    A second axis holds the smallest singular value of the posture control matrix [m/rad].
+    A second axis holds the smallest singular value of the posture control matrix [m/rad], if it has one.
 
     Args:
         run: the run.
@@ -88,6 +96,7 @@ def plot_active_points(run: Trajectory, ax: Axes) -> None:
     ax.yaxis.label.set_color(color)
     if not run.steps:
         ax.set_title("no step was taken", fontsize=8, loc="right", color=palette.INK)
+    if not is_conditioned(run):
         return
     other = ax.twinx()
     other.plot(steps, run.sigma_min, color=palette.INK, lw=1.0, ls=(0, (4, 1.5)), marker=marker, ms=3)
@@ -133,7 +142,7 @@ def plot_used_points(run: Trajectory, ax: Axes) -> None:
 def plot_points_and_index(run: Trajectory, ax: Axes) -> None:
     """Draw how many control points were active in each step, and the smallest index among their conditions.
 
-    A second axis holds the manipulability index.
+    A second axis holds the manipulability index, unless the controller has no posture control matrix.
 
     Args:
         run: the run.
@@ -141,6 +150,8 @@ def plot_points_and_index(run: Trajectory, ax: Axes) -> None:
     """
     plot_point_count(run, ax)
     ax.yaxis.label.set_color(palette.controller_color(run.controller))
+    if run.steps and not is_conditioned(run):
+        return
     other = ax.twinx()
     marker = "o" if run.steps == 1 else ""
     style: dict[str, Any] = {"color": palette.INK, "lw": 1.0, "ls": (0, (4, 1.5)), "marker": marker, "ms": 3}
@@ -162,5 +173,13 @@ def mark_method(run: Trajectory, ax: Axes, method: str = "projection") -> None:
     steps = np.flatnonzero(run.method == method) + 1
     where: dict[str, Any] = {"transform": ax.get_xaxis_transform(), "clip_on": False, "zorder": 6}
     ax.plot(
-        steps, np.zeros(len(steps)), ls="none", marker="o", ms=3.2, mew=0.0, color=MARK, label=method, **where
+        steps,
+        np.zeros(len(steps)),
+        ls="none",
+        marker="o",
+        ms=3.2,
+        mew=0.0,
+        color=palette.MARK,
+        label=method,
+        **where,
     )

@@ -14,8 +14,15 @@ from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory
 from pinposture.view import palette
 from pinposture.view.axes import dress_steps, scale_counts
-from pinposture.view.panels import mark_method, plot_active_points, plot_point_errors, plot_posture_error
-from pinposture.view.postures import draw_runs, plot_postures
+from pinposture.view.clearance import explain, has_clearance, mark_escapes, mark_relaxed, plot_clearance
+from pinposture.view.panels import (
+    chooses_points,
+    mark_method,
+    plot_active_points,
+    plot_point_errors,
+    plot_posture_error,
+)
+from pinposture.view.run_postures import draw_runs, plot_postures
 from pinposture.view.words import controller_name, ending
 
 WIDTH, HEIGHT = 12.0, 7.2
@@ -23,9 +30,11 @@ WIDTH, HEIGHT = 12.0, 7.2
 
 
 def plot(run: Trajectory) -> Figure:
-    """Tell a run in one figure: postures, posture error, errors of the control points, active points.
+    """Tell a run in one figure: postures, posture error, point errors, active points, clearance.
 
-    Where a controller took turns, red dots on the axis mark the steps that it left to Projection.
+    Active points are left out where the controller does not choose any, clearance where there was no scene.
+    Where a controller took turns, red dots on the axis mark the steps that it left to Projection. Behind the
+    posture error, escape steps are shaded; red bars below it mark steps in which a constraint gave way.
 
     Args:
         run: the run.
@@ -34,10 +43,18 @@ def plot(run: Trajectory) -> Figure:
         A figure, 1200 pixels wide; `figure.savefig(path)` writes it. It is not shown, and pyplot does not
         know of it.
     """
-    figure, postures, panels = _lay_out(run, 3)
+    draws = [plot_posture_error, plot_point_errors]
+    if chooses_points(run):
+        draws.append(plot_active_points)
+    if has_clearance(run):
+        draws.append(plot_clearance)
+    figure, postures, panels = _lay_out(run, len(draws))
     plot_postures(run, postures)
-    for draw, panel in zip((plot_posture_error, plot_point_errors, plot_active_points), panels, strict=True):
+    for draw, panel in zip(draws, panels, strict=True):
         draw(run, panel)
+    mark_escapes(run, panels[0])
+    mark_relaxed(run, panels[0])
+    explain(panels[0])
     _share_steps(panels)
     if run.switches:
         mark_method(run, panels[-1])
@@ -49,7 +66,7 @@ def plot(run: Trajectory) -> Figure:
 
 
 def plot_comparison(runs: Mapping[str, Trajectory]) -> Figure:
-    """Show several runs towards one target in one figure: postures, posture errors, active points.
+    """Show several runs towards one target in one figure: postures, posture errors, active points, clearance.
 
     Args:
         runs: the runs by the names that they are to have in the figure.
@@ -62,7 +79,9 @@ def plot_comparison(runs: Mapping[str, Trajectory]) -> Figure:
     """
     _require_same_target(runs)
     colors = palette.distinct_colors(run.controller for run in runs.values())
-    figure, postures, (errors, counts) = _lay_out(next(iter(runs.values())), 2)
+    near = any(has_clearance(run) for run in runs.values())
+    figure, postures, panels = _lay_out(next(iter(runs.values())), 2 + near)
+    errors, counts = panels[:2]
     draw_runs(
         [(run, label, color) for (label, run), color in zip(runs.items(), colors, strict=True)], postures
     )
@@ -73,15 +92,17 @@ def plot_comparison(runs: Mapping[str, Trajectory]) -> Figure:
         counts.plot(steps, run.active.sum(axis=1), color=color, lw=1.6, drawstyle="steps-mid", marker=marker)
     dress_steps(counts, "active control points")
     scale_counts(counts, max(run.arm.n_modules for run in runs.values()))
-    _share_steps([errors, counts])
+    if near:
+        for run, color in zip(runs.values(), colors, strict=True):
+            plot_clearance(run, panels[2], color)
+    _share_steps(panels)
     _title(figure, [f"{label} {ending(run)}: {run.reason}" for label, run in runs.items()])
     return figure
 
 
 def _lay_out(run: Trajectory, rows: int) -> tuple[Figure, Axes, list[Axes]]:
-    figure = Figure(
-        figsize=(WIDTH, HEIGHT), layout=ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.09, wspace=0.04)
-    )
+    size = WIDTH, HEIGHT + max(0, rows - 3)
+    figure = Figure(figsize=size, layout=ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.09, wspace=0.04))
     grid = figure.add_gridspec(rows, 2, width_ratios=(1.1, 1.0))
     postures = figure.add_subplot(grid[:, 0], projection="3d" if run.arm.dimension == 3 else None)
     return figure, postures, [figure.add_subplot(grid[row, 1]) for row in range(rows)]

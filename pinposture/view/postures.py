@@ -1,9 +1,8 @@
-"""The posture panel: where the arm started, where it should be, where it ended."""
+"""The posture panel: postures of an arm and its target, in space or in the plane of the arm."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,7 +11,6 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.errors import InvalidValue
-from pinposture.motion import Trajectory
 from pinposture.target import Target
 from pinposture.view import palette
 from pinposture.view.body import backbone
@@ -25,12 +23,26 @@ FILL = 0.78
 """Share of three-dimensional axes that the plot takes; the rest is for its scales."""
 
 
+class Drawn(NamedTuple):
+    """A line in a panel, as it was drawn.
+
+    Attributes:
+        points: (n, 3) [m], world frame.
+        style: as for `Axes.plot`.
+    """
+
+    points: Array
+    style: dict[str, Any]
+
+
 class PosturePanel:
     """Draws postures and targets into one axes: in space, or for a planar arm in its plane.
 
-    Args:
+    Attributes:
         arm: whose postures these are.
         ax: axes with projection "3d"; for a planar arm also plain ones.
+        spatial: whether they are in space.
+        lines: what was drawn so far.
 
     Raises:
         InvalidValue: plain axes for an arm that moves in space.
@@ -45,7 +57,8 @@ class PosturePanel:
         # Seen from the other side if that makes the axes of the picture point the way the world's do.
         signs = np.sign(arm.plane[np.arange(arm.dimension), np.abs(arm.plane).argmax(axis=1)])
         self._plane: Array = arm.plane * signs[:, None]
-        self._drawn: list[Array] = []
+        self.lines: list[Drawn] = []
+        self._room: list[Array] = []
 
     def coordinates(self, points: Array) -> tuple[Array, ...]:
         """Points (n, 3) [m] of the world as the coordinates of the axes, each (n,) [m]."""
@@ -61,15 +74,24 @@ class PosturePanel:
         return np.array([right, up])
 
     @property
+    def eye(self) -> Array:
+        """Unit vector towards whoever looks at the finished picture, (3,), world frame."""
+        return np.asarray(np.cross(*self.screen))
+
+    @property
     def drawn(self) -> Array:
-        """The points that lines were drawn through so far, (n, 3) [m], world frame."""
-        points = np.vstack(self._drawn)
+        """The points that the picture has to show, (n, 3) [m], world frame."""
+        points = np.vstack([*(line.points for line in self.lines), *self._room])
         return points[np.isfinite(points).all(axis=1)]  # a line may have gaps
 
     def line(self, points: Array, **style: Any) -> None:
         """Draw a line through points (n, 3) [m], world frame."""
-        self._drawn.append(points)
+        self.lines.append(Drawn(points, style))
         self.ax.plot(*self.coordinates(points), **style)
+
+    def make_room(self, points: Array) -> None:
+        """Let the picture show the places (n, 3) [m], world frame, of what is drawn when it is finished."""
+        self._room.append(points)
 
     def posture(self, q: Array, color: str, label: str, width: float) -> None:
         """Draw the arm at a configuration (nq,): its bodies, and its control points as dots."""
@@ -83,17 +105,18 @@ class PosturePanel:
     def target(self, target: Target) -> None:
         """Draw the target curve, or without one the target posture, and the target points.
 
-        The part of the curve beyond the last target point is drawn faintly; free points are left out.
+        Only what lies between target points that follow each other is drawn boldly; free points are left out.
         """
         placed = target.placed
         lines = outline(self.arm, target)
-        if len(lines.rest):
-            self.line(lines.rest, color=palette.REST, lw=0.9, ls=(0, (4, 2)), zorder=2)
         style: dict[str, Any] = {"color": palette.TARGET, "zorder": 3, "solid_capstyle": "round"}
-        if len(lines.covered):
-            label = "target posture" if target.curve is None else "target curve"
-            self.line(lines.covered, lw=1.4, label=label, **style)
-        else:
+        known = "posture" if target.curve is None else "curve"
+        if lines.covered:
+            self.line(_joined(lines.covered), lw=1.4, label=f"target {known}", **style)
+        if lines.rest:
+            label, dashes = f"rest of the {known}", (0, (4, 2))
+            self.line(_joined(lines.rest), color=palette.REST, lw=0.9, ls=dashes, zorder=2, label=label)
+        if not (lines.covered or lines.rest):
             joined = np.vstack([self.arm.chain.base, np.where(placed[:, None], target.points, np.nan)])
             self.ax.plot(*self.coordinates(joined), lw=1.0, ls=(0, (1, 1.5)), **style)
         rings = {"ls": "none", "marker": "o", "ms": 4.6, "mfc": "white", "mec": palette.TARGET, "mew": 0.8}
@@ -125,38 +148,10 @@ class PosturePanel:
         self.ax.set_axisbelow(True)
 
 
-def plot_postures(run: Trajectory, ax: Axes) -> None:
-    """Draw the postures at the start and the end of a run, and the target.
-
-    Args:
-        run: the run.
-        ax: axes with projection "3d"; for a planar arm also plain ones.
-
-    Raises:
-        InvalidValue: plain axes for an arm that moves in space.
-    """
-    draw_runs([(run, "final posture", palette.controller_color(run.controller))], ax)
-
-
-def draw_runs(runs: Sequence[tuple[Trajectory, str, str]], ax: Axes) -> None:
-    """Draw several runs of one arm towards one target; each distinct start is drawn once.
-
-    Args:
-        runs: run, label and colour of each.
-        ax: as for `plot_postures`.
-    """
-    first = runs[0][0]
-    panel = PosturePanel(first.arm, ax)
-    panel.target(first.target)
-    starts: list[Array] = []
-    for run, _, _ in runs:
-        if not any(np.array_equal(run.q[0], start) for start in starts):
-            panel.posture(run.q[0], palette.START, "initial posture" if not starts else "_", width=1.2)
-            starts.append(run.q[0])
-    for i, (run, label, color) in enumerate(runs):
-        panel.posture(run.q[-1], color, label, width=2.2 + 1.2 * (len(runs) - 1 - i))
-    panel.finish()
-    ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=9, frameon=False, ncols=3)
+def _joined(lines: tuple[Array, ...]) -> Array:
+    """Several lines as one with gaps, for one entry in the legend."""
+    gap = np.full((1, 3), np.nan)
+    return np.vstack([part for line in lines for part in (gap, line)][1:])
 
 
 def _frame_space(ax: Any, points: Array) -> None:

@@ -98,10 +98,11 @@ def target_commands(arm: Arm, target: Target) -> list[Command]:
     radius = 0.3 * link_radius(arm)
     commands = []
     colors = {"covered": palette.TARGET, "rest": palette.REST}
-    for part, line in outline(arm, target)._asdict().items():
-        path = _without_repeats(line)
-        if len(path) > 1:
-            commands.append(draw(f"{ROOT}/target/{part}", tube(path, radius), colors[part]))
+    for part, lines in outline(arm, target)._asdict().items():
+        paths = [path for path in map(_without_repeats, lines) if len(path) > 1]
+        if paths:
+            tubes = merge([tube(path, radius) for path in paths])
+            commands.append(draw(f"{ROOT}/target/{part}", tubes, colors[part]))
     dots = [ball(point, 2.8 * radius, rings=6) for point in target.points[target.placed]]
     if dots:
         commands.append(draw(f"{ROOT}/target/points", merge(dots), palette.TARGET))
@@ -114,7 +115,8 @@ def stage_points(arm: Arm, run: Trajectory | None, target: Target | None) -> Arr
     if run is not None:
         points.append(run.points.reshape(-1, 3))
     if target is not None:
-        points += [target.points[target.placed], *outline(arm, target)]
+        lines = outline(arm, target)
+        points += [target.points[target.placed], *lines.covered, *lines.rest]
     if run is None:
         points.append(backbone(arm, arm.neutral()))
         # The arm may be shown anywhere later on; leave room around its base.
@@ -191,4 +193,4 @@ def _round_down(length: float) -> float:
 
 def _without_repeats(line: Array) -> Array:
     legs = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    return line[np.concatenate([[True], legs > 1e-9])] if len(line) else line
+    return np.asarray(line[np.concatenate([[True], legs > 1e-9])])

@@ -18,7 +18,6 @@ from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory
 from pinposture.view import palette
 from pinposture.view.axes import DEEPEST
-from pinposture.view.body import backbone
 from pinposture.view.panels import (
     mark_method,
     plot_point_count,
@@ -27,7 +26,8 @@ from pinposture.view.panels import (
     plot_posture_error,
     plot_used_points,
 )
-from pinposture.view.postures import PosturePanel, draw_runs
+from pinposture.view.postures import PosturePanel
+from pinposture.view.run_postures import draw_runs, draw_way
 from pinposture.view.words import ending
 
 WIDTH = 12.0
@@ -148,10 +148,14 @@ def draw_planar(
     if compared:
         errors = error.get_legend_handles_labels()
         handles, labels = handles + errors[0], labels + [f"{label}: posture error" for label in errors[1]]
-    words.legend(handles, labels, loc="upper left", fontsize=9, frameon=False, ncols=2)
+    named = dict(zip(labels, handles, strict=True))
     for ax, name, run in finals:
         _draw_way(run, ax)
         _head(ax, f"{name}: final posture", next(letters))
+        for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
+            if label != "final posture":  # which the title says, and which has a colour for each run
+                named.setdefault(label, handle)
+    words.legend(list(named.values()), list(named), loc="upper left", fontsize=9, frameon=False, ncols=2)
     return figure
 
 
@@ -207,9 +211,8 @@ def _draw_progress(
 def _draw_way(run: Trajectory, ax: Axes) -> None:
     """The final posture and the target, with some of the postures on the way."""
     panel, color = PosturePanel(run.arm, ax), palette.controller_color(run.controller)
-    for step in np.unique(np.geomspace(1, max(run.steps, 1), BETWEEN).round().astype(int)):
-        if step < run.steps:
-            panel.line(backbone(run.arm, run.q[step]), color=color, lw=0.7, alpha=0.35, zorder=1)
+    steps = np.unique(np.geomspace(1, max(run.steps, 1), BETWEEN).round().astype(np.intp))
+    draw_way(panel, run, color, steps[steps < run.steps])
     panel.target(run.target)
     panel.posture(run.q[-1], color, "final posture", width=2.0)
     panel.finish()

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from pinposture.arm import Arm, ControlPoints
 from pinposture.errors import UnknownName
 from pinposture.motion import Trajectory
+from pinposture.scene import Scene
 from pinposture.target import Target
 from pinposture.view.meshcat import MeshcatViewer
 
@@ -38,7 +39,8 @@ class Viewer(Protocol):
 
 
 VIEWERS: dict[
-    str, Callable[[Arm, Trajectory | None, Target | None, float, str | None, ControlPoints], Viewer]
+    str,
+    Callable[[Arm, Trajectory | None, Target | None, float, str | None, ControlPoints, Scene | None], Viewer],
 ] = {"meshcat": MeshcatViewer}
 """What can draw an arm, by name."""
 
@@ -52,6 +54,7 @@ def view(
     fps: float = 20.0,
     url: str | None = None,
     ellipsoids: ControlPoints = (),
+    scene: Scene | None = None,
 ) -> Viewer:
     """Show an arm in the browser: at its neutral configuration, or playing a run.
 
@@ -71,6 +74,8 @@ def view(
         ellipsoids: control points to show the manipulability ellipsoids of (Section 3.3), by their indices,
             0-based or from the tip as -1, or by their names. They follow the arm. In a singular posture they
             are red and flat, far from one green, in between yellow.
+        scene: what surrounds the arm; that of the run, if there is one, if None. Obstacles are translucent;
+            of a half-space there is a patch.
 
     Returns:
         The viewer: `show(q)` shows a configuration, `play()` plays the run again, `close()` ends it. It
@@ -85,7 +90,9 @@ def view(
         raise UnknownName("viewer", viewer, VIEWERS)
     if target is None and run is not None:
         target = run.target
-    shown = VIEWERS[viewer](arm, run, target, fps, url, ellipsoids)
+    if scene is None and run is not None:
+        scene = run.scene
+    shown = VIEWERS[viewer](arm, run, target, fps, url, ellipsoids, scene)
     logger.info("%s viewer at %s", viewer, shown.url)
     if open_browser:
         shown.open()

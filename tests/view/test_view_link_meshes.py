@@ -15,8 +15,9 @@ import umsgpack
 
 from pinposture import Arm, Target, save_html, track
 from pinposture.errors import FileError, PostureWarning
+from pinposture.scene.mesh_files import find_mesh, read_mesh
 from pinposture.view.body import body_poses
-from pinposture.view.link_meshes import body_meshes, find_mesh, read_mesh
+from pinposture.view.link_meshes import body_meshes
 
 CORNERS = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])  # counter-clockwise from outside
@@ -167,7 +168,7 @@ def test_numbers_that_are_none_warn_once_and_the_body_keeps_its_stand_in(robot, 
 
 def test_collada_without_its_reader_says_what_to_install(tmp_path, monkeypatch):
     (tmp_path / "a.dae").write_text("<COLLADA/>")
-    monkeypatch.setattr("pinposture.view.link_meshes.find_spec", lambda name: None)
+    monkeypatch.setattr("pinposture.scene.mesh_files.find_spec", lambda name: None)
     with pytest.raises(FileError, match="pycollada"):
         read_mesh(tmp_path / "a.dae")
 

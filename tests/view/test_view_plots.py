@@ -305,12 +305,10 @@ def test_drawing_leaves_the_settings_of_matplotlib_alone_and_pyplot_asleep():
 
 
 def test_steps_that_were_left_to_projection_are_marked_on_the_axis():
-    from pinposture.view.panels import MARK
-
     target = pp.resolve_targets(ARM, pp.Curve.helix(radius=0.06, pitch=0.15, turns=2))
     run = pp.track(ARM, target, ARM.straight(), "switching")
     panel = next(ax for ax in pp.plot(run).axes if "Projection" in ax.get_xlabel())
-    (marks,) = (line for line in panel.get_lines() if line.get_color() == MARK)
+    (marks,) = (line for line in panel.get_lines() if line.get_color() == palette.MARK)
     np.testing.assert_array_equal(marks.get_xdata(), np.flatnonzero(run.method == "projection") + 1)
     alone = pp.plot(pp.track(ARM, target, ARM.straight(), "projection", max_steps=3))
     assert not any("red" in ax.get_xlabel() for ax in alone.axes)

@@ -15,7 +15,6 @@ from pinposture.errors import InvalidValue
 from pinposture.view import palette
 from pinposture.view.body import backbone
 from pinposture.view.panels import (
-    MARK,
     mark_method,
     plot_point_count,
     plot_points_and_index,
@@ -98,7 +97,7 @@ def test_steps_of_a_method_are_red_dots_on_the_step_axis():
     dots = ax.get_lines()[-1]
     assert dots.get_xdata().tolist() == [4, 5, 6, 7]
     assert set(dots.get_ydata().tolist()) == {0.0}
-    assert dots.get_color() == MARK
+    assert dots.get_color() == palette.MARK
     on_axis = dots.get_transform().transform([[4.0, 0.0]])[0]
     bottom = ax.transAxes.transform([[0.0, 0.0]])[0]
     assert on_axis[1] == pytest.approx(bottom[1])
@@ -187,7 +186,7 @@ def test_a_switching_run_is_compared_and_its_steps_by_projection_are_marked():
     named = {f"{name}: posture error" for name in ("Switching", "Selection alone", "Projection alone")}
     assert named < labels
     assert shows(error, FLAT_PROJECTION.posture_error)
-    red = [line for ax in figure.axes for line in ax.get_lines() if line.get_color() == MARK]
+    red = [line for ax in figure.axes for line in ax.get_lines() if line.get_color() == palette.MARK]
     assert [line.get_xdata().tolist() for line in red] == [list(range(5, 13))]
     draw(figure)
 

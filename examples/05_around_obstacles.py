@@ -1,0 +1,42 @@
+"""Around obstacles: the arm threads a slot in a wall, and says how near it came.
+
+python examples/05_around_obstacles.py
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+import pinposture as pp
+
+# An arm of 20 modules, each with two crossed hinges: 40 degrees of freedom, 1 m long.
+arm = pp.Arm.from_template("RyRz", modules=20)
+
+# A wall across the way, 55 cm from the base: two boxes with a slot of 30 cm between them.
+wall = {
+    "left": pp.Box(center=(0.6, 0.45, 0.0), size=(0.1, 0.6, 0.5)),
+    "right": pp.Box(center=(0.6, -0.45, 0.0), size=(0.1, 0.6, 0.5)),
+}
+scene = pp.Scene(wall, margin=0.01)  # keep 1 cm away from both
+
+# It starts bent along the wall, and shall reach through the slot in the shape of an S.
+start, goal = np.zeros(arm.nq), np.zeros(arm.nq)
+start[1::2] = 0.1  # the joints about z [rad]
+goal[0::2], goal[1::2] = 0.015, np.linspace(-0.03, 0.03, 20)
+target = pp.Target.from_configuration(arm, goal)
+
+run = pp.track(arm, target, start, scene=scene)
+
+print(run.status, "-", run.reason)
+nearest = scene.around(arm).minimum(run.q[run.clearance.argmin()])
+print(f"{run.steps} steps, never nearer than {1e3 * nearest.distance:.1f} mm ({' to '.join(nearest.pair)})")
+ways = np.linalg.norm(np.diff(run.points, axis=0), axis=2).sum()
+straight = np.linalg.norm(run.points[-1] - run.points[0], axis=1).sum()
+print(f"control points went {ways / straight:.2f} times as far as on straight lines")
+print(f"escape steps, on which the posture error rose: {run.escape.sum()}")
+
+out = Path("out/around_obstacles")
+run.save(out / "run.npz")
+pp.plot(run).savefig(out / "run.png", dpi=120)
+pp.save_html(arm, run, out / "run.html")
+print(f"look at {out / 'run.png'}, and open {out / 'run.html'} in a browser to see it move")
