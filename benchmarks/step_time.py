@@ -11,17 +11,23 @@ import argparse
 import json
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
 import pinposture as pp
-from pinposture.control import CONTROLLERS, controller_named
+from pinposture.control import CONTROLLERS, Controller, Memory, Step, controller_named
 from pinposture.study import smooth_configuration
+from pinposture.target import Target
 from pinposture.thesis.arms import PLANAR
+
+Array = NDArray[np.float64]
 
 
 def percentiles(action: Callable[[], object], repeats: int) -> list[float]:
@@ -52,10 +58,23 @@ def measure(arm: pp.Arm, repeats: int) -> dict[str, list[float]]:
     }
     for name in CONTROLLERS:
         controller = controller_named(name)
-        actions[f"Arm.at + step of {name}"] = lambda own=controller: own.step(arm.at(q), target)
+        memory = controller.step(arm.at(q), target).memory  # the first step of qp plans the whole way
+        actions[f"Arm.at + step of {name}"] = partial(step, arm, q, controller, target, None, memory)
+    qp, bound = controller_named("qp"), pp.Limits(acceleration=10.0, dt=0.02)
+    way = qp.step(arm.at(q), target, bound).memory.own
+    fast = Memory(np.full(arm.nv, 0.02), way)  # too fast to go the way: the program has to be solved
+    actions["Arm.at + step of qp, limits bind"] = partial(step, arm, q, qp, target, bound, fast)
     found = {name: percentiles(action, repeats) for name, action in actions.items()}
-    resolving = percentiles(lambda: pp.resolve_targets(arm, curve), repeats // 10)
-    return found | {"resolve_targets, 2000 samples": resolving}
+    rare: dict[str, Callable[[], object]] = {
+        "Arm.at + first step of qp, with its plan": partial(step, arm, q, qp, target, None, None),
+        "resolve_targets, 2000 samples": lambda: pp.resolve_targets(arm, curve),
+    }
+    return found | {name: percentiles(action, repeats // 20) for name, action in rare.items()}
+
+
+def step(arm: pp.Arm, q: Array, controller: Controller, target: Target, limits: Any, memory: Any) -> Step:
+    """One cycle: the state of the arm, and a step."""
+    return controller.step(arm.at(q), target, limits, memory)
 
 
 def main() -> None:

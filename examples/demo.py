@@ -28,7 +28,9 @@ def main() -> None:
         console = Console(width=150)  # whoever reads a pipe or a log wants whole lines
     scenarios = (*SPATIAL_SCENARIOS, *PLANAR_SCENARIOS[:2])
     console.print(f"starts and targets from seed {SEED}, |dq| <= 0.1 rad per step")
-    table = Table("arm", "scenario", "controller", r"posture error \[m]", "steps", "points used", "ending")
+    table = Table(
+        "arm", "scenario", "controller", r"posture error \[m]", "steps", "paths", "points used", "ending"
+    )
     with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("tracking", total=len(CONTROLLERS) * len(scenarios))
         for scenario in scenarios:
@@ -41,7 +43,8 @@ def main() -> None:
                 used = f"{points[0]} -> {points[-1]}" if run.steps else "none"
                 change = f"{errors[0]:.3g} -> {errors[-1]:.3g}"
                 ending = f"{run.status}: {run.reason}"
-                table.add_row(scenario.arm, scenario.title, name, change, str(run.steps), used, ending)
+                row = (change, str(run.steps), f"{run.sweep:.2f}", used, ending)
+                table.add_row(scenario.arm, scenario.title, name, *row)
                 folder = OUT / scenario.name / name
                 run.save(folder / "run.npz")
                 pp.plot(run).savefig(folder / "run.png", dpi=120)
@@ -49,6 +52,9 @@ def main() -> None:
                 progress.advance(task)
             pp.plot_comparison(runs).savefig(OUT / scenario.name / "comparison.png", dpi=120)
     console.print(table)
+    console.print(
+        "paths: length of the ways of the control points, relative to the distance from start to end"
+    )
     console.print(f"pictures: {OUT}/*/comparison.png and {OUT}/*/*/run.png")
     console.print(f"animations, to open in a browser: {OUT}/*/*/run.html")
     console.print(f"took {time.perf_counter() - begun:.0f} s")

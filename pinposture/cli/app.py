@@ -10,7 +10,19 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from pinposture.cli import arms, generate, inspect, methods, reproduce, track, view
+from pinposture.cli import (
+    arms,
+    cycles,
+    generate,
+    headings,
+    inspect,
+    methods,
+    postures,
+    reproduce,
+    scenes,
+    track,
+    view,
+)
 from pinposture.cli.output import print_error, warnings_as_notes
 from pinposture.errors import PostureError
 
@@ -117,7 +129,7 @@ def _add(verb: ModuleType, group: typer.Typer) -> None:
 
 for module in (generate, inspect, track, view, reproduce):
     _add(module, app)
-for module in (arms, methods):
+for module in (arms, methods, postures, headings, scenes, cycles):
     _add(module, studies)
 app.add_typer(studies, name="study")
 

@@ -36,8 +36,10 @@ _HEADINGS = (
     "length [m]",
     *_PLACED,
     "joint",
-    "Projection",
     "Switching",
+    "qp",
+    "qp steps",
+    "qp paths",
     "limits held",
 )
 
@@ -59,8 +61,9 @@ def run(
     Each distance is relative to the length of the arm. The residual is how far off the curve the control
     points are placed (root mean square), the reference the same of the best of several independent fits; the
     ratio of the two is ok up to 1.05 (plus 1e-6). After that come the mean point error to which joint
-    interpolation, Projection and Switching drive the arm from a random start, and whether they kept within
-    the joint limits.
+    interpolation, Switching and qp, the default controller, drive the arm from a random start; how many steps
+    qp took, and how far the control points went with it, relative to straight lines; and whether all three
+    kept within the joint limits.
     """
     from pinposture.study import survey_arms
 
@@ -119,8 +122,10 @@ def _row(result: ArmSurvey) -> tuple[str | float | None, ...]:
         _short(result.reference),
         "ok" if _is_close(result) else _short(_ratio(result)),
         _short(result.reached),
-        _short(result.projection),
         _short(result.switching),
+        _short(result.qp),
+        result.qp_steps if result.qp is not None else None,
+        _short(result.path_excess),
         "yes" if result.within_limits else "no",
     )
 

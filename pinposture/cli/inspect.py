@@ -20,6 +20,13 @@ from pinposture.cli.inputs import (
 from pinposture.cli.output import print_facts, print_json, print_note, print_table
 from pinposture.cli.points import read_points
 from pinposture.cli.results import write_picture
+from pinposture.cli.surroundings import (
+    SceneOption,
+    SelfCollisionOption,
+    describe_scene,
+    print_scene,
+    read_scene,
+)
 from pinposture.errors import InvalidValue, UnsupportedModule
 
 if TYPE_CHECKING:
@@ -31,7 +38,8 @@ EXAMPLES = (
     "pinposture inspect arm.urdf --plot arm.png --ellipsoids 5,10,20",
     "pinposture inspect arm.urdf --base m05_l2 --tip tip --modules 2",
     "pinposture inspect arm.urdf --modules m05_l2,m10_l2,m15_l2,tip",
-    "pinposture inspect arm.urdf --json",
+    "pinposture inspect arm.urdf --scene scene.toml",
+    "pinposture inspect arm.urdf --self-collision --json",
 )
 
 
@@ -41,6 +49,8 @@ def run(
     base: BaseOption = None,
     tip: TipOption = None,
     modules: ModulesOption = None,
+    scene: SceneOption = None,
+    self_collision: SelfCollisionOption = False,
     plot: Annotated[
         Path | None,
         typer.Option(
@@ -67,18 +77,26 @@ def run(
     metres and m/s for a prismatic joint; positions are those at zero joint positions, in the world. The reach
     is the distance from base to tip when the arm is stretched. Zero joint positions are often a singular
     posture: there manipulability measure, minimum singular value and index are 0, the condition number inf.
+
+    With --scene it also shows the obstacles of the file, the bodies of the arm, and what each of them is
+    nearest to; with --self-collision, distances of the arm from itself count. What a scene file holds is in
+    the help of track.
     """
+    surroundings = read_scene(scene, self_collision)
     arm = read_arm(urdf, base, tip, modules)
     points = () if ellipsoids is None else read_points("--ellipsoids", ellipsoids, arm)
     about = describe(arm, points or (-1,))
+    around = None if surroundings is None else describe_scene(surroundings, arm)
     if plot is not None:
         from pinposture.view import plot_arm
 
         write_picture(plot_arm(arm, ellipsoids=points), plot)
     if as_json:
-        print_json({"file": urdf, **about, "plot": None if plot is None else str(plot)})
+        print_json({"file": urdf, **about, "scene": around, "plot": None if plot is None else str(plot)})
     else:
         _print_tables(about)
+        if around is not None:
+            print_scene(around)
     if plot is not None:
         print_note(f"wrote {plot}")
 

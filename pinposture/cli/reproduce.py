@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,6 +9,7 @@ import typer
 
 from pinposture.cli.inputs import MOTION, OUTPUT, JobsOption, JsonOption
 from pinposture.cli.output import print_json, print_note, print_table
+from pinposture.cli.progress import count_progress
 
 if TYPE_CHECKING:
     from pinposture.study.reproduce import Reproduction
@@ -54,7 +52,7 @@ def run(
         return
     from pinposture.study.reproduce import reproduce
 
-    with _progress() as progress:
+    with count_progress("run") as progress:
         done = reproduce(figures, output, seeds, steps, jobs, progress)
     if as_json:
         print_json(done.results)
@@ -104,23 +102,3 @@ def _print(done: Reproduction) -> None:
     ]
     if claims:
         print_table(("verdict", "true in", "claim", "where"), claims)
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[int, int], object]]:
-    """Show a progress bar on stderr while runs are made; nothing at all if that is not a terminal."""
-    if not sys.stderr.isatty():
-        yield lambda *_: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (
-        TextColumn("running"),
-        BarColumn(bar_width=20),
-        TextColumn("run {task.completed} of {task.total}"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("", total=None)
-        yield lambda done, total: progress.update(task, completed=done, total=total)

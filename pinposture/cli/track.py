@@ -3,28 +3,52 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal, cast
+from typing import Annotated
 
 import typer
 
+from pinposture.cli.controllers import ControllerOption, HasteOption, build_controller, check_controller
 from pinposture.cli.inputs import (
     MOTION,
     OUTPUT,
-    TARGET,
     BaseOption,
     JsonOption,
     ModulesOption,
     TipOption,
     UrdfArgument,
     read_arm,
-    read_curve,
     read_start,
 )
+from pinposture.cli.limits import (
+    AccelerationOption,
+    DurationOption,
+    PositionMarginOption,
+    StepLimitOption,
+    VelocityOption,
+    read_limits,
+)
 from pinposture.cli.output import print_facts, print_json, print_note, step_progress
-from pinposture.cli.points import read_region
 from pinposture.cli.results import FILES, in_words, keep, summarize
+from pinposture.cli.surroundings import SceneOption, SelfCollisionOption, read_scene
+from pinposture.cli.targets import (
+    CurveOption,
+    MethodOption,
+    PartialOption,
+    PlacementOption,
+    RegionOption,
+    RollOption,
+    read_target,
+)
+from pinposture.cli.tip import (
+    HoldTipOption,
+    StrictTipOption,
+    TipPoseOption,
+    TipPositionOption,
+    TipWeightOption,
+    read_tip,
+    tip_off,
+)
 from pinposture.cli.view import show
-from pinposture.errors import InvalidValue
 
 EXAMPLES = (
     "pinposture track arm.urdf --curve helix -o out",
@@ -32,6 +56,11 @@ EXAMPLES = (
     "pinposture track arm.urdf --curve line --controller projection --json",
     "pinposture track arm.urdf --curve line --method smooth --modules 4",
     "pinposture track arm.urdf --curve helix --region 10-20",
+    "pinposture track arm.urdf --curve helix --dt 0.05 --acceleration 10",
+    "pinposture track arm.urdf --curve line --modules 4 --self-collision",
+    "pinposture track arm.urdf --curve line --seed 1 --scene scene.toml",
+    "pinposture track arm.urdf --curve line --tip-position 0.8,0.2,0",
+    "pinposture track arm.urdf --curve line --region 1-9 --hold-tip pose",
     "pinposture track arm.urdf --curve curve.csv --partial -o out --view",
 )
 
@@ -42,60 +71,14 @@ def run(
     base: BaseOption = None,
     tip: TipOption = None,
     modules: ModulesOption = None,
-    curve: Annotated[
-        str,
-        typer.Option(
-            metavar="CURVE",
-            help="A .json, .csv or .txt file, or a preset: line, helix.",
-            rich_help_panel=TARGET,
-        ),
-    ],
-    placement: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME",
-            help="How the curve is laid: as_is, translate (to the base) or align (turned to the arm too).",
-            rich_help_panel=TARGET,
-        ),
-    ] = "align",
-    roll: Annotated[
-        float,
-        typer.Option(
-            help="Turn of an aligned curve about the axis of the arm, in rad.", rich_help_panel=TARGET
-        ),
-    ] = 0.0,
-    method: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME",
-            help="How modules are placed: sequential (one by one, exactly), smooth (all at once, bending "
-            "little), closest (all at once), or auto.",
-            rich_help_panel=TARGET,
-        ),
-    ] = "auto",
-    partial: Annotated[
-        bool,
-        typer.Option(
-            "--partial", help="Leave points free that have no place on the curve.", rich_help_panel=TARGET
-        ),
-    ] = False,
-    region: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FIRST-LAST",
-            help="Control points that are to take the shape, as in 10-20; the others are free.",
-            rich_help_panel=TARGET,
-        ),
-    ] = None,
-    controller: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME",
-            help="What moves the arm: selection, projection, or the two by turns, switching; or, to compare "
-            "them with, joint, pinv, task-constraints, extended, augmented, dls or lm.",
-            rich_help_panel=MOTION,
-        ),
-    ] = "switching",
+    curve: CurveOption,
+    placement: PlacementOption = "align",
+    roll: RollOption = 0.0,
+    method: MethodOption = "auto",
+    partial: PartialOption = False,
+    region: RegionOption = None,
+    controller: ControllerOption = "qp",
+    haste: HasteOption = None,
     start: Annotated[
         str,
         typer.Option(
@@ -110,10 +93,6 @@ def run(
     steps: Annotated[
         int, typer.Option(help="Number of steps after which to stop.", rich_help_panel=MOTION)
     ] = 300,
-    step_limit: Annotated[
-        float,
-        typer.Option(help="Largest motion of a joint in one step, in rad or metres.", rich_help_panel=MOTION),
-    ] = 0.1,
     tolerance: Annotated[
         float | None,
         typer.Option(
@@ -121,6 +100,18 @@ def run(
             rich_help_panel=MOTION,
         ),
     ] = None,
+    step_limit: StepLimitOption = 0.1,
+    velocity: VelocityOption = None,
+    acceleration: AccelerationOption = None,
+    dt: DurationOption = None,
+    position_margin: PositionMarginOption = 0.0,
+    scene: SceneOption = None,
+    self_collision: SelfCollisionOption = False,
+    tip_position: TipPositionOption = None,
+    tip_pose: TipPoseOption = None,
+    hold_tip: HoldTipOption = None,
+    tip_weight: TipWeightOption = None,
+    strict_tip: StrictTipOption = False,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -147,43 +138,54 @@ def run(
     """Drive an arm to the shape of a curve, and say how it went.
 
     Each control point gets its place on the curve, and the controller moves the arm there step by step; the
-    summary tells which method placed them and how far off the curve the farthest of them belongs. With -o the
-    run is kept in a directory: run.npz holds everything, run.png plots it, run.html plays it in any browser.
-    The exit code is 0 whether or not the arm got there, 2 if it could not start.
+    summary tells which method placed them and how far off the curve the farthest of them belongs.
+
+    Limits hold for every controller. The qp alone keeps clear of obstacles and of the arm itself, and can
+    bring or hold the tip somewhere; with others distances are only recorded. A scene file has a line for each
+    obstacle, in TOML: obstacles.post = {type = "cylinder", start = [0.3, 0.1, -1], end = [0.3, 0.1, 1],
+    radius = 0.02}. There are also sphere (center, radius), capsule (as cylinder), box (center, size,
+    rotation), half_space (point, normal) and mesh (path, center, rotation). It may set margin (the distance
+    to keep, else 0.005), arm_radius and self_collision as well. All in metres, in the world.
+
+    With -o the run is kept in a directory: run.npz holds everything, run.png plots it, run.html plays it in
+    any browser. The exit code is 0 whether or not the arm got there, 2 if it could not start.
     """
-    from pinposture.control import Limits, controller_named
     from pinposture.motion import track
     from pinposture.storage import check_writable
-    from pinposture.target import resolve_targets
 
-    chosen, limits = controller_named(controller), Limits(step=step_limit)
-    arm = read_arm(urdf, base, tip, modules)
-    target = resolve_targets(
-        arm,
-        read_curve(curve),
-        placement=cast(Literal["as_is", "translate", "align"], placement),  # checked there
-        roll=roll,
-        incomplete="partial" if partial else "raise",
-        method=cast(Literal["auto", "sequential", "smooth", "closest"], method),
+    of_tip = {"--tip-position": tip_position, "--tip-pose": tip_pose, "--hold-tip": hold_tip}
+    check_controller(
+        controller, {"--haste": haste, **of_tip, "--tip-weight": tip_weight, "--strict-tip": strict_tip}
     )
-    if not target.placed.any():
-        raise InvalidValue("--curve", curve, f"one with a place for the first module: {target.incomplete}")
+    limits = read_limits(step_limit, velocity, acceleration, dt, position_margin)
+    surroundings = read_scene(scene, self_collision)
+    arm = read_arm(urdf, base, tip, modules)
     q0 = read_start(arm, start, seed)
-    if target.incomplete:
-        print_note(f"only the first {target.placed.sum()} of {arm.n_modules} control points have a place")
-    if region is not None:
-        target = target.region(*read_region("--region", region, arm))
+    task = read_tip(arm.at(q0), tip_position, tip_pose, hold_tip, tip_weight, strict_tip)
+    chosen = build_controller(controller, haste, task)
+    target = read_target(arm, curve, placement, roll, method, partial, region)
     if output is not None:
         check_writable(output)  # now, so that nobody waits for a run that cannot be kept
     with step_progress(target, steps) as callback:
-        motion = track(arm, target, q0, chosen, limits, steps, tolerance, callback)
+        motion = track(
+            arm,
+            target,
+            q0,
+            chosen,
+            limits=limits,
+            scene=surroundings,
+            max_steps=steps,
+            tolerance=tolerance,
+            callback=callback,
+        )
     if output is not None:
         keep(motion, output)
     files = {} if output is None else {kind: str(output / name) for kind, name in FILES.items()}
-    summary = summarize(motion)
+    summary = {**summarize(motion), "tip": None if task is None else tip_off(task, motion)}
     if as_json:
         asked = {"urdf": urdf, "curve": curve, "controller": controller, "start": start, "seed": seed}
-        print_json({**asked, **summary, "files": files})
+        file = None if scene is None else str(scene)
+        print_json({**asked, "scene": file, **summary, "files": files})
     else:
         print_facts(in_words(summary))
     for file in files.values():

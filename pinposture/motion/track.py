@@ -102,7 +102,7 @@ def track(
         recorder.add(state, step, limits.travel(state))
         if callback is not None and callback(recorder.steps, state, step) is True:
             status, reason = "stopped", f"stopped by the callback after {recorder.steps} steps"
-    if status == "stalled" and recorder.last is not None:
+    if status in ("stalled", "max_steps") and recorder.last is not None:
         reason += _what_holds(arm, recorder.last)
     if status in ("stalled", "max_steps") and target.q is None and not isinstance(controller, ConstrainedQP):
         reason += "; the target knows no configuration, with which Switching finds the way: see fit_points"

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.control import Limits
+from pinposture.control.sweep import sweep
 from pinposture.scene import Scene
 from pinposture.target import Target
 
@@ -107,6 +108,11 @@ class Trajectory:
     def posture_error(self) -> Array:
         """Sum of the distances of the control points from their targets, (steps + 1,) [m]."""
         return np.asarray(self.point_errors.sum(axis=1))
+
+    @cached_property
+    def sweep(self) -> float:
+        """Length of the paths of all control points relative to the direct distances from start to end."""
+        return sweep(self.points)
 
     @cached_property
     def active_sets(self) -> tuple[tuple[int, ...], ...]:

@@ -10,19 +10,59 @@ from pinposture.study.cases import (
     smooth_configuration,
     study,
 )
+from pinposture.study.cycles import cycle_drift, study_cycles
+from pinposture.study.families import Family, Subject, built_subject, draw_case, loaded_subject
+from pinposture.study.headings import Bin, by_heading, study_headings
 from pinposture.study.methods import MethodResult, compare_methods
+from pinposture.study.pictures import draw_headings, draw_postures
+from pinposture.study.postures import study_postures
+from pinposture.study.record import Case, Record, record_run
+from pinposture.study.record_files import keep_study, read_records, write_records
+from pinposture.study.scene_record import SceneRun
+from pinposture.study.scenes import SceneRow, by_scene, study_scenes
+from pinposture.study.situations import SITUATIONS
+from pinposture.study.table import Row, Spread, summarise
+from pinposture.study.turns import largest_turn
 
 __all__ = [
+    "SITUATIONS",
     "ArmSurvey",
+    "Bin",
+    "Case",
+    "Family",
     "MethodResult",
     "Outcome",
+    "Record",
+    "Row",
+    "SceneRow",
+    "SceneRun",
+    "Spread",
+    "Subject",
     "arbitrary_configuration",
     "bent_configuration",
+    "built_subject",
+    "by_heading",
+    "by_scene",
     "case",
     "compare_methods",
+    "cycle_drift",
+    "draw_case",
+    "draw_headings",
+    "draw_postures",
     "gentle_curve",
+    "keep_study",
+    "largest_turn",
+    "loaded_subject",
     "outcome",
+    "read_records",
+    "record_run",
     "smooth_configuration",
     "study",
+    "study_cycles",
+    "study_headings",
+    "study_postures",
+    "study_scenes",
+    "summarise",
     "survey_arms",
+    "write_records",
 ]

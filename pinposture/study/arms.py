@@ -37,10 +37,14 @@ class ArmSurvey(NamedTuple):
         reference: the same, of the best of several independent bounded least-squares fits.
         reached: mean point error after tracking from a random start by joint interpolation.
         steps: steps of that run.
-        within_limits: whether every configuration on the way was within the joint limits.
-        projection: mean point error after 300 steps of Projection from the same start.
         switching: mean point error after at most 300 steps of Switching from the same start.
         switching_steps: steps that Switching took.
+        qp: mean point error after at most 300 steps of ConstrainedQP, the default, from the same start.
+        qp_steps: steps that it took.
+        qp_status: how that run ended, as `Trajectory.status`.
+        path_excess: length of the paths of all its control points relative to the direct distances.
+        qp_within_limits: whether every configuration on its way was within the joint limits.
+        within_limits: whether every configuration of all three runs was.
         notes: what loading warned of.
     """
 
@@ -55,10 +59,14 @@ class ArmSurvey(NamedTuple):
     reference: float | None = None
     reached: float | None = None
     steps: int = 0
-    within_limits: bool = True
-    projection: float | None = None
     switching: float | None = None
     switching_steps: int = 0
+    qp: float | None = None
+    qp_steps: int = 0
+    qp_status: str = ""
+    path_excess: float | None = None
+    qp_within_limits: bool = True
+    within_limits: bool = True
     notes: tuple[str, ...] = ()
 
 
@@ -135,17 +143,19 @@ def _survey(path: Path, least_joints: int, seed: int) -> ArmSurvey | None:
     # All points are to be reached, also those that lie off the curve: the arm can take that posture.
     posture = Target(target.points, np.ones(arm.n_modules), q=target.q)
     direct = track(arm, posture, start, "joint", max_steps=1000)
-    projected, switched = (
-        track(arm, posture, start, name, max_steps=300) for name in ("projection", "switching")
-    )
-    inside = all(arm.within_limits(q) for run in (direct, projected, switched) for q in run.q)
+    switched, constrained = (track(arm, posture, start, name, max_steps=300) for name in ("switching", "qp"))
+    inside = [all(arm.within_limits(q) for q in run.q) for run in (direct, switched, constrained)]
     return found._replace(
         reached=float(direct.point_errors[-1].mean()) / arm.length,
         steps=direct.steps,
-        within_limits=inside,
-        projection=float(projected.point_errors[-1].mean()) / arm.length,
         switching=float(switched.point_errors[-1].mean()) / arm.length,
         switching_steps=switched.steps,
+        qp=float(constrained.point_errors[-1].mean()) / arm.length,
+        qp_steps=constrained.steps,
+        qp_status=constrained.status,
+        path_excess=constrained.sweep,
+        qp_within_limits=inside[-1],
+        within_limits=all(inside),
     )
 
 

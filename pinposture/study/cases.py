@@ -15,6 +15,7 @@ from pinposture.curve import Curve
 from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory, track
 from pinposture.study.processes import in_order
+from pinposture.study.turns import link_headings
 from pinposture.target import Target, resolve_targets
 from pinposture.thesis.curves import TARGET_CURVES
 from pinposture.thesis.scenarios import Scenario
@@ -125,8 +126,7 @@ def bent_configuration(arm: Arm, rng: np.random.Generator, heading: float) -> Ar
     if arm.dimension != 2:
         raise InvalidValue("arm", arm, "a planar arm")
     positions = arm.positions(smooth_configuration(arm, rng, 1.0))
-    senses = np.sign(arm.chain.axes @ np.cross(*arm.plane)) * arm.chain.revolute
-    largest = float(np.abs(np.cumsum(senses * positions[arm.columns])).max())
+    largest = float(np.abs(link_headings(arm, positions)).max())
     positions = positions * (heading / max(largest, 1e-300))
     return arm.configuration(np.clip(positions, arm.limits.lower, arm.limits.upper))
 
@@ -168,12 +168,12 @@ def _target(arm: Arm, scenario: Scenario, start: Array, roll: float, rng: np.ran
             goal = smooth_configuration(arm, rng, NEARLY)
         if arm.dimension == 3:  # a curve that leaves the base at an angle makes two-joint modules zigzag
             return Target.from_configuration(arm, goal)
-        return resolve_targets(arm, _curve_along(arm, goal), placement="as_is")
+        return resolve_targets(arm, curve_along(arm, goal), placement="as_is")
     curve = TARGET_CURVES[scenario.arm, scenario.target]
     return resolve_targets(arm, curve, roll=roll if arm.dimension == 3 else 0.0)
 
 
-def _curve_along(arm: Arm, q: Array) -> Curve:
+def curve_along(arm: Arm, q: Array) -> Curve:
     """The curve through the control points at a configuration, continued straight by two modules."""
     points = np.vstack([arm.chain.base, arm.at(q).points])
     on = points[-1] + np.outer((1.0, 2.0), points[-1] - points[-2])

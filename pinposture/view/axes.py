@@ -58,8 +58,9 @@ def mark_start(ax: Axes, value: float, color: str, unit: str) -> None:
 
 
 def mark_end(ax: Axes, step: int, value: float, color: str, unit: str) -> None:
-    """Write the value at the last step in the margin on the right."""
-    _mark(ax, step, value, color, unit, (6, 0), "left", "center")
+    """Write the value at the last step in the margin on the right, above the axis if it is below it."""
+    below = value <= ax.get_ylim()[0]
+    _mark(ax, step, value, color, unit, (6, 4 if below else 0), "left", "bottom" if below else "center")
 
 
 def mark_least(ax: Axes, step: int, value: float, color: str, unit: str) -> None:

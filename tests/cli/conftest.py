@@ -51,7 +51,8 @@ def arm_file(command: Command, tmp_path_factory: pytest.TempPathFactory) -> Path
 def run_directory(command: Command, arm_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of 20 steps, kept."""
     path = tmp_path_factory.mktemp("run") / "out"
-    assert command("track", arm_file, "--curve", "helix", "--steps", 20, "-o", path).code == 0
+    asked = ("track", arm_file, "--curve", "helix", "--step-limit", 0.02, "--steps", 20)
+    assert command(*asked, "-o", path).code == 0
     return path
 
 

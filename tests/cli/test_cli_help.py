@@ -7,11 +7,14 @@ import pytest
 
 import pinposture
 from pinposture.control import CONTROLLERS
+from pinposture.scene import Cylinder, Scene
+from pinposture.scene.obstacles import KINDS
 from pinposture.target.resolve import METHODS, PLACEMENTS
 from pinposture.thesis.curves import CURVES
 
 QUICK = ("generate", "inspect", "track", "view", "study arms")
-VERBS = (*QUICK, "study methods", "reproduce")  # the examples of these two take minutes
+STUDIES = ("methods", "postures", "headings", "scenes", "cycles")  # these take minutes, as does reproduce
+VERBS = (*QUICK, *(f"study {name}" for name in STUDIES), "reproduce")
 
 
 def examples(command, verb):
@@ -33,7 +36,8 @@ def test_the_group_alone_tells_of_its_verbs(command, arguments):
     result = command("study", *arguments)
     assert (result.code, result.err) == (0, "")
     assert " arms " in result.out
-    assert " methods " in result.out
+    for verb in STUDIES:
+        assert f" {verb} " in result.out
 
 
 def test_the_version_is_that_of_the_package(command):
@@ -57,6 +61,26 @@ def test_the_help_of_track_names_everything_that_can_be_named(command):
     out = command("track", "--help", env={"COLUMNS": "200"}).out
     for name in (*CONTROLLERS, *CURVES, *PLACEMENTS, *METHODS, "straight", "smooth", "random"):
         assert name in out
+    for heading in ("The limits", "The surroundings", "The tip"):
+        assert f" {heading} " in out
+
+
+def scene_in_the_help(command):
+    """The line of a scene file that the help of track shows, as one writes it down."""
+    out = " ".join(command("track", "--help", env={"COLUMNS": "80"}).out.split())
+    begin = out.index("obstacles.post")
+    return out[begin : out.index("}", begin) + 1]
+
+
+def test_the_scene_in_the_help_is_one_and_names_every_kind_of_obstacle(command, tmp_path):
+    (tmp_path / "scene.toml").write_text(scene_in_the_help(command))
+    scene = Scene.load(tmp_path / "scene.toml")
+    assert scene == Scene({"post": Cylinder((0.3, 0.1, -1), (0.3, 0.1, 1), 0.02)})
+    out = " ".join(command("track", "--help", env={"COLUMNS": "80"}).out.split())
+    for kind in KINDS:
+        assert f"{kind} (" in out or f'"{kind}"' in out
+    for key in ("margin", "arm_radius", "self_collision", f"else {scene.margin:g})"):
+        assert key in out
 
 
 @pytest.mark.usefixtures("no_pictures")
@@ -78,6 +102,7 @@ def test_the_examples_run_one_after_the_other(command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     t = np.linspace(0, 1.2, 50)
     np.savetxt("curve.csv", np.column_stack([t, 0.1 * np.sin(3 * t)]), delimiter=",")
+    (tmp_path / "scene.toml").write_text(scene_in_the_help(command))
     (tmp_path / "urdf").mkdir()
     command("generate", "Rz", "--modules", 8, "-o", tmp_path / "urdf" / "flat.urdf")
     for verb in QUICK:
@@ -92,6 +117,7 @@ def test_the_examples_run_one_after_the_other(command, tmp_path, monkeypatch):
     made = {path.name for path in tmp_path.iterdir()}
     assert made == {
         "curve.csv",
+        "scene.toml",
         "urdf",
         "arm.urdf",
         "arm.png",

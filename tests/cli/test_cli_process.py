@@ -70,7 +70,7 @@ def test_notes_come_whatever_the_filters_say_and_leave_other_warnings_alone(arm_
 def test_a_bug_shows_its_traceback_without_dumping_variables(arm_file):
     code = (
         "import pinposture.motion, pinposture.cli\n"
-        "def broken(*_): raise ZeroDivisionError('a bug')\n"
+        "def broken(*_, **__): raise ZeroDivisionError('a bug')\n"
         "pinposture.motion.track = broken\n"
         f"pinposture.cli.app(['track', {str(arm_file)!r}, '--curve', 'helix'])\n"
     )
@@ -105,7 +105,7 @@ def test_progress_shows_on_a_terminal_and_ctrl_c_ends_it_quietly(tmp_path, comma
     arm = tmp_path / "arm.urdf"
     command("generate", "RyRz", "--modules", 60, "--link-lengths", "0.008,0.008", "-o", arm)
     ours, theirs = pty.openpty()
-    line = [*COMMAND, "track", str(arm), "--curve", "helix", "--tolerance", "1e-12", "--steps", "100000"]
+    line = [*COMMAND, "track", str(arm), "--curve", "helix", "--step-limit", "1e-5", "--steps", "100000"]
     child = subprocess.Popen(
         [*line, "-o", str(tmp_path / "out"), "--json"],
         env=environment(TERM="xterm", COLUMNS="80"),

@@ -135,16 +135,3 @@ def test_the_help_says_what_figures_there_are(command):
     for word in ("6.3 to 6.12", "claims", "all", "results.json", "claims.md", "--seeds", "--jobs"):
         assert word in out
     assert max(map(len, out.splitlines())) <= 80
-
-
-def test_a_terminal_sees_how_many_runs_are_done(monkeypatch, capsys):
-    from pinposture.cli.reproduce import _progress
-
-    with _progress() as tell:
-        tell(1, 4)
-    assert capsys.readouterr().err == ""
-    monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    with _progress() as tell:
-        tell(3, 4)
-    assert "run 3 of 4" in capsys.readouterr().err

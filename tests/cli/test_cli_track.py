@@ -19,10 +19,10 @@ def track(command, arm_file, *options):
 
 @pytest.mark.usefixtures("no_pictures")
 def test_the_summary_describes_the_run_that_was_kept(command, arm_file, tmp_path):
-    summary = track(command, arm_file, "--steps", 15, "-o", tmp_path / "out")
+    summary = track(command, arm_file, "--steps", 10, "-o", tmp_path / "out")
     run = pp.Trajectory.load(tmp_path / "out" / "run.npz")
     errors = [np.linalg.norm(points - run.target.points, axis=1).sum() for points in run.points]
-    assert summary["steps"] == len(run.q) - 1 == 15
+    assert summary["steps"] == len(run.q) - 1 == 10
     assert summary["start_error"] == pytest.approx(errors[0])
     assert summary["final_error"] == pytest.approx(errors[-1])
     assert summary["lowest_error"] == pytest.approx(min(errors))

@@ -35,6 +35,9 @@ def made(arm, q, target=None, active=None, **fields) -> pp.Trajectory:
         "clipped": np.zeros((steps, arm.nv), dtype=bool),
         "method": np.full(steps, ""),
         "switched": np.full(steps, ""),
+        "escape": np.zeros(steps, dtype=bool),
+        "relaxed": np.full(steps, ""),
+        "clearance": np.full(steps + 1, np.inf),
     }
     return pp.Trajectory(**{**known, **fields})
 

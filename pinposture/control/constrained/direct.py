@@ -31,6 +31,7 @@ from pinposture.arm import ArmState
 from pinposture.control.constrained.path import JointPath
 from pinposture.control.constrained.posture import Linear, Posture
 from pinposture.control.constrained.tridiagonal import solve_tridiagonal
+from pinposture.control.sweep import sweep
 
 Array = NDArray[np.float64]
 Penalty = Callable[[ArmState, float], Linear]
@@ -157,11 +158,9 @@ class _Search:
 
     def detour(self, x: Array) -> float:
         """Length of the ways of the control points, relative to the distances from start to end."""
-        arm, steps = self._posture.arm, np.linspace(0.0, len(x) - 1.0, LOOKS + 1)
+        steps = np.linspace(0.0, len(x) - 1.0, LOOKS + 1)
         fine = np.array([np.interp(steps, np.arange(len(x)), each) for each in x.T]).T
-        places = np.array([self._state(each).points for each in fine])
-        travel = float(np.linalg.norm(np.diff(places, axis=0), axis=2).sum())
-        return travel / max(float(np.linalg.norm(places[-1] - places[0], axis=1).sum()), 1e-12 * arm.length)
+        return sweep(np.array([self._state(each).points for each in fine]))
 
     def _state(self, x: Array) -> ArmState:
         return self._posture.arm.at(self._posture.arm.integrate(self._start, self._posture.displacement(x)))

@@ -64,20 +64,6 @@ class Descent(NamedTuple):
     points_rose: int
 
 
-def sweep(points: Array) -> float:
-    """Length of the paths of all control points relative to the direct distances from start to end.
-
-    Args:
-        points: control points of a run, (steps + 1, m, 3) [m].
-
-    Returns:
-        1 for motion on straight lines, more for detours; 1 also if all ended where they began.
-    """
-    paths = float(np.linalg.norm(np.diff(points, axis=0), axis=2).sum())
-    direct = float(np.linalg.norm(points[-1] - points[0], axis=1).sum())
-    return max(paths / direct, 1.0) if direct > 1e-12 * paths else 1.0
-
-
 def separation(run: Trajectory, twin: Trajectory) -> float:
     """Largest distance between the same control point of two runs at the same step, per arm length.
 

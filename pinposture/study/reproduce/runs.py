@@ -27,7 +27,6 @@ from pinposture.study.reproduce.measures import (
     per_step,
     separation,
     states_before_steps,
-    sweep,
 )
 from pinposture.thesis.arms import ARMS
 from pinposture.thesis.scenarios import SCENARIOS
@@ -201,7 +200,7 @@ def measured(run: Trajectory, batch: Batch, seed: int, twin: Trajectory | None =
         modules=run.arm.n_modules,
         descent=descent(run, states),
         deficient=deficient_steps(run),
-        sweep=sweep(run.points),
+        sweep=run.sweep,
         steps=per_step(run, states),
         by_projection=float(np.mean(run.method == "projection")) if run.steps else 0.0,
         separation=None if twin is None else separation(run, twin),

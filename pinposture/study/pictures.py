@@ -1,0 +1,209 @@
+"""Studies as pictures: who gets there, and how directly."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pinposture.errors import InvalidValue
+from pinposture.study.headings import BINS, bin_of, by_heading
+from pinposture.study.record import MAX_STEPS, STEP, Record
+from pinposture.study.table import GROUPS, distinct, group_of, summarise, telling
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+WIDTH = 12.0
+"""Width of a figure [inch]; 1200 pixels at the default resolution."""
+PATH = "path of the control points / direct distance"
+
+
+def draw_postures(records: Sequence[Record]) -> Figure:
+    """Draw what `study_postures` found.
+
+    A row for each arm: on the left the share of the runs of each family that end within 1e-6 of the arm
+    length, on the right how long the paths of the control points are in those that moved and came near. Boxes
+    reach from the first to the third quartile, whiskers from the 10th to the 90th percentile.
+
+    Args:
+        records: the runs.
+
+    Raises:
+        InvalidValue: no run.
+    """
+    arms, controllers = _present(records)
+    rows = summarise(records, families=True)
+    families = [len({row.group for row in rows if row.arm == arm}) for arm in arms]
+    figure = _figure(1.0 + sum(0.26 * count + 1.3 for count in families))
+    grid = figure.add_gridspec(len(arms), 2, width_ratios=(1.0, 1.3), height_ratios=[n + 4 for n in families])
+    for i, arm in enumerate(arms):
+        shares = {(row.group, row.controller): row.arrived for row in rows if row.arm == arm}
+        _draw_shares(figure.add_subplot(grid[i, 0]), shares, controllers, f"{arm}: share that arrives")
+        ax = figure.add_subplot(grid[i, 1])
+        _draw_paths(ax, [each for each in records if each.arm == arm], GROUPS, group_of, controllers)
+        _dress(ax, f"{arm}: directness, runs that came near", PATH)
+    _title(figure, f"{len(records)} runs, |dq| <= {STEP:g} rad per step, at most {MAX_STEPS} steps")
+    return figure
+
+
+def draw_headings(records: Sequence[Record]) -> Figure:
+    """Draw what `study_headings` found.
+
+    A row for each arm, both panels against the largest change of heading: the share of the runs that end near
+    the target without leaving the limits, and how long the paths of the control points are, as in
+    `draw_postures`.
+
+    Args:
+        records: the runs; those whose `turn` is not known are left out.
+
+    Raises:
+        InvalidValue: no run.
+    """
+    known = [record for record in records if record.turn is not None]
+    arms, controllers = _present(known)
+    bins = {(each.arm, each.bin, each.controller): each for each in by_heading(known)}
+    figure = _figure(0.8 + 3.6 * len(arms))
+    grid = figure.add_gridspec(len(arms), 2)
+    for i, arm in enumerate(arms):
+        ax = figure.add_subplot(grid[i, 0])
+        for controller, color, offset, width in _side_by_side(controllers):
+            found = [bins[arm, name, controller] for name in BINS if (arm, name, controller) in bins]
+            shares = [each.reached / each.runs if each.runs else 0.0 for each in found]
+            places = np.arange(len(found)) + offset
+            # What nobody reached would leave no trace at all.
+            ax.bar(places, np.maximum(shares, 0.008), 0.9 * width, color=color, label=controller)
+        ax.set_xticks(range(len(BINS)), BINS)
+        ax.set_ylim(0.0, 1.2)  # room for the legend
+        ax.set_yticks([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
+        ax.set_xlabel("largest change of heading [rad]", fontsize=9)
+        _dress(ax, f"{arm}: near the target, within the limits", "share of runs")
+        ax = figure.add_subplot(grid[i, 1])
+        _draw_paths(ax, [each for each in known if each.arm == arm], BINS, _bin, controllers)
+        ax.set_xlabel("largest change of heading [rad]", fontsize=9)
+        _dress(ax, f"{arm}: directness, runs that came near", PATH)
+    _title(figure, f"{len(known)} runs, |dq| <= {STEP:g} rad per step, at most {MAX_STEPS} steps")
+    return figure
+
+
+def _bin(record: Record) -> str:
+    return bin_of(record.turn or 0.0)
+
+
+def _present(records: Sequence[Record]) -> tuple[list[str], list[str]]:
+    """Names of the arms and of the controllers."""
+    if not records:
+        raise InvalidValue("records", list(records), "at least one run")
+    return (
+        distinct(record.arm for record in records),
+        distinct(record.controller for record in records),
+    )
+
+
+def _figure(height: float) -> Figure:
+    # Here, because matplotlib takes longer to import than everything else together.
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    return Figure(figsize=(WIDTH, height), layout=ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.09))
+
+
+def _side_by_side(controllers: Sequence[str]) -> list[tuple[str, str, float, float]]:
+    """Each controller with its colour, its place beside the others around 0, and the room it has."""
+    from pinposture.view.palette import distinct_colors
+
+    width = 0.8 / len(controllers)
+    places = (np.arange(len(controllers)) - (len(controllers) - 1) / 2.0) * width
+    return [
+        (name, color, float(place), width)
+        for name, color, place in zip(controllers, distinct_colors(controllers), places, strict=True)
+    ]
+
+
+def _draw_shares(
+    ax: Axes, shares: Mapping[tuple[str, str], float], controllers: Sequence[str], title: str
+) -> None:
+    """A field for each family and controller, with the share in percent."""
+    from pinposture.view import palette
+
+    families = distinct(family for family, _ in shares)
+    values = np.array([[shares.get((name, each), np.nan) for each in controllers] for name in families])
+    ax.imshow(np.ma.masked_invalid(values), cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
+    for (row, column), value in np.ndenumerate(values):
+        if np.isfinite(value):
+            ink = "white" if value > 0.6 else palette.INK
+            # Rounded down: 100 stands for all of them.
+            ax.text(
+                column, row, f"{int(100.0 * value + 1e-9)}", ha="center", va="center", fontsize=7, color=ink
+            )
+    ax.set_xticks(range(len(controllers)), controllers)
+    ax.set_yticks(range(len(families)), families)
+    ax.tick_params(labelsize=7, length=0)
+    ax.spines[:].set_visible(False)
+    ax.set_title(f"{title} [%]", fontsize=9, color=palette.INK)
+
+
+def _draw_paths(
+    ax: Axes,
+    records: Sequence[Record],
+    groups: Sequence[str],
+    name: Callable[[Record], str],
+    controllers: Sequence[str],
+) -> None:
+    """Boxes of the path excess of each controller, beside each other in each group."""
+    for controller, color, offset, width in _side_by_side(controllers):
+        drawn: dict[int, list[float]] = {}
+        for record in telling(each for each in records if each.controller == controller):
+            drawn.setdefault(groups.index(name(record)), []).append(record.path)
+        style: dict[str, Any] = {"color": color, "linewidth": 1.2}
+        if drawn:
+            ax.boxplot(
+                list(drawn.values()),
+                positions=[place + offset for place in drawn],
+                widths=0.75 * width,
+                whis=(10, 90),
+                showfliers=False,
+                patch_artist=True,
+                boxprops={"facecolor": "white", "edgecolor": color, "linewidth": 1.2},
+                medianprops={"color": color, "linewidth": 2.2},
+                whiskerprops=style,
+                capprops=style,
+                manage_ticks=False,
+            )
+        ax.plot([], [], color=color, lw=4, label=controller)
+    ax.set_xticks(range(len(groups)), groups)
+    ax.set_xlim(-0.5, len(groups) - 0.5)
+    ax.set_yscale("log")
+    _plain_numbers(ax)
+
+
+def _plain_numbers(ax: Axes) -> None:
+    """Ticks of a short logarithmic axis from 1, in plain numbers."""
+    from matplotlib.ticker import FixedLocator, FormatStrFormatter, NullFormatter, NullLocator
+
+    top = max(1.5, 1.05 * ax.get_ylim()[1])
+    ax.set_ylim(0.97, top)
+    ax.yaxis.set_major_locator(FixedLocator([t for t in (1, 1.2, 1.5, 2, 3, 5, 10, 20, 50, 100) if t <= top]))
+    ax.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+    ax.yaxis.set_minor_locator(NullLocator())
+    ax.yaxis.set_minor_formatter(NullFormatter())
+
+
+def _dress(ax: Axes, title: str, label: str) -> None:
+    from pinposture.view import palette
+
+    ax.set_title(title, fontsize=9, color=palette.INK)
+    ax.set_ylabel(label, fontsize=9)
+    ax.tick_params(labelsize=8)
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.grid(axis="y", color=palette.FAINT, lw=0.6)
+    ax.set_axisbelow(True)
+    ax.legend(fontsize=7, frameon=False, ncols=3, loc="upper left")
+
+
+def _title(figure: Figure, text: str) -> None:
+    from pinposture.view import palette
+
+    figure.suptitle(text, fontsize=10, x=0.012, ha="left", color=palette.INK)

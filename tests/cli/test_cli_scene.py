@@ -1,0 +1,195 @@
+"""Scene files and self-collision on the command line."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import pinposture as pp
+from pinposture.scene import HalfSpace, Scene, Sphere
+
+BALL = Sphere((0.2, 0.1, 0.0), 0.04)
+FLOOR = HalfSpace((0.0, 0.0, -0.2), (0.0, 0.0, 1.0))
+ABOVE = "0,0.9,0,0.3,0,0.1,0,-0.5,0,-0.5,0,-0.5"
+"""Joint positions at which the arm passes the ball on the far side; the straight way to the axis hits it."""
+MARGIN, RADIUS = 0.006, 0.004
+
+
+@pytest.fixture(scope="module")
+def scene_file(tmp_path_factory):
+    scene = Scene({"ball": BALL, "floor": FLOOR}, margin=MARGIN, arm_radius=RADIUS)
+    return scene.save(tmp_path_factory.mktemp("scene") / "scene.json")
+
+
+@pytest.fixture
+def track(command, arm_file, tmp_path, no_pictures):
+    def run(*options):
+        asked = ("track", arm_file, "--curve", "line", "--start", ABOVE, "-o", tmp_path)
+        result = command(*asked, *options, "--json")
+        assert result.code == 0, result.err
+        return json.loads(result.out), pp.Trajectory.load(tmp_path / "run.npz")
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def passed(command, arm_file, scene_file, tmp_path_factory):
+    """The summary of a run around the ball, and the run."""
+    path = tmp_path_factory.mktemp("passed")
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("write_plot", "write_animation"):
+            patch.setattr(f"pinposture.cli.results.{name}", lambda *_: None)
+        asked = ("track", arm_file, "--curve", "line", "--start", ABOVE, "--scene", scene_file)
+        result = command(*asked, "-o", path, "--json")
+    assert result.code == 0, result.err
+    return json.loads(result.out), pp.Trajectory.load(path / "run.npz")
+
+
+def to_ball(points):
+    """Distance of the ball from the surface of each capsule along the links, (..., modules)."""
+    ends = np.concatenate([np.zeros_like(points[..., :1, :]), points], axis=-2)
+    first, last = ends[..., :-1, :], ends[..., 1:, :]
+    middles = (first + last) / 2  # where the elbow of a straight arm is; of a bent one nearly
+    shares = np.linspace(0.0, 1.0, 50)[:, None]
+    places = middles[..., None, :] + (last - first)[..., None, :] * (shares - 0.5)
+    return np.linalg.norm(places - np.array(BALL.center), axis=-1).min(axis=-1) - BALL.radius - RADIUS
+
+
+def test_the_arm_keeps_clear_of_what_it_would_hit(track, scene_file, passed):
+    free, through = track()
+    summary, run = passed
+    assert free["clearance"] is None
+    assert to_ball(through.points).min() < -0.01
+    assert run.scene == Scene.load(scene_file)
+    assert summary["scene"] == str(scene_file)
+    assert summary["converged"]
+    assert to_ball(run.points).min() > MARGIN - 2e-3
+    told = summary["clearance"]
+    assert told["smallest"] == pytest.approx(run.clearance.min())
+    assert told["smallest"] >= MARGIN
+    assert told["final"] == pytest.approx(run.clearance[-1])
+    assert (told["margin"], told["pair"][1]) == (MARGIN, "ball")
+    at = run.scene.around(run.arm).minimum(run.q[told["after_steps"]])
+    assert (at.distance, list(at.pair)) == (pytest.approx(told["smallest"]), told["pair"])
+    assert summary["path_excess"] > free["path_excess"]
+
+
+def test_paths_and_escapes_are_those_of_the_run(passed):
+    summary, run = passed
+    paths = sum(np.linalg.norm(np.diff(run.points[:, k], axis=0), axis=1).sum() for k in range(6))
+    direct = sum(np.linalg.norm(run.points[-1, k] - run.points[0, k]) for k in range(6))
+    assert summary["path_excess"] == pytest.approx(paths / direct)
+    assert summary["escape_share"] == run.escape.sum() / run.steps
+    assert summary["relaxed"] == []
+
+
+def test_another_controller_tells_the_distances_and_that_it_does_not_heed_them(command, arm_file, scene_file):
+    asked = ("track", arm_file, "--curve", "line", "--start", ABOVE, "--controller", "joint")
+    result = command(*asked, "--scene", scene_file, "--json")
+    assert json.loads(result.out)["clearance"]["smallest"] < 0.0
+    assert result.err.count("\n") == 1
+    assert "joint does not keep clear of anything" in result.err
+
+
+def test_the_table_says_what_the_json_says(command, arm_file, scene_file, passed):
+    asked = ("track", arm_file, "--curve", "line", "--start", ABOVE, "--scene", scene_file)
+    summary, _ = passed
+    words = {line.split("  ", 1)[0]: line for line in command(*asked).out.splitlines()}
+    told = summary["clearance"]
+    assert f"{told['smallest']:.4g} m where it is smallest, {' to '.join(told['pair'])}" in words["clearance"]
+    assert f"{told['final']:.4g} m at the end" in words["clearance"]
+    assert f"{100 * summary['escape_share']:.3g} % of the steps" in words["escapes"]
+    assert f"{summary['path_excess']:.3g} times" in words["paths"]
+    assert "gave way" not in words
+
+
+def test_what_gave_way_is_told_with_the_step(command, arm_file, tmp_path, no_pictures):
+    # Some joints begin outside what the margin leaves, 0.24 rad on either side.
+    asked = ("track", arm_file, "--curve", "line", "--start", ABOVE, "--position-margin", 2.9)
+    summary = json.loads(command(*asked, "-o", tmp_path, "--json").out)
+    run = pp.Trajectory.load(tmp_path / "run.npz")
+    assert summary["relaxed"][0]["step"] == 0
+    assert "position limits of joint 'm01_j2_z'" in summary["relaxed"][0]["what"]
+    assert {each["step"]: each["what"] for each in summary["relaxed"]} == {
+        k: text for k, text in enumerate(run.relaxed) if text
+    }
+    (line,) = (line for line in command(*asked).out.splitlines() if line.startswith("gave way"))
+    assert f"something in {len(summary['relaxed'])} steps; first in step 1: position limits" in line
+    assert line.rstrip().endswith(" ...")
+    assert len(line.rstrip()) < 300
+
+
+def test_self_collision_needs_no_file_and_adds_to_one(track, scene_file):
+    still = ("--tolerance", 1)  # there to begin with
+    alone = track("--self-collision", *still)[1].scene
+    both = track("--self-collision", "--scene", scene_file, *still)[1].scene
+    assert alone == Scene(self_collision=True)
+    assert (both.self_collision, dict(both.obstacles)) == (True, {"ball": BALL, "floor": FLOOR})
+    assert both.margin == MARGIN
+
+
+def test_inspect_shows_the_scene_and_what_is_nearest(command, arm_file, scene_file):
+    about = json.loads(command("inspect", arm_file, "--scene", scene_file, "--json").out)["scene"]
+    assert (about["margin"], about["self_collision"]) == (MARGIN, False)
+    ball, floor = about["obstacles"]
+    # Straight along x, capsules of 25 mm: the ball is beside them at 0.2, where two meet.
+    assert (ball["name"], ball["type"], ball["radius"]) == ("ball", "sphere", 0.04)
+    assert ball["distance"] == pytest.approx(0.1 - 0.04 - RADIUS)
+    assert floor["distance"] == pytest.approx(0.2 - RADIUS)
+    assert len(about["bodies"]) == 12
+    assert about["bodies"][0]["nearest"] == "ball"
+    assert about["bodies"][0]["distance"] == pytest.approx(np.hypot(0.175, 0.1) - 0.04 - RADIUS)
+    rows = [line.split() for line in command("inspect", arm_file, "--scene", scene_file).out.splitlines()]
+    assert ["ball", "sphere", ball["nearest"], f"{ball['distance']:.4g}"] in rows
+    for body in about["bodies"]:
+        assert [body["name"], body["nearest"], f"{body['distance']:.4g}"] in rows
+
+
+def test_inspect_shows_the_distances_of_the_arm_from_itself(command, arm_file):
+    about = json.loads(command("inspect", arm_file, "--self-collision", "--json").out)["scene"]
+    assert (about["self_collision"], about["obstacles"]) == (True, [])
+    first = about["bodies"][0]
+    assert first["nearest"] in [body["name"] for body in about["bodies"][2:]]
+    assert first["distance"] > 0.0
+    assert "distances of the arm from itself count" in command("inspect", arm_file, "--self-collision").out
+    assert json.loads(command("inspect", arm_file, "--json").out)["scene"] is None
+
+
+BALL_TABLE = {"type": "sphere", "center": [0.2, 0.1, 0], "radius": 0.04}
+
+
+@pytest.mark.parametrize("verb", ["track", "inspect"])
+@pytest.mark.parametrize(
+    ("name", "text", "says"),
+    [
+        ("none.toml", None, "no such file"),
+        ("scene.yaml", "", ".toml, .json"),
+        ("broken.toml", "margin =\nobstacles = 1", "line 1"),
+        ("broken.json", '{"obstacles":', "line 1"),
+        ("key.toml", "obstacle = 1", "'obstacle'"),
+        ("type.json", json.dumps({"obstacles": {"a": {"type": "ball"}}}), "'ball'"),
+        (
+            "radius.json",
+            json.dumps({"obstacles": {"a": {**BALL_TABLE, "radius": -1}}}),
+            "obstacle 'a': radius",
+        ),
+        (
+            "center.json",
+            json.dumps({"obstacles": {"a": {**BALL_TABLE, "center": [0, 1]}}}),
+            "obstacle 'a': cen",
+        ),
+        ("mesh.json", json.dumps({"obstacles": {"a": {"type": "mesh", "path": "x.stl"}}}), "x.stl"),
+        ("margin.toml", "margin = -1", "margin is -1"),
+    ],
+)
+def test_a_bad_scene_is_refused_in_one_line(command, arm_file, tmp_path, verb, name, text, says):
+    if text is not None:
+        (tmp_path / name).write_text(text)
+    curve = ("--curve", "line") if verb == "track" else ()
+    result = command(verb, arm_file, *curve, "--scene", tmp_path / name)
+    assert (result.code, result.out, result.err.count("\n")) == (2, "", 1)
+    assert result.err.startswith("error: ")
+    assert name in result.err
+    assert says in result.err

@@ -1,0 +1,77 @@
+"""Limits of the command line hold on every step of the run, whatever moves the arm."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import pinposture as pp
+
+SLACK = 1e-9
+
+
+@pytest.fixture
+def track(command, arm_file, tmp_path, no_pictures):
+    def run(*options) -> pp.Trajectory:
+        result = command("track", arm_file, "--curve", "helix", "--steps", 40, "-o", tmp_path, *options)
+        assert result.code == 0, result.err
+        return pp.Trajectory.load(tmp_path / "run.npz")
+
+    return run
+
+
+@pytest.mark.parametrize("controller", ["qp", "switching"])
+def test_speed_and_acceleration_limits_hold_and_bind(track, controller):
+    asked = ("--velocity", 1.5, "--acceleration", 20, "--dt", 0.02, "--controller", controller)
+    q = track(*asked).q
+    steps = np.diff(q, axis=0)
+    changes = np.diff(steps, axis=0, prepend=np.zeros((1, q.shape[1])))
+    assert 0.9 * 1.5 * 0.02 < np.abs(steps).max() <= 1.5 * 0.02 + 1e-9
+    assert 0.6 * 20 * 0.02**2 < np.abs(changes).max() <= 20 * 0.02**2 + 1e-9
+
+
+def test_one_number_for_each_joint(track):
+    speeds = np.linspace(0.5, 1.6, 12)
+    run = track("--velocity", ",".join(map(str, speeds)), "--dt", 0.05)
+    largest = np.abs(np.diff(run.q, axis=0)).max(axis=0)
+    assert np.all(largest <= 0.05 * speeds + SLACK)
+    assert np.any(largest > 0.05 * speeds - SLACK)
+
+
+def test_with_a_duration_alone_joints_keep_their_own_speed(track):
+    run = track("--dt", 0.01)
+    assert np.abs(np.diff(run.q, axis=0)).max() == pytest.approx(0.01 * run.arm.limits.velocity[0])
+
+
+def test_a_margin_keeps_joints_away_from_their_limits(track):
+    margin = np.pi - 0.3  # on either side 0.3 rad are left
+    free, kept = track(), track("--position-margin", margin)
+    assert np.abs(free.q[-1]).max() > 0.3
+    assert np.abs(kept.q[-1]).max() == pytest.approx(0.3)
+    assert kept.limits.position_margin == margin
+
+
+def test_an_infinite_step_is_no_limit(track):
+    assert np.abs(np.diff(track("--step-limit", "inf").q, axis=0)).max() > 0.15
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--velocity", 1), ("dt is None", "velocity")),
+        (("--acceleration", 1), ("dt is None", "acceleration")),
+        (("--velocity", "fast", "--dt", 1), ("--velocity is 'fast'", "numbers separated by commas")),
+        (("--velocity", 0, "--dt", 1), ("velocity is 0", "positive")),
+        (("--velocity", "1,nan", "--dt", 1), ("velocity", "nan", "positive")),
+        (("--velocity", "1,2", "--dt", 1), ("velocity (shape)", "(2,)", "(12,)")),
+        (("--acceleration", "-1", "--dt", 1), ("acceleration is -1", "positive")),
+        (("--dt", 0), ("dt is 0", "> 0")),
+        (("--position-margin", "-0.1"), ("position_margin is -0.1",)),
+        (("--position-margin", 4), ("position_margin is 4", "half the range")),
+    ],
+)
+def test_limits_that_are_none_are_refused_in_one_line(command, arm_file, options, says):
+    result = command("track", arm_file, "--curve", "helix", *options)
+    assert (result.code, result.out, result.err.count("\n")) == (2, "", 1)
+    for text in says:
+        assert text in result.err

@@ -1,0 +1,72 @@
+"""What the survey of foreign arms says of the runs, measured again from their configurations."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import pinposture as pp
+from pinposture.study import ArmSurvey, gentle_curve, survey_arms
+
+BEND = 0.5
+HINGES = (pp.JointSpec("z", lower=-BEND, upper=BEND), pp.JointSpec("y", lower=-BEND, upper=BEND))
+ARM = pp.Arm.from_modules([pp.ModuleTemplate("m", joints=HINGES, link_lengths=(0.04, 0.05))] * 5)
+SEED = 4
+
+
+@pytest.fixture
+def directory(tmp_path: Path) -> Path:
+    (tmp_path / "arm.urdf").write_text(ARM.urdf)
+    return tmp_path
+
+
+def survey(directory: Path) -> ArmSurvey:
+    (found,) = survey_arms(directory, seed=SEED)
+    return found
+
+
+def test_the_run_of_qp_is_that_of_the_default_controller(directory: Path) -> None:
+    arm = pp.Arm.from_urdf(directory / "arm.urdf")
+    target = pp.resolve_targets(arm, gentle_curve(arm))
+    run = pp.track(arm, target, arm.random(np.random.default_rng(SEED)))
+    found = survey(directory)
+
+    points = np.array([arm.at(q).points for q in run.q])
+    error = np.mean([np.hypot.reduce(off) for off in points[-1] - target.points])
+    paths = sum(np.hypot.reduce(after[k] - before[k]) for before, after in pairwise(points) for k in range(5))
+    straight = sum(np.hypot.reduce(points[-1, k] - points[0, k]) for k in range(5))
+    assert found.qp == pytest.approx(error / arm.length, abs=1e-12)
+    assert found.path_excess == pytest.approx(paths / straight, rel=1e-9)
+    assert (found.qp_steps, found.qp_status) == (run.steps, "converged")
+    assert np.all(np.abs(run.q) <= BEND + 1e-12)
+    assert found.qp_within_limits
+    assert found.within_limits
+
+
+@pytest.mark.parametrize("astray", ["joint", "switching", "qp"])
+def test_a_run_outside_the_limits_is_told_of(
+    astray: str, directory: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def one_step(arm: pp.Arm, target: object, start: np.ndarray, name: str, **_: object) -> SimpleNamespace:
+        q = np.tile(start, (2, 1))
+        q[1, 3] = 1.2 * BEND if name == astray else 0.0
+        points = np.array([arm.at(row).points for row in q])
+        return SimpleNamespace(q=q, points=points, point_errors=np.ones((2, 5)), steps=1, status="max_steps")
+
+    monkeypatch.setattr("pinposture.study.arms.track", one_step)
+    found = survey(directory)
+    assert not found.within_limits
+    assert found.qp_within_limits == (astray != "qp")
+    assert found.qp_status == "max_steps"
+
+
+def test_a_file_that_is_refused_has_no_run(directory: Path) -> None:
+    (directory / "arm.urdf").write_text('<robot name="r">\n')
+    found = survey(directory)
+    assert found.refused
+    assert found.qp is found.path_excess is found.switching is found.reached is None
+    assert (found.qp_steps, found.qp_status) == (0, "")
