@@ -42,7 +42,7 @@ def run(
     """Go round closed cycles of four random smooth postures, and say how far the joints drift.
 
     The first round begins in the last posture. After each round, drift is how far the joint that is farthest
-    from where it began is from there [rad]; the table has that of the worst cycle. Postures are known by
+    from where it began has moved [rad]; the table has that of the worst cycle. Postures are known by
     their configurations, or by their control points alone. At most 0.1 rad per step and joint, and 400 steps
     from one posture to the next, until the mean point error is below 1e-9 of the arm length.
     """

@@ -90,7 +90,7 @@ def run(
     if plot is not None:
         from pinposture.view import plot_arm
 
-        write_picture(plot_arm(arm, ellipsoids=points), plot)
+        write_picture(plot_arm(arm, ellipsoids=points, scene=surroundings), plot)
     if as_json:
         print_json({"file": urdf, **about, "scene": around, "plot": None if plot is None else str(plot)})
     else:

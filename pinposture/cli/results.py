@@ -86,7 +86,8 @@ def summarize(motion: Trajectory) -> dict[str, Any]:
         "path_excess": motion.sweep,
         "escape_share": float(motion.escape.mean()) if motion.steps else 0.0,
         "relaxed": [
-            {"step": int(k), "what": str(motion.relaxed[k])} for k in np.flatnonzero(motion.relaxed != "")
+            {"step": int(k), "what": str(motion.relaxed[k]).splitlines()}
+            for k in np.flatnonzero(motion.relaxed != "")
         ],
         "clearance": _closest(motion),
         "incomplete": target.incomplete,
@@ -123,8 +124,11 @@ def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
         "active points": f"{summary['first_active_points']} at the first step, "
         f"{summary['last_active_points']} at the last, of {summary['control_points']}",
         "paths": f"of control points {summary['path_excess']:.3g} times as long as straight ones",
-        "escapes": f"{100 * summary['escape_share']:.3g} % of the steps; the posture error may rise there",
     }
+    if summary["escape_share"]:
+        words["escapes"] = (
+            f"{100 * summary['escape_share']:.3g} % of the steps; the posture error may rise there"
+        )
     if summary["switches"]:
         first_switch = summary["switches"][0]
         words["switches"] = (
@@ -135,7 +139,7 @@ def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
         words["clearance"] = _apart(summary["clearance"])
     if summary["relaxed"]:
         first_relaxed = summary["relaxed"][0]
-        what = textwrap.shorten(first_relaxed["what"], WORDY, placeholder=" ...")
+        what = textwrap.shorten("; ".join(first_relaxed["what"]), WORDY, placeholder=" ...")
         words["gave way"] = (
             f"something in {len(summary['relaxed'])} steps; first in step {first_relaxed['step'] + 1}: {what}"
         )

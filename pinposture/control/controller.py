@@ -26,7 +26,8 @@ class Diagnostics(NamedTuple):
         rows: number of rows of the posture control matrix.
         dropped: control points that cleared their conditions and were dropped because the stacked matrix
             was too close to singular, 0-based.
-        scale: factor by which the step was shortened to meet the step limit, in (0, 1].
+        scale: factor by which the step was shortened to meet the step limit, in (0, 1]; to keep clear of
+            something, in [0, 1].
         clipped: which joints were cut short at a position limit, (nv,).
         reason: why the controller does not move; empty if it does.
         method: which of its methods a controller used that has several, by name; empty if it has one.
@@ -100,7 +101,8 @@ class Controller(Protocol):
             state: where the arm is.
             target: where its control points should be.
             limits: what the step may not exceed; `Limits()` if None.
-            memory: what the previous step returned; None at the first.
+            memory: `memory` of the previous step; None at the first. Without it a controller that plans plans
+                anew, one that takes turns forgets whose it is, and the arm is taken to be at rest.
         """
 
 

@@ -177,7 +177,7 @@ class Switching:
             limited = limits.apply(state, ahead, memory.dq if memory is not None else None)
             moved = Diagnostics(0.0, 0.0, 0.0, 0, (), limited.scale, limited.clipped, "")
             step = Step(limited.dq, (), moved, Memory(limited.dq))
-        return step._replace(diagnostics=step.diagnostics._replace(escape=True))
+        return step._replace(diagnostics=step.diagnostics._replace(escape=True, on_way=True))
 
 
 def _labelled(step: Step, phase: Phase, switched: str) -> Step:

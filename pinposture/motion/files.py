@@ -107,7 +107,8 @@ def load_trajectory(path: Path) -> Trajectory:
     except FileError:
         raise
     except Exception as error:  # a damaged file can trip zlib, numpy's reader or Pinocchio's, anything
-        raise FileError(path, f"is not a saved run ({type(error).__name__}: {error})") from error
+        detail = "" if isinstance(error, ValueError) and "pickle" in str(error) else f": {error}"
+        raise FileError(path, f"is not a saved run ({type(error).__name__}{detail})") from error
 
 
 def _check_shapes(arm: Arm, arrays: dict[str, Any]) -> None:

@@ -14,6 +14,10 @@ from pinposture.target import Target
 Array = NDArray[np.float64]
 
 
+MENTIONED = 8
+"""How many constraints that gave way are written down of each step."""
+
+
 class Recorder:
     """Collects states and steps, and turns them into a trajectory."""
 
@@ -30,11 +34,6 @@ class Recorder:
 
     def _distance(self, state: ArmState) -> float:
         return np.inf if self._clearance is None else self._clearance.minimum(state.q).distance
-
-    @property
-    def last(self) -> Step | None:
-        """The last step; None before the first."""
-        return self._steps[-1] if self._steps else None
 
     @property
     def steps(self) -> int:
@@ -60,7 +59,7 @@ class Recorder:
             travel: joint travel that the limits allowed in it [rad].
         """
         self._steps.append(step)
-        if not (step.diagnostics.escape or step.diagnostics.on_way):  # else the arm is not stuck
+        if not step.diagnostics.on_way:  # else the arm is not stuck
             self._idle += travel
         self._q.append(state.q)
         self._distances.append(self._distance(state))
@@ -105,7 +104,7 @@ class Recorder:
             method=np.array([note.method for note in notes], dtype=np.str_),
             switched=np.array([note.switched for note in notes], dtype=np.str_),
             escape=np.array([note.escape for note in notes], dtype=bool),
-            relaxed=np.array(["\n".join(note.relaxed) for note in notes], dtype=np.str_),
+            relaxed=np.array(["\n".join(note.relaxed[:MENTIONED]) for note in notes], dtype=np.str_),
             clearance=np.array(self._distances),
             scene=self._scene,
         )

@@ -60,7 +60,8 @@ def track(
             recorded. If None, that of the controller.
         max_steps: number of steps after which to stop.
         tolerance: mean distance of the control points from their targets at which the run has converged
-            [m]; 1e-6 of the arm length if None.
+            [m]; 1e-6 of the arm length if None. With limits of acceleration the arm may still be moving then:
+            go on stepping until dq is 0 before a drive is cut.
         callback: called after each step with its number (from 1), the state reached and the step. The
             run stops if it returns True.
 
@@ -78,7 +79,9 @@ def track(
     limits = Limits() if limits is None else limits
     if not isinstance(limits, Limits):
         raise InvalidValue("limits", limits, "Limits(...), or None")
-    _check_target(arm, target)
+    if not isinstance(target, Target):
+        raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
+    target.check(arm)
     require_whole("max_steps", max_steps, 1)
     tolerance = 1e-6 * arm.length if tolerance is None else tolerance
     require_positive("tolerance", tolerance)
@@ -86,13 +89,13 @@ def track(
     state = arm.at(arm.checked(q0, "q0"))
     recorder = Recorder(target, state, scene)
     memory: Memory | None = None
-    status, reason = "", ""
+    status, reason, last = "", "", None
     while not status:
         status, reason = _verdict(recorder, tolerance, max_steps)
         if status:
             break
         step = controller.step(state, target, limits, memory)
-        memory = step.memory
+        memory, last = step.memory, step
         if step.diagnostics.reason:
             # A controller that has points to control but no step to take is stuck.
             status = "stalled" if step.active else "no_control_points"
@@ -102,8 +105,8 @@ def track(
         recorder.add(state, step, limits.travel(state))
         if callback is not None and callback(recorder.steps, state, step) is True:
             status, reason = "stopped", f"stopped by the callback after {recorder.steps} steps"
-    if status in ("stalled", "max_steps") and recorder.last is not None:
-        reason += _what_holds(arm, recorder.last)
+    if status in ("stalled", "max_steps") and last is not None:
+        reason += _what_holds(arm, last)
     if status in ("stalled", "max_steps") and target.q is None and not isinstance(controller, ConstrainedQP):
         reason += "; the target knows no configuration, with which Switching finds the way: see fit_points"
     logger.info("%s: %s after %d steps: %s", controller.name, status, recorder.steps, reason)
@@ -130,26 +133,6 @@ def _what_holds(arm: Arm, step: Step) -> str:
         return ""
     more = f" and {len(held) - MENTIONED} more" if len(held) > MENTIONED else ""
     return f"; held by {', '.join(held[:MENTIONED])}{more}"
-
-
-def _check_target(arm: Arm, target: Target) -> None:
-    """Raise InvalidValue unless the target is one of this arm."""
-    if not isinstance(target, Target):
-        raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
-    m = arm.n_modules
-    if target.points.shape != (m, 3):
-        raise InvalidValue("target.points (shape)", target.points.shape, f"({m}, 3) for this arm")
-    if target.weights.shape != (m,):
-        raise InvalidValue("target.weights (shape)", target.weights.shape, f"({m},) for this arm")
-    if not np.any(target.placed):
-        raise InvalidValue("target.weights", 0.0, "at least one control point with a weight > 0")
-    for name, values in (("points", target.points), ("weights", target.weights)):
-        if not np.all(np.isfinite(values)):
-            where = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
-            allowed = "finite numbers, also for points of weight 0"
-            raise InvalidValue(f"target.{name}{list(where)}", float(values[where]), allowed)
-    if target.q is not None:
-        arm.checked(target.q, "target.q")
 
 
 def _verdict(recorder: Recorder, tolerance: float, max_steps: int) -> tuple[str, str]:

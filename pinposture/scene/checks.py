@@ -16,7 +16,7 @@ from pinposture.errors import InvalidValue
 Vector: TypeAlias = tuple[float, float, float]
 Matrix: TypeAlias = tuple[Vector, Vector, Vector]
 
-LARGEST = 1e6
+LARGEST = 1e4
 """Largest coordinate or size [m]; squares and products of larger ones lose the digits that distances need."""
 SMALLEST = 1e-9
 """Smallest size of something solid [m]."""
@@ -80,6 +80,8 @@ def rotation(name: str, value: Any) -> Matrix:
         turn = np.eye(3)
     else:
         numbers = _numbers(name, value, None, allowed)
+        if numbers.shape == (3,) and np.abs(numbers).max() > 2.0 * np.pi:
+            raise InvalidValue(name, value, "angles within 2 pi either way, in rad, not in degrees")
         turn = pin.rpy.rpyToMatrix(*numbers) if numbers.shape == (3,) else numbers
         if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6):
             raise InvalidValue(name, value, allowed)

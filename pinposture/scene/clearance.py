@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -12,19 +13,22 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.checks import finite_vector
 from pinposture.arm.configurations import ConfigurationSpace
-from pinposture.errors import InvalidValue
+from pinposture.errors import InvalidValue, PostureWarning
 from pinposture.scene.bodies import bodies_of
 from pinposture.scene.checks import is_count
 from pinposture.scene.distances import Distances
 from pinposture.scene.escape import escape_direction
 from pinposture.scene.narrow import Contact
-from pinposture.scene.pairs import LeftOut, choose_pairs
+from pinposture.scene.pairs import ALWAYS_CLOSE, LeftOut, choose_pairs
 from pinposture.scene.placements import Placements
 from pinposture.scene.scene import Scene
 from pinposture.scene.solids import solid
 
 Array = NDArray[np.float64]
 Pair = tuple[str, str]
+
+MENTIONED = 4
+"""How many pairs a warning lists."""
 
 IN_PLANE = 1e-3
 """Share of a normal in the plane of a planar arm below which the arm is shown another way out."""
@@ -92,6 +96,13 @@ class Clearance:
         names = (*self.bodies, *obstacles)
         chosen, left_out = choose_pairs(arm, self._places, bodies, self._solids, obstacles, scene)
         self.left_out = tuple(LeftOut(names[a], names[b], why) for (a, b), why in left_out.items())
+        close = [f"{each.first} to {each.second}" for each in self.left_out if each.reason == ALWAYS_CLOSE]
+        if close:
+            named = ", ".join(close[:MENTIONED]) + (
+                f" and {len(close) - MENTIONED} more pairs" if close[MENTIONED:] else ""
+            )
+            text = f"{named}: {ALWAYS_CLOSE}; nothing keeps them apart (margin {scene.margin:g} m)"
+            warnings.warn(text, PostureWarning, stacklevel=4)
         joints = [body.joint for body in bodies]
         self._distances = Distances(self._solids, joints, list(obstacles.values()), chosen)
         first, second = self._distances.first, self._distances.second

@@ -7,7 +7,9 @@ Left out are
   that slide in one another, meshes that overlap as they were made. Had they to keep clear, the arm could not
   even stand straight;
 * an obstacle that the arm is mounted on: one within the margin of an end of a body that no joint moves;
-* bodies that no joint moves, against obstacles.
+* bodies that no joint moves, against obstacles;
+* pairs that are within the margin in every posture that is tried, the straight one and many arbitrary ones:
+  something beside the base, that the first links pass however the arm bends. These are also warned of.
 """
 
 from __future__ import annotations
@@ -33,8 +35,14 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 IndexPair: TypeAlias = tuple[int, int]
 
+POSTURES = 40
+"""Arbitrary postures that are tried before a pair counts as one that can never keep the margin."""
+
 STRETCHED = 2.0
 """Bodies nearer than this many margins where the arm is straight are left out."""
+ALWAYS_CLOSE = "within the margin however the arm bends"
+"""Why a pair is left out that is also warned of."""
+
 _STILL = 1e-9
 """How far a point may move that does not move, relative to the arm."""
 
@@ -100,7 +108,31 @@ def choose_pairs(
         found, _ = near.near(places.rotations, places.positions, limit)
         touching |= {(int(near.first[k]), int(near.second[k])) for k, _ in found}
     left_out |= dict.fromkeys(sorted(touching), "near each other where the arm is straight or neutral")
-    return [pair for pair in (*against, *own) if pair not in left_out], left_out
+    left = [pair for pair in (*against, *own) if pair not in left_out]
+    close = dict.fromkeys(_always_close(arm, places, bodies, solids, fixed, left, scene.margin), ALWAYS_CLOSE)
+    return [pair for pair in left if pair not in close], left_out | close
+
+
+def _always_close(
+    arm: Arm,
+    places: Placements,
+    bodies: Sequence[Body],
+    solids: Sequence[Solid],
+    fixed: Sequence[Solid],
+    pairs: Sequence[IndexPair],
+    margin: float,
+) -> list[IndexPair]:
+    """Pairs that are nearer than the margin in every posture that is tried."""
+    rng, left = np.random.default_rng(0), list(pairs)
+    postures = (arm.straight(), arm.neutral(), *(arm.random(rng) for _ in range(POSTURES)))
+    for q in postures:
+        if not left:
+            break
+        distances = Distances(solids, [body.joint for body in bodies], fixed, left)
+        pin.forwardKinematics(arm.model, places.data, q)
+        found, _ = distances.near(places.rotations, places.positions, margin)
+        left = [(int(distances.first[k]), int(distances.second[k])) for k in sorted(k for k, _ in found)]
+    return left
 
 
 def _mounted(

@@ -25,7 +25,10 @@ _KEYS = ("version", "obstacles", "self_collision", "margin", "arm_radius")
 class Scene:
     """Obstacles that stand still, and how an arm is to keep clear of them and of itself.
 
-    A scene is immutable, can be compared and pickled, and knows of no arm; `around` brings the two together.
+    A scene is immutable, can be compared and pickled, and knows of no arm; `around` brings the two together:
+
+        scene = pp.Scene({"post": pp.Cylinder([0.3, 0.1, -1], [0.3, 0.1, 1], 0.02)}, self_collision=True)
+        scene = pp.Scene.load("scene.toml")
 
     Attributes:
         obstacles: the obstacles by name.

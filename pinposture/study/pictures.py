@@ -74,7 +74,10 @@ def draw_headings(records: Sequence[Record]) -> Figure:
             shares = [each.reached / each.runs if each.runs else 0.0 for each in found]
             places = np.arange(len(found)) + offset
             # What nobody reached would leave no trace at all.
-            ax.bar(places, np.maximum(shares, 0.008), 0.9 * width, color=color, label=controller)
+            seen = [
+                max(share, 0.008) if each.runs else 0.0 for share, each in zip(shares, found, strict=True)
+            ]
+            ax.bar(places, seen, 0.9 * width, color=color, label=controller)
         ax.set_xticks(range(len(BINS)), BINS)
         ax.set_ylim(0.0, 1.2)  # room for the legend
         ax.set_yticks([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])

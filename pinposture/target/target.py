@@ -54,6 +54,23 @@ class Target:
         """Which control points have a target, (m,)."""
         return np.asarray(self.weights > 0.0)
 
+    def check(self, arm: Arm) -> None:
+        """Raise InvalidValue unless the target fits an arm, is finite, and has a point to control."""
+        m = arm.n_modules
+        if self.points.shape != (m, 3):
+            raise InvalidValue("target.points (shape)", self.points.shape, f"({m}, 3) for this arm")
+        if self.weights.shape != (m,):
+            raise InvalidValue("target.weights (shape)", self.weights.shape, f"({m},) for this arm")
+        if not np.any(self.placed):
+            raise InvalidValue("target.weights", 0.0, "at least one control point with a weight > 0")
+        for name, values in (("points", self.points), ("weights", self.weights)):
+            if not np.all(np.isfinite(values)):
+                where = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
+                allowed = "finite numbers, also for points of weight 0"
+                raise InvalidValue(f"target.{name}{list(where)}", float(values[where]), allowed)
+        if self.q is not None:
+            arm.checked(self.q, "target.q")
+
     def region(self, first: int, last: int) -> Target:
         """The same target for control points `first` to `last` only; the others are free.
 

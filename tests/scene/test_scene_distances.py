@@ -168,7 +168,9 @@ def test_a_long_body_is_seen_by_a_small_box_anywhere_along_it():
         assert clearance.minimum(arm.neutral()).distance == pytest.approx(0.045, abs=1e-7)
 
 
-def test_a_thousand_overlaps_have_finite_depths_and_unit_normals():
+def test_a_thousand_overlaps_have_finite_depths_and_unit_normals(monkeypatch):
+    # The arm is inside of most of them however it turns: they would be left out.
+    monkeypatch.setattr("pinposture.scene.pairs._always_close", lambda *given: [])
     arm = single('<cylinder radius="0.05" length="0.1"/>', xyz="0 0 0")
     rng = np.random.default_rng(0)
     state = arm.at(arm.neutral())

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm import ArmState
 from pinposture.control.constrained.posture import Linear, Posture
-from pinposture.control.constrained.program import Rows
+from pinposture.control.constrained.program import Rows, Solution
 from pinposture.scene import Clearance, Nearness
 
 Array = NDArray[np.float64]
@@ -26,6 +26,9 @@ BERTH = 0.01
 
 PUSH = 0.5
 """Share of the largest push that the limits allow, which is asked of a pair that is too close."""
+
+MENTIONED = 3
+"""How many pairs that are too close are listed."""
 
 SAMPLES = 10
 """Places between two configurations at which the distance is looked up."""
@@ -97,7 +100,17 @@ class Avoidance:
     def too_close(self, state: ArmState) -> tuple[str, ...]:
         """The pairs that are closer than the margin, in words."""
         close = self.near(state).distances < self.margin - 1e-9 * self._length
-        return tuple(f"margin of {1e3 * self.margin:.3g} mm: {pair}" for pair in self.named(state, close))
+        words = [f"margin of {1e3 * self.margin:.3g} mm: {pair}" for pair in self.named(state, close)]
+        more = (f"and {len(words) - MENTIONED} more pairs",) if len(words) > MENTIONED else ()
+        return (*words[:MENTIONED], *more)
+
+    def holding(self, state: ArmState, solution: Solution | None, stuck: bool) -> tuple[str, ...]:
+        """The pairs that hold a step back, in words: those whose rows bind, or all close ones if stuck."""
+        near = self.near(state)
+        which = near.distances <= self.margin + 1.5 * SPARE * self._length if stuck else None
+        if solution is not None and len(solution.binding) == len(near.distances):
+            which = solution.binding if which is None else which | solution.binding
+        return () if which is None else self.named(state, which)
 
     def named(self, state: ArmState, which: NDArray[np.bool_]) -> tuple[str, ...]:
         """Some of the pairs in sight, in words."""

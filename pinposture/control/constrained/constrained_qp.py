@@ -29,6 +29,15 @@ Array = NDArray[np.float64]
 WAIT, COURSES = 1.0, 3
 """Joint travel without getting on after which another way is looked for [rad], and how many are."""
 
+MOST_HASTE = 1e6
+"""Haste beyond which numbers overflow; it is joint interpolation long before."""
+
+FARTHEST = 10.0
+"""Largest joint motion of a step where limits allow any, in `Arm.joint_units`."""
+
+LEANING = 1e-6
+"""How far outside its limits a joint may be without being brought back first, in `Arm.joint_units`."""
+
 ROUNDING = 1e-12
 """What is lost in the arithmetic of a step, in `Arm.joint_units` or arm lengths."""
 
@@ -53,8 +62,9 @@ class ConstrainedQP:
 
     Attributes:
         haste: weight of the motion of joints against that of control points: how far, in module lengths, all
-            control points may move to save one radian of a joint. Towards 0 the points go as straight as can
-            be, and joints take long ways; large values lead to joint interpolation.
+            control points may move to save one radian of a joint. Smaller values let joints go longer ways so
+            that points go straighter, down to about 0.05; below that only the number of steps grows. Large
+            values lead to joint interpolation.
         chord: weight of the squared error of a chord, where that of a point has weight 1.
         tasks: what else the arm is asked to do.
         scene: what to keep clear of; nothing if None. `track(..., scene=)` sets it.
@@ -68,6 +78,8 @@ class ConstrainedQP:
 
     def __post_init__(self) -> None:
         require_positive("haste", self.haste)
+        if self.haste > MOST_HASTE:
+            raise InvalidValue("haste", self.haste, f"at most {MOST_HASTE:g}")
         require_positive("chord", self.chord, zero=True)
         tasks = tuple(self.tasks) if isinstance(self.tasks, Iterable) else (self.tasks,)
         for task in tasks:
@@ -86,14 +98,40 @@ class ConstrainedQP:
     ) -> Step:
         """Compute one step; see `Controller.step`. The first one for a target takes longer: it plans."""
         limits = Limits() if limits is None else limits
+        _check_given(state, memory)
+        previous = memory.dq if memory is not None else None
+        box = limits.box(state, previous)
+        if _outside(state, limits):
+            return self._return(state, target, box)
         course = self._course(state, target, limits, memory)
         posture, avoidance = course.posture, self._avoidance(course.posture)
-        box = limits.box(state, memory.dq if memory is not None else None)
-        lower, upper = posture.own(box.lower), posture.own(box.upper)
+        lower, upper = (np.clip(posture.own(side), -FARTHEST, FARTHEST) for side in (box.lower, box.upper))
         rows = None if avoidance is None else avoidance.rows(state, lower, upper)
         scope = Scope(state, lower, upper, rows)
-        asked = close_in(course, scope) if course.arrived else follow(course, scope, limits, self._mu(state))
+        if course.arrived:
+            asked = close_in(course, scope)
+        else:
+            asked = follow(course, scope, limits, self._mu(state), avoidance)
         return _checked(asked, state, box, limits.for_arm(state.arm), avoidance)
+
+    def _return(self, state: ArmState, target: Target, box: Box) -> Step:
+        """A step back into the position limits, by the joints that are outside; the way begins there."""
+        arm = state.arm
+        target.check(arm)
+        dq, relaxed = np.zeros(arm.nv), box.relaxed
+        dq[arm.columns] = np.clip(dq, box.lower, box.upper)[arm.columns]
+        avoidance = self._avoidance(Posture(arm, target))
+        share = 1.0 if avoidance is None else avoidance.shortened(state, dq)
+        if share < 1.0:
+            relaxed = (*relaxed, "position limits: coming back faster would come too close to something")
+        dq = share * dq
+        rises = _posture_error(arm.at(arm.integrate(state.q, dq)), target) > _posture_error(state, target)
+        active = tuple(int(k) for k in np.flatnonzero(target.placed))
+        reason = "" if np.any(dq) else "joints are outside their limits, and something is in their way back"
+        held = np.zeros(arm.nv, dtype=np.bool_)
+        diagnostics = Diagnostics(0.0, 0.0, 0.0, len(active) * arm.dimension, (), share, held, reason)
+        diagnostics = diagnostics._replace(escape=rises, relaxed=relaxed, on_way=True)
+        return Step(dq, active, diagnostics, Memory(dq))
 
     def _avoidance(self, posture: Posture) -> Avoidance | None:
         return None if self.scene is None else Avoidance(self.scene.around(posture.arm), posture)
@@ -102,15 +140,19 @@ class ConstrainedQP:
         """The course so far; a new one at first, for a new target, and where the arm does not get on."""
         course = memory.own if memory is not None and isinstance(memory.own, Course) else None
         bounds = limits.for_arm(state.arm)
+        if not isinstance(target, Target):
+            raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
         tries, posture = 0, Posture(state.arm, target, self.tasks, self.chord)
-        if course is not None and course.posture.arm is state.arm and _alike(course.posture.target, target):
-            if course.posture.tasks != self.tasks:  # they follow something that moves: no way leads there
-                return course._replace(posture=posture, arrived=True)
+        if course is not None and course.leads_on(state) and _alike(course.posture.target, target):
+            if course.posture.tasks != self.tasks:  # as they do where they follow something: the way stays
+                course = course._replace(posture=posture)
             if course.waited < WAIT or course.arrived:
                 return course if course.bounds is bounds else course.within(bounds)
             tries, posture = course.tries + 1, course.posture
             if tries >= COURSES or course.place >= course.path.end:
                 return course._replace(arrived=True)
+        else:
+            target.check(state.arm)
         return plan(posture, state, bounds, self._avoidance(posture), self._mu(state), tries)
 
     def _mu(self, state: ArmState) -> float:
@@ -127,19 +169,20 @@ def _checked(
     dq[arm.columns] = np.minimum(np.maximum(dq, box.lower), box.upper)[arm.columns]
     slack = ROUNDING * arm.joint_units
     room = bounds.edges - arm.positions(state.q)
-    at_limit = (dq >= room[1] - slack) | (dq <= room[0] + slack)
+    at_limit = np.any((np.abs(room - dq) <= slack), axis=0)
     relaxed, share = list(box.relaxed), 1.0
     near: tuple[str, ...] = ()
     if avoidance is not None:
         share = avoidance.shortened(state, dq)
         dq = share * dq
         if np.any(((dq < box.lower - slack) | (dq > box.upper + slack))[arm.columns]):
-            relaxed.append("acceleration limits: braking within them would come too close to something")
+            relaxed.append("limits of acceleration: braking within them would come too close to something")
         relaxed.extend(avoidance.too_close(state))
-        near = () if asked.solution is None else avoidance.named(state, asked.solution.binding)
+        near = avoidance.holding(state, asked.solution, bool(asked.reason))
         near += (course.hindrance,) if course.hindrance else ()
     target = course.posture.target
-    before, after = (_posture_error(at, target) for at in (state, arm.at(arm.integrate(state.q, dq))))
+    moved = arm.at(arm.integrate(state.q, dq))
+    before, after = (_posture_error(at, target) for at in (state, moved))
     active = tuple(int(k) for k in np.flatnonzero(target.placed))
     diagnostics = Diagnostics(
         manipulability=0.0,
@@ -155,7 +198,21 @@ def _checked(
         near=near,
         on_way=not course.arrived and course.waited == 0.0,
     )
-    return Step(dq, active, diagnostics, Memory(dq, course))
+    return Step(dq, active, diagnostics, Memory(dq, course._replace(expected=moved.q)))
+
+
+def _check_given(state: ArmState, memory: Memory | None) -> None:
+    if not isinstance(state, ArmState):
+        raise InvalidValue("state", state, "an ArmState, as `arm.at(q)` returns it")
+    if not (memory is None or isinstance(memory, Memory)):
+        raise InvalidValue("memory", memory, "`step.memory` of the step before, or None")
+
+
+def _outside(state: ArmState, limits: Limits) -> bool:
+    """Whether a joint of the chain is outside its limits."""
+    arm, edges = state.arm, limits.for_arm(state.arm).edges
+    beyond = np.maximum(edges[0] - arm.positions(state.q), arm.positions(state.q) - edges[1])
+    return bool(np.any((beyond > LEANING * arm.joint_units)[arm.columns]))
 
 
 def _alike(one: Target, other: Target) -> bool:

@@ -5,14 +5,20 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
+from pinposture.arm import ArmState
 from pinposture.control.constrained.pace import Pace
 from pinposture.control.constrained.path import JointPath
 from pinposture.control.constrained.posture import Posture
 from pinposture.control.joint_bounds import JointBounds
 
 Array = NDArray[np.float64]
+
+DISTURBED = 0.05
+"""Joint motion by which a measured configuration may differ from the expected one without a new way being
+planned, in `Arm.joint_units`."""
 
 PROGRESS = 0.005
 """Share of a path that counts as getting on."""
@@ -34,6 +40,7 @@ class Course(NamedTuple):
         arrived: whether the path is behind the arm; what errors are left are then reduced directly.
         damping: factor of the damping with which they are.
         hindrance: what the best way that was found comes too close to, in words; empty if it is clear.
+        expected: configuration that the arm should have by now, (nq,); None before the first step.
         strict_errors: errors of strict tasks at the start and at the goal, 2 x (r,) [m]; between, they are
             to change in proportion to the place.
     """
@@ -50,6 +57,7 @@ class Course(NamedTuple):
     arrived: bool = False
     damping: float = 1.0
     hindrance: str = ""
+    expected: Array | None = None
     strict_errors: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
 
     def gone_to(self, place: float, travel: float, hindered: bool) -> Course:
@@ -64,6 +72,14 @@ class Course(NamedTuple):
         if hindered and place < self.passed + PROGRESS * self.path.end:
             return course._replace(waited=self.waited + travel)
         return course._replace(passed=place, waited=0.0)
+
+    def leads_on(self, state: ArmState) -> bool:
+        """Whether the arm is where the course has it, or nearly: else the way begins anew where it is."""
+        arm = self.posture.arm
+        if arm is not state.arm or self.expected is None:
+            return arm is state.arm
+        off = np.abs(pin.difference(arm.model, self.expected, state.q)) / arm.joint_units
+        return bool(np.all(off[arm.columns] <= DISTURBED))
 
     def within(self, bounds: JointBounds) -> Course:
         """The same course with the pace that other limits allow."""

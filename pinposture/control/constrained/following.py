@@ -8,12 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.control.braking import farthest
+from pinposture.control.constrained.avoidance import Avoidance
 from pinposture.control.constrained.course import Course
+from pinposture.control.constrained.posture import Posture
 from pinposture.control.constrained.program import Solution
 from pinposture.control.constrained.settling import (
     EASIER,
     HARDER,
     LEAST,
+    SETTLED,
     Scope,
     corrected,
     first_things_first,
@@ -50,7 +53,9 @@ class Asked(NamedTuple):
     reason: str = ""
 
 
-def follow(course: Course, scope: Scope, limits: Limits, mu: float) -> Asked:
+def follow(
+    course: Course, scope: Scope, limits: Limits, mu: float, avoidance: Avoidance | None = None
+) -> Asked:
     """The step along the way, if its scope has it; else the one in it that is nearest in what points feel.
 
     Nearest means: it minimises |A (x - x_way)|^2 + mu^2 |x - x_way|^2, with all rows A of the posture and the
@@ -61,6 +66,7 @@ def follow(course: Course, scope: Scope, limits: Limits, mu: float) -> Asked:
         scope: what the step may do.
         limits: what it is made of.
         mu: weight of joint motion [m per `Arm.joint_units`].
+        avoidance: what to keep clear of; nothing if None.
     """
     posture, path, state = course.posture, course.path, scope.state
     bounds, here = limits.for_arm(state.arm), course.place
@@ -70,7 +76,7 @@ def follow(course: Course, scope: Scope, limits: Limits, mu: float) -> Asked:
         (place, dq), hindered = path.ahead(offset, here, bound), True  # unless it gets on
     else:
         reach, paced = path.ahead(offset, here, bounds.bound).place, course.pace.next(here, course.speed)
-        place, hindered = min(here + paced, reach), reach < here + paced
+        place, hindered = min(here + paced, reach), reach < here + paced or here >= path.end
         # What is behind is made good no faster than it can be stopped, or the arm would swing about its way.
         lag = farthest(path.smooth(here) - offset, CORRECTING * bounds.brake)
         dq = path.smooth(place) - path.smooth(here) + lag
@@ -82,9 +88,8 @@ def follow(course: Course, scope: Scope, limits: Limits, mu: float) -> Asked:
         return close_in(course._replace(arrived=True), scope)
     course = course.gone_to(place, limits.travel(state), hindered)
     inside = bool(np.all((wanted >= scope.lower) & (wanted <= scope.upper)))
-    clear = scope.rows is None or bool(np.all(scope.rows.matrix @ wanted >= scope.rows.least))
     strict = posture.task_rows(state, strict=True)
-    if inside and clear and strict is None:
+    if inside and strict is None and _clear(scope, wanted, dq, avoidance):
         return Asked(wanted, course)  # the program would say the same
     matrix = posture.rows(state).matrix
     hessian = matrix.T @ matrix
@@ -92,11 +97,21 @@ def follow(course: Course, scope: Scope, limits: Limits, mu: float) -> Asked:
     first = None
     if strict is not None:
         share = place / path.end
-        intended = (1.0 - share) * course.strict_errors[0] + share * course.strict_errors[1]
+        before, after = course.strict_errors
+        intended = (1.0 - share) * before + share * after if len(before) == len(strict.errors) else 0.0
         first = first_things_first(posture, scope, strict, strict.errors - intended)
     found = then_the_rest(hessian, -(hessian @ wanted), scope, first)
     x = np.clip(wanted, scope.lower, scope.upper) if found.x is None else corrected(posture, scope, found.x)
     return Asked(x, course, found)
+
+
+def _clear(scope: Scope, x: Array, dq: Array, avoidance: Avoidance | None) -> bool:
+    """Whether the step keeps clear: by the rows of the scope, which are cautious, or by looking."""
+    if scope.rows is None or avoidance is None:
+        return True
+    return (
+        bool(np.all(scope.rows.matrix @ x >= scope.rows.least)) or avoidance.shortened(scope.state, dq) == 1.0
+    )
 
 
 def close_in(course: Course, scope: Scope) -> Asked:
@@ -111,9 +126,22 @@ def close_in(course: Course, scope: Scope) -> Asked:
     for _ in range(TRIES):
         found = reducing_step(posture, scope, damping)
         x = None if found.x is None else corrected(posture, scope, found.x)
-        if x is not None and posture.merit(posture.moved(scope.state, x)) < merit:
+        if x is not None and posture.merit(posture.moved(scope.state, x)) < (1.0 - SETTLED) * merit:
             return Asked(x, course._replace(damping=max(damping * EASIER, LEAST)), found)
         damping *= HARDER
     rest = np.clip(np.zeros(len(scope.lower)), scope.lower, scope.upper)  # which braking may still forbid
-    reason = "" if np.any(rest) else "no step within the limits reduces the errors any more"
+    reason = (
+        ""
+        if np.any(rest)
+        else f"no step within the limits reduces the errors any more{_left(posture, scope)}"
+    )
     return Asked(rest, course, found, reason)
+
+
+def _left(posture: Posture, scope: Scope) -> str:
+    """What tasks are left with, in words."""
+    left = [
+        f"{type(task).__name__} by {np.linalg.norm(task.rows(scope.state, posture.target).error):.3g} m"
+        for task in posture.tasks
+    ]
+    return f"; tasks that are not met: {', '.join(left)}" if left else ""

@@ -46,9 +46,11 @@ def find_goal(
     # Where a strict task holds the arm, what lies near can be reached, and what lies far perhaps not.
     held = _held(posture, state)
     better = MUCH_BETTER if held else 1.0
+    # Where the arm is too close to begin with, it may stay as close as it is.
+    borne = 0.0 if avoidance is None else avoidance.intrusion(state)
     best: Settled | None = None
     for start in _starts(posture, state, edges, held):
-        found = settle(posture, start, edges, avoidance, good)
+        found = settle(posture, start, edges, avoidance, good, borne)
         if best is None or (found.intrusion, found.merit) < (best.intrusion, better * best.merit):
             best = found
         if found.intrusion == 0.0 and (_does_it(posture, found, good) or (known and not strict)):

@@ -42,7 +42,7 @@ class Pace:
         self._places = np.arange(len(path.offsets), dtype=np.float64)
         # Between two waypoints the curve is as steep and as bent as at either of them, at most.
         slope, bend = (_around(np.abs(each)) for each in (path.slopes, np.gradient(path.slopes, axis=0)))
-        tiny = SMALL * max(float(slope.max()), 1e-300)
+        tiny = SMALL * max(float(slope.max()), 1e-100)
         self._slope, self._bend = np.maximum(slope, tiny), np.maximum(bend, tiny)
         self._planned = PLANNED * brake
         curved = np.sqrt((CURVED * self._planned / self._bend).min(axis=1))

@@ -30,7 +30,7 @@ HEEDED, CLEAR = 0.4, (100.0, 30.0)
 looked for with a large and a small one by turns: the one pushes out, the other leads round."""
 
 WAYS = 12
-"""How many ways are looked for until one leads clear of all obstacles."""
+"""How many ways are looked for until one leads clear of all obstacles; fewer when it is planned again."""
 
 SAMPLES = 2
 """Places on each straight piece of a way at which its distance is looked up."""
@@ -85,7 +85,7 @@ def _way(
     ends = (avoidance.clearance.minimum(at.q).distance for at in (state, goal))
     possible = min(avoidance.margin, *ends) - 1e-9 * posture.arm.length
     best, closest = None, Closest(-np.inf, None)
-    for number in range(tries, tries + WAYS):
+    for number in range(tries, tries + WAYS // (1 + tries)):
         path = found(number)
         room = _room(path, avoidance)
         if best is None or room.distance > closest.distance:

@@ -60,7 +60,7 @@ class Settled(NamedTuple):
         state: the state of the arm there.
         merit: half the sum of squares that is left [m^2].
         mean_error: mean distance of the control points from their targets [m].
-        intrusion: by how much the arm is too close to something [m]; 0 if it is clear.
+        intrusion: by how much the arm is closer to something than it may be [m]; 0 if it is clear.
     """
 
     state: ArmState
@@ -140,7 +140,7 @@ def corrected(posture: Posture, scope: Scope, x: Array) -> Array:
         return x
     inverse = np.linalg.pinv(before.matrix, rcond=INDEPENDENT)
     planned = before.errors - before.matrix @ x
-    left = np.inf
+    left, best = np.inf, x
     for _ in range(CORRECTIONS):
         after = posture.task_rows(posture.moved(scope.state, x), strict=True)
         missed = planned if after is None else after.errors - planned
@@ -153,7 +153,12 @@ def corrected(posture: Posture, scope: Scope, x: Array) -> Array:
 
 
 def settle(
-    posture: Posture, state: ArmState, edges: Array, avoidance: Avoidance | None, good: float
+    posture: Posture,
+    state: ArmState,
+    edges: Array,
+    avoidance: Avoidance | None,
+    good: float,
+    borne: float = 0.0,
 ) -> Settled:
     """Think on from a state, step by step, until the merit falls no more.
 
@@ -166,12 +171,13 @@ def settle(
         avoidance: what to keep clear of; nothing if None.
         good: mean distance of the control points from their targets that is good enough [m], if there are
             no further tasks.
+        borne: how close it may be to something, short of the margin [m].
     """
     arm, columns = posture.arm, posture.columns
     merit, damping, idle = posture.merit(state), 1.0, 0
-    close = 0.0 if avoidance is None else avoidance.intrusion(state)
+    close = borne if avoidance is None else max(avoidance.intrusion(state), borne)
     for _ in range(ROUNDS):
-        if not posture.tasks and close == 0.0 and posture.mean_error(state) <= good:
+        if not posture.tasks and close == borne and posture.mean_error(state) <= good:
             break
         here = arm.positions(state.q)[columns]
         lower, upper = ((edge[columns] - here) / posture.units for edge in edges)
@@ -181,16 +187,16 @@ def settle(
         x = reducing_step(posture, scope, damping).x
         tried = None if x is None else posture.moved(state, corrected(posture, scope, x))
         found = np.inf if tried is None else posture.merit(tried)
-        closer = 0.0 if avoidance is None or tried is None else avoidance.intrusion(tried)
-        if tried is not None and (closer < close or (closer == close == 0.0 and found < merit)):
-            idle = idle + 1 if close == 0.0 and found > (1.0 - SETTLED) * merit else 0
+        closer = 0.0 if avoidance is None or tried is None else max(avoidance.intrusion(tried), borne)
+        if tried is not None and (closer < close or (closer == close and found < merit)):
+            idle = idle + 1 if closer == close and found > (1.0 - SETTLED) * merit else 0
             state, merit, close, damping = tried, found, closer, max(damping * EASIER, LEAST)
         else:
             damping *= HARDER
             idle += damping > MOST
         if idle >= PATIENCE:
             break
-    return Settled(state, merit, posture.mean_error(state), close)
+    return Settled(state, merit, posture.mean_error(state), close - borne)
 
 
 def _capping(posture: Posture, state: ArmState) -> float:

@@ -96,6 +96,8 @@ class EndEffector(Described):
             UnknownName: something else to hold, or a control point that the arm does not have.
             InvalidValue: as `EndEffector`, or an index that no control point has.
         """
+        if not isinstance(state, ArmState):
+            raise InvalidValue("state", state, "an ArmState, as `arm.at(q)` returns it")
         if hold not in HOLDS:
             raise UnknownName("thing to hold", hold, HOLDS)
         k = _index(state, point)

@@ -82,6 +82,8 @@ class Tangents(Described):
         Raises:
             InvalidValue: a target without a curve, or an index that it does not have.
         """
+        if not isinstance(target, Target):
+            raise InvalidValue("target", target, "a Target on a curve, as resolve_targets finds it")
         if target.curve is None or target.parameters is None:
             raise InvalidValue("target.curve", None, "a target on a curve, as resolve_targets finds it")
         m = len(target.parameters)

@@ -1,0 +1,86 @@
+"""An arm that is not where it should be, or cannot go where it should, finds another way or says why."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import pinposture as pp
+from pinposture.control import Memory
+from pinposture.errors import InvalidValue
+
+PLANAR = pp.Arm.from_template("Rz", 10)
+
+
+def goes_on(controllers, state, target, memory=None, limits=None):
+    """The state after a step by each of the controllers, each given the memory of the one before."""
+    for controller in controllers:
+        step = controller.step(state, target, limits, memory)
+        if step.diagnostics.reason:
+            break
+        memory = step.memory
+        state = PLANAR.at(PLANAR.integrate(state.q, step.dq))
+    return state, memory
+
+
+def error(state, target):
+    return float(np.linalg.norm(state.points - target.points, axis=1).mean()) / state.arm.length
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_arm_that_was_pushed_away_after_it_arrived_comes_back(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    goal, qp = rng.uniform(-1, 1, 10), pp.ConstrainedQP()
+    target = pp.Target.from_configuration(PLANAR, goal)
+    _, memory = goes_on([qp], PLANAR.at(goal), target)
+    pushed = PLANAR.at(np.clip(goal + 2.0 * rng.uniform(-1, 1, 10), -3, 3))
+    state, _ = goes_on([qp] * 150, pushed, target, memory)
+    assert error(state, target) < 1e-6
+
+
+def test_a_task_that_is_replaced_on_the_way_does_not_lose_the_way() -> None:
+    start, goal = np.random.default_rng(1).uniform(-2, 2, (2, 10))
+    target = pp.Target.from_configuration(PLANAR, goal)
+    tasks = [pp.JointPosture(q=goal, weight=weight) for weight in (1e-3, 2e-3)]
+    first, later = (pp.ConstrainedQP(tasks=(task,)) for task in tasks)
+    state, _ = goes_on([first] * 3 + [later] * 200, PLANAR.at(start), target)
+    assert error(state, target) < 1e-6
+
+
+@pytest.mark.parametrize("position", [6.0, 30.0])
+def test_a_start_far_outside_the_limits_comes_back_and_then_arrives(position: float) -> None:
+    target = pp.Target.from_configuration(PLANAR, np.full(10, 0.1))
+    start = np.zeros(10)
+    start[3] = position
+    run = pp.track(PLANAR, target, start, max_steps=600)
+    assert run.converged
+    outside = np.abs(run.q[:, 3]) > np.pi
+    steps = np.diff(run.q[:, 3])
+    np.testing.assert_allclose(steps[outside[1:]], -0.1, atol=1e-12)  # as fast as it may
+    assert not np.any(np.diff(outside.astype(int)) > 0)  # and never out again
+    assert all("position limits of joint" in text for text in run.relaxed[outside[:-1]])
+
+
+def test_a_blocked_goal_is_a_stall_with_a_limit_of_acceleration_too() -> None:
+    arm = pp.Arm.from_template("Rz", 4)
+    start, goal = np.random.default_rng(0).uniform(-1, 1, (2, 4))
+    scene = pp.Scene({"ball": pp.Sphere(arm.at(goal).points[-1], 0.04)}, margin=0.002)
+    limits = pp.Limits(dt=0.1, acceleration=2.0)
+    run = pp.track(arm, pp.Target.from_configuration(arm, goal), start, "qp", limits, scene, max_steps=400)
+    assert run.status == "stalled"
+    assert "to ball" in run.reason
+    assert run.clearance.min() >= scene.margin - 1e-9
+
+
+def test_what_is_no_state_no_target_and_no_memory_is_refused_by_name() -> None:
+    state, qp = PLANAR.at(PLANAR.neutral()), pp.ConstrainedQP()
+    target = pp.Target.from_configuration(PLANAR, PLANAR.neutral())
+    with pytest.raises(InvalidValue, match=r"state is .* an ArmState"):
+        qp.step(PLANAR.neutral(), target)
+    with pytest.raises(InvalidValue, match=r"memory is .*step.memory"):
+        qp.step(state, target, memory=qp.step(state, target))
+    with pytest.raises(InvalidValue, match=r"target is .* a Target"):
+        qp.step(state, target.points)
+    with pytest.raises(InvalidValue, match=r"target.points\[0, 0\]"):
+        qp.step(state, pp.Target(np.full((10, 3), np.nan), np.ones(10)))
+    assert isinstance(qp.step(state, target).memory, Memory)

@@ -1,0 +1,20 @@
+"""Pairs that no motion can keep apart."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import pinposture as pp
+
+
+def test_what_is_beside_the_base_is_left_out_with_a_warning_and_does_not_stop_the_arm():
+    arm = pp.Arm.from_template("RyRz", 6)
+    mount = pp.Scene({"mount": pp.HalfSpace([0, 0, 0], [1, 0, 0])}, margin=0.02)
+    with pytest.warns(pp.PostureWarning, match="m01_l2 to mount: within the margin however the arm bends"):
+        clearance = mount.around(arm)
+    assert ("m01_l2", "mount") in {(each.first, each.second) for each in clearance.left_out}
+    assert ("m02_l1", "mount") in clearance.pairs  # which can keep the margin
+    start = np.full(12, 0.1)
+    run = pp.track(arm, pp.Target.from_configuration(arm, arm.neutral()), start, scene=mount)
+    assert run.converged
