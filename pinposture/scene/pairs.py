@@ -9,7 +9,8 @@ Left out are
 * an obstacle that the arm is mounted on: one within the margin of an end of a body that no joint moves;
 * bodies that no joint moves, against obstacles;
 * pairs that are within the margin in every posture that is tried, the straight one and many arbitrary ones:
-  something beside the base, that the first links pass however the arm bends. These are also warned of.
+  something beside the base, that the first links pass however the arm bends. These are also warned of. If the
+  last body is among them, the arm is inside of an obstacle, and nothing is left out.
 """
 
 from __future__ import annotations
@@ -132,7 +133,9 @@ def _always_close(
         pin.forwardKinematics(arm.model, places.data, q)
         found, _ = distances.near(places.rotations, places.positions, margin)
         left = [(int(distances.first[k]), int(distances.second[k])) for k in sorted(k for k, _ in found)]
-    return left
+    # What not even the tip comes clear of is no neighbour of the base: the arm is inside of it.
+    around_all = {second for first, second in left if second >= len(bodies) and first == len(bodies) - 1}
+    return [pair for pair in left if pair[1] not in around_all]
 
 
 def _mounted(

@@ -18,3 +18,10 @@ def test_what_is_beside_the_base_is_left_out_with_a_warning_and_does_not_stop_th
     start = np.full(12, 0.1)
     run = pp.track(arm, pp.Target.from_configuration(arm, arm.neutral()), start, scene=mount)
     assert run.converged
+
+
+def test_an_arm_inside_of_an_obstacle_is_told_so_for_all_of_its_bodies():
+    arm = pp.Arm.from_template("RyRz", 6)
+    clearance = pp.Scene({"block": pp.Box([0, 0, 0], [9, 9, 9])}).around(arm)
+    assert not clearance.left_out or all(each.first == "m01_l1" for each in clearance.left_out)
+    assert clearance.minimum(arm.neutral()).distance < -1.0

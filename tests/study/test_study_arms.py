@@ -55,7 +55,8 @@ def test_a_run_outside_the_limits_is_told_of(
         q = np.tile(start, (2, 1))
         q[1, 3] = 1.2 * BEND if name == astray else 0.0
         points = np.array([arm.at(row).points for row in q])
-        return SimpleNamespace(q=q, points=points, point_errors=np.ones((2, 5)), steps=1, status="max_steps")
+        found = {"q": q, "points": points, "point_errors": np.ones((2, 5)), "sweep": 1.0}
+        return SimpleNamespace(**found, steps=1, status="max_steps")
 
     monkeypatch.setattr("pinposture.study.arms.track", one_step)
     found = survey(directory)
