@@ -163,15 +163,19 @@ def test_a_picture_is_left_under_whatever_name(command, arm_file, tmp_path, as_j
 def test_the_picture_is_that_of_the_arm(command, arm_file, tmp_path, monkeypatch):
     seen, real = [], pinposture.view.plot_arm
 
-    def plot_arm(arm, ellipsoids):
-        seen.append((arm.n_modules, ellipsoids))
-        return real(arm, ellipsoids=ellipsoids)
+    def plot_arm(arm, ellipsoids, scene):
+        seen.append((arm.n_modules, ellipsoids, scene and list(scene.obstacles)))
+        return real(arm, ellipsoids=ellipsoids, scene=scene)
 
     monkeypatch.setattr("pinposture.view.plot_arm", plot_arm)
     command("inspect", arm_file, "--modules", 4, "--plot", tmp_path / "arm.png")
     command("inspect", arm_file, "--plot", tmp_path / "arm.png", "--ellipsoids", "2,6")
     command("inspect", arm_file, "--plot", tmp_path / "arm.png", "--ellipsoids", "all")
-    assert seen == [(3, ()), (6, (1, 5)), (6, (0, 1, 2, 3, 4, 5))]
+    (tmp_path / "scene.toml").write_text(
+        'obstacles.post = {type = "sphere", center = [0, 1, 0], radius = 0.1}'
+    )
+    command("inspect", arm_file, "--plot", tmp_path / "arm.png", "--scene", tmp_path / "scene.toml")
+    assert seen == [(3, (), None), (6, (1, 5), None), (6, (0, 1, 2, 3, 4, 5), None), (6, (), ["post"])]
 
 
 def bent(joints: int) -> str:
