@@ -58,8 +58,11 @@ def measure(arm: pp.Arm, repeats: int) -> dict[str, list[float]]:
     }
     for name in CONTROLLERS:
         controller = controller_named(name)
-        memory = controller.step(arm.at(q), target).memory  # the first step of qp plans the whole way
-        actions[f"Arm.at + step of {name}"] = partial(step, arm, q, controller, target, None, memory)
+        first = controller.step(arm.at(q), target)  # that of qp plans the whole way
+        after = arm.integrate(q, first.dq)
+        actions[f"Arm.at + step of {name}"] = partial(
+            step, arm, after, controller, target, None, first.memory
+        )
     qp, bound = controller_named("qp"), pp.Limits(acceleration=10.0, dt=0.02)
     way = qp.step(arm.at(q), target, bound).memory.own
     fast = Memory(np.full(arm.nv, 0.02), way)  # too fast to go the way: the program has to be solved
