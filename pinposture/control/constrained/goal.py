@@ -48,14 +48,15 @@ def find_goal(
     better = MUCH_BETTER if held else 1.0
     # Where the arm is too close to begin with, it may stay as close as it is.
     borne = 0.0 if avoidance is None else avoidance.intrusion(state)
-    best: Settled | None = None
-    for start in _starts(posture, state, edges, held):
-        found = settle(posture, start, edges, avoidance, good, borne)
-        if best is None or (found.intrusion, found.merit) < (best.intrusion, better * best.merit):
-            best = found
-        if found.intrusion == 0.0 and (_does_it(posture, found, good) or (known and not strict)):
+    starts = _starts(posture, state, edges, held)
+    best = found = settle(posture, next(starts), edges, avoidance, good, borne)
+    while not (found.intrusion == 0.0 and (_does_it(posture, found, good) or (known and not strict))):
+        start = next(starts, None)  # asked for only now: to find one can take long
+        if start is None:
             break
-    assert best is not None  # there always is a first start
+        found = settle(posture, start, edges, avoidance, good, borne)
+        if (found.intrusion, found.merit) < (best.intrusion, better * best.merit):
+            best = found
     return best
 
 

@@ -84,15 +84,14 @@ def _way(
     # A way cannot be clearer than its ends.
     ends = (avoidance.clearance.minimum(at.q).distance for at in (state, goal))
     possible = min(avoidance.margin, *ends) - 1e-9 * posture.arm.length
-    best, closest = None, Closest(-np.inf, None)
+    looked_at = []
     for number in range(tries, tries + WAYS // (1 + tries)):
         path = found(number)
         room = _room(path, avoidance)
-        if best is None or room.distance > closest.distance:
-            best, closest = path, room
-        if closest.distance >= possible:
-            return best, ""
-    assert best is not None  # there always is a first one
+        if room.distance >= possible:
+            return path, ""
+        looked_at.append((room, path))
+    closest, best = max(looked_at, key=lambda each: each[0].distance)
     pair = " to ".join(closest.pair or ())
     return best, f"no clear way was found, the best has {pair}: {1e3 * closest.distance:.3g} mm apart"
 
