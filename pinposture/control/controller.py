@@ -32,8 +32,8 @@ class Diagnostics(NamedTuple):
         reason: why the controller does not move; empty if it does.
         method: which of its methods a controller used that has several, by name; empty if it has one.
         switched: why it changed to that method in this step; empty if it did not.
-        escape: True if the step is meant to lead out of a place where the posture error cannot fall, so that
-            it may rise on the way.
+        escape: True if the step leads out of a place where the posture error cannot fall, or round something,
+            so that it may rise; of qp, where it does.
         relaxed: which constraints gave way in this step because not all could hold, in words, in the order
             in which they did.
         near: what distances to obstacles hold the step back, in words.

@@ -98,7 +98,7 @@ class ConstrainedQP:
     ) -> Step:
         """Compute one step; see `Controller.step`. The first one for a target takes longer: it plans."""
         limits = Limits() if limits is None else limits
-        _check_given(state, memory)
+        _check_given(state, target, memory)
         previous = memory.dq if memory is not None else None
         box = limits.box(state, previous)
         if _outside(state, limits):
@@ -140,8 +140,6 @@ class ConstrainedQP:
         """The course so far; a new one at first, for a new target, and where the arm does not get on."""
         course = memory.own if memory is not None and isinstance(memory.own, Course) else None
         bounds = limits.for_arm(state.arm)
-        if not isinstance(target, Target):
-            raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
         tries, posture = 0, Posture(state.arm, target, self.tasks, self.chord)
         if course is not None and course.leads_on(state) and _alike(course.posture.target, target):
             if course.posture.tasks != self.tasks:  # as they do where they follow something: the way stays
@@ -201,18 +199,21 @@ def _checked(
     return Step(dq, active, diagnostics, Memory(dq, course._replace(expected=moved.q)))
 
 
-def _check_given(state: ArmState, memory: Memory | None) -> None:
+def _check_given(state: ArmState, target: Target, memory: Memory | None) -> None:
     if not isinstance(state, ArmState):
         raise InvalidValue("state", state, "an ArmState, as `arm.at(q)` returns it")
+    if not isinstance(target, Target):
+        raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
     if not (memory is None or isinstance(memory, Memory)):
         raise InvalidValue("memory", memory, "`step.memory` of the step before, or None")
 
 
 def _outside(state: ArmState, limits: Limits) -> bool:
     """Whether a joint of the chain is outside its limits."""
-    arm, edges = state.arm, limits.for_arm(state.arm).edges
-    beyond = np.maximum(edges[0] - arm.positions(state.q), arm.positions(state.q) - edges[1])
-    return bool(np.any((beyond > LEANING * arm.joint_units)[arm.columns]))
+    arm, (lowest, highest) = state.arm, limits.for_arm(state.arm).edges
+    positions, leaning = arm.positions(state.q), LEANING * arm.joint_units
+    beyond = (positions < lowest - leaning) | (positions > highest + leaning)
+    return bool(np.any(beyond[arm.columns]))
 
 
 def _alike(one: Target, other: Target) -> bool:
