@@ -1,0 +1,64 @@
+"""Functions that are compiled for the machine they run on: when, where the result is kept, and how it is told.
+
+Numba compiles a kernel when it is first called with arguments of its kind, and keeps the machine code beside
+the source, or in the user's cache where it may not write there. That happens once for an installation. To have
+it done ahead: `python -m pinposture.kernels`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import TypeVar
+
+import numba
+from numba.core import event
+
+Function = TypeVar("Function", bound=Callable[..., object])
+
+logger = logging.getLogger(__name__)
+
+
+def compiled(function: Function) -> Function:
+    """Compile a function that works on arrays and numbers alone; it runs without holding the GIL.
+
+    Divisions by zero give inf or NaN, as in NumPy. Arrays have to be C-contiguous and of the same kind each
+    time: read-only ones are another kind to the compiler, which would have to work again.
+    """
+    made = numba.njit(nogil=True, error_model="numpy")(function)
+    made.enable_caching()
+    # Machine code contains the kernels that it calls, and numba looks at the file of the caller alone.
+    made._cache._cache_file._source_stamp = _stamp()
+    return made  # type: ignore[no-any-return]
+
+
+@cache
+def _stamp() -> str:
+    """Changes when any of the kernels does."""
+    files = sorted(Path(__file__).parent.glob("*.py"))
+    seen = [(file.name, file.stat().st_mtime_ns, file.stat().st_size) for file in files]
+    return hashlib.sha256(repr(seen).encode()).hexdigest()
+
+
+class _Announcement(event.Listener):
+    """Says once that there is something to wait for."""
+
+    def __init__(self) -> None:
+        self._told = False
+
+    def on_start(self, event: event.Event) -> None:
+        """A kernel is about to be compiled; it was not found where they are kept."""
+        dispatcher = (event.data or {}).get("dispatcher")
+        ours = getattr(getattr(dispatcher, "py_func", None), "__module__", "").startswith("pinposture.")
+        if ours and not self._told:
+            self._told = True
+            logger.warning("compiling kernels for this machine, once: the first runs take longer")
+
+    def on_end(self, event: event.Event) -> None:
+        """It is compiled."""
+
+
+event.register("numba:compile", _Announcement())
