@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Sequence
 from functools import cached_property
 from numbers import Real
@@ -14,21 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture.arm.adequacy import Adequacy, CurveShape, adequacy
 from pinposture.arm.blueprint import Blueprint
-from pinposture.arm.chain import Chain, frame_id, read_chain
+from pinposture.arm.chain import Chain, frame_ids, read_chain
+from pinposture.arm.kinematics import Kinematics
 from pinposture.arm.report import LoadReport
 from pinposture.arm.segmentation import Segmentation
-from pinposture.arm.state import ArmState, ControlFrames, sweep
+from pinposture.arm.state import ArmState
 from pinposture.arm.stretch import farthest_stretch
 from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
-
-
-class _Scratch(threading.local):
-    """One `pin.Data` per thread: Pinocchio writes into it during every computation."""
-
-    def __init__(self, model: pin.Model) -> None:
-        self.data = model.createData()
 
 
 class Arm(Blueprint):
@@ -46,8 +39,8 @@ class Arm(Blueprint):
         urdf: the description it was loaded from, or None.
         report: what was decided while it was loaded (base, tip, warnings, ...); None if it was not.
         segmentation: how its joints are grouped into modules, and why.
-        own_joints: 1 where a degree of freedom belongs to a module, else 0, (m, nv).
-        frames: the control points as Pinocchio sees them.
+        kinematics: the chain as kernels see it.
+        moved: 1 where a degree of freedom belongs to the chain, else 0, (nv,).
         sliding_unit: the slide that weighs as much as a turn of one radian, where both are compared [m]: the
             mean module length, unless told otherwise by `with_sliding_unit`.
         joint_units: the motion of each joint that counts as one, (nv,): one radian, or `sliding_unit` metres.
@@ -63,23 +56,15 @@ class Arm(Blueprint):
         sliding_unit: float | None = None,
     ) -> None:
         super().__init__(model, control_points, base_placement, urdf, report, sliding_unit)
-        frames = [model.frames[frame_id(model, name)] for name in self.control_points]
-        if not frames:
+        if not self.control_points:
             raise InvalidValue("control_points", list(control_points), "at least one frame name")
-        self._scratch = _Scratch(model)
-        self.chain: Chain = read_chain(model, self._scratch.data, self.control_points)
+        self.chain: Chain = read_chain(model, self.control_points)
         sizes = tuple(joints.stop - joints.start for joints in self.chain.module_slices)
         self.segmentation = report.segmentation if report else Segmentation(sizes, "control points as given")
-        self.own_joints = np.zeros((len(frames), model.nv))
-        for own, joints in zip(self.own_joints, self.chain.module_slices, strict=True):
-            own[self.chain.columns[joints]] = 1.0
-        self.own_joints.flags.writeable = False
-        self.frames = ControlFrames(
-            parents=tuple(int(frame.parentJoint) for frame in frames),
-            offsets=np.array([frame.placement.translation for frame in frames]),
-            turns=np.array([frame.placement.rotation for frame in frames]),
-            support=np.cumsum(self.own_joints, axis=0)[:, None, :],
-        )
+        self.kinematics = Kinematics(model, self.chain.joints, frame_ids(model, self.control_points))
+        self.moved = np.zeros(self.nv)
+        self.moved[self.chain.columns] = 1.0
+        self.moved.flags.writeable = False
         if sliding_unit is None:
             self.sliding_unit = float(self.chain.module_lengths.mean())
         self.joint_units = np.where(self.slides, self.sliding_unit, 1.0)
@@ -104,6 +89,15 @@ class Arm(Blueprint):
     def module_joints(self) -> tuple[tuple[str, ...], ...]:
         """Names of the joints of each module, from base to tip."""
         return tuple(self.chain.joints[joints] for joints in self.chain.module_slices)
+
+    @cached_property
+    def support(self) -> Array:
+        """1 where a degree of freedom moves a control point, else 0, (m, nv)."""
+        support = np.zeros((self.n_modules, self.nv))
+        for row, end in zip(support, self.kinematics.ends, strict=True):
+            row[self.columns[:end]] = 1.0
+        support.flags.writeable = False
+        return support
 
     @cached_property
     def plane(self) -> Array:
@@ -160,18 +154,20 @@ class Arm(Blueprint):
         return bool(np.all((positions >= low) & (positions <= high)))
 
     def at(self, q: ArrayLike) -> ArmState:
-        """The state of the arm at a configuration; Pinocchio is read once.
+        """The state of the arm at a configuration.
 
         Args:
             q: configuration, (nq,).
 
         Returns:
-            Placements and Jacobians of all control points, world frame.
+            Placements of all control points, world frame; whatever else it knows is worked out when it is
+            first asked for.
 
         Raises:
             InvalidValue: q has the wrong size or is not finite.
         """
-        return sweep(self, self._scratch.data, self.checked(q))
+        checked = self.checked(q)
+        return ArmState(self, checked, self.kinematics.placed(checked))
 
     def with_sliding_unit(self, sliding_unit: float) -> Arm:
         """The same arm, with another slide that weighs as much as a turn of one radian [m].

@@ -7,6 +7,7 @@ the whole kinematics (product of exponentials), whatever frames the file happene
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pinposture.arm.skeleton import JointLines, joint_lines, plane_normal
+from pinposture.arm.skeleton import JointLines, joint_lines, neutral_placements, plane_normal
 from pinposture.errors import InvalidValue, UnknownName
 
 Array = NDArray[np.float64]
@@ -79,12 +80,11 @@ class Chain:
         return np.array([along, np.cross(normal, along)])
 
 
-def read_chain(model: pin.Model, data: pin.Data, control_points: tuple[str, ...]) -> Chain:
+def read_chain(model: pin.Model, control_points: tuple[str, ...]) -> Chain:
     """Read the chain that leads to the last control point out of a model.
 
     Args:
         model: the arm, base placement already applied.
-        data: scratch data of that model.
         control_points: frame names in order from base to tip.
 
     Returns:
@@ -94,23 +94,23 @@ def read_chain(model: pin.Model, data: pin.Data, control_points: tuple[str, ...]
         InvalidValue: a control point that does not lie farther along the chain than the one before it,
             or a joint with several degrees of freedom.
     """
-    ids = [frame_id(model, name) for name in control_points]
-    parents = [model.frames[index].parentJoint for index in ids]
+    frames = [model.frames[index] for index in frame_ids(model, control_points)]
+    parents = [frame.parentJoint for frame in frames]
     support = [int(j) for j in model.supports[parents[-1]] if j > 0]
     for j in support:
         if model.joints[j].nv != 1:
             allowed = "joints with one degree of freedom"
             raise InvalidValue(f"joint {model.names[j]!r}", model.joints[j].shortname(), allowed)
+    number = {joint: u + 1 for u, joint in enumerate(support)}
     starts, count = [], 0
     for name, parent in zip(control_points, parents, strict=True):
-        reached = support.index(parent) + 1 if parent in support else 0
+        reached = number.get(parent, 0)
         if reached <= count:
             allowed = "frames with at least one more moving joint of the same chain each, from base to tip"
             raise InvalidValue(f"control point {name!r}", f"moved by {reached} joints of the chain", allowed)
         starts.append(count)
         count = reached
-    lines = joint_lines(model, data, support)
-    pin.updateFramePlacements(model, data)
+    lines, placements = joint_lines(model, support), neutral_placements(model)
     return Chain(
         joints=tuple(str(model.names[j]) for j in support),
         columns=np.array([model.joints[j].idx_v for j in support], dtype=np.intp),
@@ -118,19 +118,26 @@ def read_chain(model: pin.Model, data: pin.Data, control_points: tuple[str, ...]
         axes=lines.axes,
         origins=lines.origins,
         base=lines.origins[0].copy(),
-        points=np.array([data.oMf[index].translation for index in ids]),
+        points=np.array([(placements[frame.parentJoint] * frame.placement).translation for frame in frames]),
         module_starts=np.array(starts, dtype=np.intp),
     )
 
 
-def frame_id(model: pin.Model, name: str) -> int:
-    """Index of a frame; where a link and a joint have the same name, that of the link.
+def frame_ids(model: pin.Model, names: Sequence[str]) -> list[int]:
+    """Indices of frames; where a link and a joint have the same name, that of the link.
 
     Raises:
         UnknownName: there is no such frame.
     """
-    found = [index for index, frame in enumerate(model.frames) if frame.name == name]
-    if not found:
-        raise UnknownName("frame", name, [frame.name for frame in model.frames][1:])
     kinds = (pin.FrameType.OP_FRAME, pin.FrameType.BODY)
-    return next((index for index in found if model.frames[index].type in kinds), found[0])
+    found: dict[str, int] = {}
+    preferred: set[str] = set()
+    for index, frame in enumerate(model.frames):
+        found.setdefault(frame.name, index)
+        if frame.type in kinds and frame.name not in preferred:
+            preferred.add(frame.name)
+            found[frame.name] = index
+    for name in names:
+        if name not in found:
+            raise UnknownName("frame", name, list(found)[1:])
+    return [found[name] for name in names]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import isfinite
+
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
@@ -21,9 +23,10 @@ def finite_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64
         raise InvalidValue(name, values, f"{size} numbers") from None
     if vector.shape != (size,):
         raise InvalidValue(f"{name} (shape)", vector.shape, f"({size},) for this arm")
-    bad = np.flatnonzero(~np.isfinite(vector))
-    if len(bad):
-        raise InvalidValue(f"{name}[{bad[0]}]", float(vector[bad[0]]), "finite numbers")
+    if not isfinite(vector @ vector):  # which may also be too large for a number
+        bad = np.flatnonzero(~np.isfinite(vector))
+        if len(bad):
+            raise InvalidValue(f"{name}[{bad[0]}]", float(vector[bad[0]]), "finite numbers")
     return vector
 
 

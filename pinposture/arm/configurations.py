@@ -29,15 +29,30 @@ class ConfigurationSpace:
     def __init__(self, model: pin.Model) -> None:
         self.model = model
 
-    @property
+    @cached_property
     def nq(self) -> int:
         """Number of entries of a configuration."""
         return int(self.model.nq)
 
-    @property
+    @cached_property
     def nv(self) -> int:
         """Number of degrees of freedom: entries of `dq`."""
         return int(self.model.nv)
+
+    @cached_property
+    def origin(self) -> Array:
+        """The configuration in which every joint is at zero, (nq,), read-only."""
+        origin = np.array(pin.neutral(self.model))
+        origin.flags.writeable = False
+        return origin
+
+    @cached_property
+    def _flat(self) -> bool:
+        """Whether configurations are added up number by number: no joint takes more of them than it can move.
+
+        Pinocchio does the same then, and takes ten times as long to be asked.
+        """
+        return self.nq == self.nv
 
     @cached_property
     def limits(self) -> JointLimits:
@@ -54,7 +69,7 @@ class ConfigurationSpace:
 
     def neutral(self) -> Array:
         """The configuration in which every joint is at zero, (nq,)."""
-        return np.array(pin.neutral(self.model))
+        return self.origin.copy()
 
     def configuration(self, positions: ArrayLike) -> Array:
         """Configuration from joint positions.
@@ -68,17 +83,26 @@ class ConfigurationSpace:
         Raises:
             InvalidValue: wrong size or not finite.
         """
-        return np.array(
-            pin.integrate(self.model, pin.neutral(self.model), finite_vector("positions", positions, self.nv))
-        )
+        return self.integrate(self.origin, finite_vector("positions", positions, self.nv))
 
     def positions(self, q: ArrayLike) -> Array:
         """Joint positions (nv,) [rad or m] of a configuration; continuous joints within +-pi."""
-        return np.array(pin.difference(self.model, pin.neutral(self.model), self.checked(q)))
+        return self.difference(self.origin, self.checked(q))
 
     def integrate(self, q: Array, dq: Array) -> Array:
         """The configuration (nq,) reached from q by the joint displacement dq, (nv,) [rad or m]."""
+        if self._flat:
+            return np.asarray(q + dq)
         return np.array(pin.integrate(self.model, q, dq))
+
+    def difference(self, start: Array, end: Array) -> Array:
+        """The joint displacement (nv,) [rad or m] that leads from one configuration (nq,) to another.
+
+        Continuous joints take the shorter way round.
+        """
+        if self._flat:
+            return end - start
+        return np.array(pin.difference(self.model, start, end))
 
     def checked(self, q: ArrayLike, name: str = "q") -> Array:
         """A configuration as a fresh float array, or an error that says what is wrong with it.
@@ -94,7 +118,7 @@ class ConfigurationSpace:
             InvalidValue: wrong size, not finite, or not a rotation where a continuous joint needs one.
         """
         checked = finite_vector(name, q, self.nq)
-        if self.nq != self.nv and not pin.isNormalized(self.model, checked, 1e-6):
+        if not self._flat and not pin.isNormalized(self.model, checked, 1e-6):
             allowed = "cosine and sine of one angle for each continuous joint; see Arm.configuration"
             raise InvalidValue(name, q, allowed)
         return checked

@@ -15,7 +15,7 @@ from pinposture.arm.description import Description, JointDescription, read_descr
 from pinposture.arm.holding import checked_locks, hold, holding_warnings
 from pinposture.arm.report import LoadReport
 from pinposture.arm.segmentation import Segmentation, equal_modules, given_modules, segment
-from pinposture.arm.skeleton import Skeleton, joint_lines
+from pinposture.arm.skeleton import Skeleton, joint_lines, neutral_placements
 from pinposture.arm.stations import end_frames, modules_to_links
 from pinposture.arm.urdf_joint import CHAIN_JOINTS
 from pinposture.errors import InvalidValue, URDFError
@@ -159,10 +159,9 @@ def _set_limits(model: pin.Model, moving: Sequence[JointDescription]) -> None:
 
 
 def _skeleton(model: pin.Model, moving: Sequence[JointDescription], tip: str) -> Skeleton:
-    data = model.createData()
-    lines = joint_lines(model, data, [model.getJointId(joint.name) for joint in moving])
+    lines = joint_lines(model, [model.getJointId(joint.name) for joint in moving])
     frame = model.frames[model.getFrameId(tip, pin.FrameType.BODY)]
-    place = (data.oMi[frame.parentJoint] * frame.placement).translation
+    place = (neutral_placements(model)[frame.parentJoint] * frame.placement).translation
     lower = np.array([joint.lower for joint in moving])
     upper = np.array([joint.upper for joint in moving])
     return Skeleton(tuple(joint.name for joint in moving), lines, place, lower, upper)

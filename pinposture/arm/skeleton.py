@@ -31,16 +31,39 @@ class JointLines(NamedTuple):
     revolute: NDArray[np.bool_]
 
 
-def joint_lines(model: pin.Model, data: pin.Data, joints: list[int]) -> JointLines:
-    """Read the axes of joints with one degree of freedom each; fills `data` at the neutral configuration."""
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    columns = [model.joints[joint].idx_v for joint in joints]
-    screws = np.reshape(data.J, (6, model.nv))[:, columns]  # Pinocchio gives (6,) if there is one joint
-    angular, linear = screws[3:].T, screws[:3].T
-    revolute = np.linalg.norm(angular, axis=1) > 0.5
-    axes = np.where(revolute[:, None], angular, linear)
-    origins = np.array([data.oMi[joint].translation for joint in joints])
-    return JointLines(axes, origins, revolute)
+def neutral_placements(model: pin.Model) -> list[pin.SE3]:
+    """Placements of all joints at the neutral configuration, world frame, where every joint is the identity.
+
+    A `pin.Data` would know them as well; that of an arm of 1,000 joints fits in no memory.
+    """
+    placements = [pin.SE3.Identity()]
+    for joint in range(1, model.njoints):
+        placements.append(placements[model.parents[joint]] * model.jointPlacements[joint])
+    return placements
+
+
+def joint_screws(model: pin.Model, joints: list[int]) -> Array:
+    """How joints with one degree of freedom move, (n, 6): velocity and turning, in their own frames."""
+    return np.array([np.ravel(model.joints[joint].createData().S) for joint in joints])
+
+
+def joint_axes(model: pin.Model, joints: list[int]) -> Array:
+    """Unit axes of joints that turn or slide, (n, 3), in their own frames."""
+    screws = joint_screws(model, joints)
+    return np.ascontiguousarray(np.where(_turn(screws)[:, None], screws[:, 3:], screws[:, :3]))
+
+
+def joint_lines(model: pin.Model, joints: list[int]) -> JointLines:
+    """Read the axes of joints that turn or slide."""
+    placements = neutral_placements(model)
+    turns = np.array([placements[joint].rotation for joint in joints])
+    origins = np.array([placements[joint].translation for joint in joints])
+    axes = np.einsum("nij,nj->ni", turns, joint_axes(model, joints))
+    return JointLines(axes, origins, _turn(joint_screws(model, joints)))
+
+
+def _turn(screws: Array) -> NDArray[np.bool_]:
+    return np.asarray(np.linalg.norm(screws[:, 3:], axis=1) > 0.5)
 
 
 def plane_normal(lines: JointLines, tip: Array, length: float) -> Array | None:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
+from pinposture import kernels
 from pinposture.arm.ellipsoid import (
     ControlPoints,
     Ellipsoid,
@@ -16,6 +16,7 @@ from pinposture.arm.ellipsoid import (
     section_bases,
     section_ellipsoid,
 )
+from pinposture.arm.kinematics import Placed
 from pinposture.arm.manipulability import all_pairs
 
 if TYPE_CHECKING:
@@ -25,25 +26,53 @@ Array = NDArray[np.float64]
 
 
 class ArmState:
-    """The arm at one configuration; everything in it is read-only.
+    """The arm at one configuration; everything in it is read-only, and worked out when first asked for.
 
     Attributes:
         arm: the arm that this is a state of.
         q: configuration, (nq,) [rad or m].
-        points: positions of the control points, (m, 3) [m], world frame.
-        rotations: orientations of the control points, (m, 3, 3), from control-point to world frame.
-        jacobians: position Jacobians of the control points, (m, 3, nv) [m/rad], world axes.
-        axes: how each degree of freedom turns what it carries, (3, nv) [rad/rad], world axes: the unit axis
-            of a joint that turns, zero for one that slides.
+        placed: where the chain is, as kernels want it; not to be written to.
     """
 
-    def __init__(
-        self, arm: Arm, q: Array, points: Array, rotations: Array, jacobians: Array, axes: Array
-    ) -> None:
-        for array in (q, points, rotations, jacobians, axes):
-            array.flags.writeable = False
-        self.arm, self.q = arm, q
-        self.points, self.rotations, self.jacobians, self.axes = points, rotations, jacobians, axes
+    def __init__(self, arm: Arm, q: Array, placed: Placed) -> None:
+        q.flags.writeable = False
+        self.arm, self.q, self.placed = arm, q, placed
+
+    @cached_property
+    def points(self) -> Array:
+        """Positions of the control points, (m, 3) [m], world frame."""
+        return _read_only(self.placed.points)
+
+    @cached_property
+    def rotations(self) -> Array:
+        """Orientations of the control points, (m, 3, 3), from control-point to world frame."""
+        return _read_only(self.placed.rotations)
+
+    @cached_property
+    def positions(self) -> Array:
+        """Joint positions (nv,) [rad or m]; continuous joints within +-pi."""
+        return _read_only(self.arm.difference(self.arm.origin, self.q))
+
+    @cached_property
+    def jacobians(self) -> Array:
+        """Position Jacobians of the control points, (m, 3, nv) [m/rad], world axes."""
+        arm, placed = self.arm, self.placed
+        chain, jacobians = arm.kinematics, np.zeros((arm.n_modules, 3, arm.nv))
+        kernels.jacobians(
+            chain.kinds, chain.columns, chain.ends, placed.axes, placed.origins, placed.points, jacobians
+        )
+        return _read_only(jacobians)
+
+    @cached_property
+    def axes(self) -> Array:
+        """How each degree of freedom turns what it carries, (3, nv) [rad/rad], world axes.
+
+        The unit axis of a joint that turns, zero for one that slides or that is not on the chain.
+        """
+        axes = np.zeros((3, self.arm.nv))
+        turns = self.arm.chain.revolute
+        axes[:, self.arm.columns[turns]] = self.placed.axes[turns].T
+        return _read_only(axes)
 
     @cached_property
     def angular_jacobians(self) -> Array:
@@ -52,9 +81,7 @@ class ArmState:
         A column is the rotation vector, per unit of joint motion, by which the joint turns the control point;
         zero where it does not turn it.
         """
-        jacobians: Array = self.axes * self.arm.frames.support
-        jacobians.flags.writeable = False
-        return jacobians
+        return _read_only(self.axes * self.arm.support[:, None, :])
 
     @cached_property
     def task_jacobians(self) -> Array:
@@ -66,9 +93,7 @@ class ArmState:
         """
         if self.arm.dimension == 3 and np.all(self.arm.chain.revolute):
             return self.jacobians
-        jacobians: Array = (self.arm.plane @ self.jacobians) * self.arm.joint_units
-        jacobians.flags.writeable = False
-        return jacobians
+        return _read_only((self.arm.plane @ self.jacobians) * self.arm.joint_units)
 
     def manipulability(self) -> Array:
         """Manipulability indices of all sections, (4.3) and (4.4).
@@ -82,8 +107,7 @@ class ArmState:
     @cached_property
     def _manipulability(self) -> Array:
         indices = all_pairs(self.task_jacobians[:, :, self.arm.columns], self.arm.module_starts)
-        indices.flags.writeable = False
-        return indices
+        return _read_only(indices)
 
     def ellipsoids(
         self, points: ControlPoints | None = None, relative_to: str = "base"
@@ -113,46 +137,11 @@ class ArmState:
         return tuple(listed)
 
     def __repr__(self) -> str:
-        return f"ArmState(q={np.array2string(self.q, precision=3, threshold=8)}, m={len(self.points)})"
+        return f"ArmState(q={np.array2string(self.q, precision=3, threshold=8)}, m={self.arm.n_modules})"
 
 
-class ControlFrames(NamedTuple):
-    """The control points as frames of the model.
-
-    Attributes:
-        parents: index of the joint that carries each, (m,).
-        offsets: position in the frame of that joint, (m, 3) [m].
-        turns: orientation in the frame of that joint, (m, 3, 3).
-        support: 1 where a degree of freedom moves a control point, else 0, (m, 1, nv).
-    """
-
-    parents: tuple[int, ...]
-    offsets: Array
-    turns: Array
-    support: Array
-
-
-def sweep(arm: Arm, data: pin.Data, q: Array) -> ArmState:
-    """Read placements and Jacobians of all control points out of one pass over the joints.
-
-    Args:
-        arm: the arm.
-        data: scratch data of its model.
-        q: configuration, (nq,).
-    """
-    frames = arm.frames
-    spatial = pin.computeJointJacobians(arm.model, data, q)
-    bodies = [data.oMi[joint] for joint in frames.parents]
-    turns = np.array([body.rotation for body in bodies])
-    points = np.array([body.translation for body in bodies])
-    points += np.einsum("kij,kj->ki", turns, frames.offsets)
-    # d p_k / d q_u = v_u + w_u x p_k for every joint u that moves k: columns of data.J are (v_u, w_u).
-    x, y, z = points.T[:, :, None]
-    v, w = spatial[:3], spatial[3:]
-    jacobians = np.empty((len(points), 3, arm.nv))
-    jacobians[:, 0] = v[0] + w[1] * z - w[2] * y
-    jacobians[:, 1] = v[1] + w[2] * x - w[0] * z
-    jacobians[:, 2] = v[2] + w[0] * y - w[1] * x
-    jacobians *= frames.support
-    axes = np.array(w).reshape(3, arm.nv)  # a copy, in case it is Pinocchio's scratch
-    return ArmState(arm, q, points, turns @ frames.turns, jacobians, axes)
+def _read_only(array: Array) -> Array:
+    """The same numbers, for users."""
+    view: Array = array.view()
+    view.flags.writeable = False
+    return view

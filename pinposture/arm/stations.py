@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinposture.arm.segmentation import Segmentation
-from pinposture.arm.skeleton import ON_AXIS, Skeleton
+from pinposture.arm.skeleton import ON_AXIS, Skeleton, neutral_placements
 from pinposture.errors import InvalidValue, UnknownName
 
 
@@ -29,8 +29,7 @@ def modules_to_links(model: pin.Model, skeleton: Skeleton, links: Sequence[str])
         InvalidValue: links that are not in order along the chain, or that leave joints over.
     """
     bodies = {frame.name: frame for frame in model.frames if frame.type == pin.FrameType.BODY}
-    data = model.createData()
-    pin.forwardKinematics(model, data, pin.neutral(model))
+    placements = neutral_placements(model)
     n, ends = len(skeleton.names), [0]
     for link in links:
         if link not in bodies:
@@ -38,7 +37,7 @@ def modules_to_links(model: pin.Model, skeleton: Skeleton, links: Sequence[str])
         frame = bodies[link]
         name = str(model.names[frame.parentJoint])
         end = skeleton.names.index(name) + 1 if name in skeleton.names else 0
-        place = (data.oMi[frame.parentJoint] * frame.placement).translation
+        place = (placements[frame.parentJoint] * frame.placement).translation
         if end and link != links[-1] and skeleton.revolute[end - 1]:
             lever = np.cross(skeleton.axes[end - 1], place - skeleton.stations[end - 1])
             end -= int(np.linalg.norm(lever) <= ON_AXIS * skeleton.length)

@@ -62,7 +62,7 @@ def joint_bounds(
 
 
 def _edges(arm: Arm, margin: float) -> Array:
-    limits, moved = arm.limits, arm.frames.support[-1, 0] > 0.0
+    limits, moved = arm.limits, arm.moved > 0.0
     # What does not move the arm is not ours to bring back.
     lower = np.where(moved, limits.lower + margin, -np.inf)
     upper = np.where(moved, limits.upper - margin, np.inf)

@@ -96,7 +96,7 @@ class Projection:
         decomposed = decompose(matrix)
         asked = pseudo_inverse_step(decomposed, self.gain * velocity, secondary)
         arm = state.arm  # joints off the chain have zero columns, and singular vectors round zero
-        limited = limits.apply(state, asked * arm.joint_units * arm.frames.support[-1, 0], previous)
+        limited = limits.apply(state, asked * arm.joint_units * arm.moved, previous)
         diagnostics = Diagnostics(
             manipulability=smallest,
             sigma_min=float(decomposed.sigma[-1]),
@@ -180,7 +180,7 @@ def _sections(arm: Arm, eligible: NDArray[np.bool_]) -> _Sections:
 
 
 def _cut(arm: Arm, ends: NDArray[np.intp]) -> _Sections:
-    own = _differences(arm.frames.support[ends, 0])
+    own = _differences(arm.support[ends])
     columns = np.argsort(-own, axis=1, kind="stable")[:, : int(own.sum(axis=1).max(initial=0.0))]
     lengths = _differences(np.cumsum(arm.chain.module_lengths)[ends])
     return _Sections(ends, own, columns, lengths)

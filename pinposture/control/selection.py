@@ -95,7 +95,7 @@ class Selection:
         gradient = self.null_gain * descent(state, errors, distances)
         asked = pseudo_inverse_step(matrix, self.gain * errors[list(active)].ravel(), gradient)
         arm = state.arm  # joints off the chain have zero columns, and singular vectors round zero
-        limited = limits.apply(state, asked * arm.joint_units * arm.frames.support[-1, 0], previous)
+        limited = limits.apply(state, asked * arm.joint_units * arm.moved, previous)
         diagnostics = Diagnostics(
             manipulability=float(min(indices[s, i] for s, i in _neighbours(active))),
             sigma_min=float(matrix.sigma[-1]),

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture.arm import ArmState
@@ -168,7 +167,7 @@ class Switching:
         Joints that the control points leave room follow that line, too: those before a region, for one.
         """
         arm = state.arm
-        way = np.array(pin.difference(arm.model, state.q, goal)) * arm.frames.support[-1, 0]
+        way = np.array(arm.difference(state.q, goal)) * arm.moved
         farthest = float(np.max(np.abs(way) / arm.joint_units, initial=0.0))
         ahead = way * min(1.0, self.reach / max(farthest, 1e-300))
         waypoint = replace(target, points=arm.at(arm.integrate(state.q, ahead)).points)

@@ -1,8 +1,9 @@
 """Compiled kernels: passes along a chain, on plain arrays.
 
-Whatever runs in every control cycle and cannot be put into a few NumPy calls. Kernels know arrays only, no arm
-and no target; the rooms above say what the numbers mean. They are compiled by numba, see `kernels.compiled`, and
-imported when first used: numba takes a while to start, and who only draws a curve does not need it.
+Whatever runs in every control cycle and cannot be put into a few NumPy calls. Kernels know arrays only, no
+arm and no target; the rooms above say what the numbers mean. They are compiled by numba, see
+`kernels.compiled`, and imported when first used: numba takes a while to start, and who only draws a curve does
+not need it.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Functions that are compiled for the machine they run on: when, where the result is kept, and how it is told.
+"""Functions that are compiled for the machine they run on: when, where the result is kept, how it is told.
 
 Numba compiles a kernel when it is first called with arguments of its kind, and keeps the machine code beside
-the source, or in the user's cache where it may not write there. That happens once for an installation. To have
-it done ahead: `python -m pinposture.kernels`.
+the source, or in the user's cache where it may not write there. That happens once for an installation; to
+have it done ahead: `python -m pinposture.kernels`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import logging
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
 from numba.core import event
@@ -28,11 +28,11 @@ def compiled(function: Function) -> Function:
     Divisions by zero give inf or NaN, as in NumPy. Arrays have to be C-contiguous and of the same kind each
     time: read-only ones are another kind to the compiler, which would have to work again.
     """
-    made = numba.njit(nogil=True, error_model="numpy")(function)
+    made: Any = numba.njit(nogil=True, error_model="numpy")(function)
     made.enable_caching()
     # Machine code contains the kernels that it calls, and numba looks at the file of the caller alone.
     made._cache._cache_file._source_stamp = _stamp()
-    return made  # type: ignore[no-any-return]
+    return cast(Function, made)
 
 
 @cache
@@ -61,4 +61,4 @@ class _Announcement(event.Listener):
         """It is compiled."""
 
 
-event.register("numba:compile", _Announcement())
+event.register("numba:compile", _Announcement())  # type: ignore[no-untyped-call]

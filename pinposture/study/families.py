@@ -165,7 +165,7 @@ def _folded(arm: Arm, rng: np.random.Generator) -> Target:
     choice = first if rng.random() < 0.5 else ways
     joint, turn = choice[int(rng.integers(len(choice)))]
     column, points = arm.columns[joint], arm.at(arm.straight()).points
-    moved = arm.frames.support[:, :, column] > 0.0  # (m, 1)
+    moved = arm.support[:, column, None] > 0.0  # (m, 1)
     positions = np.zeros(arm.nv)
     positions[column] = turn
     folded = np.where(moved, 2.0 * arm.chain.origins[joint] - points, points)

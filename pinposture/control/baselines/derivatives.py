@@ -44,7 +44,7 @@ class PositionDerivatives:
 
     def __init__(self, state: ArmState, point: int) -> None:
         arm = state.arm
-        n = int(arm.frames.support[point].sum())
+        n = int(arm.support[point].sum())
         self.columns = arm.columns[:n]
         self.axes = joint_axes(state)[:n]
         self.jacobian = state.jacobians[point][:, self.columns] * arm.joint_units[self.columns]

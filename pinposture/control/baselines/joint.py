@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 
 from pinposture.arm import ArmState
 from pinposture.control.controller import Diagnostics, Memory, Step
@@ -36,10 +35,10 @@ class JointInterpolation:
             allowed = "a target with a known configuration, as `resolve_targets` returns it"
             raise InvalidValue("target.q", None, allowed)
         limits = Limits() if limits is None else limits
-        way = pin.difference(state.arm.model, state.q, target.q)
+        way = state.arm.difference(state.q, target.q)
         previous = memory.dq if memory is not None else None
         # Joints off the chain stay.
-        limited = limits.apply(state, way * state.arm.frames.support[-1, 0], previous)
+        limited = limits.apply(state, way * state.arm.moved, previous)
         active = tuple(int(k) for k in np.flatnonzero(target.placed))
         diagnostics = Diagnostics(0.0, 0.0, 0.0, 0, (), limited.scale, limited.clipped, "")
         return Step(limited.dq, active, diagnostics, Memory(limited.dq))

@@ -75,7 +75,7 @@ class TaskConstraints(Baseline):
     def _constraints(self, state: ArmState, target: Target, primary: Task, rank: int) -> Task:
         """The other control points that (2.9) has room for."""
         others = np.flatnonzero(target.placed)[:-1]
-        joints = int(state.arm.frames.support[primary.end_effector].sum())
+        joints = int(state.arm.support[primary.end_effector].sum())
         room = (joints - rank) // state.arm.dimension
         count = min(len(others), room, len(others) if self.constraints is None else self.constraints)
         spread = np.linspace(0, len(others), count + 2)[1:-1].astype(np.intp)

@@ -100,7 +100,7 @@ def finished(
     """
     arm = state.arm
     # Joints off the chain have zero columns, and singular vectors round zero.
-    moved = asked * arm.joint_units * arm.frames.support[-1, 0]
+    moved = asked * arm.joint_units * arm.moved
     limited = limits.apply(state, moved, previous)
     diagnostics = Diagnostics(
         manipulability=float(state.manipulability()[0, np.array(points) + 1].min()),

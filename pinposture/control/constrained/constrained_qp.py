@@ -189,7 +189,7 @@ def _checked(
         rows=len(active) * arm.dimension,
         dropped=(),
         scale=share,
-        clipped=at_limit & (arm.frames.support[-1, 0] > 0.0),
+        clipped=at_limit & (arm.moved > 0.0),
         reason=asked.reason,
         escape=after > before + ROUNDING * arm.length,
         relaxed=tuple(relaxed),

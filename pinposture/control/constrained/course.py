@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture.arm import ArmState
@@ -78,7 +77,7 @@ class Course(NamedTuple):
         arm = self.posture.arm
         if arm is not state.arm or self.expected is None:
             return arm is state.arm
-        off = np.abs(pin.difference(arm.model, self.expected, state.q)) / arm.joint_units
+        off = np.abs(arm.difference(self.expected, state.q)) / arm.joint_units
         return bool(np.all(off[arm.columns] <= DISTURBED))
 
     def within(self, bounds: JointBounds) -> Course:

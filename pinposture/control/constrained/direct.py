@@ -23,7 +23,6 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
@@ -100,7 +99,7 @@ def direct_path(
         sway: which way the first guess is bent, from 0; other numbers may lead to another path.
     """
     arm, columns, units = posture.arm, posture.columns, posture.units
-    way = np.array(pin.difference(arm.model, start, goal))
+    way = np.array(arm.difference(start, goal))
     way[np.setdiff1d(np.arange(arm.nv), columns)] = 0.0
     search, whole = _Search(posture, start, mu, edges, penalty), posture.own(way)
     found = np.vstack([np.zeros(len(whole)), whole])

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture.arm import ArmState
@@ -99,11 +98,11 @@ def _starts(posture: Posture, state: ArmState, edges: Array, held: bool) -> Iter
 def _towards(posture: Posture, state: ArmState, q: Array, edges: Array) -> ArmState:
     """The state at a configuration, as far as its joints matter and their limits allow."""
     arm = posture.arm
-    way = np.array(pin.difference(arm.model, state.q, q))
+    way = np.array(arm.difference(state.q, q))
     here = arm.positions(state.q)
     if not posture.tasks:  # joints beyond the last control point that has a target need not move
         last = int(np.flatnonzero(posture.target.placed)[-1])
-        way = way * arm.frames.support[last, 0]
+        way = way * arm.support[last]
     moved = np.zeros(arm.nv)
     columns = posture.columns
     moved[columns] = np.clip(here + way, edges[0], edges[1])[columns] - here[columns]

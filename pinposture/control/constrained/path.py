@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
@@ -68,7 +67,7 @@ class JointPath:
     def offset_of(self, q: Array, place: float) -> Array:
         """Displacement (nv,) from the start to a configuration near a place, the way round that it took."""
         here = self.offset(place)
-        return np.asarray(here + pin.difference(self.arm.model, self.arm.integrate(self.start, here), q))
+        return np.asarray(here + self.arm.difference(self.arm.integrate(self.start, here), q))
 
     def ahead(self, offset: Array, place: float, bound: Array) -> Ahead:
         """The farthest place, going on from a place without a gap, that one step can reach.

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture.arm import Arm, ArmState
@@ -58,7 +57,7 @@ class JointPosture(Described):
         scale = lever(arm, self.length) / arm.joint_units[columns]
         jacobian = np.zeros((len(columns), arm.nv))
         jacobian[np.arange(len(columns)), columns] = scale
-        apart = np.asarray(pin.difference(arm.model, state.q, arm.checked(self.q)))
+        apart = np.asarray(arm.difference(state.q, arm.checked(self.q)))
         return TaskRows(jacobian, scale * apart[columns])
 
     def _columns(self, arm: Arm) -> NDArray[np.intp]:

@@ -84,7 +84,7 @@ def check_limits(arm: pp.Arm, limits: pp.Limits, q: np.ndarray, before: np.ndarr
     """Every configuration within its limits, every step within those of speed and acceleration."""
     assert np.all(np.isfinite(q))
     positions = np.array([arm.positions(each) for each in q])
-    moved = np.array(arm.frames.support[-1, 0] > 0.0)
+    moved = np.array(arm.moved > 0.0)
     lower, upper = arm.limits.lower + limits.position_margin, arm.limits.upper - limits.position_margin
     assert np.all((positions >= lower - ALLOWED)[:, moved])
     assert np.all((positions <= upper + ALLOWED)[:, moved])

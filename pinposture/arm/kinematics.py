@@ -1,0 +1,99 @@
+"""The chain of an arm as plain arrays, and where they put it: Pinocchio's model without Pinocchio's loop.
+
+`pin.Data` needs memory that grows with the cube of the number of joints, and reading placements out of it
+one by one costs more than computing them. The model stays Pinocchio's; only the pass along the chain is ours,
+and it gives the same numbers (`tests/arm/test_kinematics.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pinposture import kernels
+from pinposture.arm.skeleton import joint_axes
+from pinposture.errors import InvalidValue
+
+Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+REVOLUTE, CONTINUOUS, PRISMATIC = range(3)
+"""Kinds of joints, as `kernels.kinematics` numbers them."""
+
+
+class Placed(NamedTuple):
+    """Where a chain is, world frame: arrays for kernels, not to be written to.
+
+    Attributes:
+        axes: unit joint axes, (n, 3).
+        origins: origins of the joints, a point on each axis, (n, 3) [m].
+        points: control points, (m, 3) [m].
+        rotations: orientations of the control points, (m, 3, 3), from control-point to world frame.
+    """
+
+    axes: Array
+    origins: Array
+    points: Array
+    rotations: Array
+
+
+class Kinematics:
+    """The constants of a chain, in the order of its joints from base to tip.
+
+    Attributes:
+        kinds: REVOLUTE, CONTINUOUS or PRISMATIC, (n,).
+        columns: column of each joint in the tangent space, (n,).
+        ends: number of joints that carry each control point, (m,).
+    """
+
+    def __init__(self, model: pin.Model, names: Sequence[str], frames: Sequence[int]) -> None:
+        """Read a chain out of a model.
+
+        Args:
+            model: the arm, base placement applied.
+            names: the joints of the chain from base to tip, each the parent of the next.
+            frames: the control points.
+
+        Raises:
+            InvalidValue: a joint that neither turns about one axis nor slides along one.
+        """
+        joints = [model.getJointId(name) for name in names]
+        self.kinds = np.array([_kind(model, joint) for joint in joints], dtype=np.int64)
+        self.columns = np.array([model.joints[joint].idx_v for joint in joints], dtype=np.int64)
+        self._at = np.array([model.joints[joint].idx_q for joint in joints], dtype=np.int64)
+        placements = [model.jointPlacements[joint] for joint in joints]
+        self._fixed = np.array([[*each.rotation.ravel(), *each.translation] for each in placements])
+        self._axes = joint_axes(model, joints)
+        number = {joint: u + 1 for u, joint in enumerate(joints)}
+        points = [model.frames[frame] for frame in frames]
+        self.ends = np.array([number[point.parentJoint] for point in points], dtype=np.int64)
+        self._offsets = np.array([point.placement.translation for point in points])
+        self._turns = np.array([point.placement.rotation for point in points])
+
+    def placed(self, q: Array) -> Placed:
+        """Where everything is at a configuration (nq,)."""
+        n, m = len(self.kinds), len(self.ends)
+        placed = Placed(np.empty((n, 3)), np.empty((n, 3)), np.empty((m, 3)), np.empty((m, 3, 3)))
+        kernels.placements(*self.constants, q, *placed)
+        return placed
+
+    @property
+    def constants(self) -> tuple[Whole, Whole, Array, Array, Whole, Array, Array]:
+        """What `kernels.placements` wants to know of the chain."""
+        return (self.kinds, self._at, self._fixed, self._axes, self.ends, self._offsets, self._turns)
+
+
+_STARTS = (("P", PRISMATIC), ("RUB", CONTINUOUS), ("RevoluteUnbounded", CONTINUOUS), ("R", REVOLUTE))
+
+
+def _kind(model: pin.Model, joint: int) -> int:
+    kind = model.joints[joint].shortname()
+    for start, found in _STARTS:
+        if kind.startswith(f"JointModel{start}"):
+            return found
+    allowed = "a joint that turns about one axis, or slides along one"
+    raise InvalidValue(f"joint {model.names[joint]!r}", kind, allowed)

@@ -1,0 +1,88 @@
+"""The pass along the chain gives Pinocchio's numbers, and needs none of its memory."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pinposture as pp
+from pinposture.errors import InvalidValue
+
+KINDS = {
+    "RX": pin.JointModelRX,
+    "RZ": pin.JointModelRZ,
+    "RUBY": pin.JointModelRUBY,
+    "PX": pin.JointModelPX,
+    "any turn": lambda: pin.JointModelRevoluteUnaligned(np.array([0.48, 0.6, 0.64])),
+    "any slide": lambda: pin.JointModelPrismaticUnaligned(np.array([0.48, 0.6, 0.64])),
+}
+
+
+def odd_arm(seed: int, joints: int = 12) -> pp.Arm:
+    """An arm of joints of all kinds in random places, with a joint off the chain before and after it."""
+    rng = np.random.default_rng(seed)
+    pin.seed(seed)
+    model = pin.Model()
+    names = list(KINDS)
+    parent = 0
+    for u in range(joints):
+        if u in (2, 7):
+            model.addJoint(parent, pin.JointModelSpherical(), pin.SE3.Random(), f"aside{u}")
+        parent = model.addJoint(parent, KINDS[names[rng.integers(len(names))]](), pin.SE3.Random(), f"j{u}")
+        if u % 3 == 2:
+            model.addFrame(pin.Frame(f"p{u}", parent, pin.SE3.Random(), pin.FrameType.OP_FRAME))
+    points = [f"p{u}" for u in range(2, joints, 3)]
+    base = pin.SE3.Random()
+    return pp.Arm.from_model(model, points, base)
+
+
+def by_pinocchio(arm: pp.Arm, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Points, rotations, and both Jacobians of all control points, read frame by frame."""
+    model, data = arm.model, arm.model.createData()
+    pin.computeJointJacobians(model, data, q)
+    pin.updateFramePlacements(model, data)
+    frames = [model.getFrameId(name) for name in arm.control_points]
+    full = [pin.getFrameJacobian(model, data, f, pin.LOCAL_WORLD_ALIGNED) for f in frames]
+    points = np.array([data.oMf[f].translation for f in frames])
+    rotations = np.array([data.oMf[f].rotation for f in frames])
+    return points, rotations, np.array([j[:3] for j in full]), np.array([j[3:] for j in full])
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_placements_and_jacobians_are_those_of_pinocchio(seed):
+    arm = odd_arm(seed)
+    rng = np.random.default_rng(seed)
+    for _ in range(5):
+        q = pin.integrate(arm.model, arm.neutral(), rng.normal(size=arm.nv))
+        state = arm.at(q)
+        found = (state.points, state.rotations, state.jacobians, state.angular_jacobians)
+        for ours, theirs in zip(found, by_pinocchio(arm, q), strict=True):
+            np.testing.assert_allclose(ours, theirs, atol=1e-12 * max(1.0, arm.length))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_configurations_add_up_as_pinocchio_does(seed):
+    for arm in (odd_arm(seed), pp.Arm.from_template("RyRz", 5)):
+        rng = np.random.default_rng(seed)
+        a = pin.integrate(arm.model, arm.neutral(), rng.normal(size=arm.nv))
+        dq = rng.normal(size=arm.nv)
+        b = arm.integrate(a, dq)
+        np.testing.assert_allclose(b, pin.integrate(arm.model, a, dq), atol=1e-15)
+        np.testing.assert_allclose(arm.difference(a, b), pin.difference(arm.model, a, b), atol=1e-15)
+        np.testing.assert_allclose(arm.positions(b), pin.difference(arm.model, pin.neutral(arm.model), b))
+
+
+def test_long_arms_load_and_agree_with_shorter_ones():
+    # The first 60 modules of a long arm are an arm that Pinocchio has memory for.
+    long, short = pp.Arm.from_template("RyRz", 600), pp.Arm.from_template("RyRz", 60)
+    q = np.random.default_rng(0).normal(size=long.nv)
+    np.testing.assert_array_equal(long.at(q).points[:60], short.at(q[:120]).points)
+    points, *_ = by_pinocchio(short, q[:120])
+    np.testing.assert_allclose(short.at(q[:120]).points, points, atol=1e-12)
+
+
+def test_a_screw_joint_is_refused_by_name():
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelHX(0.1), pin.SE3.Random(), "screw")
+    model.addFrame(pin.Frame("p", joint, pin.SE3.Random(), pin.FrameType.OP_FRAME))
+    with pytest.raises(InvalidValue, match="screw.*turns about one axis"):
+        pp.Arm.from_model(model, ["p"])
