@@ -92,7 +92,8 @@ class ConfigurationSpace:
     def integrate(self, q: Array, dq: Array) -> Array:
         """The configuration (nq,) reached from q by the joint displacement dq, (nv,) [rad or m]."""
         if self._flat:
-            return np.asarray(q + dq)
+            moved: Array = q + dq
+            return moved
         return np.array(pin.integrate(self.model, q, dq))
 
     def difference(self, start: Array, end: Array) -> Array:

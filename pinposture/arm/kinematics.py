@@ -21,9 +21,6 @@ from pinposture.errors import InvalidValue
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
-REVOLUTE, CONTINUOUS, PRISMATIC = range(3)
-"""Kinds of joints, as `kernels.kinematics` numbers them."""
-
 
 class Placed(NamedTuple):
     """Where a chain is, world frame: arrays for kernels, not to be written to.
@@ -45,9 +42,10 @@ class Kinematics:
     """The constants of a chain, in the order of its joints from base to tip.
 
     Attributes:
-        kinds: REVOLUTE, CONTINUOUS or PRISMATIC, (n,).
+        slides: True for a joint that slides, (n,); others turn.
         columns: column of each joint in the tangent space, (n,).
         ends: number of joints that carry each control point, (m,).
+        constants: what `kernels.placements` wants to know of the chain.
     """
 
     def __init__(self, model: pin.Model, names: Sequence[str], frames: Sequence[int]) -> None:
@@ -62,38 +60,29 @@ class Kinematics:
             InvalidValue: a joint that neither turns about one axis nor slides along one.
         """
         joints = [model.getJointId(name) for name in names]
-        self.kinds = np.array([_kind(model, joint) for joint in joints], dtype=np.int64)
+        self.slides = np.array([_slides(model, joint) for joint in joints], dtype=np.bool_)
         self.columns = np.array([model.joints[joint].idx_v for joint in joints], dtype=np.int64)
-        self._at = np.array([model.joints[joint].idx_q for joint in joints], dtype=np.int64)
         placements = [model.jointPlacements[joint] for joint in joints]
-        self._fixed = np.array([[*each.rotation.ravel(), *each.translation] for each in placements])
-        self._axes = joint_axes(model, joints)
+        fixed = np.array([[*each.rotation.ravel(), *each.translation] for each in placements])
+        axes = joint_axes(model, joints)
         number = {joint: u + 1 for u, joint in enumerate(joints)}
         points = [model.frames[frame] for frame in frames]
         self.ends = np.array([number[point.parentJoint] for point in points], dtype=np.int64)
-        self._offsets = np.array([point.placement.translation for point in points])
-        self._turns = np.array([point.placement.rotation for point in points])
+        offsets = np.array([point.placement.translation for point in points])
+        turns = np.array([point.placement.rotation for point in points])
+        self.constants = (self.slides, self.columns, fixed, axes, self.ends, offsets, turns)
 
-    def placed(self, q: Array) -> Placed:
-        """Where everything is at a configuration (nq,)."""
-        n, m = len(self.kinds), len(self.ends)
+    def placed(self, positions: Array) -> Placed:
+        """Where everything is with the joints at positions (nv,) [rad or m]."""
+        n, m = len(self.columns), len(self.ends)
         placed = Placed(np.empty((n, 3)), np.empty((n, 3)), np.empty((m, 3)), np.empty((m, 3, 3)))
-        kernels.placements(*self.constants, q, *placed)
+        kernels.placements(*self.constants, positions, *placed)
         return placed
 
-    @property
-    def constants(self) -> tuple[Whole, Whole, Array, Array, Whole, Array, Array]:
-        """What `kernels.placements` wants to know of the chain."""
-        return (self.kinds, self._at, self._fixed, self._axes, self.ends, self._offsets, self._turns)
 
-
-_STARTS = (("P", PRISMATIC), ("RUB", CONTINUOUS), ("RevoluteUnbounded", CONTINUOUS), ("R", REVOLUTE))
-
-
-def _kind(model: pin.Model, joint: int) -> int:
-    kind = model.joints[joint].shortname()
-    for start, found in _STARTS:
-        if kind.startswith(f"JointModel{start}"):
-            return found
-    allowed = "a joint that turns about one axis, or slides along one"
-    raise InvalidValue(f"joint {model.names[joint]!r}", kind, allowed)
+def _slides(model: pin.Model, joint: int) -> bool:
+    kind = model.joints[joint].shortname().removeprefix("JointModel")
+    if kind[0] not in "PR":
+        allowed = "a joint that turns about one axis, or slides along one"
+        raise InvalidValue(f"joint {model.names[joint]!r}", kind, allowed)
+    return bool(kind[0] == "P")

@@ -30,13 +30,16 @@ class ArmState:
 
     Attributes:
         arm: the arm that this is a state of.
-        q: configuration, (nq,) [rad or m].
         placed: where the chain is, as kernels want it; not to be written to.
     """
 
-    def __init__(self, arm: Arm, q: Array, placed: Placed) -> None:
-        q.flags.writeable = False
-        self.arm, self.q, self.placed = arm, q, placed
+    def __init__(self, arm: Arm, q: Array, positions: Array, placed: Placed) -> None:
+        self.arm, self._q, self._positions, self.placed = arm, q, positions, placed
+
+    @cached_property
+    def q(self) -> Array:
+        """Configuration, (nq,) [rad or m]."""
+        return _read_only(self._q)
 
     @cached_property
     def points(self) -> Array:
@@ -51,7 +54,7 @@ class ArmState:
     @cached_property
     def positions(self) -> Array:
         """Joint positions (nv,) [rad or m]; continuous joints within +-pi."""
-        return _read_only(self.arm.difference(self.arm.origin, self.q))
+        return _read_only(self._positions)
 
     @cached_property
     def jacobians(self) -> Array:
@@ -59,7 +62,7 @@ class ArmState:
         arm, placed = self.arm, self.placed
         chain, jacobians = arm.kinematics, np.zeros((arm.n_modules, 3, arm.nv))
         kernels.jacobians(
-            chain.kinds, chain.columns, chain.ends, placed.axes, placed.origins, placed.points, jacobians
+            chain.slides, chain.columns, chain.ends, placed.axes, placed.origins, placed.points, jacobians
         )
         return _read_only(jacobians)
 

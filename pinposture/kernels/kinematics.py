@@ -9,21 +9,19 @@ from pinposture.kernels.compiled import compiled
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
-
-REVOLUTE, CONTINUOUS, PRISMATIC = 0, 1, 2
-"""Kinds of joints: one angle; cosine and sine of an angle; one length."""
+Flags = NDArray[np.bool_]
 
 
 @compiled
 def placements(
-    kinds: Whole,
-    at: Whole,
+    slides: Flags,
+    columns: Whole,
     fixed: Array,
     axes: Array,
     ends: Whole,
     offsets: Array,
     turns: Array,
-    q: Array,
+    positions: Array,
     joint_axes: Array,
     joint_origins: Array,
     points: Array,
@@ -32,14 +30,14 @@ def placements(
     """Forward kinematics, one joint after the other.
 
     Args:
-        kinds: kind of each joint, (n,).
-        at: where its coordinates begin in q, (n,).
+        slides: True for a joint that slides, (n,); others turn.
+        columns: where its position is, (n,).
         fixed: placement of each joint in the frame of the one before, rotation and translation, (n, 12).
         axes: unit axis in the frame of the joint, (n, 3).
         ends: number of joints that carry each control point, (m,); increasing.
         offsets: position of each control point in the frame of the last of them, (m, 3).
         turns: orientation of each control point there, (m, 3, 3).
-        q: configuration, (nq,).
+        positions: joint positions, (nv,).
         joint_axes: filled with the joint axes, world frame, (n, 3).
         joint_origins: filled with the origins of the joints, (n, 3).
         points: filled with the control points, (m, 3).
@@ -50,7 +48,7 @@ def placements(
     r20, r21, r22 = 0.0, 0.0, 1.0
     px, py, pz = 0.0, 0.0, 0.0
     k = 0
-    for u in range(len(kinds)):
+    for u in range(len(slides)):
         f = fixed[u]
         px, py, pz = (
             px + r00 * f[9] + r01 * f[10] + r02 * f[11],
@@ -75,13 +73,11 @@ def placements(
         x, y, z = axes[u, 0], axes[u, 1], axes[u, 2]
         ax, ay, az = r00 * x + r01 * y + r02 * z, r10 * x + r11 * y + r12 * z, r20 * x + r21 * y + r22 * z
         joint_axes[u, 0], joint_axes[u, 1], joint_axes[u, 2] = ax, ay, az
-        if kinds[u] == PRISMATIC:
-            px, py, pz = px + q[at[u]] * ax, py + q[at[u]] * ay, pz + q[at[u]] * az
+        at = positions[columns[u]]
+        if slides[u]:
+            px, py, pz = px + at * ax, py + at * ay, pz + at * az
         else:
-            if kinds[u] == CONTINUOUS:
-                c, s = q[at[u]], q[at[u] + 1]
-            else:
-                c, s = np.cos(q[at[u]]), np.sin(q[at[u]])
+            c, s = np.cos(at), np.sin(at)
             # Rodrigues' formula, in the frame of the joint.
             v = 1.0 - c
             e00, e01, e02 = c + v * x * x, v * x * y - s * z, v * x * z + s * y
@@ -117,7 +113,7 @@ def placements(
 
 @compiled
 def jacobians(
-    kinds: Whole,
+    slides: Flags,
     columns: Whole,
     ends: Whole,
     joint_axes: Array,
@@ -128,7 +124,7 @@ def jacobians(
     """Position Jacobians of all control points: d p_k / d q_u = a_u x (p_k - o_u), or a_u where it slides.
 
     Args:
-        kinds: kind of each joint, (n,).
+        slides: True for a joint that slides, (n,); others turn.
         columns: column of each joint, (n,).
         ends: number of joints that carry each control point, (m,).
         joint_axes: joint axes, world frame, (n, 3).
@@ -139,7 +135,7 @@ def jacobians(
     for k in range(len(ends)):
         for u in range(ends[k]):
             a, j = joint_axes[u], columns[u]
-            if kinds[u] == PRISMATIC:
+            if slides[u]:
                 filled[k, 0, j], filled[k, 1, j], filled[k, 2, j] = a[0], a[1], a[2]
             else:
                 x = points[k, 0] - joint_origins[u, 0]

@@ -1,0 +1,233 @@
+"""Least squares along a chain within a box: the motions that limits leave, still by sweeps.
+
+First the joints at a bound are guessed and corrected: those that would leave the box are held at its side,
+those that are held and pushed inwards are let go, all at once, until nothing changes (a primal-dual active set
+method, which is Newton's on the optimality conditions). Mostly two to five rounds are enough. Where they go
+round in circles, an interior point method (Mehrotra's predictor and corrector) comes close in some ten
+iterations, however many joints are at their bounds, and the guess that it leads to is corrected as before.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.kernels.compiled import compiled
+from pinposture.kernels.least_squares import answered, factored, slope_of
+
+Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
+Sides = NDArray[np.int8]
+
+ROUNDS, ITERATIONS = 6, 40
+"""The most corrections of a guess, and the most iterations of the interior point method."""
+
+GAP = 1e-11
+"""Complementarity gap at which the interior point method ends, relative to the one at its beginning."""
+
+BACK = 0.995
+"""Share of the way to the boundary that one iteration goes."""
+
+
+@compiled
+def boxed(
+    b: Array,
+    ends: Whole,
+    points: Array,
+    weights: Array,
+    chords: Array,
+    errors: Array,
+    damping: Array,
+    centre: Array,
+    lower: Array,
+    upper: Array,
+    sides: Sides,
+    x: Array,
+) -> int:
+    """Minimise the sum of `kernels.least_squares` within a box.
+
+    Args:
+        b: motion and turning of the first point that each joint carries, (n, 6), from `screws`.
+        ends: number of joints that carry each point, (m,); increasing.
+        points: the points, (m, 3).
+        weights: W, (m,).
+        chords: C, (m,).
+        errors: e, (m, 3).
+        damping: D, (n,), positive.
+        centre: z, (n,).
+        lower: smallest x, (n,).
+        upper: largest x, (n,).
+        sides: a guess of which joints are at their lower (-1) or upper (1) bound; filled with those that
+            are, (n,).
+        x: filled with the minimum, (n,).
+
+    Returns:
+        How many systems were solved.
+    """
+    n, m = len(b), len(ends)
+    gains, slope, missed = np.empty((n, 11)), np.empty(n), np.empty((m, 6))
+    held = np.empty(n, dtype=np.bool_)
+    solved = 0
+    for attempt in range(2):
+        for _ in range(ROUNDS):
+            any_held = False
+            for u in range(n):
+                held[u] = sides[u] != 0 or lower[u] == upper[u]
+                any_held = any_held or held[u]
+                if held[u]:
+                    x[u] = lower[u] if sides[u] < 0 else upper[u]
+            factored(b, ends, points, weights, chords, damping, held, gains)
+            answered(b, ends, points, weights, chords, errors, damping, centre, held, gains, x)
+            solved += 1
+            if any_held:
+                slope_of(b, ends, points, weights, chords, errors, damping, centre, x, slope, missed)
+            settled = True
+            for u in range(n):
+                side = 0
+                if lower[u] == upper[u]:
+                    continue
+                if held[u]:
+                    if (sides[u] < 0 and slope[u] >= 0.0) or (sides[u] > 0 and slope[u] <= 0.0):
+                        side = sides[u]
+                elif x[u] < lower[u]:
+                    side = -1
+                elif x[u] > upper[u]:
+                    side = 1
+                settled = settled and side == sides[u]
+                sides[u] = side
+            if settled:
+                return solved
+        if attempt == 0:
+            solved += _inner(
+                b, ends, points, weights, chords, errors, damping, centre, lower, upper, sides, x, gains
+            )
+            for u in range(n):
+                slope[u] = x[u]
+    for u in range(n):  # as close as the interior point method came
+        x[u] = min(max(slope[u], lower[u]), upper[u])
+    return solved
+
+
+@compiled
+def _inner(
+    b: Array,
+    ends: Whole,
+    points: Array,
+    weights: Array,
+    chords: Array,
+    errors: Array,
+    damping: Array,
+    centre: Array,
+    lower: Array,
+    upper: Array,
+    sides: Sides,
+    x: Array,
+    gains: Array,
+) -> int:
+    """An interior point method: fills x with a point near the minimum, and `sides` with a guess."""
+    n, m = len(b), len(ends)
+    slope, missed, held = np.empty(n), np.empty((m, 6)), np.zeros(n, dtype=np.bool_)
+    low, high = np.zeros(n), np.zeros(n)  # multipliers of the sides
+    stiff, pulled, there = np.empty(n), np.empty(n), np.empty(n)
+    moves, downs, ups = np.zeros(n), np.zeros(n), np.zeros(n)
+    bounds = 0
+    for u in range(n):
+        held[u] = lower[u] == upper[u]
+        below, above = np.isfinite(lower[u]), np.isfinite(upper[u])
+        if held[u]:
+            x[u] = lower[u]
+        elif below and above:
+            x[u] = 0.5 * (lower[u] + upper[u])
+        elif below:
+            x[u] = max(lower[u] + 1.0, centre[u])
+        elif above:
+            x[u] = min(upper[u] - 1.0, centre[u])
+        else:
+            x[u] = centre[u]
+        bounds += 0 if held[u] else int(below) + int(above)
+    slope_of(b, ends, points, weights, chords, errors, damping, centre, x, slope, missed)
+    start = 0.0
+    for u in range(n):
+        if not held[u]:
+            room = min(x[u] - lower[u], upper[u] - x[u])
+            start += abs(slope[u]) * min(room, 1.0)
+    start = max(0.1 * start / n, 1e-300)
+    for u in range(n):
+        if not held[u]:
+            low[u] = start / (x[u] - lower[u])
+            high[u] = start / (upper[u] - x[u])
+    iterations, left = 0, 1.0  # share of the mismatch of multipliers and slope
+    while iterations < ITERATIONS:
+        gap = 0.0
+        for u in range(n):
+            if not held[u]:
+                gap += _product(low[u], x[u] - lower[u]) + _product(high[u], upper[u] - x[u])
+        gap /= max(bounds, 1)
+        if gap <= GAP * start and left <= GAP:
+            break
+        iterations += 1
+        aim, gap_there = 0.0, 0.0
+        for corrector in range(2):
+            for u in range(n):
+                if held[u]:
+                    there[u] = x[u]
+                    continue
+                a, c = x[u] - lower[u], upper[u] - x[u]
+                p, r = low[u] / a, high[u] / c
+                push = aim / a - aim / c
+                if corrector:  # what the predictor left out: products of changes
+                    move = moves[u]
+                    push += (low[u] + p * move) * move / a + (high[u] - r * move) * move / c
+                stiff[u] = damping[u] + p + r
+                pulled[u] = (damping[u] * centre[u] + (p + r) * x[u] + push) / stiff[u]
+            if not corrector:
+                factored(b, ends, points, weights, chords, stiff, held, gains)
+            answered(b, ends, points, weights, chords, errors, stiff, pulled, held, gains, there)
+            # How far there is room to go, for x and for the multipliers.
+            reach = 1.0
+            for u in range(n):
+                if held[u]:
+                    continue
+                a, c, move = x[u] - lower[u], upper[u] - x[u], there[u] - x[u]
+                p, r = low[u] / a, high[u] / c
+                first = moves[u] if corrector else 0.0
+                down = (aim + (low[u] + p * first) * first) / a - low[u] - p * move
+                up = (aim - (high[u] - r * first) * first) / c - high[u] + r * move
+                if -move * reach > a:
+                    reach = -a / move
+                if move * reach > c:
+                    reach = c / move
+                if -down * reach > low[u]:
+                    reach = -low[u] / down
+                if -up * reach > high[u]:
+                    reach = -high[u] / up
+                moves[u], downs[u], ups[u] = move if not corrector else first, down, up
+            if corrector:
+                break
+            gap_there = 0.0
+            for u in range(n):
+                if not held[u]:
+                    move = reach * moves[u]
+                    gap_there += _product(low[u] + reach * downs[u], x[u] + move - lower[u])
+                    gap_there += _product(high[u] + reach * ups[u], upper[u] - x[u] - move)
+            gap_there /= max(bounds, 1)
+            aim = gap * (gap_there / gap) ** 3
+        left *= 1.0 - BACK * reach
+        for u in range(n):
+            if not held[u]:
+                x[u] += BACK * reach * (there[u] - x[u])
+                low[u] += BACK * reach * downs[u]
+                high[u] += BACK * reach * ups[u]
+    for u in range(n):
+        sides[u] = 0
+        if not held[u] and gains[u, 10] * low[u] > 0.5 * (x[u] - lower[u]):
+            sides[u] = -1
+        elif not held[u] and gains[u, 10] * high[u] > 0.5 * (upper[u] - x[u]):
+            sides[u] = 1
+    return iterations
+
+
+@compiled
+def _product(multiplier: float, room: float) -> float:
+    """Complementarity of one side; none where there is no bound."""
+    return multiplier * room if np.isfinite(room) else 0.0
