@@ -21,11 +21,14 @@ lint: $(VENV)/lint.stamp
 urdf: $(VENV)/base.stamp
 	$(RUN) -m pinposture.thesis.arms urdf
 
+# Our controllers and others on the same cases; makes environments for the others under build/bench.
+# Options: make bench ARGS="--quick"
 bench: $(VENV)/base.stamp
-	$(RUN) benchmarks/step_time.py
+	$(RUN) benchmarks/bench.py $(ARGS)
 
 clean:
 	rm -rf $(VENV) out build dist
+	rm -f pinposture/kernels/__pycache__/*.nb[ci]
 
 $(VENV)/bin/python:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "pinposture needs Python 3.10 or newer")'
@@ -33,6 +36,7 @@ $(VENV)/bin/python:
 
 $(VENV)/base.stamp: pyproject.toml | $(VENV)/bin/python
 	$(RUN) -m pip install --quiet --editable .
+	$(RUN) -m pinposture compile
 	touch $@
 
 $(VENV)/test.stamp: $(VENV)/base.stamp

@@ -38,7 +38,7 @@ from pinposture.control import (
 )
 from pinposture.curve import Curve
 from pinposture.errors import PostureError, PostureWarning
-from pinposture.motion import Trajectory, track
+from pinposture.motion import Batch, Trajectory, track, track_many
 from pinposture.scene import Box, Capsule, Cylinder, HalfSpace, Mesh, Scene, Sphere
 from pinposture.target import Target, fit_points, resolve_targets
 
@@ -51,6 +51,7 @@ __all__ = [
     "Adequacy",
     "Arm",
     "ArmState",
+    "Batch",
     "Box",
     "Capsule",
     "ConstrainedQP",
@@ -85,6 +86,7 @@ __all__ = [
     "save_html",
     "template",
     "track",
+    "track_many",
     "view",
 ]
 

@@ -167,8 +167,7 @@ class Arm(Blueprint):
             InvalidValue: q has the wrong size or is not finite.
         """
         checked = self.checked(q)
-        positions = self.difference(self.origin, checked)
-        return ArmState(self, checked, positions, self.kinematics.placed(positions))
+        return ArmState(self, checked, self.kinematics.placed(self.difference(self.origin, checked)))
 
     def with_sliding_unit(self, sliding_unit: float) -> Arm:
         """The same arm, with another slide that weighs as much as a turn of one radian [m].

@@ -69,7 +69,7 @@ class ConfigurationSpace:
 
     def neutral(self) -> Array:
         """The configuration in which every joint is at zero, (nq,)."""
-        return self.origin.copy()
+        return np.array(self.origin)
 
     def configuration(self, positions: ArrayLike) -> Array:
         """Configuration from joint positions.
@@ -92,8 +92,7 @@ class ConfigurationSpace:
     def integrate(self, q: Array, dq: Array) -> Array:
         """The configuration (nq,) reached from q by the joint displacement dq, (nv,) [rad or m]."""
         if self._flat:
-            moved: Array = q + dq
-            return moved
+            return np.asarray(q + dq)
         return np.array(pin.integrate(self.model, q, dq))
 
     def difference(self, start: Array, end: Array) -> Array:
@@ -102,7 +101,8 @@ class ConfigurationSpace:
         Continuous joints take the shorter way round.
         """
         if self._flat:
-            return end - start
+            way: Array = end - start
+            return way
         return np.array(pin.difference(self.model, start, end))
 
     def checked(self, q: ArrayLike, name: str = "q") -> Array:

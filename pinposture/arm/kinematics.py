@@ -30,12 +30,14 @@ class Placed(NamedTuple):
         origins: origins of the joints, a point on each axis, (n, 3) [m].
         points: control points, (m, 3) [m].
         rotations: orientations of the control points, (m, 3, 3), from control-point to world frame.
+        positions: the joint positions that put it there, (nv,) [rad or m].
     """
 
     axes: Array
     origins: Array
     points: Array
     rotations: Array
+    positions: Array
 
 
 class Kinematics:
@@ -45,6 +47,7 @@ class Kinematics:
         slides: True for a joint that slides, (n,); others turn.
         columns: column of each joint in the tangent space, (n,).
         ends: number of joints that carry each control point, (m,).
+        endless: which joint positions come round to where they were, (nv,).
         constants: what `kernels.placements` wants to know of the chain.
     """
 
@@ -61,6 +64,9 @@ class Kinematics:
         """
         joints = [model.getJointId(name) for name in names]
         self.slides = np.array([_slides(model, joint) for joint in joints], dtype=np.bool_)
+        self.endless = np.zeros(model.nv, dtype=np.bool_)
+        for joint in joints:
+            self.endless[model.joints[joint].idx_v] = model.joints[joint].nq == 2
         self.columns = np.array([model.joints[joint].idx_v for joint in joints], dtype=np.int64)
         placements = [model.jointPlacements[joint] for joint in joints]
         fixed = np.array([[*each.rotation.ravel(), *each.translation] for each in placements])
@@ -75,9 +81,9 @@ class Kinematics:
     def placed(self, positions: Array) -> Placed:
         """Where everything is with the joints at positions (nv,) [rad or m]."""
         n, m = len(self.columns), len(self.ends)
-        placed = Placed(np.empty((n, 3)), np.empty((n, 3)), np.empty((m, 3)), np.empty((m, 3, 3)))
-        kernels.placements(*self.constants, positions, *placed)
-        return placed
+        filled = np.empty((n, 3)), np.empty((n, 3)), np.empty((m, 3)), np.empty((m, 3, 3))
+        kernels.placements(*self.constants, positions, *filled)
+        return Placed(*filled, positions)
 
 
 def _slides(model: pin.Model, joint: int) -> bool:

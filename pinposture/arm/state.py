@@ -33,8 +33,8 @@ class ArmState:
         placed: where the chain is, as kernels want it; not to be written to.
     """
 
-    def __init__(self, arm: Arm, q: Array, positions: Array, placed: Placed) -> None:
-        self.arm, self._q, self._positions, self.placed = arm, q, positions, placed
+    def __init__(self, arm: Arm, q: Array, placed: Placed) -> None:
+        self.arm, self._q, self.placed = arm, q, placed
 
     @cached_property
     def q(self) -> Array:
@@ -54,7 +54,7 @@ class ArmState:
     @cached_property
     def positions(self) -> Array:
         """Joint positions (nv,) [rad or m]; continuous joints within +-pi."""
-        return _read_only(self._positions)
+        return _read_only(self.placed.positions)
 
     @cached_property
     def jacobians(self) -> Array:
@@ -109,8 +109,7 @@ class ArmState:
 
     @cached_property
     def _manipulability(self) -> Array:
-        indices = all_pairs(self.task_jacobians[:, :, self.arm.columns], self.arm.module_starts)
-        return _read_only(indices)
+        return _read_only(all_pairs(self))
 
     def ellipsoids(
         self, points: ControlPoints | None = None, relative_to: str = "base"

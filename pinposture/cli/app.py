@@ -12,10 +12,12 @@ from typer.core import TyperCommand, TyperGroup
 
 from pinposture.cli import (
     arms,
+    compile,
     cycles,
     generate,
     headings,
     inspect,
+    many,
     methods,
     postures,
     reproduce,
@@ -127,7 +129,7 @@ def _add(verb: ModuleType, group: typer.Typer) -> None:
     group.command(name, cls=kind, help=_paragraphs(verb.run.__doc__ or ""))(verb.run)
 
 
-for module in (generate, inspect, track, view, reproduce):
+for module in (generate, inspect, track, many, view, reproduce, compile):
     _add(module, app)
 for module in (arms, methods, postures, headings, scenes, cycles):
     _add(module, studies)

@@ -31,10 +31,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from pinposture import kernels
 
-MOST = 1e60
-"""Number of braking steps that counts as any number: a joint without position limits has that many."""
+Array = NDArray[np.float64]
 
 
 def farthest(room: Array, brake: Array) -> Array:
@@ -49,31 +48,12 @@ def farthest(room: Array, brake: Array) -> Array:
     Returns:
         Steps of the signs of `room`, none longer than it, (..., nv) [rad or m].
     """
-    distance = np.abs(room)
-    steps = np.ceil(np.sqrt(0.25 + distance * (2.0 / brake)) - 0.5)
-    steps = np.minimum(np.maximum(steps, 1.0), MOST)
-    return np.copysign(distance / steps + 0.5 * brake * (steps - 1.0), room)
+    rooms = np.ascontiguousarray(np.atleast_2d(room), dtype=np.float64)
+    steps = np.empty_like(rooms)
+    kernels.farthest(rooms, np.array(brake, dtype=np.float64), steps)
+    return steps.reshape(np.shape(room))
 
 
 def full_braking(previous: Array, brake: Array) -> Array:
     """The step that comes closest to standing still after the step before, (nv,) [rad or m]."""
     return previous - np.minimum(np.maximum(previous, -brake), brake)
-
-
-def confined(sides: Array, previous: Array, bound: Array, brake: Array) -> Array:
-    """The steps that a joint may take: within the sides, close to the step before, within the bound.
-
-    Where that is impossible, what is named later wins: the interval shrinks to the point of the later one
-    that is closest. So it is never empty.
-
-    Args:
-        sides: g(L) and g(U), (2, nv) [rad or m].
-        previous: the step before, (nv,) [rad or m].
-        bound: largest |d|, (nv,) [rad or m].
-        brake: the most that a step may differ from the one before, (nv,) [rad or m].
-
-    Returns:
-        Smallest and largest step, (2, nv) [rad or m].
-    """
-    near = np.minimum(np.maximum(sides, previous - brake), previous + brake)
-    return np.asarray(np.minimum(np.maximum(near, -bound), bound))

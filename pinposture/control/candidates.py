@@ -13,9 +13,13 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture import kernels
+from pinposture.arm import Arm
+from pinposture.arm.screws import Screws, constants_of
 from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
 
 
 def candidate_sets(indices: Array, absolute: float, relative: float) -> Iterator[tuple[int, ...]]:
@@ -74,6 +78,31 @@ def active_set(
     while before[path[-1]] >= 0:
         path.append(int(before[path[-1]]))
     return tuple(reversed(path))
+
+
+def base_indices(arm: Arm, screws: Screws, threshold: float) -> Array:
+    """Indices of all control points relative to the base, (m,), to be compared with a threshold."""
+    indices = np.empty(arm.n_modules)
+    kernels.base_indices(*screws, constants_of(arm).plane, threshold, indices)
+    return indices
+
+
+def best_set(arm: Arm, screws: Screws, usable: NDArray[np.bool_], errors: Array, relative: float) -> Whole:
+    """The same set as `active_set`, without the indices of all sections: few of them are looked at.
+
+    Args:
+        arm: the arm.
+        screws: how its joints move it.
+        usable: which control points clear the absolute condition and may be used, (m,).
+        errors: distance of each control point from its target, (m,) [m].
+        relative: threshold of the relative condition.
+
+    Returns:
+        Increasing indices of control points, 0-based; empty if there is no candidate set.
+    """
+    path = np.empty(arm.n_modules, dtype=np.int64)
+    count = kernels.best_path(*screws, constants_of(arm).plane, usable, errors, relative, path)
+    return path[:count]
 
 
 def _conditions(

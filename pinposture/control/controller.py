@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,42 @@ from pinposture.target import Target
 Array = NDArray[np.float64]
 
 
-class Diagnostics(NamedTuple):
+class Spectrum(Protocol):
+    """Singular values that are computed when they are asked for."""
+
+    @property
+    def smallest(self) -> float:
+        """The smallest."""
+
+    @property
+    def largest(self) -> float:
+        """The largest."""
+
+
+class _Fields(NamedTuple):
+    """What `Diagnostics` are made of: singular values, or what knows them."""
+
+    manipulability: float
+    sigma_min: float | Spectrum
+    sigma_max: float | Spectrum
+    rows: int
+    dropped: tuple[int, ...]
+    scale: float
+    clipped: NDArray[np.bool_]
+    reason: str
+    method: str = ""
+    switched: str = ""
+    escape: bool = False
+    relaxed: tuple[str, ...] = ()
+    near: tuple[str, ...] = ()
+    on_way: bool = False
+
+
+class Diagnostics(_Fields):
     """How a step came about.
+
+    Singular values take longer than a step: those of Selection and Projection are computed when they are
+    read.
 
     Attributes:
         manipulability: smallest manipulability index of an active point, relative to the base and to the
@@ -41,20 +75,26 @@ class Diagnostics(NamedTuple):
             posture error does on it.
     """
 
-    manipulability: float
-    sigma_min: float
-    sigma_max: float
-    rows: int
-    dropped: tuple[int, ...]
-    scale: float
-    clipped: NDArray[np.bool_]
-    reason: str
-    method: str = ""
-    switched: str = ""
-    escape: bool = False
-    relaxed: tuple[str, ...] = ()
-    near: tuple[str, ...] = ()
-    on_way: bool = False
+    __slots__ = ()
+
+    @property
+    def sigma_min(self) -> float:
+        """Smallest singular value of the posture control matrix [m/rad]."""
+        value = super().sigma_min
+        return value if isinstance(value, float | int) else value.smallest
+
+    @property
+    def sigma_max(self) -> float:
+        """Largest singular value of the posture control matrix [m/rad]."""
+        value = super().sigma_max
+        return value if isinstance(value, float | int) else value.largest
+
+    def __getitem__(self, key: Any) -> Any:
+        """Fields by their numbers; singular values as numbers here, too."""
+        places = range(len(self._fields))[key]
+        if isinstance(places, int):
+            return getattr(self, self._fields[places])
+        return tuple(getattr(self, self._fields[place]) for place in places)
 
 
 class Memory(NamedTuple):

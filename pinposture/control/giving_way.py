@@ -6,35 +6,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
+from pinposture.control.braking import farthest, full_braking
 
 Array = NDArray[np.float64]
 
 
 def relaxed_limits(
-    arm: Arm,
-    joints: NDArray[np.intp],
-    positions: Array,
-    edges: Array,
-    sides: Array,
-    slowest: Array,
-    bound: Array,
-    rounding: float,
+    arm: Arm, positions: Array, edges: Array, bound: Array, brake: Array, previous: Array, rounding: float
 ) -> tuple[str, ...]:
     """Name each limit that gives way in a step, by joint; see `Limits.box` for the order.
 
     Args:
         arm: the arm.
-        joints: the degrees of freedom in question.
         positions: joint positions, (nv,) [rad or m].
         edges: joint positions to stay between, (2, nv) [rad or m].
-        sides: steps after which a joint can still stop within them, (2, nv) [rad or m].
-        slowest: steps that come closest to standing still, (nv,) [rad or m].
         bound: largest |dq|, (nv,) [rad or m].
+        brake: largest change of dq from one step to the next, (nv,) [rad or m]; empty: any.
+        previous: the step before, (nv,) [rad or m]; empty where any change is allowed.
         rounding: what a limit may be exceeded by without being named [rad or m].
     """
     words, names = [], arm.joint_names
+    sides, slowest = edges - positions, np.zeros(arm.nv)
+    if len(brake):
+        sides, slowest = farthest(sides, brake), full_braking(previous, brake)
+    above = np.minimum(sides[1], bound) - np.maximum(slowest, 0.0)
+    below = np.minimum(slowest, 0.0) - np.maximum(sides[0], -bound)
     taken = np.clip(slowest, -bound, bound)
-    for joint in joints:
+    for joint in np.flatnonzero(np.minimum(above, below) < -rounding):
         name, unit = names[joint], "m" if arm.slides[joint] else "rad"
         at, (low, high) = positions[joint], edges[:, joint]
         step = taken[joint]

@@ -5,12 +5,35 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture.arm import ArmState
+from pinposture import kernels
+from pinposture.arm import Arm, ArmState
+from pinposture.arm.screws import Screws, constants_of
+from pinposture.control.posture_matrix import FULL
+from pinposture.target import Target
 
 Array = NDArray[np.float64]
 
 
-def descent(state: ArmState, errors: Array, distances: Array) -> Array:
+def aligned_errors(state: ArmState, target: Target, placed: NDArray[np.bool_]) -> Array:
+    """Errors c_k - p_k along the directions in which the arm can move, zero for points without a target.
+
+    Args:
+        state: where the arm is.
+        target: where its control points should be.
+        placed: which control points have a target, (m,).
+
+    Returns:
+        Array (m, 3) [m]; the last column is zero for a planar arm.
+    """
+    errors = (target.points - state.placed.points) * placed[:, None]
+    if state.arm.dimension == 3:
+        return np.asarray(errors)
+    aligned = np.zeros(errors.shape)
+    aligned[:, :2] = errors @ state.arm.plane.T
+    return aligned
+
+
+def descent(arm: Arm, screws: Screws, errors: Array, distances: Array) -> Array:
     """Joint displacement down the gradient of the posture error.
 
     The sum must run over all control points: over the active ones alone the projection would cancel it.
@@ -18,17 +41,20 @@ def descent(state: ArmState, errors: Array, distances: Array) -> Array:
     scale of its own and vanishes with the error.
 
     Args:
-        state: where the arm is.
-        errors: c_k - p_k, (m, d) [m].
+        arm: the arm.
+        screws: how its joints move it.
+        errors: c_k - p_k, (m, 3) [m], from `aligned_errors`.
         distances: their norms, (m,) [m].
 
     Returns:
         Joint displacement (nv,) in `Arm.joint_units`; zero where the gradient vanishes.
     """
-    jacobians = state.task_jacobians
-    gradient = np.einsum("kdu,kd->u", jacobians, errors)
-    motion = jacobians @ gradient
-    travelled = float(np.einsum("kd,kd->", motion, motion))
-    if travelled <= (1e-15 * state.arm.length) ** 2 * float(distances @ distances):
-        return np.zeros_like(gradient)
-    return np.asarray(gradient * (float(gradient @ gradient) / travelled))
+    known, gradient, motion = constants_of(arm), np.empty(len(arm.columns)), np.empty(errors.shape)
+    every = *screws, known.every, known.dimensions, known.frames, FULL
+    kernels.joints_along(*every, errors, gradient)
+    kernels.motions_along(*every, gradient, motion)
+    motion = motion[:, : arm.dimension]
+    travelled, found = float(np.vdot(motion, motion)), np.zeros(arm.nv)
+    if travelled > (1e-15 * arm.length) ** 2 * float(distances @ distances):
+        found[arm.columns] = gradient * (float(gradient @ gradient) / travelled)
+    return found

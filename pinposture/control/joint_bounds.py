@@ -24,12 +24,16 @@ class JointBounds(NamedTuple):
         travel: joint travel that this allows, median over the joints, at most `USUAL_STEP` [rad].
         edges: joint positions to stay between, margin included, (2, nv) [rad or m].
         brake: largest change of dq from one step to the next, (nv,) [rad or m]; None: any.
+        units: the motion of each joint of the chain that counts as one, (n,) [rad or m].
+
+    The arrays are for kernels, not to be written to.
     """
 
     bound: Array
     travel: float
     edges: Array
     brake: Array | None
+    units: Array
 
 
 def joint_bounds(
@@ -56,9 +60,7 @@ def joint_bounds(
             brake = np.clip(change, 1e-100, 1e200)  # so that nothing made of it overflows, or divides by zero
     edges = _edges(arm, position_margin)
     travel = min(USUAL_STEP, float(np.median((bound / arm.joint_units)[arm.columns])))
-    for array in (bound, edges):
-        array.flags.writeable = False
-    return JointBounds(bound, travel, edges, brake)
+    return JointBounds(bound, travel, edges, brake, arm.joint_units[arm.columns])
 
 
 def _edges(arm: Arm, margin: float) -> Array:

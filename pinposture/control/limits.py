@@ -10,9 +10,10 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pinposture import kernels
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.checks import finite_vector
-from pinposture.control.braking import confined, farthest, full_braking
+from pinposture.control.braking import full_braking
 from pinposture.control.checks import require_positive
 from pinposture.control.giving_way import relaxed_limits
 from pinposture.control.joint_bounds import JointBounds, joint_bounds
@@ -23,6 +24,9 @@ Array = NDArray[np.float64]
 ROUNDING = 1e-9
 """What a limit may be exceeded by without being named [rad or m]."""
 
+LEANING = 1e-6
+"""How far outside its limits a joint may be without being brought back first, in `Arm.joint_units`."""
+
 
 class Box(NamedTuple):
     """The steps that the limits allow: all dq with lower <= dq <= upper. There always are some.
@@ -31,11 +35,15 @@ class Box(NamedTuple):
         lower: smallest joint displacement, (nv,) [rad or m].
         upper: largest joint displacement, (nv,) [rad or m].
         relaxed: the limits that cannot be kept from here on, in words; see `Limits.box`.
+        outside: whether a joint of the chain is outside its position limits, by more than rounding.
+        sides: both of the former, (2, nv), for kernels.
     """
 
     lower: Array
     upper: Array
     relaxed: tuple[str, ...]
+    outside: bool
+    sides: Array
 
 
 class LimitedStep(NamedTuple):
@@ -101,7 +109,9 @@ class Limits:
 
     def bound(self, state: ArmState) -> Array:
         """Largest |dq| of each joint in one step, (nv,) [rad or m]; infinite where there is no limit."""
-        return self.for_arm(state.arm).bound
+        bound: Array = self.for_arm(state.arm).bound.view()
+        bound.flags.writeable = False
+        return bound
 
     def travel(self, state: ArmState) -> float:
         """Joint travel that limits allow in a step, median over the joints, at most 0.1 [rad]."""
@@ -130,26 +140,15 @@ class Limits:
         Raises:
             InvalidValue: limits that do not fit the arm, or a previous step that does not.
         """
-        bounds = self.for_arm(state.arm)
-        bound, brake = bounds.bound, bounds.brake
-        positions = state.arm.positions(state.q)
-        offsets = bounds.edges - positions
-        if brake is None:  # with nothing to brake, any joint may stand still
-            sides, slowest = offsets, np.zeros_like(bound)
-            lower, upper = np.minimum(np.maximum(sides, -bound), bound)
-        else:
-            before = _previous(state.arm, previous)
-            sides, slowest = farthest(offsets, brake), full_braking(before, brake)
-            lower, upper = confined(sides, before, bound, brake)
-        slack = np.minimum(
-            np.minimum(sides[1], bound) - np.maximum(slowest, 0.0),
-            np.minimum(slowest, 0.0) - np.maximum(sides[0], -bound),
-        )
-        if slack.min() >= -ROUNDING:
-            return Box(lower, upper, ())
-        short = np.flatnonzero(slack < -ROUNDING)
-        relaxed = relaxed_limits(state.arm, short, positions, bounds.edges, sides, slowest, bound, ROUNDING)
-        return Box(lower, upper, relaxed)
+        arm, bounds = state.arm, self.for_arm(state.arm)
+        positions = state.placed.positions
+        before = _NONE if bounds.brake is None else _previous(arm, previous)
+        sides, columns = np.empty((2, arm.nv)), arm.kinematics.columns
+        brake = _NONE if bounds.brake is None else bounds.brake
+        given = bounds.edges, bounds.bound, brake, before
+        found = kernels.box(positions, *given, ROUNDING, columns, LEANING * bounds.units, sides)
+        relaxed = relaxed_limits(arm, positions, *given, ROUNDING) if found % 2 else ()
+        return Box(sides[0], sides[1], relaxed, found >= 2, sides)
 
     def apply(self, state: ArmState, dq: Array, previous: Array | None = None) -> LimitedStep:
         """Shorten a step until it meets the step limit, then cut it at the position limits.
@@ -166,20 +165,12 @@ class Limits:
             dq: the step asked for, (nv,) [rad or m].
             previous: the step before, (nv,) [rad or m]; None: the arm was at rest.
         """
-        bounds = self.for_arm(state.arm)
-        bound, brake = bounds.bound, bounds.brake
-        largest = float(np.max(np.abs(dq) / bound, initial=0.0))
-        scale = 1.0 / largest if largest > 1.0 else 1.0
-        scaled = dq * scale
-        sides = bounds.edges - state.arm.positions(state.q)
-        if brake is not None:
-            sides = farthest(sides, brake)
-        cut = np.clip(np.clip(scaled, sides[0], sides[1]), -bound, bound)
-        clipped = cut != scaled
-        if brake is not None:
-            lower, upper = confined(sides, _previous(state.arm, previous), bound, brake)
-            goal = np.abs(farthest(dq, brake))
-            cut = np.clip(np.clip(scaled, -goal, goal), lower, upper)
+        arm, bounds = state.arm, self.for_arm(state.arm)
+        before = _NONE if bounds.brake is None else _previous(arm, previous)
+        brake = _NONE if bounds.brake is None else bounds.brake
+        cut, clipped = np.empty(arm.nv), np.empty(arm.nv, dtype=np.bool_)
+        given = state.placed.positions, bounds.edges, bounds.bound, brake, before
+        scale = kernels.shortened(dq, *given, cut, clipped)
         return LimitedStep(cut, scale, clipped)
 
     def hold(self, state: ArmState, previous: Array | None = None) -> LimitedStep:
@@ -210,6 +201,7 @@ class Limits:
         return bounds
 
 
+_NONE = np.empty(0)
 _KNOWN: WeakKeyDictionary[Arm, dict[tuple[object, ...], JointBounds]] = WeakKeyDictionary()
 _MOST = 16  # limits of one arm that are remembered
 

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
-from weakref import WeakKeyDictionary
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture import kernels
 from pinposture.arm import Arm, ArmState
+from pinposture.arm.screws import Screws, constants_of, screws_of
 from pinposture.control.checks import require_positive, require_share
-from pinposture.control.controller import Diagnostics, Memory, Step, task_errors
-from pinposture.control.gradient import descent
+from pinposture.control.controller import Diagnostics, Memory, Step
+from pinposture.control.gradient import aligned_errors, descent
 from pinposture.control.limits import Limits
-from pinposture.control.solve import decompose, pseudo_inverse_step
+from pinposture.control.posture_matrix import FULL, LOCAL, RELATIVE, PostureMatrix, Rows
 from pinposture.errors import UnknownName
 from pinposture.target import Target
 
 Array = NDArray[np.float64]
 Coupling = Literal["full", "local", "relative"]
+
+NUMBERS: dict[Coupling, int] = {"full": FULL, "local": LOCAL, "relative": RELATIVE}
 
 COUPLINGS: tuple[Coupling, ...] = ("full", "local", "relative")
 
@@ -62,9 +65,10 @@ class Projection:
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
     ) -> Step:
         """Compute one step; see `Controller.step`."""
-        errors = task_errors(state, target)
-        secondary = self.null_gain * descent(state, errors, np.linalg.norm(errors, axis=1))
-        return self.step_with(secondary, state, target, limits, memory)
+        screws, errors = screws_of(state), aligned_errors(state, target, target.placed)
+        distances = np.sqrt(np.einsum("ij,ij->i", errors, errors))
+        secondary = self.null_gain * descent(state.arm, screws, errors, distances)
+        return self._step(secondary, screws, state, target, limits, memory)
 
     def step_with(
         self,
@@ -84,30 +88,43 @@ class Projection:
             limits: what the step may not exceed; `Limits()` if None.
             memory: what the previous step returned; None at the first.
         """
+        return self._step(secondary, screws_of(state), state, target, limits, memory)
+
+    def _step(
+        self,
+        secondary: Array,
+        screws: Screws,
+        state: ArmState,
+        target: Target,
+        limits: Limits | None,
+        memory: Memory | None,
+    ) -> Step:
         limits = Limits() if limits is None else limits
         previous = memory.dq if memory is not None else None
-        errors = task_errors(state, target)
-        matrix, velocity, active, smallest = self.posture_control_matrix(state, errors, target.placed)
-        if len(matrix) == 0:
+        placed, arm = target.placed, state.arm
+        rows, smallest = self._rows(arm, screws, placed)
+        if rows is None:
             held = limits.hold(state, previous)
             reason = f"no module has a singular value above threshold = {self.threshold:g} of its length"
-            none = Diagnostics(0, 0, 0, 0, (), held.scale, held.clipped, reason)
+            none = Diagnostics(0.0, 0.0, 0.0, 0, (), held.scale, held.clipped, reason)
             return Step(held.dq, (), none, Memory(held.dq))
-        decomposed = decompose(matrix)
-        asked = pseudo_inverse_step(decomposed, self.gain * velocity, secondary)
-        arm = state.arm  # joints off the chain have zero columns, and singular vectors round zero
-        limited = limits.apply(state, asked * arm.joint_units * arm.moved, previous)
+        matrix = PostureMatrix(screws, rows)
+        errors = (target.points - state.placed.points) * placed[:, None]
+        asked = matrix.step(arm, self._along(rows, self.gain * errors), secondary)
+        limited = limits.apply(state, asked, previous)
         diagnostics = Diagnostics(
             manipulability=smallest,
-            sigma_min=float(decomposed.sigma[-1]),
-            sigma_max=float(decomposed.sigma[0]),
-            rows=len(matrix),
+            sigma_min=matrix,
+            sigma_max=matrix,
+            rows=matrix.size,
             dropped=(),
             scale=limited.scale,
             clipped=limited.clipped,
             reason="",
         )
-        return Step(limited.dq, active, diagnostics, Memory(limited.dq))
+        return Step(
+            limited.dq, tuple(rows.stations[rows.ranks > 0].tolist()), diagnostics, Memory(limited.dq)
+        )
 
     def posture_control_matrix(
         self, state: ArmState, errors: Array, eligible: NDArray[np.bool_]
@@ -126,66 +143,46 @@ class Projection:
             Matrix (r, nv) [m/rad], projected errors (r,) [m], control points used (0-based), and the
             smallest ratio of a kept singular value to the largest of its module.
         """
-        sections = _sections(state.arm, eligible)
-        jacobians, wanted = state.task_jacobians[sections.ends], errors[sections.ends]
-        own = jacobians * sections.own[:, None, :]
-        # Modules are far shorter than the arm: decompose their own columns only, padded to equal number.
-        narrow = np.take_along_axis(own, sections.columns[:, None, :], axis=2)  # (p, d, c)
-        left, sigma, _ = np.linalg.svd(narrow, full_matrices=False)  # (p, d, r), (p, r)
-        kept = sigma > self.threshold * sections.lengths[:, None]
-        across = left.swapaxes(1, 2)
-        # The own columns of a section are the same in all couplings, and those of later ones are zero: the
-        # matrix is block triangular, and of full row rank, in each of them.
+        arm = state.arm
+        rows, smallest = self._rows(arm, screws_of(state), eligible)
+        if rows is None:
+            return np.zeros((0, arm.nv)), np.zeros(0), (), 0.0
+        jacobians = state.task_jacobians[rows.stations]
         if self.coupling == "local":
-            jacobians = own
+            jacobians = jacobians * _differences(arm.support[rows.stations])[:, None, :]
         elif self.coupling == "relative":
-            jacobians, wanted = _differences(jacobians), _differences(wanted)
-        rows = across @ jacobians
-        velocity = (across @ wanted[:, :, None])[:, :, 0]
-        active = tuple(int(k) for k in sections.ends[kept.any(axis=1)])
-        largest = np.broadcast_to(sigma[:, :1], sigma.shape)[kept]
-        smallest = float((sigma[kept] / largest).min()) if active else 0.0
-        return rows[kept], velocity[kept], active, smallest
+            jacobians = _differences(jacobians)
+        kept = np.arange(3) < rows.ranks[:, None]
+        matrix = (rows.directions @ arm.plane.T) @ jacobians
+        velocity = self._along(rows, errors @ arm.plane)
+        active = tuple(rows.stations[rows.ranks > 0].tolist())
+        return matrix[kept], velocity[kept], active, smallest
 
+    def _rows(self, arm: Arm, screws: Screws, eligible: NDArray[np.bool_]) -> tuple[Rows | None, float]:
+        """Directions in which each section moves its end well, and their smallest ratio; None if none does.
 
-class _Sections(NamedTuple):
-    """The arm cut at the control points that have a target: modules, if all of them have one.
+        The own columns of a section are the same in all couplings, and those of later ones are zero: the
+        matrix is block triangular, and of full row rank, in each of them.
+        """
+        stations = np.flatnonzero(eligible)  # where sections end; modules, if all points have a target
+        lengths = _differences(np.cumsum(arm.chain.module_lengths)[stations])
+        directions, ranks = np.empty((len(stations), 3, 3)), np.zeros(len(stations), dtype=np.int64)
+        given = constants_of(arm).plane, stations, self.threshold * lengths
+        smallest = float(kernels.module_spaces(*screws, *given, directions, ranks))
+        if not np.any(ranks):
+            return None, 0.0
+        return Rows(stations, ranks, directions, NUMBERS[self.coupling]), smallest
 
-    Attributes:
-        ends: control points that have a target, (p,), 0-based.
-        own: 1 where a degree of freedom belongs to a section, else 0, (p, nv).
-        columns: degrees of freedom of each section, (p, c); short sections are filled up with others.
-        lengths: arc lengths, (p,) [m].
-    """
-
-    ends: NDArray[np.intp]
-    own: Array
-    columns: NDArray[np.intp]
-    lengths: Array
-
-
-_KNOWN: WeakKeyDictionary[Arm, dict[bytes, _Sections]] = WeakKeyDictionary()
-_MOST = 16  # regions of one arm that are remembered
-
-
-def _sections(arm: Arm, eligible: NDArray[np.bool_]) -> _Sections:
-    """The sections of an arm; remembered as long as the arm lives, because every step asks for the same."""
-    known = _KNOWN.setdefault(arm, {})
-    key = eligible.tobytes()
-    if key not in known:
-        if len(known) >= _MOST:
-            known.clear()
-        known[key] = _cut(arm, np.flatnonzero(eligible))
-    return known[key]
-
-
-def _cut(arm: Arm, ends: NDArray[np.intp]) -> _Sections:
-    own = _differences(arm.support[ends])
-    columns = np.argsort(-own, axis=1, kind="stable")[:, : int(own.sum(axis=1).max(initial=0.0))]
-    lengths = _differences(np.cumsum(arm.chain.module_lengths)[ends])
-    return _Sections(ends, own, columns, lengths)
+    def _along(self, rows: Rows, errors: Array) -> Array:
+        """What the rows ask for, (p, 3) [m], of errors (m, 3) in world axes."""
+        wanted = errors[rows.stations]
+        if self.coupling == "relative":
+            wanted = _differences(wanted)
+        return np.asarray((rows.directions @ wanted[:, :, None])[:, :, 0])
 
 
 def _differences(rows: Array) -> Array:
     """Each entry along the first axis less the one before; the first as it is."""
-    return np.concatenate([rows[:1], np.diff(rows, axis=0)])
+    differences = np.array(rows)
+    differences[1:] -= rows[:-1]
+    return differences

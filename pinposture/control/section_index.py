@@ -13,8 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from pinposture.arm import ArmState
+from pinposture import kernels
+from pinposture.arm import Arm, ArmState
 from pinposture.arm.chain import Chain
+from pinposture.arm.screws import Screws, constants_of
+from pinposture.control.sections import SectionEdges
 
 Array = NDArray[np.float64]
 
@@ -95,19 +98,45 @@ def section_indices(state: ArmState, strides: tuple[int, ...]) -> Array:
         Array (m + 1, m + 1) like that of `ArmState.manipulability`, in [0, 1]; what is not a section of one
         of the strides stays as it is, too.
     """
-    return np.minimum(state.manipulability() / _best_indices(state.arm.chain, strides), 1.0)
+    indices = np.array(state.manipulability())
+    for stride, best in zip(strides, _best_indices(state.arm.chain, strides), strict=True):
+        starts = np.arange(len(indices) - stride)
+        indices[starts, starts + stride] /= best[stride:]
+    return np.minimum(indices, 1.0)
+
+
+def section_edges(
+    arm: Arm, screws: Screws, usable: NDArray[np.bool_], threshold: float, strides: tuple[int, ...]
+) -> SectionEdges:
+    """The edges of the tree of sections, with the indices that `section_indices` has for them.
+
+    Args:
+        arm: the arm.
+        screws: how its joints move it.
+        usable: which control points may be active, (m,).
+        threshold: an edge is unstable unless its index exceeds this.
+        strides: how many modules a section may have; increasing.
+    """
+    indices = np.zeros((len(strides), arm.n_modules + 1))
+    wanted = np.array(strides, dtype=np.int64)
+    kernels.stride_indices(*screws, constants_of(arm).plane, wanted, indices)
+    return SectionEdges.of(
+        np.minimum(indices / _best_indices(arm.chain, strides), 1.0), usable, threshold, strides
+    )
 
 
 @lru_cache(maxsize=64)
 def _best_indices(chain: Chain, strides: tuple[int, ...]) -> Array:
+    """Best index of the section to each node from so many modules before, (S, m + 1)."""
     m = len(chain.points)
-    best = np.ones((m + 1, m + 1))
+    best = np.ones((len(strides), m + 1))
     if len(chain.plane) == 2:
-        for start, end in ((start, start + stride) for stride in strides for start in range(m + 1 - stride)):
-            lengths = _section_lengths(chain, start, end)
-            if 2 <= len(lengths) <= 3:
-                found = best_index(lengths)
-                best[start, end] = found if found > NEVER else 1.0
+        for row, stride in zip(best, strides, strict=True):
+            for start in range(m + 1 - stride):
+                lengths = _section_lengths(chain, start, start + stride)
+                if 2 <= len(lengths) <= 3:
+                    found = best_index(lengths)
+                    row[start + stride] = found if found > NEVER else 1.0
     return best
 
 

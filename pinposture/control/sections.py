@@ -23,6 +23,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture import kernels
 from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
@@ -45,6 +46,37 @@ class SectionSet(NamedTuple):
 
 
 NOTHING = SectionSet((), 0, -np.inf)
+
+
+class SectionEdges(NamedTuple):
+    """Sections as edges of the tree, by their number of modules and by the node that they lead to.
+
+    Attributes:
+        strides: how many modules a section may have, (S,); increasing.
+        stable: edges that Algorithm 2 leaves, (S, m + 1).
+        logs: logarithms of their indices, (S, m + 1).
+        usable: which control points may be active, (m,).
+    """
+
+    strides: NDArray[np.int64]
+    stable: NDArray[np.bool_]
+    logs: Array
+    usable: NDArray[np.bool_]
+
+    @classmethod
+    def of(
+        cls, indices: Array, usable: NDArray[np.bool_], threshold: float, strides: tuple[int, ...]
+    ) -> SectionEdges:
+        """Leave out edges that are unstable, and those to points that are not usable.
+
+        Args:
+            indices: index of each section, (S, m + 1); zero where there is none.
+            usable: which control points may be active, (m,).
+            threshold: an edge is unstable unless its index exceeds this.
+            strides: how many modules a section may have; increasing.
+        """
+        stable = (indices > threshold) & np.append(False, usable)
+        return cls(np.array(strides, dtype=np.int64), stable, np.log(np.where(stable, indices, 1.0)), usable)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +118,7 @@ class SectionTree:
         It is the base if the region starts at control point 0, which is one module from the base and hence
         less than a section.
         """
-        return 0 if self.first == 0 else self.first + 1
+        return _root(self.first)
 
     @property
     def leaf(self) -> int:
@@ -128,39 +160,17 @@ class SectionTree:
     def best(self, score: SectionScore) -> SectionSet:
         """The set with the largest score over all branches, without looking at them one by one.
 
-        The score depends on how many edges are left and on the product of their indices. Of all ways to a
-        node on which as many edges are left, only that with the largest product can be part of the best
-        branch: O(m^2) ways for m points.
-
         Args:
             score: see `pruned`.
 
         Returns:
             The best set; an empty one if Algorithm 2 leaves no branch a point.
         """
-        shortest = min(self.strides)
-        counts = np.arange((self.leaf - self.root) // shortest + 2)
-        product = np.full((self.leaf + 1, len(counts)), -np.inf)  # its logarithm, by node and edges left
-        before = np.zeros(product.shape, dtype=np.intp)
-        product[self.root, 0] = 0.0
-        for node in range(self.root + shortest, self.leaf + 1):
-            for start in (node - stride for stride in self.strides if node - stride >= self.root):
-                reached = product[start]
-                if self._stable[start, node]:
-                    reached = np.full(len(counts), -np.inf)
-                    reached[1:] = product[start, :-1] + self._logs[start, node]
-                better = reached > product[node]
-                product[node, better] = reached[better]
-                before[node, better] = start
-        ends = np.arange(max(self.root, self.leaf - shortest + 1), self.leaf + 1)
-        scores = _scores(counts, product[ends], score)
-        if not self._root_counts:
-            scores[:, 0] = -np.inf
-        end, edges = (int(i) for i in np.unravel_index(np.argmax(scores), scores.shape))
-        if scores[end, edges] == -np.inf:
-            return NOTHING
-        points = self._trace(before, int(ends[end]), edges)
-        return SectionSet(points, edges, float(scores[end, edges]))
+        indices = np.zeros((len(self.strides), len(self.indices)))
+        for row, stride in zip(indices, self.strides, strict=True):
+            row[stride:] = np.diagonal(self.indices, stride)
+        edges = SectionEdges.of(indices, self.usable, self.threshold, self.strides)
+        return best_branch(edges, self.first, self.last, score)
 
     @cached_property
     def _stable(self) -> NDArray[np.bool_]:
@@ -176,18 +186,38 @@ class SectionTree:
     def _root_counts(self) -> bool:
         return self.root > 0 and bool(self.usable[self.root - 1])
 
-    def _trace(self, before: NDArray[np.intp], node: int, edges: int) -> tuple[int, ...]:
-        """Points of the way to a node on which a number of edges is left."""
-        points = []
-        while node != self.root:
-            start = int(before[node, edges])
-            if self._stable[start, node]:
-                points.append(node - 1)
-                edges -= 1
-            node = start
-        if self._root_counts:
-            points.append(self.root - 1)
-        return tuple(reversed(points))
+
+def best_branch(edges: SectionEdges, first: int, last: int, score: SectionScore) -> SectionSet:
+    """The set with the largest score over all branches over a region.
+
+    The score depends on how many edges are left and on the product of their indices. Of all ways to a node
+    on which as many edges are left, only that with the largest product can be part of the best branch:
+    O(m^2) ways for m points.
+
+    Args:
+        edges: the sections.
+        first: first control point of the region, 0-based.
+        last: last control point of the region, 0-based.
+        score: see `SectionTree.pruned`.
+
+    Returns:
+        The best set; an empty one if Algorithm 2 leaves no branch a point.
+    """
+    root, leaf, path = _root(first), last + 1, np.empty(last + 2, dtype=np.int64)
+    root_counts = root > 0 and bool(edges.usable[root - 1])
+    bonus = np.log(np.arange((leaf - root) // int(edges.strides[0]) + 2) + 1.0)
+    if not root_counts:
+        bonus[0] = -np.inf
+    given = edges.strides, edges.stable, edges.logs, bonus, score == "geometric"
+    left, found = kernels.best_branch(root, leaf, *given, path)
+    if found == -np.inf:
+        return NOTHING
+    points = [root - 1] * root_counts + (path[:left][::-1] - 1).tolist()
+    return SectionSet(tuple(points), left, found)
+
+
+def _root(first: int) -> int:
+    return 0 if first == 0 else first + 1
 
 
 def checked_strides(strides: Sequence[int]) -> tuple[int, ...]:

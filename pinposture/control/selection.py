@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture import kernels
 from pinposture.arm import Arm, ArmState
-from pinposture.control.candidates import active_set
+from pinposture.arm.screws import Screws, constants_of, screws_of
+from pinposture.control.candidates import base_indices, best_set
 from pinposture.control.checks import require_positive, require_share
-from pinposture.control.controller import Diagnostics, Memory, Step, stack_rows, task_errors
-from pinposture.control.gradient import descent
+from pinposture.control.controller import Diagnostics, Memory, Step
+from pinposture.control.gradient import aligned_errors, descent
 from pinposture.control.limits import Limits
-from pinposture.control.section_index import section_indices
-from pinposture.control.sections import SectionScore, SectionTree, checked_strides
-from pinposture.control.solve import Decomposition, decompose, pseudo_inverse_step
+from pinposture.control.posture_matrix import FULL, PostureMatrix, Rows
+from pinposture.control.section_index import section_edges
+from pinposture.control.sections import SectionScore, best_branch, checked_strides
 from pinposture.errors import UnknownName
 from pinposture.target import Target
 
 Array = NDArray[np.float64]
+
+COUNTED = 50
+"""How many modules of an arm count as its length where its conditioning is judged."""
 
 SCORES = ("auto", "error", "geometric", "thesis")
 
@@ -39,7 +43,8 @@ class Selection:
         relative: the index of each active point relative to the one before it exceeds this. In a tree of
             sections, that of the section into each point does, relative to the best it can have.
         conditioning: smallest singular value that the posture control matrix must have, relative to the
-            arm length [1/rad]. Points are dropped until it does: full rank is not yet good conditioning.
+            arm length [1/rad], of which 50 modules count at most: it does not grow with the number of
+            modules. Points are dropped until it does: full rank is not yet good conditioning.
         gain: share of its error that an active point is asked to cover in one step (K).
         null_gain: weight of the null-space term (alpha, positive for descent); see `control.gradient`.
         score: which control sets there are, and which of them is taken:
@@ -82,70 +87,76 @@ class Selection:
         """Compute one step; see `Controller.step`. Without a candidate set it stands still and says so."""
         limits = Limits() if limits is None else limits
         previous = memory.dq if memory is not None else None
-        errors = task_errors(state, target)
-        distances = np.linalg.norm(errors, axis=1)
-        indices = state.manipulability()
-        chosen = self._chosen(state, target, distances)
-        active, matrix = self._conditioned(state, chosen)
-        dropped = tuple(k for k in chosen if k not in active)
+        arm, screws, placed = state.arm, screws_of(state), target.placed
+        errors = aligned_errors(state, target, placed)
+        distances = np.sqrt(np.einsum("ij,ij->i", errors, errors))
+        base = base_indices(arm, screws, self.absolute)
+        chosen = self._chosen(arm, screws, placed, distances, base)
+        active, matrix = self._conditioned(arm, screws, chosen)
         if matrix is None:
-            held, reason = limits.hold(state, previous), self._why_none(indices, chosen, target)
-            none = Diagnostics(0.0, 0.0, 0.0, 0, dropped, held.scale, held.clipped, reason)
+            held, reason = limits.hold(state, previous), self._why_none(base, chosen, placed)
+            none = Diagnostics(0.0, 0.0, 0.0, 0, tuple(chosen.tolist()), held.scale, held.clipped, reason)
             return Step(held.dq, (), none, Memory(held.dq))
-        gradient = self.null_gain * descent(state, errors, distances)
-        asked = pseudo_inverse_step(matrix, self.gain * errors[list(active)].ravel(), gradient)
-        arm = state.arm  # joints off the chain have zero columns, and singular vectors round zero
-        limited = limits.apply(state, asked * arm.joint_units * arm.moved, previous)
+        gradient = self.null_gain * descent(arm, screws, errors, distances)
+        asked = matrix.step(arm, self.gain * errors[active], gradient)
+        limited = limits.apply(state, asked, previous)
+        kept = tuple(active.tolist())
         diagnostics = Diagnostics(
-            manipulability=float(min(indices[s, i] for s, i in _neighbours(active))),
-            sigma_min=float(matrix.sigma[-1]),
-            sigma_max=float(matrix.sigma[0]),
-            rows=len(matrix.sigma),
-            dropped=dropped,
+            manipulability=kernels.weakest_index(*screws, constants_of(arm).plane, active, base),
+            sigma_min=matrix,
+            sigma_max=matrix,
+            rows=matrix.size,
+            dropped=tuple(k for k in chosen.tolist() if k not in kept) if len(kept) < len(chosen) else (),
             scale=limited.scale,
             clipped=limited.clipped,
             reason="",
         )
-        return Step(limited.dq, active, diagnostics, Memory(limited.dq))
+        return Step(limited.dq, kept, diagnostics, Memory(limited.dq))
 
-    def _chosen(self, state: ArmState, target: Target, distances: Array) -> tuple[int, ...]:
+    def _chosen(
+        self, arm: Arm, screws: Screws, placed: NDArray[np.bool_], distances: Array, base: Array
+    ) -> NDArray[np.int64]:
         """The control set with the largest score; empty if there is none."""
-        indices = state.manipulability()
-        region = np.flatnonzero(target.placed)
-        score = self._section_score(state.arm, region)
+        usable, region = (base > self.absolute) & placed, np.flatnonzero(placed)
+        score = self._section_score(arm, region)
         if score is None or not len(region):
-            return active_set(indices, distances, self.absolute, self.relative, target.placed)
-        usable = (indices[0, 1:] > self.absolute) & target.placed
-        ends = int(region[0]), int(region[-1])
-        compared = section_indices(state, self.strides)
-        return SectionTree(compared, usable, self.relative, *ends, self.strides).best(score).points
+            return best_set(arm, screws, usable, distances, self.relative)
+        edges = section_edges(arm, screws, usable, self.relative, self.strides)
+        points = best_branch(edges, int(region[0]), int(region[-1]), score).points
+        return np.array(points, dtype=np.int64)
 
     def _section_score(self, arm: Arm, region: NDArray[np.intp]) -> SectionScore | None:
         """How branches of the tree of sections are scored; None if the sets are not taken from it."""
         if self.score == "auto":
             planar = arm.dimension == 2 and len(arm.columns) == arm.n_modules
-            return "geometric" if planar and np.all(np.diff(region) == 1) else None
+            unbroken = planar and len(region) and region[-1] - region[0] == len(region) - 1
+            return "geometric" if unbroken else None
         return None if self.score == "error" else self.score
 
     def _conditioned(
-        self, state: ArmState, chosen: tuple[int, ...]
-    ) -> tuple[tuple[int, ...], Decomposition | None]:
+        self, arm: Arm, screws: Screws, chosen: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], PostureMatrix | None]:
         """Drop points until the posture control matrix is far enough from singular."""
-        active = list(chosen)
-        while active:
-            matrix = decompose(stack_rows(state.task_jacobians[active]))
-            if matrix.sigma[-1] > self.conditioning * state.arm.length:
-                return tuple(active), matrix
+        active, least, known = chosen, self.conditioning * _counted(arm), constants_of(arm)
+        while len(active):
+            count = len(active)
+            rows = Rows(active, known.dimensions[:count], known.frames[:count], FULL)
+            matrix = PostureMatrix(screws, rows)
+            # The singular value is no smaller than this bound. Mostly that is enough to know.
+            if matrix.inverse_norm() * least < 1.0:
+                return active, matrix
             # The rows that make the matrix nearly singular are those of its last left singular vector.
-            blame = np.linalg.norm(matrix.left[:, -1].reshape(len(active), -1), axis=1)
-            del active[int(np.argmax(blame))]
-        return (), None
+            smallest, blame = matrix.weakest()
+            if smallest > least:
+                return active, matrix
+            active = np.delete(active, int(np.argmax(blame)))
+        return active, None
 
-    def _why_none(self, indices: Array, chosen: tuple[int, ...], target: Target) -> str:
-        if chosen:
+    def _why_none(self, base: Array, chosen: NDArray[np.int64], placed: NDArray[np.bool_]) -> str:
+        if len(chosen):
             kept = f"conditioning = {self.conditioning:g} of the arm length"
             return f"no control point keeps the smallest singular value of its own Jacobian above {kept}"
-        best = float(np.max(indices[0, 1:], where=target.placed, initial=0.0))
+        best = float(np.max(base, where=placed, initial=0.0))
         if best > self.absolute:
             modules = " or ".join(map(str, self.strides))
             return (
@@ -159,7 +170,6 @@ class Selection:
         )
 
 
-def _neighbours(active: tuple[int, ...]) -> list[tuple[int, int]]:
-    """Entries of the index matrix that concern an active set: to the base, and to the point before."""
-    absolute = [(0, k + 1) for k in active]
-    return absolute + [(s + 1, i + 1) for s, i in pairwise(active)]
+def _counted(arm: Arm) -> float:
+    """The length of an arm as far as it counts for its conditioning [m]."""
+    return arm.length * min(1.0, COUNTED / arm.n_modules)

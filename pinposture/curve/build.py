@@ -7,9 +7,9 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import BSpline, make_interp_spline
+from scipy.interpolate import make_interp_spline
 
-from pinposture.curve.bspline import MAX_DEGREE
+from pinposture.curve.bspline import MAX_DEGREE, Parts
 from pinposture.curve.checks import as_count, as_flag, as_number, as_points, as_vector, check_distinct
 from pinposture.errors import CurveError, InvalidValue
 
@@ -29,12 +29,13 @@ def clamped_uniform_knots(n: int, degree: int) -> NDArray[np.float64]:
     return np.concatenate([np.zeros(degree), inner, np.ones(degree)])
 
 
-def interpolating(points: NDArray[np.float64], degree: int) -> BSpline:
+def interpolating(points: NDArray[np.float64], degree: int) -> Parts:
     """Spline through `points` (n, 3) at chord-length parameters; for even degrees the knots lie midway."""
-    return make_interp_spline(chord_parameters(points), points, k=degree)
+    spline = make_interp_spline(chord_parameters(points), points, k=degree)
+    return Parts(spline.t, spline.c, degree)
 
 
-def spline(control_points: ArrayLike, degree: int, through: bool) -> BSpline:
+def spline(control_points: ArrayLike, degree: int, through: bool) -> Parts:
     """See `Curve.spline`."""
     k = as_count("degree", degree, 1, MAX_DEGREE)
     points = as_points(control_points, least=2)
@@ -43,14 +44,14 @@ def spline(control_points: ArrayLike, degree: int, through: bool) -> BSpline:
     check_distinct(points)
     if as_flag("through", through):
         return interpolating(points, k)
-    return BSpline(clamped_uniform_knots(len(points), k), points, k)
+    return Parts(clamped_uniform_knots(len(points), k), points, k)
 
 
-def line(a: ArrayLike, b: ArrayLike) -> BSpline:
+def line(a: ArrayLike, b: ArrayLike) -> Parts:
     """See `Curve.line`."""
     ends = np.stack([as_vector("a", a), as_vector("b", b)])
     check_distinct(ends, ("a", "b").__getitem__)
-    return BSpline(clamped_uniform_knots(2, 1), ends, 1)
+    return Parts(clamped_uniform_knots(2, 1), ends, 1)
 
 
 def helix(
@@ -62,7 +63,7 @@ def helix(
     center: ArrayLike,
     phase: float,
     handedness: Literal["right", "left"],
-) -> BSpline:
+) -> Parts:
     """See `Curve.helix`."""
     r = as_number("radius", radius, "a length from 1e-6 to 1e9 m", lambda x: 1e-6 <= x <= 1e9)
     rise = as_number("pitch", pitch, "0 m (a circle) or a length up to 1e6 m", lambda x: 0 <= x <= 1e6)
@@ -85,7 +86,7 @@ def helix(
     angle = (begin + 2 * math.pi * n_turns * share)[:, None]
     around = np.cos(angle) * zero + np.sin(angle) * quarter
     rising = (rise * n_turns * share)[:, None] * along
-    return BSpline(knots, as_vector("center", center) + wider * around + rising, 5)
+    return Parts(knots, as_vector("center", center) + wider * around + rising, 5)
 
 
 def _frame(

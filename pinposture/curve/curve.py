@@ -9,10 +9,9 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import BSpline
 
 from pinposture.curve import build, fit
-from pinposture.curve.bspline import trim
+from pinposture.curve.bspline import Parts, trim
 from pinposture.curve.checks import as_number, as_vector
 from pinposture.curve.describe import read_call
 from pinposture.curve.files import read_description, write_json
@@ -31,8 +30,8 @@ class Curve(Geometry):
     """
 
     @classmethod
-    def _of(cls, spline: BSpline) -> Curve:
-        return cls(spline.t, spline.c, spline.k)
+    def _of(cls, parts: Parts) -> Curve:
+        return cls(*parts)
 
     @classmethod
     def spline(cls, control_points: ArrayLike, degree: int = 3, through: bool = False) -> Curve:
@@ -201,12 +200,11 @@ class Curve(Geometry):
         except (TypeError, ValueError):
             turn = np.empty(0)
         # A NaN compares false, so it is refused here too.
-        if turn.shape != (3, 3) or not (
-            np.abs(turn @ turn.T - np.eye(3)).max() < 1e-6 and np.linalg.det(turn) > 0
-        ):
+        stretch = float(np.abs(turn @ turn.T - np.eye(3)).max()) if turn.shape == (3, 3) else np.inf
+        if not (stretch < 1e-6 and np.linalg.det(turn) > 0):
             raise InvalidValue("rotation", rotation, "a (3, 3) rotation matrix: orthonormal, determinant +1")
         shifted = self.coefficients @ turn.T + as_vector("translation", translation)
-        return type(self)(self.knots, shifted, self.degree)
+        return self._with_coefficients(shifted, stretch)
 
     def reversed(self) -> Curve:
         """Give the same curve run from its end to its start."""

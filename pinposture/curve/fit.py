@@ -11,6 +11,7 @@ from scipy.linalg import solveh_banded
 from scipy.optimize import brentq
 from scipy.sparse import csr_array, diags_array, eye_array
 
+from pinposture.curve.bspline import Parts
 from pinposture.curve.build import chord_parameters, clamped_uniform_knots, interpolating
 from pinposture.curve.checks import as_number, as_points, check_distinct
 
@@ -18,7 +19,7 @@ _CUBIC = 3
 _PENALISED = 3  # order of the derivative that smoothing keeps small; the second would flatten the ends
 
 
-def points(xyz: ArrayLike, smoothing: float) -> BSpline:
+def points(xyz: ArrayLike, smoothing: float) -> Parts:
     """See `Curve.points`."""
     data = as_points(xyz)
     allowed = "an RMS distance of 0 m (through the points) up to 1e9 m"
@@ -70,12 +71,12 @@ class _Fit:
         rest = self.data - self.basis @ self.coefficients(weight)
         return math.sqrt(float((rest**2).sum(axis=1).mean()))
 
-    def smoothest(self, distance: float) -> BSpline:
+    def smoothest(self, distance: float) -> Parts:
         """The fit with the largest penalty that keeps within `distance` [m]."""
         weight = self.most
         if self.rms(weight) > distance:
             weight = brentq(lambda w: self.rms(w) - distance, self.least, self.most, xtol=1e-6)
-        return BSpline(self.knots, self.coefficients(weight), _CUBIC)
+        return Parts(self.knots, self.coefficients(weight), _CUBIC)
 
 
 def _upper_bands(matrix: csr_array) -> NDArray[np.float64]:

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, overload
+from typing import Any, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import BSpline
 
-from pinposture.curve.arclength import ArcLength
-from pinposture.curve.bspline import breaks, derivative, make_bspline, speed
-from pinposture.curve.checks import as_count, as_points
+from pinposture.curve.arclength import TAIL, ArcLength, rounding
+from pinposture.curve.bspline import Spline, make_spline
+from pinposture.curve.checks import LARGEST, as_count, as_points
 from pinposture.curve.nearest import Nearest, nearest
 from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
+Made = TypeVar("Made", bound="Geometry")
 Lengths = Sequence[float] | NDArray[Any]
 
 _ROUNDING = 1e-9  # of the length: how far beyond the ends an arc length is still taken for the end
@@ -47,24 +47,39 @@ class Geometry:
     knots: Array
     coefficients: Array
     degree: int
-    _spline: BSpline = field(init=False)
+    _spline: Spline = field(init=False)
     _arc: ArcLength = field(init=False)
 
     def __post_init__(self) -> None:
-        spline = make_bspline(self.knots, self.coefficients, self.degree)
-        rounding = 64 * np.finfo(float).eps * float(np.abs(spline.c).max())
-        arc = ArcLength.of(lambda u: speed(spline, u), breaks(spline), rounding)
-        knots, coefficients = spline.t.copy(), spline.c.copy()
+        spline = make_spline(self.knots, self.coefficients, self.degree)
+        self._settle(spline, ArcLength.of(spline))
+
+    def _settle(self, spline: Spline, arc: ArcLength) -> None:
+        knots, coefficients = spline.knots.view(), spline.table[0].view()
         knots.flags.writeable = coefficients.flags.writeable = False
         values = {
             "knots": knots,
             "coefficients": coefficients,
-            "degree": spline.k,
+            "degree": spline.degree,
             "_spline": spline,
             "_arc": arc,
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
+
+    def _with_coefficients(self: Made, coefficients: Array, stretch: float) -> Made:
+        """The same curve after a motion that is rigid but for a relative stretch.
+
+        If that and the rounding of its coordinates are below what its length was measured to, that stays.
+        """
+        extent = np.abs(coefficients).max()
+        if not (
+            extent <= LARGEST and max(stretch * self.length, rounding(coefficients)) <= TAIL * self.length
+        ):
+            return type(self)(self.knots, coefficients, self.degree)
+        moved = object.__new__(type(self))
+        moved._settle(self._spline.with_coefficients(coefficients), self._arc)
+        return moved
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Built anew, because unpickled arrays would be writeable.
@@ -88,7 +103,7 @@ class Geometry:
         places = np.stack([self.start, self.end])
         places[np.abs(places) < _ROUNDING * self.length] = 0
         begin, end = (", ".join(f"{x:.4g}" for x in place) for place in places)
-        spans = len(breaks(self._spline)) - 1
+        spans = len(self._spline.breaks) - 1
         return (
             f"{type(self).__name__}(length {self.length:.6g} m, from ({begin}) to ({end}), "
             f"degree {self.degree}, {spans} span{'s' * (spans != 1)})"
@@ -98,6 +113,15 @@ class Geometry:
     def length(self) -> float:
         """Arc length from start to end [m]."""
         return self._arc.total
+
+    @property
+    def measured(self) -> tuple[Array, Array, int, Array, Array, Array]:
+        """The curve as kernels want it: knots, table, degree; edges, lengths, series.
+
+        See `kernels.spline_coefficients` and `kernels.measure_length`. Not to be written to.
+        """
+        spline, arc = self._spline, self._arc
+        return spline.knots, spline.table, spline.degree, arc.edges, arc.lengths, arc.series
 
     @property
     def start(self) -> Array:
@@ -120,12 +144,12 @@ class Geometry:
     def at(self, s: float | Lengths) -> Array:
         """Places, shape (n, 3) or (3,) [m], at the arc lengths `s` [m]."""
         u, shape = self._parameter(s)
-        return _shaped(self._spline(u), shape)
+        return _shaped(self._spline.values(u), shape)
 
     def tangent(self, s: float | Lengths) -> Array:
         """Unit tangents, shape (n, 3) or (3,), towards the end, at the arc lengths `s` [m]."""
         u, shape = self._parameter(s)
-        velocity = derivative(self._spline, u, 1)
+        velocity = self._spline.values(u, 1)
         return _shaped(velocity / np.linalg.norm(velocity, axis=1)[:, None], shape)
 
     @overload
@@ -152,7 +176,7 @@ class Geometry:
         bending, v = self._bending(u)
         square = np.einsum("ni,ni->n", bending, bending)
         bent = np.sqrt(square) * self.length > _STRAIGHT * v**3
-        volume = np.einsum("ni,ni->n", bending, derivative(self._spline, u, 3))
+        volume = np.einsum("ni,ni->n", bending, self._spline.values(u, 3))
         torsion = np.divide(volume, square, out=np.zeros_like(v), where=bent & (self.dimension == 3))
         return _scalar(torsion, shape)
 
@@ -182,25 +206,30 @@ class Geometry:
 
     def _parameter(self, s: ArrayLike) -> tuple[Array, tuple[int, ...]]:
         """Parameters (n,) of the spline at arc lengths, and the shape of these."""
-        allowed = f"arc lengths from 0 to {self.length:.10g} m, one or an array of shape (n,)"
+        slack = _ROUNDING * self.length
+        if type(s) is float and -slack <= s <= self.length + slack:
+            return self._arc.parameter(np.array([min(max(s, 0.0), self.length)])), ()
         try:
             values = np.asarray(s)
         except ValueError:
-            raise InvalidValue("s", s, allowed) from None
+            raise self._refused("s", s) from None
         if values.dtype.kind not in "iuf" or values.ndim > 1:
-            raise InvalidValue("s", s, allowed)
-        slack = _ROUNDING * self.length
-        outside = ~((values >= -slack) & (values <= self.length + slack))  # true for NaN too
-        if outside.any():
-            i = int(np.flatnonzero(outside)[0])
-            raise InvalidValue("s" if values.ndim == 0 else f"s[{i}]", float(values.flat[i]), allowed)
-        clipped = np.clip(np.atleast_1d(values).astype(float), 0.0, self.length)
-        return self._arc.parameter(clipped), values.shape
+            raise self._refused("s", s)
+        inside = (values >= -slack) & (values <= self.length + slack)  # false for NaN
+        if not inside.all():
+            i = int(np.flatnonzero(~inside)[0])
+            raise self._refused("s" if values.ndim == 0 else f"s[{i}]", float(values.flat[i]))
+        clipped = np.minimum(np.maximum(np.atleast_1d(values), 0.0), self.length)
+        return self._arc.parameter(clipped.astype(float)), values.shape
+
+    def _refused(self, name: str, value: object) -> InvalidValue:
+        allowed = f"arc lengths from 0 to {self.length:.10g} m, one or an array of shape (n,)"
+        return InvalidValue(name, value, allowed)
 
     def _bending(self, u: Array) -> tuple[Array, Array]:
         """First cross second derivative (n, 3), and the speed (n,)."""
-        velocity = derivative(self._spline, u, 1)
-        return np.cross(velocity, derivative(self._spline, u, 2)), np.linalg.norm(velocity, axis=1)
+        velocity = self._spline.values(u, 1)
+        return np.cross(velocity, self._spline.values(u, 2)), np.linalg.norm(velocity, axis=1)
 
 
 def _shaped(places: Array, shape: tuple[int, ...]) -> Array:

@@ -2,7 +2,7 @@
 
 Numba compiles a kernel when it is first called with arguments of its kind, and keeps the machine code beside
 the source, or in the user's cache where it may not write there. That happens once for an installation; to
-have it done ahead: `python -m pinposture.kernels`.
+have it done ahead: `pinposture compile`.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ Function = TypeVar("Function", bound=Callable[..., object])
 
 logger = logging.getLogger(__name__)
 
+_NEWS = "compiling for this machine, once: first runs take longer; `pinposture compile` does all of it now"
+
 
 def compiled(function: Function) -> Function:
     """Compile a function that works on arrays and numbers alone; it runs without holding the GIL.
@@ -33,6 +35,11 @@ def compiled(function: Function) -> Function:
     # Machine code contains the kernels that it calls, and numba looks at the file of the caller alone.
     made._cache._cache_file._source_stamp = _stamp()
     return cast(Function, made)
+
+
+def is_ready(kernel: Any) -> bool:
+    """Whether a kernel is compiled, in this process or where the results are kept."""
+    return bool(kernel.signatures) or bool(kernel._cache._cache_file._load_index())
 
 
 @cache
@@ -55,7 +62,7 @@ class _Announcement(event.Listener):
         ours = getattr(getattr(dispatcher, "py_func", None), "__module__", "").startswith("pinposture.")
         if ours and not self._told:
             self._told = True
-            logger.warning("compiling kernels for this machine, once: the first runs take longer")
+            logger.warning(_NEWS)
 
     def on_end(self, event: event.Event) -> None:
         """It is compiled."""

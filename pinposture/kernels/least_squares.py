@@ -5,12 +5,12 @@ The unknowns are the motions x of the joints. Point k moves by v_k, its body tur
     sum over k of  W_k |v_k - e_k|^2 + C_k |v_k - v_{k-1} - (e_k - e_{k-1})|^2
     + sum over u of  D_u (x_u - z_u)^2
 
-is to be least. A chain makes this an optimal control problem with the joint for time: the state is (v, w) at a
-point, and joint u adds (a x (p - o), a) x_u to it. What all farther joints can do about a state is a quadratic
-function of it, found from the tip to the base (a Riccati recursion, with the state before a module, the
-displacement since then and the turning w side by side, because chords ask for the displacement). The motions
-then follow from the base to the tip. Both passes are linear in the number of joints. Velocities are taken at the
-points themselves, one after the other: at a common origin far away they would cancel.
+is to be least. A chain makes this an optimal control problem with the joint for time: the state is (v, w) at
+a point, and joint u adds (a x (p - o), a) x_u to it. What all farther joints can do about a state is a
+quadratic function of it, found from the tip to the base (a Riccati recursion, with the state before a
+module, the displacement since then and the turning w side by side, because chords ask for the displacement).
+The motions then follow from the base to the tip. Both passes are linear in the number of joints. Velocities
+are taken at the points themselves, one after the other: at a common origin far away they would cancel.
 
 Joints may be held: they keep their x, and the others make the best of it.
 """
@@ -112,19 +112,41 @@ def factored(
         for u in range(ends[k] - 1, first - 1, -1):
             b0, b1, b2, b3, b4, b5 = b[u, 0], b[u, 1], b[u, 2], b[u, 3], b[u, 4], b[u, 5]
             g = gains[u]
-            for i in range(9):
-                g[i] = P[i, 3] * b0 + P[i, 4] * b1 + P[i, 5] * b2 + P[i, 6] * b3 + P[i, 7] * b4 + P[i, 8] * b5
+            for i in range(3, 9):
+                moved = P[i, 3] * b0 + P[i, 4] * b1 + P[i, 5] * b2
+                g[i] = moved + P[i, 6] * b3 + P[i, 7] * b4 + P[i, 8] * b5
+            if chords[k] > 0.0:
+                for i in range(3):
+                    moved = P[i, 3] * b0 + P[i, 4] * b1 + P[i, 5] * b2
+                    g[i] = moved + P[i, 6] * b3 + P[i, 7] * b4 + P[i, 8] * b5
+            else:  # who asks for no chord cannot tell the displacement from v before
+                for i in range(3):
+                    g[i] = g[3 + i]
             if held[u]:
                 continue
             inverse = 1.0 / (
                 damping[u] + b0 * g[3] + b1 * g[4] + b2 * g[5] + b3 * g[6] + b4 * g[7] + b5 * g[8]
             )
             g[10] = inverse
-            for i in range(9):
+            for i in range(3, 9):
                 scaled = g[i] * inverse
                 for j in range(i, 9):
                     P[i, j] -= scaled * g[j]
                     P[j, i] = P[i, j]
+            if chords[k] > 0.0:
+                for i in range(3):
+                    scaled = g[i] * inverse
+                    for j in range(i, 9):
+                        P[i, j] -= scaled * g[j]
+                        P[j, i] = P[i, j]
+        if chords[k] == 0.0:
+            for i in range(3):
+                for j in range(9):
+                    P[i, j] = P[3 + i, j]
+                    P[j, i] = P[3 + i, j]
+            for i in range(3):
+                for j in range(3):
+                    P[i, j] = P[3 + i, 3 + j]
         if k:
             _before(P, turned, points[k], points[k - 1])
 
@@ -292,3 +314,86 @@ def slope_of(
             r2 = points[k, 2] - points[k - 1, 2]
             t0, t1, t2 = t0 + r1 * g2 - r2 * g1, t1 + r2 * g0 - r0 * g2, t2 + r0 * g1 - r1 * g0
     return 0.5 * total
+
+
+@compiled
+def misses(
+    points: Array, targets: Array, weights: Array, chords: Array, normal: Array, errors: Array
+) -> float:
+    """Errors of points, and the weighted sum of their squares and of those of their chords.
+
+    Args:
+        points: the points, (m, 3).
+        targets: where they should be, (m, 3).
+        weights: W, (m,).
+        chords: C, (m,).
+        normal: a direction in which nothing can move and errors do not count, (3,); zero if there is none.
+        errors: filled with e, (m, 3).
+    """
+    total = 0.0
+    for k in range(len(points)):
+        across = 0.0
+        for j in range(3):
+            errors[k, j] = targets[k, j] - points[k, j]
+            across += errors[k, j] * normal[j]
+        for j in range(3):
+            errors[k, j] -= across * normal[j]
+            before = errors[k - 1, j] if k else 0.0
+            total += weights[k] * errors[k, j] ** 2 + chords[k] * (errors[k, j] - before) ** 2
+    return total
+
+
+@compiled
+def stiffness(b: Array, ends: Whole, points: Array, weights: Array, chords: Array) -> float:
+    """Mean over the joints of what one unit of their motion, alone, adds to the sum by points and chords."""
+    m = len(ends)
+    total, whole = 0.0, 0.0
+    first_moment, second, of_chords = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
+    r = np.zeros(3)
+    for k in range(m - 1, -1, -1):
+        whole += weights[k]
+        for u in range(ends[k - 1] if k else 0, ends[k]):
+            v, a = b[u, :3], b[u, 3:]
+            squared = v[0] ** 2 + v[1] ** 2 + v[2] ** 2
+            total += (whole + chords[k]) * squared
+            total += 2.0 * (
+                v[0] * (a[1] * first_moment[2] - a[2] * first_moment[1])
+                + v[1] * (a[2] * first_moment[0] - a[0] * first_moment[2])
+                + v[2] * (a[0] * first_moment[1] - a[1] * first_moment[0])
+            )
+            for i in range(3):
+                for j in range(3):
+                    total += a[i] * (second[i, j] + of_chords[i, j]) * a[j]
+        if k:  # moments about the point before
+            inner, along = 0.0, 0.0
+            for i in range(3):
+                r[i] = points[k, i] - points[k - 1, i]
+                inner += r[i] * r[i]
+                along += r[i] * first_moment[i]
+            for i in range(3):
+                for j in range(3):
+                    outer = r[i] * r[j]
+                    own = inner if i == j else 0.0
+                    mixed = 2.0 * along if i == j else 0.0
+                    mixed -= r[i] * first_moment[j] + first_moment[i] * r[j]
+                    second[i, j] += mixed + whole * (own - outer)
+                    of_chords[i, j] += chords[k] * (own - outer)
+            for i in range(3):
+                first_moment[i] += whole * r[i]
+    return total / max(len(b), 1)
+
+
+@compiled
+def motions(b: Array, ends: Whole, points: Array, x: Array, filled: Array) -> None:
+    """How motions x of the joints move the points: fills v, (m, 3)."""
+    v0, v1, v2, w0, w1, w2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(len(ends)):
+        if k:
+            r0 = points[k, 0] - points[k - 1, 0]
+            r1 = points[k, 1] - points[k - 1, 1]
+            r2 = points[k, 2] - points[k - 1, 2]
+            v0, v1, v2 = v0 + w1 * r2 - w2 * r1, v1 + w2 * r0 - w0 * r2, v2 + w0 * r1 - w1 * r0
+        for u in range(ends[k - 1] if k else 0, ends[k]):
+            v0, v1, v2 = v0 + b[u, 0] * x[u], v1 + b[u, 1] * x[u], v2 + b[u, 2] * x[u]
+            w0, w1, w2 = w0 + b[u, 3] * x[u], w1 + b[u, 4] * x[u], w2 + b[u, 5] * x[u]
+        filled[k, 0], filled[k, 1], filled[k, 2] = v0, v1, v2

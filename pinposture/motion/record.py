@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ArmState
-from pinposture.control import Controller, Limits, Step
+from pinposture.control import Controller, Diagnostics, Limits, Step
 from pinposture.motion.trajectory import Trajectory
 from pinposture.scene import Scene
 from pinposture.target import Target
@@ -58,7 +58,7 @@ class Recorder:
             step: the step.
             travel: joint travel that the limits allowed in it [rad].
         """
-        self._steps.append(step)
+        self._steps.append(step._replace(diagnostics=_settled(step.diagnostics)))
         if not step.diagnostics.on_way:  # else the arm is not stuck
             self._idle += travel
         self._q.append(state.q)
@@ -108,3 +108,8 @@ class Recorder:
             clearance=np.array(self._distances),
             scene=self._scene,
         )
+
+
+def _settled(note: Diagnostics) -> Diagnostics:
+    """The same with its singular values as numbers, which need no state to be kept."""
+    return note._replace(sigma_min=note.sigma_min, sigma_max=note.sigma_max)

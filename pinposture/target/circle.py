@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import atan2, cos, sin
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+
+from pinposture import kernels
 
 Array = NDArray[np.float64]
 
@@ -30,13 +32,14 @@ class Circle:
 
     def forward(self, q: Array) -> tuple[Array, Array]:
         """FK: position (3,) [m] and orientation (3, 3) of the end at the hinge angle q, (1,) [rad]."""
-        c, s = cos(q[0]), sin(q[0])
-        return np.array([self.link * c, 0.0, -self.link * s]), np.array([[c, 0, s], [0, 1.0, 0], [-s, 0, c]])
+        end = kernels.circle_forward(self.link, float(q[0]))
+        return np.array(end[:3]), np.array(end[3:]).reshape(3, 3)
 
     def inverse(self, p: Array) -> list[Array]:
         """IK: the hinge angle (1,) [rad] that puts the end at p, (3,) [m]; empty if p is off the circle."""
-        q = np.array([atan2(-p[2], p[0])])
-        return [q] if np.abs(self.forward(q)[0] - p).max() < 1e-6 * self.link else []
+        out = np.empty((2, 2))
+        x, y, z = map(float, p)
+        return list(out[: kernels.circle_inverse(self.link, x, y, z, out), :1])
 
     def faces(self, p: Array) -> bool:
         """Always True: the circle has no inner part."""
@@ -52,12 +55,7 @@ class Circle:
             Segment index i and t in (0, 1] of each crossing of the sphere around the base, in order. The
             crossing is on the circle if the polyline lies in the plane of the module; `inverse` tells.
         """
-        a, d = points[:-1], np.diff(points, axis=0)
-        aa, ad, dd = (np.einsum("ij,ij->i", u, v) for u, v in ((a, a), (a, d), (d, d)))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            half = np.sqrt(ad**2 - dd * (aa - self.link**2))
-            roots = np.stack([(-ad - half) / dd, (-ad + half) / dd])
-        for i in np.flatnonzero(np.any((roots > 0.0) & (roots <= 1.0 + 1e-9), axis=0)):
-            for t in roots[:, i]:
-                if 1e-9 < t <= 1.0 + 1e-9:
-                    yield int(i), min(float(t), 1.0)
+        out = np.empty(4)
+        for i, (a, b) in enumerate(pairwise(np.asarray(points, dtype=float).tolist())):
+            for t in out[: kernels.circle_crossings(self.link, tuple(a), tuple(b), out)]:
+                yield i, float(t)

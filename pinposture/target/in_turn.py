@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture import kernels
 from pinposture.arm import Arm
 from pinposture.errors import UnsupportedModule
-from pinposture.target.modules import Unit, arm_units
-from pinposture.target.placement import ROUNDING
+from pinposture.target.modules import layout
 
 Array = NDArray[np.float64]
 
@@ -34,41 +32,16 @@ def exact_positions(arm: Arm, points: Array) -> Array | None:
         were measured, or if modules have no closed form or several solvers each.
     """
     try:
-        units = arm_units(arm.chain)
+        units, shapes = layout(arm.chain)
     except UnsupportedModule:
         return None
     if len(units) != arm.n_modules:
         return None
-    starts = np.vstack([arm.chain.base, points[:-1]])
-    found: list[Array] = []
-    turns = [np.eye(3)]
-    waiting = [_solutions(arm, units[0], turns[0], points[0] - starts[0])]
-    for _ in range(MOST_TRIED * len(units)):
-        q = next(waiting[-1], None)
-        if q is None:  # none is left here: another one for the module before
-            waiting.pop()
-            turns.pop()
-            if not found:
-                return None
-            found.pop()
-            continue
-        unit = units[len(found)]
-        found.append(q)
-        if len(found) == len(units):
-            positions = np.zeros(arm.nv)
-            positions[arm.columns] = np.concatenate(found)
-            return positions
-        frame = turns[-1] @ unit.frame
-        turns.append(frame @ unit.kinematics.forward(q)[1] @ unit.frame.T)
-        number = len(found)
-        waiting.append(_solutions(arm, units[number], turns[-1], points[number] - starts[number]))
-    return None
-
-
-def _solutions(arm: Arm, unit: Unit, turn: Array, way: Array) -> Iterator[Array]:
-    """Joint positions of one unit that cover a way in the world, within its limits."""
-    columns = arm.columns[unit.joints]
-    lower, upper = arm.limits.lower[columns], arm.limits.upper[columns]
-    for q in unit.kinematics.inverse(way @ (turn @ unit.frame)):
-        if np.all((q >= lower - ROUNDING) & (q <= upper + ROUNDING)):
-            yield np.clip(q, lower, upper)
+    found = np.zeros(len(arm.columns))
+    lower, upper = arm.limits.lower[arm.columns], arm.limits.upper[arm.columns]
+    ends, tries = np.array(points, dtype=np.float64), MOST_TRIED * len(units)
+    if not kernels.take_points(units, shapes, lower, upper, np.array(arm.chain.base), ends, tries, found):
+        return None
+    positions = np.zeros(arm.nv)
+    positions[arm.columns] = found
+    return positions

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,10 @@ STRAIGHT = 1e-9
 
 
 class ModuleKinematics(Protocol):
-    """The three solvers that a module must supply (Section 4.1), in the frame at its base."""
+    """The three solvers that a module must supply (Section 4.1), in the frame at its base.
+
+    They are compiled, in `pinposture.kernels.modules`; whole arms are placed there too, by `kernels.walk`.
+    """
 
     @property
     def dof(self) -> int:
@@ -59,7 +62,7 @@ class Unit:
     module: int
     joints: slice
     frame: Array
-    kinematics: ModuleKinematics
+    kinematics: Torus | Circle
 
 
 @lru_cache(maxsize=64)
@@ -79,6 +82,37 @@ def arm_units(chain: Chain) -> tuple[Unit, ...]:
         units.extend(_module_units(chain, module, joints, start, end))
         start = end
     return tuple(units)
+
+
+class Layout(NamedTuple):
+    """The units of an arm as kernels want them, see `kernels.walk.walk_along`.
+
+    Attributes:
+        units: degrees of freedom, first joint and module of each, (n, 3).
+        shapes: lengths, sense and base frame of each, (n, 12).
+    """
+
+    units: NDArray[np.int64]
+    shapes: Array
+
+
+@lru_cache(maxsize=64)
+def layout(chain: Chain) -> Layout:
+    """Lay the solvers of an arm out; remembered likewise.
+
+    Raises:
+        UnsupportedModule: as `arm_units`.
+    """
+    units = arm_units(chain)
+    numbers, shapes = np.zeros((len(units), 3), dtype=np.int64), np.zeros((len(units), 12))
+    for number, shape, unit in zip(numbers, shapes, units, strict=True):
+        solver = unit.kinematics
+        number[:] = solver.dof, unit.joints.start, unit.module
+        shape[:3] = (
+            (solver.l1, solver.l2, solver.sense) if isinstance(solver, Torus) else (solver.link, 0.0, 1.0)
+        )
+        shape[3:] = unit.frame.ravel()
+    return Layout(numbers, shapes)
 
 
 def _module_units(chain: Chain, module: int, joints: slice, start: Array, end: Array) -> list[Unit]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+import math
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture import kernels
 from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.errors import (
@@ -84,7 +85,7 @@ def resolve_targets(
     _require("method", method, METHODS)
     if isinstance(samples, bool) or not isinstance(samples, int) or samples < 2:
         raise InvalidValue("samples", samples, "a whole number of at least 2")
-    if not np.isfinite(roll):
+    if not math.isfinite(roll):
         raise InvalidValue("roll", roll, "a finite angle [rad]")
     placed = lay(arm, curve, placement, roll)
     if method == "sequential":
@@ -122,11 +123,9 @@ def _choose(
 
 def _zigzags(arm: Arm, positions: Array) -> bool:
     """True if most modules bend the other way than the one before."""
-    modules = [positions[arm.columns[joints]] for joints in arm.chain.module_slices]
-    pairs = [(a, b) for a, b in pairwise(modules) if len(a) == len(b)]
-    against = sum(float(a @ b) for a, b in pairs)
-    size = sum(float(np.linalg.norm(a) * np.linalg.norm(b)) for a, b in pairs)
-    return size > 1e-6 * len(modules) and against < -0.5 * size
+    starts = np.append(arm.module_starts, len(arm.columns))
+    products, norms = kernels.neighbours(positions[arm.columns], starts)
+    return norms > 1e-6 * arm.n_modules and products < -0.5 * norms
 
 
 def _place_together(arm: Arm, curve: Curve, method: str) -> Placement:
@@ -160,5 +159,6 @@ def _target(arm: Arm, curve: Curve, result: Placement, method: str) -> Target:
         reason = str(result.failure)
     q = arm.configuration(result.positions)
     points = arm.at(q).points
-    residual = np.linalg.norm(points - curve.at(result.parameters), axis=1)
+    gaps = points - curve.at(result.parameters)
+    residual = np.sqrt(np.einsum("ij,ij->i", gaps, gaps))
     return Target(points, weights, q, curve, result.parameters, residual, method, reason)

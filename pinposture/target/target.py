@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import isfinite
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -61,10 +62,11 @@ class Target:
             raise InvalidValue("target.points (shape)", self.points.shape, f"({m}, 3) for this arm")
         if self.weights.shape != (m,):
             raise InvalidValue("target.weights (shape)", self.weights.shape, f"({m},) for this arm")
-        if not np.any(self.placed):
+        if not self.weights.max() > 0.0 and not np.any(self.placed):
             raise InvalidValue("target.weights", 0.0, "at least one control point with a weight > 0")
         for name, values in (("points", self.points), ("weights", self.weights)):
-            if not np.all(np.isfinite(values)):
+            flat = values.ravel()
+            if not isfinite(flat @ flat) and not np.all(np.isfinite(values)):
                 where = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
                 allowed = "finite numbers, also for points of weight 0"
                 raise InvalidValue(f"target.{name}{list(where)}", float(values[where]), allowed)

@@ -84,5 +84,5 @@ def test_a_screw_joint_is_refused_by_name():
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelHX(0.1), pin.SE3.Random(), "screw")
     model.addFrame(pin.Frame("p", joint, pin.SE3.Random(), pin.FrameType.OP_FRAME))
-    with pytest.raises(InvalidValue, match="screw.*turns about one axis"):
+    with pytest.raises(InvalidValue, match=r"screw.*turns about one axis"):
         pp.Arm.from_model(model, ["p"])

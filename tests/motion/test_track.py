@@ -105,7 +105,8 @@ def test_a_file_gives_everything_back(run: pp.Trajectory, tmp_path: object) -> N
     assert (loaded.status, loaded.reason, loaded.controller) == (run.status, run.reason, run.controller)
     assert loaded.limits == run.limits
     assert loaded.arm.urdf == ARM.urdf
-    np.testing.assert_array_equal(loaded.target.curve.resample(50), run.target.curve.resample(50))
+    again, once = (each.target.curve.resample(50) for each in (loaded, run))
+    np.testing.assert_allclose(again, once, atol=1e-15)  # its length is measured anew
     repeated = pp.track(loaded.arm, loaded.target, loaded.q[0], "projection", loaded.limits, max_steps=40)
     np.testing.assert_array_equal(repeated.q, run.q)
 

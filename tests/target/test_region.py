@@ -91,7 +91,7 @@ def test_a_run_uses_and_counts_the_region_only(arm: pp.Arm, controller: Controll
         again = pp.track(arm, replace(target, points=elsewhere), start, controller, max_steps=25)
         np.testing.assert_array_equal(again.q, run.q)
         # Joints beyond the region move none of its points, so they stay where they are.
-        beyond = (arm.moved > arm.support[last])
+        beyond = arm.moved > arm.support[last]
         np.testing.assert_allclose(run.q[:, beyond], np.tile(start[beyond], (len(run.q), 1)), atol=1e-12)
 
 

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from math import isfinite, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture import kernels
 from pinposture.arm import ArmState
 from pinposture.control.checks import require_positive
 from pinposture.control.constrained.avoidance import Avoidance
 from pinposture.control.constrained.course import Course
 from pinposture.control.constrained.following import Asked, close_in, follow
-from pinposture.control.constrained.planning import plan
+from pinposture.control.constrained.planning import plan, plan_on
 from pinposture.control.constrained.posture import Posture
 from pinposture.control.constrained.settling import Scope
 from pinposture.control.controller import Diagnostics, Memory, Step
@@ -32,14 +34,10 @@ WAIT, COURSES = 1.0, 3
 MOST_HASTE = 1e6
 """Haste beyond which numbers overflow; it is joint interpolation long before."""
 
-FARTHEST = 10.0
-"""Largest joint motion of a step where limits allow any, in `Arm.joint_units`."""
-
-LEANING = 1e-6
-"""How far outside its limits a joint may be without being brought back first, in `Arm.joint_units`."""
-
 ROUNDING = 1e-12
 """What is lost in the arithmetic of a step, in `Arm.joint_units` or arm lengths."""
+
+_ANY_STEP = np.array([[-np.inf], [np.inf]])
 
 
 @dataclass(frozen=True)
@@ -101,17 +99,14 @@ class ConstrainedQP:
         _check_given(state, target, memory)
         previous = memory.dq if memory is not None else None
         box = limits.box(state, previous)
-        if _outside(state, limits):
+        if box.outside:
             return self._return(state, target, box)
         course = self._course(state, target, limits, memory)
         posture, avoidance = course.posture, self._avoidance(course.posture)
-        lower, upper = (np.clip(posture.own(side), -FARTHEST, FARTHEST) for side in (box.lower, box.upper))
-        rows = None if avoidance is None else avoidance.rows(state, lower, upper)
-        scope = Scope(state, lower, upper, rows)
         if course.arrived:
-            asked = close_in(course, scope)
+            asked = close_in(course, Scope.of(posture, state, box, avoidance))
         else:
-            asked = follow(course, scope, limits, self._mu(state), avoidance)
+            asked = follow(course, state, box, limits, self._mu(state), avoidance)
         return _checked(asked, state, box, limits.for_arm(state.arm), avoidance)
 
     def _return(self, state: ArmState, target: Target, box: Box) -> Step:
@@ -126,7 +121,7 @@ class ConstrainedQP:
             relaxed = (*relaxed, "position limits: coming back faster would come too close to something")
         dq = share * dq
         rises = _posture_error(arm.at(arm.integrate(state.q, dq)), target) > _posture_error(state, target)
-        active = tuple(int(k) for k in np.flatnonzero(target.placed))
+        active = Posture(arm, target).active
         reason = "" if np.any(dq) else "joints are outside their limits, and something is in their way back"
         held = np.zeros(arm.nv, dtype=np.bool_)
         diagnostics = Diagnostics(0.0, 0.0, 0.0, len(active) * arm.dimension, (), share, held, reason)
@@ -140,22 +135,34 @@ class ConstrainedQP:
         """The course so far; a new one at first, for a new target, and where the arm does not get on."""
         course = memory.own if memory is not None and isinstance(memory.own, Course) else None
         bounds = limits.for_arm(state.arm)
-        tries, posture = 0, Posture(state.arm, target, self.tasks, self.chord)
-        if course is not None and course.leads_on(state) and _alike(course.posture.target, target):
+        if course is None or not course.leads_on(state):
+            course = None
+        elif _alike(course.posture.target, target):
             if course.posture.tasks != self.tasks:  # as they do where they follow something: the way stays
-                course = course._replace(posture=posture)
+                course = course._replace(posture=self._posture(state, target))
             if course.waited < WAIT or course.arrived:
                 return course if course.bounds is bounds else course.within(bounds)
             tries, posture = course.tries + 1, course.posture
             if tries >= COURSES or course.place >= course.path.end:
                 return course._replace(arrived=True)
-        else:
-            target.check(state.arm)
-        return plan(posture, state, bounds, self._avoidance(posture), self._mu(state), tries)
+            return plan(posture, state, bounds, self._avoidance(posture), self._mu(state), tries)
+        target.check(state.arm)
+        posture = self._posture(state, target, course)
+        if course is not None and posture.plain and self.scene is None:
+            return plan_on(course, posture, state, bounds, self._mu(state))
+        return plan(posture, state, bounds, self._avoidance(posture), self._mu(state))
+
+    def _posture(self, state: ArmState, target: Target, course: Course | None = None) -> Posture:
+        """What is asked of the arm; that of a course is taken on where only the target is another."""
+        if course is not None:
+            known = course.posture
+            if known.tasks == self.tasks == () and known.chord == self.chord and known.arm is state.arm:
+                return known.moved_to(target)
+        return Posture(state.arm, target, self.tasks, self.chord)
 
     def _mu(self, state: ArmState) -> float:
         """Weight of joint motion [m per `Arm.joint_units`]: `haste` module lengths of each of m points."""
-        return self.haste * state.arm.length / float(np.sqrt(state.arm.n_modules))
+        return self.haste * state.arm.length / sqrt(state.arm.n_modules)
 
 
 def _checked(
@@ -163,25 +170,25 @@ def _checked(
 ) -> Step:
     """The step as it leaves: finite, within its limits and clear, whatever was computed before."""
     arm, course = state.arm, asked.course
-    dq = course.posture.displacement(np.nan_to_num(asked.x, nan=0.0, posinf=0.0, neginf=0.0))
-    dq[arm.columns] = np.minimum(np.maximum(dq, box.lower), box.upper)[arm.columns]
-    slack = ROUNDING * arm.joint_units
-    room = bounds.edges - arm.positions(state.q)
-    at_limit = np.any((np.abs(room - dq) <= slack), axis=0)
-    relaxed, share = list(box.relaxed), 1.0
+    dq, relaxed, share = asked.dq, box.relaxed, 1.0
     near: tuple[str, ...] = ()
+    if not isfinite(dq @ dq):
+        dq = np.nan_to_num(dq, nan=0.0, posinf=0.0, neginf=0.0)
     if avoidance is not None:
+        dq[arm.columns] = np.minimum(np.maximum(dq, box.lower), box.upper)[arm.columns]
         share = avoidance.shortened(state, dq)
-        dq = share * dq
+        dq, slack = share * dq, ROUNDING * arm.joint_units
         if np.any(((dq < box.lower - slack) | (dq > box.upper + slack))[arm.columns]):
-            relaxed.append("limits of acceleration: braking within them would come too close to something")
-        relaxed.extend(avoidance.too_close(state))
+            relaxed += ("limits of acceleration: braking within them would come too close to something",)
+        relaxed += avoidance.too_close(state)
         near = avoidance.holding(state, asked.solution, bool(asked.reason))
         near += (course.hindrance,) if course.hindrance else ()
-    target = course.posture.target
-    moved = arm.at(arm.integrate(state.q, dq))
-    before, after = (_posture_error(at, target) for at in (state, moved))
-    active = tuple(int(k) for k in np.flatnonzero(target.placed))
+    chain, placed, posture = arm.kinematics, state.placed, course.posture.chain
+    reached, at_limit = np.empty(arm.nv), np.empty(arm.nv, dtype=np.bool_)
+    sides = box.sides if share == 1.0 else _ANY_STEP * np.ones((2, arm.nv))
+    given = placed.positions, bounds.units, sides, bounds.edges, placed.points, posture.targets, posture.flags
+    before, after = kernels.outcome(*chain.constants, *given, dq, reached, at_limit)
+    active = course.posture.active
     diagnostics = Diagnostics(
         manipulability=0.0,
         sigma_min=0.0,
@@ -189,14 +196,14 @@ def _checked(
         rows=len(active) * arm.dimension,
         dropped=(),
         scale=share,
-        clipped=at_limit & (arm.moved > 0.0),
+        clipped=at_limit,
         reason=asked.reason,
         escape=after > before + ROUNDING * arm.length,
-        relaxed=tuple(relaxed),
+        relaxed=relaxed,
         near=near,
         on_way=not course.arrived and course.waited == 0.0,
     )
-    return Step(dq, active, diagnostics, Memory(dq, course._replace(expected=moved.q)))
+    return Step(dq, active, diagnostics, Memory(dq, course._replace(expected=reached)))
 
 
 def _check_given(state: ArmState, target: Target, memory: Memory | None) -> None:
@@ -206,14 +213,6 @@ def _check_given(state: ArmState, target: Target, memory: Memory | None) -> None
         raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
     if not (memory is None or isinstance(memory, Memory)):
         raise InvalidValue("memory", memory, "`step.memory` of the step before, or None")
-
-
-def _outside(state: ArmState, limits: Limits) -> bool:
-    """Whether a joint of the chain is outside its limits."""
-    arm, (lowest, highest) = state.arm, limits.for_arm(state.arm).edges
-    positions, leaning = arm.positions(state.q), LEANING * arm.joint_units
-    beyond = (positions < lowest - leaning) | (positions > highest + leaning)
-    return bool(np.any(beyond[arm.columns]))
 
 
 def _alike(one: Target, other: Target) -> bool:

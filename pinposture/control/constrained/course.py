@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture import kernels
 from pinposture.arm import ArmState
 from pinposture.control.constrained.pace import Pace
 from pinposture.control.constrained.path import JointPath
@@ -39,7 +40,9 @@ class Course(NamedTuple):
         arrived: whether the path is behind the arm; what errors are left are then reduced directly.
         damping: factor of the damping with which they are.
         hindrance: what the best way that was found comes too close to, in words; empty if it is clear.
-        expected: configuration that the arm should have by now, (nq,); None before the first step.
+        expected: joint positions that the arm should have by now, (nv,) [rad or m]; None before the first
+            step.
+        bent: by how much the path was bent to end elsewhere since it was planned, in `Arm.joint_units`.
         strict_errors: errors of strict tasks at the start and at the goal, 2 x (r,) [m]; between, they are
             to change in proportion to the place.
     """
@@ -57,6 +60,7 @@ class Course(NamedTuple):
     damping: float = 1.0
     hindrance: str = ""
     expected: Array | None = None
+    bent: float = 0.0
     strict_errors: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
 
     def gone_to(self, place: float, travel: float, hindered: bool) -> Course:
@@ -77,8 +81,9 @@ class Course(NamedTuple):
         arm = self.posture.arm
         if arm is not state.arm or self.expected is None:
             return arm is state.arm
-        off = np.abs(arm.difference(self.expected, state.q)) / arm.joint_units
-        return bool(np.all(off[arm.columns] <= DISTURBED))
+        chain = arm.kinematics
+        given = self.expected, state.placed.positions, chain.endless, chain.columns, self.bounds.units
+        return kernels.apart(*given) <= DISTURBED
 
     def within(self, bounds: JointBounds) -> Course:
         """The same course with the pace that other limits allow."""

@@ -9,38 +9,38 @@ x_0 ... x_N with control points P(x_i) minimises
 the energy of the motion in the metric J^T J + mu^2 I; its minimum is a geodesic, at constant speed. The first
 term makes the points go straight, the second keeps joints from turning far for little; mu is the dial
 between the two. Both ends are fixed, and the search begins with joint interpolation, so that the path
-goes the way round that the goal configuration means. Squares of further penalties may be added, for obstacles
-on the way for instance.
+goes the way round that the goal configuration means. Waypoints stay within the position limits.
 
-The minimum is found by damped Gauss-Newton steps: each couples neighbours only, a block tridiagonal system.
-Waypoints stay within the position limits: joints at a limit that the descent would push past it are held
-there.
+The minimum is found by relaxing one waypoint after the other (`kernels.relaxation`), first of few and then
+of more, in time linear in the number of joints. Where squares of further penalties are added, for obstacles
+on the way for instance, all waypoints move together (`control.constrained.band`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from pinposture.arm import ArmState
+from pinposture import kernels
+from pinposture.control.constrained.band import Penalty, relaxed_band
 from pinposture.control.constrained.path import JointPath
-from pinposture.control.constrained.posture import Linear, Posture
-from pinposture.control.constrained.tridiagonal import solve_tridiagonal
-from pinposture.control.sweep import sweep
+from pinposture.control.constrained.posture import Posture
 
 Array = NDArray[np.float64]
-Penalty = Callable[[ArmState, float], Linear]
 
-PIECES = (24, 48, 96)
-"""Straight pieces of a path; more where fewer lead far round, and only where nothing else bends the way."""
+LEVELS, PIECES = (6, 12, 24), (24, 48, 96)
+"""Straight pieces of a path: first few and then more, which is quick; many from the beginning where that led
+far round, because long turns need them, and few cut them short."""
 
-STRAIGHT, FAR_ROUND = 1.01, 1.15
-"""Length of the ways of the points, relative to the shortest, up to which joint interpolation is left as it
-is, and beyond which more pieces are tried: long turns need them."""
+STRAIGHT, FAR_ROUND, LOST = 1.01, 1.15, 2.0
+"""Length of the ways of the points, relative to the shortest: up to the first, joint interpolation is left
+as it is; beyond the second, more pieces are tried; beyond the third, few are not made more."""
+
+NEAR = 0.1
+"""Joint motion up to which joint interpolation will do, in `Arm.joint_units`: a step is no more direct."""
 
 LOOKS = 48
 """Places at which the length of a path is looked up."""
@@ -48,33 +48,13 @@ LOOKS = 48
 FINER = 4
 """Into how many pieces each one is divided in the end, on a smooth curve."""
 
-ROUNDS, SETTLED = 40, 1e-4
-"""The most steps of the search, and the relative fall of the sum at which it ends."""
+ROUNDS, SETTLED, ROUGHLY = 60, 3e-5, 3e-4
+"""The most passes over all waypoints, and the relative fall of the energy in one at which they end; the last
+one where more waypoints follow anyway."""
 
 SWAY, WIDE = 0.05, 0.4
 """How far the first guess is bent to one side, relative to the largest change of a joint, which breaks
 symmetries. More where a way that was found before leads through an obstacle."""
-
-FIRST, SMALLEST, LARGEST = 1e-3, 1e-9, 1e6
-"""Damping of the search at first, at least, and where it gives up, relative to the mean diagonal of J^T J."""
-
-
-class _Band(NamedTuple):
-    """Waypoints with all that belongs to them.
-
-    Attributes:
-        x: displacements from the start, (N + 1, n), in `Arm.joint_units`.
-        points: control points, (N + 1, r) [m].
-        jacobians: of the points, (N + 1, r, n).
-        penalties: rows of the penalties of the waypoints between the ends.
-        energy: the sum that is minimised [m^2].
-    """
-
-    x: Array
-    points: Array
-    jacobians: Array
-    penalties: list[Linear]
-    energy: float
 
 
 def direct_path(
@@ -98,116 +78,84 @@ def direct_path(
             the way; their errors should vanish.
         sway: which way the first guess is bent, from 0; other numbers may lead to another path.
     """
-    arm, columns, units = posture.arm, posture.columns, posture.units
-    way = np.array(arm.difference(start, goal))
-    way[np.setdiff1d(np.arange(arm.nv), columns)] = 0.0
-    search, whole = _Search(posture, start, mu, edges, penalty), posture.own(way)
+    arm = posture.arm
+    whole = posture.own(arm.difference(start, goal))
+    turn = float(np.abs(whole).max(initial=0.0))
+    if penalty is None and turn <= NEAR:
+        return JointPath(arm, start, np.array([np.zeros(arm.nv), posture.displacement(whole)]))
+    ways = _Ways(posture, start, mu, edges)
     found = np.vstack([np.zeros(len(whole)), whole])
-    detour = np.inf if penalty is not None else search.detour(found)
-    for pieces in PIECES if detour > STRAIGHT else ():
-        shares = np.linspace(0.0, 1.0, pieces + 1)[:, None]
-        sway_out = np.sin(np.pi * shares) * _sway(posture, sway) * np.abs(whole).max(initial=0.0)
-        relaxed = search.relaxed(shares * whole + sway_out)
-        length = search.detour(relaxed)
-        if length < detour:
-            found, detour = relaxed, length
-        if detour <= FAR_ROUND or penalty is not None:
-            break
-    smooth = search.smoothed(found)
+    bend = _sway(posture, sway) * turn
+    if penalty is not None:
+        found = relaxed_band(posture, start, mu, ways.within, ways.bent(whole, bend, PIECES[0]), penalty)
+    else:
+        detour = ways.detour(found)
+        for other in ways.relaxed(whole, bend) if detour > STRAIGHT else ():
+            length = ways.detour(other)
+            if length < detour:
+                found, detour = other, length
+            if detour <= FAR_ROUND:
+                break
+    smooth = ways.finer(found, FINER * (len(found) - 1)) if len(found) > 2 else found
     offsets = np.zeros((len(smooth), arm.nv))
-    offsets[:, columns] = smooth * units
+    offsets[:, posture.columns] = smooth * posture.units
     return JointPath(arm, start, offsets)
 
 
-class _Search:
-    """Gauss-Newton steps on the waypoints of one path."""
+class _Ways:
+    """Waypoints as displacements from the start, (N + 1, n), in `Arm.joint_units`.
 
-    def __init__(
-        self, posture: Posture, start: Array, mu: float, edges: Array, penalty: Penalty | None
-    ) -> None:
-        self._posture, self._start, self._weight, self._penalty = posture, start, mu**2, penalty
-        here = posture.arm.positions(start)[posture.columns]
-        self._lower, self._upper = ((edge[posture.columns] - here) / posture.units for edge in edges)
+    Attributes:
+        within: smallest and largest displacement, (2, n).
+    """
+
+    def __init__(self, posture: Posture, start: Array, mu: float, edges: Array) -> None:
+        arm, chain, self._weight = posture.arm, posture.chain, mu**2
+        self._start = arm.positions(start)
+        lower, upper = ((edge - self._start)[posture.columns] / posture.units for edge in edges)
         # A start outside its limits: the waypoints come back on the way.
-        self._lower, self._upper = np.minimum(self._lower, 0.0), np.maximum(self._upper, 0.0)
+        self.within = np.minimum(lower, 0.0), np.maximum(upper, 0.0)
+        constants = arm.kinematics.constants
+        ends = np.searchsorted(chain.which, arm.kinematics.ends).astype(np.int64)
+        self._relax = (*constants, chain.which, ends, chain.units, self._start, *self.within)
+        self._look = (*constants, chain.which, chain.units, self._start)
 
-    def band(self, x: Array) -> _Band:
-        posture = self._posture
-        columns, plane = posture.columns, posture.arm.plane
-        states = [self._state(each) for each in x]
-        points = np.array([(state.points @ plane.T).ravel() for state in states])
-        rows = points.shape[1]
-        jacobians = np.array([state.task_jacobians.reshape(rows, -1)[:, columns] for state in states])
-        energy = float((np.diff(points, axis=0) ** 2).sum() + self._weight * (np.diff(x, axis=0) ** 2).sum())
-        penalties = []
-        if self._penalty is not None:
-            penalties = [self._penalty(states[i], i / (len(x) - 1)) for i in range(1, len(x) - 1)]
-        energy += sum(float(each.errors @ each.errors) for each in penalties)
-        return _Band(x, points, jacobians, penalties, energy)
+    def bent(self, whole: Array, bend: Array, pieces: int) -> Array:
+        """Joint interpolation, bent to one side."""
+        shares = np.linspace(0.0, 1.0, pieces + 1)[:, None]
+        return self._inside(shares * whole + np.sin(np.pi * shares) * bend)
 
-    def smoothed(self, x: Array) -> Array:
+    def finer(self, x: Array, pieces: int) -> Array:
         """More waypoints, on a cubic spline through the given ones, so that joints change speed gradually."""
-        if len(x) == 2:
+        if pieces == len(x) - 1:
             return x
-        numbers = np.arange(len(x))
-        fine = CubicSpline(numbers, x, bc_type="natural")(
-            np.linspace(0, numbers[-1], FINER * numbers[-1] + 1)
-        )
-        return np.asarray(np.minimum(np.maximum(fine, self._lower), self._upper))
+        spline = CubicSpline(np.linspace(0.0, 1.0, len(x)), x, bc_type="natural")
+        return self._inside(spline(np.linspace(0.0, 1.0, pieces + 1)))
+
+    def relaxed(self, whole: Array, bend: Array) -> Iterator[Array]:
+        """Waypoints at a minimum, by more and more effort."""
+        x = self.bent(whole, bend, LEVELS[0])
+        for pieces in LEVELS:
+            x = self.finer(x, pieces)
+            settled = SETTLED if pieces == LEVELS[-1] else ROUGHLY
+            kernels.relaxed(*self._relax, self._weight, ROUNDS, settled, x)
+            if self.detour(x) > LOST:
+                break
+        else:
+            yield x
+        x = self.bent(whole, bend, PIECES[0])
+        for pieces in PIECES:
+            x = self.finer(x, pieces)
+            kernels.relaxed(*self._relax, self._weight, ROUNDS, SETTLED, x)
+            yield x
 
     def detour(self, x: Array) -> float:
         """Length of the ways of the control points, relative to the distances from start to end."""
-        steps = np.linspace(0.0, len(x) - 1.0, LOOKS + 1)
-        fine = np.array([np.interp(steps, np.arange(len(x)), each) for each in x.T]).T
-        return sweep(np.array([self._state(each).points for each in fine]))
+        path, direct = kernels.travelled(*self._look, x, LOOKS)
+        return max(path / direct, 1.0) if direct > 1e-12 * path else 1.0
 
-    def _state(self, x: Array) -> ArmState:
-        return self._posture.arm.at(self._posture.arm.integrate(self._start, self._posture.displacement(x)))
-
-    def relaxed(self, x: Array) -> Array:
-        """Waypoints at a minimum, from a first guess."""
-        x = np.minimum(np.maximum(x, self._lower), self._upper)
-        band, damping = self.band(x), FIRST
-        for _ in range(ROUNDS):
-            step = self._step(band, damping)
-            if step is not None:
-                moved = band.x.copy()
-                moved[1:-1] = np.minimum(np.maximum(moved[1:-1] + step, self._lower), self._upper)
-                tried = self.band(moved)
-                if tried.energy < band.energy:
-                    settled = tried.energy > (1.0 - SETTLED) * band.energy
-                    band, damping = tried, max(damping / 5.0, SMALLEST)
-                    if settled:
-                        break
-                    continue
-            damping *= 8.0
-            if damping > LARGEST:
-                break
-        return band.x
-
-    def _step(self, band: _Band, damping: float) -> Array | None:
-        """The damped Gauss-Newton step of all waypoints between the ends, (N - 1, n)."""
-        x, inner = band.x, band.jacobians[1:-1]
-        n, turned = x.shape[1], inner.transpose(0, 2, 1)
-        stretch, turn = np.diff(band.points, axis=0), np.diff(x, axis=0)
-        pull = stretch[:-1] - stretch[1:]
-        gradient = (turned @ pull[:, :, None])[:, :, 0] + self._weight * (turn[:-1] - turn[1:])
-        own = turned @ inner
-        typical = float(np.trace(own.sum(axis=0))) / (n * len(own))
-        diagonal = 2.0 * own + (2.0 * self._weight + damping * typical) * np.eye(n)
-        above = -(turned[:-1] @ inner[1:]) - self._weight * np.eye(n)
-        for i, rows in enumerate(band.penalties):
-            diagonal[i] += rows.matrix.T @ rows.matrix
-            gradient[i] -= rows.matrix.T @ rows.errors
-        free = ~(
-            ((x[1:-1] >= self._upper) & (gradient < 0.0)) | ((x[1:-1] <= self._lower) & (gradient > 0.0))
-        )
-        if not free.all():
-            diagonal *= free[:, :, None] & free[:, None, :]
-            diagonal[:, np.arange(n), np.arange(n)] += ~free
-            above *= free[:-1, :, None] & free[1:, None, :]
-            gradient = gradient * free
-        return solve_tridiagonal(diagonal, above, -gradient)
+    def _inside(self, x: Array) -> Array:
+        return np.ascontiguousarray(np.minimum(np.maximum(x, self.within[0]), self.within[1]))
 
 
 def _sway(posture: Posture, number: int) -> Array:

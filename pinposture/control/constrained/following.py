@@ -7,9 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture.arm import ArmState
 from pinposture.control.braking import farthest
 from pinposture.control.constrained.avoidance import Avoidance
 from pinposture.control.constrained.course import Course
+from pinposture.control.constrained.path import FARTHEST
 from pinposture.control.constrained.posture import Posture
 from pinposture.control.constrained.program import Solution
 from pinposture.control.constrained.settling import (
@@ -23,7 +25,8 @@ from pinposture.control.constrained.settling import (
     reducing_step,
     then_the_rest,
 )
-from pinposture.control.limits import Limits
+from pinposture.control.constrained.sweeps import Sweeps
+from pinposture.control.limits import Box, Limits
 
 Array = NDArray[np.float64]
 
@@ -41,20 +44,20 @@ class Asked(NamedTuple):
     """A step before the last checks.
 
     Attributes:
-        x: the step, (n,), in `Arm.joint_units`.
+        dq: the step, (nv,) [rad or m].
         course: where the arm will be on its course.
         solution: what the program said; None if it need not be asked.
         reason: why the arm does not move; empty if it does.
     """
 
-    x: Array
+    dq: Array
     course: Course
     solution: Solution | None = None
     reason: str = ""
 
 
 def follow(
-    course: Course, scope: Scope, limits: Limits, mu: float, avoidance: Avoidance | None = None
+    course: Course, state: ArmState, box: Box, limits: Limits, mu: float, avoidance: Avoidance | None = None
 ) -> Asked:
     """The step along the way, if its scope has it; else the one in it that is nearest in what points feel.
 
@@ -63,34 +66,41 @@ def follow(
 
     Args:
         course: where the arm is on its way.
-        scope: what the step may do.
-        limits: what it is made of.
+        state: where it is.
+        box: the steps that the limits allow.
+        limits: what they are.
         mu: weight of joint motion [m per `Arm.joint_units`].
         avoidance: what to keep clear of; nothing if None.
     """
-    posture, path, state = course.posture, course.path, scope.state
+    posture, path = course.posture, course.path
     bounds, here = limits.for_arm(state.arm), course.place
-    offset = path.offset_of(state.q, here)
+    units = posture.chain.units
     if course.pace is None or bounds.brake is None:
-        bound = posture.displacement(np.maximum(np.abs(scope.lower), np.abs(scope.upper)))
-        (place, dq), hindered = path.ahead(offset, here, bound), True  # unless it gets on
+        place, left, inside, dq = path.stride(state, here, posture.columns, units, box.sides)
+        hindered = True  # unless it gets on
     else:
-        reach, paced = path.ahead(offset, here, bounds.bound).place, course.pace.next(here, course.speed)
+        sides = np.array([-bounds.bound, bounds.bound])
+        reach, left, *_ = path.stride(state, here, posture.columns, units, sides)
+        offset, paced = path.offset_of(state, here), course.pace.next(here, course.speed)
         place, hindered = min(here + paced, reach), reach < here + paced or here >= path.end
         # What is behind is made good no faster than it can be stopped, or the arm would swing about its way.
         lag = farthest(path.smooth(here) - offset, CORRECTING * bounds.brake)
         dq = path.smooth(place) - path.smooth(here) + lag
-    wanted = posture.own(dq)
-    if (
-        place >= path.end
-        and float(np.abs(posture.own(path.offsets[-1] - offset)).max(initial=0.0)) <= ARRIVED
-    ):
-        return close_in(course._replace(arrived=True), scope)
-    course = course.gone_to(place, limits.travel(state), hindered)
-    inside = bool(np.all((wanted >= scope.lower) & (wanted <= scope.upper)))
+        within = np.abs(dq) <= FARTHEST * state.arm.joint_units
+        inside = bool(np.all((within & (dq >= box.lower) & (dq <= box.upper))[posture.columns]))
+    if place >= path.end and left <= ARRIVED:
+        return close_in(course._replace(arrived=True), Scope.of(posture, state, box, avoidance))
+    course = course.gone_to(place, bounds.travel, hindered)
+    if inside and avoidance is None and posture.plain:
+        return Asked(dq, course)  # whatever is asked would lead to the same
+    scope, wanted = Scope.of(posture, state, box, avoidance), posture.own(dq)
+    if posture.plain and scope.rows is None:
+        sweeps = Sweeps(posture, state)
+        x = sweeps.step(sweeps.covered(wanted), mu**2, wanted, scope.lower, scope.upper)
+        return Asked(posture.displacement(x), course)
     strict = posture.task_rows(state, strict=True)
     if inside and strict is None and _clear(scope, wanted, dq, avoidance):
-        return Asked(wanted, course)  # the program would say the same
+        return Asked(dq, course)
     matrix = posture.rows(state).matrix
     hessian = matrix.T @ matrix
     hessian[np.diag_indices(len(hessian))] += mu**2
@@ -102,7 +112,7 @@ def follow(
         first = first_things_first(posture, scope, strict, strict.errors - intended)
     found = then_the_rest(hessian, -(hessian @ wanted), scope, first)
     x = np.clip(wanted, scope.lower, scope.upper) if found.x is None else corrected(posture, scope, found.x)
-    return Asked(x, course, found)
+    return Asked(posture.displacement(x), course, found)
 
 
 def _clear(scope: Scope, x: Array, dq: Array, avoidance: Avoidance | None) -> bool:
@@ -127,7 +137,8 @@ def close_in(course: Course, scope: Scope) -> Asked:
         found = reducing_step(posture, scope, damping)
         x = None if found.x is None else corrected(posture, scope, found.x)
         if x is not None and posture.merit(posture.moved(scope.state, x)) < (1.0 - SETTLED) * merit:
-            return Asked(x, course._replace(damping=max(damping * EASIER, LEAST)), found)
+            easier = course._replace(damping=max(damping * EASIER, LEAST))
+            return Asked(posture.displacement(x), easier, found)
         damping *= HARDER
     rest = np.clip(np.zeros(len(scope.lower)), scope.lower, scope.upper)  # which braking may still forbid
     reason = (
@@ -135,7 +146,7 @@ def close_in(course: Course, scope: Scope) -> Asked:
         if np.any(rest)
         else f"no step within the limits reduces the errors any more{_left(posture, scope)}"
     )
-    return Asked(rest, course, found, reason)
+    return Asked(posture.displacement(rest), course, found, reason)
 
 
 def _left(posture: Posture, scope: Scope) -> str:

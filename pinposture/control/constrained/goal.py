@@ -24,7 +24,12 @@ MUCH_BETTER = 0.5
 
 
 def find_goal(
-    posture: Posture, state: ArmState, edges: Array, avoidance: Avoidance | None, good: float
+    posture: Posture,
+    state: ArmState,
+    edges: Array,
+    avoidance: Avoidance | None,
+    good: float,
+    before: ArmState | None = None,
 ) -> Settled:
     """Find the configuration that does best what is asked of the arm.
 
@@ -40,6 +45,7 @@ def find_goal(
         edges: joint positions to stay between, (2, nv) [rad or m].
         avoidance: what to keep clear of; nothing if None.
         good: mean distance of the control points from their targets that is good enough [m].
+        before: where to begin, if the target does not say: the goal of a target that was much like it.
     """
     known, strict = posture.target.q is not None, any(task.strict for task in posture.tasks)
     # Where a strict task holds the arm, what lies near can be reached, and what lies far perhaps not.
@@ -47,7 +53,7 @@ def find_goal(
     better = MUCH_BETTER if held else 1.0
     # Where the arm is too close to begin with, it may stay as close as it is.
     borne = 0.0 if avoidance is None else avoidance.intrusion(state)
-    starts = _starts(posture, state, edges, held)
+    starts = _starts(posture, state, edges, held, before)
     best = found = settle(posture, next(starts), edges, avoidance, good, borne)
     while not (found.intrusion == 0.0 and (_does_it(posture, found, good) or (known and not strict))):
         start = next(starts, None)  # asked for only now: to find one can take long
@@ -73,8 +79,12 @@ def _held(posture: Posture, state: ArmState) -> bool:
     return strict is not None and float(np.linalg.norm(strict.errors)) <= typical
 
 
-def _starts(posture: Posture, state: ArmState, edges: Array, held: bool) -> Iterator[ArmState]:
+def _starts(
+    posture: Posture, state: ArmState, edges: Array, held: bool, before: ArmState | None
+) -> Iterator[ArmState]:
     arm, target = posture.arm, posture.target
+    if before is not None and target.q is None:
+        yield before
     if held:
         yield state
     if target.q is not None:

@@ -2,25 +2,37 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture.arm import Arm
+from pinposture import kernels
+from pinposture.arm import Arm, ArmState
 
 Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
 
 
-class Ahead(NamedTuple):
-    """A place on a path that can be reached in one step.
+FARTHEST = 10.0
+"""Largest joint motion of a step where limits allow any, in `Arm.joint_units`."""
+
+
+class Stride(NamedTuple):
+    """A step along a path.
 
     Attributes:
-        place: where, as a number of waypoints from the start, in [0, N].
-        dq: displacement to it, (nv,) [rad or m].
+        place: where it leads, as a number of waypoints from the start, in [0, N]; no farther than before if
+            the limits do not admit more.
+        left: largest joint motion left from where it begins to the end of the path, in `Arm.joint_units`.
+        inside: whether it is within its limits.
+        dq: the step, (nv,) [rad or m].
     """
 
     place: float
+    left: float
+    inside: bool
     dq: Array
 
 
@@ -31,12 +43,16 @@ class JointPath:
         arm: the arm.
         start: configuration at which it begins, (nq,).
         offsets: displacement of each waypoint from the start, (N + 1, nv) [rad or m]; the first is zero.
-        slopes: how the displacement changes there from one waypoint to the next, (N + 1, nv) [rad or m].
     """
 
     def __init__(self, arm: Arm, start: Array, offsets: Array) -> None:
-        self.arm, self.start, self.offsets = arm, start, offsets
-        self.slopes = np.gradient(offsets, axis=0)
+        self.arm, self.start, self.offsets = arm, start, np.ascontiguousarray(offsets)
+        self._positions = arm.positions(start)
+
+    @cached_property
+    def slopes(self) -> Array:
+        """How the displacement changes at each waypoint from one to the next, (N + 1, nv) [rad or m]."""
+        return np.asarray(np.gradient(self.offsets, axis=0))
 
     @property
     def end(self) -> float:
@@ -64,38 +80,39 @@ class JointPath:
         """Configuration at a place, (nq,)."""
         return self.arm.integrate(self.start, self.offset(place))
 
-    def offset_of(self, q: Array, place: float) -> Array:
-        """Displacement (nv,) from the start to a configuration near a place, the way round that it took."""
+    def offset_of(self, state: ArmState, place: float) -> Array:
+        """Displacement (nv,) from the start to a state near a place, the way round that it took."""
         here = self.offset(place)
-        return np.asarray(here + self.arm.difference(self.arm.integrate(self.start, here), q))
+        way = self.arm.integrate(self.start, here)
+        return np.asarray(here + self.arm.difference(way, state.q))
 
-    def ahead(self, offset: Array, place: float, bound: Array) -> Ahead:
-        """The farthest place, going on from a place without a gap, that one step can reach.
+    def bent(self, place: float, change: Array, edges: Array) -> JointPath:
+        """The path with another end, bent more and more from a place on.
 
         Args:
-            offset: where the arm is, as a displacement from the start, (nv,) [rad or m].
-            place: where it is on the path, or was last.
-            bound: largest displacement of each joint, (nv,) [rad or m].
-
-        Returns:
-            That place. It is `place` itself if the bound does not admit more, and then `dq` may exceed it.
+            place: where bending begins, as a number of waypoints from the start.
+            change: displacement of the end, (nv,) [rad or m].
+            edges: joint positions to stay between, (2, nv) [rad or m].
         """
-        last = len(self.offsets) - 1
-        while place < last:
-            i = min(int(place), last - 1)
-            begin = self.offset(place) - offset
-            reach = _largest_share(begin, self.offsets[i + 1] - offset, bound)
-            place = i + 1.0 if reach >= 1.0 else place + reach * (i + 1.0 - place)
-            if reach < 1.0:
-                break
-        return Ahead(place, self.offset(place) - offset)
+        shares = np.arange(len(self.offsets)) - place
+        shares = np.maximum(shares / max(shares[-1], 1e-9), 0.0)
+        offsets = self.offsets + shares[:, None] * change
+        lowest, highest = edges - self._positions
+        lowest, highest = np.minimum(lowest, 0.0), np.maximum(highest, 0.0)
+        return JointPath(self.arm, self.start, np.minimum(np.maximum(offsets, lowest), highest))
 
+    def stride(self, state: ArmState, place: float, columns: Whole, units: Array, sides: Array) -> Stride:
+        """The step to the farthest place, going on from a place without a gap, that limits admit.
 
-def _largest_share(begin: Array, end: Array, bound: Array) -> float:
-    """The largest share t in [0, 1] with |begin + t (end - begin)| <= bound, going up from t = 0."""
-    if np.any(np.abs(begin) > bound):
-        return 0.0
-    way = end - begin
-    room = np.where(way > 0.0, bound - begin, bound + begin)
-    moving = way != 0.0
-    return float(min(1.0, np.min(room[moving] / np.abs(way[moving]), initial=1.0)))
+        Args:
+            state: where the arm is.
+            place: where it is on the path, or was last.
+            columns: the degrees of freedom that move on the path, (n,).
+            units: the motion of each of them that counts as one, (n,) [rad or m].
+            sides: smallest and largest step, (2, nv) [rad or m].
+        """
+        dq = np.zeros(self.arm.nv)
+        positions, endless = state.placed.positions, self.arm.kinematics.endless
+        given = self.offsets, self._positions, positions, endless, columns, units, place, sides, FARTHEST
+        place, left, inside = kernels.along(*given, dq)
+        return Stride(place, left, inside, dq)

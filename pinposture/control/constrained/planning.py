@@ -7,10 +7,12 @@ import logging
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture import kernels
 from pinposture.arm import ArmState
 from pinposture.control.constrained.avoidance import Avoidance
+from pinposture.control.constrained.band import Penalty
 from pinposture.control.constrained.course import Course
-from pinposture.control.constrained.direct import Penalty, direct_path
+from pinposture.control.constrained.direct import direct_path
 from pinposture.control.constrained.goal import find_goal
 from pinposture.control.constrained.path import JointPath
 from pinposture.control.constrained.posture import STRICT, Linear, Posture
@@ -28,6 +30,9 @@ lengths: a run converges at 1e-6 unless told otherwise."""
 HEEDED, CLEAR = 0.4, (100.0, 30.0)
 """Roots of the weights of tasks and of clearances on the way, against the motion of control points. Ways are
 looked for with a large and a small one by turns: the one pushes out, the other leads round."""
+
+BENT = 0.25
+"""By how much a way may be bent in all, to end elsewhere, relative to what is left of it."""
 
 WAYS = 12
 """How many ways are looked for until one leads clear of all obstacles; fewer when it is planned again."""
@@ -62,6 +67,49 @@ def plan(
         course = course._replace(strict_errors=(first.errors, last.errors))
     logger.debug("a way of %d pieces%s", path.end, f", hindered: {hindrance}" if hindrance else "")
     return course
+
+
+def plan_on(course: Course, posture: Posture, state: ArmState, bounds: JointBounds, mu: float) -> Course:
+    """What `plan` finds, for a target that is not far from the one before, from what was found for that.
+
+    The search for a goal begins at the goal before. Where the new one is near, compared to what is left of
+    the way, the way is bent to end there: a target that moves on in every step needs no new way in each.
+
+    Args:
+        course: the course to the target before, which the arm is on; nothing to keep clear of.
+        posture: what is asked of the arm now.
+        state: where it is.
+        bounds: what the limits mean for its joints.
+        mu: weight of joint motion against the motion of control points [m per `Arm.joint_units`].
+    """
+    arm, path = posture.arm, course.path
+    before = path.configuration(path.end)
+    goal = _known(posture, state, bounds)
+    if goal is None:
+        start = arm.at(before) if posture.target.q is None else None
+        goal = find_goal(posture, state, bounds.edges, None, GOOD * arm.length, start).state.q
+    change = posture.displacement(posture.own(arm.difference(before, goal)))
+    bent = course.bent + _size(posture, change)
+    if course.arrived or course.tries or bent > BENT * _size(posture, arm.difference(state.q, before)):
+        path = direct_path(posture, state.q, goal, mu, bounds.edges)
+        return Course(posture, path, bounds).within(bounds)
+    path = path.bent(course.place, change, bounds.edges)
+    return course._replace(posture=posture, path=path, bent=bent).within(bounds)
+
+
+def _known(posture: Posture, state: ArmState, bounds: JointBounds) -> Array | None:
+    """The configuration that a target knows, (nq,), if it is within the limits and takes the posture."""
+    arm, q = posture.arm, posture.target.q
+    if q is None or len(posture.active) < arm.n_modules:
+        return None
+    goal = arm.at(q)
+    inside = kernels.outside(goal.placed.positions, bounds.edges, arm.kinematics.columns) == 0.0
+    return goal.q if inside and posture.mean_error(goal) <= GOOD * arm.length else None
+
+
+def _size(posture: Posture, way: Array) -> float:
+    """The largest joint motion of a displacement (nv,), in `Arm.joint_units`."""
+    return float(np.abs(posture.own(way)).max(initial=0.0))
 
 
 def _way(

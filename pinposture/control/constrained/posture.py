@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture import kernels
 from pinposture.arm import Arm, ArmState
 from pinposture.control.controller import task_errors
 from pinposture.control.tasks import Task
@@ -32,6 +33,32 @@ class Linear(NamedTuple):
 
     matrix: Array
     errors: Array
+
+
+class Chain(NamedTuple):
+    """Points and chords as kernels see them: arrays that are not to be written to.
+
+    Attributes:
+        which: the joints of `Posture.columns`, by their numbers along the chain, (n,).
+        ends: how many of them carry each control point that has a target, (p,).
+        units: the motion of each of them that counts as one, (n,) [rad or m].
+        placed: the control points that have a target, (p,).
+        flags: the same, (m,).
+        targets: where all control points should be, (m, 3) [m].
+        weights: weights of their squared errors, (p,).
+        chords: weights of the squared errors of the chords to the one before, (p,); 0 for the first.
+        normal: normal of a planar arm, (3,); zero of a spatial one.
+    """
+
+    which: NDArray[np.int64]
+    ends: NDArray[np.int64]
+    units: Array
+    placed: NDArray[np.intp]
+    flags: NDArray[np.bool_]
+    targets: Array
+    weights: Array
+    chords: Array
+    normal: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +86,7 @@ class Posture:
     def columns(self) -> NDArray[np.intp]:
         """Degrees of freedom of the chain that have room to move, from base to tip, (n,)."""
         limits, columns = self.arm.limits, self.arm.columns
-        return np.asarray(columns[limits.upper[columns] > limits.lower[columns]])
+        return np.array(columns[limits.upper[columns] > limits.lower[columns]], dtype=np.int64)
 
     @cached_property
     def units(self) -> Array:
@@ -69,6 +96,10 @@ class Posture:
     @cached_property
     def _placed(self) -> NDArray[np.intp]:
         return np.flatnonzero(self.target.placed)
+
+    @cached_property
+    def _every(self) -> NDArray[np.bool_]:
+        return np.ones(len(self._placed), dtype=np.bool_)
 
     @cached_property
     def _roots(self) -> tuple[Array, Array]:
@@ -107,15 +138,66 @@ class Posture:
                 errors.append(root * rows.error)
         return Linear(np.concatenate(matrices), np.concatenate(errors)) if matrices else None
 
+    def moved_to(self, target: Target) -> Posture:
+        """The same asked of another target; where the same points have one, what is known of them stays."""
+        other = Posture(self.arm, target, self.tasks, self.chord)
+        if np.array_equal(target.weights, self.target.weights):
+            known = {"columns", "units", "_placed", "_every", "_roots", "plain", "active"} & vars(self).keys()
+            vars(other).update({name: vars(self)[name] for name in known})
+            if "chain" in vars(self):
+                vars(other)["chain"] = self.chain._replace(targets=np.array(target.points))
+        return other
+
+    @cached_property
+    def active(self) -> tuple[int, ...]:
+        """The control points that have a target."""
+        return tuple(int(k) for k in self._placed)
+
+    @cached_property
+    def plain(self) -> bool:
+        """Whether nothing is asked but points and chords, which a sweep along the chain can do."""
+        return not self.tasks
+
+    @cached_property
+    def chain(self) -> Chain:
+        """What points and chords look like to kernels."""
+        placed, (points, chords) = self._placed, self._roots
+        own = np.flatnonzero(np.isin(self.arm.columns, self.columns)).astype(np.int64)
+        normal = np.zeros(3) if self.arm.dimension == 3 else np.cross(*self.arm.plane)
+        return Chain(
+            which=own,
+            ends=np.searchsorted(own, self.arm.kinematics.ends[placed]).astype(np.int64),
+            units=np.array(self.units),
+            placed=placed,
+            flags=np.array(self.target.placed),
+            targets=np.array(self.target.points),
+            weights=points.ravel() ** 2,
+            chords=np.concatenate([[0.0], chords.ravel() ** 2]),
+            normal=normal,
+        )
+
+    def misses(self, state: ArmState) -> tuple[Array, float]:
+        """Errors of the control points that have a target, (p, 3) [m], and the sum of squares that they make.
+
+        Those of a planar arm are errors in its plane.
+        """
+        chain, errors = self.chain, np.empty((len(self._placed), 3))
+        given = state.placed.points[chain.placed], chain.targets[chain.placed]
+        return errors, kernels.misses(*given, chain.weights, chain.chords, chain.normal, errors)
+
     def merit(self, state: ArmState) -> float:
         """Half the sum of all squares [m^2], those of strict tasks `STRICT` times."""
-        errors, strict = self.rows(state).errors, self.task_rows(state, strict=True)
-        first = 0.0 if strict is None else STRICT * float(strict.errors @ strict.errors)
-        return 0.5 * (float(errors @ errors) + first)
+        total = self.misses(state)[1]
+        for strict in (False, True):
+            asked = self.task_rows(state, strict)
+            if asked is not None:
+                total += (STRICT if strict else 1.0) * float(asked.errors @ asked.errors)
+        return 0.5 * total
 
     def mean_error(self, state: ArmState) -> float:
         """Mean distance of the control points from their targets [m]."""
-        return float(np.linalg.norm(task_errors(state, self.target), axis=1).sum()) / len(self._placed)
+        errors = self.misses(state)[0]
+        return kernels.distance(errors, np.zeros_like(errors), self._every) / len(errors)
 
     def moved(self, state: ArmState, x: Array) -> ArmState:
         """The state after a step x, (n,)."""

@@ -9,8 +9,11 @@ from numpy.typing import NDArray
 
 from pinposture.arm import ArmState
 from pinposture.control.constrained.avoidance import Avoidance
+from pinposture.control.constrained.path import FARTHEST
 from pinposture.control.constrained.posture import Linear, Posture
 from pinposture.control.constrained.program import Rows, Solution, solve
+from pinposture.control.constrained.sweeps import Sweeps
+from pinposture.control.limits import Box
 
 Array = NDArray[np.float64]
 
@@ -52,6 +55,13 @@ class Scope(NamedTuple):
     upper: Array
     rows: Rows | None
 
+    @classmethod
+    def of(cls, posture: Posture, state: ArmState, box: Box, avoidance: Avoidance | None) -> Scope:
+        """What limits and obstacles leave of a step."""
+        lower, upper = (np.clip(posture.own(side), -FARTHEST, FARTHEST) for side in box.sides)
+        rows = None if avoidance is None else avoidance.rows(state, lower, upper)
+        return cls(state, lower, upper, rows)
+
 
 class Settled(NamedTuple):
     """Where a search ended.
@@ -82,13 +92,24 @@ def reducing_step(posture: Posture, scope: Scope, damping: float) -> Solution:
         scope: what the step may do.
         damping: factor of the damping.
     """
-    linear, scale = posture.rows(scope.state), _capping(posture, scope.state)
+    scale = _capping(posture, scope.state)
+    if posture.plain and scope.rows is None:
+        return _by_sweeps(posture, scope, damping, scale)
+    linear = posture.rows(scope.state)
     errors = scale * linear.errors
     least = BIAS * _typical(posture, linear.matrix)
     hessian = _damped(linear.matrix, damping * SHARE * float(errors @ errors) + least)
     strict = posture.task_rows(scope.state, strict=True)
     first = None if strict is None else first_things_first(posture, scope, strict, scale * strict.errors)
     return then_the_rest(hessian, -(linear.matrix.T @ errors), scope, first)
+
+
+def _by_sweeps(posture: Posture, scope: Scope, damping: float, scale: float) -> Solution:
+    sweeps, (errors, squares) = Sweeps(posture, scope.state), posture.misses(scope.state)
+    least = BIAS * max(sweeps.stiffness(), 1e-12 * posture.arm.length**2)
+    weight = damping * SHARE * scale**2 * squares + least
+    x = sweeps.step(scale * errors, weight, np.zeros(len(scope.lower)), scope.lower, scope.upper)
+    return Solution(x, np.zeros(0, dtype=np.bool_), False)
 
 
 class First(NamedTuple):
@@ -173,13 +194,13 @@ def settle(
             no further tasks.
         borne: how close it may be to something, short of the margin [m].
     """
-    arm, columns = posture.arm, posture.columns
+    columns = posture.columns
     merit, damping, idle = posture.merit(state), 1.0, 0
     close = borne if avoidance is None else max(avoidance.intrusion(state), borne)
     for _ in range(ROUNDS):
         if not posture.tasks and close == borne and posture.mean_error(state) <= good:
             break
-        here = arm.positions(state.q)[columns]
+        here = state.positions[columns]
         lower, upper = ((edge[columns] - here) / posture.units for edge in edges)
         lower, upper = np.clip(lower, -STRIDE, 0.0), np.clip(upper, 0.0, STRIDE)
         rows = None if avoidance is None else avoidance.rows(state, lower, upper)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pinposture as pp
-from pinposture.control.constrained.path import JointPath
+from pinposture.control.constrained.path import JointPath, Stride
 
 SEEDS = st.integers(0, 2**32 - 1)
 ARM = pp.Arm.from_template("Rz", 4)
@@ -31,6 +31,14 @@ def sampled(path: JointPath, place: np.ndarray) -> np.ndarray:
     return np.column_stack([np.interp(place, along, joint) for joint in path.offsets.T])
 
 
+def ahead_of(path: JointPath, offset: np.ndarray, place: float, bound: np.ndarray) -> Stride:
+    """The step from somewhere near the path, with the same limit to either side."""
+    arm = path.arm
+    state = arm.at(arm.integrate(path.start, offset))
+    sides = np.array([-bound, bound])
+    return path.stride(state, place, arm.kinematics.columns, np.ones(len(arm.columns)), sides)
+
+
 @given(seed=SEEDS)
 @settings(deadline=None, max_examples=40)
 def test_ahead_is_the_farthest_place_without_a_gap(seed: int) -> None:
@@ -39,7 +47,7 @@ def test_ahead_is_the_farthest_place_without_a_gap(seed: int) -> None:
     place = float(rng.uniform(0.0, path.end))
     bound = 10.0 ** rng.uniform(-2.0, 0.5, ARM.nv)
     offset = sampled(path, np.array([place]))[0] + rng.uniform(-0.9, 0.9, ARM.nv) * bound * (seed % 2)
-    ahead = path.ahead(offset, place, bound)
+    ahead = ahead_of(path, offset, place, bound)
     places = np.linspace(place, path.end, FINE)
     within = np.all(np.abs(sampled(path, places) - offset) <= bound * (1.0 + 1e-9), axis=1)
     first_out = int(np.argmin(within)) if not within.all() else FINE
@@ -60,8 +68,8 @@ def test_ahead_is_the_farthest_place_without_a_gap(seed: int) -> None:
 def test_an_arm_that_is_off_the_path_waits_at_its_place(side: float) -> None:
     """On either side: joint 0 is out of reach of the path, on which only joint 1 moves."""
     path = JointPath(ARM, np.zeros(4), np.array([[0.0, 0, 0, 0], [0.0, 0.05, 0, 0], [0.0, 0.1, 0, 0]]))
-    ahead = path.ahead(np.array([0.5 * side, 0.0, 0.0, 0.0]), 0.2, np.full(4, 0.1))
-    assert ahead.place == 0.2
+    ahead = ahead_of(path, np.array([0.5 * side, 0.0, 0.0, 0.0]), 0.2, np.full(4, 0.1))
+    assert ahead.place == 0.2 and not ahead.inside
     np.testing.assert_allclose(ahead.dq, [-0.5 * side, 0.01, 0.0, 0.0], atol=1e-12)
 
 
@@ -72,7 +80,8 @@ def test_stepping_ahead_again_and_again_ends_at_the_end() -> None:
         pieces = np.abs(np.diff(path.offsets, axis=0)).max(axis=1).sum() / 0.07
         place, offset, steps = 0.0, np.zeros(ARM.nv), 0
         while place < path.end:
-            ahead = path.ahead(offset, place, bound)
+            ahead = ahead_of(path, offset, place, bound)
+            assert ahead.inside and ahead.left == pytest.approx(np.abs(path.offsets[-1] - offset).max())
             place, offset, steps = ahead.place, offset + ahead.dq, steps + 1
             # Each step but the last covers a chord of one bound, so at least as much of the path.
             assert steps <= np.ceil(pieces)
@@ -87,7 +96,7 @@ def test_places_and_configurations_belong_together_on_every_arm() -> None:
         for place in np.linspace(0.0, path.end, 23):
             q = path.configuration(place)
             np.testing.assert_allclose(
-                path.offset_of(q, place), sampled(path, np.array([place]))[0], atol=1e-10
+                path.offset_of(arm.at(q), place), sampled(path, np.array([place]))[0], atol=1e-10
             )
             if before is not None:  # no jump at a waypoint
                 apart = np.linalg.norm(arm.at(q).points - before, axis=1).max()

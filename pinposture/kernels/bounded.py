@@ -1,9 +1,9 @@
 """Least squares along a chain within a box: the motions that limits leave, still by sweeps.
 
 First the joints at a bound are guessed and corrected: those that would leave the box are held at its side,
-those that are held and pushed inwards are let go, all at once, until nothing changes (a primal-dual active set
-method, which is Newton's on the optimality conditions). Mostly two to five rounds are enough. Where they go
-round in circles, an interior point method (Mehrotra's predictor and corrector) comes close in some ten
+those that are held and pushed inwards are let go, all at once, until nothing changes (a primal-dual active
+set method, which is Newton's on the optimality conditions). Mostly two to five rounds are enough. Where they
+go round in circles, an interior point method (Mehrotra's predictor and corrector) comes close in some ten
 iterations, however many joints are at their bounds, and the guess that it leads to is corrected as before.
 """
 

@@ -1,0 +1,245 @@
+"""`pinposture many`: drive an arm from many starts, or to many curves, on all cores."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pinposture.cli.controllers import ControllerOption, HasteOption, build_controller, check_controller
+from pinposture.cli.inputs import (
+    MOTION,
+    OUTPUT,
+    STARTS,
+    TARGET,
+    BaseOption,
+    JsonOption,
+    ModulesOption,
+    TipOption,
+    UrdfArgument,
+    read_arm,
+    read_start,
+)
+from pinposture.cli.limits import (
+    AccelerationOption,
+    DurationOption,
+    PositionMarginOption,
+    StepLimitOption,
+    VelocityOption,
+    read_limits,
+)
+from pinposture.cli.output import print_facts, print_json, print_note
+from pinposture.cli.progress import count_progress
+from pinposture.cli.surroundings import SceneOption, SelfCollisionOption, read_scene
+from pinposture.cli.targets import (
+    MethodOption,
+    PartialOption,
+    PlacementOption,
+    RegionOption,
+    RollOption,
+    read_target,
+)
+from pinposture.errors import FileError, InvalidValue, UnknownName
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from pinposture.arm import Arm
+
+EXAMPLES = (
+    "pinposture many arm.urdf --curve helix --count 5",
+    "pinposture many arm.urdf --curve helix --starts random --count 5 --json",
+    "pinposture many arm.urdf --curve helix --curve line --count 1 -o out/2",
+    "pinposture many arm.urdf --curve line --jobs 2 --ends-only -o out/ends",
+)
+
+
+def run(
+    *,
+    urdf: UrdfArgument,
+    base: BaseOption = None,
+    tip: TipOption = None,
+    modules: ModulesOption = None,
+    curve: Annotated[
+        list[str],
+        typer.Option(
+            metavar="CURVE",
+            help="A .json, .csv or .txt file, or a preset: line, helix. May be given several times.",
+            rich_help_panel=TARGET,
+        ),
+    ],
+    placement: PlacementOption = "align",
+    roll: RollOption = 0.0,
+    method: MethodOption = "auto",
+    partial: PartialOption = False,
+    region: RegionOption = None,
+    controller: ControllerOption = "qp",
+    haste: HasteOption = None,
+    starts: Annotated[
+        str,
+        typer.Option(
+            metavar="STARTS",
+            help="straight, smooth or random, or a .csv or .npy file of joint positions with a row for each "
+            "start.",
+            rich_help_panel=MOTION,
+        ),
+    ] = "smooth",
+    count: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Number of starts to draw, else 10; they are those of track with seeds from --seed on.",
+            rich_help_panel=MOTION,
+        ),
+    ] = None,
+    seed: Annotated[
+        int, typer.Option(help="What the first start is drawn from.", rich_help_panel=MOTION)
+    ] = 0,
+    steps: Annotated[
+        int, typer.Option(help="Number of steps after which a run stops.", rich_help_panel=MOTION)
+    ] = 300,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            help="Mean point error at which the arm is there, in metres; else 1e-6 of its length.",
+            rich_help_panel=MOTION,
+        ),
+    ] = None,
+    step_limit: StepLimitOption = 0.1,
+    velocity: VelocityOption = None,
+    acceleration: AccelerationOption = None,
+    dt: DurationOption = None,
+    position_margin: PositionMarginOption = 0.0,
+    scene: SceneOption = None,
+    self_collision: SelfCollisionOption = False,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Number of processes; -1 for all there can be, which is what a long batch gets anyway.",
+            rich_help_panel=MOTION,
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Leave all runs in this .npz file; else nothing is kept.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = None,
+    ends_only: Annotated[
+        bool,
+        typer.Option(
+            "--ends-only", help="Leave how each run ended there, not the motions.", rich_help_panel=OUTPUT
+        ),
+    ] = False,
+    as_json: JsonOption = False,
+    require_convergence: Annotated[
+        bool,
+        typer.Option(
+            "--require-convergence",
+            help="Exit with code 1 unless the arm gets there in every run.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = False,
+) -> None:
+    """Drive an arm from many starts to the shape of a curve, or to several, and say how it went.
+
+    There is a run for each start; several curves need as many starts, or one. Every run is the one that track
+    makes of that start and curve, whatever the number of processes. Runs are counted from 0.
+
+    The file holds every run: Batch.load of the Python package reads it, as NumPy does. The exit code is 0
+    whether or not the arm got there, 2 if it could not start.
+    """
+    from pinposture.motion import track_many
+    from pinposture.storage import check_writable
+
+    check_controller(controller, {"--haste": haste})
+    limits = read_limits(step_limit, velocity, acceleration, dt, position_margin)
+    surroundings = read_scene(scene, self_collision)
+    arm = read_arm(urdf, base, tip, modules)
+    configurations = _read_starts(arm, starts, count, seed)
+    targets = [read_target(arm, each, placement, roll, method, partial, region) for each in curve]
+    if output is not None:
+        check_writable(output.parent)
+    with count_progress("run") as progress:
+        batch = track_many(
+            arm,
+            targets,
+            configurations,
+            build_controller(controller, haste, None),
+            limits=limits,
+            scene=surroundings,
+            max_steps=steps,
+            tolerance=tolerance,
+            jobs=jobs,
+            keep="ends" if ends_only or output is None else "motions",
+            progress=progress,
+        )
+    file = None if output is None else str(batch.save(output))
+    if as_json:
+        asked = {"urdf": urdf, "curves": curve, "starts": starts, "seed": seed}
+        print_json({**asked, "scene": None if scene is None else str(scene), **batch.to_dict(), "file": file})
+    else:
+        print_facts(batch.in_words())
+    if file is not None:
+        print_note(f"wrote {file}")
+    if require_convergence and not batch.converged.all():
+        raise typer.Exit(1)
+
+
+def _read_starts(arm: Arm, text: str, count: int | None, seed: int) -> list[NDArray[np.float64]]:
+    """The configurations to start from.
+
+    Args:
+        arm: the arm.
+        text: a name, of which `count` are drawn, or the path of a file with a row for each.
+        count: number of them to draw; None for 10, or for a file.
+        seed: what to draw the first from.
+
+    Raises:
+        UnknownName: neither a name nor a file.
+        FileError: a file that holds no numbers.
+        InvalidValue: a number of starts below 1, or for a file; a row that the arm cannot use.
+    """
+    if text in STARTS:
+        if count is not None and count < 1:
+            raise InvalidValue("--count", count, "a whole number of at least 1")
+        return [read_start(arm, text, seed + k) for k in range(10 if count is None else count)]
+    if Path(text).suffix.lower() not in (".csv", ".npy"):
+        raise UnknownName("kind of starts", text, (*STARTS, "a .csv file", "a .npy file"))
+    if count is not None:
+        raise InvalidValue("--count", count, "nothing where --starts names a file")
+    rows = _read_rows(Path(text))
+    # A continuous joint takes two entries of q, but whoever writes numbers down may think of one angle.
+    angles = all(len(row) == arm.nv != arm.nq for row in rows)
+    return [
+        arm.configuration(row) if angles else arm.checked(row, f"start {k}") for k, row in enumerate(rows)
+    ]
+
+
+def _read_rows(path: Path) -> list[list[float]]:
+    """The rows of numbers in a file; empty lines of text do not count."""
+    import numpy as np
+
+    try:
+        if path.suffix.lower() == ".npy":
+            rows = [[float(value) for value in row] for row in np.load(path, allow_pickle=False)]
+        else:
+            with path.open(encoding="utf-8-sig", newline="") as file:
+                rows = [[float(field) for field in row] for row in csv.reader(file) if any(row)]
+        if not rows:
+            raise ValueError("it is empty")
+    except FileNotFoundError:
+        raise FileError(path, "no such file") from None
+    except OSError as error:
+        raise FileError(path, f"cannot be read ({error.strerror or error})") from error
+    except (ValueError, TypeError, EOFError, csv.Error) as error:
+        raise FileError(path, f"is not a table of numbers ({error})") from error
+    return rows

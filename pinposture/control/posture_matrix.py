@@ -1,0 +1,116 @@
+"""The posture control matrix as the chain has it: products and solutions by passes along the arm."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture import kernels
+from pinposture.arm import Arm
+from pinposture.arm.screws import Screws, constants_of
+
+Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+FULL, RELATIVE, LOCAL = range(3)
+"""Couplings, as `kernels.rows` numbers them: what the rows of a point know of joints before its section."""
+
+FINE, ENOUGH = 1e-12, 1e-7
+"""Residuals at which the search for a singular value ends, relative to its square: to tell it, to decide."""
+
+
+class Rows(NamedTuple):
+    """Which motions a posture control matrix consists of; arrays for kernels.
+
+    Attributes:
+        stations: control points that have rows, (p,); increasing, at least one.
+        ranks: how many of its directions each of them has rows for, (p,).
+        directions: orthonormal directions, those with a row first, (p, 3, 3), world axes.
+        coupling: FULL, RELATIVE or LOCAL.
+    """
+
+    stations: Whole
+    ranks: Whole
+    directions: Array
+    coupling: int
+
+
+class PostureMatrix:
+    """A posture control matrix J = L Q, (4.6) and (5.9), that is never written out.
+
+    Its rows are motions of control points along directions, its columns joints in comparable units. It takes
+    memory and time in proportion to the length of the arm; `kernels.elimination` says how.
+    """
+
+    def __init__(self, screws: Screws, rows: Rows) -> None:
+        p = len(rows.stations)
+        self._screws, self._rows = screws, rows
+        self._factors = np.empty((p, 3, 3)), np.empty((p, 6, 3))
+        given = *screws, *rows, *self._factors
+        kernels.eliminated(*given)
+
+    @cached_property
+    def size(self) -> int:
+        """Number of rows r."""
+        return int(self._rows.ranks.sum())
+
+    def step(self, arm: Arm, values: Array, secondary: Array) -> Array:
+        """J^+ dr + (I - J^+ J) g: follow the velocities exactly, and g as far as they leave room (4.7).
+
+        Args:
+            arm: the arm.
+            values: velocities dr along the directions that have a row, (p, 3) [m].
+            secondary: joint displacement g, (nv,), in `Arm.joint_units`.
+
+        Returns:
+            Joint displacement (nv,) [rad or m]; zero for joints off the chain.
+        """
+        columns, asked = arm.columns, np.zeros(arm.nv)
+        x = secondary[columns]
+        given = *self._screws, *self._rows, *self._factors
+        kernels.least_change(*given, values, x)
+        asked[columns] = x * constants_of(arm).units
+        return asked
+
+    def inverse_norm(self) -> float:
+        """Frobenius norm of the pseudo-inverse, for FULL rows [rad/m]; enormous if rows depend on others.
+
+        The smallest singular value is between its inverse and sqrt(r) times that.
+        """
+        stations, ranks, directions, _ = self._rows
+        return float(kernels.inverse_norm(self._screws.points, stations, ranks, directions, *self._factors))
+
+    def weakest(self) -> tuple[float, Array]:
+        """Smallest singular value, and how much each station has in its left singular vector, (p,)."""
+        found, vector = self._extreme(True, ENOUGH)
+        return found, np.asarray(np.linalg.norm(vector, axis=1))
+
+    @cached_property
+    def smallest(self) -> float:
+        """Smallest singular value [m/rad]."""
+        return float(self._own.min()) if self._rows.coupling == LOCAL else self._extreme(True, FINE)[0]
+
+    @cached_property
+    def largest(self) -> float:
+        """Largest singular value [m/rad]."""
+        return float(self._own.max()) if self._rows.coupling == LOCAL else self._extreme(False, FINE)[0]
+
+    @property
+    def _own(self) -> Array:
+        """Singular values of the blocks on the diagonal of L, the whole of it for LOCAL rows.
+
+        A block of fewer rows is filled up with its first entry, which is between its singular values.
+        """
+        used = self._rows.ranks > 0
+        there, triangles = np.arange(3) < self._rows.ranks[used, None], self._factors[0][used]
+        blocks = np.where(there[:, :, None] & there[:, None, :], triangles, 0.0)
+        blocks[:, range(3), range(3)] += np.where(there, 0.0, blocks[:, :1, 0])
+        return np.asarray(np.linalg.svd(blocks, compute_uv=False))
+
+    def _extreme(self, smallest: bool, tolerance: float) -> tuple[float, Array]:
+        vector = np.zeros((len(self._rows.ranks), 3))
+        given = self._screws.points, *self._rows, *self._factors
+        return float(kernels.extreme_value(*given, smallest, tolerance, vector)), vector

@@ -1,0 +1,226 @@
+"""Arc length of a B-spline as a function of its parameter, and back."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.kernels.compiled import compiled
+from pinposture.kernels.spline import span_at, value
+
+Array = NDArray[np.float64]
+
+DEPTH = 48  # halvings of a span, enough for a speed that nearly vanishes
+MOST = 64  # pieces to a span that are halved at a time; more means that rounding is all there is to see
+NEWTON = 60  # steps at most, and how small they get, next to the bracket
+CLOSE = 1e-10
+
+
+@compiled
+def expand(t: Array, table: Array, degree: int, low: float, high: float, work: Array, taylor: Array) -> None:
+    """Expand the velocity about the middle of a piece of one knot span.
+
+    Args:
+        t: knots.
+        table: of `spline.spline_coefficients`.
+        degree: of the spline.
+        low: where the piece begins.
+        high: where it ends.
+        work: space, (6, 3).
+        taylor: filled with the coefficients of 1, x, x^2 ... on x from -1 to 1, (degree, 3).
+    """
+    half = 0.5 * (high - low)
+    middle = low + half
+    span = span_at(t, degree, middle)
+    scale = 1.0
+    for p in range(degree):
+        x, y, z = value(t, table, degree, p + 1, span, middle, work)
+        taylor[p, 0], taylor[p, 1], taylor[p, 2] = scale * x, scale * y, scale * z
+        scale *= half / (p + 1)
+
+
+@compiled
+def speed(taylor: Array, degree: int, x: float) -> float:
+    """Speed at x of an expanded velocity."""
+    a, b, c = taylor[degree - 1, 0], taylor[degree - 1, 1], taylor[degree - 1, 2]
+    for p in range(degree - 2, -1, -1):
+        a, b, c = a * x + taylor[p, 0], b * x + taylor[p, 1], c * x + taylor[p, 2]
+    return float(np.sqrt(a * a + b * b + c * c))
+
+
+@compiled
+def expand_spans(t: Array, table: Array, degree: int, breaks: Array) -> Array:
+    """Expand the velocity about the middle of every knot span, see `expand`, (k, degree, 3)."""
+    work, taylors = np.empty((6, 3)), np.empty((len(breaks) - 1, degree, 3))
+    for i in range(len(taylors)):
+        expand(t, table, degree, breaks[i], breaks[i + 1], work, taylors[i])
+    return taylors
+
+
+@compiled
+def legendre(taylor: Array, degree: int, rule: Array, speeds: Array, piece: Array) -> None:
+    """Expand the speed on a piece in Legendre polynomials.
+
+    Args:
+        taylor: the velocity there, of `expand`.
+        degree: of the spline.
+        rule: of `measure_length`.
+        speeds: space, (N,).
+        piece: its beginning and end; filled from [2] on with the size of the last two coefficients, and with
+            all of them, times half the width, (3 + N,).
+    """
+    nodes = len(rule)
+    half = 0.5 * (piece[1] - piece[0])
+    for g in range(nodes):
+        speeds[g] = speed(taylor, degree, rule[g, 0])
+        piece[3 + g] = 0.0
+    for g in range(1, nodes):
+        change = speeds[g] - speeds[0]  # of the difference, so that a constant speed is exact
+        for j in range(nodes):
+            piece[3 + j] += change * rule[g, 1 + j]
+    piece[3] += speeds[0]
+    for j in range(nodes):
+        piece[3 + j] *= half
+    piece[2] = abs(piece[1 + nodes]) + abs(piece[2 + nodes])
+
+
+@compiled
+def measure_length(
+    t: Array,
+    table: Array,
+    degree: int,
+    breaks: Array,
+    taylors: Array,
+    rule: Array,
+    tail: float,
+    rounding: float,
+) -> tuple[Array, Array, Array]:
+    """Integrate the speed: a polynomial on each of many short pieces of the knot spans.
+
+    Pieces are halved until the Legendre series of the speed, sampled at Gauss nodes, has died out.
+
+    Args:
+        t: knots.
+        table: of `spline.spline_coefficients`.
+        degree: of the spline.
+        breaks: ends of the knot spans, increasing, (k + 1,).
+        taylors: of `expand_spans`.
+        rule: Gauss nodes; the matrix from values there to Legendre coefficients; that from these to power
+            coefficients of the integral from -1, highest first; (N, 1 + N + N + 1).
+        tail: largest last terms of a piece's series, of the whole length.
+        rounding: error in the length of a span that rounding may cause; halving goes no further.
+
+    Returns:
+        Parameters where the pieces meet (n + 1,), arc lengths there (n + 1,), and power coefficients of each
+        piece's length in x from -1 to 1, highest first, (n, N + 1).
+    """
+    nodes, spans = len(rule), len(taylors)
+    work, finer, speeds = np.empty((6, 3)), np.empty((degree, 3)), np.empty(nodes)
+    # Where a piece begins and ends, how large its last Legendre coefficients are (-1: unknown), and all.
+    pieces = np.empty((spans, 3 + nodes))
+    for i in range(spans):
+        pieces[i, 0], pieces[i, 1], pieces[i, 2] = breaks[i], breaks[i + 1], -1.0
+    largest, rough = 0.0, spans
+    for depth in range(DEPTH):
+        total, rough = 0.0, 0
+        for i in range(len(pieces)):
+            piece = pieces[i]
+            if piece[2] < 0.0:
+                taylor = taylors[i] if depth == 0 else finer
+                if depth > 0:
+                    expand(t, table, degree, piece[0], piece[1], work, finer)
+                legendre(taylor, degree, rule, speeds, piece)
+            total += 2.0 * piece[3]
+            if depth > 0:
+                rough += int(piece[2] > largest)
+        if depth == 0:
+            largest = max(tail * total, rounding)
+            for i in range(spans):
+                rough += int(pieces[i, 2] > largest)
+        if rough == 0 or rough > MOST * len(breaks) or depth == DEPTH - 1:
+            break
+        halves, k = np.empty((len(pieces) + rough, 3 + nodes)), 0
+        for i in range(len(pieces)):
+            piece = pieces[i]
+            if piece[2] > largest:
+                middle = piece[0] + 0.5 * (piece[1] - piece[0])
+                halves[k, 0], halves[k, 1], halves[k, 2] = piece[0], middle, -1.0
+                k += 1
+                halves[k, 0], halves[k, 1], halves[k, 2] = middle, piece[1], -1.0
+            else:
+                for j in range(3 + nodes):
+                    halves[k, j] = piece[j]
+            k += 1
+        pieces = halves
+    edges, lengths = np.empty(len(pieces) + 1), np.empty(len(pieces) + 1)
+    series = np.zeros((len(pieces), nodes + 1))
+    edges[0], lengths[0] = breaks[0], 0.0
+    for i in range(len(pieces)):
+        piece = pieces[i]
+        edges[i + 1], lengths[i + 1] = piece[1], lengths[i] + 2.0 * piece[3]
+        for g in range(nodes):
+            for j in range(nodes + 1):
+                series[i, j] += piece[3 + g] * rule[g, 1 + nodes + j]
+    return edges, lengths, series
+
+
+@compiled
+def piece_at(table: Array, x: float) -> int:
+    """Which interval of an increasing table holds x; the first or last one if it is outside."""
+    low, high = 0, len(table) - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if table[middle] <= x:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@compiled
+def length_at(edges: Array, lengths: Array, series: Array, u: float) -> float:
+    """Arc length from the start to the parameter u."""
+    i = piece_at(edges, u)
+    x = (2.0 * u - edges[i] - edges[i + 1]) / (edges[i + 1] - edges[i])
+    row = series[i]
+    s = row[0]
+    for j in range(1, len(row)):
+        s = s * x + row[j]
+    return float(min(max(lengths[i] + s, 0.0), lengths[-1]))
+
+
+@compiled
+def parameter_at(edges: Array, lengths: Array, series: Array, s: float) -> float:
+    """Parameter at the arc length s, by Newton's method that cannot leave its bracket."""
+    i = piece_at(lengths, s)
+    row, local = series[i], s - lengths[i]
+    low, high = -1.0, 1.0
+    x = min(max(2.0 * local / (lengths[i + 1] - lengths[i]) - 1.0, -1.0), 1.0)
+    for _ in range(NEWTON):
+        gap, slope = row[0], 0.0
+        for j in range(1, len(row)):
+            slope = slope * x + gap
+            gap = gap * x + row[j]
+        gap -= local
+        if gap <= 0.0:
+            low = x
+        if gap >= 0.0:
+            high = x
+        trial = x - gap / slope
+        if not (slope > 0.0 and low <= trial <= high):
+            trial = 0.5 * (low + high)
+        step = abs(trial - x)
+        x = trial
+        if step <= 2.0 * CLOSE:
+            break
+    u = 0.5 * ((1.0 - x) * edges[i] + (1.0 + x) * edges[i + 1])
+    return float(min(max(u, edges[i]), edges[i + 1]))
+
+
+@compiled
+def parameters_at(edges: Array, lengths: Array, series: Array, s: Array) -> Array:
+    """Parameters (n,) at arc lengths s (n,)."""
+    out = np.empty(len(s))
+    for i in range(len(s)):
+        out[i] = parameter_at(edges, lengths, series, s[i])
+    return out

@@ -1,0 +1,184 @@
+"""A step along a way through joint space, and what comes of it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.kernels.compiled import compiled
+from pinposture.kernels.kinematics import placements
+
+Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+ROUNDING = 1e-12
+"""What is lost in the arithmetic of a step, in units of each joint."""
+
+
+@compiled
+def apart(one: Array, other: Array, endless: Flags, columns: Whole, units: Array) -> float:
+    """The largest difference of joint positions (nv,), of those in `columns`, in units of each (n,)."""
+    most = 0.0
+    for i in range(len(columns)):
+        u = columns[i]
+        way = abs(other[u] - one[u])
+        if endless[u]:
+            way = abs(way - 2.0 * np.pi * np.round(way / (2.0 * np.pi)))
+        most = max(most, way / units[i])
+    return most
+
+
+@compiled
+def outside(positions: Array, edges: Array, columns: Whole) -> float:
+    """By how much joints are outside their position limits, (2, nv), at most; 0 if none is."""
+    most = 0.0
+    for i in range(len(columns)):
+        u = columns[i]
+        most = max(most, edges[0, u] - positions[u], positions[u] - edges[1, u])
+    return most
+
+
+@compiled
+def along(
+    offsets: Array,
+    start: Array,
+    positions: Array,
+    endless: Flags,
+    columns: Whole,
+    units: Array,
+    place: float,
+    limits: Array,
+    most: float,
+    dq: Array,
+) -> tuple[float, float, bool]:
+    """The step to the farthest place on a way that can be reached without leaving a gap.
+
+    Args:
+        offsets: displacements of waypoints from the start, (N + 1, nv), joined by straight lines.
+        start: joint positions at the start, (nv,).
+        positions: joint positions now, (nv,).
+        endless: which joints come round to where they were, (nv,).
+        columns: the joints that move on the way, (n,).
+        units: the motion of each of them that counts as one, (n,).
+        place: where the arm is on the way, or was last, as a number of waypoints.
+        limits: smallest and largest step, (2, nv).
+        most: the most that a joint may go where there is no limit, in units.
+        dq: zeros, filled with the step, (nv,).
+
+    Returns:
+        The place that it leads to, which is the old one if the limits do not admit more; the largest joint
+        motion left to the end of the way, in units; and whether the step is within the limits.
+    """
+    n, last = len(columns), len(offsets) - 1
+    offset, begin = np.empty(n), np.empty(n)
+    left = 0.0
+    i = min(int(place), last - 1)
+    share = place - i
+    for k in range(n):
+        u = columns[k]
+        here = (1.0 - share) * offsets[i, u] + share * offsets[i + 1, u]
+        gone = positions[u] - start[u]
+        if endless[u]:
+            gone += 2.0 * np.pi * np.round((here - gone) / (2.0 * np.pi))
+        offset[k], begin[k] = gone, here - gone
+        left = max(left, abs(offsets[last, u] - gone) / units[k])
+    while place < last:
+        i = min(int(place), last - 1)
+        reach = 1.0
+        for k in range(n):
+            u = columns[k]
+            bound = min(max(abs(limits[0, u]), abs(limits[1, u])), most * units[k])
+            way = offsets[i + 1, u] - offset[k] - begin[k]
+            if abs(begin[k]) > bound:
+                reach = 0.0
+            elif way > 0.0:
+                reach = min(reach, (bound - begin[k]) / way)
+            elif way < 0.0:
+                reach = min(reach, (bound + begin[k]) / -way)
+        place = i + 1.0 if reach >= 1.0 else place + reach * (i + 1.0 - place)
+        for k in range(n):
+            begin[k] += min(reach, 1.0) * (offsets[i + 1, columns[k]] - offset[k] - begin[k])
+        if reach < 1.0:
+            break
+    inside = True
+    for k in range(n):
+        u, slack = columns[k], ROUNDING * units[k]
+        dq[u] = begin[k]
+        fits = limits[0, u] - slack <= begin[k] <= limits[1, u] + slack
+        inside = inside and fits and abs(begin[k]) <= most * units[k]
+    return place, left, inside
+
+
+@compiled
+def outcome(
+    slides: Flags,
+    columns: Whole,
+    fixed: Array,
+    axes: Array,
+    ends: Whole,
+    offsets: Array,
+    turns: Array,
+    positions: Array,
+    units: Array,
+    limits: Array,
+    edges: Array,
+    points: Array,
+    targets: Array,
+    placed: Flags,
+    dq: Array,
+    reached: Array,
+    at_limit: Flags,
+) -> tuple[float, float]:
+    """Cut a step at its limits, and look where it leads.
+
+    Args:
+        slides: of the chain, as for `placements`, up to the next six.
+        columns: see there.
+        fixed: see there.
+        axes: see there.
+        ends: see there.
+        offsets: see there.
+        turns: see there.
+        positions: joint positions now, (nv,).
+        units: the motion of each joint of the chain that counts as one, (n,).
+        limits: smallest and largest step, (2, nv).
+        edges: joint positions to stay between, (2, nv).
+        points: control points now, (m, 3).
+        targets: where they should be, (m, 3).
+        placed: which of them have a target, (m,).
+        dq: the step, (nv,); cut.
+        reached: filled with the joint positions after it, (nv,).
+        at_limit: filled with which joints of the chain are at a position limit then, (nv,).
+
+    Returns:
+        Sum of the distances of the control points from their targets before the step and after it.
+    """
+    for u in range(len(dq)):
+        reached[u] = positions[u] + dq[u]
+        at_limit[u] = False
+    for k in range(len(columns)):
+        u = columns[k]
+        dq[u] = min(max(dq[u], limits[0, u]), limits[1, u])
+        reached[u] = positions[u] + dq[u]
+        slack = ROUNDING * units[k]
+        at_limit[u] = min(abs(edges[0, u] - reached[u]), abs(edges[1, u] - reached[u])) <= slack
+    m = len(ends)
+    joint_axes, joint_origins = np.empty((len(slides), 3)), np.empty((len(slides), 3))
+    there, rotations = np.empty((m, 3)), np.empty((m, 3, 3))
+    placements(
+        slides, columns, fixed, axes, ends, offsets, turns, reached,
+        joint_axes, joint_origins, there, rotations,
+    )  # fmt: skip
+    return distance(points, targets, placed), distance(there, targets, placed)
+
+
+@compiled
+def distance(points: Array, targets: Array, placed: Flags) -> float:
+    """Sum of the distances of points (m, 3) from their targets (m, 3), of those that have one (m,)."""
+    total = 0.0
+    for k in range(len(points)):
+        if placed[k]:
+            x, y, z = points[k, 0] - targets[k, 0], points[k, 1] - targets[k, 1], points[k, 2] - targets[k, 2]
+            total += np.sqrt(x * x + y * y + z * z)
+    return total

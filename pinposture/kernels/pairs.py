@@ -1,0 +1,279 @@
+"""Manipulability indices of the sections of a chain: all of them, or those that a control set needs.
+
+The Jacobian of point i relative to point s has the columns of the joints between them. Its Gram matrix is a
+sum of outer products over these joints, from i downwards, so that nothing cancels. Its eigenvalues have
+closed forms.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.kernels.compiled import compiled
+
+Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+Gram = tuple[float, float, float, float, float, float]
+
+DOUBT = 1e-7
+"""How far the square of an index may be from that of a threshold for it to be computed the careful way."""
+
+ROUNDING = 1e-14
+"""Rounding of the determinant of a Gram matrix of trace 1, at most."""
+
+
+@compiled
+def _with_module(
+    gram: Gram, b: Array, ends: Whole, points: Array, plane: Array, module: int, point: int
+) -> Gram:
+    """A Gram matrix (xx, xy, xz, yy, yz, zz) of the motion of a point, with one more module."""
+    xx, xy, xz, yy, yz, zz = gram
+    dx = points[point, 0] - points[module, 0]
+    dy = points[point, 1] - points[module, 1]
+    dz = points[point, 2] - points[module, 2]
+    for u in range(ends[module] - 1, (ends[module - 1] if module else 0) - 1, -1):
+        x = b[u, 0] + b[u, 4] * dz - b[u, 5] * dy
+        y = b[u, 1] + b[u, 5] * dx - b[u, 3] * dz
+        z = b[u, 2] + b[u, 3] * dy - b[u, 4] * dx
+        if len(plane) == 2:
+            x, y, z = (
+                plane[0, 0] * x + plane[0, 1] * y + plane[0, 2] * z,
+                plane[1, 0] * x + plane[1, 1] * y + plane[1, 2] * z,
+                0.0,
+            )
+        xx, xy, xz, yy, yz, zz = xx + x * x, xy + x * y, xz + x * z, yy + y * y, yz + y * z, zz + z * z
+    return xx, xy, xz, yy, yz, zz
+
+
+@compiled
+def _determinant(gram: Gram) -> float:
+    xx, xy, xz, yy, yz, zz = gram
+    return xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+
+
+@compiled
+def _index(gram: Gram, dimension: int) -> float:
+    """Product of the singular values over the power of the largest, (4.3) and (4.4)."""
+    xx, xy, xz, yy, yz, zz = gram
+    mean = (xx + yy + zz) / dimension
+    if mean <= 0.0:
+        return 0.0
+    if dimension == 2:
+        half = 0.5 * (xx - yy)
+        largest = mean + np.sqrt(half * half + xy * xy)
+        determinant = (xx / largest) * (yy / largest) - (xy / largest) * (xy / largest)
+    else:
+        dx, dy, dz = xx - mean, yy - mean, zz - mean
+        spread = np.sqrt((dx * dx + dy * dy + dz * dz + 2.0 * (xy * xy + xz * xz + yz * yz)) / 6.0)
+        safe = spread if spread > 0.0 else 1.0
+        cosine = 0.5 * _determinant((dx / safe, xy / safe, xz / safe, dy / safe, yz / safe, dz / safe))
+        largest = mean + 2.0 * spread * np.cos(np.arccos(min(max(cosine, -1.0), 1.0)) / 3.0)
+        determinant = _determinant(
+            (xx / largest, xy / largest, xz / largest, yy / largest, yz / largest, zz / largest)
+        )
+    return min(np.sqrt(max(determinant, 0.0)), 1.0)
+
+
+@compiled
+def _clears(gram: Gram, dimension: int, threshold: float) -> bool:
+    """Whether the index exceeds a threshold; the largest eigenvalue is only found where it decides."""
+    trace = gram[0] + gram[3] + gram[5]
+    if dimension == 3 and trace > 0.0:
+        share = _determinant(gram) / (trace * trace * trace)
+        if share > threshold * threshold + ROUNDING:
+            return True
+        if share < threshold * threshold / 27.0 - ROUNDING:
+            return False
+    return _index(gram, dimension) > threshold
+
+
+@compiled
+def _section(b: Array, ends: Whole, points: Array, plane: Array, start: int, end: int) -> float:
+    """Index of point `end` - 1 relative to `start` - 1; 0 is the base."""
+    gram = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    for module in range(end - 1, start - 1, -1):
+        gram = _with_module(gram, b, ends, points, plane, module, end - 1)
+    return _index(gram, len(plane))
+
+
+@compiled
+def all_indices(b: Array, ends: Whole, points: Array, plane: Array, filled: Array) -> None:
+    """Indices of all sections.
+
+    Args:
+        b: motion and turning of the first point that each joint carries, (n, 6), from `screws`.
+        ends: number of joints that carry each point, (m,); increasing.
+        points: the points, (m, 3).
+        plane: directions in which the points can move, (2, 3), or (3, 3) for any.
+        filled: zeros, filled with the index of each point i relative to each point s < i, (m + 1, m + 1);
+            0 is the base.
+    """
+    for i in range(len(ends)):
+        gram = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        for s in range(i, -1, -1):
+            gram = _with_module(gram, b, ends, points, plane, s, i)
+            filled[s, i + 1] = _index(gram, len(plane))
+
+
+@compiled
+def base_indices(b: Array, ends: Whole, points: Array, plane: Array, threshold: float, filled: Array) -> None:
+    """Indices of all points relative to the base, in one pass.
+
+    The Gram matrix of motion and turning goes along the chain from point to point. What rounding that adds
+    may not decide whether an index exceeds the threshold: the index is computed anew where it could.
+
+    Args:
+        b: see `all_indices`.
+        ends: see `all_indices`.
+        points: see `all_indices`.
+        plane: see `all_indices`.
+        threshold: what the indices are going to be compared with.
+        filled: filled with the indices, (m,).
+    """
+    vv, vw, ww = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
+    X, P = np.zeros((3, 3)), plane
+    d = len(plane)
+    for i in range(len(ends)):
+        if i:  # v + w x r, as a matrix times w
+            r0 = points[i, 0] - points[i - 1, 0]
+            r1 = points[i, 1] - points[i - 1, 1]
+            r2 = points[i, 2] - points[i - 1, 2]
+            X[0, 1], X[0, 2], X[1, 0], X[1, 2], X[2, 0], X[2, 1] = r2, -r1, -r2, r0, r1, -r0
+            for j in range(3):
+                for k in range(3):
+                    vv[j, k] += X[j, 0] * vw[k, 0] + X[j, 1] * vw[k, 1] + X[j, 2] * vw[k, 2]
+            for j in range(3):
+                for k in range(3):
+                    vw[j, k] += X[j, 0] * ww[0, k] + X[j, 1] * ww[1, k] + X[j, 2] * ww[2, k]
+            for j in range(3):
+                for k in range(3):
+                    vv[j, k] += vw[j, 0] * X[k, 0] + vw[j, 1] * X[k, 1] + vw[j, 2] * X[k, 2]
+        for u in range(ends[i - 1] if i else 0, ends[i]):
+            for j in range(3):
+                for k in range(3):
+                    vv[j, k] += b[u, j] * b[u, k]
+                    vw[j, k] += b[u, j] * b[u, 3 + k]
+                    ww[j, k] += b[u, 3 + j] * b[u, 3 + k]
+        if d == 3:
+            gram = (vv[0, 0], vv[0, 1], vv[0, 2], vv[1, 1], vv[1, 2], vv[2, 2])
+        else:
+            xx, xy, yy = 0.0, 0.0, 0.0
+            for j in range(3):
+                for k in range(3):
+                    xx += P[0, j] * vv[j, k] * P[0, k]
+                    xy += P[0, j] * vv[j, k] * P[1, k]
+                    yy += P[1, j] * vv[j, k] * P[1, k]
+            gram = (xx, xy, 0.0, yy, 0.0, 0.0)
+        filled[i] = _index(gram, d)
+        if abs(filled[i] * filled[i] - threshold * threshold) < DOUBT:
+            filled[i] = _section(b, ends, points, plane, 0, i + 1)
+
+
+@compiled
+def stride_indices(b: Array, ends: Whole, points: Array, plane: Array, strides: Whole, filled: Array) -> None:
+    """Indices of the sections of some numbers of modules.
+
+    Args:
+        b: see `all_indices`.
+        ends: see `all_indices`.
+        points: see `all_indices`.
+        plane: see `all_indices`.
+        strides: how many modules the sections have, (S,).
+        filled: zeros, filled with the index of the section to each node from so many modules before,
+            (S, m + 1); node k + 1 is point k.
+    """
+    for j in range(len(strides)):
+        for end in range(strides[j], len(ends) + 1):
+            filled[j, end] = _section(b, ends, points, plane, end - strides[j], end)
+
+
+@compiled
+def best_path(
+    b: Array,
+    ends: Whole,
+    points: Array,
+    plane: Array,
+    usable: Flags,
+    errors: Array,
+    relative: float,
+    path: Whole,
+) -> int:
+    """The control set with the largest sum of errors: the longest path whose edges all clear the condition.
+
+    The best path to a point goes through the best of the points that it can follow. These are tried from the
+    best downwards, so that the first whose section clears the condition is the one, and mostly it is near:
+    few of all the sections are looked at. Of equally good ones the first along the chain is taken.
+
+    Args:
+        b: see `all_indices`.
+        ends: see `all_indices`.
+        points: see `all_indices`.
+        plane: see `all_indices`.
+        usable: which points may be in the set, (m,).
+        errors: what each of them adds, (m,); not negative.
+        relative: threshold of the index of each point of the set relative to the one before it.
+        path: filled with the points of the set from its beginning, (m,).
+
+    Returns:
+        How many points it has.
+    """
+    m, d, known = len(ends), len(plane), 0
+    score, before = np.zeros(m), np.full(m, -1)
+    order = np.empty(m, np.int64)  # points so far, from the worst to the best
+    grams = np.empty((m, 6))  # of the sections from each point to this one
+    for i in range(m):
+        if not usable[i]:
+            continue
+        score[i] = errors[i]
+        gram, reached = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), i
+        for at in range(known - 1, -1, -1):
+            s = order[at]
+            if score[s] <= 0.0:
+                break
+            while reached > s:
+                gram = _with_module(gram, b, ends, points, plane, reached, i)
+                reached -= 1
+                g = grams[reached]
+                g[0], g[1], g[2], g[3], g[4], g[5] = gram
+            g = grams[s]
+            if _clears((g[0], g[1], g[2], g[3], g[4], g[5]), d, relative):
+                score[i] += score[s]
+                before[i] = s
+                break
+        at = known
+        while at > 0 and score[order[at - 1]] >= score[i]:
+            order[at] = order[at - 1]
+            at -= 1
+        order[at] = i
+        known += 1
+    count, point = 0, order[known - 1] if known else -1
+    while point >= 0:
+        path[count] = point
+        count += 1
+        point = before[point]
+    path[:count] = path[:count][::-1].copy()
+    return count
+
+
+@compiled
+def weakest_index(b: Array, ends: Whole, points: Array, plane: Array, active: Whole, base: Array) -> float:
+    """Smallest index of the points of a control set, relative to the base and to the point before.
+
+    Args:
+        b: see `all_indices`.
+        ends: see `all_indices`.
+        points: see `all_indices`.
+        plane: see `all_indices`.
+        active: the points of the set, increasing.
+        base: indices of all points relative to the base, (m,).
+    """
+    last = active[0]
+    for i in active:
+        if base[i] < base[last]:
+            last = i
+    weakest = _section(b, ends, points, plane, 0, last + 1)
+    for k in range(1, len(active)):
+        weakest = min(weakest, _section(b, ends, points, plane, active[k - 1] + 1, active[k] + 1))
+    return weakest

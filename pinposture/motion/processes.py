@@ -1,0 +1,117 @@
+"""Work on several processes, its results in order."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from functools import cached_property, lru_cache
+from time import perf_counter
+from typing import Any, Generic, TypeVar
+
+from joblib import Parallel, parallel_config, wrap_non_picklable_objects
+from joblib.parallel import get_active_backend
+
+from pinposture.control.checks import is_whole
+from pinposture.errors import InvalidValue
+
+Value = TypeVar("Value")
+
+TRIAL = 1.0
+"""How long work goes on here before it is asked whether other processes pay [s]."""
+
+START_UP = 5.0
+"""What is left of the work has to take that long for them to pay [s]: they start and import for 3 to 5 s."""
+
+
+class Shared(Generic[Value]):
+    """Something that all calls need: it is sent as it was packed once, and each process unpacks it once.
+
+    Attributes:
+        value: what it is; in this process the very same.
+    """
+
+    def __init__(self, value: Value) -> None:
+        self.value = value
+
+    @cached_property
+    def _packed(self) -> bytes:
+        # Not pickled alone: scripts and notebooks have controllers that other processes cannot import.
+        return pickle.dumps(wrap_non_picklable_objects(self.value, keep_wrapper=False))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _unpacked, (self._packed,)
+
+
+@lru_cache(maxsize=1)
+def _unpacked(packed: bytes) -> Shared[Any]:
+    return Shared(pickle.loads(packed))
+
+
+def check_jobs(jobs: int) -> None:
+    """Raise InvalidValue unless that can be a number of processes."""
+    if not (is_whole(jobs) and (jobs >= 1 or jobs == -1)):
+        raise InvalidValue("jobs", jobs, "a whole number of at least 1, or -1 for all there can be")
+
+
+def in_order(tasks: Iterable[Any], jobs: int) -> Iterator[Any]:
+    """The results of delayed calls in the order of the calls, each as soon as those before it are there.
+
+    Short calls are sent in bundles. Processes that are started here leave the threads of BLAS out: they would
+    be in each other's way.
+
+    Args:
+        tasks: calls made with `joblib.delayed`.
+        jobs: number of processes; joblib's backends apply, so a cluster serves as well.
+
+    Raises:
+        InvalidValue: not a number of processes.
+    """
+    check_jobs(jobs)
+    return _spread(tasks, jobs)
+
+
+def where_it_pays(tasks: Sequence[Any], jobs: int | None) -> Iterator[Any]:
+    """As `in_order`, but without a number of processes only where that is quicker.
+
+    Args:
+        tasks: calls made with `joblib.delayed`.
+        jobs: number of processes. None: what `joblib.parallel_config` says. If it says nothing, this process
+            begins, and all there can be take over if there is more to do than it takes to start them.
+
+    Raises:
+        InvalidValue: not a number of processes.
+    """
+    if jobs is not None:
+        return in_order(tasks, jobs)
+    backend, configured = get_active_backend()
+    if configured is not None:
+        return _spread(tasks, configured)
+    if backend.nesting_level:  # somebody else has already spread the work
+        return in_order(tasks, 1)
+    return _tried(tasks) if backend.supports_inner_max_num_threads else in_order(tasks, -1)
+
+
+def _tried(tasks: Sequence[Any]) -> Iterator[Any]:
+    """The calls one by one, until it is clear that processes pay; they take what is left."""
+    began = perf_counter()
+    for done, (function, positional, named) in enumerate(tasks):
+        spent = perf_counter() - began
+        if done and spent > TRIAL and spent / done * (len(tasks) - done) > START_UP:
+            yield from in_order(tasks[done:], -1)
+            return
+        yield function(*positional, **named)
+
+
+def _spread(tasks: Iterable[Any], jobs: int) -> Iterator[Any]:
+    with _one_thread_each():
+        pool = Parallel(n_jobs=jobs, return_as="generator")
+    return iter(pool(tasks))
+
+
+def _one_thread_each() -> AbstractContextManager[object]:
+    """Processes started here compute with one thread each, unless somebody said how many."""
+    backend, _ = get_active_backend()
+    if backend.supports_inner_max_num_threads and backend.inner_max_num_threads is None:
+        return parallel_config(backend="loky", inner_max_num_threads=1)  # type: ignore[no-any-return]
+    return nullcontext()

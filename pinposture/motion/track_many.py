@@ -1,0 +1,245 @@
+"""Many runs of one arm, on as many processes as there can be."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pinposture.arm import Arm
+from pinposture.control import Controller, Limits, controller_named
+from pinposture.control.checks import is_number, require_positive, require_whole
+from pinposture.errors import InvalidValue, PostureError, PostureWarning
+from pinposture.motion.batch import FAILED, Batch
+from pinposture.motion.batch_motions import gathered, recorded
+from pinposture.motion.record import Recorder
+from pinposture.motion.track import _in_scene, track
+from pinposture.motion.trajectory import Trajectory
+from pinposture.scene import Scene
+from pinposture.target import Target
+
+if TYPE_CHECKING:
+    from pinposture.motion.processes import Shared
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int], object]
+
+KEEP = ("motions", "ends")
+
+
+@dataclass(frozen=True)
+class _Setting:
+    """What all runs have in common."""
+
+    arm: Arm
+    controller: Controller
+    limits: Limits
+    scene: Scene | None
+    max_steps: int
+    tolerance: float
+    keep: str
+    process: int
+
+
+class _Ends(NamedTuple):
+    """What is kept of each run."""
+
+    status: str
+    reason: str
+    steps: int
+    start_error: float
+    final_error: float
+    mean_error: float
+    sweep: float
+    clearance: float
+    q_start: Array
+    q_final: Array
+
+
+def track_many(
+    arm: Arm,
+    targets: Target | Sequence[Target],
+    starts: ArrayLike,
+    controller: str | Controller = "qp",
+    limits: Limits | None = None,
+    scene: Scene | None = None,
+    max_steps: int = 300,
+    tolerance: float | None = None,
+    jobs: int | None = None,
+    keep: Literal["motions", "ends"] = "motions",
+    progress: Progress | None = None,
+) -> Batch:
+    """Drive an arm from many configurations to a target posture, or to many.
+
+    Each run is what `track` makes of it. There is one for each start and target at the same place; a single
+    target serves all starts, a single start all targets.
+
+    With `joblib.parallel_config(backend="dask")` or another backend around the call, runs are computed where
+    that says. Nothing but the time depends on it, nor on the number of processes.
+
+    Args:
+        arm: the arm.
+        targets: where its control points should be; one target, or one for each run.
+        starts: configurations to start from, (count, nq); or one, (nq,).
+        controller: a controller, or the name of one with its default parameters; see `CONTROLLERS`.
+        limits: what a step may not exceed; `Limits()` if None.
+        scene: what to keep clear of, as in `track`.
+        max_steps: number of steps after which a run stops.
+        tolerance: mean distance of the control points from their targets at which a run has converged
+            [m]; 1e-6 of the arm length if None.
+        jobs: number of processes, -1 for all there can be. If None, as `joblib.parallel_config` says; if it
+            says nothing, all there can be, once there is more to do than it takes to start them.
+        keep: "motions", or "ends" to save memory: 0.5 kB for each step of an arm of 40 degrees of freedom.
+        progress: called with the number of runs finished so far, and that of all.
+
+    Returns:
+        How each run ended, and its motion, in the order of starts and targets. A run that an error of
+        this package ends does not end the others: it is recorded as "failed", and a `PostureWarning` tells.
+
+    Raises:
+        InvalidValue: numbers of targets and starts that do not fit each other, one of them that does not fit
+            the arm, or another argument that `track` would not take. Then nothing has run.
+        UnknownName: no controller has that name.
+    """
+    # joblib takes longer to import than most of this package, and who tracks one run does not need it.
+    from joblib import delayed
+
+    from pinposture.motion.processes import Shared, check_jobs, where_it_pays
+
+    chosen, scene = _in_scene(controller_named(controller), scene)
+    limits = Limits() if limits is None else limits
+    if not isinstance(limits, Limits):
+        raise InvalidValue("limits", limits, "Limits(...), or None")
+    require_whole("max_steps", max_steps, 1)
+    tolerance = 1e-6 * arm.length if tolerance is None else tolerance
+    require_positive("tolerance", tolerance)
+    if jobs is not None:
+        check_jobs(jobs)
+    if keep not in KEEP:
+        raise InvalidValue("keep", keep, " or ".join(map(repr, KEEP)))
+    listed, configurations = _targets(arm, targets), _starts(arm, starts)
+    count = _count(len(listed), len(configurations))
+    limits.bound(arm.at(configurations[0]))  # so that limits of another arm are refused now
+    if scene is not None:
+        scene.around(arm)  # which warns of meshes that are missing
+    setting = _Setting(arm, chosen, limits, scene, max_steps, tolerance, keep, os.getpid())
+    shared = Shared(setting)
+    tasks = [
+        delayed(_one)(shared, listed[k % len(listed)], configurations[k % len(configurations)])
+        for k in range(count)
+    ]
+    ends, motions = [], []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PostureWarning)  # they have been given
+        for done, (end, motion) in enumerate(where_it_pays(tasks, jobs), 1):
+            ends.append(end)
+            motions.append(motion)
+            if progress is not None:
+                progress(done, count)
+    columns = zip(_Ends._fields, zip(*ends, strict=True), strict=True)
+    batch = Batch(
+        arm=arm,
+        targets=tuple(listed),
+        controller=repr(chosen),
+        limits=limits,
+        scene=scene,
+        max_steps=int(max_steps),
+        tolerance=float(tolerance),
+        motions=gathered(motions) if keep == "motions" else None,
+        **{name: np.array(values) for name, values in columns},
+    )
+    failed = np.flatnonzero(batch.status == FAILED)
+    if len(failed):
+        text = f"{len(failed)} of {count} runs failed; run {failed[0]}: {batch.reason[failed[0]]}"
+        warnings.warn(text, PostureWarning, stacklevel=2)
+    return batch
+
+
+def _targets(arm: Arm, targets: Target | Sequence[Target]) -> list[Target]:
+    """The targets, checked; names the one that does not fit."""
+    if isinstance(targets, Target):
+        targets.check(arm)
+        return [targets]
+    try:
+        listed = list(targets)
+    except TypeError:
+        raise InvalidValue("targets", targets, "a Target, or a sequence of them") from None
+    for k, target in enumerate(listed):
+        if not isinstance(target, Target):
+            raise InvalidValue(f"targets[{k}]", target, "a Target, as `resolve_targets` returns it")
+        try:
+            target.check(arm)
+        except InvalidValue as error:
+            name = error.name.replace("target", f"targets[{k}]", 1)
+            raise InvalidValue(name, error.value, error.allowed) from None
+    return listed
+
+
+def _starts(arm: Arm, starts: ArrayLike) -> list[Array]:
+    """The starts, checked; names the one that does not fit."""
+    try:
+        listed: list[Any] = list(starts)  # type: ignore[arg-type]
+    except TypeError:
+        raise InvalidValue("starts", starts, f"({arm.nq},) numbers, or a sequence of such") from None
+    if listed and all(is_number(value) for value in listed):
+        return [arm.checked(listed, "starts")]
+    return [arm.checked(start, f"starts[{k}]") for k, start in enumerate(listed)]
+
+
+def _count(targets: int, starts: int) -> int:
+    """The number of runs that so many targets and starts make."""
+    if min(targets, starts) == 0 or (targets != starts and min(targets, starts) > 1):
+        allowed = "as many targets as starts, or one of either"
+        raise InvalidValue("numbers of targets and starts", (targets, starts), allowed)
+    return max(targets, starts)
+
+
+def _one(shared: Shared[_Setting], target: Target, start: Array) -> tuple[_Ends, dict[str, NDArray[Any]]]:
+    """One run."""
+    setting = shared.value
+    if setting.process == os.getpid():
+        return _kept(setting, target, start)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PostureWarning)  # as they have been given where it was asked for
+        return _kept(setting, target, start)
+
+
+def _kept(setting: _Setting, target: Target, start: Array) -> tuple[_Ends, dict[str, NDArray[Any]]]:
+    """What is kept of a run: how it ended, and its arrays, if wanted."""
+    try:
+        run = track(
+            setting.arm,
+            target,
+            start,
+            setting.controller,
+            setting.limits,
+            setting.scene,
+            setting.max_steps,
+            setting.tolerance,
+        )
+    except PostureError as error:
+        run = _failed(setting, target, start, f"{type(error).__name__}: {' '.join(str(error).split())}")
+    ends = _Ends(
+        status=run.status,
+        reason=run.reason,
+        steps=run.steps,
+        start_error=float(run.posture_error[0]),
+        final_error=float(run.posture_error[-1]),
+        mean_error=float(run.posture_error[-1]) / int(np.count_nonzero(target.placed)),
+        sweep=run.sweep,
+        clearance=float(run.clearance.min()),
+        q_start=run.q[0],
+        q_final=run.q[-1],
+    )
+    return ends, recorded(run) if setting.keep == "motions" else {}
+
+
+def _failed(setting: _Setting, target: Target, start: Array, reason: str) -> Trajectory:
+    """The run of an arm that stays where it is."""
+    recorder = Recorder(target, setting.arm.at(start), setting.scene)
+    return recorder.trajectory(setting.arm, setting.controller, setting.limits, FAILED, reason)

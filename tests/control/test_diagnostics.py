@@ -1,0 +1,63 @@
+"""Diagnostics: numbers that are only computed when they are read."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+import pinposture as pp
+from pinposture.control import Diagnostics
+from pinposture.control.posture_matrix import PostureMatrix
+
+ARM = pp.Arm.from_template("RyRz", 6)
+
+
+def a_step(name: str) -> pp.control.Step:
+    rng = np.random.default_rng(0)
+    target = pp.Target.from_configuration(ARM, rng.uniform(-0.5, 0.5, 12))
+    return pp.control.controller_named(name).step(ARM.at(rng.uniform(-0.5, 0.5, 12)), target)
+
+
+@pytest.mark.parametrize("name", ["selection", "projection"])
+def test_singular_values_are_computed_when_they_are_read(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    extreme = PostureMatrix._extreme
+    monkeypatch.setattr(
+        PostureMatrix, "_extreme", lambda self, *args: asked.append(args) or extreme(self, *args)
+    )
+    note = a_step(name).diagnostics._replace(method="it", on_way=True)
+    assert not asked
+    assert 0.0 < note.sigma_min < note.sigma_max
+    assert (note.sigma_min, note.sigma_max) == (note.sigma_min, note.sigma_max)
+    assert len(asked) == 2  # once each
+    again = pickle.loads(pickle.dumps(note))
+    assert (again.sigma_min, again.method) == (note.sigma_min, "it")
+
+
+def test_numbers_stay_numbers() -> None:
+    clipped = np.zeros(2, dtype=bool)
+    note = Diagnostics(0.5, 0.1, 2, 3, (), 1.0, clipped, "")
+    assert (note.sigma_min, note.sigma_max, note.manipulability) == (0.1, 2, 0.5)
+    assert note == Diagnostics(0.5, 0.1, 2, 3, (), 1.0, clipped, "")
+    assert isinstance(note._replace(reason="none"), Diagnostics)
+
+
+def test_fields_by_number_are_those_by_name() -> None:
+    note = a_step("selection").diagnostics
+    assert note[:4] == (note.manipulability, note.sigma_min, note.sigma_max, note.rows)
+    assert (note[1], note[-1], note[7]) == (note.sigma_min, note.on_way, "")
+
+
+def test_a_run_keeps_numbers() -> None:
+    target = pp.Target.from_configuration(ARM, np.full(12, 0.3))
+    states = []
+    run = pp.track(
+        ARM, target, np.full(12, 0.1), "selection", max_steps=5, callback=lambda *a: states.append(a[1])
+    )
+    for state, active, smallest, largest in zip(
+        [ARM.at(q) for q in run.q], run.active_sets, run.sigma_min, run.sigma_max, strict=False
+    ):
+        sigma = np.linalg.svd(state.task_jacobians[list(active)].reshape(-1, 12), compute_uv=False)
+        np.testing.assert_allclose([smallest, largest], sigma[[-1, 0]], rtol=1e-9)

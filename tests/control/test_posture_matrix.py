@@ -1,0 +1,181 @@
+"""Posture control matrices by passes along the chain, against dense ones and extended precision."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from chain_arms import ARMS, branched, state_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import pinposture as pp
+from pinposture.arm.screws import constants_of, screws_of
+from pinposture.control.gradient import aligned_errors, descent
+from pinposture.control.posture_matrix import FULL, LOCAL, RELATIVE, PostureMatrix, Rows
+
+COUPLINGS = {"full": FULL, "relative": RELATIVE, "local": LOCAL}
+kinds = st.sampled_from(sorted(ARMS))
+
+
+def exact_step(matrix: np.ndarray, values: np.ndarray, secondary: np.ndarray) -> np.ndarray:
+    """J^+ dr + (I - J^+ J) g by Gram-Schmidt, twice over, in extended precision."""
+    J, g = matrix.astype(np.longdouble), secondary.astype(np.longdouble)
+    rows = len(J)
+    Q, R = np.zeros(J.shape, np.longdouble), np.zeros((rows, rows), np.longdouble)
+    y, rest = np.zeros(rows, np.longdouble), values - J @ g
+    for i in range(rows):
+        row = J[i].copy()
+        for _ in range(2):
+            shares = Q[:i] @ row
+            row -= shares @ Q[:i]
+            R[i, :i] += shares
+        R[i, i] = np.sqrt(row @ row)
+        Q[i] = row / R[i, i]
+        y[i] = (rest[i] - R[i, :i] @ y[:i]) / R[i, i]
+    return g + y @ Q
+
+
+def of_points(state: pp.ArmState, points: np.ndarray) -> tuple[PostureMatrix, np.ndarray]:
+    """Posture control matrix of some control points, by passes and dense."""
+    known, p = constants_of(state.arm), len(points)
+    rows = Rows(points.astype(np.int64), known.dimensions[:p], known.frames[:p], FULL)
+    return PostureMatrix(screws_of(state), rows), state.task_jacobians[points].reshape(-1, state.arm.nv)
+
+
+@pytest.mark.parametrize(
+    ("m", "amplitude", "every"), [(20, 0.3, 2), (20, 1e-3, 2), (60, 0.01, 2), (60, 1.0, 3)]
+)
+def test_the_step_is_as_accurate_as_the_matrix_allows(m: int, amplitude: float, every: int) -> None:
+    arm = pp.Arm.from_template("RyRz", m)
+    phase = np.random.default_rng(m).uniform(0, 6, (2, 1))
+    smooth = amplitude * np.sin(np.pi * np.linspace(0, 3, m) + phase).T
+    rng, state = np.random.default_rng(0), arm.at(arm.configuration(smooth.ravel()))
+    points = np.arange(every - 1, m, every)
+    matrix, dense = of_points(state, points)
+    values, secondary = rng.normal(size=(len(points), 3)), rng.normal(size=arm.nv)
+    expected = exact_step(dense, values.ravel(), secondary)
+    error = np.abs(matrix.step(arm, values, secondary) - expected).max() / np.abs(expected).max()
+    sigma = np.linalg.svd(dense, compute_uv=False)
+    assert error < 3e-15 * sigma[0] / sigma[-1] + 1e-14  # up to 1e7 of a condition number
+    assert error < 1e-9
+    assert matrix.smallest == pytest.approx(sigma[-1], rel=1e-8)
+    assert matrix.largest == pytest.approx(sigma[0], rel=1e-12)
+    assert matrix.inverse_norm() == pytest.approx(np.sqrt(np.sum(sigma**-2.0)), rel=1e-8)
+
+
+@given(kinds, st.integers(0, 10**6), st.sampled_from([0.5, 3.0]), st.sampled_from([0.05, 0.4]))
+@settings(deadline=None, max_examples=40)
+def test_projection_moves_as_its_dense_matrix_says(
+    kind: str, seed: int, amplitude: float, kappa: float
+) -> None:
+    arm, rng = ARMS[kind], np.random.default_rng(seed)
+    state, goal = state_of(arm, seed, amplitude), state_of(arm, seed + 1, amplitude)
+    weights = (rng.random(arm.n_modules) < 0.7).astype(float)
+    weights[-1] = 1.0
+    target = pp.Target.from_points(arm, goal.points, weights)
+    secondary, errors = rng.normal(size=arm.nv), aligned_errors(state, target, target.placed)
+    for coupling in COUPLINGS:
+        method = pp.Projection(threshold=kappa, coupling=coupling, gain=0.7)
+        step = method.step_with(secondary, state, target, pp.Limits(step=1e9))
+        given_errors = errors[:, : arm.dimension]
+        matrix, velocity, active, smallest = method.posture_control_matrix(state, given_errors, target.placed)
+        assert step.active == active
+        if not active or step.diagnostics.clipped.any():
+            continue
+        sigma = np.linalg.svd(matrix, compute_uv=False)
+        pinv = np.linalg.pinv(matrix, rcond=1e-13)
+        expected = secondary + pinv @ (0.7 * velocity - matrix @ secondary)
+        scale = np.abs(expected).max() * sigma[0] / sigma[-1]
+        np.testing.assert_allclose(step.dq, expected * arm.joint_units, rtol=0, atol=1e-13 * scale)
+        assert step.diagnostics.rows == len(matrix)
+        assert step.diagnostics.sigma_min == pytest.approx(sigma[-1], rel=1e-7)
+        assert step.diagnostics.sigma_max == pytest.approx(sigma[0], rel=1e-9)
+        assert step.diagnostics.manipulability == smallest
+
+
+@given(kinds, st.integers(0, 10**6), st.sampled_from([0.0, 1e-7, 0.5, 3.0]), st.sampled_from([0.05, 0.4]))
+@settings(deadline=None, max_examples=40)
+def test_spaces_of_modules_are_those_of_the_singular_values(
+    kind: str, seed: int, amplitude: float, kappa: float
+) -> None:
+    """By their projectors: singular vectors of equal singular values are any of their plane."""
+    arm, rng = ARMS[kind], np.random.default_rng(seed)
+    state, eligible = state_of(arm, seed, amplitude), rng.random(arm.n_modules) < 0.7
+    eligible[0] = True
+    method = pp.Projection(threshold=kappa, coupling="local")
+    matrix, velocity, active, smallest = method.posture_control_matrix(
+        state, rng.normal(size=(arm.n_modules, arm.dimension)), eligible
+    )
+    ends, row, ratios = np.flatnonzero(eligible), 0, [1.0]
+    for start, end in zip([-1, *ends[:-1]], ends, strict=True):
+        columns = arm.columns[arm.module_starts[start + 1] : arm.kinematics.ends[end]]
+        own = state.task_jacobians[end][:, columns]
+        left, sigma, _ = np.linalg.svd(own, full_matrices=False)
+        least = kappa * np.sum(arm.chain.module_lengths[start + 1 : end + 1])
+        if np.any(np.abs(sigma - least) < 1e-9):
+            return  # rounding decides
+        kept = int(np.count_nonzero(sigma > least))
+        found = matrix[row : row + kept][:, columns]
+        assert (end in active) == (kept > 0)
+        np.testing.assert_allclose(np.linalg.norm(found, axis=1), sigma[:kept], atol=1e-13)
+        reached = left[:, :kept].T @ own
+        np.testing.assert_allclose(found.T @ found, reached.T @ reached, atol=1e-12)
+        ratios.extend(sigma[:kept] / sigma[0])
+        row += kept
+    assert row == len(matrix) == len(velocity)
+    assert smallest == pytest.approx(min(ratios) if active else 0.0, abs=1e-12)
+
+
+@given(kinds, st.integers(0, 10**6), st.sampled_from([0.0, 1e-6, 0.5, 3.0]))
+@settings(deadline=None, max_examples=40)
+def test_the_gradient_is_that_of_the_dense_jacobians(kind: str, seed: int, amplitude: float) -> None:
+    arm = ARMS[kind]
+    state, goal = state_of(arm, seed, amplitude), state_of(arm, seed + 1, 1.0)
+    target = pp.Target.from_points(arm, goal.points, np.arange(arm.n_modules) % 3 > 0)
+    errors = aligned_errors(state, target, target.placed)
+    found = descent(arm, screws_of(state), errors, np.linalg.norm(errors, axis=1))
+    along = errors[:, : arm.dimension]
+    gradient = np.einsum("kdu,kd->u", state.task_jacobians, along)
+    travelled = np.sum((state.task_jacobians @ gradient) ** 2)
+    np.testing.assert_allclose(found, gradient * (gradient @ gradient) / travelled, atol=1e-12)
+
+
+def test_rows_that_depend_on_others_are_told() -> None:
+    straight = ARMS["planar"].at(ARMS["planar"].straight())
+    matrix, dense = of_points(straight, np.array([1, 4, 8]))
+    assert np.linalg.matrix_rank(dense, tol=1e-9) < len(dense)
+    smallest, blame = matrix.weakest()
+    assert smallest < 1e-12
+    assert blame.max() > 0.1
+    # More rows than joints: the first control point of a planar arm in both directions, from one joint.
+    bent = state_of(ARMS["planar"], 0, 1.0)
+    smallest, blame = of_points(bent, np.array([0, 5]))[0].weakest()
+    assert smallest < 1e-12
+    assert int(np.argmax(blame)) == 0
+
+
+def test_the_blame_is_the_last_left_singular_vector() -> None:
+    for seed in range(10):
+        state = state_of(ARMS["two joints"], seed, 0.4)
+        matrix, dense = of_points(state, np.array([1, 3, 5, 7, 9, 11]))
+        left, sigma, _ = np.linalg.svd(dense, full_matrices=False)
+        smallest, blame = matrix.weakest()
+        assert smallest == pytest.approx(sigma[-1], rel=1e-6)
+        expected = np.linalg.norm(left[:, -1].reshape(6, 3), axis=1)
+        np.testing.assert_allclose(blame, expected, atol=1e-5)
+
+
+def test_joints_off_the_chain_stay_where_they_are() -> None:
+    arm, plain = branched(), pp.Arm.from_template("RyRz", 4)
+    q = np.random.default_rng(0).uniform(-1, 1, 8)
+    on_chain = arm.columns
+    assert len(on_chain) == 8 == arm.nv - 1
+    wide = np.full(9, 0.3)
+    wide[on_chain] = q
+    target = pp.Target.from_points(arm, plain.at(np.full(8, 0.4)).points)
+    for name in ("selection", "projection"):
+        method = pp.control.controller_named(name)
+        one, other = method.step(arm.at(wide), target), method.step(plain.at(q), target)
+        assert one.active == other.active
+        np.testing.assert_allclose(one.dq[on_chain], other.dq, atol=1e-12)
+        assert np.delete(one.dq, on_chain) == 0.0

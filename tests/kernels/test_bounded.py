@@ -1,0 +1,84 @@
+"""Least squares within a box: against every choice of sides on small chains, and optimality on large ones."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from kernels.chains import Problem, problem
+
+from pinposture import kernels
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def within(p: Problem, lower: np.ndarray, upper: np.ndarray, guess: np.ndarray | None = None) -> np.ndarray:
+    """The minimum within a box."""
+    n = len(p.centre)
+    x, sides = np.empty(n), np.zeros(n, dtype=np.int8) if guess is None else guess
+    kernels.boxed(*p.chain, p.errors, p.damping, p.centre, lower, upper, sides, x)
+    return x
+
+
+def best_of_all(p: Problem, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """The minimum by trying every choice of joints at either side."""
+    hessian, gradient = p.dense()
+    n, best, found = len(gradient), np.inf, np.zeros(0)
+    for choice in product((-1, 0, 1), repeat=n):
+        sides = np.array(choice)
+        x, free = np.where(sides < 0, lower, upper), sides == 0
+        if np.any(np.isinf(x[~free])):
+            continue
+        x[free] = np.linalg.solve(
+            hessian[np.ix_(free, free)], -gradient[free] - hessian[np.ix_(free, ~free)] @ x[~free]
+        )
+        value = 0.5 * x @ hessian @ x + gradient @ x
+        if np.all(x >= lower - 1e-12) and np.all(x <= upper + 1e-12) and value < best:
+            best, found = value, x
+    return found
+
+
+@given(seed=SEEDS, power=st.integers(-4, 0))
+@settings(deadline=None, max_examples=30)
+def test_the_minimum_is_the_best_of_all_choices_of_sides(seed: int, power: int) -> None:
+    rng = np.random.default_rng(seed)
+    p = problem(rng, 2, 10.0**power)
+    n = len(p.centre)
+    lower, upper = -rng.uniform(0.0, 0.2, n), rng.uniform(0.0, 0.2, n)
+    lower[rng.random(n) < 0.2] = -np.inf
+    upper[rng.random(n) < 0.2] = np.inf
+    fixed = rng.random(n) < 0.15
+    upper[fixed] = lower[fixed] = np.where(np.isinf(lower[fixed]), 0.01, lower[fixed])
+    guess = rng.integers(-1, 2, n).astype(np.int8)
+    guess[((guess < 0) & np.isinf(lower)) | ((guess > 0) & np.isinf(upper))] = 0
+    expected = best_of_all(p, lower, upper)
+    for found in (within(p, lower, upper), within(p, lower, upper, guess)):
+        assert np.all((found >= lower) & (found <= upper))
+        np.testing.assert_allclose(found, expected, atol=1e-8)
+
+
+@pytest.mark.parametrize("damping", [1e-2, 1e-5, 1e-8])
+@pytest.mark.parametrize("share", [0.1, 0.5, 2.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_long_chains_at_their_bounds_meet_the_optimality_conditions(
+    seed: int, share: float, damping: float
+) -> None:
+    """60 modules, some 120 joints, many of them at a bound: slopes point outwards there, and vanish
+    elsewhere."""
+    rng = np.random.default_rng(seed)
+    p = problem(rng, 60, damping)
+    hessian, gradient = p.dense()
+    free = np.linalg.solve(hessian, -gradient)
+    bound = np.full(len(free), share * np.median(np.abs(free)))
+    x = within(p, -bound, bound)
+    slope = hessian @ x + gradient
+    terms = np.abs(hessian) @ np.abs(x) + np.abs(gradient)
+    slope /= terms
+    assert np.all(np.abs(x) <= bound)
+    at_upper, at_lower = x == bound, x == -bound
+    assert at_upper.any() and at_lower.any()
+    assert np.all(slope[at_upper] <= 1e-9) and np.all(slope[at_lower] >= -1e-9)
+    assert np.abs(slope[~(at_upper | at_lower)]).max(initial=0.0) < 1e-9

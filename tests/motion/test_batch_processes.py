@@ -1,0 +1,90 @@
+"""Work is spread only where that pays; what all of it needs is sent packed, and unpacked once."""
+
+from __future__ import annotations
+
+import os
+import pickle
+
+import joblib
+import pytest
+from joblib import delayed
+
+from pinposture.motion import processes
+from pinposture.motion.processes import Shared, in_order, where_it_pays
+
+THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
+
+
+def squares(n: int) -> list:
+    return [delayed(pow)(k, 2) for k in range(n)]
+
+
+@pytest.fixture
+def sent(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
+    """How many calls were sent, to how many processes."""
+    seen = []
+
+    def noted(tasks, jobs):
+        tasks = list(tasks)
+        seen.append((len(tasks), jobs))
+        return iter([function(*given) for function, given, _ in tasks])
+
+    monkeypatch.setattr(processes, "_spread", noted)
+    return seen
+
+
+def test_little_work_stays_here(sent: list) -> None:
+    assert list(where_it_pays(squares(9), None)) == [k**2 for k in range(9)]
+    assert sent == []
+
+
+def test_long_work_goes_to_all_processes_after_a_trial(sent: list, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = iter([0, *range(0, 100, 2)])  # two seconds each
+    monkeypatch.setattr(processes, "perf_counter", lambda: next(clock))
+    assert list(where_it_pays(squares(9), None)) == [k**2 for k in range(9)]
+    assert sent == [(8, -1)]
+    sent.clear()
+    clock = iter([0, *range(0, 100, 2)])
+    assert list(where_it_pays(squares(3), None)) == [0, 1, 4]  # what is left takes 4 s
+    assert sent == []
+
+
+def test_whoever_says_where_is_obeyed_at_once(sent: list) -> None:
+    list(where_it_pays(squares(2), 3))
+    with joblib.parallel_config(n_jobs=2):
+        list(where_it_pays(squares(2), None))
+    with joblib.parallel_config(backend="threading"):
+        list(where_it_pays(squares(2), None))
+    assert sent == [(2, 3), (2, 2), (2, -1)]
+
+
+def test_within_the_work_of_others_nothing_is_spread() -> None:
+    def nested() -> tuple[list, list]:
+        seen = []
+        original, processes._spread = processes._spread, lambda tasks, jobs: seen.append(jobs) or iter(())
+        try:
+            return list(where_it_pays(squares(2), None)), seen
+        finally:
+            processes._spread = original
+
+    with joblib.parallel_config(backend="threading", n_jobs=2):
+        found = joblib.Parallel()([delayed(nested)()])
+    assert found == [([], [1])]
+
+
+def test_processes_leave_the_threads_of_blas_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in THREADS:
+        monkeypatch.setenv(name, "2")
+    tasks = [delayed(os.getenv)(name) for name in THREADS]
+    assert list(in_order(tasks, 1)) == ["2", "2"]  # those of this process are its user's
+    assert list(in_order(tasks, 2)) == ["1", "1"]
+
+
+def test_what_all_share_is_unpacked_once() -> None:
+    shared = Shared([1, 2])
+    sent = [pickle.loads(pickle.dumps((shared, k))) for k in range(3)]
+    assert sent[0][0].value == [1, 2]
+    assert sent[0][0].value is not shared.value
+    assert all(each is sent[0][0] for each, _ in sent)
+    other = pickle.loads(pickle.dumps(Shared([3])))
+    assert other.value == [3]
