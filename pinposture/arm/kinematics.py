@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pinposture import kernels
 from pinposture.arm.skeleton import joint_axes
 from pinposture.errors import InvalidValue
+from pinposture.kernels.arrays import Chain
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -76,13 +77,13 @@ class Kinematics:
         self.ends = np.array([number[point.parentJoint] for point in points], dtype=np.int64)
         offsets = np.array([point.placement.translation for point in points])
         turns = np.array([point.placement.rotation for point in points])
-        self.constants = (self.slides, self.columns, fixed, axes, self.ends, offsets, turns)
+        self.constants = Chain(self.slides, self.columns, fixed, axes, self.ends, offsets, turns)
 
     def placed(self, positions: Array) -> Placed:
         """Where everything is with the joints at positions (nv,) [rad or m]."""
         n, m = len(self.columns), len(self.ends)
         filled = np.empty((n, 3)), np.empty((n, 3)), np.empty((m, 3)), np.empty((m, 3, 3))
-        kernels.placements(*self.constants, positions, *filled)
+        kernels.placements(self.constants, positions, *filled)
         return Placed(*filled, positions)
 
 

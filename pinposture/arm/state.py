@@ -60,10 +60,9 @@ class ArmState:
     def jacobians(self) -> Array:
         """Position Jacobians of the control points, (m, 3, nv) [m/rad], world axes."""
         arm, placed = self.arm, self.placed
-        chain, jacobians = arm.kinematics, np.zeros((arm.n_modules, 3, arm.nv))
-        kernels.jacobians(
-            chain.slides, chain.columns, chain.ends, placed.axes, placed.origins, placed.points, jacobians
-        )
+        jacobians = np.zeros((arm.n_modules, 3, arm.nv))
+        given = placed.axes, placed.origins, placed.points
+        kernels.jacobians(arm.kinematics.constants, *given, jacobians)
         return _read_only(jacobians)
 
     @cached_property

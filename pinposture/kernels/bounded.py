@@ -12,11 +12,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture.kernels.arrays import Array, Springs
 from pinposture.kernels.compiled import compiled
 from pinposture.kernels.least_squares import answered, factored, slope_of
 
-Array = NDArray[np.float64]
-Whole = NDArray[np.int64]
 Sides = NDArray[np.int8]
 
 ROUNDS, ITERATIONS = 6, 40
@@ -31,11 +30,7 @@ BACK = 0.995
 
 @compiled
 def boxed(
-    b: Array,
-    ends: Whole,
-    points: Array,
-    weights: Array,
-    chords: Array,
+    springs: Springs,
     errors: Array,
     damping: Array,
     centre: Array,
@@ -47,11 +42,7 @@ def boxed(
     """Minimise the sum of `kernels.least_squares` within a box.
 
     Args:
-        b: motion and turning of the first point that each joint carries, (n, 6), from `screws`.
-        ends: number of joints that carry each point, (m,); increasing.
-        points: the points, (m, 3).
-        weights: W, (m,).
-        chords: C, (m,).
+        springs: points and chords.
         errors: e, (m, 3).
         damping: D, (n,), positive.
         centre: z, (n,).
@@ -64,7 +55,7 @@ def boxed(
     Returns:
         How many systems were solved.
     """
-    n, m = len(b), len(ends)
+    n, m = len(springs.screws), len(springs.ends)
     gains, slope, missed = np.empty((n, 11)), np.empty(n), np.empty((m, 6))
     held = np.empty(n, dtype=np.bool_)
     solved = 0
@@ -76,11 +67,11 @@ def boxed(
                 any_held = any_held or held[u]
                 if held[u]:
                     x[u] = lower[u] if sides[u] < 0 else upper[u]
-            factored(b, ends, points, weights, chords, damping, held, gains)
-            answered(b, ends, points, weights, chords, errors, damping, centre, held, gains, x)
+            factored(springs, damping, held, gains)
+            answered(springs, errors, damping, centre, held, gains, x)
             solved += 1
             if any_held:
-                slope_of(b, ends, points, weights, chords, errors, damping, centre, x, slope, missed)
+                slope_of(springs, errors, damping, centre, x, slope, missed)
             settled = True
             for u in range(n):
                 side = 0
@@ -98,9 +89,7 @@ def boxed(
             if settled:
                 return solved
         if attempt == 0:
-            solved += _inner(
-                b, ends, points, weights, chords, errors, damping, centre, lower, upper, sides, x, gains
-            )
+            solved += _inner(springs, errors, damping, centre, lower, upper, sides, x, gains)
             for u in range(n):
                 slope[u] = x[u]
     for u in range(n):  # as close as the interior point method came
@@ -110,11 +99,7 @@ def boxed(
 
 @compiled
 def _inner(
-    b: Array,
-    ends: Whole,
-    points: Array,
-    weights: Array,
-    chords: Array,
+    springs: Springs,
     errors: Array,
     damping: Array,
     centre: Array,
@@ -125,7 +110,7 @@ def _inner(
     gains: Array,
 ) -> int:
     """An interior point method: fills x with a point near the minimum, and `sides` with a guess."""
-    n, m = len(b), len(ends)
+    n, m = len(springs.screws), len(springs.ends)
     slope, missed, held = np.empty(n), np.empty((m, 6)), np.zeros(n, dtype=np.bool_)
     low, high = np.zeros(n), np.zeros(n)  # multipliers of the sides
     stiff, pulled, there = np.empty(n), np.empty(n), np.empty(n)
@@ -145,7 +130,7 @@ def _inner(
         else:
             x[u] = centre[u]
         bounds += 0 if held[u] else int(below) + int(above)
-    slope_of(b, ends, points, weights, chords, errors, damping, centre, x, slope, missed)
+    slope_of(springs, errors, damping, centre, x, slope, missed)
     start = 0.0
     for u in range(n):
         if not held[u]:
@@ -181,8 +166,8 @@ def _inner(
                 stiff[u] = damping[u] + p + r
                 pulled[u] = (damping[u] * centre[u] + (p + r) * x[u] + push) / stiff[u]
             if not corrector:
-                factored(b, ends, points, weights, chords, stiff, held, gains)
-            answered(b, ends, points, weights, chords, errors, stiff, pulled, held, gains, there)
+                factored(springs, stiff, held, gains)
+            answered(springs, errors, stiff, pulled, held, gains, there)
             # How far there is room to go, for x and for the multipliers.
             reach = 1.0
             for u in range(n):

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pinposture.kernels.arrays import Array, Chain, Flags, Whole
 from pinposture.kernels.compiled import compiled
 from pinposture.kernels.kinematics import placements
-
-Array = NDArray[np.float64]
-Whole = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 ROUNDING = 1e-12
 """What is lost in the arithmetic of a step, in units of each joint."""
@@ -112,13 +108,7 @@ def along(
 
 @compiled
 def outcome(
-    slides: Flags,
-    columns: Whole,
-    fixed: Array,
-    axes: Array,
-    ends: Whole,
-    offsets: Array,
-    turns: Array,
+    chain: Chain,
     positions: Array,
     units: Array,
     limits: Array,
@@ -133,13 +123,7 @@ def outcome(
     """Cut a step at its limits, and look where it leads.
 
     Args:
-        slides: of the chain, as for `placements`, up to the next six.
-        columns: see there.
-        fixed: see there.
-        axes: see there.
-        ends: see there.
-        offsets: see there.
-        turns: see there.
+        chain: the chain.
         positions: joint positions now, (nv,).
         units: the motion of each joint of the chain that counts as one, (n,).
         limits: smallest and largest step, (2, nv).
@@ -154,6 +138,7 @@ def outcome(
     Returns:
         Sum of the distances of the control points from their targets before the step and after it.
     """
+    columns, n, m = chain.columns, len(chain.columns), len(chain.ends)
     for u in range(len(dq)):
         reached[u] = positions[u] + dq[u]
         at_limit[u] = False
@@ -163,13 +148,9 @@ def outcome(
         reached[u] = positions[u] + dq[u]
         slack = ROUNDING * units[k]
         at_limit[u] = min(abs(edges[0, u] - reached[u]), abs(edges[1, u] - reached[u])) <= slack
-    m = len(ends)
-    joint_axes, joint_origins = np.empty((len(slides), 3)), np.empty((len(slides), 3))
+    joint_axes, joint_origins = np.empty((n, 3)), np.empty((n, 3))
     there, rotations = np.empty((m, 3)), np.empty((m, 3, 3))
-    placements(
-        slides, columns, fixed, axes, ends, offsets, turns, reached,
-        joint_axes, joint_origins, there, rotations,
-    )  # fmt: skip
+    placements(chain, reached, joint_axes, joint_origins, there, rotations)
     return distance(points, targets, placed), distance(there, targets, placed)
 
 

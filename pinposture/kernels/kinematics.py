@@ -3,24 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pinposture.kernels.arrays import Array, Chain
 from pinposture.kernels.compiled import compiled
-
-Array = NDArray[np.float64]
-Whole = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 
 @compiled
 def placements(
-    slides: Flags,
-    columns: Whole,
-    fixed: Array,
-    axes: Array,
-    ends: Whole,
-    offsets: Array,
-    turns: Array,
+    chain: Chain,
     positions: Array,
     joint_axes: Array,
     joint_origins: Array,
@@ -30,19 +20,14 @@ def placements(
     """Forward kinematics, one joint after the other.
 
     Args:
-        slides: True for a joint that slides, (n,); others turn.
-        columns: where its position is, (n,).
-        fixed: placement of each joint in the frame of the one before, rotation and translation, (n, 12).
-        axes: unit axis in the frame of the joint, (n, 3).
-        ends: number of joints that carry each control point, (m,); increasing.
-        offsets: position of each control point in the frame of the last of them, (m, 3).
-        turns: orientation of each control point there, (m, 3, 3).
+        chain: the chain.
         positions: joint positions, (nv,).
         joint_axes: filled with the joint axes, world frame, (n, 3).
         joint_origins: filled with the origins of the joints, (n, 3).
         points: filled with the control points, (m, 3).
         rotations: filled with their orientations, (m, 3, 3).
     """
+    slides, columns, fixed, axes, ends, offsets, turns = chain
     r00, r01, r02 = 1.0, 0.0, 0.0
     r10, r11, r12 = 0.0, 1.0, 0.0
     r20, r21, r22 = 0.0, 0.0, 1.0
@@ -112,26 +97,17 @@ def placements(
 
 
 @compiled
-def jacobians(
-    slides: Flags,
-    columns: Whole,
-    ends: Whole,
-    joint_axes: Array,
-    joint_origins: Array,
-    points: Array,
-    filled: Array,
-) -> None:
+def jacobians(chain: Chain, joint_axes: Array, joint_origins: Array, points: Array, filled: Array) -> None:
     """Position Jacobians of all control points: d p_k / d q_u = a_u x (p_k - o_u), or a_u where it slides.
 
     Args:
-        slides: True for a joint that slides, (n,); others turn.
-        columns: column of each joint, (n,).
-        ends: number of joints that carry each control point, (m,).
+        chain: the chain.
         joint_axes: joint axes, world frame, (n, 3).
         joint_origins: origins of the joints, (n, 3).
         points: control points, (m, 3).
         filled: zeros, filled with the Jacobians, (m, 3, nv).
     """
+    slides, columns, ends = chain.slides, chain.columns, chain.ends
     for k in range(len(ends)):
         for u in range(ends[k]):
             a, j = joint_axes[u], columns[u]

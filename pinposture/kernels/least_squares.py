@@ -18,13 +18,9 @@ Joints may be held: they keep their x, and the others make the best of it.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pinposture.kernels.arrays import Array, Flags, Springs, Whole
 from pinposture.kernels.compiled import compiled
-
-Array = NDArray[np.float64]
-Whole = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 
 @compiled
@@ -72,11 +68,7 @@ def screws(
 
 @compiled
 def factored(
-    b: Array,
-    ends: Whole,
-    points: Array,
-    weights: Array,
-    chords: Array,
+    springs: Springs,
     damping: Array,
     held: Flags,
     gains: Array,
@@ -84,15 +76,12 @@ def factored(
     """What farther joints can do about a state: the pass from the tip to the base, without right-hand sides.
 
     Args:
-        b: motion and turning of the first point that each joint carries, (n, 6), from `screws`.
-        ends: number of joints that carry each point, (m,); increasing.
-        points: the points, (m, 3).
-        weights: W, (m,).
-        chords: C, (m,).
+        springs: points and chords.
         damping: D, (n,), positive.
         held: which joints are held, (n,).
         gains: filled with what `answered` wants to know, (n, 11).
     """
+    b, ends, points, weights, chords = springs
     m = len(ends)
     P = np.zeros((9, 9))  # of (v before, displacement since, w)
     turned = np.empty((9, 3))
@@ -173,11 +162,7 @@ def _before(P: Array, turned: Array, point: Array, previous: Array) -> None:
 
 @compiled
 def answered(
-    b: Array,
-    ends: Whole,
-    points: Array,
-    weights: Array,
-    chords: Array,
+    springs: Springs,
     errors: Array,
     damping: Array,
     centre: Array,
@@ -188,11 +173,7 @@ def answered(
     """The motions for one right-hand side, after `factored` with all else the same.
 
     Args:
-        b: as above.
-        ends: as above.
-        points: as above.
-        weights: as above.
-        chords: as above.
+        springs: as above.
         errors: e, (m, 3).
         damping: as above.
         centre: z, (n,).
@@ -200,6 +181,7 @@ def answered(
         gains: as `factored` left it; its column 9 is scratch.
         x: motions of the joints that are held; filled with those of the others, (n,).
     """
+    b, ends, points, weights, chords = springs
     n, m = len(b), len(ends)
     for i in range(ends[m - 1], n):  # joints beyond the last point move nothing that counts
         if not held[i]:
@@ -256,11 +238,7 @@ def answered(
 
 @compiled
 def slope_of(
-    b: Array,
-    ends: Whole,
-    points: Array,
-    weights: Array,
-    chords: Array,
+    springs: Springs,
     errors: Array,
     damping: Array,
     centre: Array,
@@ -269,6 +247,7 @@ def slope_of(
     missed: Array,
 ) -> float:
     """Half the sum at x, and half its gradient, which `slope` is filled with; `missed` is scratch, (m, 6)."""
+    b, ends, points, weights, chords = springs
     n, m = len(b), len(ends)
     total = 0.0
     for u in range(n):
@@ -344,8 +323,9 @@ def misses(
 
 
 @compiled
-def stiffness(b: Array, ends: Whole, points: Array, weights: Array, chords: Array) -> float:
+def stiffness(springs: Springs) -> float:
     """Mean over the joints of what one unit of their motion, alone, adds to the sum by points and chords."""
+    b, ends, points, weights, chords = springs
     m = len(ends)
     total, whole = 0.0, 0.0
     first_moment, second, of_chords = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))

@@ -10,16 +10,12 @@ one pass over all waypoints costs one sweep along the arm for each.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pinposture.kernels.arrays import Array, Chain, Springs, Whole
 from pinposture.kernels.bounded import boxed
 from pinposture.kernels.compiled import compiled
 from pinposture.kernels.kinematics import placements
 from pinposture.kernels.least_squares import screws
-
-Array = NDArray[np.float64]
-Whole = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 MOST_OVER = 1.85
 """How far a waypoint is moved at most, where its own minimum is at 1."""
@@ -31,13 +27,7 @@ and after how many failures it waits for the next pass."""
 
 @compiled
 def relaxed(
-    slides: Flags,
-    columns: Whole,
-    fixed: Array,
-    axes: Array,
-    ends: Whole,
-    offsets: Array,
-    turns: Array,
+    chain: Chain,
     which: Whole,
     own_ends: Whole,
     units: Array,
@@ -52,13 +42,7 @@ def relaxed(
     """Relax the waypoints between two ends.
 
     Args:
-        slides: of the chain, as for `placements`, up to the next six.
-        columns: see there.
-        fixed: see there.
-        axes: see there.
-        ends: see there.
-        offsets: see there.
-        turns: see there.
+        chain: the chain.
         which: joints that may move, by their numbers along the chain, (n,).
         own_ends: how many of those carry each control point, (m,).
         units: the motion of each of them that counts as one, (n,).
@@ -73,9 +57,9 @@ def relaxed(
     Returns:
         The energy [m^2].
     """
-    n, m, last = len(which), len(ends), len(x) - 1
+    n, m, last = len(which), len(chain.ends), len(x) - 1
     # Joint axes and origins of all waypoints, and of the one that is tried, in the last place.
-    lines = (np.empty((last + 2, len(slides), 3)), np.empty((last + 2, len(slides), 3)))
+    lines = (np.empty((last + 2, len(chain.slides), 3)), np.empty((last + 2, len(chain.slides), 3)))
     points, errors, rotations = np.empty((last + 2, m, 3)), np.empty((m, 3)), np.empty((m, 3, 3))
     there = points[last + 1]
     positions, b, dx = start.copy(), np.empty((n, 6)), np.empty(n)
@@ -83,10 +67,8 @@ def relaxed(
     weights, chords, damping = np.ones(m), np.zeros(m), np.empty(n)
     sides, extra = np.zeros(n, dtype=np.int8), np.full(last + 1, LEAST)
     for i in range(last + 1):
-        _displaced(start, columns, which, units, x[i], positions)
-        placements(
-            slides, columns, fixed, axes, ends, offsets, turns, positions,
-            lines[0][i], lines[1][i], points[i], rotations,
+        _displaced(start, chain.columns, which, units, x[i], positions)
+        placements(chain, positions, lines[0][i], lines[1][i], points[i], rotations,
         )  # fmt: skip
     energy = 0.0
     for i in range(last):
@@ -96,7 +78,8 @@ def relaxed(
         fall = 0.0
         for place in range(1, last):
             i = last - place if number % 2 else place
-            screws(which, slides, units, lines[0][i], lines[1][i], own_ends, points[i], b)
+            screws(which, chain.slides, units, lines[0][i], lines[1][i], own_ends, points[i], b)
+            springs = Springs(b, own_ends, points[i], weights, chords)
             before = _motion(points[i - 1], points[i], x[i - 1], x[i], weight)
             before += _motion(points[i], points[i + 1], x[i], x[i + 1], weight)
             for k in range(m):
@@ -109,15 +92,13 @@ def relaxed(
                     centre[u] = weight * aside / damping[u]
                     low[u], high[u] = lower[u] - x[i, u], upper[u] - x[i, u]
                     sides[u] = 0
-                boxed(b, own_ends, points[i], weights, chords, errors, damping, centre, low, high, sides, dx)
+                boxed(springs, errors, damping, centre, low, high, sides, dx)
                 gain = 0.0
                 for share in (over, 1.0):
                     for u in range(n):
                         moved[u] = min(max(x[i, u] + share * dx[u], lower[u]), upper[u])
-                    _displaced(start, columns, which, units, moved, positions)
-                    placements(
-                        slides, columns, fixed, axes, ends, offsets, turns, positions,
-                        lines[0][last + 1], lines[1][last + 1], there, rotations,
+                    _displaced(start, chain.columns, which, units, moved, positions)
+                    placements(chain, positions, lines[0][last + 1], lines[1][last + 1], there, rotations,
                     )  # fmt: skip
                     after = _motion(points[i - 1], there, x[i - 1], moved, weight)
                     after += _motion(there, points[i + 1], moved, x[i + 1], weight)
@@ -139,13 +120,7 @@ def relaxed(
 
 @compiled
 def travelled(
-    slides: Flags,
-    columns: Whole,
-    fixed: Array,
-    axes: Array,
-    ends: Whole,
-    offsets: Array,
-    turns: Array,
+    chain: Chain,
     which: Whole,
     units: Array,
     start: Array,
@@ -155,21 +130,15 @@ def travelled(
     """How far all control points travel on a way, and how far apart its ends are.
 
     Args:
-        slides: as above, up to `start`.
-        columns: as above.
-        fixed: as above.
-        axes: as above.
-        ends: as above.
-        offsets: as above.
-        turns: as above.
+        chain: as above.
         which: as above.
         units: as above.
         start: as above.
         x: displacements of waypoints, joined by straight lines, (N + 1, n).
         looks: at how many places, equally far apart, to look where the points are.
     """
-    n, m, last = len(which), len(ends), len(x) - 1
-    frames = (np.empty((len(slides), 3)), np.empty((len(slides), 3)), np.empty((m, 3, 3)))
+    n, m, last = len(which), len(chain.ends), len(x) - 1
+    frames = (np.empty((len(chain.slides), 3)), np.empty((len(chain.slides), 3)), np.empty((m, 3, 3)))
     points, positions, here = np.empty((3, m, 3)), start.copy(), np.empty(n)
     path, direct = 0.0, 0.0
     for look in range(looks + 1):
@@ -178,11 +147,9 @@ def travelled(
         share = place - i
         for u in range(n):
             here[u] = (1.0 - share) * x[i, u] + share * x[i + 1, u]
-        _displaced(start, columns, which, units, here, positions)
+        _displaced(start, chain.columns, which, units, here, positions)
         at = 1 + look % 2 if look else 0
-        placements(
-            slides, columns, fixed, axes, ends, offsets, turns, positions,
-            frames[0], frames[1], points[at], frames[2],
+        placements(chain, positions, frames[0], frames[1], points[at], frames[2],
         )  # fmt: skip
         if look:
             path += _between(points[at], points[3 - at if look > 1 else 0])

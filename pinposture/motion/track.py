@@ -75,7 +75,7 @@ def track(
         InvalidValue: q0, the target, max_steps or the tolerance do not fit.
         UnknownName: no controller has that name.
     """
-    controller, scene = _in_scene(controller_named(controller), scene)
+    controller, scene = in_scene(controller_named(controller), scene)
     limits = Limits() if limits is None else limits
     if not isinstance(limits, Limits):
         raise InvalidValue("limits", limits, "Limits(...), or None")
@@ -113,7 +113,7 @@ def track(
     return recorder.trajectory(arm, controller, limits, status, reason)
 
 
-def _in_scene(controller: Controller, scene: Scene | None) -> tuple[Controller, Scene | None]:
+def in_scene(controller: Controller, scene: Scene | None) -> tuple[Controller, Scene | None]:
     """The controller told of the scene, and the scene; a warning if it cannot keep clear of it."""
     if not (scene is None or isinstance(scene, Scene)):
         raise InvalidValue("scene", scene, "a Scene(...), or None")

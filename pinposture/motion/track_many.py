@@ -18,7 +18,7 @@ from pinposture.errors import InvalidValue, PostureError, PostureWarning
 from pinposture.motion.batch import FAILED, Batch
 from pinposture.motion.batch_motions import gathered, recorded
 from pinposture.motion.record import Recorder
-from pinposture.motion.track import _in_scene, track
+from pinposture.motion.track import in_scene, track
 from pinposture.motion.trajectory import Trajectory
 from pinposture.scene import Scene
 from pinposture.target import Target
@@ -111,7 +111,7 @@ def track_many(
 
     from pinposture.motion.processes import Shared, check_jobs, where_it_pays
 
-    chosen, scene = _in_scene(controller_named(controller), scene)
+    chosen, scene = in_scene(controller_named(controller), scene)
     limits = Limits() if limits is None else limits
     if not isinstance(limits, Limits):
         raise InvalidValue("limits", limits, "Limits(...), or None")

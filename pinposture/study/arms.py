@@ -16,7 +16,7 @@ from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.errors import FileError, PostureError
 from pinposture.motion import track
-from pinposture.study.processes import in_order
+from pinposture.motion.processes import in_order
 from pinposture.target import Target, resolve_targets
 
 Array = NDArray[np.float64]

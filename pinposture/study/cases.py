@@ -14,7 +14,7 @@ from pinposture.control import Controller, Limits, controller_named
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory, track
-from pinposture.study.processes import in_order
+from pinposture.motion.processes import in_order
 from pinposture.study.turns import link_headings
 from pinposture.target import Target, resolve_targets
 from pinposture.thesis.curves import TARGET_CURVES

@@ -15,10 +15,10 @@ from pinposture.control import Controller, Limits, controller_named
 from pinposture.control.checks import require_whole
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.motion import track
+from pinposture.motion.processes import in_order
 from pinposture.study.cases import arbitrary_configuration
 from pinposture.study.families import Subject
 from pinposture.study.postures import Progress
-from pinposture.study.processes import in_order
 from pinposture.study.record import MAX_STEPS, STEP
 from pinposture.target import Target
 

@@ -14,8 +14,8 @@ from pinposture.arm import Arm
 from pinposture.control import Controller, Limits, controller_named
 from pinposture.errors import InvalidValue
 from pinposture.motion import track
+from pinposture.motion.processes import in_order
 from pinposture.study.cases import smooth_configuration
-from pinposture.study.processes import in_order
 from pinposture.target import Target
 
 Array = NDArray[np.float64]

@@ -10,8 +10,8 @@ from joblib import delayed
 from pinposture.control import Controller, controller_named
 from pinposture.control.checks import require_whole
 from pinposture.errors import InvalidValue
+from pinposture.motion.processes import in_order
 from pinposture.study.families import Family, Subject, draw_case
-from pinposture.study.processes import in_order
 from pinposture.study.record import Case, Record, run_case
 
 CONTROLLERS = ("qp", "selection", "projection", "switching", "lm", "joint")

@@ -14,8 +14,8 @@ from pinposture.control import Limits
 from pinposture.control.checks import require_whole
 from pinposture.errors import InvalidValue
 from pinposture.motion import track
+from pinposture.motion.processes import in_order
 from pinposture.study.postures import Progress
-from pinposture.study.processes import in_order
 from pinposture.study.record import MAX_STEPS, STEP, TOLERANCE
 from pinposture.study.scene_record import SceneRun, record_scene_run
 from pinposture.study.situations import (

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
+from pinposture.kernels.arrays import Springs
 
 Array = NDArray[np.float64]
 
@@ -15,7 +16,7 @@ Array = NDArray[np.float64]
 class Problem(NamedTuple):
     """A least-squares problem along a chain, and the same as dense rows |A x - r|^2 + sum D (x - z)^2."""
 
-    chain: tuple[Array, NDArray[np.int64], Array, Array, Array]  # screws, ends, points, weights, chords
+    springs: Springs
     errors: Array
     damping: Array
     centre: Array
@@ -65,7 +66,7 @@ def problem(rng: np.random.Generator, modules: int, damping: float, straight: bo
     ends = ends.astype(np.int64)
     kernels.screws(np.arange(n), slides, units, axes, origins, ends, points, screws)
     return Problem(
-        (screws, ends, points, weights, chords),
+        Springs(screws, ends, points, weights, chords),
         errors,
         damping * rng.uniform(0.5, 2.0, n),
         rng.normal(size=n) * 0.05,

@@ -19,7 +19,7 @@ def within(p: Problem, lower: np.ndarray, upper: np.ndarray, guess: np.ndarray |
     """The minimum within a box."""
     n = len(p.centre)
     x, sides = np.empty(n), np.zeros(n, dtype=np.int8) if guess is None else guess
-    kernels.boxed(*p.chain, p.errors, p.damping, p.centre, lower, upper, sides, x)
+    kernels.boxed(p.springs, p.errors, p.damping, p.centre, lower, upper, sides, x)
     return x
 
 

@@ -10,6 +10,7 @@ from kernels.chains import Problem, problem
 
 import pinposture as pp
 from pinposture import kernels
+from pinposture.kernels.arrays import Springs
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -19,7 +20,7 @@ def free(p: Problem) -> np.ndarray:
     n = len(p.centre)
     x, sides = np.empty(n), np.zeros(n, dtype=np.int8)
     none = np.full(n, np.inf)
-    assert kernels.boxed(*p.chain, p.errors, p.damping, p.centre, -none, none, sides, x) == 1
+    assert kernels.boxed(p.springs, p.errors, p.damping, p.centre, -none, none, sides, x) == 1
     return x
 
 
@@ -72,7 +73,7 @@ def test_500_modules_meet_their_optimality_conditions() -> None:
         np.arange(n), chain.slides, np.ones(n), placed.axes, placed.origins, chain.ends, placed.points, screws
     )
     p = Problem(
-        (screws, chain.ends, placed.points, np.ones(m), np.zeros(m)),
+        Springs(screws, chain.ends, placed.points, np.ones(m), np.zeros(m)),
         errors,
         damping,
         np.zeros(n),
@@ -91,13 +92,13 @@ def test_500_modules_meet_their_optimality_conditions() -> None:
 def test_motions_misses_and_stiffness_are_what_the_rows_say(seed: int, modules: int) -> None:
     rng = np.random.default_rng(seed)
     p = problem(rng, modules, 1.0)
-    screws, ends, points, weights, chords = p.chain
+    screws, ends, points, weights, chords = p.springs
     x, moved = rng.normal(size=len(p.centre)), np.empty_like(points)
     kernels.motions(screws, ends, points, x, moved)
     np.testing.assert_allclose(
         (np.sqrt(weights)[:, None] * moved).ravel(), p.rows[: 3 * modules] @ x, atol=1e-12
     )
-    found = kernels.stiffness(screws, ends, points, weights, chords)
+    found = kernels.stiffness(p.springs)
     assert found == pytest.approx((p.rows**2).sum() / len(x), rel=1e-9)
     errors = np.empty_like(points)
     total = kernels.misses(points, points + p.errors, weights, chords, np.zeros(3), errors)

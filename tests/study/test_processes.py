@@ -7,8 +7,8 @@ from joblib import delayed
 
 import pinposture as pp
 from pinposture.errors import InvalidValue
+from pinposture.motion.processes import in_order
 from pinposture.study import compare_methods, study, survey_arms
-from pinposture.study.processes import in_order
 from pinposture.thesis.scenarios import SPATIAL_SCENARIOS
 
 ARM = pp.Arm.from_template("RyRz", 3)

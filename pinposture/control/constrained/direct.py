@@ -117,8 +117,8 @@ class _Ways:
         self.within = np.minimum(lower, 0.0), np.maximum(upper, 0.0)
         constants = arm.kinematics.constants
         ends = np.searchsorted(chain.which, arm.kinematics.ends).astype(np.int64)
-        self._relax = (*constants, chain.which, ends, chain.units, self._start, *self.within)
-        self._look = (*constants, chain.which, chain.units, self._start)
+        self._relax = (constants, chain.which, ends, chain.units, self._start, *self.within)
+        self._look = (constants, chain.which, chain.units, self._start)
 
     def bent(self, whole: Array, bend: Array, pieces: int) -> Array:
         """Joint interpolation, bent to one side."""

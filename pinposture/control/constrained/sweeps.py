@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from pinposture import kernels
 from pinposture.arm import ArmState
 from pinposture.control.constrained.posture import Posture
+from pinposture.kernels.arrays import Springs
 
 Array = NDArray[np.float64]
 
@@ -20,22 +21,21 @@ class Sweeps:
     """
 
     def __init__(self, posture: Posture, state: ArmState) -> None:
-        self._chain, placed = posture.chain, state.placed
-        chain, n = self._chain, len(self._chain.which)
-        self._points = placed.points[chain.placed]
-        self._screws = np.empty((n, 6))
+        chain, placed = posture.chain, state.placed
+        screws, points = np.empty((len(chain.which), 6)), placed.points[chain.placed]
         given = chain.which, state.arm.kinematics.slides, chain.units, placed.axes, placed.origins
-        kernels.screws(*given, chain.ends, self._points, self._screws)
+        kernels.screws(*given, chain.ends, points, screws)
+        self._springs = Springs(screws, chain.ends, points, chain.weights, chain.chords)
 
     def stiffness(self) -> float:
         """Mean diagonal of A^T A [m^2]."""
-        chain = self._chain
-        return kernels.stiffness(self._screws, chain.ends, self._points, chain.weights, chain.chords)
+        return kernels.stiffness(self._springs)
 
     def covered(self, x: Array) -> Array:
         """What a step x (n,) covers of each error, (p, 3) [m]."""
-        covered = np.empty_like(self._points)
-        kernels.motions(self._screws, self._chain.ends, self._points, x, covered)
+        screws, ends, points, *_ = self._springs
+        covered = np.empty_like(points)
+        kernels.motions(screws, ends, points, x, covered)
         return covered
 
     def step(self, errors: Array, damping: float, centre: Array, lower: Array, upper: Array) -> Array:
@@ -48,8 +48,7 @@ class Sweeps:
             lower: smallest x, (n,).
             upper: largest x, (n,).
         """
-        chain, n = self._chain, len(centre)
+        n = len(centre)
         x, sides = np.empty(n), (centre > upper).astype(np.int8) - (centre < lower).astype(np.int8)
-        about = self._screws, chain.ends, self._points, chain.weights, chain.chords
-        kernels.boxed(*about, errors, np.full(n, damping), centre, lower, upper, sides, x)
+        kernels.boxed(self._springs, errors, np.full(n, damping), centre, lower, upper, sides, x)
         return x

@@ -9,7 +9,7 @@ from joblib import delayed
 
 from pinposture.errors import UnknownName
 from pinposture.motion import Trajectory
-from pinposture.study.processes import in_order
+from pinposture.motion.processes import in_order
 from pinposture.study.reproduce.runs import MAX_STEPS, Batch, run_one
 from pinposture.thesis.figures import FIGURES, ThesisFigure
 from pinposture.thesis.scenarios import SCENARIOS

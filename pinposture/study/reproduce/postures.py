@@ -10,8 +10,8 @@ from joblib import delayed
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ArmState
+from pinposture.motion.processes import in_order
 from pinposture.study.cases import arbitrary_configuration
-from pinposture.study.processes import in_order
 from pinposture.study.reproduce.runs import BUNDLE, thesis_arm
 from pinposture.study.reproduce.verdicts import Finding, Share, share
 

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 from pinposture.control.checks import require_whole
 from pinposture.errors import InvalidValue, UnknownName
+from pinposture.motion.processes import check_jobs
 from pinposture.storage import check_writable, write_bytes, write_text
-from pinposture.study.processes import check_jobs
 from pinposture.study.reproduce.evaluate import BATCHES, Evidence, Judged, gather, judge_claims
 from pinposture.study.reproduce.figures import FigureRuns, count_runs, draw_figure, run_figures
 from pinposture.study.reproduce.report import FORMAT, VERSION, claims_as_markdown, describe

@@ -17,8 +17,8 @@ from pinposture.arm import Arm
 from pinposture.control import Controller, Limits, Projection, Selection, controller_named
 from pinposture.errors import UnknownName
 from pinposture.motion import Trajectory, track
+from pinposture.motion.processes import in_order
 from pinposture.study.cases import Outcome, case, outcome
-from pinposture.study.processes import in_order
 from pinposture.study.reproduce.measures import (
     Descent,
     Steps,

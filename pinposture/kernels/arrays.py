@@ -1,0 +1,56 @@
+"""What kernels take more than one array of: names for arrays that belong together.
+
+Numba knows these tuples field by field. To take one apart costs a call from Python half a microsecond, so
+that what is not shared by several kernels stays a plain argument.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+
+class Chain(NamedTuple):
+    """The constants of a serial chain of n joints with m control points.
+
+    Attributes:
+        slides: True for a joint that slides, (n,); others turn.
+        columns: where the position of each joint is among all joint positions, (n,).
+        fixed: placement of each joint in the frame of the one before, rotation and translation, (n, 12).
+        axes: unit axis in the frame of the joint, (n, 3).
+        ends: number of joints that carry each control point, (m,); increasing.
+        offsets: position of each control point in the frame of the last of them, (m, 3).
+        turns: orientation of each control point there, (m, 3, 3).
+    """
+
+    slides: Flags
+    columns: Whole
+    fixed: Array
+    axes: Array
+    ends: Whole
+    offsets: Array
+    turns: Array
+
+
+class Springs(NamedTuple):
+    """What pulls at a chain: points, and chords from each point to the next.
+
+    Attributes:
+        screws: motion and turning of the first point that each joint carries, (n, 6), from `screws`.
+        ends: number of joints that carry each point, (p,); not decreasing.
+        points: the points, (p, 3).
+        weights: weights W of the points, (p,).
+        chords: weights C of the chords to the point before, (p,).
+    """
+
+    screws: Array
+    ends: Whole
+    points: Array
+    weights: Array
+    chords: Array
