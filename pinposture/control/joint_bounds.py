@@ -16,6 +16,10 @@ USUAL_STEP = 0.1
 """Joint travel of a step where limits allow more, or where there are none [rad]."""
 
 
+LEANING = 1e-6
+"""How far outside its limits a joint may be without being brought back first, in `Arm.joint_units`."""
+
+
 class JointBounds(NamedTuple):
     """Limits of one step, in joint displacements and positions.
 
@@ -25,6 +29,7 @@ class JointBounds(NamedTuple):
         edges: joint positions to stay between, margin included, (2, nv) [rad or m].
         brake: largest change of dq from one step to the next, (nv,) [rad or m]; None: any.
         units: the motion of each joint of the chain that counts as one, (n,) [rad or m].
+        leaning: how far outside its limits each may be without being brought back first, (n,) [rad or m].
 
     The arrays are for kernels, not to be written to.
     """
@@ -34,6 +39,7 @@ class JointBounds(NamedTuple):
     edges: Array
     brake: Array | None
     units: Array
+    leaning: Array
 
 
 def joint_bounds(
@@ -60,7 +66,8 @@ def joint_bounds(
             brake = np.clip(change, 1e-100, 1e200)  # so that nothing made of it overflows, or divides by zero
     edges = _edges(arm, position_margin)
     travel = min(USUAL_STEP, float(np.median((bound / arm.joint_units)[arm.columns])))
-    return JointBounds(bound, travel, edges, brake, arm.joint_units[arm.columns])
+    units = arm.joint_units[arm.columns]
+    return JointBounds(bound, travel, edges, brake, units, LEANING * units)
 
 
 def _edges(arm: Arm, margin: float) -> Array:

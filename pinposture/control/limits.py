@@ -24,9 +24,6 @@ Array = NDArray[np.float64]
 ROUNDING = 1e-9
 """What a limit may be exceeded by without being named [rad or m]."""
 
-LEANING = 1e-6
-"""How far outside its limits a joint may be without being brought back first, in `Arm.joint_units`."""
-
 
 class Box(NamedTuple):
     """The steps that the limits allow: all dq with lower <= dq <= upper. There always are some.
@@ -146,7 +143,7 @@ class Limits:
         sides, columns = np.empty((2, arm.nv)), arm.kinematics.columns
         brake = _NONE if bounds.brake is None else bounds.brake
         given = bounds.edges, bounds.bound, brake, before
-        found = kernels.box(positions, *given, ROUNDING, columns, LEANING * bounds.units, sides)
+        found = kernels.box(positions, *given, ROUNDING, columns, bounds.leaning, sides)
         relaxed = relaxed_limits(arm, positions, *given, ROUNDING) if found % 2 else ()
         return Box(sides[0], sides[1], relaxed, found >= 2, sides)
 

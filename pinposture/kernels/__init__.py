@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from pinposture.kernels.braking import farthest as farthest
     from pinposture.kernels.braking import shortened as shortened
     from pinposture.kernels.branches import best_branch as best_branch
+    from pinposture.kernels.course import advance as advance
     from pinposture.kernels.course import along as along
     from pinposture.kernels.course import apart as apart
     from pinposture.kernels.course import distance as distance
@@ -68,6 +69,7 @@ _HOMES = {
     "farthest": "braking",
     "shortened": "braking",
     "best_branch": "branches",
+    "advance": "course",
     "along": "course",
     "apart": "course",
     "distance": "course",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pinposture.kernels.arrays import Array, Chain, Flags, Whole
+from pinposture.kernels.braking import box
 from pinposture.kernels.compiled import compiled
 from pinposture.kernels.kinematics import placements
 
@@ -163,3 +164,72 @@ def distance(points: Array, targets: Array, placed: Flags) -> float:
             x, y, z = points[k, 0] - targets[k, 0], points[k, 1] - targets[k, 1], points[k, 2] - targets[k, 2]
             total += np.sqrt(x * x + y * y + z * z)
     return total
+
+
+@compiled
+def advance(
+    chain: Chain,
+    endless: Flags,
+    units: Array,
+    leaning: Array,
+    edges: Array,
+    bound: Array,
+    positions: Array,
+    points: Array,
+    offsets: Array,
+    start: Array,
+    place: float,
+    expected: Array,
+    disturbed: float,
+    arrived: float,
+    rounding: float,
+    most: float,
+    targets: Array,
+    placed: Flags,
+    dq: Array,
+    reached: Array,
+    at_limit: Flags,
+) -> tuple[bool, float, float, float]:
+    """`box`, `apart`, `along` and `outcome` in one call, for where nothing but the limits has a say.
+
+    Args:
+        chain: the chain; all of its joints move on the way.
+        endless: as for `along`.
+        units: the motion of each joint of the chain that counts as one, (n,).
+        leaning: as for `box`.
+        edges: see there.
+        bound: see there.
+        positions: joint positions now, (nv,).
+        points: as for `outcome`.
+        offsets: as for `along`.
+        start: see there.
+        place: see there.
+        expected: joint positions that the arm should have, (nv,).
+        disturbed: how far it may be from them, in units.
+        arrived: joint motion left at which the way is behind the arm.
+        rounding: as for `box`.
+        most: as for `along`.
+        targets: as for `outcome`.
+        placed: see there.
+        dq: zeros, filled with the step, (nv,).
+        reached: as for `outcome`.
+        at_limit: see there.
+
+    Returns:
+        Whether it is that simple; and if so, the place that the step leads to, and the sums of distances
+        before and after it.
+    """
+    none, limits = np.empty(0), np.empty((2, len(positions)))
+    if box(positions, edges, bound, none, none, rounding, chain.columns, leaning, limits) != 0:
+        return False, place, 0.0, 0.0
+    if apart(expected, positions, endless, chain.columns, units) > disturbed:
+        return False, place, 0.0, 0.0
+    there, left, inside = along(
+        offsets, start, positions, endless, chain.columns, units, place, limits, most, dq
+    )
+    if not inside or (there >= len(offsets) - 1 and left <= arrived):
+        return False, place, 0.0, 0.0
+    before, after = outcome(
+        chain, positions, units, limits, edges, points, targets, placed, dq, reached, at_limit
+    )
+    return True, there, before, after

@@ -15,6 +15,7 @@ from pinposture.control.checks import require_positive
 from pinposture.control.constrained.avoidance import Avoidance
 from pinposture.control.constrained.course import Course
 from pinposture.control.constrained.following import Asked, close_in, follow
+from pinposture.control.constrained.getting_on import RISES, get_on
 from pinposture.control.constrained.planning import plan, plan_on
 from pinposture.control.constrained.posture import Posture
 from pinposture.control.constrained.settling import Scope
@@ -35,7 +36,7 @@ MOST_HASTE = 1e6
 """Haste beyond which numbers overflow; it is joint interpolation long before."""
 
 ROUNDING = 1e-12
-"""What is lost in the arithmetic of a step, in `Arm.joint_units` or arm lengths."""
+"""What is lost in the arithmetic of a step, in `Arm.joint_units`."""
 
 _ANY_STEP = np.array([[-np.inf], [np.inf]])
 
@@ -97,6 +98,12 @@ class ConstrainedQP:
         """Compute one step; see `Controller.step`. The first one for a target takes longer: it plans."""
         limits = Limits() if limits is None else limits
         _check_given(state, target, memory)
+        course = memory.own if memory is not None and isinstance(memory.own, Course) else None
+        if course is not None and self._goes_on(course, state, target):
+            bounds = limits.for_arm(state.arm)
+            step = get_on(course, state, bounds) if course.bounds is bounds else None
+            if step is not None:
+                return step
         previous = memory.dq if memory is not None else None
         box = limits.box(state, previous)
         if box.outside:
@@ -108,6 +115,11 @@ class ConstrainedQP:
         else:
             asked = follow(course, state, box, limits, self._mu(state), avoidance)
         return _checked(asked, state, box, limits.for_arm(state.arm), avoidance)
+
+    def _goes_on(self, course: Course, state: ArmState, target: Target) -> bool:
+        """Whether that is what the arm was doing, and nothing else is asked of it."""
+        alone = not self.tasks and self.scene is None and course.waited < WAIT
+        return alone and course.posture.target is target and course.posture.arm is state.arm
 
     def _return(self, state: ArmState, target: Target, box: Box) -> Step:
         """A step back into the position limits, by the joints that are outside; the way begins there."""
@@ -198,7 +210,7 @@ def _checked(
         scale=share,
         clipped=at_limit,
         reason=asked.reason,
-        escape=after > before + ROUNDING * arm.length,
+        escape=after > before + RISES * arm.length,
         relaxed=relaxed,
         near=near,
         on_way=not course.arrived and course.waited == 0.0,

@@ -63,18 +63,23 @@ class Course(NamedTuple):
     bent: float = 0.0
     strict_errors: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
 
-    def gone_to(self, place: float, travel: float, hindered: bool) -> Course:
+    def gone_to(self, place: float, travel: float, hindered: bool, expected: Array | None = None) -> Course:
         """The course after a step.
 
         Args:
             place: where the step leads.
             travel: joint travel that the limits allow in it [rad].
             hindered: whether it leads less far than the pace would have it.
+            expected: joint positions that the arm should have then, (nv,) [rad or m]; None if unknown.
         """
-        course = self._replace(place=place, speed=place - self.place)
-        if hindered and place < self.passed + PROGRESS * self.path.end:
-            return course._replace(waited=self.waited + travel)
-        return course._replace(passed=place, waited=0.0)
+        waits = hindered and place < self.passed + PROGRESS * self.path.end
+        return self._replace(
+            place=place,
+            speed=place - self.place,
+            passed=self.passed if waits else place,
+            waited=self.waited + travel if waits else 0.0,
+            expected=expected,
+        )
 
     def leads_on(self, state: ArmState) -> bool:
         """Whether the arm is where the course has it, or nearly: else the way begins anew where it is."""

@@ -11,6 +11,7 @@ from pinposture.arm import ArmState
 from pinposture.control.braking import farthest
 from pinposture.control.constrained.avoidance import Avoidance
 from pinposture.control.constrained.course import Course
+from pinposture.control.constrained.getting_on import ARRIVED
 from pinposture.control.constrained.path import FARTHEST
 from pinposture.control.constrained.posture import Posture
 from pinposture.control.constrained.program import Solution
@@ -35,9 +36,6 @@ TRIES = 8
 
 CORRECTING = 0.25
 """Share of the acceleration limit with which an arm that is behind catches up."""
-
-ARRIVED = 1e-9
-"""Joint motion left at which a way is behind the arm, in `Arm.joint_units`."""
 
 
 class Asked(NamedTuple):

@@ -42,12 +42,13 @@ class JointPath:
     Attributes:
         arm: the arm.
         start: configuration at which it begins, (nq,).
+        positions: joint positions there, (nv,) [rad or m].
         offsets: displacement of each waypoint from the start, (N + 1, nv) [rad or m]; the first is zero.
     """
 
     def __init__(self, arm: Arm, start: Array, offsets: Array) -> None:
         self.arm, self.start, self.offsets = arm, start, np.ascontiguousarray(offsets)
-        self._positions = arm.positions(start)
+        self.positions = arm.positions(start)
 
     @cached_property
     def slopes(self) -> Array:
@@ -97,7 +98,7 @@ class JointPath:
         shares = np.arange(len(self.offsets)) - place
         shares = np.maximum(shares / max(shares[-1], 1e-9), 0.0)
         offsets = self.offsets + shares[:, None] * change
-        lowest, highest = edges - self._positions
+        lowest, highest = edges - self.positions
         lowest, highest = np.minimum(lowest, 0.0), np.maximum(highest, 0.0)
         return JointPath(self.arm, self.start, np.minimum(np.maximum(offsets, lowest), highest))
 
@@ -113,6 +114,6 @@ class JointPath:
         """
         dq = np.zeros(self.arm.nv)
         positions, endless = state.placed.positions, self.arm.kinematics.endless
-        given = self.offsets, self._positions, positions, endless, columns, units, place, sides, FARTHEST
+        given = self.offsets, self.positions, positions, endless, columns, units, place, sides, FARTHEST
         place, left, inside = kernels.along(*given, dq)
         return Stride(place, left, inside, dq)
