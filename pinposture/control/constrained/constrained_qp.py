@@ -110,6 +110,10 @@ class ConstrainedQP:
             return self._return(state, target, box)
         course = self._course(state, target, limits, memory)
         posture, avoidance = course.posture, self._avoidance(course.posture)
+        if avoidance is None:
+            step = get_on(course, state, limits.for_arm(state.arm))
+            if step is not None:
+                return step
         if course.arrived:
             asked = close_in(course, Scope.of(posture, state, box, avoidance))
         else:

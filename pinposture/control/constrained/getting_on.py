@@ -34,10 +34,11 @@ def get_on(course: Course, state: ArmState, bounds: JointBounds) -> Step | None:
     Returns:
         The step; None if it is not that simple.
     """
-    posture, path, expected = course.posture, course.path, course.expected
-    if course.arrived or course.pace is not None or expected is None or not posture.plain:
+    posture, path = course.posture, course.path
+    if course.arrived or course.pace is not None or not posture.plain:
         return None
     arm, placed, chain, wanted = state.arm, state.placed, state.arm.kinematics, posture.chain
+    expected = placed.positions if course.expected is None else course.expected
     if len(wanted.which) < len(chain.columns):
         return None
     dq, reached, at_limit = np.zeros(arm.nv), np.empty(arm.nv), np.empty(arm.nv, dtype=np.bool_)
