@@ -93,8 +93,8 @@ def flatness(modules: int) -> float:
     """By how much less the joints of a long arm turn than those of one of 20 modules.
 
     Long arms take the same shapes: with the same joint positions they would roll up into many coils. The
-    speed limit is the same for all that are compared: if it went down as well, it would bind in most joints of most steps, and
-    programs with many active limits take several times as long to solve.
+    speed limit is the same for all that are compared: if it went down as well, it would bind in most joints
+    of most steps, and programs with many active limits take several times as long to solve.
     """
     return min(1.0, 20.0 / modules)
 
