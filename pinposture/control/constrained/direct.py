@@ -35,7 +35,7 @@ LEVELS, PIECES = (6, 12, 24), (24, 48, 96)
 """Straight pieces of a path: first few and then more, which is quick; many from the beginning where that led
 far round, because long turns need them, and few cut them short."""
 
-STRAIGHT, FAR_ROUND, LOST = 1.01, 1.15, 2.0
+STRAIGHT, FAR_ROUND, LOST = 1.01, 1.1, 2.0
 """Length of the ways of the points, relative to the shortest: up to the first, joint interpolation is left
 as it is; beyond the second, more pieces are tried; beyond the third, few are not made more."""
 
