@@ -26,7 +26,8 @@ from rich.markup import escape
 from rich.table import Table
 
 import pinposture as pp
-from pinposture.control.constrained import following, program, settling
+from pinposture.control import ConstrainedQP, JointPosture
+from pinposture.control.constrained import program, settling
 from pinposture.scene import Scene, Sphere
 from pinposture.study import smooth_configuration
 
@@ -60,10 +61,10 @@ def recorded(modules: int, situation: str) -> list[Program]:
                 found[:], stride = found[::2], 2 * stride
         return solution
 
-    following.solve = settling.solve = spying
+    settling.solve = spying
     for seed in range(RUNS):
         run(modules, situation, np.random.default_rng(seed))
-    following.solve = settling.solve = program.solve
+    settling.solve = program.solve
     return found
 
 
@@ -94,7 +95,9 @@ def run(modules: int, situation: str, rng: np.random.Generator) -> None:
         balls = arm.at((start + goal) / 2.0).points[modules // 4 :: modules // 10]
         radii = np.linalg.norm(balls[:, None] - ends, axis=2).min(axis=1) - 0.025
         scene = Scene({str(i): Sphere(balls[i], radii[i]) for i in np.flatnonzero(radii > 0.005)})
-    pp.track(arm, target, start, "qp", limits, scene, max_steps=STEPS)
+    # Points and chords alone are solved by sweeps; a task calls for the program.
+    tasks = () if situation == "obstacles" else (JointPosture(arm.neutral(), weight=1e-4),)
+    pp.track(arm, target, start, ConstrainedQP(tasks=tasks), limits, scene, max_steps=STEPS)
 
 
 def with_daqp(p: Program, last: Array | None) -> Array | None:
@@ -184,6 +187,9 @@ def main() -> None:
     for modules in arguments.modules:
         for situation in SITUATIONS:
             programs = recorded(modules, situation)
+            if not programs:
+                Console().print(f"{2 * modules} DOF, {situation}: no program was asked for")
+                continue
             found = record[f"{2 * modules} DOF, {situation}"] = compare(programs)
             rows = np.median([len(p.M) for p in programs])
             title = f"{2 * modules} DOF, {situation}: {len(programs)} programs, {rows:.0f} rows (median)"

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from pinposture.cli.output import print_facts, print_json
+from pinposture.cli.output import print_facts, print_json, print_warning
 from pinposture.cli.progress import count_progress
 
 EXAMPLES = ("pinposture compile", "pinposture compile --json")
@@ -20,7 +20,8 @@ def run(
 ) -> None:
     """Compile all kernels for this machine now, and keep the result beside the library.
 
-    It takes about a minute, once for an installation. Without it, each kernel is compiled when it is first
+    It takes about a minute, once for an installation; where that cannot be written to, once for each user, or
+    wherever NUMBA_CACHE_DIR says. Without it, each kernel is compiled when it is first
     needed, and the first runs take longer; a note on stderr says so. Nothing happens to what is compiled
     already.
     """
@@ -36,8 +37,10 @@ def run(
     if as_json:
         print_json({"kernels": len(before), "missing": missing, "seconds": taken})
         return
+    if missing:
+        print_warning(f"not compiled: {', '.join(missing)}")
     facts = {"kernels ready": f"{len(before) - len(missing)} of {len(before)}", "taken": f"{taken:.1f} s"}
-    print_facts(facts | ({"not compiled": ", ".join(missing)} if missing else {}))
+    print_facts(facts)
 
 
 def compiled_kernels() -> dict[str, bool]:
@@ -82,9 +85,22 @@ def jobs() -> Iterator[Callable[[], object]]:
             target = Target.from_points(arm, target.points)
         return lambda: pp.track(arm, target, start, name, limits, max_steps=60)
 
+    def moving(arm: pp.Arm) -> Callable[[], object]:
+        def action() -> None:
+            q, memory, controller = arm.neutral(), None, pp.ConstrainedQP()
+            for number in range(1, 4):
+                target = Target.from_configuration(
+                    arm, arm.configuration(np.full(arm.nv, 0.1 + 0.01 * number))
+                )
+                step = controller.step(arm.at(q), target, pp.Limits(step=0.05), memory)
+                q, memory = arm.integrate(q, step.dq), step.memory
+
+        return action
+
     for arm in (spatial, planar):
         yield resolve(arm)
         yield lambda arm=arm: arm.at(arm.neutral()).manipulability()  # type: ignore[misc]
         for name in CONTROLLERS:
             yield track(arm, name, pp.Limits())
         yield track(arm, "qp", pp.Limits(step=0.02, acceleration=3.0, dt=0.05))
+        yield moving(arm)

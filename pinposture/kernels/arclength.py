@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pinposture.kernels.arrays import Array
 from pinposture.kernels.compiled import compiled
 from pinposture.kernels.spline import span_at, value
-
-Array = NDArray[np.float64]
 
 DEPTH = 48  # halvings of a span, enough for a speed that nearly vanishes
 MOST = 64  # pieces to a span that are halved at a time; more means that rounding is all there is to see

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture.kernels.arrays import Array, Whole
 from pinposture.kernels.compiled import compiled
-
-Array = NDArray[np.float64]
-Whole = NDArray[np.int64]
 
 MOST = 1e60
 """Number of braking steps that counts as any number: a joint without position limits has that many."""

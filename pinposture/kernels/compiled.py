@@ -1,8 +1,8 @@
 """Functions that are compiled for the machine they run on: when, where the result is kept, how it is told.
 
 Numba compiles a kernel when it is first called with arguments of its kind, and keeps the machine code beside
-the source, or in the user's cache where it may not write there. That happens once for an installation; to
-have it done ahead: `pinposture compile`.
+the source, or in the user's cache where it may not write there, or in NUMBA_CACHE_DIR. That happens once for
+an installation and user; to have it done ahead: `pinposture compile`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Function = TypeVar("Function", bound=Callable[..., object])
 
 logger = logging.getLogger(__name__)
 
-_NEWS = "compiling for this machine, once: first runs take longer; `pinposture compile` does all of it now"
+_NEWS = "compiling, once for an installation and user: a minute in all; `pinposture compile` does it now"
 
 
 def compiled(function: Function) -> Function:
@@ -31,15 +31,34 @@ def compiled(function: Function) -> Function:
     time: read-only ones are another kind to the compiler, which would have to work again.
     """
     made: Any = numba.njit(nogil=True, error_model="numpy")(function)
-    made.enable_caching()
-    # Machine code contains the kernels that it calls, and numba looks at the file of the caller alone.
-    made._cache._cache_file._source_stamp = _stamp()
+    try:
+        made.enable_caching()
+    except RuntimeError:
+        _say_that_nothing_is_kept()
+    if (kept := _kept(made)) is not None:
+        # Machine code contains the kernels that it calls, and numba looks at the file of the caller alone.
+        kept._source_stamp = _stamp()
     return cast(Function, made)
 
 
 def is_ready(kernel: Any) -> bool:
     """Whether a kernel is compiled, in this process or where the results are kept."""
-    return bool(kernel.signatures) or bool(kernel._cache._cache_file._load_index())
+    kept = _kept(kernel)
+    return bool(kernel.signatures) or (kept is not None and bool(kept._load_index()))
+
+
+def _kept(kernel: Any) -> Any:
+    """Numba's index of what is kept of a kernel; None if nothing is, or if it is not where it used to be."""
+    kept = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
+    return kept if hasattr(kept, "_source_stamp") and hasattr(kept, "_load_index") else None
+
+
+@cache
+def _say_that_nothing_is_kept() -> None:
+    logger.warning(
+        "there is no folder to keep compiled kernels in, so that every process compiles its own; "
+        "set NUMBA_CACHE_DIR to one that can be written to"
+    )
 
 
 @cache

@@ -14,13 +14,10 @@ A station keeps its triangle R, (3, 3), and its gains K, (6, 3): what its share 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pinposture.kernels.arrays import Array, Whole
 from pinposture.kernels.compiled import compiled
 from pinposture.kernels.rows import FULL, LOCAL, RELATIVE, joints_along, motions_along
-
-Array = NDArray[np.float64]
-Whole = NDArray[np.int64]
 
 NOTHING = 1e-60
 """Stands for a zero, so that there is an inverse of L; its square is still a number."""

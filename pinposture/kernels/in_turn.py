@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pinposture.kernels.arrays import Array, Whole
 from pinposture.kernels.compiled import compiled
 from pinposture.kernels.units import base_frame, seen, solutions, turned, within
-
-Array = NDArray[np.float64]
-Whole = NDArray[np.int64]
 
 
 @compiled

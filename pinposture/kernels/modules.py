@@ -7,11 +7,10 @@ explained in `pinposture.target.torus`.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pinposture.kernels.arrays import Array
 from pinposture.kernels.compiled import compiled
 
-Array = NDArray[np.float64]
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
 

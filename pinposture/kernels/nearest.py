@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pinposture.kernels.arclength import CLOSE, NEWTON, length_at
+from pinposture.kernels.arrays import Array
 from pinposture.kernels.compiled import compiled
 from pinposture.kernels.spline import span_at, value
-
-Array = NDArray[np.float64]
 
 
 @compiled

@@ -68,8 +68,7 @@ def relaxed(
     sides, extra = np.zeros(n, dtype=np.int8), np.full(last + 1, LEAST)
     for i in range(last + 1):
         _displaced(start, chain.columns, which, units, x[i], positions)
-        placements(chain, positions, lines[0][i], lines[1][i], points[i], rotations,
-        )  # fmt: skip
+        placements(chain, positions, lines[0][i], lines[1][i], points[i], rotations)
     energy = 0.0
     for i in range(last):
         energy += _motion(points[i], points[i + 1], x[i], x[i + 1], weight)
@@ -98,8 +97,7 @@ def relaxed(
                     for u in range(n):
                         moved[u] = min(max(x[i, u] + share * dx[u], lower[u]), upper[u])
                     _displaced(start, chain.columns, which, units, moved, positions)
-                    placements(chain, positions, lines[0][last + 1], lines[1][last + 1], there, rotations,
-                    )  # fmt: skip
+                    placements(chain, positions, lines[0][last + 1], lines[1][last + 1], there, rotations)
                     after = _motion(points[i - 1], there, x[i - 1], moved, weight)
                     after += _motion(there, points[i + 1], moved, x[i + 1], weight)
                     gain = before - after
@@ -149,8 +147,7 @@ def travelled(
             here[u] = (1.0 - share) * x[i, u] + share * x[i + 1, u]
         _displaced(start, chain.columns, which, units, here, positions)
         at = 1 + look % 2 if look else 0
-        placements(chain, positions, frames[0], frames[1], points[at], frames[2],
-        )  # fmt: skip
+        placements(chain, positions, frames[0], frames[1], points[at], frames[2])
         if look:
             path += _between(points[at], points[3 - at if look > 1 else 0])
         if look == looks:

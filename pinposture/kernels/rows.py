@@ -13,13 +13,8 @@ depends on the coupling:
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from pinposture.kernels.arrays import Array, Whole
 from pinposture.kernels.compiled import compiled
-
-Array = NDArray[np.float64]
-Whole = NDArray[np.int64]
 
 FULL, RELATIVE, LOCAL = 0, 1, 2
 """Couplings."""

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pinposture.kernels.arrays import Array, Whole
 from pinposture.kernels.compiled import compiled
-
-Array = NDArray[np.float64]
-Whole = NDArray[np.int64]
 
 SWEEPS = 40
 """The most rounds of rotations; three vectors take about five."""

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pinposture.kernels.arrays import Array, Whole
 from pinposture.kernels.compiled import compiled
 from pinposture.kernels.elimination import down_stations, up_stations
-
-Array = NDArray[np.float64]
-Whole = NDArray[np.int64]
 
 LARGEST_BASIS = 400
 """How many vectors are kept before the search begins anew, from the best found so far."""

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pinposture.kernels.arrays import Array
 from pinposture.kernels.compiled import compiled
-
-Array = NDArray[np.float64]
 
 
 @compiled

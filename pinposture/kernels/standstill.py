@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pinposture.kernels.arclength import CLOSE, NEWTON, speed
+from pinposture.kernels.arrays import Array
 from pinposture.kernels.compiled import compiled
-
-Array = NDArray[np.float64]
 
 SAMPLES = 9  # places in a span where the speed is looked at
 STILL = 1e-6  # of the largest speed in its span: a speed that vanishes

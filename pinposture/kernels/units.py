@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from pinposture.kernels.arrays import Array
 from pinposture.kernels.compiled import compiled
 from pinposture.kernels.modules import circle_forward, circle_inverse, torus_forward, torus_inverse
 
-Array = NDArray[np.float64]
 Three = tuple[float, float, float]
 
 ROUNDING = 1e-9
@@ -42,7 +39,6 @@ def turned(dof: int, shape: Array, q: Array, frame: Array, next_turn: Array) -> 
         dof: 1 for a circle, 2 for a torus.
         shape: of the module, see `walk.walk_along`.
         q: its joint positions.
-        turn: how this one is turned from its neutral orientation, (3, 3).
         frame: axes of its base in the world, turned, (3, 3).
         next_turn: filled.
     """

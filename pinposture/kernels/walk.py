@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pinposture.kernels.arclength import parameter_at
+from pinposture.kernels.arrays import Array, Whole
 from pinposture.kernels.compiled import compiled
 from pinposture.kernels.modules import circle_crossings, torus_clearance, torus_crossings, torus_faces
 from pinposture.kernels.spline import span_at, value
 from pinposture.kernels.units import ROUNDING, base_frame, seen, solutions, turned, within
 
-Array = NDArray[np.float64]
-Whole = NDArray[np.int64]
 Three = tuple[float, float, float]
 
 

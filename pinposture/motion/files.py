@@ -83,9 +83,11 @@ def load_trajectory(path: Path) -> Trajectory:
             arrays = {name: stored[name] for name in stored.files}
         about = json.loads(str(arrays["about"]))
         if about["format"] != FORMAT or about["version"] != VERSION:
-            raise FileError(
-                path, f"format {about['format']!r} version {about['version']}; allowed: {VERSION}"
-            )
+            found = f"format {about['format']!r} version {about['version']}"
+            text = f"{found}; allowed: {FORMAT!r} version {VERSION}"
+            if about["format"] == "pinposture-batch":
+                text = "holds many runs; save one of them: pp.Batch.load(file)[0].save(...)"
+            raise FileError(path, text)
         curve = None if about["curve"] is None else Curve.from_dict(about["curve"])
         target: dict[str, Any] = {name: arrays.get(f"target_{name}") for name in _TARGET_ARRAYS}
         limits = {

@@ -6,6 +6,7 @@ import pickle
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import cached_property, lru_cache
+from itertools import islice
 from time import perf_counter
 from typing import Any, Generic, TypeVar
 
@@ -104,9 +105,14 @@ def _tried(tasks: Sequence[Any]) -> Iterator[Any]:
 
 
 def _spread(tasks: Iterable[Any], jobs: int) -> Iterator[Any]:
+    waiting = iter(tasks)
+    if jobs != 1 and get_active_backend()[0].supports_inner_max_num_threads:
+        # The first call is made here, so that kernels are compiled once and not by each process started here.
+        for function, positional, named in islice(waiting, 1):
+            yield function(*positional, **named)
     with _one_thread_each():
         pool = Parallel(n_jobs=jobs, return_as="generator")
-    return iter(pool(tasks))
+    yield from pool(waiting)
 
 
 def _one_thread_each() -> AbstractContextManager[object]:

@@ -13,7 +13,13 @@ import pinocchio as pin
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
+from pinposture.errors import InvalidValue
+
 Array = NDArray[np.float64]
+
+
+MOST = 300
+"""Degrees of freedom up to which there is memory: 2 GB."""
 
 
 class Placements(threading.local):
@@ -26,6 +32,9 @@ class Placements(threading.local):
     """
 
     def __init__(self, model: pin.Model) -> None:
+        if model.nv > MOST:
+            allowed = f"an arm of at most {MOST}: Pinocchio's data take memory with the cube of their number"
+            raise InvalidValue("degrees of freedom of an arm in a scene", model.nv, allowed)
         self.data = model.createData()
         self.rotations = _side_by_side([placement.rotation for placement in self.data.oMi])
         self.positions = _side_by_side([placement.translation for placement in self.data.oMi])

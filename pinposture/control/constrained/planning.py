@@ -84,7 +84,7 @@ def plan_on(course: Course, posture: Posture, state: ArmState, bounds: JointBoun
     """
     arm, path = posture.arm, course.path
     before = path.configuration(path.end)
-    goal = _known(posture, state, bounds)
+    goal = _known(posture, bounds)
     if goal is None:
         start = arm.at(before) if posture.target.q is None else None
         goal = find_goal(posture, state, bounds.edges, None, GOOD * arm.length, start).state.q
@@ -97,7 +97,7 @@ def plan_on(course: Course, posture: Posture, state: ArmState, bounds: JointBoun
     return course._replace(posture=posture, path=path, bent=bent).within(bounds)
 
 
-def _known(posture: Posture, state: ArmState, bounds: JointBounds) -> Array | None:
+def _known(posture: Posture, bounds: JointBounds) -> Array | None:
     """The configuration that a target knows, (nq,), if it is within the limits and takes the posture."""
     arm, q = posture.arm, posture.target.q
     if q is None or len(posture.active) < arm.n_modules:
