@@ -78,5 +78,5 @@ def screws_of(state: ArmState) -> Screws:
     chain, placed, known = state.arm.kinematics, state.placed, constants_of(state.arm)
     found = Screws(np.empty((len(known.joints), 6)), chain.ends, placed.points)
     given = known.joints, chain.slides, known.units, placed.axes, placed.origins, chain.ends, placed.points
-    kernels.screws(*given, found.screws)
+    kernels.find_screws(*given, found.screws)
     return found

@@ -50,7 +50,7 @@ def farthest(room: Array, brake: Array) -> Array:
     """
     rooms = np.ascontiguousarray(np.atleast_2d(room), dtype=np.float64)
     steps = np.empty_like(rooms)
-    kernels.farthest(rooms, np.array(brake, dtype=np.float64), steps)
+    kernels.stoppable_steps(rooms, np.array(brake, dtype=np.float64), steps)
     return steps.reshape(np.shape(room))
 
 

@@ -143,7 +143,7 @@ class Limits:
         sides, columns = np.empty((2, arm.nv)), arm.kinematics.columns
         brake = _NONE if bounds.brake is None else bounds.brake
         given = bounds.edges, bounds.bound, brake, before
-        found = kernels.box(positions, *given, ROUNDING, columns, bounds.leaning, sides)
+        found = kernels.step_box(positions, *given, ROUNDING, columns, bounds.leaning, sides)
         relaxed = relaxed_limits(arm, positions, *given, ROUNDING) if found % 2 else ()
         return Box(sides[0], sides[1], relaxed, found >= 2, sides)
 
@@ -167,7 +167,7 @@ class Limits:
         brake = _NONE if bounds.brake is None else bounds.brake
         cut, clipped = np.empty(arm.nv), np.empty(arm.nv, dtype=np.bool_)
         given = state.placed.positions, bounds.edges, bounds.bound, brake, before
-        scale = kernels.shortened(dq, *given, cut, clipped)
+        scale = kernels.shorten_step(dq, *given, cut, clipped)
         return LimitedStep(cut, scale, clipped)
 
     def hold(self, state: ArmState, previous: Array | None = None) -> LimitedStep:

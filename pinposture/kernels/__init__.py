@@ -14,26 +14,22 @@ if TYPE_CHECKING:
     from pinposture.kernels.arclength import expand_spans as expand_spans
     from pinposture.kernels.arclength import measure_length as measure_length
     from pinposture.kernels.arclength import parameters_at as parameters_at
-    from pinposture.kernels.bounded import boxed as boxed
-    from pinposture.kernels.braking import box as box
-    from pinposture.kernels.braking import farthest as farthest
-    from pinposture.kernels.braking import shortened as shortened
+    from pinposture.kernels.bounded import minimise_in_box as minimise_in_box
+    from pinposture.kernels.braking import shorten_step as shorten_step
+    from pinposture.kernels.braking import step_box as step_box
+    from pinposture.kernels.braking import stoppable_steps as stoppable_steps
     from pinposture.kernels.branches import best_branch as best_branch
     from pinposture.kernels.course import advance as advance
-    from pinposture.kernels.course import along as along
-    from pinposture.kernels.course import apart as apart
-    from pinposture.kernels.course import distance as distance
-    from pinposture.kernels.course import outcome as outcome
-    from pinposture.kernels.course import outside as outside
+    from pinposture.kernels.course import joint_distance as joint_distance
+    from pinposture.kernels.course import look_ahead as look_ahead
+    from pinposture.kernels.course import position_excess as position_excess
+    from pinposture.kernels.course import step_along as step_along
+    from pinposture.kernels.course import sum_distances as sum_distances
     from pinposture.kernels.elimination import eliminated as eliminated
     from pinposture.kernels.elimination import least_change as least_change
     from pinposture.kernels.in_turn import take_points as take_points
     from pinposture.kernels.kinematics import jacobians as jacobians
     from pinposture.kernels.kinematics import placements as placements
-    from pinposture.kernels.least_squares import misses as misses
-    from pinposture.kernels.least_squares import motions as motions
-    from pinposture.kernels.least_squares import screws as screws
-    from pinposture.kernels.least_squares import stiffness as stiffness
     from pinposture.kernels.modules import circle_crossings as circle_crossings
     from pinposture.kernels.modules import circle_forward as circle_forward
     from pinposture.kernels.modules import circle_inverse as circle_inverse
@@ -47,8 +43,8 @@ if TYPE_CHECKING:
     from pinposture.kernels.pairs import best_path as best_path
     from pinposture.kernels.pairs import stride_indices as stride_indices
     from pinposture.kernels.pairs import weakest_index as weakest_index
-    from pinposture.kernels.relaxation import relaxed as relaxed
-    from pinposture.kernels.relaxation import travelled as travelled
+    from pinposture.kernels.relaxation import measure_ways as measure_ways
+    from pinposture.kernels.relaxation import relax_waypoints as relax_waypoints
     from pinposture.kernels.rows import joints_along as joints_along
     from pinposture.kernels.rows import motions_along as motions_along
     from pinposture.kernels.spaces import module_spaces as module_spaces
@@ -56,6 +52,10 @@ if TYPE_CHECKING:
     from pinposture.kernels.spectrum import inverse_norm as inverse_norm
     from pinposture.kernels.spline import spline_coefficients as spline_coefficients
     from pinposture.kernels.spline import spline_values as spline_values
+    from pinposture.kernels.springs import find_screws as find_screws
+    from pinposture.kernels.springs import measure_misses as measure_misses
+    from pinposture.kernels.springs import move_points as move_points
+    from pinposture.kernels.springs import stiffness as stiffness
     from pinposture.kernels.standstill import find_standstill as find_standstill
     from pinposture.kernels.walk import neighbours as neighbours
     from pinposture.kernels.walk import walk_along as walk_along
@@ -64,26 +64,26 @@ _HOMES = {
     "expand_spans": "arclength",
     "measure_length": "arclength",
     "parameters_at": "arclength",
-    "boxed": "bounded",
-    "box": "braking",
-    "farthest": "braking",
-    "shortened": "braking",
+    "minimise_in_box": "bounded",
+    "step_box": "braking",
+    "stoppable_steps": "braking",
+    "shorten_step": "braking",
     "best_branch": "branches",
     "advance": "course",
-    "along": "course",
-    "apart": "course",
-    "distance": "course",
-    "outcome": "course",
-    "outside": "course",
+    "step_along": "course",
+    "joint_distance": "course",
+    "sum_distances": "course",
+    "look_ahead": "course",
+    "position_excess": "course",
     "eliminated": "elimination",
     "least_change": "elimination",
     "take_points": "in_turn",
     "jacobians": "kinematics",
     "placements": "kinematics",
-    "misses": "least_squares",
-    "motions": "least_squares",
-    "screws": "least_squares",
-    "stiffness": "least_squares",
+    "measure_misses": "springs",
+    "move_points": "springs",
+    "find_screws": "springs",
+    "stiffness": "springs",
     "circle_crossings": "modules",
     "circle_forward": "modules",
     "circle_inverse": "modules",
@@ -97,8 +97,8 @@ _HOMES = {
     "best_path": "pairs",
     "stride_indices": "pairs",
     "weakest_index": "pairs",
-    "relaxed": "relaxation",
-    "travelled": "relaxation",
+    "relax_waypoints": "relaxation",
+    "measure_ways": "relaxation",
     "joints_along": "rows",
     "motions_along": "rows",
     "module_spaces": "spaces",

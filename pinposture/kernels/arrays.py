@@ -42,7 +42,7 @@ class Springs(NamedTuple):
     """What pulls at a chain: points, and chords from each point to the next.
 
     Attributes:
-        screws: motion and turning of the first point that each joint carries, (n, 6), from `screws`.
+        screws: motion and turning of the first point that each joint carries, (n, 6), from `find_screws`.
         ends: number of joints that carry each point, (p,); not decreasing.
         points: the points, (p, 3).
         weights: weights W of the points, (p,).

@@ -24,12 +24,15 @@ ROUNDS, ITERATIONS = 6, 40
 GAP = 1e-11
 """Complementarity gap at which the interior point method ends, relative to the one at its beginning."""
 
+TINY = 1e-12
+"""Motion that is only rounding, in units of a joint."""
+
 BACK = 0.995
 """Share of the way to the boundary that one iteration goes."""
 
 
 @compiled
-def boxed(
+def minimise_in_box(
     springs: Springs,
     errors: Array,
     damping: Array,
@@ -57,16 +60,16 @@ def boxed(
     """
     n, m = len(springs.screws), len(springs.ends)
     gains, slope, missed = np.empty((n, 11)), np.empty(n), np.empty((m, 6))
-    held = np.empty(n, dtype=np.bool_)
+    held, close = np.empty(n, dtype=np.bool_), np.empty(n)
     solved = 0
     for attempt in range(2):
         for _ in range(ROUNDS):
             any_held = False
             for u in range(n):
-                held[u] = sides[u] != 0 or lower[u] == upper[u]
+                held[u] = sides[u] != 0 or _thin(lower[u], upper[u])
                 any_held = any_held or held[u]
                 if held[u]:
-                    x[u] = lower[u] if sides[u] < 0 else upper[u]
+                    x[u] = upper[u] if sides[u] > 0 else lower[u]
             factored(springs, damping, held, gains)
             answered(springs, errors, damping, centre, held, gains, x)
             solved += 1
@@ -74,27 +77,49 @@ def boxed(
                 slope_of(springs, errors, damping, centre, x, slope, missed)
             settled = True
             for u in range(n):
-                side = 0
-                if lower[u] == upper[u]:
+                if _thin(lower[u], upper[u]):
                     continue
-                if held[u]:
-                    if (sides[u] < 0 and slope[u] >= 0.0) or (sides[u] > 0 and slope[u] <= 0.0):
+                side, inverse = 0, gains[u, 10]
+                if held[u]:  # where it would go, let alone, counts if it is more than rounding
+                    if -slope[u] * inverse * sides[u] >= -TINY:
                         side = sides[u]
-                elif x[u] < lower[u]:
+                elif x[u] < lower[u] - TINY:
                     side = -1
-                elif x[u] > upper[u]:
+                elif x[u] > upper[u] + TINY:
                     side = 1
                 settled = settled and side == sides[u]
                 sides[u] = side
             if settled:
+                _cut(x, lower, upper)
                 return solved
         if attempt == 0:
             solved += _inner(springs, errors, damping, centre, lower, upper, sides, x, gains)
             for u in range(n):
-                slope[u] = x[u]
-    for u in range(n):  # as close as the interior point method came
-        x[u] = min(max(slope[u], lower[u]), upper[u])
+                close[u] = x[u]
+    # Round in circles again: as close as the one or the other came.
+    _cut(x, lower, upper)
+    _cut(close, lower, upper)
+    last = slope_of(springs, errors, damping, centre, x, slope, missed)
+    inner = slope_of(springs, errors, damping, centre, close, slope, missed)
+    if not last <= inner:
+        for u in range(n):
+            x[u] = close[u]
     return solved
+
+
+@compiled
+def _thin(lower: float, upper: float) -> bool:
+    """Whether there is no room between two bounds."""
+    return upper - lower <= TINY
+
+
+@compiled
+def _cut(x: Array, lower: Array, upper: Array) -> None:
+    """Bring x into the box; no motion, where it is no number."""
+    for u in range(len(x)):
+        if np.isnan(x[u]):
+            x[u] = 0.0
+        x[u] = min(max(x[u], lower[u]), upper[u])
 
 
 @compiled
@@ -117,7 +142,7 @@ def _inner(
     moves, downs, ups = np.zeros(n), np.zeros(n), np.zeros(n)
     bounds = 0
     for u in range(n):
-        held[u] = lower[u] == upper[u]
+        held[u] = _thin(lower[u], upper[u])
         below, above = np.isfinite(lower[u]), np.isfinite(upper[u])
         if held[u]:
             x[u] = lower[u]

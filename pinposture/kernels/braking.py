@@ -12,7 +12,7 @@ MOST = 1e60
 """Number of braking steps that counts as any number: a joint without position limits has that many."""
 
 SHORT, OUTSIDE = 1, 2
-"""What `box` returns, added up: limits that cannot be kept; a joint of the chain outside its limits."""
+"""What `step_box` returns, added up: limits that cannot be kept; a joint of the chain outside its limits."""
 
 
 @compiled
@@ -24,7 +24,7 @@ def _farthest(room: float, brake: float) -> float:
 
 
 @compiled
-def farthest(rooms: Array, brake: Array, filled: Array) -> None:
+def stoppable_steps(rooms: Array, brake: Array, filled: Array) -> None:
     """`_farthest` for each room, (r, nv), with brakes (nv,); fills (r, nv)."""
     for i in range(len(rooms)):
         for u in range(len(brake)):
@@ -32,7 +32,7 @@ def farthest(rooms: Array, brake: Array, filled: Array) -> None:
 
 
 @compiled
-def box(
+def step_box(
     positions: Array,
     edges: Array,
     bound: Array,
@@ -84,7 +84,7 @@ def box(
 
 
 @compiled
-def shortened(
+def shorten_step(
     dq: Array,
     positions: Array,
     edges: Array,

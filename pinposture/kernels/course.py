@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pinposture.kernels.arrays import Array, Chain, Flags, Whole
-from pinposture.kernels.braking import box
+from pinposture.kernels.braking import step_box
 from pinposture.kernels.compiled import compiled
 from pinposture.kernels.kinematics import placements
 
@@ -14,7 +14,7 @@ ROUNDING = 1e-12
 
 
 @compiled
-def apart(one: Array, other: Array, endless: Flags, columns: Whole, units: Array) -> float:
+def joint_distance(one: Array, other: Array, endless: Flags, columns: Whole, units: Array) -> float:
     """The largest difference of joint positions (nv,), of those in `columns`, in units of each (n,)."""
     most = 0.0
     for i in range(len(columns)):
@@ -27,7 +27,7 @@ def apart(one: Array, other: Array, endless: Flags, columns: Whole, units: Array
 
 
 @compiled
-def outside(positions: Array, edges: Array, columns: Whole) -> float:
+def position_excess(positions: Array, edges: Array, columns: Whole) -> float:
     """By how much joints are outside their position limits, (2, nv), at most; 0 if none is."""
     most = 0.0
     for i in range(len(columns)):
@@ -37,7 +37,7 @@ def outside(positions: Array, edges: Array, columns: Whole) -> float:
 
 
 @compiled
-def along(
+def step_along(
     offsets: Array,
     start: Array,
     positions: Array,
@@ -108,7 +108,7 @@ def along(
 
 
 @compiled
-def outcome(
+def look_ahead(
     chain: Chain,
     positions: Array,
     units: Array,
@@ -152,11 +152,11 @@ def outcome(
     joint_axes, joint_origins = np.empty((n, 3)), np.empty((n, 3))
     there, rotations = np.empty((m, 3)), np.empty((m, 3, 3))
     placements(chain, reached, joint_axes, joint_origins, there, rotations)
-    return distance(points, targets, placed), distance(there, targets, placed)
+    return sum_distances(points, targets, placed), sum_distances(there, targets, placed)
 
 
 @compiled
-def distance(points: Array, targets: Array, placed: Flags) -> float:
+def sum_distances(points: Array, targets: Array, placed: Flags) -> float:
     """Sum of the distances of points (m, 3) from their targets (m, 3), of those that have one (m,)."""
     total = 0.0
     for k in range(len(points)):
@@ -190,29 +190,29 @@ def advance(
     reached: Array,
     at_limit: Flags,
 ) -> tuple[bool, float, float, float]:
-    """`box`, `apart`, `along` and `outcome` in one call, for where nothing but the limits has a say.
+    """`step_box`, `joint_distance`, `step_along` and `look_ahead` in one call: the usual step.
 
     Args:
         chain: the chain; all of its joints move on the way.
-        endless: as for `along`.
+        endless: as for `step_along`.
         units: the motion of each joint of the chain that counts as one, (n,).
-        leaning: as for `box`.
+        leaning: as for `step_box`.
         edges: see there.
         bound: see there.
         positions: joint positions now, (nv,).
-        points: as for `outcome`.
-        offsets: as for `along`.
+        points: as for `look_ahead`.
+        offsets: as for `step_along`.
         start: see there.
         place: see there.
         expected: joint positions that the arm should have, (nv,).
         disturbed: how far it may be from them, in units.
         arrived: joint motion left at which the way is behind the arm.
-        rounding: as for `box`.
-        most: as for `along`.
-        targets: as for `outcome`.
+        rounding: as for `step_box`.
+        most: as for `step_along`.
+        targets: as for `look_ahead`.
         placed: see there.
         dq: zeros, filled with the step, (nv,).
-        reached: as for `outcome`.
+        reached: as for `look_ahead`.
         at_limit: see there.
 
     Returns:
@@ -220,16 +220,16 @@ def advance(
         before and after it.
     """
     none, limits = np.empty(0), np.empty((2, len(positions)))
-    if box(positions, edges, bound, none, none, rounding, chain.columns, leaning, limits) != 0:
+    if step_box(positions, edges, bound, none, none, rounding, chain.columns, leaning, limits) != 0:
         return False, place, 0.0, 0.0
-    if apart(expected, positions, endless, chain.columns, units) > disturbed:
+    if joint_distance(expected, positions, endless, chain.columns, units) > disturbed:
         return False, place, 0.0, 0.0
-    there, left, inside = along(
+    there, left, inside = step_along(
         offsets, start, positions, endless, chain.columns, units, place, limits, most, dq
     )
     if not inside or (there >= len(offsets) - 1 and left <= arrived):
         return False, place, 0.0, 0.0
-    before, after = outcome(
+    before, after = look_ahead(
         chain, positions, units, limits, edges, points, targets, placed, dq, reached, at_limit
     )
     return True, there, before, after

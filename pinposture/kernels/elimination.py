@@ -38,7 +38,7 @@ def eliminated(
     """Decompose a posture control matrix.
 
     Args:
-        b: motion and turning of the first point that each joint carries, (n, 6), from `screws`.
+        b: motion and turning of the first point that each joint carries, (n, 6), from `find_screws`.
         ends: number of joints that carry each point, (m,); increasing.
         points: the points, (m, 3).
         stations: the points that have rows, (p,); increasing.

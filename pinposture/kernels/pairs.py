@@ -100,7 +100,7 @@ def all_indices(b: Array, ends: Whole, points: Array, plane: Array, filled: Arra
     """Indices of all sections.
 
     Args:
-        b: motion and turning of the first point that each joint carries, (n, 6), from `screws`.
+        b: motion and turning of the first point that each joint carries, (n, 6), from `find_screws`.
         ends: number of joints that carry each point, (m,); increasing.
         points: the points, (m, 3).
         plane: directions in which the points can move, (2, 3), or (3, 3) for any.

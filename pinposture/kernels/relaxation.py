@@ -12,21 +12,22 @@ from __future__ import annotations
 import numpy as np
 
 from pinposture.kernels.arrays import Array, Chain, Springs, Whole
-from pinposture.kernels.bounded import boxed
+from pinposture.kernels.bounded import minimise_in_box
 from pinposture.kernels.compiled import compiled
 from pinposture.kernels.kinematics import placements
-from pinposture.kernels.least_squares import screws
+from pinposture.kernels.springs import find_screws
 
 MOST_OVER = 1.85
 """How far a waypoint is moved at most, where its own minimum is at 1."""
 
-EASIER, HARDER, LEAST, TRIES = 0.1, 30.0, 1e-6, 6
-"""How the damping of a waypoint changes after a move that lowered the energy or failed to; the least [m^2],
-and after how many failures it waits for the next pass."""
+EASIER, HARDER, LEAST, TRIES = 0.1, 30.0, 3e-6, 6
+"""How the damping of a waypoint changes after a move that lowered the energy or failed to; the least,
+relative to the mean squared distance of the control points from the base; and after how many failures it
+waits for the next pass."""
 
 
 @compiled
-def relaxed(
+def relax_waypoints(
     chain: Chain,
     which: Whole,
     own_ends: Whole,
@@ -65,11 +66,16 @@ def relaxed(
     positions, b, dx = start.copy(), np.empty((n, 6)), np.empty(n)
     moved, centre, low, high = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     weights, chords, damping = np.ones(m), np.zeros(m), np.empty(n)
-    sides, extra = np.zeros(n, dtype=np.int8), np.full(last + 1, LEAST)
+    sides = np.zeros(n, dtype=np.int8)
     for i in range(last + 1):
         _displaced(start, chain.columns, which, units, x[i], positions)
         placements(chain, positions, lines[0][i], lines[1][i], points[i], rotations)
-    energy = 0.0
+    size = weight
+    for k in range(m):
+        for j in range(3):
+            size += (points[0, k, j] - lines[1][0, 0, j]) ** 2 / m
+    least = LEAST * size
+    extra, energy = np.full(last + 1, least), 0.0
     for i in range(last):
         energy += _motion(points[i], points[i + 1], x[i], x[i + 1], weight)
     over = min(2.0 / (1.0 + np.sin(np.pi / last)), MOST_OVER)  # the best for as many equal springs in a row
@@ -77,7 +83,7 @@ def relaxed(
         fall = 0.0
         for place in range(1, last):
             i = last - place if number % 2 else place
-            screws(which, chain.slides, units, lines[0][i], lines[1][i], own_ends, points[i], b)
+            find_screws(which, chain.slides, units, lines[0][i], lines[1][i], own_ends, points[i], b)
             springs = Springs(b, own_ends, points[i], weights, chords)
             before = _motion(points[i - 1], points[i], x[i - 1], x[i], weight)
             before += _motion(points[i], points[i + 1], x[i], x[i + 1], weight)
@@ -91,7 +97,7 @@ def relaxed(
                     centre[u] = weight * aside / damping[u]
                     low[u], high[u] = lower[u] - x[i, u], upper[u] - x[i, u]
                     sides[u] = 0
-                boxed(springs, errors, damping, centre, low, high, sides, dx)
+                minimise_in_box(springs, errors, damping, centre, low, high, sides, dx)
                 gain = 0.0
                 for share in (over, 1.0):
                     for u in range(n):
@@ -107,7 +113,7 @@ def relaxed(
                     x[i], points[i] = moved, there
                     lines[0][i], lines[1][i] = lines[0][last + 1], lines[1][last + 1]
                     fall += gain
-                    extra[i] = max(extra[i] * EASIER, LEAST)
+                    extra[i] = max(extra[i] * EASIER, least)
                     break
                 extra[i] *= HARDER
         energy -= fall
@@ -117,7 +123,7 @@ def relaxed(
 
 
 @compiled
-def travelled(
+def measure_ways(
     chain: Chain,
     which: Whole,
     units: Array,

@@ -35,7 +35,7 @@ def motions_along(
     """The matrix times a vector: how the joints move the stations along the directions.
 
     Args:
-        b: motion and turning of the first point that each joint carries, (n, 6), from `screws`.
+        b: motion and turning of the first point that each joint carries, (n, 6), from `find_screws`.
         ends: number of joints that carry each point, (m,); increasing.
         points: the points, (m, 3).
         stations: the points that have rows, (p,); increasing.

@@ -62,7 +62,7 @@ def fit_points(arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) ->
 
     def jacobian(amounts: Array) -> Array:
         state = arm.at(configuration(amounts))
-        rows = state.jacobians[:, :, columns].reshape(-1, len(columns)) * units / arm.length
+        rows = state.jacobians[:, :, columns].reshape(3 * arm.n_modules, len(columns)) * units / arm.length
         return np.vstack([root[:, None] * rows, STRAIGHTENING * np.eye(len(columns))])
 
     starts = [straight]

@@ -64,7 +64,7 @@ def problem(rng: np.random.Generator, modules: int, damping: float, straight: bo
     right = np.concatenate([np.sqrt(weights)[:, None] * errors, np.sqrt(chords)[:, None] * apart])
     screws = np.empty((n, 6))
     ends = ends.astype(np.int64)
-    kernels.screws(np.arange(n), slides, units, axes, origins, ends, points, screws)
+    kernels.find_screws(np.arange(n), slides, units, axes, origins, ends, points, screws)
     return Problem(
         Springs(screws, ends, points, weights, chords),
         errors,

@@ -19,7 +19,7 @@ def within(p: Problem, lower: np.ndarray, upper: np.ndarray, guess: np.ndarray |
     """The minimum within a box."""
     n = len(p.centre)
     x, sides = np.empty(n), np.zeros(n, dtype=np.int8) if guess is None else guess
-    kernels.boxed(p.springs, p.errors, p.damping, p.centre, lower, upper, sides, x)
+    kernels.minimise_in_box(p.springs, p.errors, p.damping, p.centre, lower, upper, sides, x)
     return x
 
 
@@ -82,3 +82,46 @@ def test_long_chains_at_their_bounds_meet_the_optimality_conditions(
     assert at_upper.any() and at_lower.any()
     assert np.all(slope[at_upper] <= 1e-9) and np.all(slope[at_lower] >= -1e-9)
     assert np.abs(slope[~(at_upper | at_lower)]).max(initial=0.0) < 1e-9
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_boxes_that_end_where_the_minimum_is_or_have_no_room(seed: int) -> None:
+    """Wanted values exactly at their bounds, and bounds one rounding apart: no circles, no numbers lost."""
+    rng = np.random.default_rng(seed)
+    p = problem(rng, 12, 10.0 ** rng.uniform(-6, -1))
+    n = len(p.centre)
+    moved = np.empty_like(p.springs.points)
+    kernels.move_points(p.springs.screws, p.springs.ends, p.springs.points, p.centre, moved)
+    p = p._replace(errors=moved)  # so that the centre is the minimum
+    lower, upper = p.centre - rng.uniform(0.0, 0.2, n), p.centre + rng.uniform(0.0, 0.2, n)
+    at = rng.integers(-1, 2, n)
+    lower[at < 0], upper[at > 0] = p.centre[at < 0], p.centre[at > 0]
+    nudge = np.where(rng.random(n) < 0.5, 1e-16, 0.0)
+    found = within(p, lower + nudge, upper - nudge)
+    np.testing.assert_allclose(found, p.centre, atol=1e-10)
+    thin = rng.random(n) < 0.3
+    upper[thin] = np.nextafter(lower[thin], np.inf)
+    found = within(p, lower, upper)
+    assert np.all((found >= lower) & (found <= upper))
+    hessian, _ = p.dense()
+    slope = hessian @ found - (hessian @ p.centre)
+    free = (found > lower + 1e-9) & (found < upper - 1e-9)
+    assert np.abs(slope[free]).max(initial=0.0) < 1e-9 * np.abs(hessian).max()
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_circles_end_with_the_minimum(seed: int) -> None:
+    """Narrow boxes around anywhere: most joints at a bound, which corrections alone do not sort out."""
+    rng = np.random.default_rng(seed)
+    p = problem(rng, 20, 10.0 ** rng.uniform(-9, -3))
+    middle = rng.normal(size=len(p.centre)) * 0.02
+    half = 10.0 ** rng.uniform(-5, -1.5, len(middle))
+    lower, upper = middle - half, middle + half
+    x = within(p, lower, upper)
+    hessian, gradient = p.dense()
+    slope = hessian @ x + gradient
+    scale = np.diag(hessian) * (upper - lower)  # what moving through the box would do to it
+    assert np.all(slope[x <= lower] >= -1e-6 * scale[x <= lower])
+    assert np.all(slope[x >= upper] <= 1e-6 * scale[x >= upper])
+    inside = (x > lower) & (x < upper)
+    assert np.all(np.abs(slope[inside]) <= 1e-6 * scale[inside])

@@ -45,9 +45,9 @@ def test_importing_the_package_starts_no_compiler() -> None:
 
 
 def test_machine_code_is_kept_until_any_kernel_changes() -> None:
-    kept = kernels.distance._cache._cache_file
+    kept = kernels.sum_distances._cache._cache_file
     assert kept._source_stamp == compiled._stamp()
-    assert compiled.is_ready(kernels.distance) or not kernels.distance.signatures
+    assert compiled.is_ready(kernels.sum_distances) or not kernels.sum_distances.signatures
 
 
 NOWHERE = """
@@ -59,7 +59,7 @@ def refused(self):
 
 Dispatcher.enable_caching = refused  # as numba does where it finds no folder
 from pinposture import kernels
-print(kernels.distance(np.zeros((2, 3)), np.ones((2, 3)), np.ones(2, dtype=bool)))
+print(kernels.sum_distances(np.zeros((2, 3)), np.ones((2, 3)), np.ones(2, dtype=bool)))
 """
 
 

@@ -20,7 +20,7 @@ def free(p: Problem) -> np.ndarray:
     n = len(p.centre)
     x, sides = np.empty(n), np.zeros(n, dtype=np.int8)
     none = np.full(n, np.inf)
-    assert kernels.boxed(p.springs, p.errors, p.damping, p.centre, -none, none, sides, x) == 1
+    assert kernels.minimise_in_box(p.springs, p.errors, p.damping, p.centre, -none, none, sides, x) == 1
     return x
 
 
@@ -69,7 +69,7 @@ def test_500_modules_meet_their_optimality_conditions() -> None:
     chain, m, n = arm.kinematics, 500, 1000
     errors, damping = 0.02 * rng.normal(size=(m, 3)), np.full(n, 1e-6)
     screws, placed = np.empty((n, 6)), state.placed
-    kernels.screws(
+    kernels.find_screws(
         np.arange(n), chain.slides, np.ones(n), placed.axes, placed.origins, chain.ends, placed.points, screws
     )
     p = Problem(
@@ -94,14 +94,14 @@ def test_motions_misses_and_stiffness_are_what_the_rows_say(seed: int, modules: 
     p = problem(rng, modules, 1.0)
     screws, ends, points, weights, chords = p.springs
     x, moved = rng.normal(size=len(p.centre)), np.empty_like(points)
-    kernels.motions(screws, ends, points, x, moved)
+    kernels.move_points(screws, ends, points, x, moved)
     np.testing.assert_allclose(
         (np.sqrt(weights)[:, None] * moved).ravel(), p.rows[: 3 * modules] @ x, atol=1e-12
     )
     found = kernels.stiffness(p.springs)
     assert found == pytest.approx((p.rows**2).sum() / len(x), rel=1e-9)
     errors = np.empty_like(points)
-    total = kernels.misses(points, points + p.errors, weights, chords, np.zeros(3), errors)
+    total = kernels.measure_misses(points, points + p.errors, weights, chords, np.zeros(3), errors)
     np.testing.assert_allclose(errors, p.errors, atol=1e-15)
     assert total == pytest.approx(p.right @ p.right)
 
@@ -110,7 +110,7 @@ def test_errors_across_a_planar_arm_do_not_count() -> None:
     rng = np.random.default_rng(1)
     points, targets, normal = rng.normal(size=(4, 3)), rng.normal(size=(4, 3)), np.array([0.6, 0.0, 0.8])
     errors = np.empty((4, 3))
-    total = kernels.misses(points, targets, np.ones(4), np.zeros(4), normal, errors)
+    total = kernels.measure_misses(points, targets, np.ones(4), np.zeros(4), normal, errors)
     np.testing.assert_allclose(errors @ normal, 0.0, atol=1e-15)
     np.testing.assert_allclose(np.cross(errors, normal), np.cross(targets - points, normal), atol=1e-15)
     assert total == pytest.approx((errors**2).sum())

@@ -152,7 +152,7 @@ def test_files_that_are_no_batches_are_named(batch: pp.Batch, tmp_path: Path) ->
         pp.Batch.load(tmp_path / "text.npz")
     with pytest.raises(FileError, match=r"'pinposture-run'.*allowed: 'pinposture-batch'"):
         pp.Batch.load(batch[0].save(tmp_path / "run.npz"))
-    with pytest.raises(FileError, match="'pinposture-batch'"):
+    with pytest.raises(FileError, match="holds many runs"):
         pp.Trajectory.load(batch.save(tmp_path / "batch.npz"))
 
 

@@ -203,7 +203,7 @@ def _checked(
     reached, at_limit = np.empty(arm.nv), np.empty(arm.nv, dtype=np.bool_)
     sides = box.sides if share == 1.0 else _ANY_STEP * np.ones((2, arm.nv))
     given = placed.positions, bounds.units, sides, bounds.edges, placed.points, posture.targets, posture.flags
-    before, after = kernels.outcome(chain.constants, *given, dq, reached, at_limit)
+    before, after = kernels.look_ahead(chain.constants, *given, dq, reached, at_limit)
     active = course.posture.active
     diagnostics = Diagnostics(
         manipulability=0.0,

@@ -88,7 +88,7 @@ class Course(NamedTuple):
             return arm is state.arm
         chain = arm.kinematics
         given = self.expected, state.placed.positions, chain.endless, chain.columns, self.bounds.units
-        return kernels.apart(*given) <= DISTURBED
+        return kernels.joint_distance(*given) <= DISTURBED
 
     def within(self, bounds: JointBounds) -> Course:
         """The same course with the pace that other limits allow."""

@@ -138,7 +138,7 @@ class _Ways:
         for pieces in LEVELS:
             x = self.finer(x, pieces)
             settled = SETTLED if pieces == LEVELS[-1] else ROUGHLY
-            kernels.relaxed(*self._relax, self._weight, ROUNDS, settled, x)
+            kernels.relax_waypoints(*self._relax, self._weight, ROUNDS, settled, x)
             if self.detour(x) > LOST:
                 break
         else:
@@ -146,12 +146,12 @@ class _Ways:
         x = self.bent(whole, bend, PIECES[0])
         for pieces in PIECES:
             x = self.finer(x, pieces)
-            kernels.relaxed(*self._relax, self._weight, ROUNDS, SETTLED, x)
+            kernels.relax_waypoints(*self._relax, self._weight, ROUNDS, SETTLED, x)
             yield x
 
     def detour(self, x: Array) -> float:
         """Length of the ways of the control points, relative to the distances from start to end."""
-        path, direct = kernels.travelled(*self._look, x, LOOKS)
+        path, direct = kernels.measure_ways(*self._look, x, LOOKS)
         return max(path / direct, 1.0) if direct > 1e-12 * path else 1.0
 
     def _inside(self, x: Array) -> Array:

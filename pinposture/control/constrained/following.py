@@ -34,6 +34,9 @@ Array = NDArray[np.float64]
 TRIES = 8
 """How often a step is damped harder when it fails to reduce the errors, before none is taken."""
 
+ROUNDING = 1e-12
+"""What is lost in the arithmetic of a step, in `Arm.joint_units`; it is cut at its limits anyway."""
+
 CORRECTING = 0.25
 """Share of the acceleration limit with which an arm that is behind catches up."""
 
@@ -84,8 +87,9 @@ def follow(
         # What is behind is made good no faster than it can be stopped, or the arm would swing about its way.
         lag = farthest(path.smooth(here) - offset, CORRECTING * bounds.brake)
         dq = path.smooth(place) - path.smooth(here) + lag
-        within = np.abs(dq) <= FARTHEST * state.arm.joint_units
-        inside = bool(np.all((within & (dq >= box.lower) & (dq <= box.upper))[posture.columns]))
+        one = state.arm.joint_units
+        within = (dq >= box.lower - ROUNDING * one) & (dq <= box.upper + ROUNDING * one)
+        inside = bool(np.all((within & (np.abs(dq) <= FARTHEST * one))[posture.columns]))
     if place >= path.end and left <= ARRIVED:
         return close_in(course._replace(arrived=True), Scope.of(posture, state, box, avoidance))
     course = course.gone_to(place, bounds.travel, hindered)

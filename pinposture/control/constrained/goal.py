@@ -30,6 +30,7 @@ def find_goal(
     avoidance: Avoidance | None,
     good: float,
     before: ArmState | None = None,
+    enough: float = 0.0,
 ) -> Settled:
     """Find the configuration that does best what is asked of the arm.
 
@@ -46,6 +47,7 @@ def find_goal(
         avoidance: what to keep clear of; nothing if None.
         good: mean distance of the control points from their targets that is good enough [m].
         before: where to begin, if the target does not say: the goal of a target that was much like it.
+        enough: mean distance with which the search ends, if no more was found for that target [m].
     """
     known, strict = posture.target.q is not None, any(task.strict for task in posture.tasks)
     # Where a strict task holds the arm, what lies near can be reached, and what lies far perhaps not.
@@ -55,7 +57,8 @@ def find_goal(
     borne = 0.0 if avoidance is None else avoidance.intrusion(state)
     starts = _starts(posture, state, edges, held, before)
     best = found = settle(posture, next(starts), edges, avoidance, good, borne)
-    while not (found.intrusion == 0.0 and (_does_it(posture, found, good) or (known and not strict))):
+    wanted = max(good, enough)
+    while not (found.intrusion == 0.0 and (_does_it(posture, found, wanted) or (known and not strict))):
         start = next(starts, None)  # asked for only now: to find one can take long
         if start is None:
             break

@@ -115,5 +115,5 @@ class JointPath:
         dq = np.zeros(self.arm.nv)
         positions, endless = state.placed.positions, self.arm.kinematics.endless
         given = self.offsets, self.positions, positions, endless, columns, units, place, sides, FARTHEST
-        place, left, inside = kernels.along(*given, dq)
+        place, left, inside = kernels.step_along(*given, dq)
         return Stride(place, left, inside, dq)

@@ -31,6 +31,9 @@ HEEDED, CLEAR = 0.4, (100.0, 30.0)
 """Roots of the weights of tasks and of clearances on the way, against the motion of control points. Ways are
 looked for with a large and a small one by turns: the one pushes out, the other leads round."""
 
+WORSE = 2.0
+"""How much farther from its points than the one before a goal may be, for a target that moves a little."""
+
 BENT = 0.25
 """By how much a way may be bent in all, to end elsewhere, relative to what is left of it."""
 
@@ -86,8 +89,11 @@ def plan_on(course: Course, posture: Posture, state: ArmState, bounds: JointBoun
     before = path.configuration(path.end)
     goal = _known(posture, bounds)
     if goal is None:
-        start = arm.at(before) if posture.target.q is None else None
-        goal = find_goal(posture, state, bounds.edges, None, GOOD * arm.length, start).state.q
+        start = arm.at(before)
+        # Points that cannot be had exactly could not be a step before, either.
+        enough = WORSE * course.posture.mean_error(start)
+        first = start if posture.target.q is None else None
+        goal = find_goal(posture, state, bounds.edges, None, GOOD * arm.length, first, enough).state.q
     change = posture.displacement(posture.own(arm.difference(before, goal)))
     bent = course.bent + _size(posture, change)
     if course.arrived or course.tries or bent > BENT * _size(posture, arm.difference(state.q, before)):
@@ -103,7 +109,7 @@ def _known(posture: Posture, bounds: JointBounds) -> Array | None:
     if q is None or len(posture.active) < arm.n_modules:
         return None
     goal = arm.at(q)
-    inside = kernels.outside(goal.placed.positions, bounds.edges, arm.kinematics.columns) == 0.0
+    inside = kernels.position_excess(goal.placed.positions, bounds.edges, arm.kinematics.columns) == 0.0
     return goal.q if inside and posture.mean_error(goal) <= GOOD * arm.length else None
 
 

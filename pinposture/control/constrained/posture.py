@@ -183,7 +183,7 @@ class Posture:
         """
         chain, errors = self.chain, np.empty((len(self._placed), 3))
         given = state.placed.points[chain.placed], chain.targets[chain.placed]
-        return errors, kernels.misses(*given, chain.weights, chain.chords, chain.normal, errors)
+        return errors, kernels.measure_misses(*given, chain.weights, chain.chords, chain.normal, errors)
 
     def merit(self, state: ArmState) -> float:
         """Half the sum of all squares [m^2], those of strict tasks `STRICT` times."""
@@ -197,7 +197,7 @@ class Posture:
     def mean_error(self, state: ArmState) -> float:
         """Mean distance of the control points from their targets [m]."""
         errors = self.misses(state)[0]
-        return kernels.distance(errors, np.zeros_like(errors), self._every) / len(errors)
+        return kernels.sum_distances(errors, np.zeros_like(errors), self._every) / len(errors)
 
     def moved(self, state: ArmState, x: Array) -> ArmState:
         """The state after a step x, (n,)."""

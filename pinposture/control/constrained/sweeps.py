@@ -24,7 +24,7 @@ class Sweeps:
         chain, placed = posture.chain, state.placed
         screws, points = np.empty((len(chain.which), 6)), placed.points[chain.placed]
         given = chain.which, state.arm.kinematics.slides, chain.units, placed.axes, placed.origins
-        kernels.screws(*given, chain.ends, points, screws)
+        kernels.find_screws(*given, chain.ends, points, screws)
         self._springs = Springs(screws, chain.ends, points, chain.weights, chain.chords)
 
     def stiffness(self) -> float:
@@ -35,7 +35,7 @@ class Sweeps:
         """What a step x (n,) covers of each error, (p, 3) [m]."""
         screws, ends, points, *_ = self._springs
         covered = np.empty_like(points)
-        kernels.motions(screws, ends, points, x, covered)
+        kernels.move_points(screws, ends, points, x, covered)
         return covered
 
     def step(self, errors: Array, damping: float, centre: Array, lower: Array, upper: Array) -> Array:
@@ -50,5 +50,5 @@ class Sweeps:
         """
         n = len(centre)
         x, sides = np.empty(n), (centre > upper).astype(np.int8) - (centre < lower).astype(np.int8)
-        kernels.boxed(self._springs, errors, np.full(n, damping), centre, lower, upper, sides, x)
+        kernels.minimise_in_box(self._springs, errors, np.full(n, damping), centre, lower, upper, sides, x)
         return x
