@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Sequence
 from dataclasses import fields
@@ -15,17 +14,15 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm
 from pinposture.control import Limits
 from pinposture.curve import Curve
-from pinposture.errors import FileError, InvalidValue
+from pinposture.errors import InvalidValue
+from pinposture.motion.archive import Kind, read_archive, write_archive
 from pinposture.motion.batch import Batch
 from pinposture.motion.batch_motions import STEP_ARRAYS, TEXT_ARRAYS, Motions
 from pinposture.scene import Scene
-from pinposture.storage import write_bytes
 from pinposture.target import Target
 
-FORMAT = "pinposture-batch"
-VERSION = 1
+KIND = Kind("pinposture-batch", 1, "batch", {})
 
-_LIMITS_ARRAYS = ("step", "velocity", "acceleration")
 _TARGET_ARRAYS = ("points", "weights", "q", "parameters", "residual")
 _RUN_ARRAYS = (
     "status",
@@ -44,76 +41,47 @@ _MOTION_ARRAYS = tuple(field.name for field in fields(Motions) if field.name != 
 
 def save_batch(batch: Batch, path: Path) -> Path:
     """Write a batch; see `Batch.save`."""
-    path = path if path.suffix == ".npz" else path.with_name(path.name + ".npz")
     arrays: dict[str, Any] = {name: getattr(batch, name) for name in _RUN_ARRAYS}
-    for name in _LIMITS_ARRAYS:
-        value = getattr(batch.limits, name)
-        if value is not None:
-            arrays[f"limits_{name}"] = value
     target_arrays, about_targets = _pack_targets(batch.targets)
     arrays |= target_arrays
     motions = batch.motions
     if motions is not None:
         arrays |= {f"motion_{name}": getattr(motions, name) for name in _MOTION_ARRAYS}
     about = {
-        "format": FORMAT,
-        "version": VERSION,
         "arm": batch.arm.to_dict(),
         "targets": about_targets,
         "controller": batch.controller,
-        "dt": batch.limits.dt,
-        "position_margin": batch.limits.position_margin,
         "scene": None if batch.scene is None else batch.scene.to_dict(),
         "max_steps": batch.max_steps,
         "tolerance": batch.tolerance,
         "texts": None if motions is None else list(motions.texts),
     }
-    content = io.BytesIO()
-    np.savez_compressed(content, about=np.array(json.dumps(about)), **arrays)
-    write_bytes(path, content.getvalue())
-    return path
+    return write_archive(path, KIND, batch.limits, about, arrays)
 
 
 def load_batch(path: Path) -> Batch:
     """Read a batch; see `Batch.load`."""
-    if not path.is_file():
-        raise FileError(path, "no such file")
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files}
-        about = json.loads(str(arrays["about"]))
-        if about["format"] != FORMAT or about["version"] != VERSION:
-            found, allowed = (
-                f"{about['format']!r} version {about['version']}",
-                f"{FORMAT!r} version {VERSION}",
-            )
-            raise FileError(path, f"format {found}; allowed: {allowed}")
-        limits = {
-            name: value if value is None or value.ndim else float(value)
-            for name, value in ((name, arrays.get(f"limits_{name}")) for name in _LIMITS_ARRAYS)
-        }
-        motions = None
-        if about["texts"] is not None:
-            kept = {name: arrays[f"motion_{name}"] for name in _MOTION_ARRAYS}
-            motions = Motions(**kept, texts=tuple(about["texts"]))
-        batch = Batch(
-            arm=Arm.from_dict(about["arm"]),
-            targets=_unpack_targets(arrays, about["targets"]),
-            controller=about["controller"],
-            limits=Limits(**limits, dt=about["dt"], position_margin=about["position_margin"]),
-            scene=None if about["scene"] is None else Scene.from_dict(about["scene"]),
-            max_steps=about["max_steps"],
-            tolerance=about["tolerance"],
-            motions=motions,
-            **{name: arrays[name] for name in _RUN_ARRAYS},
-        )
-        _check_shapes(batch)
-        return batch
-    except FileError:
-        raise
-    except Exception as error:  # a damaged file can trip zlib, numpy's reader or Pinocchio's, anything
-        detail = "" if isinstance(error, ValueError) and "pickle" in str(error) else f": {error}"
-        raise FileError(path, f"is not a saved batch ({type(error).__name__}{detail})") from error
+    return read_archive(path, KIND, _unpacked)
+
+
+def _unpacked(about: dict[str, Any], arrays: dict[str, Any], limits: Limits) -> Batch:
+    motions = None
+    if about["texts"] is not None:
+        kept = {name: arrays[f"motion_{name}"] for name in _MOTION_ARRAYS}
+        motions = Motions(**kept, texts=tuple(about["texts"]))
+    batch = Batch(
+        arm=Arm.from_dict(about["arm"]),
+        targets=_unpack_targets(arrays, about["targets"]),
+        controller=about["controller"],
+        limits=limits,
+        scene=None if about["scene"] is None else Scene.from_dict(about["scene"]),
+        max_steps=about["max_steps"],
+        tolerance=about["tolerance"],
+        motions=motions,
+        **{name: arrays[name] for name in _RUN_ARRAYS},
+    )
+    _check_shapes(batch)
+    return batch
 
 
 def _pack_targets(targets: Sequence[Target]) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
