@@ -45,6 +45,7 @@ class Chain(NamedTuple):
         placed: the control points that have a target, (p,).
         flags: the same, (m,).
         targets: where all control points should be, (m, 3) [m].
+        goals: where those should be that have a target, (p, 3) [m].
         weights: weights of their squared errors, (p,).
         chords: weights of the squared errors of the chords to the one before, (p,); 0 for the first.
         normal: normal of a planar arm, (3,); zero of a spatial one.
@@ -56,9 +57,15 @@ class Chain(NamedTuple):
     placed: NDArray[np.intp]
     flags: NDArray[np.bool_]
     targets: Array
+    goals: Array
     weights: Array
     chords: Array
     normal: Array
+
+    def points_of(self, state: ArmState) -> Array:
+        """The control points that have a target, where they are, (p, 3) [m]."""
+        points = state.placed.points
+        return points if len(self.placed) == len(points) else points[self.placed]
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +152,9 @@ class Posture:
             known = {"columns", "units", "_placed", "_every", "_roots", "plain", "active"} & vars(self).keys()
             vars(other).update({name: vars(self)[name] for name in known})
             if "chain" in vars(self):
-                vars(other)["chain"] = self.chain._replace(targets=np.array(target.points))
+                vars(other)["chain"] = self.chain._replace(
+                    targets=np.array(target.points), goals=np.array(target.points[self._placed])
+                )
         return other
 
     @cached_property
@@ -171,6 +180,7 @@ class Posture:
             placed=placed,
             flags=np.array(self.target.placed),
             targets=np.array(self.target.points),
+            goals=np.array(self.target.points[placed]),
             weights=points.ravel() ** 2,
             chords=np.concatenate([[0.0], chords.ravel() ** 2]),
             normal=normal,
@@ -182,8 +192,8 @@ class Posture:
         Those of a planar arm are errors in its plane.
         """
         chain, errors = self.chain, np.empty((len(self._placed), 3))
-        given = state.placed.points[chain.placed], chain.targets[chain.placed]
-        return errors, kernels.measure_misses(*given, chain.weights, chain.chords, chain.normal, errors)
+        given = chain.points_of(state), chain.goals, chain.weights, chain.chords, chain.normal
+        return errors, kernels.measure_misses(*given, errors)
 
     def merit(self, state: ArmState) -> float:
         """Half the sum of all squares [m^2], those of strict tasks `STRICT` times."""

@@ -22,7 +22,7 @@ class Sweeps:
 
     def __init__(self, posture: Posture, state: ArmState) -> None:
         chain, placed = posture.chain, state.placed
-        screws, points = np.empty((len(chain.which), 6)), placed.points[chain.placed]
+        screws, points = np.empty((len(chain.which), 6)), chain.points_of(state)
         given = chain.which, state.arm.kinematics.slides, chain.units, placed.axes, placed.origins
         kernels.find_screws(*given, chain.ends, points, screws)
         self._springs = Springs(screws, chain.ends, points, chain.weights, chain.chords)
