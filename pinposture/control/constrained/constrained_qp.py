@@ -98,27 +98,27 @@ class ConstrainedQP:
         """Compute one step; see `Controller.step`. The first one for a target takes longer: it plans."""
         limits = Limits() if limits is None else limits
         _check_given(state, target, memory)
-        course = memory.own if memory is not None and isinstance(memory.own, Course) else None
-        if course is not None and self._goes_on(course, state, target):
-            bounds = limits.for_arm(state.arm)
-            step = get_on(course, state, bounds) if course.bounds is bounds else None
+        bounds = limits.for_arm(state.arm)
+        before = memory.own if memory is not None and isinstance(memory.own, Course) else None
+        if before is not None and before.bounds is bounds and self._goes_on(before, state, target):
+            step = get_on(before, state, bounds)
             if step is not None:
                 return step
         previous = memory.dq if memory is not None else None
         box = limits.box(state, previous)
         if box.outside:
             return self._return(state, target, box)
-        course = self._course(state, target, limits, memory)
+        course = self._course(state, target, bounds, before)
         posture, avoidance = course.posture, self._avoidance(course.posture)
-        if avoidance is None:
-            step = get_on(course, state, limits.for_arm(state.arm))
+        if avoidance is None and course is not before:
+            step = get_on(course, state, bounds)
             if step is not None:
                 return step
         if course.arrived:
             asked = close_in(course, Scope.of(posture, state, box, avoidance))
         else:
             asked = follow(course, state, box, limits, self._mu(state), avoidance)
-        return _checked(asked, state, box, limits.for_arm(state.arm), avoidance)
+        return _checked(asked, state, box, bounds, avoidance)
 
     def _goes_on(self, course: Course, state: ArmState, target: Target) -> bool:
         """Whether that is what the arm was doing, and nothing else is asked of it."""
@@ -147,10 +147,8 @@ class ConstrainedQP:
     def _avoidance(self, posture: Posture) -> Avoidance | None:
         return None if self.scene is None else Avoidance(self.scene.around(posture.arm), posture)
 
-    def _course(self, state: ArmState, target: Target, limits: Limits, memory: Memory | None) -> Course:
+    def _course(self, state: ArmState, target: Target, bounds: JointBounds, course: Course | None) -> Course:
         """The course so far; a new one at first, for a new target, and where the arm does not get on."""
-        course = memory.own if memory is not None and isinstance(memory.own, Course) else None
-        bounds = limits.for_arm(state.arm)
         if course is None or not course.leads_on(state):
             course = None
         elif _alike(course.posture.target, target):

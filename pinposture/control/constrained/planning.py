@@ -31,8 +31,8 @@ HEEDED, CLEAR = 0.4, (100.0, 30.0)
 """Roots of the weights of tasks and of clearances on the way, against the motion of control points. Ways are
 looked for with a large and a small one by turns: the one pushes out, the other leads round."""
 
-WORSE = 2.0
-"""How much farther from its points than the one before a goal may be, for a target that moves a little."""
+LITTLE = 0.1
+"""How far points of a target may move for it to be much like the one before, in module lengths."""
 
 BENT = 0.25
 """By how much a way may be bent in all, to end elsewhere, relative to what is left of it."""
@@ -90,9 +90,8 @@ def plan_on(course: Course, posture: Posture, state: ArmState, bounds: JointBoun
     goal = _known(posture, bounds)
     if goal is None:
         start = arm.at(before)
-        # Points that cannot be had exactly could not be a step before, either.
-        enough = WORSE * course.posture.mean_error(start)
         first = start if posture.target.q is None else None
+        enough = _as_good(course, posture, start)
         goal = find_goal(posture, state, bounds.edges, None, GOOD * arm.length, first, enough).state.q
     change = posture.displacement(posture.own(arm.difference(before, goal)))
     bent = course.bent + _size(posture, change)
@@ -101,6 +100,16 @@ def plan_on(course: Course, posture: Posture, state: ArmState, bounds: JointBoun
         return Course(posture, path, bounds).within(bounds)
     path = path.bent(course.place, change, bounds.edges)
     return course._replace(posture=posture, path=path, bent=bent).within(bounds)
+
+
+def _as_good(course: Course, posture: Posture, goal: ArmState) -> float:
+    """Mean distance from its points that is as good as at the goal before, for a target that moved [m].
+
+    Zero, which is to search on, where it moved so far that what could not be had before may be possible now.
+    """
+    left, moved = course.posture.mean_error(goal), course.posture.distance_to(posture)
+    little = LITTLE * posture.arm.length / posture.arm.n_modules
+    return left + moved if moved <= max(left, little) else 0.0
 
 
 def _known(posture: Posture, bounds: JointBounds) -> Array | None:

@@ -209,6 +209,13 @@ class Posture:
         errors = self.misses(state)[0]
         return kernels.sum_distances(errors, np.zeros_like(errors), self._every) / len(errors)
 
+    def distance_to(self, other: Posture) -> float:
+        """Mean distance between the points of two targets [m]; infinite if not the same points have one."""
+        if self.active != other.active:
+            return float("inf")
+        every = self._every
+        return kernels.sum_distances(self.chain.goals, other.chain.goals, every) / len(every)
+
     def moved(self, state: ArmState, x: Array) -> ArmState:
         """The state after a step x, (n,)."""
         return self.arm.at(self.arm.integrate(state.q, self.displacement(x)))

@@ -89,6 +89,18 @@ def test_points_that_cannot_be_had_do_not_start_the_search_anew_in_each_step(
     assert np.linalg.norm(ARM.at(q[-1]).points - points, axis=1).mean() < 3e-3
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_points_that_can_be_had_are_found_after_points_that_could_not(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    one, two = (smooth_configuration(ARM, rng, 1.2) for _ in range(2))
+    beyond = Target.from_points(ARM, 1.3 * ARM.at(one).points)
+    within = Target.from_points(ARM, ARM.at(two).points)
+    _, courses = followed([beyond] * 3 + [within], ARM.neutral())
+    path = courses[-1].path
+    end = ARM.at(path.configuration(path.end)).points
+    assert np.linalg.norm(end - within.points, axis=1).mean() < 1e-6 * ARM.length
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_the_usual_step_in_one_call_is_that_of_the_long_way_round(
     seed: int, monkeypatch: pytest.MonkeyPatch
