@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
+from pinposture.kernels.arrays import Screws
 
 if TYPE_CHECKING:
     from pinposture.arm.arm import Arm
@@ -16,21 +17,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
-
-
-class Screws(NamedTuple):
-    """The motions of a chain at one configuration, from which Jacobians are made; arrays for kernels.
-
-    Attributes:
-        screws: motion of the first control point that each joint carries and turning of its body, (n, 6)
-            [m, rad], per unit of joint motion (`Arm.joint_units`), world axes.
-        ends: number of joints that carry each control point, (m,).
-        points: the control points, (m, 3) [m].
-    """
-
-    screws: Array
-    ends: Whole
-    points: Array
 
 
 class Constants(NamedTuple):

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from pinposture import kernels
 from pinposture.arm import Arm
-from pinposture.arm.screws import Screws, constants_of
+from pinposture.arm.screws import constants_of
 from pinposture.errors import InvalidValue
+from pinposture.kernels.arrays import Screws
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]

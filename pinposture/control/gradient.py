@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from pinposture import kernels
 from pinposture.arm import Arm, ArmState
-from pinposture.arm.screws import Screws, constants_of
-from pinposture.control.posture_matrix import FULL
+from pinposture.arm.screws import constants_of
+from pinposture.kernels.arrays import FULL, Rows, Screws
 from pinposture.target import Target
 
 Array = NDArray[np.float64]
@@ -50,9 +50,9 @@ def descent(arm: Arm, screws: Screws, errors: Array, distances: Array) -> Array:
         Joint displacement (nv,) in `Arm.joint_units`; zero where the gradient vanishes.
     """
     known, gradient, motion = constants_of(arm), np.empty(len(arm.columns)), np.empty(errors.shape)
-    every = *screws, known.every, known.dimensions, known.frames, FULL
-    kernels.joints_along(*every, errors, gradient)
-    kernels.motions_along(*every, gradient, motion)
+    every = Rows(known.every, known.dimensions, known.frames, FULL)
+    kernels.joints_along(screws, every, errors, gradient)
+    kernels.motions_along(screws, every, gradient, motion)
     motion = motion[:, : arm.dimension]
     travelled, found = float(np.vdot(motion, motion)), np.zeros(arm.nv)
     if travelled > (1e-15 * arm.length) ** 2 * float(distances @ distances):

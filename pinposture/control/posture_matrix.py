@@ -3,39 +3,19 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
 from pinposture.arm import Arm
-from pinposture.arm.screws import Screws, constants_of
+from pinposture.arm.screws import constants_of
+from pinposture.kernels.arrays import LOCAL, Factors, Rows, Screws
 
 Array = NDArray[np.float64]
-Whole = NDArray[np.int64]
-
-FULL, RELATIVE, LOCAL = range(3)
-"""Couplings, as `kernels.rows` numbers them: what the rows of a point know of joints before its section."""
 
 FINE, ENOUGH = 1e-12, 1e-7
 """Residuals at which the search for a singular value ends, relative to its square: to tell it, to decide."""
-
-
-class Rows(NamedTuple):
-    """Which motions a posture control matrix consists of; arrays for kernels.
-
-    Attributes:
-        stations: control points that have rows, (p,); increasing, at least one.
-        ranks: how many of its directions each of them has rows for, (p,).
-        directions: orthonormal directions, those with a row first, (p, 3, 3), world axes.
-        coupling: FULL, RELATIVE or LOCAL.
-    """
-
-    stations: Whole
-    ranks: Whole
-    directions: Array
-    coupling: int
 
 
 class PostureMatrix:
@@ -48,9 +28,8 @@ class PostureMatrix:
     def __init__(self, screws: Screws, rows: Rows) -> None:
         p = len(rows.stations)
         self._screws, self._rows = screws, rows
-        self._factors = np.empty((p, 3, 3)), np.empty((p, 6, 3))
-        given = *screws, *rows, *self._factors
-        kernels.eliminated(*given)
+        self._factors = Factors(np.empty((p, 3, 3)), np.empty((p, 6, 3)))
+        kernels.eliminated(screws, rows, self._factors)
 
     @cached_property
     def size(self) -> int:
@@ -70,8 +49,7 @@ class PostureMatrix:
         """
         columns, asked = arm.columns, np.zeros(arm.nv)
         x = secondary[columns]
-        given = *self._screws, *self._rows, *self._factors
-        kernels.least_change(*given, values, x)
+        kernels.least_change(self._screws, self._rows, self._factors, values, x)
         asked[columns] = x * constants_of(arm).units
         return asked
 
@@ -80,8 +58,7 @@ class PostureMatrix:
 
         The smallest singular value is between its inverse and sqrt(r) times that.
         """
-        stations, ranks, directions, _ = self._rows
-        return float(kernels.inverse_norm(self._screws.points, stations, ranks, directions, *self._factors))
+        return float(kernels.inverse_norm(self._screws.points, self._rows, self._factors))
 
     def weakest(self) -> tuple[float, Array]:
         """Smallest singular value, and how much each station has in its left singular vector, (p,)."""
@@ -105,12 +82,12 @@ class PostureMatrix:
         A block of fewer rows is filled up with its first entry, which is between its singular values.
         """
         used = self._rows.ranks > 0
-        there, triangles = np.arange(3) < self._rows.ranks[used, None], self._factors[0][used]
+        there, triangles = np.arange(3) < self._rows.ranks[used, None], self._factors.triangles[used]
         blocks = np.where(there[:, :, None] & there[:, None, :], triangles, 0.0)
         blocks[:, range(3), range(3)] += np.where(there, 0.0, blocks[:, :1, 0])
         return np.asarray(np.linalg.svd(blocks, compute_uv=False))
 
     def _extreme(self, smallest: bool, tolerance: float) -> tuple[float, Array]:
         vector = np.zeros((len(self._rows.ranks), 3))
-        given = self._screws.points, *self._rows, *self._factors
+        given = self._screws.points, self._rows, self._factors
         return float(kernels.extreme_value(*given, smallest, tolerance, vector)), vector

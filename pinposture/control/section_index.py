@@ -16,8 +16,9 @@ from scipy.optimize import minimize
 from pinposture import kernels
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.chain import Chain
-from pinposture.arm.screws import Screws, constants_of
+from pinposture.arm.screws import constants_of
 from pinposture.control.sections import SectionEdges
+from pinposture.kernels.arrays import Screws
 
 Array = NDArray[np.float64]
 

@@ -10,16 +10,17 @@ from numpy.typing import NDArray
 
 from pinposture import kernels
 from pinposture.arm import Arm, ArmState
-from pinposture.arm.screws import Screws, constants_of, screws_of
+from pinposture.arm.screws import constants_of, screws_of
 from pinposture.control.candidates import base_indices, best_set
 from pinposture.control.checks import require_positive, require_share
 from pinposture.control.controller import Diagnostics, Memory, Step
 from pinposture.control.gradient import aligned_errors, descent
 from pinposture.control.limits import Limits
-from pinposture.control.posture_matrix import FULL, PostureMatrix, Rows
+from pinposture.control.posture_matrix import PostureMatrix
 from pinposture.control.section_index import section_edges
 from pinposture.control.sections import SectionScore, best_branch, checked_strides
 from pinposture.errors import UnknownName
+from pinposture.kernels.arrays import FULL, Rows, Screws
 from pinposture.target import Target
 
 Array = NDArray[np.float64]

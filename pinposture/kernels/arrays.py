@@ -54,3 +54,51 @@ class Springs(NamedTuple):
     points: Array
     weights: Array
     chords: Array
+
+
+class Screws(NamedTuple):
+    """The motions of a chain at one configuration, from which Jacobians are made.
+
+    Attributes:
+        screws: motion of the first control point that each joint carries and turning of its body, (n, 6)
+            [m, rad], per unit of joint motion (`Arm.joint_units`), world axes.
+        ends: number of joints that carry each control point, (m,); increasing.
+        points: the control points, (m, 3) [m].
+    """
+
+    screws: Array
+    ends: Whole
+    points: Array
+
+
+FULL, RELATIVE, LOCAL = 0, 1, 2
+"""Couplings: what rows know of joints before their section, as `kernels.rows` explains."""
+
+
+class Rows(NamedTuple):
+    """Which motions a posture control matrix consists of.
+
+    Attributes:
+        stations: control points that have rows, (p,); increasing, at least one.
+        ranks: how many of its directions each of them has rows for, (p,).
+        directions: orthonormal directions, those with a row first, (p, 3, 3), world axes.
+        coupling: FULL, RELATIVE or LOCAL.
+    """
+
+    stations: Whole
+    ranks: Whole
+    directions: Array
+    coupling: int
+
+
+class Factors(NamedTuple):
+    """L of a posture control matrix L Q, as `kernels.elimination` keeps it.
+
+    Attributes:
+        triangles: lower triangular blocks R, (p, 3, 3); a tiny number on a diagonal stands for zero, where a
+            row depends on others.
+        gains: K, (p, 6, 3).
+    """
+
+    triangles: Array
+    gains: Array

@@ -15,9 +15,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array, Whole
+from pinposture.kernels.arrays import FULL, LOCAL, RELATIVE, Array, Factors, Rows, Screws
 from pinposture.kernels.compiled import compiled
-from pinposture.kernels.rows import FULL, LOCAL, RELATIVE, joints_along, motions_along
+from pinposture.kernels.rows import joints_along, motions_along
 
 NOTHING = 1e-60
 """Stands for a zero, so that there is an inverse of L; its square is still a number."""
@@ -25,30 +25,20 @@ NOTHING = 1e-60
 
 @compiled
 def eliminated(
-    b: Array,
-    ends: Whole,
-    points: Array,
-    stations: Whole,
-    ranks: Whole,
-    directions: Array,
-    coupling: int,
-    triangles: Array,
-    gains: Array,
+    screws: Screws,
+    rows: Rows,
+    factors: Factors,
 ) -> None:
     """Decompose a posture control matrix.
 
     Args:
-        b: motion and turning of the first point that each joint carries, (n, 6), from `find_screws`.
-        ends: number of joints that carry each point, (m,); increasing.
-        points: the points, (m, 3).
-        stations: the points that have rows, (p,); increasing.
-        ranks: how many of its directions each of them has rows for, (p,).
-        directions: orthonormal directions, the ones with a row first, (p, 3, 3).
-        coupling: FULL, RELATIVE or LOCAL.
-        triangles: filled with R, lower triangular, (p, 3, 3); NOTHING on its diagonal stands for zero, where
-            a row depends on others.
-        gains: filled with K, (p, 6, 3).
+        screws: how joints move the points.
+        rows: which motions the matrix consists of.
+        factors: filled with L; NOTHING stands for zero on a diagonal.
     """
+    b, ends, points = screws
+    stations, ranks, directions, coupling = rows
+    triangles, gains = factors
     widest, u = 0, 0
     for station in stations:
         widest, u = max(widest, ends[station] - u), ends[station]
@@ -157,28 +147,22 @@ def _reflect(A: Array, row: int, pivot: int, width: int) -> None:
 @compiled
 def down_stations(
     points: Array,
-    stations: Whole,
-    ranks: Whole,
-    directions: Array,
-    coupling: int,
-    triangles: Array,
-    gains: Array,
+    rows: Rows,
+    factors: Factors,
     solve: bool,
     values: Array,
 ) -> None:
     """Multiply by L, or solve with it: the pass from the base to the tip.
 
     Args:
-        points: see `eliminated`.
-        stations: see `eliminated`.
-        ranks: see `eliminated`.
-        directions: see `eliminated`.
-        coupling: see `eliminated`.
-        triangles: from `eliminated`.
-        gains: from `eliminated`.
+        points: the points, (m, 3).
+        rows: which motions the matrix consists of.
+        factors: L, from `eliminated`.
         solve: True for the inverse of L.
         values: one value for each row, (p, 3); overwritten with the product.
     """
+    stations, ranks, directions, coupling = rows
+    triangles, gains = factors
     v0, v1, v2, w0, w1, w2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(len(stations)):
         if coupling != FULL:
@@ -208,28 +192,22 @@ def down_stations(
 @compiled
 def up_stations(
     points: Array,
-    stations: Whole,
-    ranks: Whole,
-    directions: Array,
-    coupling: int,
-    triangles: Array,
-    gains: Array,
+    rows: Rows,
+    factors: Factors,
     solve: bool,
     values: Array,
 ) -> None:
     """Multiply by the transpose of L, or solve with it: the pass from the tip to the base.
 
     Args:
-        points: see `eliminated`.
-        stations: see `eliminated`.
-        ranks: see `eliminated`.
-        directions: see `eliminated`.
-        coupling: see `eliminated`.
-        triangles: from `eliminated`.
-        gains: from `eliminated`.
+        points: the points, (m, 3).
+        rows: which motions the matrix consists of.
+        factors: L, from `eliminated`.
         solve: True for the inverse.
         values: one value for each row, (p, 3); overwritten with the product.
     """
+    stations, ranks, directions, coupling = rows
+    triangles, gains = factors
     f0, f1, f2, t0, t1, t2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     before = np.empty(3)
     for k in range(len(stations) - 1, -1, -1):
@@ -264,15 +242,9 @@ def up_stations(
 
 @compiled
 def least_change(
-    b: Array,
-    ends: Whole,
-    points: Array,
-    stations: Whole,
-    ranks: Whole,
-    directions: Array,
-    coupling: int,
-    triangles: Array,
-    gains: Array,
+    screws: Screws,
+    rows: Rows,
+    factors: Factors,
     values: Array,
     x: Array,
 ) -> None:
@@ -281,25 +253,19 @@ def least_change(
     With J = L Q, that is x + J^T L^-T L^-1 (values - J x): as accurate as with Q itself, which is not kept.
 
     Args:
-        b: see `eliminated`.
-        ends: see `eliminated`.
-        points: see `eliminated`.
-        stations: see `eliminated`.
-        ranks: see `eliminated`.
-        directions: see `eliminated`.
-        coupling: see `eliminated`.
-        triangles: from `eliminated`.
-        gains: from `eliminated`.
+        screws: how joints move the points.
+        rows: which motions the matrix consists of.
+        factors: L, from `eliminated`.
         values: one value for each row, (p, 3).
         x: motions of the joints, (n,); changed.
     """
-    y, change = np.empty((len(stations), 3)), np.empty(len(x))
-    motions_along(b, ends, points, stations, ranks, directions, coupling, x, y)
-    for k in range(len(stations)):
-        for j in range(ranks[k]):
+    y, change = np.empty((len(rows.stations), 3)), np.empty(len(x))
+    motions_along(screws, rows, x, y)
+    for k in range(len(y)):
+        for j in range(rows.ranks[k]):
             y[k, j] = values[k, j] - y[k, j]
-    down_stations(points, stations, ranks, directions, coupling, triangles, gains, True, y)
-    up_stations(points, stations, ranks, directions, coupling, triangles, gains, True, y)
-    joints_along(b, ends, points, stations, ranks, directions, coupling, y, change)
+    down_stations(screws.points, rows, factors, True, y)
+    up_stations(screws.points, rows, factors, True, y)
+    joints_along(screws, rows, y, change)
     for u in range(len(x)):
         x[u] += change[u]

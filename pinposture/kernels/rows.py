@@ -13,38 +13,27 @@ depends on the coupling:
 
 from __future__ import annotations
 
-from pinposture.kernels.arrays import Array, Whole
+from pinposture.kernels.arrays import FULL, LOCAL, Array, Rows, Screws
 from pinposture.kernels.compiled import compiled
-
-FULL, RELATIVE, LOCAL = 0, 1, 2
-"""Couplings."""
 
 
 @compiled
 def motions_along(
-    b: Array,
-    ends: Whole,
-    points: Array,
-    stations: Whole,
-    ranks: Whole,
-    directions: Array,
-    coupling: int,
+    screws: Screws,
+    rows: Rows,
     x: Array,
     values: Array,
 ) -> None:
     """The matrix times a vector: how the joints move the stations along the directions.
 
     Args:
-        b: motion and turning of the first point that each joint carries, (n, 6), from `find_screws`.
-        ends: number of joints that carry each point, (m,); increasing.
-        points: the points, (m, 3).
-        stations: the points that have rows, (p,); increasing.
-        ranks: how many of its directions each of them has rows for, (p,).
-        directions: orthonormal directions, the ones with a row first, (p, 3, 3).
-        coupling: FULL, RELATIVE or LOCAL.
+        screws: how joints move the points.
+        rows: which motions the matrix consists of.
         x: motions of the joints, (n,).
         values: filled with one value for each direction that has a row, (p, 3).
     """
+    b, ends, points = screws
+    stations, ranks, directions, coupling = rows
     v0, v1, v2, w0, w1, w2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     u, at = 0, 0
     for k in range(len(stations)):
@@ -70,29 +59,21 @@ def motions_along(
 
 @compiled
 def joints_along(
-    b: Array,
-    ends: Whole,
-    points: Array,
-    stations: Whole,
-    ranks: Whole,
-    directions: Array,
-    coupling: int,
+    screws: Screws,
+    rows: Rows,
     values: Array,
     x: Array,
 ) -> None:
     """The transposed matrix times a vector: what forces along the directions do to the joints.
 
     Args:
-        b: see `motions_along`.
-        ends: see `motions_along`.
-        points: see `motions_along`.
-        stations: see `motions_along`.
-        ranks: see `motions_along`.
-        directions: see `motions_along`.
-        coupling: see `motions_along`.
+        screws: how joints move the points.
+        rows: which motions the matrix consists of.
         values: one value for each direction that has a row, (p, 3).
         x: filled with one value for each joint, (n,).
     """
+    b, ends, points = screws
+    stations, ranks, directions, coupling = rows
     f0, f1, f2, t0, t1, t2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0  # force, and moment about the point
     at = stations[-1]
     for u in range(ends[at], len(x)):

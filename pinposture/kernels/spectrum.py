@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array, Whole
+from pinposture.kernels.arrays import Array, Factors, Rows
 from pinposture.kernels.compiled import compiled
 from pinposture.kernels.elimination import down_stations, up_stations
 
@@ -16,22 +16,19 @@ RESTARTS = 20
 
 
 @compiled
-def inverse_norm(
-    points: Array, stations: Whole, ranks: Whole, directions: Array, triangles: Array, gains: Array
-) -> float:
+def inverse_norm(points: Array, rows: Rows, factors: Factors) -> float:
     """Frobenius norm of the pseudo-inverse of a FULL matrix.
 
     The smallest singular value is at least its inverse, and at most sqrt(rows) times that. It is the mean
     square of L^-1 times white noise, whose covariance goes along the stations as a sum of squares.
 
     Args:
-        points: see `eliminated`.
-        stations: see `eliminated`.
-        ranks: see `eliminated`.
-        directions: see `eliminated`.
-        triangles: from `eliminated`.
-        gains: from `eliminated`.
+        points: the points, (m, 3).
+        rows: which motions the matrix consists of.
+        factors: L, from `eliminated`.
     """
+    stations, ranks, directions, _ = rows
+    triangles, gains = factors
     total = 0.0
     C, T, M, N = np.zeros((6, 6)), np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 3))
     for k in range(len(stations)):
@@ -108,12 +105,8 @@ def _share(R: Array, T: Array, C: Array, rank: int) -> float:
 @compiled
 def extreme_value(
     points: Array,
-    stations: Whole,
-    ranks: Whole,
-    directions: Array,
-    coupling: int,
-    triangles: Array,
-    gains: Array,
+    rows: Rows,
+    factors: Factors,
     smallest: bool,
     tolerance: float,
     vector: Array,
@@ -121,24 +114,20 @@ def extreme_value(
     """The smallest or largest singular value and its left singular vector: Lanczos on J J^T or its inverse.
 
     Args:
-        points: see `eliminated`.
-        stations: see `eliminated`.
-        ranks: see `eliminated`.
-        directions: see `eliminated`.
-        coupling: see `eliminated`.
-        triangles: from `eliminated`.
-        gains: from `eliminated`.
+        points: the points, (m, 3).
+        rows: which motions the matrix consists of.
+        factors: L, from `eliminated`.
         smallest: which of both.
         tolerance: residual at which the search ends, relative to the square of the singular value.
         vector: filled with the vector, one value for each row, (p, 3).
     """
-    p = len(stations)
-    rows = int(np.sum(ranks))
-    most = min(rows, LARGEST_BASIS)
-    V, y = np.empty((most + 1, rows)), np.empty((p, 3))
+    ranks, p = rows.ranks, len(rows.stations)
+    count = int(np.sum(ranks))
+    most = min(count, LARGEST_BASIS)
+    V, y = np.empty((most + 1, count)), np.empty((p, 3))
     diagonal, beside, ritz = np.empty(most), np.empty(most), np.empty(most)
-    start = np.empty(rows)
-    for i in range(rows):  # anything that no singular vector is at right angles to
+    start = np.empty(count)
+    for i in range(count):  # anything that no singular vector is at right angles to
         start[i] = 1.0 + np.sin(12.9898 * (i + 1.0) * (i + 1.0))
     best = 0.0
     for _ in range(RESTARTS):
@@ -151,11 +140,11 @@ def extreme_value(
                     y[k, c] = V[j, at]
                     at += 1
             if smallest:
-                down_stations(points, stations, ranks, directions, coupling, triangles, gains, True, y)
-                up_stations(points, stations, ranks, directions, coupling, triangles, gains, True, y)
+                down_stations(points, rows, factors, True, y)
+                up_stations(points, rows, factors, True, y)
             else:
-                up_stations(points, stations, ranks, directions, coupling, triangles, gains, False, y)
-                down_stations(points, stations, ranks, directions, coupling, triangles, gains, False, y)
+                up_stations(points, rows, factors, False, y)
+                down_stations(points, rows, factors, False, y)
             new = V[j + 1]
             at = 0
             for k in range(p):
@@ -180,7 +169,7 @@ def extreme_value(
         start[:] = 0.0
         for i in range(j):
             start += ritz[i] * V[i]
-        if residual <= tolerance * best or most == rows:
+        if residual <= tolerance * best or most == count:
             break
     at = 0
     for k in range(p):

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 import pinposture as pp
 from pinposture.arm.screws import constants_of, screws_of
 from pinposture.control.gradient import aligned_errors, descent
-from pinposture.control.posture_matrix import FULL, LOCAL, RELATIVE, PostureMatrix, Rows
+from pinposture.control.posture_matrix import PostureMatrix
+from pinposture.kernels.arrays import FULL, LOCAL, RELATIVE, Rows
 
 COUPLINGS = {"full": FULL, "relative": RELATIVE, "local": LOCAL}
 kinds = st.sampled_from(sorted(ARMS))

@@ -255,3 +255,9 @@ def test_one_joint_and_continuous_joints():
         )
         near = scene.around(arm).nearest(arm.at(arm.straight()), np.inf)
         assert near.rows.shape == (len(near.pairs), arm.nv) and np.all(np.isfinite(near.rows))
+
+
+def test_an_arm_too_long_for_a_scene_is_refused_before_memory_is_gone() -> None:
+    scene = Scene({"post": Sphere((0.0, 5.0, 0.0), 0.1)})
+    with pytest.raises(InvalidValue, match=r"degrees of freedom of an arm in a scene.*302.*at most 300"):
+        scene.around(pp.Arm.from_template("RyRz", 151))
