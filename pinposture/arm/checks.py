@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from math import isfinite
-
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
@@ -23,10 +21,10 @@ def finite_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64
         raise InvalidValue(name, values, f"{size} numbers") from None
     if vector.shape != (size,):
         raise InvalidValue(f"{name} (shape)", vector.shape, f"({size},) for this arm")
-    if not isfinite(vector @ vector):  # which may also be too large for a number
-        bad = np.flatnonzero(~np.isfinite(vector))
-        if len(bad):
-            raise InvalidValue(f"{name}[{bad[0]}]", float(vector[bad[0]]), "finite numbers")
+    finite = np.isfinite(vector)
+    if not finite.all():
+        bad = int(np.argmin(finite))
+        raise InvalidValue(f"{name}[{bad}]", float(vector[bad]), "finite numbers")
     return vector
 
 

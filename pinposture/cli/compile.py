@@ -97,6 +97,16 @@ def jobs() -> Iterator[Callable[[], object]]:
 
         return action
 
+    def timed(arm: pp.Arm) -> Callable[[], object]:
+        line = pp.Curve.line((0, 0, 0), (1.01 * arm.length, 0, 0))
+        bent = pp.Curve.helix(0.4 * arm.length, 0.0, 0.45)
+        postures = [pp.Keyframe(line), pp.Keyframe(bent, time=0.4, trim=True)]
+        return lambda: pp.move_through(arm, postures)
+
+    def near_a_box() -> None:
+        box = pp.Box(center=(0.3, 0.3, 0.3), size=(0.1, 0.1, 0.1))
+        pp.Scene({"box": box}).around(spatial).minimum(spatial.neutral())
+
     for arm in (spatial, planar):
         yield resolve(arm)
         yield lambda arm=arm: arm.at(arm.neutral()).manipulability()  # type: ignore[misc]
@@ -104,3 +114,5 @@ def jobs() -> Iterator[Callable[[], object]]:
             yield track(arm, name, pp.Limits())
         yield track(arm, "qp", pp.Limits(step=0.02, acceleration=3.0, dt=0.05))
         yield moving(arm)
+        yield timed(arm)
+    yield near_a_box

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from pinposture.kernels.arclength import measure_length as measure_length
     from pinposture.kernels.arclength import parameters_at as parameters_at
     from pinposture.kernels.bounded import minimise_in_box as minimise_in_box
+    from pinposture.kernels.boxes import above_boxes as above_boxes
     from pinposture.kernels.braking import shorten_step as shorten_step
     from pinposture.kernels.braking import step_box as step_box
     from pinposture.kernels.braking import stoppable_steps as stoppable_steps
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
     from pinposture.kernels.modules import torus_forward as torus_forward
     from pinposture.kernels.modules import torus_inverse as torus_inverse
     from pinposture.kernels.nearest import nearest_places as nearest_places
+    from pinposture.kernels.pace import find_pace as find_pace
+    from pinposture.kernels.pace import next_pace as next_pace
     from pinposture.kernels.pairs import all_indices as all_indices
     from pinposture.kernels.pairs import base_indices as base_indices
     from pinposture.kernels.pairs import best_path as best_path
@@ -65,6 +68,7 @@ _HOMES = {
     "measure_length": "arclength",
     "parameters_at": "arclength",
     "minimise_in_box": "bounded",
+    "above_boxes": "boxes",
     "step_box": "braking",
     "stoppable_steps": "braking",
     "shorten_step": "braking",
@@ -92,6 +96,8 @@ _HOMES = {
     "torus_forward": "modules",
     "torus_inverse": "modules",
     "nearest_places": "nearest",
+    "find_pace": "pace",
+    "next_pace": "pace",
     "all_indices": "pairs",
     "base_indices": "pairs",
     "best_path": "pairs",

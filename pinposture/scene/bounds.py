@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture import kernels
 from pinposture.scene.segments import closest_points
 from pinposture.scene.solids import Solid
 
@@ -106,14 +107,14 @@ class Bounds:
 
     def lower(self, ends: Array) -> Array:
         """Lower bounds of the distances of all pairs, (..., n) [m]; exact where `exact` says so."""
-        first, second = ends[..., self.first, :, :], ends[..., self.second[self._lines], :, :]
-        lines = first[..., self._lines, :, :]
+        lines, second = ends[..., self.first[self._lines], :, :], ends[..., self.second[self._lines], :, :]
         near = closest_points(lines[..., 0, :], lines[..., 1, :], second[..., 0, :], second[..., 1, :])
         parts = [np.linalg.norm(near.first - near.second, axis=-1)]
         if len(self._centers):
-            parts.append(self._above_boxes(first[..., self._boxes, :, :]))
+            parts.append(self._above_boxes(ends))
         if len(self._offsets):
-            heights = np.einsum("...nei,ni->...ne", first[..., self._planes, :, :], self._normals)
+            lines = ends[..., self.first[self._planes], :, :]
+            heights = np.einsum("...nei,ni->...ne", lines, self._normals)
             parts.append(heights.min(axis=-1) - self._offsets)
         return np.asarray(np.concatenate(parts, axis=-1) - self._radii)
 
@@ -139,9 +140,10 @@ class Bounds:
         points = points - normals * self._own_radii[chosen, None]
         return Contacts(normals, points)
 
-    def _above_boxes(self, axes: Array) -> Array:
+    def _above_boxes(self, ends: Array) -> Array:
         """Lower bound of the distance of lines from boxes, which changes along a line no faster than it."""
-        places = np.stack([axes[..., 0, :], axes.mean(axis=-2), axes[..., 1, :]], axis=-2)
-        local = np.einsum("...npi,nij->...npj", places - self._centers[:, None], self._axes)
-        outside = np.maximum(np.abs(local) - self._halves[:, None], 0.0)
-        return np.asarray(np.linalg.norm(outside, axis=-1).min(axis=-1) - self._quarters)
+        first = self.first[self._boxes]
+        lower = np.empty((*ends.shape[:-3], len(first)))
+        flat, into = np.ascontiguousarray(ends.reshape(-1, *ends.shape[-3:])), lower.reshape(-1, len(first))
+        kernels.above_boxes(flat, first, self._centers, self._axes, self._halves, self._quarters, into)
+        return lower

@@ -27,6 +27,9 @@ RETRIES, NUDGE, EXACT = 4, 0.3, 1e-6
 """How often another optimum is looked for, how far away [rad], and from what distance of the control points
 from the curve on (root mean square, in arm lengths)."""
 
+ROUGH = 6
+"""Evaluations at the curve itself where a rough fit will do."""
+
 SAMPLES_PER_MODULE = 12
 """How finely the curve is sampled on the way; the last stage uses the curve itself."""
 
@@ -72,7 +75,7 @@ class Samples:
         return np.column_stack([np.interp(s, self.s, axis) for axis in self.tangents.T])
 
 
-def fit_curve(arm: Arm, curve: Curve, start: float, bending: float) -> Fit:
+def fit_curve(arm: Arm, curve: Curve, start: float, bending: float, rough: bool = False) -> Fit:
     """Fit an arm to a curve in the world.
 
     Args:
@@ -81,22 +84,23 @@ def fit_curve(arm: Arm, curve: Curve, start: float, bending: float) -> Fit:
         start: arc length at which the base of the arm belongs [m].
         bending: weight of the joint positions, counted from the straight arm, against the distances, above
             0 [m/rad].
+        rough: whether a fit will do that goes the way round but is not the best there is.
     """
     # As much of the curve as the arm can cover, and a little more.
     end = min(curve.length, start + 1.2 * arm.length)
     s = np.linspace(start, end, SAMPLES_PER_MODULE * arm.n_modules + 1)
     tangents = curve.tangent(s)
-    turns = _turns(tangents)
+    turns = carried_turns(tangents)
     stages = int(np.ceil(float(np.linalg.norm(turns, axis=1).sum()) / TURN))
-    problem = _Problem(arm, start, bending)
+    problem = Problem(arm, start, bending)
     unknowns = problem.first_guess()
     for share in np.arange(stages) / max(stages, 1):
         bent = _bent(s, curve.at(float(start)), tangents[0], share * turns)
         unknowns = problem.solve(bent, unknowns, evaluations=4)
-    best = problem.solve(curve, unknowns, evaluations=60)
+    best = problem.solve(curve, unknowns, evaluations=ROUGH if rough else 60)
     # Off the curve it may be a local optimum: look around, always at the same places.
     rng = np.random.default_rng(0)
-    for _ in range(RETRIES if problem.distance(curve, best) > EXACT else 0):
+    for _ in range(RETRIES if not rough and problem.distance(curve, best) > EXACT else 0):
         other = problem.solve(curve, problem.nudged(best, rng), evaluations=60)
         best = min(best, other, key=lambda x: problem.distance(curve, x))
     return Fit(*problem.split(best))
@@ -108,8 +112,14 @@ def free_columns(arm: Arm) -> NDArray[np.intp]:
     return np.asarray(arm.columns[room[arm.columns] > 0.0])
 
 
-def _turns(tangents: Array) -> Array:
-    """Rotation vectors (n - 1, 3) from each tangent to the next, in the frame carried along the curve."""
+def carried_turns(tangents: Array) -> Array:
+    """Rotation vectors (n - 1, 3) from each tangent to the next, in a frame carried along the curve.
+
+    The frame does not twist about the curve (parallel transport); it is the world's at the first tangent.
+
+    Args:
+        tangents: unit tangents, (n, 3).
+    """
     across = np.cross(tangents[:-1], tangents[1:])
     sine = np.linalg.norm(across, axis=1)
     angle = np.arctan2(sine, np.einsum("ij,ij->i", tangents[:-1], tangents[1:]))
@@ -132,28 +142,38 @@ def _bent(s: Array, origin: Array, tangent: Array, turns: Array) -> Samples:
     return Samples(s, origin + np.vstack([np.zeros(3), np.cumsum(steps, axis=0)]), tangents)
 
 
-class _Problem:
+class Problem:
     """Distances of the control points from their places, as a function of joint positions and arc lengths.
 
     The unknowns are the positions of the joints (n,) and the arc lengths between neighbouring control points
     (m,). Inside, every length is in arm lengths, so that arms of any size are alike.
+
+    Attributes:
+        lower: smallest unknowns, (n + m,).
+        upper: largest unknowns, (n + m,).
+        columns: tangent space indices of the joints, (n,).
     """
 
     def __init__(self, arm: Arm, start: float, bending: float) -> None:
         self._arm, self._start, self._bending = arm, start, bending / arm.length
-        self._columns = free_columns(arm)
-        self._joints = len(self._columns)
+        self.columns = free_columns(arm)
+        self._joints = len(self.columns)
         self._rest = arm.positions(arm.straight())
-        sliding = np.where(arm.slides[self._columns], arm.length, 1.0)
+        sliding = np.where(arm.slides[self.columns], arm.length, 1.0)
         self._units = np.concatenate([sliding, np.full(arm.n_modules, arm.length)])
         lengths = arm.chain.module_lengths
         # A module may have no length of its own, or gain some by sliding.
         longest = LONGEST * np.maximum(lengths, lengths.mean())
-        lower, upper = arm.limits.lower[self._columns], arm.limits.upper[self._columns]
-        self._lower = np.concatenate([lower, SHORTEST * lengths]) / self._units
-        self._upper = np.concatenate([upper, longest]) / self._units
-        straight = np.concatenate([self._rest[self._columns], lengths]) / self._units
-        self._straight = np.clip(straight, self._lower, self._upper)
+        lower, upper = arm.limits.lower[self.columns], arm.limits.upper[self.columns]
+        self.lower = np.concatenate([lower, SHORTEST * lengths]) / self._units
+        self.upper = np.concatenate([upper, longest]) / self._units
+        straight = np.concatenate([self._rest[self.columns], lengths]) / self._units
+        self._straight = np.clip(straight, self.lower, self.upper)
+
+    @property
+    def points(self) -> int:
+        """Number of control points, m."""
+        return self._arm.n_modules
 
     def first_guess(self) -> Array:
         """The straight arm on a straight curve, in units of our own."""
@@ -163,19 +183,24 @@ class _Problem:
         """The same, with the joints moved a little at random."""
         moved = unknowns.copy()
         moved[: self._joints] += NUDGE * rng.normal(size=self._joints)
-        return np.asarray(np.clip(moved, self._lower, self._upper))
+        return np.asarray(np.clip(moved, self.lower, self.upper))
 
-    def distance(self, curve: Curve, unknowns: Array) -> float:
+    def distance(self, curve: Samples | Curve, unknowns: Array) -> float:
         """Root mean square distance from the places on the curve, bending counted in, in arm lengths."""
-        residual, _ = self._evaluate(curve, unknowns)
+        residual, _ = self.evaluate(curve, unknowns)
         return float(np.sqrt(residual @ residual / self._arm.n_modules))
 
     def split(self, unknowns: Array) -> tuple[Array, Array]:
         """Joint positions (nv,) [rad or m] and arc lengths of the control points (m,) [m]."""
         values = unknowns * self._units
         positions = self._rest.copy()
-        positions[self._columns] = values[: self._joints]
+        positions[self.columns] = values[: self._joints]
         return positions, self._start + np.cumsum(values[self._joints :])
+
+    def joined(self, positions: Array, parameters: Array) -> Array:
+        """The unknowns of joint positions (nv,) and arc lengths of control points (m,); undoes `split`."""
+        gaps = np.diff(parameters, prepend=self._start)
+        return np.asarray(np.concatenate([positions[self.columns], gaps]) / self._units)
 
     def solve(self, curve: Samples | Curve, guess: Array, evaluations: int) -> Array:
         """Minimise from a guess, at most so many evaluations."""
@@ -186,22 +211,22 @@ class _Problem:
             key = unknowns.tobytes()
             if key not in last:
                 last.clear()
-                last[key] = self._evaluate(curve, unknowns)
+                last[key] = self.evaluate(curve, unknowns)
             return last[key]
 
         solution = least_squares(
             lambda x: once(x)[0],
             guess,
             jac=lambda x: once(x)[1],
-            bounds=(self._lower, self._upper),
+            bounds=(self.lower, self.upper),
             ftol=1e-15,
             xtol=1e-12,
             gtol=1e-15,
             max_nfev=evaluations,
         )
-        return np.asarray(np.clip(solution.x, self._lower, self._upper))
+        return np.asarray(np.clip(solution.x, self.lower, self.upper))
 
-    def _evaluate(self, curve: Samples | Curve, unknowns: Array) -> tuple[Array, Array]:
+    def evaluate(self, curve: Samples | Curve, unknowns: Array) -> tuple[Array, Array]:
         """Residuals (3 m + n,) and their Jacobian (3 m + n, n + m)."""
         arm, n, m = self._arm, self._joints, self._arm.n_modules
         positions, s = self.split(unknowns)
@@ -211,7 +236,7 @@ class _Problem:
         places = curve.at(inside) + (s - inside)[:, None] * tangents  # straight on beyond the end
         jacobian = np.zeros((3 * m + n, n + m))
         rows = jacobian[: 3 * m].reshape(m, 3, n + m)
-        rows[:, :, :n] = state.jacobians[:, :, self._columns]
+        rows[:, :, :n] = state.jacobians[:, :, self.columns]
         rows[:, :, n:] = -np.tril(np.ones((m, m)))[:, None, :] * tangents[:, :, None]
         jacobian[: 3 * m] *= self._units / arm.length
         jacobian[3 * m :, :n] = self._bending * np.eye(n)

@@ -65,13 +65,8 @@ def fit_points(arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) ->
         rows = state.jacobians[:, :, columns].reshape(3 * arm.n_modules, len(columns)) * units / arm.length
         return np.vstack([root[:, None] * rows, STRAIGHTENING * np.eye(len(columns))])
 
-    starts = [straight]
-    try:
-        curve = Curve.points(np.vstack([arm.chain.base, target.points[target.placed]]))
-        bent = fit_curve(arm, curve, 0.0, STRAIGHTENING * arm.length).positions[columns] / units
-        starts.insert(0, np.clip(bent, lower, upper))
-    except PostureError:
-        pass  # points that make no curve, two in one place for instance: the straight arm has to do
+    bent = _bent(arm, target, rough=False)
+    starts = [straight] if bent is None else [np.clip(bent[columns] / units, lower, upper), straight]
     found = [
         least_squares(
             distances, start, jac=jacobian, bounds=(lower, upper), xtol=1e-12, ftol=1e-15, gtol=1e-15
@@ -80,6 +75,31 @@ def fit_points(arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) ->
     ]
     best = np.clip(min(found, key=lambda fit: fit.cost).x, lower, upper)
     return _fitted(arm, target, configuration(best))
+
+
+def near_configuration(arm: Arm, target: Target) -> Array | None:
+    """A configuration from which it is not far to a target, and the right way round.
+
+    Args:
+        arm: the arm.
+        target: where its control points should be; it fits the arm.
+
+    Returns:
+        Configuration (nq,) within the limits; None if the points make no curve.
+    """
+    positions = exact_positions(arm, target.points) if np.all(target.placed) else None
+    if positions is None:
+        positions = _bent(arm, target, rough=True)
+    return None if positions is None else arm.configuration(positions)
+
+
+def _bent(arm: Arm, target: Target, rough: bool) -> Array | None:
+    """Joint positions (nv,) of an arm fitted to a curve through the points; None if they make no curve."""
+    try:
+        curve = Curve.points(np.vstack([arm.chain.base, target.points[target.placed]]))
+        return fit_curve(arm, curve, 0.0, STRAIGHTENING * arm.length, rough).positions
+    except PostureError:  # two in one place, for instance
+        return None
 
 
 def _fitted(arm: Arm, target: Target, q: Array) -> Target:

@@ -16,6 +16,7 @@ from pinposture.control.constrained.avoidance import Avoidance
 from pinposture.control.constrained.course import Course
 from pinposture.control.constrained.following import Asked, close_in, follow
 from pinposture.control.constrained.getting_on import RISES, get_on
+from pinposture.control.constrained.path import JointPath
 from pinposture.control.constrained.planning import plan, plan_on
 from pinposture.control.constrained.posture import Posture
 from pinposture.control.constrained.settling import Scope
@@ -109,6 +110,8 @@ class ConstrainedQP:
         if box.outside:
             return self._return(state, target, box)
         course = self._course(state, target, bounds, before)
+        if before is None or course.path.start is not before.path.start:
+            course = course.under_way(previous)
         posture, avoidance = course.posture, self._avoidance(course.posture)
         if avoidance is None and course is not before:
             step = get_on(course, state, bounds)
@@ -119,6 +122,25 @@ class ConstrainedQP:
         else:
             asked = follow(course, state, box, limits, self._mu(state), avoidance)
         return _checked(asked, state, box, bounds, avoidance)
+
+    def along(self, state: ArmState, path: JointPath, target: Target, limits: Limits, most: float) -> Memory:
+        """What to remember for steps along a way that is given, with a target that moves along it.
+
+        The steps that follow stay on that way, as fast as limits and time allow, whatever target they are
+        given, until its end. An arm that is not where it should be, or does not get on, leaves it: it then
+        plans a way of its own to the target (`Course.given` tells).
+
+        Args:
+            state: where the arm is, at the beginning of the way.
+            path: the way.
+            target: the target posture where it begins.
+            limits: what a step may not exceed.
+            most: the most waypoints to go in one step, finite.
+        """
+        target.check(state.arm)
+        bounds, posture = limits.for_arm(state.arm), Posture(state.arm, target, self.tasks, self.chord)
+        course = Course(posture, path, bounds, most=most, expected=state.placed.positions).within(bounds)
+        return Memory(np.zeros(state.arm.nv), course)
 
     def _goes_on(self, course: Course, state: ArmState, target: Target) -> bool:
         """Whether that is what the arm was doing, and nothing else is asked of it."""
@@ -150,6 +172,11 @@ class ConstrainedQP:
     def _course(self, state: ArmState, target: Target, bounds: JointBounds, course: Course | None) -> Course:
         """The course so far; a new one at first, for a new target, and where the arm does not get on."""
         if course is None or not course.leads_on(state):
+            course = None
+        elif course.given and not course.arrived:
+            if course.waited < WAIT:
+                course = course._replace(posture=self._posture(state, target, course))
+                return course if course.bounds is bounds else course.within(bounds)
             course = None
         elif _alike(course.posture.target, target):
             if course.posture.tasks != self.tasks:  # as they do where they follow something: the way stays

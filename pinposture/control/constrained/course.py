@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import inf, isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -32,7 +33,7 @@ class Course(NamedTuple):
         path: the way to the configuration that does it best.
         place: where the arm is on it, in waypoints.
         bounds: the limits that the pace keeps.
-        pace: how fast it may go along the path; None where acceleration is not limited.
+        pace: how fast it may go along the path; None where neither acceleration nor time says so.
         speed: how fast it last did, in waypoints per step.
         passed: the place that the arm last passed in good time.
         waited: joint travel that the limits have allowed since then [rad].
@@ -42,7 +43,10 @@ class Course(NamedTuple):
         hindrance: what the best way that was found comes too close to, in words; empty if it is clear.
         expected: joint positions that the arm should have by now, (nv,) [rad or m]; None before the first
             step.
-        bent: by how much the path was bent to end elsewhere since it was planned, in `Arm.joint_units`.
+        bent: by how much the path was bent to end elsewhere since it was planned, (nv,) [rad or m]; None if
+            not at all.
+        most: the most waypoints to go in one step, on a way that was given together with its time; infinite
+            on ways of the controller's own.
         strict_errors: errors of strict tasks at the start and at the goal, 2 x (r,) [m]; between, they are
             to change in proportion to the place.
     """
@@ -60,8 +64,14 @@ class Course(NamedTuple):
     damping: float = 1.0
     hindrance: str = ""
     expected: Array | None = None
-    bent: float = 0.0
+    bent: Array | None = None
+    most: float = inf
     strict_errors: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
+
+    @property
+    def given(self) -> bool:
+        """Whether the way was given, with its time: then it stays while the target moves along it."""
+        return isfinite(self.most)
 
     def gone_to(self, place: float, travel: float, hindered: bool, expected: Array | None = None) -> Course:
         """The course after a step.
@@ -90,7 +100,18 @@ class Course(NamedTuple):
         given = self.expected, state.placed.positions, chain.endless, chain.columns, self.bounds.units
         return kernels.joint_distance(*given) <= DISTURBED
 
+    def under_way(self, previous: Array | None) -> Course:
+        """The course of an arm that already moves along its way, as far as the step before, (nv,), did."""
+        if self.pace is None or previous is None or self.place > 0.0:
+            return self
+        ahead = self.path.offsets[1] - self.path.offsets[0]
+        squares = float(ahead @ ahead)
+        speed = max(float(ahead @ previous), 0.0) / squares if squares > 0.0 else 0.0
+        return self._replace(speed=min(speed, self.path.end))
+
     def within(self, bounds: JointBounds) -> Course:
         """The same course with the pace that other limits allow."""
-        pace = None if bounds.brake is None else Pace(self.path, bounds.bound, bounds.brake)
+        pace = None
+        if bounds.brake is not None or self.given:
+            pace = Pace(self.path, bounds.bound, bounds.brake, self.most)
         return self._replace(bounds=bounds, pace=pace)

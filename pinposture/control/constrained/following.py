@@ -76,16 +76,19 @@ def follow(
     posture, path = course.posture, course.path
     bounds, here = limits.for_arm(state.arm), course.place
     units = posture.chain.units
-    if course.pace is None or bounds.brake is None:
+    if course.pace is None:
         place, left, inside, dq = path.stride(state, here, posture.columns, units, box.sides)
         hindered = True  # unless it gets on
     else:
-        sides = np.array([-bounds.bound, bounds.bound])
-        reach, left, *_ = path.stride(state, here, posture.columns, units, sides)
-        offset, paced = path.offset_of(state, here), course.pace.next(here, course.speed)
-        place, hindered = min(here + paced, reach), reach < here + paced or here >= path.end
+        columns, offset = posture.columns, path.offset_of(state, here)
+        left = float(np.abs((path.offsets[-1] - offset)[columns] / units).max(initial=0.0))
+        paced = min(course.pace.next(here, course.speed), path.end - here)
+        onward, lag = path.smooth(here + paced) - path.smooth(here), path.smooth(here) - offset
+        share = _share(onward[columns], lag[columns], bounds.bound[columns])
+        place, hindered = here + share * paced, share < 1.0 or here >= path.end
         # What is behind is made good no faster than it can be stopped, or the arm would swing about its way.
-        lag = farthest(path.smooth(here) - offset, CORRECTING * bounds.brake)
+        if bounds.brake is not None:
+            lag = farthest(lag, CORRECTING * bounds.brake)
         dq = path.smooth(place) - path.smooth(here) + lag
         one = state.arm.joint_units
         within = (dq >= box.lower - ROUNDING * one) & (dq <= box.upper + ROUNDING * one)
@@ -115,6 +118,13 @@ def follow(
     found = then_the_rest(hessian, -(hessian @ wanted), scope, first)
     x = np.clip(wanted, scope.lower, scope.upper) if found.x is None else corrected(posture, scope, found.x)
     return Asked(posture.displacement(x), course, found)
+
+
+def _share(onward: Array, lag: Array, bound: Array) -> float:
+    """The share of the way onward that a joint may go if it makes good at once what it is behind, (n,)."""
+    gap = np.where(onward < 0.0, bound + lag, bound - lag)
+    share = np.where(np.abs(lag) > bound, 0.0, gap / np.maximum(np.abs(onward), 1e-100))
+    return float(min(share.min(initial=1.0), 1.0))
 
 
 def _clear(scope: Scope, x: Array, dq: Array, avoidance: Avoidance | None) -> bool:

@@ -11,13 +11,15 @@ from pinposture.arm import ArmState
 from pinposture.control.constrained.avoidance import Avoidance
 from pinposture.control.constrained.posture import Posture
 from pinposture.control.constrained.settling import Settled, settle
-from pinposture.errors import PostureError
-from pinposture.target import fit_points
+from pinposture.target.measured import near_configuration
 
 Array = NDArray[np.float64]
 
 NUDGES, NUDGE = 6, 0.5
 """How many other starts are tried where no configuration is known, and how far away, in `Arm.joint_units`."""
+
+AGREE, ALIKE = 3, 1e-3
+"""How many searches in a row have to end alike for the rest to be spared, and relative to what merit."""
 
 MUCH_BETTER = 0.5
 """Share of the merit of an earlier find that a later one may leave to be preferred, where the arm is held."""
@@ -38,7 +40,7 @@ def find_goal(
     Otherwise the search begins where the arm is; then with the fit of the whole arm to the points, which
     knows the way round; then at other places, always the same ones, which are also tried where the known
     configuration is in the way of something or of a strict task. It ends with the first that is good enough,
-    and takes the best if there is none.
+    or when several in a row have found the same, and takes the best.
 
     Args:
         posture: what is asked of the arm.
@@ -57,12 +59,16 @@ def find_goal(
     borne = 0.0 if avoidance is None else avoidance.intrusion(state)
     starts = _starts(posture, state, edges, held, before)
     best = found = settle(posture, next(starts), edges, avoidance, good, borne)
-    wanted = max(good, enough)
-    while not (found.intrusion == 0.0 and (_does_it(posture, found, wanted) or (known and not strict))):
+    wanted, agree = max(good, enough), 1
+    while agree < AGREE and not (
+        found.intrusion == 0.0 and (_does_it(posture, found, wanted) or (known and not strict))
+    ):
         start = next(starts, None)  # asked for only now: to find one can take long
         if start is None:
             break
         found = settle(posture, start, edges, avoidance, good, borne)
+        alike = found.intrusion == best.intrusion == 0.0 and not posture.tasks
+        agree = agree + 1 if alike and abs(found.merit - best.merit) <= ALIKE * best.merit else 1
         if (found.intrusion, found.merit) < (best.intrusion, better * best.merit):
             best = found
     return best
@@ -95,10 +101,7 @@ def _starts(
     if not held:
         yield state
     if target.q is None:
-        try:
-            fitted = fit_points(arm, target.points, target.weights).q
-        except PostureError:
-            fitted = None
+        fitted = near_configuration(arm, target)
         if fitted is not None:
             yield _towards(posture, state, fitted, edges)
     rng = np.random.default_rng(0)

@@ -94,8 +94,12 @@ def plan_on(course: Course, posture: Posture, state: ArmState, bounds: JointBoun
         enough = _as_good(course, posture, start)
         goal = find_goal(posture, state, bounds.edges, None, GOOD * arm.length, first, enough).state.q
     change = posture.displacement(posture.own(arm.difference(before, goal)))
-    bent = course.bent + _size(posture, change)
-    if course.arrived or course.tries or bent > BENT * _size(posture, arm.difference(state.q, before)):
+    bent = change if course.bent is None else course.bent + change
+    if (
+        course.arrived
+        or course.tries
+        or _size(posture, bent) > BENT * _size(posture, arm.difference(state.q, before))
+    ):
         path = direct_path(posture, state.q, goal, mu, bounds.edges)
         return Course(posture, path, bounds).within(bounds)
     path = path.bent(course.place, change, bounds.edges)
