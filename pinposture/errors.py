@@ -145,6 +145,19 @@ class CurveBendsTooMuch(TargetError):
     """The curve bends more than a module can within its joint limits, or leaves its plane."""
 
 
+class TaskError(PostureError, ValueError):
+    """A task in time that contradicts itself, or that the arm cannot do.
+
+    Attributes:
+        where: the part of the task at fault, e.g. "keyframe 3 'coil'".
+        reason: what is wrong with it, and what to do about it.
+    """
+
+    def __init__(self, where: str, reason: str) -> None:
+        self.where, self.reason = where, reason
+        super().__init__(f"{where}: {reason}")
+
+
 class ViewerError(PostureError, ConnectionError):
     """A viewer that cannot be started or reached.
 

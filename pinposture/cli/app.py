@@ -14,9 +14,11 @@ from pinposture.cli import (
     arms,
     compile,
     cycles,
+    export,
     generate,
     headings,
     inspect,
+    leader,
     many,
     methods,
     postures,
@@ -129,9 +131,9 @@ def _add(verb: ModuleType, group: typer.Typer) -> None:
     group.command(name, cls=kind, help=_paragraphs(verb.run.__doc__ or ""))(verb.run)
 
 
-for module in (generate, inspect, track, many, view, reproduce, compile):
+for module in (generate, inspect, track, many, view, export, reproduce, compile):
     _add(module, app)
-for module in (arms, methods, postures, headings, scenes, cycles):
+for module in (arms, methods, postures, headings, scenes, cycles, leader):
     _add(module, studies)
 app.add_typer(studies, name="study")
 

@@ -17,7 +17,7 @@ from pinposture.errors import PostureWarning
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from pinposture.motion.track import Callback
+    from pinposture.motion.drive import Callback
     from pinposture.target import Target
 
 UNLIMITED = 10_000

@@ -14,7 +14,10 @@ from pinposture.motion.trajectory import Trajectory
 from pinposture.scene import Scene
 from pinposture.target import Target
 
-_ADVICE = {"pinposture-batch": "holds many runs; save one of them: pp.Batch.load(file)[0].save(...)"}
+_ADVICE = {
+    "pinposture-batch": "holds many runs; save one of them: pp.Batch.load(file)[0].save(...)",
+    "pinposture-motion": "holds a motion in time; read it by pp.Motion.load(file), its run is .run",
+}
 KIND = Kind("pinposture-run", 3, "run", _ADVICE)
 
 _RUN_ARRAYS = (
@@ -39,6 +42,11 @@ _TARGET_ARRAYS = ("points", "weights", "q", "parameters", "residual")
 
 def save_trajectory(run: Trajectory, path: Path) -> Path:
     """Write a run; see `Trajectory.save`."""
+    return write_archive(path, KIND, run.limits, *pack_run(run))
+
+
+def pack_run(run: Trajectory) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A run without its limits as a description that JSON can hold, and arrays."""
     arrays: dict[str, Any] = {name: getattr(run, name) for name in _RUN_ARRAYS}
     for name in _TARGET_ARRAYS:
         value = getattr(run.target, name)
@@ -54,19 +62,24 @@ def save_trajectory(run: Trajectory, path: Path) -> Path:
         "status": run.status,
         "reason": run.reason,
     }
-    return write_archive(path, KIND, run.limits, about, arrays)
+    return about, arrays
 
 
 def load_trajectory(path: Path) -> Trajectory:
     """Read a run; see `Trajectory.load`."""
-    return read_archive(path, KIND, _unpacked)
+    return read_archive(path, KIND, unpack_run)
 
 
-def _unpacked(about: dict[str, Any], arrays: dict[str, Any], limits: Limits) -> Trajectory:
+def unpack_run(about: dict[str, Any], arrays: dict[str, Any], limits: Limits) -> Trajectory:
+    """The run that `pack_run` packed.
+
+    Raises:
+        InvalidValue: arrays that do not fit each other.
+    """
     curve = None if about["curve"] is None else Curve.from_dict(about["curve"])
     target: dict[str, Any] = {name: arrays.get(f"target_{name}") for name in _TARGET_ARRAYS}
     arm = Arm.from_dict(about["arm"])
-    _check_shapes(arm, arrays)
+    _check_run(arm, arrays)
     return Trajectory(
         arm=arm,
         target=Target(**target, curve=curve, method=about["method"], incomplete=about["incomplete"]),
@@ -79,7 +92,7 @@ def _unpacked(about: dict[str, Any], arrays: dict[str, Any], limits: Limits) -> 
     )
 
 
-def _check_shapes(arm: Arm, arrays: dict[str, Any]) -> None:
+def _check_run(arm: Arm, arrays: dict[str, Any]) -> None:
     """Raise InvalidValue unless the arrays of a run fit each other and the arm."""
     steps, m = len(arrays["active"]), arm.n_modules
     shapes = {
@@ -90,7 +103,11 @@ def _check_shapes(arm: Arm, arrays: dict[str, Any]) -> None:
         "active": (steps, m),
         "clipped": (steps, arm.nv),
     }
-    for name in _RUN_ARRAYS:
-        expected = shapes.get(name, (steps,))
+    check_shapes(arrays, {name: shapes.get(name, (steps,)) for name in _RUN_ARRAYS})
+
+
+def check_shapes(arrays: dict[str, Any], shapes: dict[str, tuple[int, ...]]) -> None:
+    """Raise InvalidValue unless arrays have the shapes that they should."""
+    for name, expected in shapes.items():
         if arrays[name].shape != expected:
             raise InvalidValue(f"{name} (shape)", arrays[name].shape, str(expected))

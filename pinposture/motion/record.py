@@ -19,14 +19,27 @@ MENTIONED = 8
 
 
 class Recorder:
-    """Collects states and steps, and turns them into a trajectory."""
+    """Collects states and steps, and turns them into a trajectory.
+
+    Args:
+        target: where the control points should be, until a step comes with another target.
+        start: where the arm begins.
+        scene: what its distances are recorded from; none if None.
+    """
 
     def __init__(self, target: Target, start: ArmState, scene: Scene | None = None) -> None:
         self._target, self._scene = target, scene
         self._clearance = None if scene is None else scene.around(start.arm)
         self._distances = [self._distance(start)]
         self._steps: list[Step] = []
+        self._last = start
         self._q, self._points, self._errors = [start.q], [start.points], [self._point_errors(start)]
+        self.aim(target)
+
+    def aim(self, target: Target) -> None:
+        """Turn to another target: progress is measured against it from now on."""
+        self._target = target
+        self._now = self._point_errors(self._last)
         self._best, self._idle = self.posture_error, 0.0
 
     def _point_errors(self, state: ArmState) -> Array:
@@ -43,28 +56,31 @@ class Recorder:
     @property
     def posture_error(self) -> float:
         """Sum of the distances of the control points from their targets, now [m]."""
-        return float(self._errors[-1].sum())
+        return float(self._now.sum())
 
     @property
     def mean_error(self) -> float:
         """Mean distance of the control points that have a target from it, now [m]."""
         return self.posture_error / int(np.count_nonzero(self._target.placed))
 
-    def add(self, state: ArmState, step: Step, travel: float) -> None:
+    def add(self, state: ArmState, step: Step, travel: float, target: Target | None = None) -> None:
         """Write down one step and the state it led to.
 
         Args:
             state: the state.
             step: the step.
             travel: joint travel that the limits allowed in it [rad].
+            target: where the control points should be now, if that has changed.
         """
+        self._target = self._target if target is None else target
         self._steps.append(step._replace(diagnostics=_settled(step.diagnostics)))
         if not step.diagnostics.on_way:  # else the arm is not stuck
             self._idle += travel
         self._q.append(state.q)
         self._distances.append(self._distance(state))
         self._points.append(state.points)
-        self._errors.append(self._point_errors(state))
+        self._last, self._now = state, self._point_errors(state)
+        self._errors.append(self._now)
 
     def travel_without_progress(self, share: float) -> float:
         """Joint travel since the posture error last fell by this share below its lowest before [rad].

@@ -4,37 +4,19 @@ from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Callable
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from pinposture.arm import Arm, ArmState
-from pinposture.control import ConstrainedQP, Controller, Limits, Step, controller_named
+from pinposture.arm import Arm
+from pinposture.control import ConstrainedQP, Controller, Limits, controller_named
 from pinposture.control.checks import require_positive, require_whole
-from pinposture.control.controller import Memory
 from pinposture.errors import InvalidValue, PostureWarning
-from pinposture.motion.record import Recorder
+from pinposture.motion.drive import Callback, Drive
 from pinposture.motion.trajectory import Trajectory
 from pinposture.scene import Scene
 from pinposture.target import Target
 
-Array = NDArray[np.float64]
-Callback = Callable[[int, ArmState, Step], object]
-
 logger = logging.getLogger(__name__)
-
-PATIENCE = 6.0
-"""Joint travel without a new lowest posture error after which a run is stalled [rad]: 60 usual steps."""
-
-PROGRESS = 1e-3
-"""Relative fall of the posture error that counts as progress within it."""
-
-ROUNDING = 1e-9
-"""Share by which a sum of steps may be off."""
-
-MENTIONED = 6
-"""How many limits and distances that hold an arm are listed."""
 
 
 def track(
@@ -86,29 +68,11 @@ def track(
     tolerance = 1e-6 * arm.length if tolerance is None else tolerance
     require_positive("tolerance", tolerance)
 
-    state = arm.at(arm.checked(q0, "q0"))
-    recorder = Recorder(target, state, scene)
-    memory: Memory | None = None
-    status, reason, last = "", "", None
-    while not status:
-        status, reason = _verdict(recorder, tolerance, max_steps)
-        if status:
-            break
-        step = controller.step(state, target, limits, memory)
-        memory, last = step.memory, step
-        if step.diagnostics.reason:
-            # A controller that has points to control but no step to take is stuck.
-            status = "stalled" if step.active else "no_control_points"
-            reason = step.diagnostics.reason
-            break
-        state = arm.at(arm.integrate(state.q, step.dq))
-        recorder.add(state, step, limits.travel(state))
-        if callback is not None and callback(recorder.steps, state, step) is True:
-            status, reason = "stopped", f"stopped by the callback after {recorder.steps} steps"
-    if status in ("stalled", "max_steps") and last is not None:
-        reason += _what_holds(arm, last)
+    drive = Drive(arm, arm.checked(q0, "q0"), target, controller, limits, scene)
+    status, reason = drive.until_there(target, tolerance, max_steps, callback)
     if status in ("stalled", "max_steps") and target.q is None and not isinstance(controller, ConstrainedQP):
         reason += "; the target knows no configuration, with which Switching finds the way: see fit_points"
+    recorder = drive.recorder
     logger.info("%s: %s after %d steps: %s", controller.name, status, recorder.steps, reason)
     return recorder.trajectory(arm, controller, limits, status, reason)
 
@@ -123,29 +87,3 @@ def in_scene(controller: Controller, scene: Scene | None) -> tuple[Controller, S
         text = f'{controller.name} does not keep clear of anything, distances are only recorded; "qp" does'
         warnings.warn(text, PostureWarning, stacklevel=3)
     return controller, scene
-
-
-def _what_holds(arm: Arm, step: Step) -> str:
-    """What held the last step back, in words: limits that bind, and distances at their bound."""
-    held = [f"{arm.joint_names[j]} at its limit" for j in np.flatnonzero(step.diagnostics.clipped)]
-    held += step.diagnostics.near
-    if not held:
-        return ""
-    more = f" and {len(held) - MENTIONED} more" if len(held) > MENTIONED else ""
-    return f"; held by {', '.join(held[:MENTIONED])}{more}"
-
-
-def _verdict(recorder: Recorder, tolerance: float, max_steps: int) -> tuple[str, str]:
-    """Whether the run is over, and why; empty while it goes on."""
-    mean = recorder.mean_error
-    if mean <= tolerance:
-        return "converged", f"mean point error {mean:.3g} m is within the tolerance of {tolerance:.3g} m"
-    if recorder.steps >= max_steps:
-        return "max_steps", f"mean point error {mean:.3g} m, above the tolerance of {tolerance:.3g} m"
-    idle = recorder.travel_without_progress(PROGRESS)
-    if idle >= PATIENCE * (1.0 - ROUNDING):
-        return (
-            "stalled",
-            f"mean point error {mean:.3g} m, no progress in the last {idle:.3g} rad of joint travel",
-        )
-    return "", ""

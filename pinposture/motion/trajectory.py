@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,9 @@ from pinposture.control import Limits
 from pinposture.control.sweep import sweep
 from pinposture.scene import Scene
 from pinposture.target import Target
+
+if TYPE_CHECKING:
+    from pinposture.motion.joint_trajectory import JointTrajectory
 
 Array = NDArray[np.float64]
 
@@ -124,6 +127,19 @@ class Trajectory:
         """Where a controller that has several methods changed from one to another, and why."""
         changes = np.flatnonzero(self.switched != "")
         return tuple(Switch(int(k), str(self.method[k]), str(self.switched[k])) for k in changes)
+
+    def joint_trajectory(self, dt: float | None = None) -> JointTrajectory:
+        """The run as joint positions, speeds and accelerations in time, ready to be exported.
+
+        Args:
+            dt: duration of a step [s]; that of the limits if None.
+
+        Raises:
+            InvalidValue: the limits know of no time and none is given, or they know of another.
+        """
+        from pinposture.motion.joint_trajectory import JointTrajectory
+
+        return JointTrajectory.from_run(self, dt)
 
     def save(self, path: str | Path) -> Path:
         """Write the run to one `.npz` file, all or nothing; it embeds the arm and the curve.

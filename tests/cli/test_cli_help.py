@@ -12,7 +12,7 @@ from pinposture.scene.obstacles import KINDS
 from pinposture.target.resolve import METHODS, PLACEMENTS
 from pinposture.thesis.curves import CURVES
 
-QUICK = ("generate", "inspect", "track", "many", "view", "study arms", "compile")
+QUICK = ("generate", "inspect", "track", "many", "view", "export", "study arms", "compile")
 STUDIES = ("methods", "postures", "headings", "scenes", "cycles")  # these take minutes, as does reproduce
 VERBS = (*QUICK, *(f"study {name}" for name in STUDIES), "reproduce")
 

@@ -1,0 +1,133 @@
+"""`pinposture export`: hand a motion to a robot, a simulator or a spreadsheet."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pinposture.cli.inputs import JsonOption
+from pinposture.cli.output import print_facts, print_json, print_note
+from pinposture.cli.results import RUN
+from pinposture.errors import FileError
+
+if TYPE_CHECKING:
+    from pinposture.motion.joint_trajectory import JointTrajectory
+
+MOTION = "motion.npz"
+"""Name of the file of a motion in the directory that holds it."""
+
+EXAMPLES = (
+    "pinposture export out --dt 0.02 -o out/joints.json",
+    "pinposture export out/run.npz --dt 0.02 -o out/joints.csv",
+    "pinposture export out --dt 0.02 -o out/joints.npz --json",
+)
+
+
+def run(
+    *,
+    path: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RUN",
+            help=f"A saved run or motion, or the directory that holds its {MOTION} or {RUN}.",
+        ),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help=".json for ROS 2, .csv for a table, .npz for NumPy.",
+        ),
+    ],
+    dt: Annotated[
+        float | None,
+        typer.Option(help="Duration of a step in seconds; needed if the run was made without one."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Write a motion as positions, velocities and accelerations of the joints in time.
+
+    A .json file is a trajectory_msgs/msg/JointTrajectory of ROS 2, as controllers of ros2_control take it. A
+    .csv file has a column for each, with units. A .npz file holds the arrays to the last bit. Joints have the
+    names that the URDF gives them; continuous ones have angles without jumps.
+
+    The summary tells the largest speed and acceleration from step to step, from rest and to rest.
+    """
+    from pinposture.motion.joint_files import check_format
+    from pinposture.storage import check_writable
+
+    check_format(output)
+    check_writable(output.parent)
+    source = _source(path)
+    if output.exists() and output.samefile(source):
+        raise FileError(output, "is the run itself; allowed: another file")
+    trajectory = _joint_trajectory(source, dt)
+    trajectory.save(output)
+    if as_json:
+        print_json({"run": str(source), **_summary(trajectory), "file": str(output)})
+    else:
+        print_facts(_in_words(trajectory))
+    print_note(f"wrote {output}")
+
+
+def _source(path: Path) -> Path:
+    """The file that is meant: in a directory that of a motion, else that of a run."""
+    if not path.is_dir():
+        return path
+    # What was exported under that name is none.
+    return path / MOTION if _is_motion(path / MOTION) else path / RUN
+
+
+def _is_motion(path: Path) -> bool:
+    from pinposture.motion.joint_files.arrays import archive_format
+    from pinposture.motion.motion_files import KIND
+
+    return archive_format(path) == KIND.format
+
+
+def _joint_trajectory(source: Path, dt: float | None) -> JointTrajectory:
+    """The joint trajectory of a saved motion, or of a saved run."""
+    from pinposture.motion.joint_trajectory import JointTrajectory
+    from pinposture.motion.motion import Motion
+    from pinposture.motion.trajectory import Trajectory
+
+    moved = Motion.load(source).run if _is_motion(source) else Trajectory.load(source)
+    return JointTrajectory.from_run(moved, dt)
+
+
+def _summary(trajectory: JointTrajectory) -> dict[str, Any]:
+    """What is in it, in numbers that JSON can hold."""
+    return {
+        "robot": trajectory.name,
+        "joints": list(trajectory.joint_names),
+        "units": list(trajectory.units),
+        "points": len(trajectory.time),
+        "duration": trajectory.duration,
+        "largest_speed": {f"{unit}/s": speed for unit, (speed, _) in _peaks(trajectory).items()},
+        "largest_acceleration": {f"{unit}/s^2": most for unit, (_, most) in _peaks(trajectory).items()},
+    }
+
+
+def _in_words(trajectory: JointTrajectory) -> dict[str, str]:
+    """What is in it, as a person reads it."""
+    peaks = _peaks(trajectory)
+    return {
+        "motion": f"{len(trajectory.joint_names)} joints, {len(trajectory.time)} points, "
+        f"{trajectory.duration:.4g} s",
+        "speed": f"at most {', '.join(f'{speed:.4g} {unit}/s' for unit, (speed, _) in peaks.items())}",
+        "acceleration": f"at most {', '.join(f'{most:.4g} {unit}/s^2' for unit, (_, most) in peaks.items())}",
+    }
+
+
+def _peaks(trajectory: JointTrajectory) -> dict[str, tuple[float, float]]:
+    """The largest speed and acceleration of all joints that are measured in a unit."""
+    speeds, accelerations = trajectory.peaks
+    found: dict[str, tuple[float, float]] = {}
+    for unit, speed, acceleration in zip(trajectory.units, speeds, accelerations, strict=True):
+        most = found.get(unit, (0.0, 0.0))
+        found[unit] = max(most[0], float(speed)), max(most[1], float(acceleration))
+    return found

@@ -1,0 +1,167 @@
+"""The result of performing a motion in time: what the arm did, and what it should have done when."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.arm import Arm
+from pinposture.motion.joint_trajectory import JointTrajectory
+from pinposture.motion.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+
+class Passed(NamedTuple):
+    """A named place of a motion, a keyframe for instance, and how the arm passed it.
+
+    Attributes:
+        name: what it is called.
+        planned: when it was to be there, counted from when the arm sets out on the motion [s].
+        reached: when it was, counted likewise [s]; None if never.
+        row: the row of the motion at which it was; None if never.
+        mean_error: mean distance of the control points from their targets then [m]; None if never.
+    """
+
+    name: str
+    planned: float
+    reached: float | None
+    row: int | None
+    mean_error: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A motion in time towards targets that move.
+
+    Rows begin with the start; the arm is at rest there, and at the end unless `reason` says otherwise.
+
+    Attributes:
+        run: the motion as a run; its `target` is the last one, its errors are distances from the targets of
+            the moment.
+        targets: where the control points should have been, (steps + 1, m, 3) [m], world frame.
+        asked: which control points had a target, (steps + 1, m).
+        clock: the time of the plan at each row, (steps + 1,) [s]; 0 while the arm comes to where it begins.
+        set_out: the row at which the arm sets out on the plan; before that it comes to its first posture.
+        planned: how long the plan takes if nothing slows it [s].
+        passed: the named places, in order.
+        detours: where the arm left the way of the plan and came back by one of its own, in words.
+    """
+
+    run: Trajectory
+    targets: Array
+    asked: NDArray[np.bool_]
+    clock: Array
+    set_out: int
+    planned: float
+    passed: tuple[Passed, ...] = ()
+    detours: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for value in (self.targets, self.asked, self.clock):
+            value.flags.writeable = False
+
+    @property
+    def arm(self) -> Arm:
+        """The arm that moved."""
+        return self.run.arm
+
+    @property
+    def dt(self) -> float:
+        """Duration of a control cycle [s]."""
+        assert self.run.limits.dt is not None  # who performs a motion asks for it
+        return self.run.limits.dt
+
+    @property
+    def q(self) -> Array:
+        """Configurations, (steps + 1, nq)."""
+        return self.run.q
+
+    @property
+    def steps(self) -> int:
+        """Number of control cycles."""
+        return self.run.steps
+
+    @property
+    def converged(self) -> bool:
+        """True if the arm took the last posture."""
+        return self.run.converged
+
+    @cached_property
+    def time(self) -> Array:
+        """When the arm was at each configuration, (steps + 1,) [s]."""
+        return np.asarray(self.dt * np.arange(self.steps + 1, dtype=np.float64))
+
+    @property
+    def duration(self) -> float:
+        """How long the plan took, from setting out to its last place [s]."""
+        arrived = np.flatnonzero(self.clock >= self.planned)
+        last = int(arrived[0]) if len(arrived) else self.steps
+        return (last - self.set_out) * self.dt
+
+    @property
+    def slowing(self) -> float:
+        """How many times as long as planned it took; 1 if nothing slowed it."""
+        return self.duration / self.planned
+
+    @cached_property
+    def mean_error(self) -> Array:
+        """Mean distance of the control points with a target from it, (steps + 1,) [m]."""
+        return np.asarray(self.run.posture_error / self.asked.sum(axis=1))
+
+    @cached_property
+    def velocities(self) -> Array:
+        """Joint speeds in each cycle, (steps, nv) [rad/s or m/s]."""
+        moved = [self.arm.difference(a, b) for a, b in zip(self.q[:-1], self.q[1:], strict=True)]
+        return np.reshape(moved, (self.steps, self.arm.nv)) / self.dt
+
+    @cached_property
+    def accelerations(self) -> Array:
+        """How joint speeds change from one cycle to the next, from and to rest, (steps + 1, nv) [../s^2]."""
+        rest = np.zeros((1, self.arm.nv))
+        return np.diff(np.concatenate([rest, self.velocities, rest]), axis=0) / self.dt
+
+    def joint_trajectory(self) -> JointTrajectory:
+        """The motion as joint positions, speeds and accelerations in time, ready to be exported.
+
+        The arm stands still for one more cycle before and after it: players of such files fit splines to the
+        rows, and would otherwise start and stop harder than the limits allow.
+        """
+        rows = np.concatenate([self.q[:1], self.q, self.q[-1:]])
+        return JointTrajectory.from_configurations(self.arm, rows, self.dt)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the motion to one `.npz` file, all or nothing; it embeds the arm.
+
+        Args:
+            path: the file; ".npz" is added if it has no such ending.
+
+        Returns:
+            The path written.
+
+        Raises:
+            FileError: the file cannot be written.
+        """
+        from pinposture.motion.motion_files import save_motion
+
+        return save_motion(self, Path(path))
+
+    @classmethod
+    def load(cls, path: str | Path) -> Motion:
+        """Read a motion that `save` wrote.
+
+        Raises:
+            FileError: the file is missing, or is not such a motion.
+        """
+        from pinposture.motion.motion_files import load_motion
+
+        return load_motion(Path(path))
+
+    def __repr__(self) -> str:
+        slower = f", {self.slowing:.3g} times as long as planned" if self.slowing > 1.005 else ""
+        return f"Motion({self.run.status}, {self.time[-1]:.4g} s{slower}, {len(self.passed)} places)"

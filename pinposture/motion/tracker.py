@@ -1,0 +1,254 @@
+"""The streaming controller: one step in each control cycle, whatever happens to targets and measurements."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from math import isfinite
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pinposture.arm import Arm, ArmState
+from pinposture.control import Controller, Limits, Step, controller_named
+from pinposture.control.checks import require_positive
+from pinposture.control.controller import Memory
+from pinposture.errors import InvalidValue, UnknownName
+from pinposture.motion.feedback import Feedback, Seen
+from pinposture.motion.track import in_scene
+from pinposture.scene import Scene
+from pinposture.target import Target
+
+Array = NDArray[np.float64]
+
+INTERFACES = ("position", "velocity")
+
+SHORTEST = 1e-3
+"""The shortest cycle that counts as one, relative to the usual one."""
+
+ARRIVED = 1e-6
+"""Mean distance of the control points from their targets at which the arm has arrived, in arm lengths."""
+
+
+class Report(NamedTuple):
+    """What happened in a cycle.
+
+    Attributes:
+        status: "moving", "arrived" (the posture is taken), "stuck" (the controller has no step that leads
+            closer) or "holding" (braking, or at rest, because something is missing or wrong).
+        reason: why it is stuck or holding, in words; else empty.
+        mean_error: mean distance of the control points from their targets at the beginning of the cycle, by
+            the last measurement that could be used [m]; None before there is a target and a measurement.
+        disagreement: largest difference between measured and expected joint positions, in `Arm.joint_units`;
+            None without a measurement that can be used.
+        target_age: how long ago the target was given, in time that was stepped [s]; None without a target.
+        relaxed: which constraints gave way in the step, as in `Diagnostics`.
+    """
+
+    status: str
+    reason: str
+    mean_error: float | None
+    disagreement: float | None
+    target_age: float | None
+    relaxed: tuple[str, ...] = ()
+
+
+class Tracker:
+    """Moves an arm towards whatever target it was last given, a step at a time, in closed loop.
+
+        tracker = pp.Tracker(arm, limits=pp.Limits(dt=0.01, acceleration=10.0))
+        tracker.update(target)                       # whenever there is a new one
+        dq = tracker.step(q_measured)                # in every cycle
+
+    It never extrapolates: without a target, with a target older than `timeout`, without a measurement, or
+    with one that cannot be true, it brakes within its limits, stands still, and `report` says why.
+
+    Drives that take positions are sent `command`, which moves by `dq`, so that limits hold on it exactly;
+    only where the arm turns out to be elsewhere (`patience`) does it begin anew from there. What the arm does
+    otherwise, because it sags or lags, is fed back slowly: the command goes as far beyond the target as the
+    arm stays behind. Drives that take velocities are sent dq / dt; each step then begins where the arm was
+    measured.
+
+    Attributes:
+        arm: the arm.
+        limits: what a step may not exceed; `dt` is the usual duration of a cycle.
+        report: what happened in the last cycle.
+
+    Args:
+        arm: the arm.
+        controller: as for `track`.
+        limits: as above; `dt` is needed.
+        scene: as for `track`.
+        interface: what the drives take: "position" or "velocity".
+        feedback: time in which disagreement between measurement and command is fed back [s]. Several times
+            the delay of the drives, or the loop oscillates. Only for positions; infinite: not at all.
+        disagreement: largest difference between measured and expected joint positions that is fed back, in
+            `Arm.joint_units` (one radian). Where it is larger the arm holds.
+        patience: how long such measurements have to agree with each other to be believed [s]. The arm is
+            then taken to be there. Infinite: it holds until `restart`.
+        timeout: age at which a target counts no more [s]; infinite: never.
+
+    Raises:
+        InvalidValue: limits without dt, or numbers that are not positive.
+        UnknownName: no such controller, or interface.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        controller: str | Controller = "qp",
+        limits: Limits | None = None,
+        scene: Scene | None = None,
+        interface: Literal["position", "velocity"] = "position",
+        feedback: float = 0.25,
+        disagreement: float = 0.3,
+        patience: float = 0.5,
+        timeout: float = float("inf"),
+    ) -> None:
+        if not isinstance(limits, Limits) or limits.dt is None:
+            raise InvalidValue("limits", limits, "Limits(dt=...): the duration of a control cycle is needed")
+        if interface not in INTERFACES:
+            raise UnknownName("interface", interface, INTERFACES)
+        times = {"feedback": feedback, "patience": patience, "timeout": timeout}
+        for name, value in {**times, "disagreement": disagreement}.items():
+            _positive(name, value)
+        self.arm, self.limits = arm, limits
+        limits.for_arm(arm)  # says now what does not fit
+        self._controller, self._scene = in_scene(controller_named(controller), scene)
+        self._feedback = Feedback(arm, feedback if interface == "position" else 0.0, disagreement, patience)
+        self._timeout, self._usual = timeout, limits.dt
+        self._given: Target | None = None
+        self._age = 0.0
+        self._memory: Memory | None = None
+        self._dt = limits.dt
+        self.report = Report("holding", "no step was taken yet", None, None, None)
+
+    @property
+    def command(self) -> Array:
+        """The configuration for drives that take positions, (nq,).
+
+        Raises:
+            InvalidValue: no measurement has been given yet, so that nothing is known of where the arm is.
+        """
+        if self._feedback.command is None:
+            raise InvalidValue("command", None, "a measurement first, given to `step` or to `restart`")
+        return np.array(self._feedback.command)
+
+    @property
+    def target(self) -> Target | None:
+        """The target that it was last given."""
+        return self._given
+
+    def update(self, target: Target) -> None:
+        """Give it a target; it counts from the next step on, until there is another.
+
+        Raises:
+            InvalidValue: it does not fit the arm; the one before stays.
+        """
+        if not isinstance(target, Target):
+            raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
+        target.check(self.arm)
+        self._given, self._age = target, 0.0
+
+    def restart(self, q_measured: ArrayLike) -> None:
+        """Begin anew from where the arm is, at rest; the target stays.
+
+        Raises:
+            InvalidValue: not a configuration, (nq,).
+        """
+        self._feedback.begin(self.arm.checked(q_measured, "q_measured"))
+        self._memory = None
+
+    def step(
+        self, q_measured: ArrayLike | None, dt: float | None = None, points: ArrayLike | None = None
+    ) -> Array:
+        """Take the step of a control cycle.
+
+        Args:
+            q_measured: the configuration that was measured, (nq,); None, or not finite, if it is missing.
+            dt: time since the cycle before [s]; the usual duration if None. A cycle that was late makes up
+                for nothing; one that is short moves less.
+            points: measured positions of the control points, (m, 3) [m], world frame, which then count in
+                place of those that follow from the joint positions. Rows that are not finite: not seen.
+
+        Returns:
+            The joint displacement of this cycle, (nv,) [rad or m], within all limits. Divide by the duration
+            of the cycle for a speed.
+
+        Raises:
+            InvalidValue: arrays of a wrong shape, or a duration that is not positive: faults of the program,
+                not of a sensor.
+        """
+        dt = self._usual if dt is None else _duration(dt)
+        dt = min(max(dt, SHORTEST * self._usual), self._usual)
+        limits = self.limits if dt == self._usual else replace(self.limits, dt=dt)
+        seen = self._feedback.take(q_measured, points, dt)
+        memory = None if self._feedback.anew else self._remembered(dt)
+        self._age += dt
+        step, reason, aim = None, seen.reason or self._missing(), None
+        if seen.state is not None and self._given is not None and not reason:
+            aim = self._feedback.shifted(self._given)
+            step = self._controller.step(seen.state, aim, limits, memory)
+            reason = step.diagnostics.reason
+            if not isfinite(step.dq @ step.dq):
+                step, reason = None, "the step of the controller is not finite"
+        dq = self._braked(limits, memory) if step is None or reason else step.dq
+        own = memory.own if memory is not None else None
+        self._memory, self._dt = Memory(dq, own if step is None else step.memory.own), dt
+        self._feedback.moved(dq)
+        self.report = self._reported(seen, step, reason, aim, dq)
+        return np.array(dq)
+
+    def _remembered(self, dt: float) -> Memory | None:
+        """The memory of the controller, with the speed of the step before if cycles are not equally long."""
+        if self._memory is None or dt == self._dt:
+            return self._memory
+        return self._memory._replace(dq=self._memory.dq * (dt / self._dt))
+
+    def _missing(self) -> str:
+        """What is wrong with the target, in words."""
+        if self._given is None:
+            return "no target was given"
+        if self._age > self._timeout:
+            return f"the target is {self._age:.3g} s old; after {self._timeout:.3g} s it does not count"
+        return ""
+
+    def _braked(self, limits: Limits, memory: Memory | None) -> Array:
+        """The step that comes closest to rest."""
+        if memory is None:
+            return np.zeros(self.arm.nv)
+        return limits.hold(self._anywhere, memory.dq).dq
+
+    @cached_property
+    def _anywhere(self) -> ArmState:
+        """Some state of the arm: braking asks only for its limits."""
+        return self.arm.at(self.arm.neutral())
+
+    def _reported(self, seen: Seen, step: Step | None, reason: str, aim: Target | None, dq: Array) -> Report:
+        status = "moving" if not reason else "stuck" if step is not None else "holding"
+        if aim is not None and seen.state is not None and not np.any(dq):
+            there = _mean_distance(seen.state.points, aim) <= ARRIVED * self.arm.length
+            status, reason = ("arrived", "") if there else (status, reason)
+        given, points = self._given, self._feedback.points
+        error = None if given is None or points is None else _mean_distance(points, given)
+        age = None if given is None else self._age
+        relaxed = () if step is None else step.diagnostics.relaxed
+        return Report(status, reason, error, seen.disagreement, age, relaxed)
+
+
+def _mean_distance(points: Array, target: Target) -> float:
+    """Mean distance of control points (m, 3) from where they should be [m]."""
+    placed = target.placed
+    return float(np.linalg.norm((target.points - points)[placed], axis=1).mean())
+
+
+def _duration(dt: float) -> float:
+    require_positive("dt", dt)
+    return float(dt)
+
+
+def _positive(name: str, value: float) -> None:
+    """Raise InvalidValue unless a number is positive, or infinite."""
+    if value != float("inf"):
+        require_positive(name, value)

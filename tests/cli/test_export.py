@@ -1,0 +1,146 @@
+"""`pinposture export`: a run in time, in the format of the file's name; one line for what cannot be."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pinposture as pp
+from pinposture.motion.joint_trajectory import JointTrajectory
+from pinposture.motion.motion import Motion
+
+
+@pytest.fixture(scope="module")
+def timed_run(run_directory: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of 6 steps of 0.02 s, with a limit of speed."""
+    arm = pp.Trajectory.load(run_directory / "run.npz").arm
+    target = pp.Target.from_configuration(arm, np.full(arm.nv, 0.3))
+    limits = pp.Limits(step=None, velocity=1.5, dt=0.02)
+    run = pp.track(arm, target, arm.neutral(), limits=limits, max_steps=6)
+    return run.save(tmp_path_factory.mktemp("timed") / "run.npz")
+
+
+@pytest.mark.parametrize("suffix", ["npz", "csv", "json"])
+@pytest.mark.parametrize("name", [".", "run.npz"])
+def test_a_run_is_written_in_the_format_of_the_name(command, run_directory, tmp_path, name, suffix) -> None:
+    file = tmp_path / "new" / f"motion.{suffix}"
+    result = command("export", run_directory / name, "--dt", 0.05, "-o", file)
+    assert (result.code, result.err) == (0, f"wrote {file}\n")
+    assert "12 joints, 21 points, 1 s" in result.out
+    run = pp.Trajectory.load(run_directory / "run.npz")
+    found = JointTrajectory.load(file, run.arm)
+    np.testing.assert_array_equal(found.configurations(run.arm), run.q)
+    np.testing.assert_allclose(found.time, 0.05 * np.arange(21), atol=1e-9)
+
+
+def test_the_duration_of_the_limits_needs_no_telling(command, timed_run, tmp_path) -> None:
+    file = tmp_path / "motion.csv"
+    assert command("export", timed_run, "-o", file).code == 0
+    assert command("export", timed_run, "--dt", 0.02, "-o", tmp_path / "same.csv").code == 0
+    assert file.read_bytes() == (tmp_path / "same.csv").read_bytes()
+    with file.open(newline="") as lines:
+        times = [row["time [s]"] for row in csv.DictReader(lines)]
+    assert [float(time) for time in times] == [0.02 * k for k in range(7)]
+
+
+def test_the_summary_tells_what_the_motion_asks_of_the_joints(command, timed_run, tmp_path) -> None:
+    file = tmp_path / "motion.json"
+    result = command("export", timed_run, "-o", file, "--json")
+    summary = json.loads(result.out)
+    run = pp.Trajectory.load(timed_run)
+    steps = np.diff(run.q, axis=0)
+    changes = np.diff(np.pad(steps, ((1, 1), (0, 0))), axis=0)
+    assert summary.pop("largest_speed") == {"rad/s": pytest.approx(np.abs(steps).max() / 0.02)}
+    assert summary.pop("largest_acceleration") == {"rad/s^2": pytest.approx(np.abs(changes).max() / 0.02**2)}
+    assert summary.pop("duration") == pytest.approx(0.12)
+    assert summary == {
+        "run": str(timed_run),
+        "robot": "RyRz_6",
+        "joints": list(run.arm.joint_names),
+        "units": ["rad"] * 12,
+        "points": 7,
+        "file": str(file),
+    }
+    assert result.err == f"wrote {file}\n"
+
+
+def test_of_a_motion_and_a_run_in_one_directory_the_motion_is_taken(
+    command, timed_run, run_directory, tmp_path
+) -> None:
+    run = pp.Trajectory.load(timed_run)
+    rows, m = run.point_errors.shape
+    there = np.tile(run.target.points, (rows, 1, 1))
+    motion = Motion(run, there, np.ones((rows, m), dtype=bool), 0.02 * np.arange(rows), 0, 0.12)
+    shutil.copy(run_directory / "run.npz", tmp_path)
+    # A file of that name that holds something else does not count.
+    JointTrajectory.from_run(run).save(tmp_path / "motion.npz")
+    asked = ("export", tmp_path, "--dt", 0.02, "-o", tmp_path / "a.csv", "--json")
+    assert json.loads(command(*asked).out)["points"] == 21
+    motion.save(tmp_path / "motion.npz")
+    assert json.loads(command(*asked).out)["points"] == 7
+    assert command("export", tmp_path / "motion.npz", "-o", tmp_path / "b.csv").code == 0
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+    refused = command("export", tmp_path, "--dt", 0.05, "-o", tmp_path / "c.csv")
+    assert (refused.code, "dt is 0.05; allowed: 0.02 s" in refused.err) == (2, True)
+
+
+def test_an_old_file_is_replaced(command, timed_run, tmp_path) -> None:
+    file = tmp_path / "motion.json"
+    file.write_text("old")
+    assert command("export", timed_run, "-o", file).code == 0
+    assert len(json.loads(file.read_text())["points"]) == 7
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("-o", "motion.json"), "dt is None; allowed: the duration of a step"),
+        (("-o", "motion.json", "--dt", "0"), "dt is 0.0"),
+        (("-o", "motion.json", "--dt", "nan"), "dt is nan"),
+        (("-o", "motion.json", "--dt", "x"), "--dt"),
+        (("-o", "motion.txt", "--dt", "0.1"), "allowed: .npz, .csv, .json"),
+        (("-o", "motion", "--dt", "0.1"), "allowed: .npz, .csv, .json"),
+        (("-o", "motion.json", "--dt", "1e9"), "in a message of ROS 2"),
+        (("--dt", "0.1"), "-o"),
+    ],
+)
+def test_what_cannot_be_written_is_said_in_one_line(
+    command, run_directory, tmp_path, monkeypatch, options, words
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = command("export", run_directory, *options)
+    assert (result.code, result.out) == (2, "")
+    assert result.err.startswith("error: ")
+    assert result.err.count("\n") == 1
+    assert words in result.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_duration_that_contradicts_the_run_is_refused(command, timed_run, tmp_path) -> None:
+    result = command("export", timed_run, "--dt", 0.03, "-o", tmp_path / "a.csv")
+    assert (result.code, list(tmp_path.iterdir())) == (2, [])
+    assert "dt is 0.03; allowed: 0.02 s, which the limits of this run have, or nothing" in result.err
+
+
+@pytest.mark.parametrize("content", [None, b"", b"not a run", b"PK\x03\x04"])
+def test_what_is_no_run_is_refused(command, tmp_path, content) -> None:
+    source = tmp_path / "run.npz"
+    if content is not None:
+        source.write_bytes(content)
+    result = command("export", tmp_path, "--dt", 0.1, "-o", tmp_path / "new" / "a.csv")
+    assert result.code == 2
+    assert result.err.startswith(f"error: {source}: ")
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_run_is_not_overwritten_with_its_own_export(command, run_directory, tmp_path) -> None:
+    source = Path(shutil.copy(run_directory / "run.npz", tmp_path / "run.npz"))
+    before = source.read_bytes()
+    result = command("export", tmp_path, "--dt", 0.1, "-o", source)
+    assert (result.code, source.read_bytes() == before) == (2, True)
+    assert "is the run itself" in result.err

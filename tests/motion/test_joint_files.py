@@ -1,0 +1,153 @@
+"""Joint motions in files: what is written comes back, and what is damaged or missing is refused."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from motion.joint_motions import ARM, FILES, TABLES, assert_same, motions, of_arm
+
+import pinposture as pp
+from pinposture.errors import FileError, InvalidValue
+from pinposture.motion.joint_trajectory import JointTrajectory
+
+PAGE = Path(__file__).parents[2] / "docs/trajectories.md"
+
+
+def test_the_page_shows_what_its_example_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = {
+        kind: re.findall(rf"```{kind}\n(.*?)```", PAGE.read_text(), re.DOTALL)[0]
+        for kind in ("python", "csv", "json")
+    }
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(pp, "JointTrajectory", JointTrajectory, raising=False)
+    exec(shown["python"], {})
+    assert Path("motion.csv").read_text() == shown["csv"]
+    message = json.loads(Path("motion.json").read_text())
+    assert message | {"points": message["points"][:2]} == json.loads(shown["json"])
+
+
+@FILES
+@given(motions())
+def test_arrays_come_back_to_the_last_bit(tmp_path: Path, motion: JointTrajectory) -> None:
+    again = JointTrajectory.load(motion.save(tmp_path / "motion.npz"))
+    assert_same(again, motion)
+    assert again.name == motion.name
+
+
+@settings(FILES, max_examples=20)
+@given(st.integers(0, 10**6), st.permutations(range(4)), st.sampled_from([".npz", ".csv", ".json"]))
+def test_motions_of_an_arm_come_back_whatever_the_order_of_its_joints(
+    tmp_path: Path, seed: int, order: list[int], suffix: str
+) -> None:
+    motion = of_arm(seed)
+    mixed = JointTrajectory(
+        [motion.joint_names[k] for k in order],
+        motion.time,
+        *(getattr(motion, name)[:, order] for name in TABLES[1:]),
+    )
+    again = JointTrajectory.load(mixed.save(tmp_path / f"motion{suffix}"), ARM)
+    assert again.units == ("rad", "m", "rad", "rad")
+    assert_same(again, motion, TABLES[1:])
+    np.testing.assert_allclose(again.time, motion.time, atol=1e-9)
+    np.testing.assert_array_equal(again.configurations(ARM), motion.configurations(ARM))
+
+
+def test_arrays_are_read_without_this_library(tmp_path: Path) -> None:
+    motion = of_arm(1)
+    with np.load(motion.save(tmp_path / "a.npz"), allow_pickle=False) as stored:
+        assert stored["joint_names"].tolist() == ["j1", "j2", "j3", "j4"]
+        assert stored["units"].tolist() == ["rad", "m", "rad", "rad"]
+        np.testing.assert_array_equal(stored["positions"], motion.positions)
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".csv", ".json"])
+def test_files_appear_whole_or_not_at_all(
+    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = of_arm(1).save(tmp_path / f"a{suffix}")
+    old = path.read_bytes()
+
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(FileError, match="No space left"):
+        of_arm(2).save(path)
+    assert (path.read_bytes(), [file.name for file in tmp_path.iterdir()]) == (old, [path.name])
+
+
+def test_damaged_archives_are_refused(tmp_path: Path) -> None:
+    path = of_arm(3).save(tmp_path / "a.npz")
+    whole = path.read_bytes()
+    rng = np.random.default_rng(0)
+    for length in rng.integers(0, len(whole) - 1, 20):
+        path.write_bytes(whole[:length])
+        with pytest.raises(FileError, match="is not a saved joint trajectory"):
+            JointTrajectory.load(path)
+    arrays = dict(np.load(of_arm(3).save(path)))
+    for change in (
+        {"positions": arrays["positions"][:-1]},
+        {"time": arrays["time"][::-1]},
+        {"velocities": np.array([{}], dtype=object)},
+        {"joint_names": arrays["joint_names"][:3]},
+        {"about": np.array("[]")},
+    ):
+        np.savez(path, **(arrays | change))
+        with pytest.raises(FileError, match="is not a saved joint trajectory"):
+            JointTrajectory.load(path)
+    np.savez(path, **(arrays | {"about": np.array(json.dumps({"format": "pinposture-run", "version": 3}))}))
+    with pytest.raises(FileError, match="format 'pinposture-run' version 3; allowed: 'pinposture-joint-traj"):
+        JointTrajectory.load(path)
+
+
+class Trap:
+    """Leaves a file when it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple:
+        return Path.touch, (self.path,)
+
+
+def test_no_code_in_an_archive_is_run(tmp_path: Path) -> None:
+    path, sprung = of_arm(3).save(tmp_path / "a.npz"), tmp_path / "sprung"
+    np.savez(path, **(dict(np.load(path)) | {"velocities": np.array([Trap(sprung)], dtype=object)}))
+    with pytest.raises(FileError, match=r"is not a saved joint trajectory \(ValueError\)"):
+        JointTrajectory.load(path)
+    assert not sprung.exists()
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".csv", ".json"])
+@pytest.mark.parametrize("content", [b"\xff\xfe\x00\x01", None])
+def test_files_that_are_not_there_or_something_else_are_refused(
+    tmp_path: Path, suffix: str, content: bytes | None
+) -> None:
+    path = tmp_path / f"a{suffix}"
+    if content is None:
+        path.mkdir()
+    else:
+        path.write_bytes(content)
+    for each in (path, tmp_path / f"missing{suffix}"):
+        with pytest.raises(FileError) as caught:
+            JointTrajectory.load(each)
+        assert caught.value.path == each
+
+
+@pytest.mark.parametrize("name", ["a.txt", "a", "a.npy"])
+def test_other_suffixes_are_refused_with_those_there_are(tmp_path: Path, name: str) -> None:
+    for act in (of_arm(1).save, JointTrajectory.load):
+        with pytest.raises(FileError, match=r"allowed: \.npz, \.csv, \.json"):
+            act(tmp_path / name)
+
+
+def test_joints_of_another_arm_are_named(tmp_path: Path) -> None:
+    path = of_arm(1).save(tmp_path / "a.csv")
+    with pytest.raises(InvalidValue, match="unknown: 'j1', 'j2'"):
+        JointTrajectory.load(path, pp.Arm.from_template("RyRz", 2))
