@@ -38,11 +38,17 @@ from pinposture.control import (
 )
 from pinposture.curve import Curve
 from pinposture.errors import PostureError, PostureWarning
-from pinposture.motion import Batch, Trajectory, track, track_many
+from pinposture.motion import Batch, JointTrajectory, Motion, Tracker, Trajectory, track, track_many
 from pinposture.scene import Box, Capsule, Cylinder, HalfSpace, Mesh, Scene, Sphere
 from pinposture.target import Target, fit_points, resolve_targets
 
 if TYPE_CHECKING:
+    from pinposture.task.deviation import path_deviation
+    from pinposture.task.follow_leader import follow_leader
+    from pinposture.task.keyframe import Keyframe
+    from pinposture.task.keyframes import keyframe_reference
+    from pinposture.task.perform import move_through, perform
+    from pinposture.task.task import Task
     from pinposture.view import plot, plot_arm, plot_comparison, save_html, view
 
 __version__ = "0.1.0"
@@ -64,9 +70,12 @@ __all__ = [
     "JointLimits",
     "JointPosture",
     "JointSpec",
+    "JointTrajectory",
+    "Keyframe",
     "Limits",
     "Mesh",
     "ModuleTemplate",
+    "Motion",
     "PostureError",
     "PostureWarning",
     "Projection",
@@ -77,8 +86,15 @@ __all__ = [
     "Switching",
     "Tangents",
     "Target",
+    "Task",
+    "Tracker",
     "Trajectory",
     "fit_points",
+    "follow_leader",
+    "keyframe_reference",
+    "move_through",
+    "path_deviation",
+    "perform",
     "plot",
     "plot_arm",
     "plot_comparison",
@@ -91,9 +107,22 @@ __all__ = [
 ]
 
 
+_TASKS = (
+    "Keyframe",
+    "Task",
+    "follow_leader",
+    "keyframe_reference",
+    "move_through",
+    "path_deviation",
+    "perform",
+)
+
+
 def __getattr__(name: str) -> Any:
     # Matplotlib and meshcat take longer to import than everything else together: only when asked for.
     if name in ("plot", "plot_arm", "plot_comparison", "save_html", "view"):
         drawing = import_module("pinposture.view")
         return drawing if name == "view" else getattr(drawing, name)  # that package can be called
+    if name in _TASKS:
+        return getattr(import_module("pinposture.task"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -4,9 +4,11 @@ from pinposture.scene.clearance import Clearance, Closest, Nearness
 from pinposture.scene.mesh import Mesh
 from pinposture.scene.obstacles import Box, Capsule, Cylinder, HalfSpace, Obstacle, Sphere, obstacle_from_dict
 from pinposture.scene.pairs import LeftOut
+from pinposture.scene.pipe import Bend, pipe, pipe_axis, pipe_walls
 from pinposture.scene.scene import Scene
 
 __all__ = [
+    "Bend",
     "Box",
     "Capsule",
     "Clearance",
@@ -20,4 +22,7 @@ __all__ = [
     "Scene",
     "Sphere",
     "obstacle_from_dict",
+    "pipe",
+    "pipe_axis",
+    "pipe_walls",
 ]

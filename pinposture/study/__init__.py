@@ -13,6 +13,8 @@ from pinposture.study.cases import (
 from pinposture.study.cycles import cycle_drift, study_cycles
 from pinposture.study.families import Family, Subject, built_subject, draw_case, loaded_subject
 from pinposture.study.headings import Bin, by_heading, study_headings
+from pinposture.study.leader import Following, study_leader
+from pinposture.study.leader_picture import draw_leader
 from pinposture.study.methods import MethodResult, compare_methods
 from pinposture.study.pictures import draw_headings, draw_postures
 from pinposture.study.postures import study_postures
@@ -30,6 +32,7 @@ __all__ = [
     "Bin",
     "Case",
     "Family",
+    "Following",
     "MethodResult",
     "Outcome",
     "Record",
@@ -48,6 +51,7 @@ __all__ = [
     "cycle_drift",
     "draw_case",
     "draw_headings",
+    "draw_leader",
     "draw_postures",
     "gentle_curve",
     "keep_study",
@@ -60,6 +64,7 @@ __all__ = [
     "study",
     "study_cycles",
     "study_headings",
+    "study_leader",
     "study_postures",
     "study_scenes",
     "summarise",

@@ -1,0 +1,169 @@
+"""Follow the leader: how far an arm is from the path of its tip, by how much the path bends."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+from joblib import delayed
+
+from pinposture.arm import Arm, JointSpec, ModuleTemplate, template
+from pinposture.control.checks import is_number
+from pinposture.curve import Curve
+from pinposture.errors import InvalidValue, TargetError, UnknownName
+from pinposture.motion.processes import in_order
+from pinposture.study.postures import Progress
+from pinposture.task.deviation import path_deviation
+from pinposture.task.follow_leader import follow_leader
+from pinposture.task.sliding_window import METHODS, Method
+
+MODULE, MODULES = 0.05, 20
+"""Length of a module [m], and how many of them an arm has."""
+
+FEED = ModuleTemplate("Feed", (JointSpec("x", "prismatic", 0.0, 1.2, velocity=0.1),), (MODULE,))
+
+ARMS: Mapping[str, ModuleTemplate] = MappingProxyType(
+    {
+        "ryrz": template("RyRz"),
+        "universal": template("RyRz").with_lengths((0.0, MODULE)),
+        "hinge": template("Rz").with_lengths((MODULE,)),
+    }
+)
+"""The modules of the arms: two crossed hinges half a module apart, two in one place, and one alone
+(planar)."""
+
+SHAPES = ("arc", "helix")
+"""An arc of up to three quarters of a turn; and, for arms in space, a helix whose torsion is half its
+curvature."""
+
+BENDINGS = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.4)
+"""Curvature times module length, kappa l [rad]: by how much the path turns along a module."""
+
+SHARE = 0.9
+"""Length of a path, at most, relative to the arm: the first joint stays where the way is straight."""
+
+STEP = 0.1
+"""How far the feed goes from one posture to the next, in module lengths."""
+
+
+class Following(NamedTuple):
+    """One arm that follows one path of constant curvature.
+
+    Attributes:
+        arm: name of the arm, one of `ARMS`.
+        shape: of the path, one of `SHAPES`.
+        bending: curvature times module length [rad].
+        method: how its modules were placed, as for `follow_leader`.
+        points: largest distance of a control point from the path [% of the arm length]; None if refused.
+        body: largest distance of any part of the arm [% of the arm length]; None if refused.
+        sagitta: distance of the middle of a module from the arc, if both its ends are on it and it is
+            straight [% of the arm length].
+        joints: largest position of a joint [rad]; None if refused.
+        refused: why it cannot be followed, or empty.
+    """
+
+    arm: str
+    shape: str
+    bending: float
+    method: str
+    points: float | None
+    body: float | None
+    sagitta: float
+    joints: float | None
+    refused: str = ""
+
+
+def fed_arm(name: str) -> Arm:
+    """One of `ARMS`, 1 m long, on a feed.
+
+    Raises:
+        UnknownName: there is no such arm.
+    """
+    if name not in ARMS:
+        raise UnknownName("arm", name, ARMS)
+    return Arm.from_modules([FEED, *[ARMS[name]] * MODULES], name=name)
+
+
+def bent_path(shape: str, curvature: float) -> Curve:
+    """A path of constant curvature [1/m].
+
+    It is nearly as long as the arm, an arc no longer than three quarters of a turn.
+
+    Raises:
+        UnknownName: there is no such shape.
+    """
+    if shape not in SHAPES:
+        raise UnknownName("shape", shape, SHAPES)
+    torsion = 0.5 * curvature if shape == "helix" else 0.0
+    twist = float(np.hypot(curvature, torsion))  # angle about the axis by arc length [rad/m]
+    radius, pitch = curvature / twist**2, 2.0 * np.pi * torsion / twist**2
+    turns = SHARE * MODULE * MODULES * twist / (2.0 * np.pi)
+    if shape == "arc":
+        return Curve.helix(radius, 0.0, min(turns, 0.75), axis=(0, 0, 1))
+    return Curve.helix(radius, pitch, turns)
+
+
+def study_leader(
+    arms: Sequence[str] = tuple(ARMS),
+    bendings: Sequence[float] = BENDINGS,
+    methods: Sequence[Method] = METHODS,
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> list[Following]:
+    """Push arms along paths of constant curvature, and measure how far off the path they are.
+
+    Paths begin to bend at the entry, so that the arm lies on a straight line and an arc at every depth.
+
+    Args:
+        arms: names of arms, some of `ARMS`.
+        bendings: curvature times module length, each above 0, at most pi / 2 [rad].
+        methods: how modules are placed, see `follow_leader`.
+        jobs: number of processes; joblib's backends apply.
+        progress: called with the number of paths finished so far, and that of all.
+
+    Returns:
+        One result for each arm, shape, method and bending, in this order. Planar arms have arcs only, and
+        modules without closed forms no sequential placement.
+
+    Raises:
+        InvalidValue: a bending out of range.
+        UnknownName: no such arm or method.
+    """
+    for bending in bendings:
+        if not (is_number(bending) and 0.0 < bending <= np.pi / 2.0):
+            raise InvalidValue("bending", bending, "above 0, at most pi / 2 [rad]")
+    for method in methods:
+        if method not in METHODS:
+            raise UnknownName("method", method, METHODS)
+    todo = [
+        (name, shape, method, float(bending))
+        for name in arms
+        for shape in (SHAPES if fed_arm(name).dimension == 3 else SHAPES[:1])
+        for method in methods
+        if method == "closest" or name != "universal"
+        for bending in bendings
+    ]
+    found: list[Following] = []
+    for result in in_order((delayed(_one)(*each) for each in todo), jobs):
+        found.append(result)
+        if progress is not None:
+            progress(len(found), len(todo))
+    return found
+
+
+def _one(name: str, shape: str, method: Method, bending: float) -> Following:
+    arm, path = fed_arm(name), bent_path(shape, bending / MODULE)
+    length = MODULE * MODULES
+    radius = MODULE / bending
+    rise = 100.0 * float(radius - np.sqrt(radius**2 - 0.25 * MODULE**2)) / length
+    try:
+        reference = follow_leader(arm, path, STEP * MODULE, 1.0, method=method)
+    except TargetError as error:
+        return Following(name, shape, bending, method, None, None, rise, None, str(error))
+    q = np.array([reference.configuration(row) for row in range(reference.rows)])
+    deviation = path_deviation(arm, q, path)
+    joints = float(np.abs(reference.offsets[:, 1:]).max())
+    points, body = deviation.percent_points, deviation.percent
+    return Following(name, shape, bending, method, points, body, rise, joints)

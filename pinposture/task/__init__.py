@@ -1,0 +1,22 @@
+"""Motions in time: postures one after the other, and the leader's path followed."""
+
+from pinposture.task.deviation import Deviation, path_deviation
+from pinposture.task.follow_leader import follow_leader
+from pinposture.task.keyframe import Keyframe
+from pinposture.task.keyframes import keyframe_reference
+from pinposture.task.perform import move_through, perform
+from pinposture.task.reference import Mark, Reference
+from pinposture.task.task import Task
+
+__all__ = [
+    "Deviation",
+    "Keyframe",
+    "Mark",
+    "Reference",
+    "Task",
+    "follow_leader",
+    "keyframe_reference",
+    "move_through",
+    "path_deviation",
+    "perform",
+]

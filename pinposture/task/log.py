@@ -1,0 +1,74 @@
+"""What is written down of a motion besides its steps: targets, times, places passed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pinposture.motion.drive import Drive
+from pinposture.motion.motion import Motion, Passed
+from pinposture.target import Target
+from pinposture.task.reference import Mark, Reference
+
+ROUNDING = 1e-9
+"""How far short of a row, in rows, is still at it."""
+
+
+class Log:
+    """The places of a reference at which a motion was, row by row, with the targets there.
+
+    Args:
+        reference: the reference.
+        first: the target of its first row.
+    """
+
+    def __init__(self, reference: Reference, first: Target) -> None:
+        self._reference = reference
+        self._places, self._targets = [0.0], [first]
+        self._begun = 0
+        self._notes: list[str] = []
+
+    def add(self, place: float, target: Target) -> None:
+        """Write down where a step led."""
+        self._places.append(place)
+        self._targets.append(target)
+
+    def fill(self, drive: Drive, place: float, target: Target) -> None:
+        """Write down the steps that were taken towards a target since, while the plan stood still."""
+        missing = drive.recorder.steps + 1 - len(self._places)
+        self._places += [self._places[-1]] * missing
+        self._targets += [target] * missing
+        self._places[-1] = place
+
+    def set_out(self) -> None:
+        """The plan begins here."""
+        self._begun = len(self._places) - 1
+
+    def note(self, place: float, what: str) -> None:
+        """Write down in words what was not as planned."""
+        self._notes.append(f"at {place * self._reference.interval:.4g} s of the plan {what}")
+
+    def motion(self, drive: Drive, status: str, reason: str) -> Motion:
+        """Everything so far, as a result."""
+        reference, places = self._reference, np.array(self._places)
+        run = drive.recorder.trajectory(drive.arm, drive.controller, drive.limits, status, reason)
+        asked = np.array([target.placed for target in self._targets])
+        errors = run.posture_error / asked.sum(axis=1)
+        dt = reference.duration if drive.limits.dt is None else drive.limits.dt
+        return Motion(
+            run=run,
+            targets=np.array([target.points for target in self._targets]),
+            asked=asked,
+            clock=np.minimum(places * reference.interval, reference.duration),
+            set_out=self._begun,
+            planned=reference.duration,
+            passed=tuple(self._passed(mark, places, errors, dt) for mark in reference.marks),
+            detours=tuple(self._notes),
+        )
+
+    def _passed(self, mark: Mark, places: np.ndarray, errors: np.ndarray, dt: float) -> Passed:
+        planned = mark.row * self._reference.interval
+        there = np.flatnonzero(places[self._begun :] >= mark.row - ROUNDING)
+        if not len(there):
+            return Passed(mark.name, planned, None, None, None)
+        row = self._begun + int(there[0])
+        return Passed(mark.name, planned, int(there[0]) * dt, row, float(errors[row]))

@@ -1,0 +1,241 @@
+"""Performing a motion in time: along the reference, as fast as limits allow and no faster than planned."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from typing import Literal, cast
+
+from numpy.typing import ArrayLike
+
+from pinposture.arm import Arm
+from pinposture.control import ConstrainedQP, Controller, Limits, controller_named
+from pinposture.control.checks import require_positive
+from pinposture.control.constrained.course import Course
+from pinposture.errors import InvalidValue
+from pinposture.motion.drive import PATIENCE, PROGRESS, Drive
+from pinposture.motion.motion import Motion
+from pinposture.motion.track import in_scene
+from pinposture.scene import Scene
+from pinposture.target import Target
+from pinposture.task.guide import Guide
+from pinposture.task.keyframe import Keyframe
+from pinposture.task.keyframes import keyframe_reference
+from pinposture.task.log import Log
+from pinposture.task.reference import Reference
+
+Progress = Callable[[float, float], object]
+
+logger = logging.getLogger(__name__)
+
+CYCLE = 0.02
+"""Duration of a control cycle where nobody says [s]."""
+
+BEHIND = 0.1
+"""How far behind the control points may be before time waits for them, on average, in module lengths. It is
+for controllers that do not know what is ahead."""
+
+STEPS, MORE = 10.0, 3000
+"""The most steps, as a multiple of those foreseen and beyond that, after which a motion is given up."""
+
+
+def perform(
+    reference: Reference,
+    controller: str | Controller = "qp",
+    limits: Limits | None = None,
+    scene: Scene | None = None,
+    q0: ArrayLike | None = None,
+    tolerance: float | None = None,
+    progress: Progress | None = None,
+) -> Motion:
+    """Move an arm along a reference, within its limits.
+
+    The arm first comes to where the reference begins, if it is not there. Then time runs as planned where the
+    limits of speed and acceleration allow it and slower where they do not. "qp" looks ahead: it slows down in
+    time, and keeps to the way of the reference; where something in the scene is in its way, it goes to the
+    next named place by a way of its own. Other controllers are given targets that move, and time waits for
+    them where they fall behind.
+
+    Args:
+        reference: what the arm should do when.
+        controller: as for `track`.
+        limits: what a step may not exceed; with `dt`, which is the duration of a control cycle. If None,
+            cycles of 20 ms and the speeds of the arm.
+        scene: as for `track`.
+        q0: configuration to start from, (nq,); that of the reference if None.
+        tolerance: as for `track`: how close the first and the last posture have to be met.
+        progress: called in each cycle with the time of the plan, and how long it takes [s]. The motion stops
+            if it returns True.
+
+    Returns:
+        The motion. `run.status` is "converged" where the arm came to its last posture, else as for `track`;
+        `slowing` tells how many times as long as planned it took.
+
+    Raises:
+        InvalidValue: limits without dt, q0 or the tolerance do not fit.
+        UnknownName: no controller has that name.
+    """
+    arm = reference.arm
+    controller, scene = in_scene(controller_named(controller), scene)
+    limits = Limits(step=None, dt=CYCLE) if limits is None else limits
+    _require_cycle(limits)
+    tolerance = 1e-6 * arm.length if tolerance is None else tolerance
+    require_positive("tolerance", tolerance)
+    start = reference.start if q0 is None else arm.checked(q0, "q0")
+    guide = Guide(reference, limits)
+    drive = Drive(arm, start, guide.target(0.0), controller, limits, scene)
+    performance = _Performance(guide, drive, tolerance, progress)
+    status, reason = performance.all()
+    seconds = cast(float, limits.dt) * drive.recorder.steps
+    logger.info("%s: %s after %.4g s: %s", controller.name, status, seconds, reason)
+    return performance.log.motion(drive, status, reason)
+
+
+def move_through(
+    arm: Arm,
+    keyframes: Sequence[Keyframe],
+    controller: str | Controller = "qp",
+    limits: Limits | None = None,
+    scene: Scene | None = None,
+    q0: ArrayLike | None = None,
+    continuity: Literal["velocity", "acceleration"] = "velocity",
+) -> Motion:
+    """Take postures one after the other, at their times: `keyframe_reference` and `perform` in one call.
+
+    Args:
+        arm: the arm.
+        keyframes: the postures, in order.
+        controller: as for `track`.
+        limits: what a step may not exceed, with `dt`; cycles of 20 ms and the speeds of the arm if None.
+        scene: as for `track`.
+        q0: configuration to start from, (nq,); that of the first keyframe if None.
+        continuity: as for `keyframe_reference`.
+
+    Returns:
+        The motion.
+
+    Raises:
+        PostureError: as those two.
+    """
+    limits = Limits(step=None, dt=CYCLE) if limits is None else limits
+    _require_cycle(limits)
+    reference = keyframe_reference(arm, keyframes, cast(float, limits.dt), continuity)
+    return perform(reference, controller, limits, scene, q0)
+
+
+def _require_cycle(limits: object) -> None:
+    if not isinstance(limits, Limits) or limits.dt is None:
+        raise InvalidValue("limits", limits, "Limits(dt=...): a motion in time has control cycles")
+
+
+class _Performance:
+    """One motion under way."""
+
+    def __init__(self, guide: Guide, drive: Drive, tolerance: float, progress: Progress | None) -> None:
+        self.guide, self.drive, self.tolerance, self.progress = guide, drive, tolerance, progress
+        self.log = Log(guide.reference, guide.target(0.0))
+        self._place = 0.0
+        self._most = MORE + int(STEPS * guide.steps)
+
+    def all(self) -> tuple[str, str]:
+        """Come to the first posture, go along, and settle; status and reason."""
+        status, reason = self._come_to(0.0)
+        if status != "converged":
+            return status, f"on the way to the first posture: {reason}"
+        self.log.set_out()
+        controller = self.drive.controller
+        ended = self._look_ahead(controller) if isinstance(controller, ConstrainedQP) else self._lead()
+        return self._come_to(self.guide.end) if ended is None else ended
+
+    def _come_to(self, place: float) -> tuple[str, str]:
+        """Come to rest at a place, by whatever way; status and reason."""
+        target, drive = self.guide.target(place), self.drive
+        drive.recorder.aim(target)
+        most = drive.recorder.steps + MORE
+        ended = drive.until_there(target, self.tolerance, most, lambda *_: self._tell())
+        drive.come_to_rest()
+        there = ended[0] == "converged"
+        self._place = place if there else self._place
+        self.log.fill(drive, self._place, target)
+        return ended
+
+    def _tell(self) -> bool:
+        """Tell how far the motion is; whether it is to stop."""
+        if self.progress is None:
+            return False
+        reference = self.guide.reference
+        return self.progress(self._place * reference.interval, reference.duration) is True
+
+    def _moved(self, place: float, target: Target) -> tuple[str, str] | None:
+        """Write down where a step led; why the motion has to end there, None if it goes on."""
+        self._place = place
+        self.log.add(place, target)
+        ended = None
+        if self._tell():
+            ended = "stopped", "stopped by the callback"
+        elif self.drive.recorder.steps > self._most:
+            seconds = place * self.guide.reference.interval
+            ended = "max_steps", f"still at {seconds:.4g} s of the plan after {self._most} cycles"
+        if ended is not None:
+            self.drive.come_to_rest()
+            self.log.fill(self.drive, place, target)
+        return ended
+
+    def _look_ahead(self, controller: ConstrainedQP) -> tuple[str, str] | None:
+        """Go along with a controller that knows the way; None at its end, else status and reason."""
+        drive, guide = self.drive, self.guide
+        while self._place < guide.end:
+            begun, target = self._place, guide.target(self._place)
+            way, course = guide.way(begun), None
+            drive.memory = controller.along(drive.state, way, target, drive.limits, guide.most)
+            while self._place < guide.end:
+                foreseen = guide.next(self._place, 0.0 if course is None else course.speed)
+                target = guide.target(foreseen)
+                step = drive.ask(target)
+                own = step.memory.own
+                if step.diagnostics.reason or not (isinstance(own, Course) and own.given):
+                    break
+                course, place = own, begun + own.place
+                target = target if place == foreseen else guide.target(place)
+                drive.move(step, target)
+                ended = self._moved(place, target)
+                if ended is not None:
+                    return ended
+            else:
+                return None
+            mark = guide.next_mark(self._place)
+            self.log.note(self._place, f"the arm left the way, and came to {mark.name} by another")
+            status, reason = self._come_to(float(mark.row))
+            if status != "converged":
+                return status, f"on the way to {mark.name}: {reason}"
+        return None
+
+    def _lead(self) -> tuple[str, str] | None:
+        """Go along with a controller that knows nothing of what is ahead: time waits where it is behind."""
+        drive, guide = self.drive, self.guide
+        speed, patient = 0.0, True
+        allowed = BEHIND * drive.arm.length / drive.arm.n_modules
+        target = guide.target(self._place)
+        while self._place < guide.end:
+            place, behind = self._place, drive.recorder.mean_error > allowed
+            if behind and patient and drive.recorder.travel_without_progress(PROGRESS) >= PATIENCE:
+                error = drive.recorder.mean_error
+                self.log.note(place, f"the arm was {error:.3g} m behind on average, and did not catch up")
+                patient = False
+            if behind and patient:
+                speed = 0.0
+            else:
+                patient = patient or not behind
+                place = guide.next(place, speed)
+                speed = place - self._place
+                target = guide.target(place)
+                drive.recorder.aim(target)
+            step = drive.ask(target)
+            if step.diagnostics.reason:
+                drive.hold()
+            else:
+                drive.move(step)
+            ended = self._moved(place, target)
+            if ended is not None:
+                return ended
+        return None

@@ -1,0 +1,1 @@
+"""Task files: what they may say, and what is made of it."""

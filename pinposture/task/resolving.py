@@ -1,0 +1,116 @@
+"""Keyframes resolved for an arm: the configuration that takes each, and one method for all of them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.arm import Arm
+from pinposture.errors import TargetError, TaskError
+from pinposture.target import Target, resolve_targets
+from pinposture.target.placement import beginning
+from pinposture.task.bending import Beginning
+from pinposture.task.keyframe import Keyframe, naming, title
+
+Array = NDArray[np.float64]
+
+SAMPLES = 200_000
+"""Points that stand for a curve in sequential placement. With fewer, the joints would show in their
+accelerations how control points pass from one straight piece to the next."""
+
+MARGIN = 1.2
+"""How much more of a curve than keyframes need is known in between, where the arm may cover more."""
+
+
+class Resolved(NamedTuple):
+    """A keyframe resolved for an arm.
+
+    Attributes:
+        begun: its curve in the world, and where the base of the arm is on it.
+        target: its target, of the whole arm.
+        positions: joint positions that take it, (nv,) [rad or m].
+        fixed: whether it was asked for by another method than the motion goes by.
+    """
+
+    begun: Beginning
+    target: Target
+    positions: Array
+    fixed: bool
+
+    @property
+    def parameters(self) -> Array:
+        """Arc length of each control point, counted from the base of the arm, (m,) [m]."""
+        assert self.target.parameters is not None
+        return np.asarray(self.target.parameters - self.begun.parameter)
+
+
+class Keyed(NamedTuple):
+    """All keyframes of a motion, resolved.
+
+    Attributes:
+        keyframes: in order.
+        method: how targets are found between them: "sequential", "smooth" or "closest".
+        length: how much of a curve matters [m].
+    """
+
+    keyframes: tuple[Resolved, ...]
+    method: str
+    length: float
+
+
+def resolve_keyframes(arm: Arm, keyframes: tuple[Keyframe, ...]) -> Keyed:
+    """Resolve all keyframes by one method, as far as they leave it open.
+
+    That is sequential placement if it serves all of them, else the least squares that serve those which it
+    does not.
+
+    Raises:
+        TargetError: as `resolve_targets`, naming the keyframe.
+        TaskError: a curve that is too long, likewise.
+    """
+    targets = []
+    for index, keyframe in enumerate(keyframes):
+        with naming(title(keyframes, index)):
+            targets.append(_target(arm, keyframe, keyframe.method))
+    methods = {target.method for target in targets}
+    method = "sequential"
+    if methods != {"sequential"}:
+        method = "smooth" if "smooth" in methods else "closest"
+    resolved = []
+    for keyframe, first in zip(keyframes, targets, strict=True):
+        target = _by_method(arm, keyframe, first, method)
+        assert target.q is not None and target.curve is not None
+        begun = Beginning(target.curve, beginning(arm, target.curve)[0])
+        resolved.append(Resolved(begun, target, arm.positions(target.q), target.method != method))
+    for index, each in enumerate(resolved):
+        _refuse_rest(arm, keyframes, index, each)
+    longest = max(float(each.parameters[-1]) for each in resolved)
+    return Keyed(tuple(resolved), method, MARGIN * max(longest, arm.length))
+
+
+def _target(arm: Arm, keyframe: Keyframe, method: str) -> Target:
+    given = {"placement": keyframe.placement, "roll": keyframe.roll, "method": method}
+    return resolve_targets(arm, keyframe.curve, SAMPLES, **given)  # type: ignore[arg-type]
+
+
+def _by_method(arm: Arm, keyframe: Keyframe, target: Target, method: str) -> Target:
+    """The target by the method of the motion, if the keyframe leaves that open and it has one."""
+    if keyframe.method != "auto" or target.method == method:
+        return target
+    try:
+        return _target(arm, keyframe, method)
+    except TargetError:
+        return target
+
+
+def _refuse_rest(arm: Arm, keyframes: tuple[Keyframe, ...], index: int, resolved: Resolved) -> None:
+    """Refuse a curve that the arm leaves much of uncovered, unless it was said to be trimmed."""
+    begun, covered = resolved.begun, float(resolved.parameters[-1])
+    length = begun.curve.length - begun.parameter
+    if keyframes[index].trim or length - covered <= float(arm.chain.module_lengths.max()):
+        return
+    advice = "shorten it, use a longer arm, or say trim=True to take its first part"
+    reason = f"the curve is {length:.4g} m long, and the arm covers {covered:.4g} m of it; {advice}"
+    raise TaskError(title(keyframes, index), reason)

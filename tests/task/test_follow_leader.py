@@ -1,0 +1,339 @@
+"""Follow the leader: postures against closed forms, distances against brute force, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pinposture.arm import Arm, JointSpec, ModuleTemplate, template
+from pinposture.arm.urdf import modules_to_urdf
+from pinposture.control import Limits
+from pinposture.curve import Curve
+from pinposture.errors import CurveBendsTooMuch, InvalidValue, UnknownName, UnsupportedModule
+from pinposture.scene.pipe import pipe, pipe_axis
+from pinposture.task.deviation import path_deviation
+from pinposture.task.follow_leader import advance, follow_leader
+from pinposture.task.perform import perform
+
+LINK = 0.05
+
+
+def feed(axis="x", lower=0.0, upper=0.6, length=0.03):
+    return ModuleTemplate("Feed", (JointSpec(axis, "prismatic", lower, upper, velocity=0.1),), (length,))
+
+
+HINGES = [template("Rz").with_lengths((LINK,))] * 8
+CROSSED = [template("RyRz")] * 8
+HINGED, CROSSED_ARM = (Arm.from_modules([feed(), *modules]) for modules in (HINGES, CROSSED))
+
+
+def arc(radius, turn):
+    """About z, to the left."""
+    return Curve.helix(radius, 0.0, turn / (2 * np.pi), axis=(0, 0, 1))
+
+
+def winding():
+    """A curve that bends and twists, more and less."""
+    return Curve.spline([(0, 0, 0), (0.1, 0, 0), (0.25, 0.02, 0), (0.3, 0.15, 0.1), (0.4, 0.2, 0.3)])
+
+
+def rows(reference):
+    return np.array([reference.configuration(row) for row in range(reference.rows)])
+
+
+def links(arm, q):
+    """Joints that bend and the tip, of an arm whose only control points between them are at joints."""
+    state = arm.at(q)
+    return np.vstack([state.placed.origins[1:], state.points[-1]])
+
+
+@pytest.mark.parametrize("method", ["closest", "sequential"])
+@pytest.mark.parametrize("arm", [HINGED, CROSSED_ARM])
+def test_a_straight_path_is_followed_by_the_feed_alone(arm, method):
+    path = Curve.line((1, 2, 3), (1, 2.5, 3))
+    reference = follow_leader(arm, path, 0.1, 0.1, method=method)
+    assert np.abs(reference.offsets[:, 1:]).max() < 1e-9
+    assert reference.offsets[-1, 0] == pytest.approx(0.5, abs=1e-12)
+    deviation = path_deviation(arm, rows(reference), path)
+    assert deviation.largest < 1e-9
+    assert deviation.length == pytest.approx(0.4, abs=1e-12)  # the feed does not count
+    assert deviation.points.shape == (reference.rows, arm.n_modules)
+
+
+@pytest.mark.parametrize("method", ["closest", "sequential"])
+@pytest.mark.parametrize("radius", [0.3, 0.12])
+def test_joints_on_an_arc_leave_the_sagitta_of_a_chord(method, radius):
+    path = arc(radius, 0.4 / radius)
+    reference = follow_leader(HINGED, path, 0.05, 0.1, method=method)
+    q = rows(reference)
+    deviation = path_deviation(HINGED, q, path)
+    assert deviation.largest == pytest.approx(radius - np.sqrt(radius**2 - LINK**2 / 4), rel=2e-3)
+    assert deviation.percent == pytest.approx(100 * deviation.largest / 0.4)
+    # Wherever it is past the entry, a joint is on the circle, and the angle at it that between two chords.
+    center = HINGED.at(reference.start).points[-1] + (0, radius, 0)
+    ends, turn = links(HINGED, q[-1]), 2 * np.arcsin(LINK / 2 / radius)
+    assert np.abs(np.linalg.norm(ends[:-1] - center, axis=1) - radius).max() < 1e-6
+    assert q[-1][2:-1] == pytest.approx(turn, abs=1e-4)
+    # The tip is ahead of the feed by what chords are shorter than arcs: straight on, where the path ends.
+    ahead, angle = radius * 8 * turn - 0.4, 0.4 / radius
+    assert ahead == pytest.approx(0.4 * (LINK / radius) ** 2 / 24, rel=0.1)
+    end = center + radius * np.array([np.sin(angle), -np.cos(angle), 0.0])
+    assert np.linalg.norm(ends[-1] - end - ahead * np.array([np.cos(angle), np.sin(angle), 0.0])) < 1e-4
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_distances_are_those_of_brute_force(seed):
+    """From a segment and a circle, for postures that are off the path in every way."""
+    radius, rng = 0.2, np.random.default_rng(seed)
+    path = arc(radius, 0.5 / radius)
+    reference = follow_leader(CROSSED_ARM, path, 0.2, 0.1, depth=0.4)
+    q = rows(reference)[:: reference.rows // 9] + 0.0
+    q[:, 1:] += rng.normal(0.0, 0.03, q[:, 1:].shape)
+    deviation = path_deviation(CROSSED_ARM, q, path)
+    first, tip = links(CROSSED_ARM, reference.start)[[0, -1]]
+
+    def way(s):
+        """The straight way from the first joint, then the arc."""
+        angle = np.clip(s - 0.4, 0.0, None)[:, None] / radius
+        turned = radius * np.hstack([np.sin(angle), 1 - np.cos(angle), 0 * angle])
+        return np.where(s[:, None] <= 0.4, first + s[:, None] * [1, 0, 0], tip + turned)
+
+    for row, each in enumerate(q):
+        ends, depth = links(CROSSED_ARM, each), each[0]
+        near = np.linspace(0.4 + depth - 0.06, 0.4 + depth + 0.06, 4001)
+        stop = near[np.argmin(np.linalg.norm(way(near) - ends[-1], axis=1))]
+        travelled = way(np.linspace(0.0, stop, 6000))
+        shares = np.arange(9)[:, None, None] / 8
+        body = (ends[:-1] + shares * np.diff(ends, axis=0)).reshape(-1, 3)
+        points = CROSSED_ARM.at(each).points
+        on_body, at_points = (
+            np.linalg.norm(places[:, None] - travelled, axis=2).min(axis=1) for places in (body, points)
+        )
+        assert deviation.body[row] == pytest.approx(on_body.max(), abs=7e-5)
+        assert deviation.points[row] == pytest.approx(at_points, abs=7e-5)
+    assert deviation.body[deviation.row] == deviation.largest == deviation.body.max()
+    assert 0.0 <= deviation.where[deviation.row] <= 0.4 + 1e-12
+
+
+def test_what_lies_ahead_of_the_tip_does_not_count():
+    """A path that goes round and comes back: at the start it is near the arm, but not yet travelled."""
+    path = arc(0.05, 1.9 * np.pi)
+    q = HINGED.neutral()
+    q[1] = 0.1  # the whole arm turned about its first joint
+    tip = HINGED.at(q).points[-1]
+    laid = path.moved(np.eye(3), HINGED.at(HINGED.neutral()).points[-1] - path.start)
+    assert laid.nearest(tip).distance < 0.02
+    deviation = path_deviation(HINGED, q[None], path)
+    assert deviation.body[0] == pytest.approx(0.4 * np.sin(0.1), rel=2e-3)
+    assert deviation.where[0] == pytest.approx(0.4, abs=1e-12)
+
+
+@settings(deadline=None, max_examples=12)
+@given(
+    st.floats(0.5, 12.0),
+    st.floats(0.0, 6.0),
+    st.floats(0.05, 0.36),
+    st.floats(-np.pi, np.pi),
+    st.sampled_from(["closest", "sequential"]),
+)
+def test_rows_go_on_smoothly_within_the_limits(curvature, torsion, depth, turn, method):
+    twist = np.hypot(curvature, torsion)
+    path = Curve.helix(curvature / twist**2, 2 * np.pi * torsion / twist**2, 0.4 * twist / 2 / np.pi)
+    path = path.moved(pin.exp3(np.array([turn, 0.3, 0.1])))
+    speed = 0.1
+    reference = follow_leader(CROSSED_ARM, path, 0.05, speed, depth=depth, method=method)
+    assert np.all(reference.offsets[0] == 0.0)
+    assert all(CROSSED_ARM.within_limits(q) for q in rows(reference))
+    fed = np.diff(reference.offsets[:, 0])
+    assert np.all(fed > 0.0)
+    assert fed.max() <= speed * reference.interval * (1 + 1e-9)
+    assert reference.offsets[-1, 0] == pytest.approx(depth, abs=1e-9)
+    # A joint turns by kappa l while the arm goes on by a module; where sequential placement zigzags, by more.
+    steps = np.abs(np.diff(reference.offsets[:, 1:], axis=0)).max()
+    assert steps < 5.0 * curvature * fed.max()
+    deviation = path_deviation(CROSSED_ARM, rows(reference), path)
+    assert deviation.largest < 2.2 * curvature * LINK**2 / 8 + 1e-6
+    if method == "sequential":
+        assert deviation.largest_point < 1e-5
+
+
+def test_closest_is_least_of_what_is_near():
+    """No joint can be turned, alone or with others, so that the ends of links come nearer to the path."""
+    reference = follow_leader(CROSSED_ARM, winding(), 0.05, 0.1, depth=0.35)
+    laid = reference.marks[-1].target.curve
+    q = reference.configuration(reference.rows - 1)
+
+    def cost(q):
+        ends = links(CROSSED_ARM, q)[1:]
+        ahead = laid.nearest(ends).distance
+        behind = np.linalg.norm(ends[:, 1:] - laid.start[1:], axis=1)  # from the line of the feed, the x axis
+        return float(np.sum(np.where(ends[:, 0] < laid.start[0], behind, ahead) ** 2))
+
+    least, rng = cost(q), np.random.default_rng(0)
+    changes = [*np.eye(CROSSED_ARM.nv)[1:], *rng.normal(0.0, 0.3, (60, CROSSED_ARM.nv))]
+    for change in changes:
+        change[0] = 0.0
+        for size in (1e-3, -1e-3, 1e-2, -1e-2):
+            assert cost(q + size * change) > least * (1 - 1e-4)
+
+
+def test_a_mechanism_of_any_kind_is_followed():
+    """Hinges in one place, unequal links, and a description whose modules nobody named."""
+    path = arc(0.2, 1.5)
+    for lengths in ((0.0, 0.05), (0.03, 0.02)):
+        arm = Arm.from_modules([feed(), *[template("RyRz").with_lengths(lengths)] * 8])
+        reference = follow_leader(arm, path, 0.1, 0.1)
+        assert path_deviation(arm, rows(reference), path).largest < 1.05 * LINK**2 / 8 / 0.2
+    loaded = Arm.from_urdf(modules_to_urdf([feed(), *CROSSED], "found"))
+    reference = follow_leader(loaded, path, 0.1, 0.1)
+    expected = follow_leader(CROSSED_ARM, path, 0.1, 0.1)
+    assert reference.offsets == pytest.approx(expected.offsets, abs=1e-9)
+
+
+def test_where_the_arm_stands_and_which_way_its_slide_counts_make_no_difference():
+    expected = follow_leader(CROSSED_ARM, winding(), 0.1, 0.1, depth=0.35)
+    pose = pin.SE3(pin.exp3(np.array([0.3, -0.5, 1.0])), np.array([1.0, -2.0, 0.5]))
+    moved = Arm.from_modules([feed(), *CROSSED], base_placement=pose)
+    laid = expected.marks[-1].target.curve.moved(pose.rotation, pose.translation)
+    there = follow_leader(moved, laid, 0.1, 0.1, placement="as_is", depth=0.35)
+    assert there.offsets == pytest.approx(expected.offsets, abs=1e-7)
+    back = Arm.from_modules([feed((-1, 0, 0), -0.6, 0.0), *CROSSED])
+    other = follow_leader(back, winding(), 0.1, 0.1, depth=0.35)
+    assert other.offsets[:, 0] == pytest.approx(-expected.offsets[:, 0], abs=1e-12)
+    assert other.offsets[:, 1:] == pytest.approx(expected.offsets[:, 1:], abs=1e-9)
+
+
+def test_a_start_with_the_feed_half_way_and_the_way_back():
+    path, start, counted = arc(0.3, 0.9), HINGED.neutral(), []
+    start[0] = 0.2
+    reference = follow_leader(
+        HINGED, path, 0.1, 0.1, start=start, and_back=True, progress=lambda *each: counted.append(each)
+    )
+    assert reference.start == pytest.approx(start, abs=1e-12)
+    middle = reference.rows // 2
+    assert reference.rows == 2 * middle + 1
+    assert np.array_equal(reference.offsets[::-1], reference.offsets)
+    assert [(mark.name, mark.row) for mark in reference.marks] == [
+        ("inside", middle),
+        ("outside", 2 * middle),
+    ]
+    for mark in reference.marks:
+        assert mark.target.q == pytest.approx(reference.configuration(mark.row))
+    assert counted == [(k + 1, middle + 1) for k in range(middle + 1)]
+    deviation = path_deviation(HINGED, rows(reference), path, start=start)
+    assert deviation.largest == pytest.approx(LINK**2 / 8 / 0.3, rel=1e-2)
+
+
+def test_rows_are_close_together_however_long_the_interval():
+    reference = follow_leader(HINGED, arc(0.2, 1.5), 2.0, 0.1)
+    assert np.diff(reference.offsets[:, 0]).max() <= LINK / 2 * (1 + 1e-9)
+    pieces = 2.0 / reference.interval
+    assert pieces == pytest.approx(round(pieces))
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.floats(0.01, 2.0), st.floats(0.01, 1.0), st.floats(0.01, 0.5))
+def test_the_feed_starts_and_stops_gently(depth, speed, interval):
+    depths, interval = advance(depth, speed, interval, 0.02)
+    step = np.diff(depths)
+    assert depths[0] == 0.0
+    assert depths[-1] == pytest.approx(depth, rel=1e-12)
+    assert np.all(step > 0.0)
+    assert step.max() <= min(speed * interval, 0.02) * (1 + 1e-9)
+    assert step == pytest.approx(step[::-1], abs=1e-12)
+    # The ramps take a sixth of the time each. There the acceleration is a parabola, 6 x (1 - x) of its mean,
+    # and never jumps by more than its slope lets it from one row to the next.
+    ramp, full = len(step) / 6.0, 1.2 * depth / len(step)
+    if ramp > 10.0:
+        bends = np.diff(np.concatenate([[0.0], step, [0.0]])) / (full / ramp)
+        assert np.abs(bends).max() <= 1.5 * (1 + 1e-6)
+        assert np.abs(np.diff(np.concatenate([[0.0], bends, [0.0]]))).max() <= 6.0 / ramp + 1e-6
+
+
+def test_an_arm_of_twenty_modules_goes_through_a_pipe_with_two_bends():
+    path = pipe_axis((0.1, 0.1, 0.05), [(0.25, np.pi / 2), (0.25, np.pi / 2, np.pi / 2)])
+    arm = Arm.from_modules([feed(upper=1.2), *[template("RyRz")] * 20])
+    reference = follow_leader(arm, path, 0.2, 0.1)
+    deviation = path_deviation(arm, rows(reference), path)
+    assert deviation.length == pytest.approx(1.0)
+    assert deviation.percent < 0.1
+    walls = pipe(reference.marks[-1].target.curve, 0.045).around(arm)
+    # A radius of the arm of 1 cm, 1 percent of the pipe's for how its walls are made, and the deviation.
+    least = 0.045 * 0.99 - 0.01 - deviation.largest
+    clear = [walls.minimum(q).distance for q in rows(reference)[::12]]
+    assert least <= min(clear) <= 0.035
+
+
+def test_performing_it_keeps_to_the_path():
+    path = arc(0.2, 1.5)
+    reference = follow_leader(CROSSED_ARM, path, 0.1, 0.1)
+    motion = perform(reference, "qp", Limits(dt=0.1, acceleration=3.0))
+    assert motion.run.status == "converged"
+    planned = path_deviation(CROSSED_ARM, rows(reference), path)
+    performed = path_deviation(CROSSED_ARM, motion.run.q, path)
+    assert performed.largest < 1.3 * planned.largest
+
+
+PATH = arc(0.2, 1.5)
+
+REFUSED = {
+    "speed": ({"speed": 0.0}, InvalidValue, "speed is 0.0"),
+    "interval": ({"interval": -1.0}, InvalidValue, "interval is -1.0"),
+    "path": ({"path": "helix"}, InvalidValue, "path is 'helix'; allowed: a Curve"),
+    "placement": ({"placement": "translate"}, UnknownName, "no placement is called 'translate'"),
+    "method": ({"method": "smooth"}, UnknownName, "no method is called 'smooth'"),
+    "no depth": ({"depth": 0.0}, InvalidValue, "depth is 0.0"),
+    "short path": ({"depth": 0.31}, InvalidValue, "at most 0.3 m: the path is 0.3 m long"),
+    "short feed": (
+        {"path": Curve.line((0, 0, 0), (0.7, 0, 0))},
+        InvalidValue,
+        "at most 0.6 m: the feed can push by 0.6 m from the start; depth= goes part of the way",
+    ),
+    "bend at the feed": ({"path": arc(0.2, 2.3)}, InvalidValue, "the feed goes straight"),
+    "elsewhere": ({"placement": "as_is"}, InvalidValue, "m from the tip, 90 degrees off the axis of the arm"),
+    "no feed": ({"arm": Arm.from_modules(HINGES)}, InvalidValue, "m01_j1_z (revolute), m02_j1_z (revolute)"),
+    "feed across": ({"arm": Arm.from_modules([feed("y"), *HINGES])}, InvalidValue, "90 degrees off"),
+    "no arm": ({"arm": "snake"}, InvalidValue, "arm is 'snake'"),
+    "bent start": ({"start": np.full(9, 0.1)}, InvalidValue, "the straight arm"),
+    "short start": ({"start": np.zeros(3)}, InvalidValue, "start"),
+    "tight bend": ({"path": arc(0.015, 3.0)}, CurveBendsTooMuch, "m along the curve"),
+    "out of its plane": ({"path": Curve.helix(0.1, 0.3, 0.15)}, CurveBendsTooMuch, "(at a depth of 0."),
+}
+
+
+@pytest.mark.parametrize(("change", "error", "words"), REFUSED.values(), ids=REFUSED)
+def test_what_cannot_be_followed_is_refused(change, error, words):
+    asked = {"arm": HINGED, "path": PATH, "interval": 0.1, "speed": 0.1} | change
+    with pytest.raises(error) as caught:
+        follow_leader(**asked)
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("method", ["closest", "sequential"])
+def test_narrow_limits_name_the_module_and_the_place_on_the_path(method):
+    points = [(0, 0, 0), (0.1, 0, 0), (0.2, 0, 0), (0.25, 0.02, 0), (0.27, 0.12, 0), (0.27, 0.3, 0)]
+    path = Curve.spline(points)
+    arm = Arm.from_modules([feed(), *[each.with_limits(-0.1, 0.1) for each in CROSSED]])
+    s = np.linspace(0.0, path.length, 500)
+    bent = s[path.curvature(s) > 0.1 / LINK]  # where a module would have to turn by more than it can
+    with pytest.raises(CurveBendsTooMuch) as caught:
+        follow_leader(arm, path, 0.1, 0.1, method=method, depth=0.4)
+    assert caught.value.module == 9  # the tip gets there first; the feed is the first module
+    assert bent[0] - 2 * LINK < caught.value.parameter < bent[-1] + 2 * LINK
+
+
+def test_sequential_placement_needs_closed_forms():
+    arm = Arm.from_modules([feed(), *[template("RyRz").with_lengths((0.0, 0.05))] * 8])
+    with pytest.raises(UnsupportedModule) as caught:
+        follow_leader(arm, PATH, 0.1, 0.1, depth=0.1, method="sequential")
+    assert caught.value.module == 2
+    assert caught.value.joints == arm.module_joints[1]
+
+
+@pytest.mark.parametrize("q", [np.zeros((2, 3)), np.zeros((0, 9)), np.zeros(9)])
+def test_deviation_wants_rows_of_configurations(q):
+    with pytest.raises(InvalidValue, match="q \\(shape\\)"):
+        path_deviation(HINGED, q, PATH)

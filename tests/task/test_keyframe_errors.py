@@ -1,0 +1,123 @@
+"""What is wrong with keyframes is said in one line, with the number and the name of the keyframe."""
+
+from __future__ import annotations
+
+import math
+import pickle
+from typing import Any
+
+import pytest
+from task.keyed_arms import coil, snake, straight
+
+import pinposture as pp
+from pinposture.errors import (
+    CurveBendsTooMuch,
+    CurveEndsEarly,
+    InvalidValue,
+    PostureError,
+    TargetError,
+    TaskError,
+    UnknownName,
+)
+from pinposture.task.keyframes import Keyframe, keyframe_reference
+
+ARM = pp.Arm.from_template("RyRz", modules=20)
+J = pp.JointSpec
+START = Keyframe(straight(1.0))
+
+
+@pytest.mark.parametrize(
+    ("options", "kind", "message"),
+    (
+        ({"curve": None}, InvalidValue, "keyframe: curve is None; allowed: a Curve"),
+        ({"name": 3}, InvalidValue, "name is 3; allowed: text"),
+        ({"time": 1.0, "duration": 1.0}, InvalidValue, "keyframe: time and duration"),
+        (
+            {"name": "b", "time": -1.0},
+            InvalidValue,
+            "keyframe 'b': time is -1.0; allowed: a finite number >=",
+        ),
+        ({"duration": math.nan}, InvalidValue, "duration is nan"),
+        ({"hold": True}, InvalidValue, "hold is True"),
+        ({"roll": math.inf}, InvalidValue, "roll is inf"),
+        ({"placement": "aligned"}, UnknownName, r"keyframe: no placement is called 'aligned' \(did you mean"),
+        ({"method": "best"}, UnknownName, "no method is called 'best'"),
+        ({"tip": (0, 0, 1)}, InvalidValue, r"tip is \(0, 0, 1\); allowed: an EndEffector"),
+        ({"region": (3, 1)}, InvalidValue, r"region is \(3, 1\)"),
+        ({"region": 3}, InvalidValue, "region is 3"),
+        ({"trim": 1}, InvalidValue, "trim is 1"),
+    ),
+)
+def test_values_of_a_keyframe(options: dict[str, Any], kind: type[PostureError], message: str) -> None:
+    with pytest.raises(kind, match=message):
+        Keyframe(**{"curve": straight(1.0), **options})
+
+
+@pytest.mark.parametrize(
+    ("keyframes", "options", "kind", "message"),
+    (
+        ([START], {}, InvalidValue, "keyframes is .*; allowed: two or more"),
+        ([START, straight(1.0)], {}, InvalidValue, "keyframes is"),
+        ([START, START], {}, TaskError, "keyframe 2: it has neither a time nor a duration"),
+        ([START, START], {"interval": 0.0}, InvalidValue, "interval is 0.0"),
+        ([START, START], {"continuity": "jerk"}, UnknownName, "no continuity is called 'jerk'"),
+        (
+            [START, Keyframe(straight(1.0), duration=1.0, region=(0, 20), name="b")],
+            {},
+            TaskError,
+            r"keyframe 2 'b': its region is \(0, 20\); the arm has control points 0 to 19",
+        ),
+        (
+            [START, Keyframe(coil(1.0), duration=1.0, name="coil")],
+            {},
+            TaskError,
+            r"keyframe 2 'coil': the curve is 1\.145 m long, and the arm covers .* m of it; .* trim=True",
+        ),
+        (
+            [START, Keyframe(straight(1.0), duration=1.0, tip=pp.EndEffector((2, 0, 0), strict=True))],
+            {},
+            TaskError,
+            r"^keyframe 2: its strict tip task is missed by 1 m at least",
+        ),
+        (
+            [START, Keyframe(straight(1.0), duration=1.0, tip=pp.EndEffector((1, 0, 0), point=33))],
+            {},
+            InvalidValue,
+            "keyframe 2: point is 33",
+        ),
+    ),
+)
+def test_motions(
+    keyframes: list[Any], options: dict[str, Any], kind: type[PostureError], message: str
+) -> None:
+    with pytest.raises(kind, match=message):
+        keyframe_reference(ARM, keyframes, **{"interval": 0.02, **options})
+
+
+@pytest.mark.parametrize(
+    ("arm", "curve", "kind"),
+    (
+        (ARM, straight(0.8), CurveEndsEarly),
+        (snake(J("y", lower=-0.1, upper=0.1), J("z")), pp.Curve.helix(0.1, 0, 1), CurveBendsTooMuch),
+    ),
+)
+def test_curves_that_cannot_be_taken_keep_the_kind_of_their_error(
+    arm: pp.Arm, curve: pp.Curve, kind: type[TargetError]
+) -> None:
+    with pytest.raises(kind) as alone:
+        pp.resolve_targets(arm, curve, samples=200_000)
+    keyframes = [Keyframe(straight(arm.length)), Keyframe(curve, duration=1.0, name="bad", trim=True)]
+    with pytest.raises(kind) as found:
+        keyframe_reference(arm, keyframes, 0.02)
+    assert str(found.value) == f"keyframe 2 'bad': {alone.value}"
+    assert found.value.module == alone.value.module
+    assert found.value.reason == alone.value.reason
+    again = pickle.loads(pickle.dumps(found.value))
+    assert (type(again), str(again), again.module) == (kind, str(found.value), found.value.module)
+
+
+def test_the_error_of_a_task_has_its_parts_and_pickles() -> None:
+    error = TaskError("keyframe 3", "too late")
+    again = pickle.loads(pickle.dumps(error))
+    assert (str(again), again.where, again.reason) == ("keyframe 3: too late", "keyframe 3", "too late")
+    assert isinstance(again, ValueError)

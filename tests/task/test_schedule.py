@@ -1,0 +1,101 @@
+"""Times in whole cycles, and interpolation in time against closed forms and finite differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from task.keyed_arms import straight
+
+from pinposture.errors import TaskError
+from pinposture.task.keyframe import Keyframe
+from pinposture.task.schedule import CONTINUITIES, Stretch, interpolate, schedule
+
+LINE = straight(1.0)
+
+
+def stretch(*rows: int) -> Stretch:
+    return Stretch(0, len(rows) - 1, np.array(rows))
+
+
+def frames(*options: dict) -> tuple[Keyframe, ...]:
+    return tuple(Keyframe(LINE, **each) for each in options)
+
+
+def test_times_and_durations_are_rounded_to_whole_cycles() -> None:
+    given = frames({"hold": 0.31}, {"duration": 1.0}, {"time": 2.044, "hold": 0.5}, {"duration": 1.0})
+    found = schedule(given, 0.1)
+    assert found.reached.tolist() == [0, 13, 20, 35]
+    assert found.left.tolist() == [3, 13, 25, 35]
+    assert found.rests.tolist() == [True, False, True, True]
+    assert (found.rows, found.shortest) == (36, 7)
+    first, last = found.stretches()
+    assert (first.first, first.last, first.rows.tolist()) == (0, 2, [3, 13, 20])
+    assert (last.first, last.last, last.rows.tolist()) == (2, 3, [25, 35])
+    finer = found.finer(4)
+    assert (finer.rows, finer.reached.tolist()) == (141, [0, 52, 80, 140])
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    (
+        (frames({"time": 1.0}, {"time": 2.0}), "keyframe 1: it is at 1 s; the first keyframe is at 0"),
+        (frames({}, {}), "keyframe 2: it has neither a time nor a duration"),
+        (frames({}, {"time": 2.0}, {"time": 2.0, "name": "b"}), "keyframe 3 'b': it is at 2 s, but"),
+        (frames({}, {"time": 2.0, "hold": 1.0}, {"time": 2.5}), "keyframe 2 is left at 3 s; times have to"),
+        (frames({}, {"duration": 0.0}), "keyframe 2: it is at 0 s, but keyframe 1 is at 0 s"),
+        (frames({}, {"duration": 0.01}), "keyframe 2: it is in the same control cycle as keyframe 1"),
+        (frames({}, {"time": 1e9}), "keyframe 2: it ends at 1e[+]09 s; with cycles of 0.1 s, 100000 s"),
+    ),
+)
+def test_times_that_are_none_name_the_keyframe(given: tuple[Keyframe, ...], message: str) -> None:
+    with pytest.raises(TaskError, match=message):
+        schedule(given, 0.1)
+
+
+def test_from_rest_to_rest_the_polynomials_are_known() -> None:
+    values, x = np.array([[1.0, 5.0], [3.0, 1.0]]), np.linspace(0, 1, 11)
+    for continuity, share in (
+        ("velocity", 3 * x**2 - 2 * x**3),
+        ("acceleration", 10 * x**3 - 15 * x**4 + 6 * x**5),
+    ):
+        found = interpolate(stretch(7, 17), values, continuity, 7 + 10 * x)
+        assert np.allclose(found, values[0] + share[:, None] * (values[1] - values[0]), atol=1e-12)
+
+
+@pytest.mark.parametrize("continuity", CONTINUITIES)
+@given(arrays(float, (5, 3), elements=st.floats(-2, 2)), st.lists(st.integers(3, 40), min_size=4, max_size=4))
+@settings(deadline=None, max_examples=25)
+def test_it_is_as_continuous_as_it_says(continuity: str, values: np.ndarray, gaps: list[int]) -> None:
+    at = stretch(*np.cumsum([2, *gaps]).tolist())
+    h = 1e-4 * min(gaps)
+
+    def value(row: float) -> np.ndarray:
+        return interpolate(at, values, continuity, [row])[0]
+
+    size = 1e-6 + np.ptp(values) / min(gaps)
+    for k, row in enumerate(at.rows):
+        assert np.allclose(value(row), values[k], atol=1e-9)
+        before, here, after = value(row - h), value(row), value(row + h)
+        before2, after2 = value(row - 2 * h), value(row + 2 * h)
+        left, right = (3 * here - 4 * before + before2) / (2 * h), (4 * after - after2 - 3 * here) / (2 * h)
+        if k in (0, 4):  # beyond the ends it is constant
+            assert np.allclose(right if k == 0 else left, 0.0, atol=1e-2 * size)
+        else:
+            assert np.allclose(left, right, atol=1e-2 * size)
+        if continuity == "acceleration":
+            bends = (here - 2 * before + before2) / h**2, (here - 2 * after + after2) / h**2
+            assert np.allclose(*(bends if 0 < k < 4 else (sum(bends), 0.0)), atol=0.05 * size)
+
+
+@given(arrays(float, (6, 4), elements=st.floats(-2, 2)))
+@settings(deadline=None, max_examples=25)
+def test_continuous_velocity_does_not_overshoot(values: np.ndarray) -> None:
+    at = stretch(0, 10, 25, 30, 60, 80)
+    found = interpolate(at, values, "velocity", np.arange(81))
+    for k, (a, b) in enumerate(zip(at.rows[:-1], at.rows[1:], strict=True)):
+        low, high = np.minimum(*values[k : k + 2]), np.maximum(*values[k : k + 2])
+        assert np.all(found[a : b + 1] >= low - 1e-12)
+        assert np.all(found[a : b + 1] <= high + 1e-12)
