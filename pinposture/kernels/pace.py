@@ -165,7 +165,6 @@ def next_pace(
     cap: Array,
     top: Array,
     brake: Array,
-    most: float,
     planned: float,
     curved: float,
 ) -> float:
@@ -179,7 +178,6 @@ def next_pace(
         cap: of `find_pace`.
         top: of `find_pace`.
         brake: as for `find_pace`.
-        most: see there.
         planned: see there.
         curved: see there.
     """
@@ -191,8 +189,10 @@ def next_pace(
     fastest = _fastest_at(place, pace, *given)
     if place + fastest < last:
         fastest = min(fastest, max(_fastest_at(place + fastest, pace, *given), min(gain, fastest)))
+    elif np.isfinite(gain):  # from the pace at which it gets there it has to stop at once
+        fastest = min(fastest, max(gain, 0.5 * (last - place + gain)))
     left = last - place
     if not np.isfinite(gain):
         return min(fastest, left)
-    least = min(gain, most if left < 1.0 else fastest)  # the pace falls to nothing at the end
+    least = min(gain, cap[last] if left < 1.0 else fastest)  # the pace falls to nothing at the end
     return min(max(min(pace + gain, fastest), pace - gain, least), left)

@@ -15,6 +15,7 @@ from pinposture.control import Controller, Limits, Step, controller_named
 from pinposture.control.checks import require_positive
 from pinposture.control.controller import Memory
 from pinposture.errors import InvalidValue, UnknownName
+from pinposture.motion.consulting import Consultation
 from pinposture.motion.feedback import Feedback, Seen
 from pinposture.motion.track import in_scene
 from pinposture.scene import Scene
@@ -26,6 +27,8 @@ INTERFACES = ("position", "velocity")
 
 SHORTEST = 1e-3
 """The shortest cycle that counts as one, relative to the usual one."""
+
+LATE = "the controller is not done yet"
 
 ARRIVED = 1e-6
 """Mean distance of the control points from their targets at which the arm has arrived, in arm lengths."""
@@ -88,6 +91,10 @@ class Tracker:
         patience: how long such measurements have to agree with each other to be believed [s]. The arm is
             then taken to be there. Infinite: it holds until `restart`.
         timeout: age at which a target counts no more [s]; infinite: never.
+        deadline: how long a cycle may wait for the controller [s]. A way round obstacles takes it seconds to
+            plan; where it needs longer it goes on in a thread of its own, and the arm holds until it is done.
+            Threads of Python share their time: a cycle can still take some milliseconds more. Infinite: it is
+            always waited for.
 
     Raises:
         InvalidValue: limits without dt, or numbers that are not positive.
@@ -105,17 +112,18 @@ class Tracker:
         disagreement: float = 0.3,
         patience: float = 0.5,
         timeout: float = float("inf"),
+        deadline: float = float("inf"),
     ) -> None:
         if not isinstance(limits, Limits) or limits.dt is None:
             raise InvalidValue("limits", limits, "Limits(dt=...): the duration of a control cycle is needed")
         if interface not in INTERFACES:
             raise UnknownName("interface", interface, INTERFACES)
-        times = {"feedback": feedback, "patience": patience, "timeout": timeout}
+        times = {"feedback": feedback, "patience": patience, "timeout": timeout, "deadline": deadline}
         for name, value in {**times, "disagreement": disagreement}.items():
             _positive(name, value)
         self.arm, self.limits = arm, limits
         limits.for_arm(arm)  # says now what does not fit
-        self._controller, self._scene = in_scene(controller_named(controller), scene)
+        self._consultation = Consultation(in_scene(controller_named(controller), scene)[0], deadline)
         self._feedback = Feedback(arm, feedback if interface == "position" else 0.0, disagreement, patience)
         self._timeout, self._usual = timeout, limits.dt
         self._given: Target | None = None
@@ -189,9 +197,9 @@ class Tracker:
         step, reason, aim = None, seen.reason or self._missing(), None
         if seen.state is not None and self._given is not None and not reason:
             aim = self._feedback.shifted(self._given)
-            step = self._controller.step(seen.state, aim, limits, memory)
-            reason = step.diagnostics.reason
-            if not isfinite(step.dq @ step.dq):
+            step, memory = self._consultation.ask(seen.state, aim, limits, memory)
+            reason = LATE if step is None else step.diagnostics.reason
+            if step is not None and not isfinite(step.dq @ step.dq):
                 step, reason = None, "the step of the controller is not finite"
         dq = self._braked(limits, memory) if step is None or reason else step.dq
         own = memory.own if memory is not None else None

@@ -17,7 +17,7 @@ from pinposture.control.constrained.course import Course
 from pinposture.control.constrained.following import Asked, close_in, follow
 from pinposture.control.constrained.getting_on import RISES, get_on
 from pinposture.control.constrained.path import JointPath
-from pinposture.control.constrained.planning import plan, plan_on
+from pinposture.control.constrained.planning import moved_little, plan, plan_on
 from pinposture.control.constrained.posture import Posture
 from pinposture.control.constrained.settling import Scope
 from pinposture.control.controller import Diagnostics, Memory, Step
@@ -189,9 +189,10 @@ class ConstrainedQP:
             return plan(posture, state, bounds, self._avoidance(posture), self._mu(state), tries)
         target.check(state.arm)
         posture = self._posture(state, target, course)
-        if course is not None and posture.plain and self.scene is None:
-            return plan_on(course, posture, state, bounds, self._mu(state))
-        return plan(posture, state, bounds, self._avoidance(posture), self._mu(state))
+        avoidance, mu = self._avoidance(posture), self._mu(state)
+        if course is not None and posture.plain and (avoidance is None or moved_little(course, posture)):
+            return plan_on(course, posture, state, bounds, mu, avoidance)
+        return plan(posture, state, bounds, avoidance, mu)
 
     def _posture(self, state: ArmState, target: Target, course: Course | None = None) -> Posture:
         """What is asked of the arm; that of a course is taken on where only the target is another."""

@@ -50,7 +50,7 @@ class Pace:
     def __init__(self, path: JointPath, bound: Array, brake: Array | None, most: float = inf) -> None:
         shape = path.offsets.shape
         self._brake = np.full(shape[1], np.inf) if brake is None else np.array(brake)
-        self._most, self._planned = most, PLANNED if most == inf else TIMED
+        self._planned = PLANNED if most == inf else TIMED
         self._slope, self._bend = np.empty(shape), np.empty(shape)
         self._cap, self.top = np.empty(shape[0]), np.empty(shape[0])
         shares, into = (SPEED, self._planned, CURVED, SMALL), (self._slope, self._bend, self._cap, self.top)
@@ -58,5 +58,5 @@ class Pace:
 
     def next(self, place: float, pace: float) -> float:
         """Places to go in this step, after `pace` places in the step before."""
-        given = self._slope, self._bend, self._cap, self.top, self._brake, self._most
+        given = self._slope, self._bend, self._cap, self.top, self._brake
         return kernels.next_pace(place, pace, *given, self._planned, CURVED)

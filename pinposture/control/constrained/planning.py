@@ -37,6 +37,9 @@ LITTLE = 0.1
 BENT = 0.25
 """By how much a way may be bent in all, to end elsewhere, relative to what is left of it."""
 
+SHORT = 0.1
+"""Joint motion over which a way round something is not looked for, in `Arm.joint_units`."""
+
 WAYS = 12
 """How many ways are looked for until one leads clear of all obstacles; fewer when it is planned again."""
 
@@ -72,27 +75,44 @@ def plan(
     return course
 
 
-def plan_on(course: Course, posture: Posture, state: ArmState, bounds: JointBounds, mu: float) -> Course:
+def moved_little(course: Course, posture: Posture) -> bool:
+    """Whether a target is much like the one that a course leads to."""
+    return course.posture.distance_to(posture) <= LITTLE * posture.arm.length / posture.arm.n_modules
+
+
+def plan_on(
+    course: Course,
+    posture: Posture,
+    state: ArmState,
+    bounds: JointBounds,
+    mu: float,
+    avoidance: Avoidance | None = None,
+) -> Course:
     """What `plan` finds, for a target that is not far from the one before, from what was found for that.
 
     The search for a goal begins at the goal before. Where the new one is near, compared to what is left of
     the way, the way is bent to end there: a target that moves on in every step needs no new way in each.
 
     Args:
-        course: the course to the target before, which the arm is on; nothing to keep clear of.
+        course: the course to the target before, which the arm is on.
         posture: what is asked of the arm now.
         state: where it is.
         bounds: what the limits mean for its joints.
         mu: weight of joint motion against the motion of control points [m per `Arm.joint_units`].
+        avoidance: what to keep clear of; nothing if None. A way that is bent a little is not looked along again:
+            each step on it is.
     """
     arm, path = posture.arm, course.path
     before = path.configuration(path.end)
     goal = _known(posture, bounds)
+    if goal is not None and avoidance is not None and avoidance.intrusion(arm.at(goal)) > 0.0:
+        goal = None
     if goal is None:
         start = arm.at(before)
         first = start if posture.target.q is None else None
         enough = _as_good(course, posture, start)
-        goal = find_goal(posture, state, bounds.edges, None, GOOD * arm.length, first, enough).state.q
+        found = find_goal(posture, state, bounds.edges, avoidance, GOOD * arm.length, first, enough)
+        goal = found.state.q
     change = posture.displacement(posture.own(arm.difference(before, goal)))
     bent = change if course.bent is None else course.bent + change
     if (
@@ -100,6 +120,8 @@ def plan_on(course: Course, posture: Posture, state: ArmState, bounds: JointBoun
         or course.tries
         or _size(posture, bent) > BENT * _size(posture, arm.difference(state.q, before))
     ):
+        if avoidance is not None and _size(posture, arm.difference(state.q, goal)) > SHORT:
+            return plan(posture, state, bounds, avoidance, mu)
         path = direct_path(posture, state.q, goal, mu, bounds.edges)
         return Course(posture, path, bounds).within(bounds)
     path = path.bent(course.place, change, bounds.edges)

@@ -11,7 +11,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pinposture.errors import FileError, PostureError
+from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.task.reading.quantities import read_quantity
 
 if sys.version_info >= (3, 11):
@@ -60,6 +60,9 @@ class Table:
         """Say of an error of the library that it is this key's fault."""
         try:
             yield
+        except InvalidValue as error:
+            named = error.name if key is None and error.name in self._values else key
+            raise self.fault(named, str(error)) from error
         except PostureError as error:
             raise self.fault(key, str(error)) from error
 

@@ -60,6 +60,6 @@ def read_quantity(value: object, *kinds: str) -> float:
             return float(found[1]) * UNITS[kind][unit]
     for kind, known in UNITS.items():
         if unit in known:
-            raise ValueError(f"is {value!r}, which is a {kind}; allowed: {allowed}")
+            raise ValueError(f"is {value!r}, of the kind {kind}; allowed: {allowed}")
     what = f"and {unit!r} is no unit that is known" if unit else "without a unit"
     raise ValueError(f"is {value!r}, {what}; allowed: {allowed}")
