@@ -24,6 +24,7 @@ from pinposture.cli import (
     postures,
     reproduce,
     scenes,
+    simulate,
     track,
     view,
 )
@@ -131,7 +132,7 @@ def _add(verb: ModuleType, group: typer.Typer) -> None:
     group.command(name, cls=kind, help=_paragraphs(verb.run.__doc__ or ""))(verb.run)
 
 
-for module in (generate, inspect, track, many, view, export, reproduce, compile):
+for module in (generate, inspect, track, many, view, export, simulate, reproduce, compile):
     _add(module, app)
 for module in (arms, methods, postures, headings, scenes, cycles, leader):
     _add(module, studies)

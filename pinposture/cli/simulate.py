@@ -1,0 +1,251 @@
+"""`pinposture simulate`: does a motion survive dynamics?"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pinposture.cli.export import MOTION as MOTION_FILE
+from pinposture.cli.inputs import (
+    ARM,
+    MOTION,
+    BaseOption,
+    JsonOption,
+    ModulesOption,
+    TipOption,
+    read_arm,
+)
+from pinposture.cli.output import print_facts, print_json, print_note, print_warning
+from pinposture.cli.progress import count_progress
+from pinposture.cli.results import RUN, write_picture
+from pinposture.errors import InvalidValue
+
+if TYPE_CHECKING:
+    from pinposture.arm import Arm
+    from pinposture.motion import JointTrajectory, Motion, Trajectory
+    from pinposture.sim import Servos, Simulation
+
+EXAMPLES = (
+    "pinposture simulate out --dt 0.02 -o sim",
+    "pinposture simulate out --dt 0.02 --closed --frequency 5 -o sim",
+    "pinposture simulate joints.csv --urdf arm.urdf --no-gravity --json",
+)
+
+SIMULATION, PLOT = "simulation.npz", "simulation.png"
+FILES = {"simulation": SIMULATION, "plot": PLOT}
+
+
+def run(
+    *,
+    path: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RUN",
+            help=f"A saved run or motion, the directory that holds its {MOTION_FILE} or {RUN}, or a joint "
+            "trajectory (.csv, .json, .npz).",
+        ),
+    ],
+    urdf: Annotated[
+        str | None,
+        typer.Option(
+            metavar="URDF", help="The arm of a joint trajectory, which does not hold it.", rich_help_panel=ARM
+        ),
+    ] = None,
+    base: BaseOption = None,
+    tip: TipOption = None,
+    modules: ModulesOption = None,
+    closed: Annotated[
+        bool,
+        typer.Option(
+            "--closed",
+            help="Drive it by the streaming controller, told where the arm is; else send it the motion.",
+            rich_help_panel=MOTION,
+        ),
+    ] = False,
+    no_gravity: Annotated[
+        bool, typer.Option("--no-gravity", help="Leave gravity out.", rich_help_panel=MOTION)
+    ] = False,
+    frequency: Annotated[
+        float,
+        typer.Option(
+            metavar="HZ",
+            help="Natural frequency of the slowest vibration of the arm on its servos.",
+            rich_help_panel=MOTION,
+        ),
+    ] = 10.0,
+    no_torque_limits: Annotated[
+        bool,
+        typer.Option(
+            "--no-torque-limits",
+            help="Let servos give more than the effort in the description.",
+            rich_help_panel=MOTION,
+        ),
+    ] = False,
+    dt: Annotated[
+        float | None,
+        typer.Option(
+            metavar="S",
+            help="Duration of a cycle in seconds; needed if the run was made without one.",
+            rich_help_panel=MOTION,
+        ),
+    ] = None,
+    hold: Annotated[
+        float,
+        typer.Option(metavar="S", help="Seconds to go on for after the motion.", rich_help_panel=MOTION),
+    ] = 2.0,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="DIR", help=f"Leave {SIMULATION} and {PLOT} here; else nothing is kept."
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Simulate a motion with servos at the joints, and say how far the arm was off. Needs MuJoCo.
+
+    In open loop the servos are sent the motion. In closed loop the streaming controller measures the arm in
+    each cycle, and drives it to the target of a run, or after the postures of a motion in time. Errors of
+    joints and of the posture are distances from where the servos were sent; in closed loop those from the
+    target are told as well.
+
+    Links collide with nothing. Effort limits of the description hold; those of our templates are
+    placeholders. The exit code is 0 even if the arm did badly, 2 if it could not start.
+    """
+    from pinposture.control.checks import require_positive
+    from pinposture.sim import Servos
+    from pinposture.sim.engine import load_mujoco
+    from pinposture.storage import check_writable
+
+    load_mujoco()  # says at once if there is none
+    require_positive("hold", hold, zero=True)
+    servos = Servos(frequency=frequency, torque_limits=not no_torque_limits)
+    arm, motion = _read(path, urdf, base, tip, modules)
+    if output is not None:
+        check_writable(output)
+    with count_progress("cycle") as progress:
+        simulation = _simulate(arm, motion, servos, closed, not no_gravity, dt, hold, progress)
+    if output is not None:
+        keep(simulation, output)
+    files = {} if output is None else {kind: str(output / name) for kind, name in FILES.items()}
+    summary = simulation.summary()
+    if as_json:
+        print_json({"run": str(path), **summary, "files": files})
+    else:
+        print_facts(in_words(summary))
+    if summary["saturated_joints"]:
+        print_warning(_saturated(summary))
+    for file in files.values():
+        print_note(f"wrote {file}")
+
+
+def keep(simulation: Simulation, directory: Path) -> None:
+    """Write a simulation and its plot into a directory.
+
+    Raises:
+        FileError: one of them cannot be written.
+    """
+    from pinposture.view.simulation import plot_simulation
+
+    write_picture(plot_simulation(simulation), directory / PLOT)
+    simulation.save(directory / SIMULATION)  # last: where it is, its picture is
+
+
+def _read(
+    path: Path, urdf: str | None, base: str | None, tip: str | None, modules: str | None
+) -> tuple[Arm, Trajectory | Motion | JointTrajectory]:
+    """The arm and its motion."""
+    from pinposture.motion import JointTrajectory, Motion, Trajectory
+    from pinposture.motion.joint_files.arrays import FORMAT as JOINTS
+    from pinposture.motion.joint_files.arrays import archive_format
+    from pinposture.motion.motion_files import KIND as MOTION_KIND
+
+    file = path
+    if path.is_dir():
+        moved = archive_format(path / MOTION_FILE) == MOTION_KIND.format
+        file = path / MOTION_FILE if moved else path / RUN
+    archive = archive_format(file) if file.suffix.lower() == ".npz" else ""
+    exported = file.suffix.lower() in (".csv", ".json") or archive == JOINTS
+    if not exported:
+        for option, value in {"--urdf": urdf, "--base": base, "--tip": tip, "--modules": modules}.items():
+            if value is not None:
+                raise InvalidValue(option, value, "nothing; a saved run holds its arm")
+        kept = Motion.load(file) if archive == MOTION_KIND.format else Trajectory.load(file)
+        return kept.arm, kept
+    if urdf is None:
+        raise InvalidValue("--urdf", None, f"the description of the arm, which {file} does not hold")
+    arm = read_arm(urdf, base, tip, modules)
+    return arm, JointTrajectory.load(file, arm)
+
+
+def _simulate(
+    arm: Arm,
+    motion: Trajectory | Motion | JointTrajectory,
+    servos: Servos,
+    closed: bool,
+    gravity: bool,
+    dt: float | None,
+    hold: float,
+    progress: Any,
+) -> Simulation:
+    from pinposture.control import Limits
+    from pinposture.motion import Motion, Tracker, Trajectory
+    from pinposture.sim import set_points, simulate, simulate_closed
+
+    if not closed:
+        return simulate(arm, motion, servos, gravity, dt, hold, progress)
+    asked = set_points(arm, motion, dt)
+    kept = motion.run if isinstance(motion, Motion) else motion
+    # A run has one target; a motion in time has one for each moment.
+    targets = motion.target if isinstance(motion, Trajectory) else asked.targets(arm)
+    limits, scene = Limits(dt=asked.dt), None
+    if isinstance(kept, Trajectory):
+        limits, scene = replace(kept.limits, dt=asked.dt), kept.scene
+    duration = asked.dt * (len(asked.positions) - 1) + hold
+    start = arm.configuration(asked.positions[0])
+    tracker = Tracker(arm, limits=limits, scene=scene)
+    return simulate_closed(
+        arm, tracker, targets, start, duration, asked.dt, servos, gravity, progress=progress
+    )
+
+
+def in_words(summary: dict[str, Any]) -> dict[str, str | tuple[str, str]]:
+    """A summary as a person reads it; the status with the colour in which to print it."""
+    length = summary["arm_length"]
+    finished = summary["status"] == "finished"
+    words: dict[str, str | tuple[str, str]] = {
+        "status": (summary["status"], "green" if finished else "red"),
+        "reason": str(summary["reason"]),
+        "simulated": f"{summary['loop']} loop, {'gravity' if any(summary['gravity']) else 'no gravity'}, "
+        f"{summary['cycles']} cycles of {summary['dt']:.4g} s, physics steps of {summary['timestep']:.3g} s",
+    }
+    for kind in ("turning", "sliding"):
+        errors = summary[f"{kind}_joints"]
+        if errors is not None:
+            unit = errors["unit"]
+            words[f"{kind} joints"] = (
+                f"{errors['rms']:.3g} {unit} off (rms), at most {errors['largest']:.3g} {unit} "
+                f"({errors['joint']} at {errors['time']:.4g} s), {errors['end']:.3g} {unit} at the end"
+            )
+    mean, most = summary["mean_point_error"], summary["largest_point_error"]
+    words["posture"] = (
+        f"{mean['rms']:.3g} m off for each point (rms), at most {most['value']:.3g} m "
+        f"({most['point']} at {most['time']:.4g} s, {most['value'] / length:.2g} of the arm length), "
+        f"{mean['end']:.3g} m at the end"
+    )
+    if summary["target_error"] is not None:
+        words["target"] = f"{summary['target_error']['end']:.3g} m off for each point at the end"
+    torque = summary["largest_torque"]
+    limit = "no limit" if torque["limit"] is None else f"limit {torque['limit']:.4g}"
+    words["torque"] = f"at most {abs(torque['value']):.4g} N m or N ({torque['joint']}, {limit})"
+    return words
+
+
+def _saturated(summary: dict[str, Any]) -> str:
+    joints = summary["saturated_joints"]
+    return (
+        f"{len(joints)} servos were at their limit, up to {100 * summary['saturated_share']:.3g} % of the "
+        f"time: {', '.join(joints[:6])}{', ...' if len(joints) > 6 else ''}"
+    )

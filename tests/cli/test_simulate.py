@@ -1,0 +1,113 @@
+"""`pinposture simulate`: a run, a motion or exported joints under gravity; one line for what cannot be."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pinposture as pp
+from pinposture.motion import JointTrajectory
+from pinposture.sim import Simulation
+
+
+@pytest.fixture(scope="module")
+def timed_run(run_directory: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A directory with a run of 10 cycles of 0.02 s."""
+    arm = pp.Trajectory.load(run_directory / "run.npz").arm
+    target = pp.Target.from_configuration(arm, np.full(arm.nv, 0.1))
+    limits = pp.Limits(dt=0.02, acceleration=20.0)
+    run = pp.track(arm, target, arm.neutral(), limits=limits, max_steps=10)
+    return run.save(tmp_path_factory.mktemp("timed") / "run.npz").parent
+
+
+@pytest.mark.parametrize("loop", ["open", "closed"])
+def test_a_run_is_simulated_kept_and_told(command, timed_run, tmp_path, loop):
+    out = tmp_path / "sim"
+    options = ["--closed"] if loop == "closed" else []
+    result = command("simulate", timed_run, *options, "--hold", 0.2, "-o", out)
+    assert (result.code, sorted(path.name for path in out.iterdir())) == (
+        0,
+        ["simulation.npz", "simulation.png"],
+    )
+    kept = Simulation.load(out / "simulation.npz")
+    assert kept.loop == loop
+    assert f"{loop} loop, gravity, {len(kept.time) - 1} cycles of 0.02 s" in result.out
+    assert ("target" in result.out) == (loop == "closed")
+    assert result.err.splitlines()[-2:] == [
+        f"wrote {out / name}" for name in ("simulation.npz", "simulation.png")
+    ]
+    assert (out / "simulation.png").read_bytes().startswith(b"\x89PNG\r\n")
+
+
+def test_json_holds_the_summary_and_nothing_is_kept_unasked(command, timed_run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = command("simulate", timed_run, "--no-gravity", "--frequency", 20, "--hold", 0, "--json")
+    told = json.loads(result.out)
+    assert (told["status"], told["gravity"], told["files"]) == ("finished", [0.0, 0.0, 0.0], {})
+    assert told["servos"]["frequency"] == 20.0
+    assert told["mean_point_error"]["end"] < 1e-3
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("suffix", ["csv", "json", "npz"])
+def test_exported_joints_are_simulated_with_the_arm_that_is_named(
+    command, timed_run, arm_file, tmp_path, suffix
+):
+    file = tmp_path / f"joints.{suffix}"
+    JointTrajectory.from_run(pp.Trajectory.load(timed_run / "run.npz")).save(file)
+    loops = [["--closed"], []] if suffix == "csv" else [[]]
+    for loop in loops:
+        result = command("simulate", file, "--urdf", arm_file, "--hold", 0.1, "--json", *loop)
+        told = json.loads(result.out)
+        assert (told["status"], told["dt"]) == ("finished", pytest.approx(0.02))
+
+
+def test_servos_at_their_limits_are_mentioned(command, timed_run, tmp_path, arm_file):
+    weak = tmp_path / "weak.urdf"
+    weak.write_text(arm_file.read_text().replace('effort="100.0"', 'effort="0.01"'))
+    file = tmp_path / "joints.csv"
+    JointTrajectory.from_run(pp.Trajectory.load(timed_run / "run.npz")).save(file)
+    result = command("simulate", file, "--urdf", weak, "--hold", 0.1)
+    assert "servos were at their limit, up to" in result.err
+    free = command("simulate", file, "--urdf", weak, "--hold", 0.1, "--no-torque-limits")
+    assert "no limit" in free.out
+    assert free.err == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["nowhere"], "no such file"),
+        (["RUN", "--urdf", "ARM"], "--urdf is"),
+        (["RUN", "--dt", "0.03"], "dt is 0.03"),
+        (["UNTIMED"], "dt is None"),
+        (["RUN", "--frequency", "0"], "frequency is 0"),
+        (["RUN", "--hold", "-1"], "hold is -1"),
+        (["RUN", "--closed", "--hold", "-1"], "hold is -1"),
+        (["CSV"], "--urdf is None"),
+        (["RUN", "-o", "CSV"], "is a file"),
+    ],
+)
+def test_what_cannot_be_is_told_in_one_line(
+    command, timed_run, run_directory, arm_file, tmp_path, arguments, reason
+):
+    table = tmp_path / "joints.csv"
+    JointTrajectory.from_run(pp.Trajectory.load(timed_run / "run.npz")).save(table)
+    named = {"RUN": timed_run, "UNTIMED": run_directory, "ARM": arm_file, "CSV": table}
+    result = command("simulate", *(named.get(each, each) for each in arguments))
+    assert (result.code, result.out) == (2, "")
+    assert result.err.startswith("error: ")
+    assert reason in result.err
+    assert result.err.count("\n") == 1
+
+
+def test_without_mujoco_one_line_says_how_to_get_it(command, timed_run, monkeypatch):
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    result = command("simulate", timed_run)
+    assert result.code == 2
+    assert result.err.count("\n") == 1
+    assert "pip install 'pinposture[sim]'" in result.err

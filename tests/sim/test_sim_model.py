@@ -1,0 +1,231 @@
+"""The MuJoCo model is the arm: places, masses and forces are those of Pinocchio, which reads it alone."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+from simple_arms import inertial, joint, link, mass_matrix, pendulum, quiet, robot
+
+import pinposture as pp
+from pinposture import sim
+from pinposture.errors import InvalidValue, PostureWarning, URDFError
+
+PLACED = pin.SE3(pin.rpy.rpyToMatrix(0.3, 1.2, -2.0), np.array([1.0, -2.0, 3.0]))
+SLIDER = pp.ModuleTemplate(
+    "slider",
+    (
+        pp.JointSpec("z", "continuous"),
+        pp.JointSpec("x", "prismatic", lower=-0.1, upper=0.2),
+        pp.JointSpec((1.0, 2.0, -0.5)),
+    ),
+    (0.03, 0.05, 0.02),
+)
+ARMS = {
+    "RyRz": pp.Arm.from_template("RyRz", 20),
+    "planar": pp.Arm.from_template("RzRzRz", 15),
+    "mixed": pp.Arm.from_modules([SLIDER] * 4, base_placement=PLACED),
+    "placed": pp.Arm.from_template("RzRy", 6, base_placement=PLACED),
+}
+ROBOTS = next(
+    folder
+    for path in Path(pin.__file__).resolve().parents
+    for folder in path.glob("cmeel.prefix/share/example-robot-data/robots")
+)
+FOREIGN = {
+    "panda_description/urdf/panda.urdf": {},
+    "ur_description/urdf/ur10_robot.urdf": {},
+    "kinova_description/robots/kinova.urdf": {},
+    "talos_data/robots/talos_left_arm.urdf": {},
+    "xarm_description/urdf/xarm7.urdf": {},
+    "b1_description/urdf/b1-z1.urdf": {},
+    "pr2_description/urdf/pr2.urdf": {"tip": "r_gripper_tool_frame"},
+    "baxter_description/urdf/baxter.urdf": {"tip": "left_gripper"},
+}
+
+
+def forces(physics: sim.Physics, positions: np.ndarray, speeds: np.ndarray) -> np.ndarray:
+    """What it takes to hold the arm at these speeds, by MuJoCo, (nv,)."""
+    data = mujoco.MjData(physics.model)
+    data.qpos[:] = physics.positions(positions)
+    data.qvel[physics.columns] = speeds
+    mujoco.mj_forward(physics.model, data)
+    return np.array(data.qfrc_bias[physics.columns])
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_masses_and_forces_are_those_of_pinocchio(name):
+    arm, rng = ARMS[name], np.random.default_rng(1)
+    physics = sim.physics_of(arm)
+    data = arm.model.createData()
+    for _ in range(3):
+        q, speeds = arm.random(rng), rng.normal(size=arm.nv)
+        positions = arm.positions(q)
+        expected = mass_matrix(arm, q)
+        found = sim.mass_matrix(physics, positions)[np.ix_(physics.columns, physics.columns)]
+        np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+        still = np.zeros(arm.nv)
+        weight = pin.rnea(arm.model, data, q, still, still)
+        np.testing.assert_allclose(
+            forces(physics, positions, still), weight, atol=1e-9 * np.abs(weight).max(initial=1e-3)
+        )
+        moving = pin.rnea(arm.model, data, q, speeds, still)
+        np.testing.assert_allclose(
+            forces(physics, positions, speeds), moving, atol=1e-9 * np.abs(moving).max()
+        )
+
+
+def test_mujoco_reading_the_file_by_itself_finds_the_same_masses():
+    arm = ARMS["RyRz"]
+    own = mujoco.MjSpec.from_string(arm.urdf).compile()
+    data, positions = mujoco.MjData(own), arm.positions(arm.random(np.random.default_rng(2)))
+    order = [own.joint(name).dofadr[0] for name in arm.joint_names]
+    data.qpos[order] = positions
+    mujoco.mj_forward(own, data)
+    expected = np.array([[0.0] * own.nv for _ in range(own.nv)])
+    for row, unit in zip(expected, np.eye(own.nv), strict=True):
+        mujoco.mj_mulM(own, data, row, unit)
+    physics = sim.physics_of(arm)
+    found = sim.mass_matrix(physics, positions)[np.ix_(physics.columns, physics.columns)]
+    np.testing.assert_allclose(found, expected[np.ix_(order, order)], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_robots_of_others_have_the_masses_that_pinocchio_finds(name):
+    arm = quiet(ROBOTS / name, **FOREIGN[name])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", PostureWarning)
+        physics = sim.physics_of(arm)
+    q = arm.random(np.random.default_rng(3))
+    expected = mass_matrix(arm, q)
+    found = sim.mass_matrix(physics, arm.positions(q))[np.ix_(physics.columns, physics.columns)]
+    np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(expected).max())
+
+
+def test_an_arm_whose_description_is_another_one_is_refused():
+    arm, other = ARMS["placed"], pp.Arm.from_template("RzRy", 6, link_lengths=(0.025, 0.0251))
+    mixed = pp.Arm(arm.model, arm.control_points, arm.base_placement, other.urdf)
+    with pytest.raises(URDFError, match=r"control point 'module_06'.* is 0\.000\d+ m elsewhere for MuJoCo"):
+        sim.physics_of(mixed)
+
+
+def test_an_arm_without_a_description_is_refused():
+    arm = ARMS["placed"]
+    bare = pp.Arm.from_model(arm.model, arm.control_points)
+    with pytest.raises(InvalidValue, match=r"Arm\.from_model has no description to simulate"):
+        sim.physics_of(bare)
+
+
+def test_without_mujoco_the_error_says_how_to_get_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(sim.MujocoMissing, match=r"pip install 'pinposture\[sim\]'"):
+        sim.physics_of(pendulum())
+
+
+def two_joints(first: str, second: str, **options) -> str:
+    """Two joints with links in between that say what they weigh."""
+    return robot(
+        link("world"),
+        link("a", first),
+        link("b", second),
+        link("tip"),
+        joint("j1", "world", "a", **options),
+        joint("j2", "a", "b", at=(0.2, 0, 0)),
+        joint("end", "b", "tip", "fixed", at=(0.2, 0, 0)),
+    )
+
+
+def test_a_moving_link_without_mass_gets_a_little_and_a_warning():
+    arm = quiet(two_joints("", inertial()))
+    with pytest.warns(PostureWarning, match="moving link 'a': no mass; taken as a ball of 1 g"):
+        physics = sim.physics_of(arm)
+    added = sim.mass_matrix(physics, np.zeros(2)) - mass_matrix(arm, arm.neutral())
+    np.testing.assert_allclose(added, [[0.4e-7, 0.0], [0.0, 0.0]], atol=1e-12)
+    assert physics.warnings
+
+
+def test_moments_of_no_solid_are_raised_with_a_warning():
+    arm = quiet(two_joints(inertial(), inertial(moments=(0.001, 0.001, 0.01))))
+    with pytest.warns(PostureWarning, match="moving link 'b': moments of no solid"):
+        physics = sim.physics_of(arm)
+    # Turned about y, one of the two that are too small: the least spread that makes zz possible raises it.
+    raised = sim.mass_matrix(physics, np.zeros(2))[1, 1] - mass_matrix(arm, arm.neutral())[1, 1]
+    assert raised == pytest.approx(0.004, rel=1e-6)
+
+
+@pytest.mark.parametrize("number", ["nan", "heavy", "-1"])
+def test_a_mass_that_is_none_is_named(number):
+    arm = quiet(two_joints(inertial(), inertial()))
+    bad = pp.Arm(
+        arm.model,
+        arm.control_points,
+        None,
+        arm.urdf.replace('<mass value="1.2"', f'<mass value="{number}"', 1),
+    )
+    with pytest.raises(URDFError, match="link 'a': <mass> value is"):
+        sim.physics_of(bad)
+
+
+def test_joints_that_the_arm_does_not_move_are_held_where_it_has_them():
+    parts = (
+        link("base"),
+        link("a", inertial()),
+        link("b", inertial()),
+        link("c", inertial()),
+        link("finger", inertial(0.1)),
+        link("thumb", inertial(0.1)),
+        link("tip"),
+        joint("j1", "base", "a"),
+        joint("j2", "a", "b", axis=(1, 2, 3), at=(0.2, 0, 0)),
+        joint("j3", "b", "c", at=(0.2, 0, 0)),
+        joint("end", "c", "tip", "fixed", at=(0.2, 0, 0)),
+        joint("grip", "c", "finger", "prismatic", axis=(0, 0, 1)),
+        joint(
+            "follow", "c", "thumb", "prismatic", more='<mimic joint="grip" multiplier="-1" offset="0.01"/>'
+        ),
+    )
+    arm = quiet(robot(*parts), tip="tip", locked={"j2": -0.7, "grip": 0.3})
+    physics = sim.physics_of(arm)
+    assert arm.joint_names == ("j1", "j3")
+    held = {
+        name: physics.rest[physics.model.joint(f"joint_{number}").dofadr[0]]
+        for number, name in enumerate(physics.joint_names)
+        if name in ("j2", "grip", "follow")
+    }
+    assert held == pytest.approx({"j2": -0.7, "grip": 0.3, "follow": -0.29}, abs=1e-12)
+    ended = sim.simulate(arm, [arm.neutral()] * 2, dt=0.02, gravity=False, hold=0.2)
+    assert ended.point_errors.max() < 1e-9
+
+
+def test_a_base_that_floats_stands_still_and_a_link_may_be_called_world():
+    arm = quiet(two_joints(inertial(), inertial()))
+    floating = robot(
+        link("floor"), *[arm.urdf[arm.urdf.index("<link") : arm.urdf.rindex("</robot>")]]
+    ).replace("</robot>", joint("float", "floor", "world", "floating") + "</robot>")
+    afloat = quiet(floating)
+    assert "joint 'float'" in " ".join(afloat.warnings)
+    for each in (arm, afloat):
+        assert sim.physics_of(each).model.nv == 2
+
+
+def test_stops_damping_friction_and_efforts_are_those_of_the_description():
+    arm = pendulum(more='<dynamics damping="0.3" friction="0.2"/>')
+    physics = sim.physics_of(arm)
+    model = physics.model
+    assert (model.dof_damping[0], model.dof_frictionloss[0]) == (0.3, 0.2)
+    assert model.jnt_range[0].tolist() == [-3.0, 3.0]
+    assert physics.torque_limits.tolist() == [50.0]
+    assert sim.physics_of(pendulum(effort=0.0)).torque_limits.tolist() == [np.inf]
+    assert sim.physics_of(arm, sim.Servos(torque_limits=2.0)).torque_limits.tolist() == [2.0]
+    assert sim.physics_of(arm, sim.Servos(torque_limits=False)).torque_limits.tolist() == [np.inf]
+
+
+@pytest.mark.parametrize("gravity", [[0.0, 0.0], "down", [0.0, np.nan, 0.0]])
+def test_a_gravity_that_is_none_is_refused(gravity):
+    with pytest.raises(InvalidValue, match="gravity"):
+        sim.physics_of(pendulum(), gravity=gravity)

@@ -1,0 +1,209 @@
+"""Motions of every kind go in; what comes out is kept, told and drawn."""
+
+from __future__ import annotations
+
+import io
+import json
+
+import numpy as np
+import pytest
+from simple_arms import inertial, joint, link, quiet, quintic, robot
+
+import pinposture as pp
+from pinposture import sim
+from pinposture.errors import FileError, InvalidValue, PostureWarning
+from pinposture.motion import JointTrajectory
+from pinposture.view.simulation import plot_simulation
+
+ARM = pp.Arm.from_template("RyRz", 4)
+DT = 0.02
+ROWS = quintic(np.zeros(ARM.nv), np.linspace(-0.4, 0.5, ARM.nv), 0.6, DT)
+RUN = pp.track(
+    ARM,
+    pp.Target.from_configuration(ARM, ROWS[-1]),
+    ARM.neutral(),
+    limits=pp.Limits(dt=DT, acceleration=10.0),
+)
+OPEN = sim.simulate(ARM, ROWS, dt=DT)
+CLOSED = sim.simulate_closed(
+    ARM, pp.motion.Tracker(ARM, limits=RUN.limits), RUN.target, ARM.neutral(), 0.5, DT
+)
+
+
+def test_motions_of_every_kind_come_to_the_same_set_points():
+    trajectory = JointTrajectory.from_run(RUN)
+    shuffled = JointTrajectory(
+        trajectory.joint_names[::-1],
+        trajectory.time,
+        *(
+            table[:, ::-1]
+            for table in (trajectory.positions, trajectory.velocities, trajectory.accelerations)
+        ),
+    )
+    for motion, dt in ((RUN, None), (RUN, DT), (RUN.q, DT), (trajectory, None), (shuffled, None)):
+        found = sim.set_points(ARM, motion, dt)
+        np.testing.assert_allclose(found.positions, RUN.q, atol=1e-12)
+        assert found.dt == pytest.approx(DT)
+
+
+def test_a_joint_trajectory_is_sampled_anew_where_its_rows_are_uneven_or_a_cycle_is_given():
+    even = JointTrajectory.from_configurations(ARM, ROWS, DT)
+    uneven = JointTrajectory.from_configurations(ARM, ROWS, even.time * (1.0 + 0.1 * even.time))
+    found = sim.set_points(ARM, uneven)
+    times = np.minimum(np.arange(len(found.positions)) * found.dt, uneven.time[-1])
+    np.testing.assert_allclose(found.positions, uneven.at(times), atol=1e-12)
+    finer = sim.set_points(ARM, even, DT / 2.0)
+    np.testing.assert_allclose(finer.positions[::2], ROWS, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("motion", "dt", "name"),
+    [
+        (ROWS, None, "dt"),
+        (RUN, 0.03, "dt"),
+        (ROWS[:1], DT, "rows"),
+        (ROWS[:, :3], DT, "q"),
+        (JointTrajectory.from_positions(["elbow"], [[0.0], [1.0]], DT), None, "joint_names"),
+        ("fast", DT, "q"),
+        (np.where(ROWS > 0.4, np.nan, ROWS), DT, "q"),
+    ],
+)
+def test_a_motion_that_is_not_one_of_the_arm_is_refused(motion, dt, name):
+    with pytest.raises(InvalidValue, match=name):
+        sim.simulate(ARM, motion, dt=dt)
+
+
+def test_targets_after_a_motion_are_its_postures():
+    at = sim.set_points(ARM, ROWS, DT).targets(ARM)
+    np.testing.assert_allclose(at(5 * DT).q, ROWS[5])
+    np.testing.assert_allclose(at(9.0).q, ROWS[-1])
+
+
+def test_errors_are_distances_between_what_was_sent_and_what_was_taken():
+    for ended in (OPEN, CLOSED):
+        off = np.abs(ended.q - ended.commanded)
+        np.testing.assert_allclose(ended.joint_error, off, atol=1e-12)
+        sent = np.array([ARM.at(q).points for q in ended.commanded])
+        taken = np.array([ARM.at(q).points for q in ended.q])
+        distances = np.linalg.norm(sent - taken, axis=2)
+        np.testing.assert_allclose(ended.point_errors, distances, atol=1e-12)
+        np.testing.assert_allclose(ended.posture_error, distances.sum(axis=1), atol=1e-12)
+        told = ended.summary()
+        assert told["turning_joints"]["largest"] == pytest.approx(off.max())
+        assert told["turning_joints"]["rms"] == pytest.approx(np.sqrt((off**2).mean()))
+        assert told["mean_point_error"]["end"] == pytest.approx(distances[-1].mean())
+        assert told["largest_point_error"]["value"] == pytest.approx(distances.max())
+    np.testing.assert_allclose(OPEN.commanded[0], ROWS[0])
+    np.testing.assert_allclose(OPEN.commanded[-1], ROWS[-1], atol=1e-12)
+    assert OPEN.time[-1] == pytest.approx(0.6 + DT + 0.5)
+    assert OPEN.target_errors is None
+    to_target = np.linalg.norm(CLOSED.points - RUN.target.points, axis=2)
+    np.testing.assert_allclose(CLOSED.target_errors, to_target, atol=1e-12)
+
+
+def test_progress_is_told_to_the_end():
+    seen = []
+    sim.simulate(ARM, ROWS, dt=DT, hold=0.0, progress=lambda *counts: seen.append(counts))
+    assert seen == [(k, len(ROWS)) for k in range(1, len(ROWS) + 1)]
+
+
+@pytest.mark.parametrize("ended", [OPEN, CLOSED], ids=["open", "closed"])
+def test_a_file_gives_it_back(ended, tmp_path):
+    path = ended.save(tmp_path / "new" / "sim")
+    back = sim.Simulation.load(path)
+    assert path.suffix == ".npz"
+    for name, value in vars(ended).items():
+        if isinstance(value, np.ndarray):
+            np.testing.assert_array_equal(getattr(back, name), value)
+        elif name != "arm":
+            assert getattr(back, name) == value
+    assert back.arm.joint_names == ARM.joint_names
+    assert back.summary() == ended.summary()
+    with pytest.raises(ValueError, match="read-only"):
+        back.q[0, 0] = 1.0
+
+
+def test_files_of_other_kinds_and_damaged_ones_are_refused(tmp_path):
+    run = RUN.save(tmp_path / "run.npz")
+    with pytest.raises(FileError, match="holds a run, not a simulation of it"):
+        sim.Simulation.load(run)
+    path = OPEN.save(tmp_path / "sim.npz")
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    with pytest.raises(FileError, match="is not a saved simulation"):
+        sim.Simulation.load(path)
+    with np.load(OPEN.save(tmp_path / "sim.npz")) as stored:
+        arrays = dict(stored)
+    arrays["torques"] = arrays["torques"][1:]
+    np.savez(path, **arrays)
+    with pytest.raises(FileError, match="torques"):
+        sim.Simulation.load(path)
+
+
+@pytest.mark.parametrize("limits", [True, False])
+def test_a_summary_is_json(limits):
+    ended = sim.simulate(ARM, ROWS, sim.Servos(torque_limits=limits), dt=DT, hold=0.0)
+    told = json.loads(json.dumps(ended.summary(), allow_nan=False))
+    assert told["largest_torque"]["limit"] == (100.0 if limits else None)
+    assert told["largest_torque"]["value"] == pytest.approx(
+        ended.torques.flat[np.abs(ended.torques).argmax()]
+    )
+
+
+def sliding_arm() -> pp.Arm:
+    return quiet(
+        robot(
+            link("base"),
+            link("a", inertial()),
+            link("b", inertial()),
+            link("tip"),
+            joint("feed", "base", "a", "prismatic", axis=(1, 0, 0)),
+            joint("turn", "a", "b", at=(0.2, 0, 0), effort=0),
+            joint("end", "b", "tip", "fixed", at=(0.3, 0, 0)),
+        )
+    )
+
+
+def test_slides_and_turns_are_told_apart():
+    arm = sliding_arm()
+    told = sim.simulate(arm, [arm.neutral()] * 2, dt=DT).summary()
+    assert told["turning_joints"]["joint"] == "turn"
+    assert told["sliding_joints"]["joint"] == "feed"
+
+
+def run_away() -> sim.Simulation:
+    with pytest.warns(PostureWarning, match="5000 Hz"):
+        return sim.simulate(ARM, ROWS, sim.Servos(frequency=5000.0), dt=DT)
+
+
+CASES = {
+    "open": lambda: OPEN,
+    "closed": lambda: CLOSED,
+    "unstable": run_away,
+    "weak": lambda: sim.simulate(ARM, ROWS, sim.Servos(torque_limits=0.01), dt=DT),
+    "no limits": lambda: sim.simulate(ARM, ROWS, sim.Servos(torque_limits=False), gravity=False, dt=DT),
+    "slides": lambda: sim.simulate(sliding_arm(), [sliding_arm().neutral()] * 2, dt=DT),
+}
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("case", CASES)
+def test_figures_show_the_data(case):
+    ended = CASES[case]()
+    figure = plot_simulation(ended)
+    figure.savefig(io.BytesIO(), format="png")
+    joints, posture, torques = figure.axes[:3]
+    for k, line in enumerate(joints.get_lines()[: ended.arm.nv]):
+        np.testing.assert_array_equal(line.get_xdata(), ended.time)
+        np.testing.assert_array_equal(line.get_ydata(), ended.joint_error[:, k])
+    np.testing.assert_array_equal(posture.get_lines()[0].get_ydata(), ended.posture_error)
+    if ended.target_errors is not None:
+        np.testing.assert_array_equal(posture.get_lines()[1].get_ydata(), ended.target_errors.sum(axis=1))
+    given = torques.get_lines()[0].get_ydata()
+    limit = ended.torque_limits[0]
+    shown = 100.0 * ended.torques[:, 0] / limit if np.isfinite(limit) else ended.torques[:, 0]
+    np.testing.assert_allclose(given, shown)
+    assert ("% of limit" in torques.get_ylabel()) == bool(np.isfinite(limit))
+    title = " ".join(figure.get_suptitle().split())
+    assert f"{ended.loop} loop" in title
+    assert ended.reason in title
