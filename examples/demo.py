@@ -1,4 +1,4 @@
-"""Scenarios of the thesis by qp, the default, by Selection, Projection, and both by turns: a table, pictures.
+"""Scenarios of the thesis by qp, the default, by Selection, Projection, and both by turns; and a task in time.
 
 make demo
 """
@@ -17,6 +17,7 @@ from pinposture.thesis.scenarios import PLANAR_SCENARIOS, SPATIAL_SCENARIOS
 SEED = 17
 OUT = Path("out")
 URDF = Path(__file__).parents[1] / "urdf"
+TASK = Path(__file__).parent / "tasks" / "keyframes.toml"
 CONTROLLERS = ("qp", "selection", "projection", "switching")
 
 
@@ -55,8 +56,16 @@ def main() -> None:
     console.print(
         "paths: length of the ways of the control points, relative to the distance from start to end"
     )
-    console.print(f"pictures: {OUT}/*/comparison.png and {OUT}/*/*/run.png")
-    console.print(f"animations, to open in a browser: {OUT}/*/*/run.html")
+    motion = pp.Task.load(TASK).perform()
+    folder = OUT / "keyframes"
+    motion.save(folder / "motion.npz")
+    motion.joint_trajectory().save(folder / "motion.json")
+    pp.plot(motion).savefig(folder / "motion.png", dpi=120)
+    pp.save_html(motion.arm, motion, folder / "motion.html")
+    names = ", ".join(f"{place.name} at {place.reached:.2f} s" for place in motion.passed)
+    console.print(f"{TASK.name}: {names}; {motion.slowing:.2f} times as long as planned, within all limits")
+    console.print(f"pictures: {OUT}/*/comparison.png, {OUT}/*/*/run.png and {folder}/motion.png")
+    console.print(f"animations, to open in a browser: {OUT}/*/*/run.html and {folder}/motion.html")
     console.print(f"took {time.perf_counter() - begun:.0f} s")
 
 

@@ -9,14 +9,11 @@ import typer
 
 from pinposture.cli.inputs import JsonOption
 from pinposture.cli.output import print_facts, print_json, print_note
-from pinposture.cli.results import RUN
+from pinposture.cli.results import MOTION, RUN, find_kept, load_kept
 from pinposture.errors import FileError
 
 if TYPE_CHECKING:
     from pinposture.motion.joint_trajectory import JointTrajectory
-
-MOTION = "motion.npz"
-"""Name of the file of a motion in the directory that holds it."""
 
 EXAMPLES = (
     "pinposture export out --dt 0.02 -o out/joints.json",
@@ -62,7 +59,9 @@ def run(
 
     check_format(output)
     check_writable(output.parent)
-    source = _source(path)
+    source, which = find_kept(path)
+    if which:
+        print_note(which)
     if output.exists() and output.samefile(source):
         raise FileError(output, "is the run itself; allowed: another file")
     trajectory = _joint_trajectory(source, dt)
@@ -74,29 +73,16 @@ def run(
     print_note(f"wrote {output}")
 
 
-def _source(path: Path) -> Path:
-    """The file that is meant: in a directory that of a motion, else that of a run."""
-    if not path.is_dir():
-        return path
-    # What was exported under that name is none.
-    return path / MOTION if _is_motion(path / MOTION) else path / RUN
-
-
-def _is_motion(path: Path) -> bool:
-    from pinposture.motion.joint_files.arrays import archive_format
-    from pinposture.motion.motion_files import KIND
-
-    return archive_format(path) == KIND.format
-
-
 def _joint_trajectory(source: Path, dt: float | None) -> JointTrajectory:
-    """The joint trajectory of a saved motion, or of a saved run."""
-    from pinposture.motion.joint_trajectory import JointTrajectory
-    from pinposture.motion.motion import Motion
-    from pinposture.motion.trajectory import Trajectory
+    """The joint trajectory of a saved motion, which knows its time, or of a saved run."""
+    from pinposture.motion import Motion
+    from pinposture.motion.joint_checks import step_duration
 
-    moved = Motion.load(source).run if _is_motion(source) else Trajectory.load(source)
-    return JointTrajectory.from_run(moved, dt)
+    moved = load_kept(source)
+    if isinstance(moved, Motion):
+        step_duration(dt, moved.dt)  # refuses another
+        return moved.joint_trajectory()
+    return moved.joint_trajectory(dt)
 
 
 def _summary(trajectory: JointTrajectory) -> dict[str, Any]:

@@ -1,20 +1,48 @@
-"""What is said about a run, and what is kept of it."""
+"""What is said about a run or a motion in time, and what is kept of it."""
 
 from __future__ import annotations
 
 import io
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from pinposture.cli.closest import closest, closest_in_words
+from pinposture.cli.motion_summary import motion_in_words, summarize_motion
+from pinposture.errors import FileError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from pinposture.motion import Trajectory
+    from pinposture.motion import Motion, Trajectory
+
+__all__ = [
+    "ANIMATION",
+    "FILES",
+    "FORMATS",
+    "MOTION",
+    "PLOT",
+    "RUN",
+    "find_kept",
+    "in_words",
+    "keep",
+    "keep_motion",
+    "load_kept",
+    "motion_in_words",
+    "summarize",
+    "summarize_motion",
+    "write_animation",
+    "write_picture",
+    "write_plot",
+]
 
 RUN, PLOT, ANIMATION = "run.npz", "run.png", "run.html"
 FILES = {"run": RUN, "plot": PLOT, "animation": ANIMATION}
+
+MOTION = "motion.npz"
+FORMATS = ("npz", "csv", "json", "png", "html")
+"""What a motion can be kept as: all of it, its joints as a table and for ROS, its plot, its animation."""
 
 WORDY = 200
 """Characters after which it is enough of what gave way in a step."""
@@ -31,8 +59,72 @@ def keep(motion: Trajectory, directory: Path) -> None:
     motion.save(directory / RUN)  # last: where it is, its pictures are
 
 
-def write_plot(motion: Trajectory, path: Path) -> None:
-    """Write the plot of a run as PNG, whatever the name of the file."""
+def keep_motion(motion: Motion, directory: Path, formats: Sequence[str] = FORMATS) -> dict[str, str]:
+    """Write a motion in time into a directory, in some of `FORMATS`.
+
+    Returns:
+        The path of the file of each format, in the order in which they were written.
+
+    Raises:
+        FileError: one of them cannot be written.
+    """
+    stem = directory / MOTION
+    files = {kind: stem.with_suffix(f".{kind}") for kind in reversed(FORMATS) if kind in formats}
+    for kind, path in files.items():  # that with everything last: where it is, the others are
+        if kind == "html":
+            write_animation(motion, path)
+        elif kind == "png":
+            write_plot(motion, path)
+        elif kind == "npz":
+            motion.save(path)
+        else:
+            motion.joint_trajectory().save(path)
+    return {kind: str(path) for kind, path in files.items()}
+
+
+def find_kept(path: Path) -> tuple[Path, str]:
+    """The file of a run or a motion: a file itself, or in a directory the newer one.
+
+    Returns:
+        The file, and if there were two which one was taken, in words.
+
+    Raises:
+        FileError: a directory that holds neither.
+    """
+    if not path.is_dir():
+        return path, ""
+    found = [path / name for name in (MOTION, RUN) if _is_kept(path / name)]
+    if not found:
+        if (path / RUN).exists():
+            return path / RUN, ""  # whoever reads it says what is wrong with it
+        raise FileError(path / RUN, f"no such file, and no {MOTION} that holds a motion")
+    newest, *others = sorted(found, key=lambda file: file.stat().st_mtime_ns, reverse=True)
+    return newest, f"{newest.name}, which is newer than {others[0].name}" if others else ""
+
+
+def _is_kept(path: Path) -> bool:
+    """Whether a file holds a run, or a motion; joints that were exported under that name are neither."""
+    from pinposture.motion import files, motion_files
+    from pinposture.motion.joint_files.arrays import archive_format
+
+    return archive_format(path) in (files.KIND.format, motion_files.KIND.format)
+
+
+def load_kept(path: Path) -> Trajectory | Motion:
+    """Read a run or a motion.
+
+    Raises:
+        FileError: the file is missing, or holds neither.
+    """
+    from pinposture.motion import Motion, Trajectory, motion_files
+    from pinposture.motion.joint_files.arrays import archive_format
+
+    is_motion = archive_format(path) == motion_files.KIND.format
+    return Motion.load(path) if is_motion else Trajectory.load(path)
+
+
+def write_plot(motion: Trajectory | Motion, path: Path) -> None:
+    """Write the plot of a run or a motion as PNG, whatever the name of the file."""
     from pinposture.view import plot
 
     write_picture(plot(motion), path)
@@ -51,11 +143,20 @@ def write_picture(figure: Figure, path: Path) -> None:
     write_bytes(path, picture.getvalue())
 
 
-def write_animation(motion: Trajectory, path: Path) -> Path:
-    """Write the animation of a run as one HTML file; returns the path, which ends in .html."""
+def write_animation(motion: Trajectory | Motion, path: Path, ellipsoids: Sequence[int] = ()) -> Path:
+    """Write the animation of a run or a motion as one HTML file.
+
+    Args:
+        motion: the run, or the motion.
+        path: the file.
+        ellipsoids: indices of the control points to show the manipulability ellipsoids of, 0-based.
+
+    Returns:
+        The path written, which ends in .html.
+    """
     from pinposture.view import save_html
 
-    return save_html(motion.arm, motion, path)
+    return save_html(motion.arm, motion, path, ellipsoids=ellipsoids)
 
 
 def summarize(motion: Trajectory) -> dict[str, Any]:
@@ -89,23 +190,8 @@ def summarize(motion: Trajectory) -> dict[str, Any]:
             {"step": int(k), "what": str(motion.relaxed[k]).splitlines()}
             for k in np.flatnonzero(motion.relaxed != "")
         ],
-        "clearance": _closest(motion),
+        "clearance": closest(motion),
         "incomplete": target.incomplete,
-    }
-
-
-def _closest(motion: Trajectory) -> dict[str, Any] | None:
-    """The smallest distance of a run, where the arm stood still between two steps; None without a scene."""
-    if motion.scene is None:
-        return None
-    after = int(motion.clearance.argmin())
-    closest = motion.scene.around(motion.arm).minimum(motion.q[after])
-    return {
-        "smallest": closest.distance,
-        "final": float(motion.clearance[-1]),
-        "pair": None if closest.pair is None else list(closest.pair),
-        "after_steps": after,
-        "margin": motion.scene.margin,
     }
 
 
@@ -136,7 +222,7 @@ def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
             f"{first_switch['method']}: {first_switch['reason']}"
         )
     if summary["clearance"] is not None:
-        words["clearance"] = _apart(summary["clearance"])
+        words["clearance"] = closest_in_words(summary["clearance"])
     if summary["relaxed"]:
         first_relaxed = summary["relaxed"][0]
         what = textwrap.shorten("; ".join(first_relaxed["what"]), WORDY, placeholder=" ...")
@@ -149,14 +235,3 @@ def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
     if summary["incomplete"]:
         words["incomplete"] = str(summary["incomplete"])
     return words
-
-
-def _apart(clearance: Mapping[str, Any]) -> str:
-    """A smallest distance as a person reads it."""
-    if clearance["pair"] is None:
-        return "nothing to keep clear of"
-    after = f"after {clearance['after_steps']} steps" if clearance["after_steps"] else "at the start"
-    return (
-        f"{clearance['smallest']:.4g} m where it is smallest, {' to '.join(clearance['pair'])}, {after}; "
-        f"{clearance['final']:.4g} m at the end; the margin is {clearance['margin']:.4g} m"
-    )

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pinposture.cli.export import MOTION as MOTION_FILE
 from pinposture.cli.inputs import (
     ARM,
     MOTION,
@@ -20,7 +19,8 @@ from pinposture.cli.inputs import (
 )
 from pinposture.cli.output import print_facts, print_json, print_note, print_warning
 from pinposture.cli.progress import count_progress
-from pinposture.cli.results import RUN, write_picture
+from pinposture.cli.results import MOTION as MOTION_FILE
+from pinposture.cli.results import RUN, find_kept, load_kept, write_picture
 from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:
@@ -157,22 +157,20 @@ def _read(
     path: Path, urdf: str | None, base: str | None, tip: str | None, modules: str | None
 ) -> tuple[Arm, Trajectory | Motion | JointTrajectory]:
     """The arm and its motion."""
-    from pinposture.motion import JointTrajectory, Motion, Trajectory
+    from pinposture.motion import JointTrajectory
     from pinposture.motion.joint_files.arrays import FORMAT as JOINTS
     from pinposture.motion.joint_files.arrays import archive_format
-    from pinposture.motion.motion_files import KIND as MOTION_KIND
 
-    file = path
-    if path.is_dir():
-        moved = archive_format(path / MOTION_FILE) == MOTION_KIND.format
-        file = path / MOTION_FILE if moved else path / RUN
+    file, which = find_kept(path)
+    if which:
+        print_note(which)
     archive = archive_format(file) if file.suffix.lower() == ".npz" else ""
     exported = file.suffix.lower() in (".csv", ".json") or archive == JOINTS
     if not exported:
         for option, value in {"--urdf": urdf, "--base": base, "--tip": tip, "--modules": modules}.items():
             if value is not None:
                 raise InvalidValue(option, value, "nothing; a saved run holds its arm")
-        kept = Motion.load(file) if archive == MOTION_KIND.format else Trajectory.load(file)
+        kept = load_kept(file)
         return kept.arm, kept
     if urdf is None:
         raise InvalidValue("--urdf", None, f"the description of the arm, which {file} does not hold")

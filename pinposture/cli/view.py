@@ -1,4 +1,4 @@
-"""`pinposture view`: look at a run that was kept."""
+"""`pinposture view`: look at a run or a motion that was kept."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import typer
 
 from pinposture.cli.output import print_note
 from pinposture.cli.points import read_points
-from pinposture.cli.results import RUN, write_plot
+from pinposture.cli.results import MOTION, RUN, find_kept, load_kept, write_animation, write_plot
 from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:
-    from pinposture.motion import Trajectory
+    from pinposture.motion import Motion, Trajectory
 
 EXAMPLES = (
     "pinposture view out",
@@ -28,7 +28,11 @@ EXAMPLES = (
 def run(
     *,
     path: Annotated[
-        Path, typer.Argument(metavar="RUN", help=f"A saved run, or the directory that holds its {RUN}.")
+        Path,
+        typer.Argument(
+            metavar="RUN",
+            help=f"A saved run or motion, or the directory that holds its {RUN} or {MOTION}.",
+        ),
     ],
     html: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the animation here, and show nothing.")
@@ -47,22 +51,22 @@ def run(
         ),
     ] = None,
 ) -> None:
-    """Look at a run that was kept.
+    """Look at a run or a motion that was kept.
 
-    It plays in the browser until Ctrl-C; its address is printed, so that another browser can watch as well.
-    With --html or --png its animation or its plot are written to files instead. Ellipsoids are red and flat
-    where the arm is singular, green far from that, yellow in between.
+    Of a directory that holds both, the newer one. It plays in the browser until Ctrl-C, a motion in real
+    time; its address is printed, so that another browser can watch as well. With --html or --png its
+    animation or its plot are written to files instead. Ellipsoids are red and flat where the arm is singular,
+    green far from that, yellow in between.
     """
-    from pinposture.motion import Trajectory
-
-    motion = Trajectory.load(path / RUN if path.is_dir() else path)
+    file, chosen = find_kept(path)
+    if chosen:
+        print_note(f"taken: {chosen}")
+    motion = load_kept(file)
     if ellipsoids is not None and html is None and png is not None:
         raise InvalidValue("--ellipsoids", ellipsoids, "with --html or without --png; the plot shows none")
     points = () if ellipsoids is None else read_points("--ellipsoids", ellipsoids, motion.arm)
     if html is not None:
-        from pinposture.view import save_html
-
-        print_note(f"wrote {save_html(motion.arm, motion, html, ellipsoids=points)}")
+        print_note(f"wrote {write_animation(motion, html, points)}")
     if png is not None:
         write_plot(motion, png)
         print_note(f"wrote {png}")
@@ -71,15 +75,15 @@ def run(
 
 
 def show(
-    motion: Trajectory,
+    motion: Trajectory | Motion,
     open_browser: bool,
     announce: Callable[[str], object],
     ellipsoids: Sequence[int] = (),
 ) -> None:
-    """Play a run in meshcat until Ctrl-C, which is the way to end it and no failure.
+    """Play a run or a motion in meshcat until Ctrl-C, which is the way to end it and no failure.
 
     Args:
-        motion: the run.
+        motion: the run, or the motion.
         open_browser: whether to open a browser at its address, too.
         announce: called with that address.
         ellipsoids: indices of the control points to show the manipulability ellipsoids of, 0-based.
@@ -87,7 +91,7 @@ def show(
     from pinposture.view import view
     from pinposture.view.ellipsoids import scale_in_words
 
-    viewer = view(motion.arm, motion, motion.target, open_browser=open_browser, ellipsoids=ellipsoids)
+    viewer = view(motion.arm, motion, open_browser=open_browser, ellipsoids=ellipsoids)
     try:
         announce(viewer.url)
         if ellipsoids:

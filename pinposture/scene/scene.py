@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from pinposture.scene.clearance import Clearance
 
 VERSION = 1
+NAMED = 8
+"""How many obstacles are named where a scene is told in a line."""
+
 _KEYS = ("version", "obstacles", "self_collision", "margin", "arm_radius")
 
 
@@ -133,6 +136,9 @@ class Scene:
 
     def __repr__(self) -> str:
         named = ", ".join(self.obstacles) or "no obstacles"
+        if len(self.obstacles) > NAMED:
+            first, *_, last = self.obstacles
+            named = f"{len(self.obstacles)} obstacles, {first} to {last}"
         itself = ", clear of itself" if self.self_collision else ""
         return f"Scene({named}{itself}, margin={self.margin:g})"
 

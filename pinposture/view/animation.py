@@ -1,7 +1,8 @@
-"""A run as it passes before the eyes: which configurations are shown, and when."""
+"""A run or a motion as it passes before the eyes: which configurations are shown, and when."""
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm
 from pinposture.errors import InvalidValue
-from pinposture.motion import Trajectory
+from pinposture.motion import Motion, Trajectory
 from pinposture.view import palette
 from pinposture.view.body import bodies, body_poses
 from pinposture.view.commands import Track
@@ -22,34 +23,58 @@ REST_BEFORE, REST_AFTER = 0.6, 1.6
 """How long the first and the last posture stand still [s]."""
 
 SHORTEST = 2.0
-"""How long a motion lasts at least; a run of few steps is shown slower [s]."""
+"""How long a run is shown at least; one of few steps is shown slower [s]."""
+
+LONGEST = 60.0
+"""How long a motion in time is shown at most; one that takes longer is shown faster [s]."""
 
 
 @dataclass(frozen=True)
 class Film:
-    """The configurations of a run that are shown, one after the other.
+    """The configurations of a run or a motion that are shown, one after the other.
 
     Attributes:
-        run: the run.
+        run: the run, or that of the motion.
+        motion: the motion; None for a run, whose steps know of no time.
         rows: which rows of `run.q` are shown, increasing, first and last included, (f,).
         times: when each is reached, (f,), in frames.
         end: when it is over and starts again, in frames.
         fps: frames per second.
+        pace: how many times as fast as it was a motion is shown; 1 in real time.
     """
 
     run: Trajectory
+    motion: Motion | None
     rows: NDArray[np.intp]
     times: Array
     end: float
     fps: float
+    pace: float = 1.0
+
+    @property
+    def held(self) -> NDArray[np.intp]:
+        """Which of `rows` is seen at each of `moments`, (f + 2,)."""
+        return np.concatenate([[0], np.arange(len(self.rows)), [len(self.rows) - 1]])
+
+    @property
+    def moments(self) -> Array:
+        """`times` with beginning and end, (f + 2,), in frames.
+
+        The first and the last configuration are held, so that one sees them before all starts again.
+        """
+        return np.concatenate([[0.0], self.times, [self.end]])
 
 
-def film(run: Trajectory, fps: float, max_frames: int) -> Film:
-    """Choose what to show of a run: every configuration, or of a long run as many as allowed, evenly spaced.
+def film(shown: Trajectory | Motion, fps: float, max_frames: int) -> Film:
+    """Choose what to show: every configuration, or as many as allowed, evenly spaced.
+
+    A motion is shown in real time, unless that takes longer than `LONGEST`. Then it is shown 2, 5, 10, ...
+    times as fast.
 
     Args:
-        run: the run.
-        fps: frames per second; fewer if a short run would be over too soon.
+        shown: a run, or a motion in time.
+        fps: configurations of a motion per second of the film, fewer if it has fewer; steps of a run per
+            second, fewer if it would be over too soon.
         max_frames: number of configurations at most, at least 2.
 
     Raises:
@@ -59,11 +84,29 @@ def film(run: Trajectory, fps: float, max_frames: int) -> Film:
         raise InvalidValue("fps", fps, "a number above 0, at most 120 [1/s]")
     if isinstance(max_frames, bool) or not isinstance(max_frames, int) or max_frames < 2:
         raise InvalidValue("max_frames", max_frames, "a whole number of at least 2")
-    count = min(run.steps + 1, max_frames)
+    if isinstance(shown, Motion):
+        return _in_time(shown, float(fps), max_frames)
+    count = min(shown.steps + 1, max_frames)
     fps = min(fps, max(count - 1, 1) / SHORTEST)
-    rows = np.round(np.linspace(0, run.steps, count)).astype(np.intp)
+    rows = np.round(np.linspace(0, shown.steps, count)).astype(np.intp)
     times = REST_BEFORE * fps + np.arange(count, dtype=np.float64)
-    return Film(run, rows, times, float(times[-1] + REST_AFTER * fps), float(fps))
+    return Film(shown, None, rows, times, float(times[-1] + REST_AFTER * fps), float(fps))
+
+
+def _in_time(motion: Motion, fps: float, max_frames: int) -> Film:
+    """Rows of a motion and when to show them; `fps` is but the unit of time then."""
+    pace = _pace(float(motion.time[-1]))
+    frames = int(np.ceil(motion.time[-1] / pace * fps))
+    count = min(frames, motion.steps, max_frames - 1) + 1
+    rows = np.round(np.linspace(0, motion.steps, count)).astype(np.intp)
+    times = (REST_BEFORE + motion.time[rows] / pace) * fps
+    return Film(motion.run, motion, rows, times, float(times[-1] + REST_AFTER * fps), fps, pace)
+
+
+def _pace(seconds: float) -> float:
+    """How many times as fast to show a motion: the least of 1, 2, 5, 10, 20, ... that makes it short."""
+    paces = (digit * 10.0**power for power in itertools.count() for digit in (1.0, 2.0, 5.0))
+    return next(pace for pace in paces if seconds <= LONGEST * pace * (1.0 + 1e-9))
 
 
 def tracks(arm: Arm, shown: Film) -> list[Track]:
@@ -76,9 +119,7 @@ def tracks(arm: Arm, shown: Film) -> list[Track]:
     """
     run = shown.run
     poses = body_poses(arm, run.q[shown.rows])  # (f, n, 4, 4)
-    # Held at both ends, so that one sees where the run begins and ends before it starts again.
-    held = np.concatenate([[0], np.arange(len(shown.rows)), [-1]])
-    times = np.concatenate([[0.0], shown.times, [shown.end]])
+    held, times = shown.held, shown.moments
     listed = []
     for u in range(poses.shape[1]):
         turns = Rotation.from_matrix(poses[:, u, :3, :3]).as_quat()

@@ -1,10 +1,11 @@
-"""How axes against steps look: scales, ticks, labels."""
+"""How axes against steps or time look: scales, ticks, labels."""
 
 from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator, NullFormatter
+from numpy.typing import NDArray
 
 from pinposture.view import palette
 
@@ -17,15 +18,35 @@ DEEPEST = 12.0
 
 def dress_steps(ax: Axes, label: str) -> None:
     """Give axes against steps, from 0 to the last step drawn, their ticks, grid and labels."""
-    steps = max((float(np.max(line.get_xdata(), initial=0.0)) for line in ax.get_lines()), default=0.0)
+    steps = _dress(ax, "step", label)
     ax.set_xlim(0.0 if steps else -1.0, max(steps, 1.0))
     ax.xaxis.set_major_locator(MaxNLocator(nbins=8, integer=True, min_n_ticks=1))
-    ax.set_xlabel("step", fontsize=9)
+
+
+def dress(ax: Axes, label: str, time: NDArray[np.float64] | None) -> None:
+    """Dress axes against steps, or against time if there is one."""
+    if time is None:
+        dress_steps(ax, label)
+    else:
+        dress_time(ax, label)
+
+
+def dress_time(ax: Axes, label: str) -> None:
+    """Give axes against time, from 0 to the last moment drawn, their ticks, grid and labels."""
+    end = _dress(ax, "time [s]", label)
+    ax.set_xlim(0.0 if end else -1.0, end or 1.0)
+    ax.xaxis.set_major_locator(MaxNLocator(nbins=8, min_n_ticks=1))
+
+
+def _dress(ax: Axes, across: str, label: str) -> float:
+    """Labels, grid and edges of axes; returns the largest number drawn on the horizontal one."""
+    ax.set_xlabel(across, fontsize=9)
     ax.set_ylabel(label, fontsize=9)
     ax.tick_params(labelsize=8)
     ax.spines[["top", "right"]].set_visible(False)
     ax.grid(color=palette.FAINT, lw=0.6)
     ax.set_axisbelow(True)
+    return max((float(np.max(line.get_xdata(), initial=0.0)) for line in ax.get_lines()), default=0.0)
 
 
 def scale_values(ax: Axes) -> None:
@@ -53,26 +74,26 @@ def scale_counts(ax: Axes, largest: int) -> None:
 
 
 def mark_start(ax: Axes, value: float, color: str, unit: str) -> None:
-    """Write the value at step 0 beside it."""
+    """Write the value at the start beside it."""
     _mark(ax, 0, value, color, unit, (7, 4), "left", "bottom")
 
 
-def mark_end(ax: Axes, step: int, value: float, color: str, unit: str) -> None:
-    """Write the value at the last step in the margin on the right, above the axis if it is below it."""
+def mark_end(ax: Axes, place: float, value: float, color: str, unit: str) -> None:
+    """Write the value at the last step, or moment, in the margin on the right, above the axis if below it."""
     below = value <= ax.get_ylim()[0]
-    _mark(ax, step, value, color, unit, (6, 4 if below else 0), "left", "bottom" if below else "center")
+    _mark(ax, place, value, color, unit, (6, 4 if below else 0), "left", "bottom" if below else "center")
 
 
-def mark_least(ax: Axes, step: int, value: float, color: str, unit: str) -> None:
+def mark_least(ax: Axes, place: float, value: float, color: str, unit: str) -> None:
     """Write a least value above its place, where the line leaves room on both sides."""
-    _mark(ax, step, value, color, unit, (0, 8), "center", "bottom")
+    _mark(ax, place, value, color, unit, (0, 8), "center", "bottom")
 
 
 def _mark(
-    ax: Axes, step: int, value: float, color: str, unit: str, offset: tuple[int, int], ha: str, va: str
+    ax: Axes, across: float, value: float, color: str, unit: str, offset: tuple[int, int], ha: str, va: str
 ) -> None:
     low, high = ax.get_ylim()
-    place = (step, float(np.clip(value, low, high)))  # a zero has no place of its own on a logarithmic axis
+    place = (across, float(np.clip(value, low, high)))  # a zero has no place of its own on a logarithmic axis
     ax.plot(*place, marker="o", ms=4, color=color, clip_on=False, zorder=5)
     ax.set_ylim(low, high)
     ax.annotate(

@@ -1,4 +1,4 @@
-"""A run as one HTML file: an animation that opens in any browser, without a server and without a network."""
+"""A run or a motion as one HTML file: an animation that opens in any browser, without server or network."""
 
 from __future__ import annotations
 
@@ -6,59 +6,54 @@ import base64
 import html
 import importlib.util
 import json
-from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from string import Template
 
-import numpy as np
-
 from pinposture.arm import Arm, ControlPoints
 from pinposture.arm.ellipsoid import chosen_points
 from pinposture.errors import FileError
-from pinposture.motion import Trajectory
+from pinposture.motion import Motion, Trajectory
 from pinposture.storage import write_text
 from pinposture.target import Target
 from pinposture.view import palette
-from pinposture.view.animation import Film, film, tracks
-from pinposture.view.clearance import has_clearance
+from pinposture.view.animation import Film, film
+from pinposture.view.captions import legend, texts
 from pinposture.view.commands import animate, pack
-from pinposture.view.ellipsoids import KEY, scale_in_words
-from pinposture.view.moving_ellipsoids import ball_commands, ball_ends, ball_tracks, balls
-from pinposture.view.obstacles import near_corners, obstacle_commands, shown_obstacles
-from pinposture.view.scene import (
-    ASPECT,
-    arm_commands,
-    require_fitting,
-    stage_commands,
-    stage_points,
-    target_commands,
-)
-from pinposture.view.words import controller_name, ending
+from pinposture.view.ellipsoids import scale_in_words
+from pinposture.view.scene import ASPECT, require_fitting
+from pinposture.view.staging import staged
+from pinposture.view.words import controller_name, ending, ending_in_time
+
+MOST, MOST_IN_TIME = 240, 1200
+"""Configurations of a run and of a motion that a file holds at most."""
 
 
 def save_html(
     arm: Arm,
-    run: Trajectory,
+    run: Trajectory | Motion,
     path: str | Path,
     target: Target | None = None,
     fps: float = 20.0,
-    max_frames: int = 240,
+    max_frames: int | None = None,
     ellipsoids: ControlPoints = (),
 ) -> Path:
-    """Write a run as an animation to one HTML file, all or nothing.
+    """Write a run or a motion as an animation to one HTML file, all or nothing.
 
     The file holds all that it needs, the viewer's script included: it opens from disk, offline. The run
     plays over and over; the mouse turns, shifts and zooms. Active control points are coloured and large.
     Obstacles are translucent; of a half-space there is a patch.
 
+    A motion in time plays as by `view`. Below it is written when it came to which of its named places.
+
     Args:
         arm: the arm.
-        run: the run to show.
+        run: the run, or the motion in time, to show.
         path: the file; ".html" is added if it has no such ending.
-        target: the target to show; that of the run if None.
+        target: a target to show, which stays where it is; that of a run if None.
         fps: configurations shown per second; fewer if the run is so short that it would last under 2 s.
-        max_frames: number of configurations shown at most; of longer runs some are skipped.
+        max_frames: number of configurations shown at most; of longer runs some are skipped. None: 240 of a
+            run, 1200 of a motion.
         ellipsoids: control points to show the manipulability ellipsoids of, as for `view`; the page says what
             their colours mean, and at what scale they are drawn.
 
@@ -72,76 +67,34 @@ def save_html(
     """
     path = Path(path)
     path = path if path.suffix.lower() in (".html", ".htm") else path.with_name(f"{path.name}.html")
-    target = run.target if target is None else target
+    target = run.target if target is None and isinstance(run, Trajectory) else target
     require_fitting(arm, run, target)
     points = chosen_points(arm.control_points, ellipsoids)
+    if max_frames is None:
+        max_frames = MOST_IN_TIME if isinstance(run, Motion) else MOST
     write_text(path, _page(arm, film(run, fps, max_frames), target, points))
     return path
 
 
-def _page(arm: Arm, shown: Film, target: Target, points: tuple[int, ...]) -> str:
-    run = shown.run
-    ellipsoids = balls(arm, points, run.q[shown.rows])
-    stage = np.vstack([stage_points(arm, run, target), ball_ends(ellipsoids)])
-    obstacles = shown_obstacles(run.scene, stage)
-    commands = [
-        *stage_commands(arm, np.vstack([stage, near_corners(obstacles)])),
-        *arm_commands(arm, run.q[0]),
-        *target_commands(arm, target),
-        *obstacle_commands(obstacles),
-        *ball_commands(ellipsoids),
-        animate([*tracks(arm, shown), *ball_tracks(ellipsoids, shown)], shown.fps),
-    ]
+def _page(arm: Arm, shown: Film, target: Target | None, points: tuple[int, ...]) -> str:
+    run, motion = shown.run, shown.motion
+    setting = staged(arm, shown, target, run.scene, points)
+    commands = [*setting.drawn, animate(setting.tracks, shown.fps)]
     packed = [base64.b64encode(pack(command)).decode("ascii") for command in commands]
-    described = {"fps": shown.fps, "before": float(shown.times[0]), "texts": _texts(shown)}
+    described = {"times": (shown.times / shown.fps).round(6).tolist(), "texts": texts(shown)}
     template = resources.files("pinposture.view").joinpath("page.html").read_text(encoding="utf-8")
+    ended = ending(run) if motion is None else ending_in_time(motion)
     return Template(template).substitute(
-        title=html.escape(f"{controller_name(run)} {ending(run)}"),
+        title=html.escape(f"{controller_name(run)} {ended}"),
         reason=html.escape(run.reason),
-        legend=_legend(run.steps > 0, bool(obstacles), scale_in_words(arm, points) if points else ""),
+        legend=legend(shown, setting, target is not None, scale_in_words(arm, points) if points else ""),
         ink=palette.INK,
         end=shown.end / shown.fps,
         aspect=ASPECT,
         viewer=_viewer_script(),
-        run=json.dumps(described),
+        run=json.dumps(described).replace("<", r"\u003c"),  # a name in it must not end the script
         commands=json.dumps(packed),
     )
-
-
-def _texts(shown: Film) -> list[str]:
-    """What is written under each configuration that is shown."""
-    run = shown.run
-    texts = []
-    for row in shown.rows:
-        text = f"step {row} of {run.steps}, posture error {run.posture_error[row]:.3g} m"
-        if run.steps:
-            count = int(run.active[min(row, run.steps - 1)].sum())
-            text += f", {count} of {run.arm.n_modules} control points active"
-            if run.switches:
-                text += f" by {run.method[min(row, run.steps - 1)].capitalize()}"
-        if has_clearance(run):
-            text += f", clearance {run.clearance[row]:.3g} m"
-        texts.append(text)
-    return texts
-
-
-def _legend(moves: bool, obstacles: bool, scale: str) -> str:
-    entries = {"target": palette.TARGET, "control point": palette.IDLE}
-    if moves:
-        entries = {"target": palette.TARGET, "active control point": palette.ACTIVE, "idle": palette.IDLE}
-    if obstacles:
-        entries["obstacle"] = palette.OBSTACLE
-    words = _dots(entries)
-    if scale:
-        words += f"<br>ellipsoids, {scale}: " + _dots(
-            {f"index {meaning}": color for color, meaning in KEY.items()}
-        )
-    return words
-
-
-def _dots(entries: Mapping[str, str]) -> str:
-    dots = [f'<span class="dot" style="background: {color}"></span>{name}' for name, color in entries.items()]
-    return "".join(dots)
 
 
 def _viewer_script() -> str:

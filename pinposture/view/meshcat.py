@@ -5,32 +5,23 @@ from __future__ import annotations
 import webbrowser
 from types import TracebackType
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from pinposture.arm import Arm, ControlPoints
 from pinposture.arm.ellipsoid import chosen_points
 from pinposture.errors import InvalidValue
-from pinposture.motion import Trajectory
+from pinposture.motion import Motion, Trajectory
 from pinposture.scene import Scene
 from pinposture.target import Target
-from pinposture.view.animation import film, tracks
+from pinposture.view.animation import film
 from pinposture.view.commands import animate, delete
-from pinposture.view.moving_ellipsoids import ball_commands, ball_ends, ball_tracks, balls
-from pinposture.view.obstacles import near_corners, obstacle_commands, shown_obstacles
-from pinposture.view.scene import (
-    ROOT,
-    arm_commands,
-    pose_commands,
-    require_fitting,
-    stage_commands,
-    stage_points,
-    target_commands,
-)
+from pinposture.view.moving_ellipsoids import ball_commands, balls
+from pinposture.view.scene import ROOT, pose_commands, require_fitting
 from pinposture.view.server import Server
+from pinposture.view.staging import staged
 
 MOST_FRAMES = 2000
-"""Configurations of a run that are sent to the browser at most."""
+"""Configurations of a run or a motion that are sent to the browser at most."""
 
 
 class MeshcatViewer:
@@ -41,7 +32,7 @@ class MeshcatViewer:
 
     Attributes:
         arm: the arm.
-        run: the run that `play` plays, or None.
+        run: the run, or the motion in time, that `play` plays, or None.
         target: the target shown, or None.
         scene: what surrounds the arm, or None.
         ellipsoids: indices of the control points with an ellipsoid, 0-based.
@@ -50,7 +41,7 @@ class MeshcatViewer:
     def __init__(
         self,
         arm: Arm,
-        run: Trajectory | None,
+        run: Trajectory | Motion | None,
         target: Target | None,
         fps: float,
         url: str | None,
@@ -61,20 +52,12 @@ class MeshcatViewer:
         self.arm, self.run, self.target, self.scene = arm, run, target, scene
         self.ellipsoids = chosen_points(arm.control_points, ellipsoids)
         self._film = None if run is None else film(run, fps, MOST_FRAMES)
-        rows = arm.neutral()[None] if run is None or self._film is None else run.q[self._film.rows]
-        self._balls = balls(arm, self.ellipsoids, rows)
+        setting = staged(arm, self._film, target, scene, self.ellipsoids)
+        self._tracks = setting.tracks
         self._playing = False
-        stage = np.vstack([stage_points(arm, run, target), ball_ends(self._balls)])
-        obstacles = shown_obstacles(scene, stage)
-        stage = np.vstack([stage, near_corners(obstacles)])
         self._server = Server(url)
         try:
-            self._server.send([delete(ROOT), *stage_commands(arm, stage)])
-            self._server.send([*arm_commands(arm, rows[0]), *ball_commands(self._balls)])
-            if target is not None:
-                self._server.send(target_commands(arm, target))
-            if obstacles:
-                self._server.send(obstacle_commands(obstacles))
+            self._server.send([delete(ROOT), *setting.drawn])
             if run is not None:
                 self.play()
         except BaseException:
@@ -118,8 +101,7 @@ class MeshcatViewer:
         """
         if self._film is None:
             raise InvalidValue("run", None, "a run to play, as in view(arm, run)")
-        listed = [*tracks(self.arm, self._film), *ball_tracks(self._balls, self._film)]
-        self._server.send([animate(listed, self._film.fps)])
+        self._server.send([animate(self._tracks, self._film.fps)])
         self._playing = True
 
     def close(self) -> None:

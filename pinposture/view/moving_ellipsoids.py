@@ -85,8 +85,7 @@ def ball_tracks(shown: Balls, film: Film) -> list[Track]:
         shown: the ellipsoids at the configurations of the film.
         film: what else is shown.
     """
-    held = np.concatenate([[0], np.arange(len(film.rows)), [-1]])  # as the bodies of the arm are
-    times = np.concatenate([[0.0], film.times, [film.end]])
+    held, times = film.held, film.moments
     listed = []
     for p, point in enumerate(shown.points):
         turns = _turns(shown.frames[:, p])

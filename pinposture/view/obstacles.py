@@ -27,6 +27,9 @@ INTO = 0.25
 THICKNESS = 0.02
 """Thickness of the patch that stands for a half-space, relative to the size of what is shown."""
 
+MANY = 24
+"""Number of obstacles beyond which each has to let through more."""
+
 WIDTH = 0.3
 """Least width of such a patch, relative to that size."""
 
@@ -93,9 +96,10 @@ def near_corners(shown: Sequence[Shown]) -> Array:
 
 
 def obstacle_commands(shown: Sequence[Shown]) -> list[Command]:
-    """Draw obstacles in the browser."""
+    """Draw obstacles in the browser; the walls of a pipe, for instance, hide what is in it but a little."""
+    opacity = palette.SHEER if len(shown) > MANY else palette.SEE_THROUGH
     return [
-        draw(f"{ROOT}/obstacles/obstacle_{k + 1:03d}", each.surface, palette.OBSTACLE, palette.SEE_THROUGH)
+        draw(f"{ROOT}/obstacles/obstacle_{k + 1:03d}", each.surface, palette.OBSTACLE, opacity)
         for k, each in enumerate(shown)
     ]
 

@@ -40,6 +40,9 @@ MODULES = ("#4F779F", "#A3B8CC")
 ALONG = ("#440154", "#46327E", "#365C8D", "#277F8E", "#1FA187", "#4AC16D", "#A0DA39")
 """From base to tip: dark to light, without the yellows that white paper swallows."""
 
+IN_TIME = ("#EDB458", "#DD6E42", "#B23A5B", "#6A2470", "#2A1350")
+"""From the first posture of a motion to the last: pale to dark."""
+
 TURN = "#B03A6F"
 """Axis of a joint that turns."""
 
@@ -52,8 +55,8 @@ BASE = "#4A5560"
 OBSTACLE = "#94897A"
 """What the arm must keep clear of."""
 
-SEE_THROUGH = 0.45
-"""How opaque obstacles are."""
+SEE_THROUGH, SHEER = 0.45, 0.18
+"""How opaque obstacles are, and how opaque they are where many stand in front of each other."""
 
 ESCAPE = "#E4D9F2"
 """Steps that lead out of a place where the posture error cannot fall, behind what is drawn."""
@@ -117,6 +120,13 @@ def index_color(index: float) -> str:
     if share > 1.0:
         share, before, after = share - 1.0, WORSE, REGULAR
     return mixed(before, after, share)
+
+
+def in_time(share: float) -> str:
+    """Colour of a posture of a motion, by how far along it is, in [0, 1]."""
+    along = share * (len(IN_TIME) - 1)
+    before = min(int(along), len(IN_TIME) - 2)
+    return mixed(IN_TIME[before], IN_TIME[before + 1], along - before)
 
 
 def mixed(color: str, other: str, share: float) -> str:

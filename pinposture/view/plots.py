@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Mapping
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from pinposture.errors import InvalidValue
-from pinposture.motion import Trajectory
+from pinposture.motion import Motion, Trajectory
 from pinposture.view import palette
 from pinposture.view.axes import dress_steps, scale_counts
 from pinposture.view.clearance import explain, has_clearance, mark_escapes, mark_relaxed, plot_clearance
+from pinposture.view.layout import footnote, lay_out, share_axis, title
+from pinposture.view.motion import plot_motion
 from pinposture.view.panels import (
     chooses_points,
     mark_method,
@@ -25,43 +24,44 @@ from pinposture.view.panels import (
 from pinposture.view.run_postures import draw_runs, plot_postures
 from pinposture.view.words import controller_name, ending
 
-WIDTH, HEIGHT = 12.0, 7.2
-"""Size of a figure [inch]; 1200 pixels wide at the default resolution."""
 
-
-def plot(run: Trajectory) -> Figure:
+def plot(run: Trajectory | Motion) -> Figure:
     """Tell a run in one figure: postures, posture error, point errors, active points, clearance.
 
     Active points are left out where the controller does not choose any, clearance where there was no scene.
     Where a controller took turns, red dots on the axis mark the steps that it left to Projection. Behind the
     posture error, escape steps are shaded; red bars below it mark steps in which a constraint gave way.
 
+    Of a motion in time it tells the postures at its named places, and over time the posture error, joint
+    speeds and accelerations relative to their limits, what was slowed down, and clearance.
+
     Args:
-        run: the run.
+        run: the run, or the motion.
 
     Returns:
         A figure, 1200 pixels wide; `figure.savefig(path)` writes it. It is not shown, and pyplot does not
         know of it.
     """
+    if isinstance(run, Motion):
+        return plot_motion(run)
     draws = [plot_posture_error, plot_point_errors]
     if chooses_points(run):
         draws.append(plot_active_points)
     if has_clearance(run):
         draws.append(plot_clearance)
-    figure, postures, panels = _lay_out(run, len(draws))
+    figure, postures, panels = lay_out(run.arm, len(draws))
     plot_postures(run, postures)
     for draw, panel in zip(draws, panels, strict=True):
         draw(run, panel)
     mark_escapes(run, panels[0])
     mark_relaxed(run, panels[0])
     explain(panels[0])
-    _share_steps(panels)
+    share_axis(panels)
     if run.switches:
         mark_method(run, panels[-1])
         panels[-1].set_xlabel("step (red: steps by Projection)")
-    _title(figure, [f"{controller_name(run)} {ending(run)}: {run.reason}"])
-    parameters = textwrap.fill(textwrap.shorten(run.controller, 500), 190)
-    figure.supxlabel(parameters, fontsize=8, x=0.012, ha="left", color=palette.QUIET, parse_math=False)
+    title(figure, [f"{controller_name(run)} {ending(run)}: {run.reason}"])
+    footnote(figure, run.controller)
     return figure
 
 
@@ -80,7 +80,7 @@ def plot_comparison(runs: Mapping[str, Trajectory]) -> Figure:
     _require_same_target(runs)
     colors = palette.distinct_colors(run.controller for run in runs.values())
     near = any(has_clearance(run) for run in runs.values())
-    figure, postures, panels = _lay_out(next(iter(runs.values())), 2 + near)
+    figure, postures, panels = lay_out(next(iter(runs.values())).arm, 2 + near)
     errors, counts = panels[:2]
     draw_runs(
         [(run, label, color) for (label, run), color in zip(runs.items(), colors, strict=True)], postures
@@ -95,28 +95,9 @@ def plot_comparison(runs: Mapping[str, Trajectory]) -> Figure:
     if near:
         for run, color in zip(runs.values(), colors, strict=True):
             plot_clearance(run, panels[2], color)
-    _share_steps(panels)
-    _title(figure, [f"{label} {ending(run)}: {run.reason}" for label, run in runs.items()])
+    share_axis(panels)
+    title(figure, [f"{label} {ending(run)}: {run.reason}" for label, run in runs.items()])
     return figure
-
-
-def _lay_out(run: Trajectory, rows: int) -> tuple[Figure, Axes, list[Axes]]:
-    size = WIDTH, HEIGHT + max(0, rows - 3)
-    figure = Figure(figsize=size, layout=ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.09, wspace=0.04))
-    grid = figure.add_gridspec(rows, 2, width_ratios=(1.1, 1.0))
-    postures = figure.add_subplot(grid[:, 0], projection="3d" if run.arm.dimension == 3 else None)
-    return figure, postures, [figure.add_subplot(grid[row, 1]) for row in range(rows)]
-
-
-def _share_steps(panels: list[Axes]) -> None:
-    for panel in panels[:-1]:
-        panel.set_xlabel("")
-        panel.tick_params(labelbottom=False)
-
-
-def _title(figure: Figure, sentences: list[str]) -> None:
-    text = "\n".join(textwrap.fill(sentence, 145) for sentence in sentences)
-    figure.suptitle(text, fontsize=10, x=0.012, ha="left", color=palette.INK, parse_math=False)
 
 
 def _require_same_target(runs: Mapping[str, Trajectory]) -> None:

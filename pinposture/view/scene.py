@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.errors import InvalidValue
-from pinposture.motion import Trajectory
+from pinposture.motion import Motion, Trajectory
 from pinposture.target import Target
 from pinposture.view import palette
 from pinposture.view.body import Body, backbone, bodies, body_poses
@@ -55,8 +55,8 @@ def link_radius(arm: Arm) -> float:
     return min(0.25 * module, float(np.clip(0.16 * module, 0.004 * arm.length, 0.015 * arm.length)))
 
 
-def require_fitting(arm: Arm, run: Trajectory | None, target: Target | None) -> None:
-    """Check that a run and a target belong to an arm.
+def require_fitting(arm: Arm, run: Trajectory | Motion | None, target: Target | None) -> None:
+    """Check that a run or a motion and a target belong to an arm.
 
     Raises:
         InvalidValue: they have other numbers of joints or control points.

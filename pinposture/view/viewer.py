@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from pinposture.arm import Arm, ControlPoints
 from pinposture.errors import UnknownName
-from pinposture.motion import Trajectory
+from pinposture.motion import Motion, Trajectory
 from pinposture.scene import Scene
 from pinposture.target import Target
 from pinposture.view.meshcat import MeshcatViewer
@@ -32,7 +32,7 @@ class Viewer(Protocol):
         """Show the arm at a configuration, (nq,) [rad or m]."""
 
     def play(self) -> None:
-        """Play the run from its start, over and over."""
+        """Play the run, or the motion, from its start, over and over."""
 
     def close(self) -> None:
         """End the viewer."""
@@ -40,14 +40,17 @@ class Viewer(Protocol):
 
 VIEWERS: dict[
     str,
-    Callable[[Arm, Trajectory | None, Target | None, float, str | None, ControlPoints, Scene | None], Viewer],
+    Callable[
+        [Arm, Trajectory | Motion | None, Target | None, float, str | None, ControlPoints, Scene | None],
+        Viewer,
+    ],
 ] = {"meshcat": MeshcatViewer}
 """What can draw an arm, by name."""
 
 
 def view(
     arm: Arm,
-    run: Trajectory | None = None,
+    run: Trajectory | Motion | None = None,
     target: Target | None = None,
     viewer: str = "meshcat",
     open_browser: bool = False,
@@ -56,19 +59,23 @@ def view(
     ellipsoids: ControlPoints = (),
     scene: Scene | None = None,
 ) -> Viewer:
-    """Show an arm in the browser: at its neutral configuration, or playing a run.
+    """Show an arm in the browser: at its neutral configuration, or playing a run or a motion.
 
     The arm is drawn with the visual meshes of its description where there are any that can be read, elsewhere
     from its kinematics, in two shades that take turns from module to module. Control points that are active
     are coloured and large. One `PostureWarning` names the meshes that are not drawn.
 
+    A motion in time plays in real time, unless it takes longer than a minute: then 2, 5, 10, ... times as
+    fast. Hoops go where its control points should be, and thin lines are its targets at named places.
+
     Args:
         arm: the arm.
-        run: a run to play, over and over; None to show the arm at rest.
-        target: the target to show; that of the run, if there is one, if None.
+        run: a run, or a motion in time, to play over and over; None to show the arm at rest.
+        target: a target to show, which stays where it is; if None that of the run, if there is one.
         viewer: what draws it: "meshcat".
         open_browser: whether to open a browser on this computer. Without, open the viewer's `url`.
-        fps: steps of the run shown per second; fewer if it is so short that it would last under 2 s.
+        fps: steps of the run shown per second; fewer if it is so short that it would last under 2 s. Of a
+            motion in time, configurations shown per second.
         url: where a server that runs already listens for commands, as in "tcp://127.0.0.1:6000"; None to
             start one that only this machine can reach.
         ellipsoids: control points to show the manipulability ellipsoids of (Section 3.3), by their indices,
@@ -88,10 +95,11 @@ def view(
     """
     if viewer not in VIEWERS:
         raise UnknownName("viewer", viewer, VIEWERS)
-    if target is None and run is not None:
-        target = run.target
-    if scene is None and run is not None:
-        scene = run.scene
+    own = run.run if isinstance(run, Motion) else run
+    if target is None and own is run and own is not None:
+        target = own.target
+    if scene is None and own is not None:
+        scene = own.scene
     shown = VIEWERS[viewer](arm, run, target, fps, url, ellipsoids, scene)
     logger.info("%s viewer at %s", viewer, shown.url)
     if open_browser:

@@ -1,8 +1,8 @@
-"""A run in words, for titles."""
+"""A run or a motion in words, for titles."""
 
 from __future__ import annotations
 
-from pinposture.motion import Trajectory
+from pinposture.motion import Motion, Trajectory
 
 ENDINGS = {
     "converged": "converged",
@@ -11,6 +11,9 @@ ENDINGS = {
     "max_steps": "ran out of steps",
     "stopped": "was stopped",
 }
+
+SLOWED = 1.001
+"""How many times as long as planned a motion takes that was slowed down."""
 
 
 def controller_name(run: Trajectory) -> str:
@@ -22,3 +25,22 @@ def ending(run: Trajectory) -> str:
     """How and when a run ended, as what is said of its controller."""
     how = ENDINGS.get(run.status, f"ended ({run.status})")
     return f"{how} after {run.steps} step{'s' * (run.steps != 1)}"
+
+
+def ending_in_time(motion: Motion) -> str:
+    """How and when a motion ended, as what is said of its controller."""
+    how = ENDINGS.get(motion.run.status, f"ended ({motion.run.status})")
+    return f"{how} after {motion.time[-1]:.4g} s{slower(motion)}"
+
+
+def slower(motion: Motion) -> str:
+    """How much a motion was slowed down, after a comma; empty if it was not, or did not get to its end."""
+    if motion.clock[-1] < motion.planned or not is_slowed(motion):
+        return ""
+    since = f"from {motion.time[motion.set_out]:.4g} s on " if motion.set_out else ""
+    return f", {since}{motion.slowing:.3g} times as long as planned"
+
+
+def is_slowed(motion: Motion) -> bool:
+    """Whether something slowed a motion down, by more than one sees."""
+    return motion.slowing > SLOWED

@@ -30,7 +30,7 @@ def asked(monkeypatch):
     def view(arm, run=None, target=None, viewer="meshcat", open_browser=False, ellipsoids=()):
         if ellipsoids:
             asked.append(("ellipsoids", *ellipsoids))
-        asked.append(("view", arm.nv, run.steps, target is run.target, viewer, open_browser))
+        asked.append(("view", arm.nv, run.steps, target is None, viewer, open_browser))
         return Viewer(asked)
 
     def wait():

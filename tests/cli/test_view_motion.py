@@ -1,0 +1,212 @@
+"""Motions in time on the command line: looked at, kept, and summed up."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from view.motions import ARM, some_motion
+
+import pinposture as pp
+from pinposture.cli.results import (
+    FORMATS,
+    find_kept,
+    keep_motion,
+    load_kept,
+    motion_in_words,
+    summarize_motion,
+)
+from pinposture.errors import FileError
+from pinposture.motion.motion import Motion, Passed
+
+BALL = pp.Scene({"ball": pp.Sphere((0.1, 0.3, 0.2), 0.05)}, margin=0.01)
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory) -> Path:
+    """A directory with a motion, and a run that is newer."""
+    path = tmp_path_factory.mktemp("both")
+    motion = some_motion()
+    motion.save(path / "motion.npz")
+    motion.run.save(path / "run.npz")
+    touch(path / "motion.npz", 1000)
+    touch(path / "run.npz", 2000)
+    return path
+
+
+def touch(path: Path, when: int) -> None:
+    os.utime(path, (when, when))
+
+
+@pytest.mark.parametrize("newer", ["motion.npz", "run.npz"])
+def test_of_a_directory_with_both_the_newer_one_is_taken_and_named(both, newer):
+    touch(both / newer, 3000)
+    touch(both / ("run.npz" if newer == "motion.npz" else "motion.npz"), 2000)
+    file, chosen = find_kept(both)
+    assert file == both / newer
+    assert chosen.startswith(newer)
+    assert isinstance(load_kept(file), Motion if newer == "motion.npz" else pp.Trajectory)
+
+
+def test_one_file_alone_needs_no_words(tmp_path):
+    some_motion().save(tmp_path / "motion.npz")
+    assert find_kept(tmp_path) == (tmp_path / "motion.npz", "")
+    assert find_kept(tmp_path / "motion.npz") == (tmp_path / "motion.npz", "")
+
+
+def test_joints_that_were_exported_as_motion_npz_are_no_motion(tmp_path):
+    motion = some_motion()
+    motion.joint_trajectory().save(tmp_path / "motion.npz")
+    with pytest.raises(FileError, match=r"no such file, and no motion\.npz"):
+        find_kept(tmp_path)
+    motion.run.save(tmp_path / "run.npz")
+    assert find_kept(tmp_path) == (tmp_path / "run.npz", "")
+
+
+def test_the_command_writes_pictures_of_a_motion(command, both, tmp_path):
+    touch(both / "motion.npz", 4000)
+    html, png = tmp_path / "a.html", tmp_path / "a.png"
+    result = command("view", both, "--html", html, "--png", png, "--ellipsoids", "2,5")
+    assert (result.code, result.out) == (0, "")
+    assert result.err.splitlines() == [
+        "taken: motion.npz, which is newer than run.npz",
+        f"wrote {html}",
+        f"wrote {png}",
+    ]
+    page = html.read_text(encoding="utf-8")
+    assert "shown in real time" in page
+    assert "ellipsoids, 1 m/rad" in page
+    assert png.read_bytes().startswith(b"\x89PNG\r\n")
+
+
+def test_the_command_plays_a_motion_until_ctrl_c(command, both, monkeypatch):
+    shown = []
+
+    class Viewer:
+        url = "http://127.0.0.1:7000/static/"
+
+        def play(self):
+            shown.append("play")
+
+        def close(self):
+            shown.append("close")
+
+    def view(arm, motion, **options):
+        shown.append((type(motion), options["open_browser"], options["ellipsoids"]))
+        return Viewer()
+
+    def wait():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pinposture.view.view", view)
+    monkeypatch.setattr("pinposture.cli.view.wait", wait)
+    result = command("view", both / "motion.npz", "--no-browser", "--ellipsoids", "5")
+    assert (result.code, result.out) == (0, f"{Viewer.url}\n")
+    assert shown == [(Motion, False, (4,)), "play", "close"]
+
+
+def test_a_motion_is_kept_in_every_format_that_is_asked_for(tmp_path):
+    motion = some_motion()
+    files = keep_motion(motion, tmp_path / "out")
+    assert set(files) == set(FORMATS)
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(
+        f"motion.{kind}" for kind in FORMATS
+    )
+    assert list(files)[-1] == "npz"
+    np.testing.assert_array_equal(Motion.load(files["npz"]).q, motion.q)
+    message = json.loads(Path(files["json"]).read_text(encoding="utf-8"))
+    # It stands still for a cycle before and after.
+    assert len(message["points"]) == motion.steps + 3
+    assert message["joint_names"] == list(ARM.joint_names)
+    assert "<html" in Path(files["html"]).read_text(encoding="utf-8").lower()
+    assert Path(files["png"]).read_bytes().startswith(b"\x89PNG\r\n")
+    table = pp.JointTrajectory.load(files["csv"])
+    np.testing.assert_allclose(table.positions[1:-1], motion.q, atol=1e-9)
+
+
+def test_formats_that_are_not_asked_for_are_not_written(tmp_path):
+    assert list(keep_motion(some_motion(), tmp_path, ("csv", "npz"))) == ["csv", "npz"]
+    assert {path.name for path in tmp_path.iterdir()} == {"motion.csv", "motion.npz"}
+    assert keep_motion(some_motion(), tmp_path / "none", ()) == {}
+
+
+def test_a_summary_holds_the_numbers_of_the_motion_from_setting_out_on():
+    motion = some_motion(planned=1.25, set_out=10, scene=BALL)
+    run = motion.run
+    errors = run.point_errors.copy()
+    errors[3] = 9.0  # on the way to the first posture, which is not the plan
+    errors[40] = 0.01
+    motion = replace(motion, run=replace(run, point_errors=errors), detours=("at 1 s it went round",))
+    summary = summarize_motion(motion)
+    json.dumps(summary, allow_nan=False)
+    assert (summary["status"], summary["converged"], summary["steps"]) == ("converged", True, 60)
+    assert [summary[name] for name in ("time", "set_out", "planned", "duration", "slowing")] == pytest.approx(
+        [3.0, 0.5, 1.25, 2.5, 2.0]
+    )
+    rates = np.diff(motion.q, axis=0) / 0.05
+    changes = np.diff(np.vstack([0 * rates[:1], rates, 0 * rates[:1]]), axis=0) / 0.05
+    assert summary["largest_speed"] == pytest.approx(np.abs(rates).max() / 2.0)
+    assert summary["largest_acceleration"] == pytest.approx(np.abs(changes).max() / 30.0)
+    assert (summary["worst_posture_error"], summary["worst_at"]) == pytest.approx((0.05, 2.0))
+    assert summary["mean_posture_error"] == pytest.approx((50 * 0.005 + 0.05) / 51)
+    assert summary["worst_mean_error"] == pytest.approx(0.01)
+    assert summary["mean_error"] == pytest.approx((50 * 0.001 + 0.01) / 51)
+    assert [place["name"] for place in summary["keyframes"]] == ["straight", "S", "coil"]
+    assert summary["keyframes"][2] == {
+        "name": "coil",
+        "planned": 1.25,
+        "reached": pytest.approx(2.5),
+        "mean_error": 1e-3,
+    }
+    closest = BALL.around(ARM).minimum(motion.q[run.clearance.argmin()])
+    assert summary["clearance"]["smallest"] == pytest.approx(closest.distance)
+    assert summary["detours"] == ["at 1 s it went round"]
+
+
+def test_a_summary_in_words_tells_what_a_person_asks_for():
+    motion = some_motion(planned=1.25, set_out=10, scene=BALL)
+    passed = (*motion.passed, Passed("late", 1.25, None, None, None))
+    motion = replace(motion, passed=passed, detours=("at 1 s it went round", "and again"))
+    words = motion_in_words(summarize_motion(motion))
+    assert words["status"] == ("converged", "green")
+    assert words["duration"] == (
+        "2.5 s, 2 times as long as the 1.25 s planned; before that 0.5 s to come to the first posture"
+    )
+    assert words["speed"].endswith("% of the limit")
+    lines = words["keyframes"].splitlines()
+    assert [line.split()[0] for line in lines] == ["straight", "S", "coil", "late"]
+    assert lines[2].split(maxsplit=1)[1] == "planned     1.25 s, reached      2.5 s, mean error 0.001 m"
+    assert lines[3].endswith("not reached")
+    assert "margin is 0.01 m" in words["clearance"]
+    assert " steps" not in words["clearance"]
+    assert words["detours"] == "at 1 s it went round\nand again"
+
+
+def test_what_is_not_there_is_not_told():
+    free = some_motion(limits=pp.Limits(step=None, dt=0.05, velocity=np.inf), names=())
+    summary = summarize_motion(free)
+    assert summary["largest_speed"] is None
+    assert summary["largest_acceleration"] is None
+    words = motion_in_words(summary)
+    assert words["duration"] == "3 s, as planned"
+    assert not {"speed", "acceleration", "keyframes", "clearance", "detours"} & set(words)
+
+
+def test_a_motion_that_did_not_get_to_its_end_says_how_far_it_came():
+    motion = some_motion()
+    motion = replace(motion, clock=0.5 * motion.clock, run=replace(motion.run, status="stalled"))
+    words = motion_in_words(summarize_motion(motion))
+    assert words["status"] == ("stalled", "yellow")
+    assert words["duration"] == "3 s, for 1.5 of the 3 s of the plan"
+
+
+def test_a_limit_that_is_reached_is_named():
+    motion = some_motion()
+    fastest = float(np.abs(motion.velocities).max())
+    limits = pp.Limits(step=None, dt=0.05, velocity=fastest)
+    words = motion_in_words(summarize_motion(some_motion(limits=limits)))
+    assert words["speed"] == "at most 100 % of the limit, which is reached"

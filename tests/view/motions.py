@@ -1,0 +1,75 @@
+"""Motions in time whose every number is known, because nothing was performed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+import pinposture as pp
+from pinposture.motion.motion import Motion, Passed
+
+ARM = pp.Arm.from_template("RyRz", modules=5)
+LIMITS = pp.Limits(step=None, dt=0.05, velocity=2.0, acceleration=30.0)
+
+
+def some_motion(
+    steps: int = 60,
+    arm: pp.Arm = ARM,
+    limits: pp.Limits = LIMITS,
+    scene: pp.Scene | None = None,
+    planned: float | None = None,
+    set_out: int = 0,
+    names: tuple[str, ...] = ("straight", "S", "coil"),
+    off: float = 1e-3,
+) -> Motion:
+    """A motion from one posture to another and on to a third.
+
+    Its targets are `off` [m] beside the control points in every row. Its clock runs evenly, so that it takes
+    `planned`; named places are at equal distances.
+    """
+    dt = limits.dt
+    rng = np.random.default_rng(0)
+    begin, over, end = (rng.uniform(-0.4, 0.4, arm.nv) for _ in range(3))
+    t = np.linspace(0.0, 1.0, steps + 1)[:, None]
+    smooth = t * t * (3.0 - 2.0 * t)
+    positions = begin + smooth * (end - begin) + np.sin(np.pi * smooth) ** 2 * over
+    q = np.array([arm.configuration(row) for row in positions])
+    points = np.array([arm.at(row).points for row in q])
+    target = pp.Target.from_points(arm, points[-1])
+    known = pp.track(arm, target, q[0], max_steps=1)
+    clearance = np.full(steps + 1, np.inf)
+    if scene is not None:
+        clearance = np.array([scene.around(arm).minimum(row).distance for row in q])
+    run = replace(
+        known,
+        status="converged",
+        reason="it is there",
+        limits=limits,
+        scene=scene,
+        q=q,
+        points=points,
+        point_errors=np.full((steps + 1, arm.n_modules), off),
+        active=np.ones((steps, arm.n_modules), dtype=bool),
+        clearance=clearance,
+        **{name: np.zeros(steps) for name in ("index", "sigma_min", "sigma_max")},
+        rows=np.zeros(steps, dtype=np.intp),
+        scale=np.ones(steps),
+        clipped=np.zeros((steps, arm.nv), dtype=bool),
+        method=np.full(steps, ""),
+        switched=np.full(steps, ""),
+        escape=np.zeros(steps, dtype=bool),
+        relaxed=np.full(steps, ""),
+    )
+    taken = (steps - set_out) * dt
+    planned = taken if planned is None else planned
+    clock = np.concatenate([np.zeros(set_out), np.linspace(0.0, planned, steps - set_out + 1)])
+    clock[-1] = planned
+    rows = np.linspace(set_out, steps, len(names)).round().astype(int)
+    passed = [
+        Passed(name, float(clock[row]), (int(row) - set_out) * dt, int(row), off)
+        for name, row in zip(names, rows, strict=True)
+    ]
+    aside = points + off * np.array([0.0, 0.0, 1.0])
+    asked = np.ones((steps + 1, arm.n_modules), dtype=bool)
+    return Motion(run, aside, asked, clock, set_out, planned, tuple(passed))
