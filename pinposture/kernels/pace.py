@@ -49,6 +49,7 @@ def _fastest(
     bend: Array,
     bound: Array,
     brake: Array,
+    begin: float,
     most: float,
     speed: float,
     planned: float,
@@ -69,7 +70,7 @@ def _fastest(
         cap[i] = top[i]
     if stops:
         top[count - 1] = 0.0
-        top[0] = min(top[0], _gain(slope[0], bend[0], brake, planned, curved, 0.0))
+        top[0] = min(top[0], max(begin, _gain(slope[0], bend[0], brake, planned, curved, 0.0)))
     for i in range(count - 2, -1, -1):
         here = _gain(slope[i], bend[i], brake, planned, curved, top[i])
         gain = min(here, _gain(slope[i + 1], bend[i + 1], brake, planned, curved, top[i + 1]))
@@ -85,6 +86,7 @@ def find_pace(
     offsets: Array,
     bound: Array,
     brake: Array,
+    begin: float,
     most: float,
     speed: float,
     planned: float,
@@ -95,7 +97,7 @@ def find_pace(
     cap: Array,
     top: Array,
 ) -> None:
-    """The fastest pace at each waypoint, from rest, that still meets all slower places ahead, and the end.
+    """The fastest pace at each waypoint that still meets all slower places ahead, and the end.
 
     See `control.constrained.pace`, where it is derived.
 
@@ -103,6 +105,7 @@ def find_pace(
         offsets: displacement of each waypoint from the first, (N + 1, nv), N > 0.
         bound: largest step of each joint, (nv,); may be infinite.
         brake: the most that a step may differ from the one before, (nv,), > 0; may be infinite.
+        begin: waypoints that the step before the first one went.
         most: the most waypoints to go in one step; may be infinite.
         speed: share of the bounds that is planned with.
         planned: share of the brakes that is planned with.
@@ -124,7 +127,7 @@ def find_pace(
     while True:
         _around(slopes, reach, tiny, slope)
         _around(bends, reach, tiny, bend)
-        _fastest(slope, bend, bound, brake, most, speed, planned, curved, cap, top)
+        _fastest(slope, bend, bound, brake, begin, most, speed, planned, curved, cap, top)
         # A step that passes many waypoints has to bear what is at all of them.
         passed = min(int(np.ceil(top.max())), PASSED) if np.isfinite(most) else 1
         if passed <= reach:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Future, ThreadPoolExecutor, TimeoutError
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from math import inf
 
 from pinposture.arm import ArmState
@@ -51,9 +51,7 @@ class Consultation:
     def _waited(self) -> Step | None:
         """The answer, if it is there before the deadline."""
         assert self._pending is not None
-        try:
-            step = self._pending.result(self._deadline)
-        except TimeoutError:
+        if not wait([self._pending], self._deadline).done:
             return None
-        self._pending = None
-        return step
+        pending, self._pending = self._pending, None
+        return pending.result()

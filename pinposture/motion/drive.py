@@ -119,10 +119,15 @@ class Drive:
         self.memory = Memory(dq) if self.memory is None else self.memory._replace(dq=dq)
         self.move(Step(dq, (), note, self.memory))
 
+    def _too_fast(self) -> bool:
+        """Whether the arm cannot stop in the next step."""
+        brake = self.limits.for_arm(self.arm).brake
+        return brake is not None and self.memory is not None and bool(np.any(np.abs(self.memory.dq) > brake))
+
     def _verdict(self, tolerance: float, max_steps: int) -> tuple[str, str]:
         """Whether the run is over, and why; empty while it goes on."""
         mean = self.recorder.mean_error
-        if mean <= tolerance:
+        if mean <= tolerance and not self._too_fast():
             return "converged", f"mean point error {mean:.3g} m is within the tolerance of {tolerance:.3g} m"
         if self.recorder.steps >= max_steps:
             return "max_steps", f"mean point error {mean:.3g} m, above the tolerance of {tolerance:.3g} m"

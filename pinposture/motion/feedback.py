@@ -149,7 +149,9 @@ class Feedback:
         off = np.zeros_like(points)
         if seen is not None:
             off = seen - points
-            off[~(np.linalg.norm(off, axis=1) <= FARTHEST * self.arm.length)] = 0.0  # not seen, or not it
+            with np.errstate(over="ignore"):
+                apart = np.linalg.norm(off, axis=1)
+            off[~(apart <= FARTHEST * self.arm.length)] = 0.0  # not seen, or not it
         if seen is not None or np.any(self._shift):
             self._shift += share * (off - self._shift)
         return np.asarray(points + off)

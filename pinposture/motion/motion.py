@@ -47,7 +47,8 @@ class Motion:
         targets: where the control points should have been, (steps + 1, m, 3) [m], world frame.
         asked: which control points had a target, (steps + 1, m).
         clock: the time of the plan at each row, (steps + 1,) [s]; 0 while the arm comes to where it begins.
-        set_out: the row at which the arm sets out on the plan; before that it comes to its first posture.
+        set_out: the row at which the arm sets out on the plan; before that it comes to its first posture. The
+            last row if it did not get so far.
         planned: how long the plan takes if nothing slows it [s].
         passed: the named places, in order.
         detours: where the arm left the way of the plan and came back by one of its own, in words.
@@ -106,8 +107,9 @@ class Motion:
 
     @property
     def slowing(self) -> float:
-        """How many times as long as planned it took; 1 if nothing slowed it."""
-        return self.duration / self.planned
+        """How many times as long as planned it took, as far as it came; 1 if nothing slowed it."""
+        done = float(self.clock[-1])
+        return self.duration / done if done > 0.0 else 1.0
 
     @cached_property
     def mean_error(self) -> Array:

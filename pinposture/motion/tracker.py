@@ -14,7 +14,7 @@ from pinposture.arm import Arm, ArmState
 from pinposture.control import Controller, Limits, Step, controller_named
 from pinposture.control.checks import require_positive
 from pinposture.control.controller import Memory
-from pinposture.errors import InvalidValue, UnknownName
+from pinposture.errors import InvalidValue, PostureError, UnknownName
 from pinposture.motion.consulting import Consultation
 from pinposture.motion.feedback import Feedback, Seen
 from pinposture.motion.track import in_scene
@@ -29,6 +29,9 @@ SHORTEST = 1e-3
 """The shortest cycle that counts as one, relative to the usual one."""
 
 LATE = "the controller is not done yet"
+
+STILL = 1e-9
+"""Step that is none, in `Arm.joint_units`: some controllers go on forever by less."""
 
 ARRIVED = 1e-6
 """Mean distance of the control points from their targets at which the arm has arrived, in arm lengths."""
@@ -197,8 +200,11 @@ class Tracker:
         step, reason, aim = None, seen.reason or self._missing(), None
         if seen.state is not None and self._given is not None and not reason:
             aim = self._feedback.shifted(self._given)
-            step, memory = self._consultation.ask(seen.state, aim, limits, memory)
-            reason = LATE if step is None else step.diagnostics.reason
+            try:
+                step, memory = self._consultation.ask(seen.state, aim, limits, memory)
+                reason = LATE if step is None else step.diagnostics.reason
+            except PostureError as error:  # what it cannot work with, as a target that knows no configuration
+                reason = str(error)
             if step is not None and not isfinite(step.dq @ step.dq):
                 step, reason = None, "the step of the controller is not finite"
         dq = self._braked(limits, memory) if step is None or reason else step.dq
@@ -235,7 +241,8 @@ class Tracker:
 
     def _reported(self, seen: Seen, step: Step | None, reason: str, aim: Target | None, dq: Array) -> Report:
         status = "moving" if not reason else "stuck" if step is not None else "holding"
-        if aim is not None and seen.state is not None and not np.any(dq):
+        still = bool(np.all(np.abs(dq) <= STILL * self.arm.joint_units))
+        if aim is not None and seen.state is not None and still:
             there = _mean_distance(seen.state.points, aim) <= ARRIVED * self.arm.length
             status, reason = ("arrived", "") if there else (status, reason)
         given, points = self._given, self._feedback.points

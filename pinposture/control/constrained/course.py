@@ -107,7 +107,9 @@ class Course(NamedTuple):
         ahead = self.path.offsets[1] - self.path.offsets[0]
         squares = float(ahead @ ahead)
         speed = max(float(ahead @ previous), 0.0) / squares if squares > 0.0 else 0.0
-        return self._replace(speed=min(speed, self.path.end))
+        speed, bounds = min(speed, self.path.end), self.bounds
+        pace = Pace(self.path, bounds.bound, bounds.brake, self.most, speed)
+        return self._replace(speed=speed, pace=pace)
 
     def within(self, bounds: JointBounds) -> Course:
         """The same course with the pace that other limits allow."""

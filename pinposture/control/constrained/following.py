@@ -37,6 +37,9 @@ TRIES = 8
 ROUNDING = 1e-12
 """What is lost in the arithmetic of a step, in `Arm.joint_units`; it is cut at its limits anyway."""
 
+EXACT = 1e-13
+"""Error that no step can reduce, in arm lengths: it is rounding."""
+
 CORRECTING = 0.25
 """Share of the acceleration limit with which an arm that is behind catches up."""
 
@@ -86,6 +89,7 @@ def follow(
         onward, lag = path.smooth(here + paced) - path.smooth(here), path.smooth(here) - offset
         share = _share(onward[columns], lag[columns], bounds.bound[columns])
         place, hindered = here + share * paced, share < 1.0 or here >= path.end
+        place = path.end if place > path.end - ARRIVED else place
         # What is behind is made good no faster than it can be stopped, or the arm would swing about its way.
         if bounds.brake is not None:
             lag = farthest(lag, CORRECTING * bounds.brake)
@@ -94,7 +98,7 @@ def follow(
         within = (dq >= box.lower - ROUNDING * one) & (dq <= box.upper + ROUNDING * one)
         inside = bool(np.all((within & (np.abs(dq) <= FARTHEST * one))[posture.columns]))
     if place >= path.end and left <= ARRIVED:
-        return close_in(course._replace(arrived=True), Scope.of(posture, state, box, avoidance))
+        return close_in(course._replace(arrived=True, place=path.end), Scope.of(posture, state, box, avoidance))
     course = course.gone_to(place, bounds.travel, hindered)
     if inside and avoidance is None and posture.plain:
         return Asked(dq, course)  # whatever is asked would lead to the same
@@ -145,7 +149,7 @@ def close_in(course: Course, scope: Scope) -> Asked:
     """
     posture, damping, found = course.posture, course.damping, None
     merit = posture.merit(scope.state)
-    for _ in range(TRIES):
+    for _ in range(TRIES if merit > (EXACT * posture.arm.length) ** 2 else 0):
         found = reducing_step(posture, scope, damping)
         x = None if found.x is None else corrected(posture, scope, found.x)
         if x is not None and posture.merit(posture.moved(scope.state, x)) < (1.0 - SETTLED) * merit:

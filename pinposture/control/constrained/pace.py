@@ -42,19 +42,22 @@ class Pace:
         bound: largest |dq| of each joint, (nv,) [rad or m]; may be infinite.
         brake: the most that dq may differ from that of the step before, (nv,) [rad or m]; None: any.
         most: the most waypoints to go in one step; infinite, or at least that many as time asks for.
+        begin: waypoints that the step before went, if the arm is under way.
 
     Attributes:
         top: the fastest pace at each waypoint, (N + 1,) [waypoints per step].
     """
 
-    def __init__(self, path: JointPath, bound: Array, brake: Array | None, most: float = inf) -> None:
+    def __init__(
+        self, path: JointPath, bound: Array, brake: Array | None, most: float = inf, begin: float = 0.0
+    ) -> None:
         shape = path.offsets.shape
         self._brake = np.full(shape[1], np.inf) if brake is None else np.array(brake)
         self._planned = PLANNED if most == inf else TIMED
         self._slope, self._bend = np.empty(shape), np.empty(shape)
         self._cap, self.top = np.empty(shape[0]), np.empty(shape[0])
         shares, into = (SPEED, self._planned, CURVED, SMALL), (self._slope, self._bend, self._cap, self.top)
-        kernels.find_pace(path.offsets, np.array(bound), self._brake, most, *shares, *into)
+        kernels.find_pace(path.offsets, np.array(bound), self._brake, begin, most, *shares, *into)
 
     def next(self, place: float, pace: float) -> float:
         """Places to go in this step, after `pace` places in the step before."""
