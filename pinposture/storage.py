@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Files: read with a reason where that fails, written whole or not at all."""
 
 from __future__ import annotations
 
@@ -36,6 +36,25 @@ def write_bytes(path: Path, content: bytes) -> None:
             draft.unlink(missing_ok=True)
     except OSError as error:
         raise FileError(path, f"cannot be written ({error.strerror or error})") from error
+
+
+def read_text(path: Path) -> str:
+    """The text of a UTF-8 file, with its line ends as they are; a byte order mark is left out.
+
+    Raises:
+        FileError: it is missing, cannot be read, or holds something else.
+    """
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            return file.read()
+    except FileNotFoundError:
+        raise FileError(path, "no such file") from None
+    except UnicodeDecodeError as error:
+        raise FileError(path, f"is not UTF-8 text (byte {error.start})") from None
+    except OSError as error:
+        raise FileError(path, f"cannot be read ({error.strerror or error})") from error
+    except ValueError as error:  # a name with a null byte
+        raise FileError(path, f"cannot be read ({error})") from error
 
 
 def write_text(path: Path, text: str) -> None:

@@ -9,18 +9,28 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture.errors import InvalidValue
 
 
+def float_array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """A fresh array of floats, finite or not.
+
+    Raises:
+        InvalidValue: not numbers, or another shape.
+    """
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InvalidValue(name, values, f"numbers of shape {shape}") from None
+    if array.shape != shape:
+        raise InvalidValue(f"{name} (shape)", array.shape, f"{shape} for this arm")
+    return array
+
+
 def finite_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
     """A fresh vector (size,) of finite floats.
 
     Raises:
         InvalidValue: not numbers, another shape, or an entry that is not finite; names the entry.
     """
-    try:
-        vector = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InvalidValue(name, values, f"{size} numbers") from None
-    if vector.shape != (size,):
-        raise InvalidValue(f"{name} (shape)", vector.shape, f"({size},) for this arm")
+    vector = float_array(name, values, (size,))
     finite = np.isfinite(vector)
     if not finite.all():
         bad = int(np.argmin(finite))

@@ -9,7 +9,7 @@ from typing import Any
 
 from pinposture.curve.checks import as_points, check_distinct
 from pinposture.errors import FileError
-from pinposture.storage import write_text
+from pinposture.storage import read_text, write_text
 
 _TABLES = (".csv", ".txt")
 
@@ -24,12 +24,7 @@ def read_description(path: Path) -> dict[str, Any]:
     suffix = path.suffix.lower()
     if suffix not in (".json", *_TABLES):
         raise FileError(path, f"the name ends in {suffix!r}; allowed: .json, .csv, .txt")
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise FileError(path, error.strerror or str(error)) from error
-    except UnicodeDecodeError as error:
-        raise FileError(path, f"not UTF-8 text: {error.reason} at byte {error.start}") from error
+    text = read_text(path)
     if suffix in _TABLES:
         return {"type": "points", "points": _table(path, text)}
     try:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture.arm import Arm, ArmState
+from pinposture.arm.checks import float_array
 from pinposture.errors import InvalidValue
 from pinposture.target import Target
 
@@ -173,7 +174,7 @@ class Feedback:
         """A measured configuration; None, and why, if it cannot be used."""
         if q is None:
             return None, "no measurement"
-        measured, arm = _array("q_measured", q, (self.arm.nq,)), self.arm
+        measured, arm = float_array("q_measured", q, (self.arm.nq,)), self.arm
         if not np.all(np.isfinite(measured)):
             return None, f"q_measured[{int(np.argmin(np.isfinite(measured)))}] is not finite"
         try:
@@ -182,14 +183,4 @@ class Feedback:
             return None, str(error)
 
     def _checked_points(self, points: ArrayLike | None) -> Array | None:
-        return None if points is None else _array("points", points, (self.arm.n_modules, 3))
-
-
-def _array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
-    try:
-        array = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InvalidValue(name, values, f"numbers of shape {shape}") from None
-    if array.shape != shape:
-        raise InvalidValue(f"{name} (shape)", array.shape, f"{shape} for this arm")
-    return array
+        return None if points is None else float_array("points", points, (self.arm.n_modules, 3))

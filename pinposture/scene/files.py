@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pinposture.errors import FileError
-from pinposture.storage import write_text
+from pinposture.storage import read_text, write_text
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -26,14 +26,7 @@ def read_scene(path: Path) -> Any:
     suffix = path.suffix.lower()
     if suffix not in (".toml", ".json"):
         raise FileError(path, f"the name ends in {suffix!r}; allowed: .toml, .json")
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise FileError(path, "no such file") from None
-    except UnicodeDecodeError as error:
-        raise FileError(path, f"is not UTF-8 text (byte {error.start})") from None
-    except OSError as error:
-        raise FileError(path, f"cannot be read ({error.strerror or error})") from error
+    text = read_text(path)
     try:
         return tomllib.loads(text) if suffix == ".toml" else json.loads(text)
     except json.JSONDecodeError as error:

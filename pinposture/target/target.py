@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture.arm import Arm
+from pinposture.arm.checks import float_array
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue
 
@@ -125,12 +126,7 @@ class Target:
 
 
 def _array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
-    try:
-        array = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InvalidValue(name, values, f"numbers of shape {shape}") from None
-    if array.shape != shape:
-        raise InvalidValue(f"{name} (shape)", array.shape, f"{shape} for this arm")
+    array = float_array(name, values, shape)
     if not np.all(np.isfinite(array)):
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         raise InvalidValue(f"{name}{list(where)}", float(array[where]), "finite numbers")

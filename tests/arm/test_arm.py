@@ -251,7 +251,7 @@ def test_straight_is_the_farthest_stretch_even_if_neutral_is_bent() -> None:
         (np.zeros(11), r"shape.*\(11,\).*\(12,\)"),
         (np.full(12, np.nan), r"q\[0\] is nan"),
         (np.r_[np.zeros(7), np.inf, np.zeros(4)], r"q\[7\] is inf"),
-        ("abc", "12 numbers"),
+        ("abc", r"numbers of shape \(12,\)"),
         (np.zeros((12, 1)), "shape"),
     ],
 )

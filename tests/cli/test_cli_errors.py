@@ -54,7 +54,7 @@ CASES = [
     Case("plot is a directory", "inspect ARM --plot DIR", ("DIR", "is a directory", "a file")),
     # the curve
     Case("unknown preset", "track ARM --curve helx", ("'helx'", "did you mean 'helix'", "line, helix")),
-    Case("missing curve", "track ARM --curve DIR/none.csv", ("DIR/none.csv", "No such file")),
+    Case("missing curve", "track ARM --curve DIR/none.csv", ("DIR/none.csv", "no such file")),
     Case("odd kind of curve", "track ARM --curve DIR/one.xyz", ("DIR/one.xyz", ".json, .csv, .txt")),
     Case("one point", "track ARM --curve DIR/one.csv", ("DIR/one.csv", "2")),
     Case("repeated points", "track ARM --curve DIR/twice.csv", ("DIR/twice.csv", "line 3")),

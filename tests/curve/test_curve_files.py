@@ -164,7 +164,7 @@ def test_a_bad_file_is_named_with_its_culprit(name, text, words, tmp_path):
 
 
 def test_files_that_cannot_be_read_or_written(tmp_path):
-    with pytest.raises(FileError, match="No such file"):
+    with pytest.raises(FileError, match="no such file"):
         Curve.load(tmp_path / "none.csv")
     (tmp_path / "folder.csv").mkdir()
     with pytest.raises(FileError, match="directory"):

@@ -20,9 +20,8 @@ import numpy as np
 from pinposture.errors import FileError, InvalidValue
 from pinposture.motion.joint_checks import check_names
 from pinposture.motion.joint_files.completing import completed
-from pinposture.motion.joint_files.text import read_text
 from pinposture.motion.joint_trajectory import JointTrajectory
-from pinposture.storage import write_text
+from pinposture.storage import read_text, write_text
 
 SECOND = 10**9
 """Nanoseconds."""

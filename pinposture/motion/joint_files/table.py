@@ -18,10 +18,9 @@ import numpy as np
 
 from pinposture.errors import FileError
 from pinposture.motion.joint_files.completing import completed
-from pinposture.motion.joint_files.text import read_text
 from pinposture.motion.joint_positions import SLIDE, TURN
 from pinposture.motion.joint_trajectory import JointTrajectory
-from pinposture.storage import write_text
+from pinposture.storage import read_text, write_text
 
 TIME = "time [s]"
 PER_SECOND = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
