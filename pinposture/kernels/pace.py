@@ -121,7 +121,7 @@ def find_pace(
     _differences(slopes, bends)
     tiny = 1e-100
     for i in range(len(slopes)):
-        for joint in range(slopes.shape[1]):
+        for joint in range(offsets.shape[1]):
             tiny = max(tiny, small * abs(slopes[i, joint]))
     reach = 1
     while True:

@@ -20,6 +20,7 @@ from pinposture.motion.feedback import Feedback, Seen
 from pinposture.motion.track import in_scene
 from pinposture.scene import Scene
 from pinposture.target import Target
+from pinposture.target.measured import with_configuration
 
 Array = NDArray[np.float64]
 
@@ -160,7 +161,7 @@ class Tracker:
         if not isinstance(target, Target):
             raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
         target.check(self.arm)
-        self._given, self._age = target, 0.0
+        self._given, self._age = with_configuration(self.arm, target), 0.0
 
     def restart(self, q_measured: ArrayLike) -> None:
         """Begin anew from where the arm is, at rest; the target stays.

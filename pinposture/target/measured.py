@@ -77,6 +77,14 @@ def fit_points(arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) ->
     return _fitted(arm, target, configuration(best))
 
 
+def with_configuration(arm: Arm, target: Target) -> Target:
+    """The target with a configuration that takes all of it exactly, if it knows none and there is one."""
+    if target.q is not None or not np.all(target.placed):
+        return target
+    exact = exact_positions(arm, target.points)
+    return target if exact is None else replace(target, q=arm.configuration(exact))
+
+
 def near_configuration(arm: Arm, target: Target) -> Array | None:
     """A configuration from which it is not far to a target, and the right way round.
 

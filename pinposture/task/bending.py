@@ -32,7 +32,7 @@ class BentCurve(Samples):
             points: places, (n + 1, 3) [m], world frame.
             tangents: unit tangents, (n + 1, 3).
         """
-        super().__init__(cell * np.arange(len(points)), points, tangents)
+        super().__init__(np.asarray(cell * np.arange(len(points), dtype=np.float64)), points, tangents)
         self.cell = cell
 
     @property

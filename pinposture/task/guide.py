@@ -23,19 +23,21 @@ class Guide:
 
     Attributes:
         reference: the reference.
-        path: its configurations as a way through joint space.
+        path: its configurations as a way through joint space, within the position limits.
         most: rows to go in one cycle, if nothing slows the motion.
         pace: how fast limits allow to go, and no faster than that.
     """
 
     def __init__(self, reference: Reference, limits: Limits) -> None:
         assert limits.dt is not None
+        arm, bounds = reference.arm, limits.for_arm(reference.arm)
         self.reference = reference
-        self.path = JointPath(reference.arm, reference.start, reference.offsets)
         self.most = limits.dt / reference.interval
-        bounds = limits.for_arm(reference.arm)
+        self._lower, self._upper = bounds.edges - arm.positions(reference.start)
+        offsets = np.minimum(np.maximum(reference.offsets, self._lower), self._upper)
+        # What does not move the arm is not ours to move.
+        self.path = JointPath(arm, reference.start, offsets * (arm.moved > 0.0))
         self.pace = Pace(self.path, bounds.bound, bounds.brake, self.most)
-        self._lower, self._upper = bounds.edges - self.path.positions
 
     @property
     def end(self) -> float:
@@ -61,11 +63,10 @@ class Guide:
 
     def way(self, place: float) -> JointPath:
         """What is left of the way from a place, which is a row."""
-        row = int(place)
+        row, path = int(place), self.path
         if row == 0:
-            return self.path
-        start, offsets = self.reference.configuration(row), self.reference.offsets
-        return JointPath(self.reference.arm, start, offsets[row:] - offsets[row])
+            return path
+        return JointPath(path.arm, path.configuration(row), path.offsets[row:] - path.offsets[row])
 
     def next_mark(self, place: float) -> Mark:
         """The next place with a name; the last row if there is none."""

@@ -24,7 +24,7 @@ class Log:
     def __init__(self, reference: Reference, first: Target) -> None:
         self._reference = reference
         self._places, self._targets = [0.0], [first]
-        self._begun = 0
+        self._begun: int | None = None
         self._notes: list[str] = []
 
     def add(self, place: float, target: Target) -> None:
@@ -59,16 +59,16 @@ class Log:
             targets=np.array([target.points for target in self._targets]),
             asked=asked,
             clock=np.minimum(places * reference.interval, reference.duration),
-            set_out=self._begun,
+            set_out=len(places) - 1 if self._begun is None else self._begun,
             planned=reference.duration,
             passed=tuple(self._passed(mark, places, errors, dt) for mark in reference.marks),
             detours=tuple(self._notes),
         )
 
     def _passed(self, mark: Mark, places: np.ndarray, errors: np.ndarray, dt: float) -> Passed:
-        planned = mark.row * self._reference.interval
-        there = np.flatnonzero(places[self._begun :] >= mark.row - ROUNDING)
-        if not len(there):
+        planned, begun = mark.row * self._reference.interval, self._begun
+        there = np.flatnonzero(places[begun:] >= mark.row - ROUNDING)
+        if begun is None or not len(there):
             return Passed(mark.name, planned, None, None, None)
-        row = self._begun + int(there[0])
+        row = begun + int(there[0])
         return Passed(mark.name, planned, int(there[0]) * dt, row, float(errors[row]))

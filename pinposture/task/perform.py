@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
+from math import ceil
 from typing import Literal, cast
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from pinposture.arm import Arm
@@ -34,6 +36,8 @@ CYCLE = 0.02
 BEHIND = 0.1
 """How far behind the control points may be before time waits for them, on average, in module lengths. It is
 for controllers that do not know what is ahead."""
+
+STOPPED = "stopped by the callback"
 
 STEPS, MORE = 10.0, 3000
 """The most steps, as a multiple of those foreseen and beyond that, after which a motion is given up."""
@@ -147,17 +151,32 @@ class _Performance:
         ended = self._look_ahead(controller) if isinstance(controller, ConstrainedQP) else self._lead()
         return self._come_to(self.guide.end) if ended is None else ended
 
-    def _come_to(self, place: float) -> tuple[str, str]:
-        """Come to rest at a place, by whatever way; status and reason."""
+    def _come_to(self, place: float, due: int = 0) -> tuple[str, str]:
+        """Come to rest at a place, by whatever way, but not before step `due`; status and reason."""
         target, drive = self.guide.target(place), self.drive
-        drive.recorder.aim(target)
-        most = drive.recorder.steps + MORE
+        recorder = drive.recorder
+        begun = recorder.steps
+        recorder.aim(target)
+        most = begun + MORE + int(STEPS * self._cycles_to(target))
         ended = drive.until_there(target, self.tolerance, most, lambda *_: self._tell())
         drive.come_to_rest()
+        while ended[0] == "converged" and recorder.steps < due:
+            drive.hold()
+            if self._tell():
+                ended = "stopped", STOPPED
         there = ended[0] == "converged"
         self._place = place if there else self._place
         self.log.fill(drive, self._place, target)
+        self._most += recorder.steps - begun
         return ended
+
+    def _cycles_to(self, target: Target) -> float:
+        """How many cycles the straight way to a target through joint space takes, about."""
+        drive = self.drive
+        bounds, q = drive.limits.for_arm(drive.arm), drive.state.q
+        way = np.abs(drive.arm.difference(q, q if target.q is None else target.q))
+        braking = 0.0 if bounds.brake is None else 2.0 * np.sqrt(way / bounds.brake)
+        return float((way / bounds.bound + braking).max())
 
     def _tell(self) -> bool:
         """Tell how far the motion is; whether it is to stop."""
@@ -172,7 +191,7 @@ class _Performance:
         self.log.add(place, target)
         ended = None
         if self._tell():
-            ended = "stopped", "stopped by the callback"
+            ended = "stopped", STOPPED
         elif self.drive.recorder.steps > self._most:
             seconds = place * self.guide.reference.interval
             ended = "max_steps", f"still at {seconds:.4g} s of the plan after {self._most} cycles"
@@ -193,7 +212,9 @@ class _Performance:
                 target = guide.target(foreseen)
                 step = drive.ask(target)
                 own = step.memory.own
-                if step.diagnostics.reason or not (isinstance(own, Course) and own.given):
+                if not (isinstance(own, Course) and own.given):
+                    break
+                if step.diagnostics.reason and not own.arrived:
                     break
                 course, place = own, begun + own.place
                 target = target if place == foreseen else guide.target(place)
@@ -205,7 +226,9 @@ class _Performance:
                 return None
             mark = guide.next_mark(self._place)
             self.log.note(self._place, f"the arm left the way, and came to {mark.name} by another")
-            status, reason = self._come_to(float(mark.row))
+            # A way that is shorter does not make time run faster.
+            due = drive.recorder.steps + ceil((mark.row - self._place) / guide.most)
+            status, reason = self._come_to(float(mark.row), due)
             if status != "converged":
                 return status, f"on the way to {mark.name}: {reason}"
         return None

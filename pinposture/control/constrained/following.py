@@ -82,6 +82,14 @@ def follow(
     if course.pace is None:
         place, left, inside, dq = path.stride(state, here, posture.columns, units, box.sides)
         hindered = True  # unless it gets on
+    elif path.end == 1.0 and not course.given and bounds.brake is not None:
+        # So short a way need not be straight: each joint comes to its end as fast as it can stop there.
+        rest = path.offsets[-1] - path.offset_of(state, here)
+        left = float(np.abs(rest[posture.columns] / units).max(initial=0.0))
+        dq = np.minimum(np.maximum(farthest(rest, bounds.brake), box.lower), box.upper)
+        after = float(np.abs((rest - dq)[posture.columns] / units).max(initial=0.0))
+        whole = float(np.abs(path.offsets[-1][posture.columns] / units).max(initial=0.0))
+        place, inside, hindered = max(here, 1.0 - after / max(whole, ARRIVED)), True, True
     else:
         columns, offset = posture.columns, path.offset_of(state, here)
         left = float(np.abs((path.offsets[-1] - offset)[columns] / units).max(initial=0.0))
@@ -98,7 +106,8 @@ def follow(
         within = (dq >= box.lower - ROUNDING * one) & (dq <= box.upper + ROUNDING * one)
         inside = bool(np.all((within & (np.abs(dq) <= FARTHEST * one))[posture.columns]))
     if place >= path.end and left <= ARRIVED:
-        return close_in(course._replace(arrived=True, place=path.end), Scope.of(posture, state, box, avoidance))
+        course = course._replace(arrived=True, place=path.end)
+        return close_in(course, Scope.of(posture, state, box, avoidance))
     course = course.gone_to(place, bounds.travel, hindered)
     if inside and avoidance is None and posture.plain:
         return Asked(dq, course)  # whatever is asked would lead to the same

@@ -31,10 +31,13 @@ HEEDED, CLEAR = 0.4, (100.0, 30.0)
 """Roots of the weights of tasks and of clearances on the way, against the motion of control points. Ways are
 looked for with a large and a small one by turns: the one pushes out, the other leads round."""
 
-LITTLE = 0.1
+LITTLE = 0.3
 """How far points of a target may move for it to be much like the one before, in module lengths."""
 
-BENT = 0.25
+ALIKE = 2.0
+"""How much worse than expected a goal may be to count as no worse than the one before: noise alone does as much."""
+
+BENT = 0.5
 """By how much a way may be bent in all, to end elsewhere, relative to what is left of it."""
 
 SHORT = 0.1
@@ -135,7 +138,7 @@ def _as_good(course: Course, posture: Posture, goal: ArmState) -> float:
     """
     left, moved = course.posture.mean_error(goal), course.posture.distance_to(posture)
     little = LITTLE * posture.arm.length / posture.arm.n_modules
-    return left + moved if moved <= max(left, little) else 0.0
+    return ALIKE * (left + moved) if moved <= max(left, little) else 0.0
 
 
 def _known(posture: Posture, bounds: JointBounds) -> Array | None:

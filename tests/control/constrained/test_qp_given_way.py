@@ -1,0 +1,183 @@
+"""Steps along a way that was given with its time, and where the arm leaves it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import pinposture as pp
+from pinposture.control import Memory
+from pinposture.control.constrained.course import Course
+from pinposture.control.constrained.path import JointPath
+from pinposture.study import smooth_configuration
+from pinposture.target import Target
+
+ARM = pp.Arm.from_template("RyRz", 5)
+ONE = pp.Arm.from_template("Rz", 1)
+
+
+def quintic(rows: int) -> np.ndarray:
+    """From 0 to 1, at rest at both ends, (rows, 1)."""
+    s = np.linspace(0.0, 1.0, rows)[:, None]
+    return np.asarray(s**3 * (10.0 - 15.0 * s + 6.0 * s**2))
+
+
+def smooth_path(arm: pp.Arm, seed: int, rows: int) -> JointPath:
+    rng = np.random.default_rng(seed)
+    start, end = (smooth_configuration(arm, rng, 1.0) for _ in range(2))
+    return JointPath(arm, start, quintic(rows) * arm.difference(start, end))
+
+
+class Ride:
+    """An arm that goes along a given way: its configurations, and the courses it was on."""
+
+    def __init__(self, path: JointPath, limits: pp.Limits, most: float) -> None:
+        self.arm, self.path, self.limits, self.controller = path.arm, path, limits, pp.ConstrainedQP()
+        self.q, self.courses = [path.start], list[Course]()
+        state = self.arm.at(path.start)
+        self.memory = self.controller.along(state, path, self.target(0.0), limits, most)
+
+    def target(self, place: float) -> Target:
+        q = self.arm.integrate(self.path.start, self.path.smooth(place))
+        return Target.from_configuration(self.arm, q)
+
+    def step(self, limits: pp.Limits | None = None) -> Course:
+        limits = self.limits if limits is None else limits
+        place = self.courses[-1].place if self.courses else 0.0
+        step = self.controller.step(self.arm.at(self.q[-1]), self.target(place), limits, self.memory)
+        assert not step.diagnostics.relaxed
+        self.memory = step.memory
+        self.q.append(self.arm.integrate(self.q[-1], step.dq))
+        self.courses.append(step.memory.own)
+        return self.courses[-1]
+
+    def to_the_end(self, most_steps: int = 20_000) -> Ride:
+        while not self.courses or self.courses[-1].place < self.path.end:
+            assert self.step().given and len(self.courses) < most_steps
+        return self
+
+    def off_the_way(self) -> np.ndarray:
+        """How far each configuration is from the way, largest joint, (steps,)."""
+        wanted = [self.arm.integrate(self.path.start, self.path.smooth(c.place)) for c in self.courses]
+        pairs = zip(self.q[1:], wanted, strict=True)
+        return np.array([np.abs(self.arm.difference(a, b)).max() for a, b in pairs])
+
+    def changes(self) -> np.ndarray:
+        """How steps change from one to the next, from and to rest, largest joint, (steps + 1,)."""
+        steps = np.diff(self.q, axis=0)
+        rest = np.zeros((1, self.arm.nv))
+        return np.abs(np.diff(np.concatenate([rest, steps, rest]), axis=0)).max(axis=1)
+
+
+@pytest.mark.parametrize("acceleration", [None, 10.0])
+@pytest.mark.parametrize("rows", [6, 20, 100])
+def test_the_arm_keeps_to_the_curve_however_far_apart_rows_are(rows: int, acceleration: float | None) -> None:
+    # Between rows far apart the curve is farther from the straight line than a step is long.
+    limits = pp.Limits(step=None, velocity=1.0, dt=0.004, acceleration=acceleration)
+    ride = Ride(smooth_path(ARM, 1, rows), limits, most=(rows - 1) * 0.004 / 4.0).to_the_end()
+    assert ride.off_the_way().max() < 1e-12
+    assert np.abs(np.diff(ride.q, axis=0)).max() <= 0.004 * (1.0 + 1e-9)
+    if acceleration is not None:
+        assert ride.changes().max() <= 10.0 * 0.004**2 * (1.0 + 1e-9)
+
+
+def test_time_is_kept_where_limits_allow_it() -> None:
+    ride = Ride(smooth_path(ARM, 2, 80), pp.Limits(step=None, velocity=9.0, dt=0.02, acceleration=100.0), 0.5)
+    ride.to_the_end()
+    np.testing.assert_allclose([course.place for course in ride.courses], 0.5 * np.arange(1, 159), atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("given", [True, False])
+def test_no_joint_goes_beyond_the_end(seed: int, given: bool) -> None:
+    rng = np.random.default_rng(seed)
+    way, dt = float(rng.uniform(0.1, 2.0)), 0.05
+    limits = pp.Limits(step=None, velocity=1.0, dt=dt, acceleration=float(10 ** rng.uniform(-0.3, 1.3)))
+    path = JointPath(ONE, ONE.neutral(), way * np.linspace(0.0, 1.0, 41)[:, None])
+    ride = Ride(path, limits, most=1.3)
+    if not given:  # a way of its own to the same place
+        ride.memory = None
+    for _ in range(400):
+        place = path.end if not given or (ride.courses and ride.courses[-1].place >= path.end) else 0.0
+        step = ride.controller.step(ONE.at(ride.q[-1]), ride.target(place), limits, ride.memory)
+        ride.memory = step.memory
+        ride.q.append(ONE.integrate(ride.q[-1], step.dq))
+        ride.courses.append(step.memory.own)
+    assert np.max(ride.q) <= way + 1e-9
+    assert ride.q[-1][0] == pytest.approx(way, abs=1e-9)
+    assert ride.changes().max() <= limits.acceleration * dt**2 * (1.0 + 1e-9)
+
+
+def test_an_arm_that_is_pushed_leaves_the_way() -> None:
+    ride = Ride(smooth_path(ARM, 3, 50), pp.Limits(step=None, velocity=1.0, dt=0.02, acceleration=5.0), 0.5)
+    assert all(ride.step().given for _ in range(20))
+    ride.q[-1] = ARM.integrate(ride.q[-1], 0.005 * np.ones(ARM.nv))
+    assert ride.step().given  # a little is made good on the way
+    for _ in range(30):
+        ride.step()
+    assert ride.off_the_way()[-1] < 1e-9
+    ride.q[-1] = ARM.integrate(ride.q[-1], 0.2 * np.ones(ARM.nv))
+    assert not ride.step().given
+
+
+def test_what_is_behind_is_waited_for() -> None:
+    # Two joints are held back by as much as they move in a step: the place may not run ahead of them.
+    ride = Ride(smooth_path(ARM, 4, 50), pp.Limits(step=None, velocity=1.0, dt=0.02), 0.5)
+    for _ in range(30):
+        ride.step()
+    for _ in range(4):
+        place = ride.courses[-1].place
+        back = np.zeros(ARM.nv)
+        back[[2, 5]] = np.diff(ride.q[-2:], axis=0)[0, [2, 5]]
+        ride.q[-1] = ride.q[-1] - back
+        assert ride.step().given
+        assert np.abs(np.diff(ride.q[-2:], axis=0)).max() <= 0.02 * (1.0 + 1e-9)
+        assert ride.off_the_way()[-1] < 1e-9 and ride.courses[-1].place >= place
+
+
+def test_limits_that_change_change_the_pace_and_nothing_else() -> None:
+    path = smooth_path(ARM, 5, 40)
+    ride = Ride(path, pp.Limits(step=None, velocity=2.0, dt=0.02, acceleration=20.0), 0.4)
+    for _ in range(10):
+        course = ride.step()
+    tight = pp.Limits(step=None, velocity=0.2, dt=0.02, acceleration=2.0).for_arm(ARM)
+    other = course.within(tight)
+    assert other.path is course.path and other.place == course.place and other.most == course.most
+    assert np.all(other.pace.top <= course.pace.top + 1e-12) and other.pace.top[20] < course.pace.top[20]
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.005, -0.01])
+def test_an_arm_that_moves_along_a_new_way_is_taken_to_be_under_way(speed: float) -> None:
+    path = JointPath(ONE, ONE.neutral(), np.linspace(0.0, 1.0, 51)[:, None])
+    bounds = pp.Limits(step=None, velocity=1.0, dt=0.02, acceleration=1.0).for_arm(ONE)
+    ride = Ride(path, pp.Limits(step=None, velocity=1.0, dt=0.02, acceleration=1.0), 1.0)
+    course = Course(ride.memory.own.posture, path, bounds).within(bounds)
+    # Rows are 0.02 rad apart.
+    assert course.under_way(np.array([speed])).speed == pytest.approx(max(speed, 0.0) / 0.02)
+    assert course.under_way(None) is course
+    free = course.within(pp.Limits(step=0.1).for_arm(ONE))
+    assert free.pace is None and free.under_way(np.array([speed])) is free
+
+
+def test_an_arm_on_its_way_is_not_stopped_by_a_new_target_ahead() -> None:
+    limits = pp.Limits(step=None, velocity=1.0, dt=0.02, acceleration=5.0)
+    controller, q, memory, steps = pp.ConstrainedQP(), ONE.neutral(), None, []
+    for k in range(80):
+        # From step 30 on the arm is sent farther, by a target that is another way.
+        target = Target.from_configuration(ONE, np.array([0.8 if k < 30 else 2.0]))
+        step = controller.step(ONE.at(q), target, limits, memory)
+        memory, q = step.memory, ONE.integrate(q, step.dq)
+        steps.append(float(step.dq[0]))
+    assert steps[29] > 0.9 * 0.019 and min(steps[30:80]) > 0.9 * 0.019
+
+
+def test_a_way_begins_with_what_it_was_given() -> None:
+    path = smooth_path(ARM, 6, 30)
+    limits = pp.Limits(step=None, velocity=1.0, dt=0.02)
+    memory = pp.ConstrainedQP().along(
+        ARM.at(path.start), path, Target.from_configuration(ARM, path.start), limits, 0.3
+    )
+    assert isinstance(memory, Memory) and not np.any(memory.dq)
+    course = memory.own
+    assert course.given and course.path is path and course.most == 0.3 and course.place == 0.0
+    assert not Course(course.posture, path, course.bounds).given

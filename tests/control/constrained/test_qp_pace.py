@@ -1,0 +1,170 @@
+"""The pace along a way, against the motion that it makes: counted step by step, and in closed form."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import pinposture as pp
+from pinposture.control.constrained.pace import Pace
+from pinposture.control.constrained.path import JointPath
+
+ROUNDING = 1e-9
+
+
+@cache
+def arm_of(joints: int) -> pp.Arm:
+    return pp.Arm.from_template("Rz", joints)
+
+
+def way(offsets: np.ndarray) -> JointPath:
+    arm = arm_of(offsets.shape[1])
+    return JointPath(arm, arm.neutral(), offsets - offsets[0])
+
+
+def smooth_way(rng: np.random.Generator, rows: int, joints: int) -> JointPath:
+    """A sum of three sine waves in each joint."""
+    s = np.linspace(0.0, 1.0, rows)[:, None]
+    waves = [
+        rng.normal(size=joints) / k**2 * np.sin(5.0 * k * rng.uniform(0.3, 1) * s + rng.uniform(0, 6, joints))
+        for k in (1, 2, 3)
+    ]
+    return way(np.sum(waves, axis=0))
+
+
+def gone(path: JointPath, bound: np.ndarray, brake: np.ndarray | None, most: float = np.inf) -> np.ndarray:
+    """The places of a motion at the pace that is given, step by step until its end."""
+    pace, places, speed = Pace(path, bound, brake, most), [0.0], 0.0
+    while places[-1] < path.end:
+        speed = pace.next(places[-1], speed)
+        assert 0.0 < speed <= most * (1.0 + ROUNDING)
+        places.append(min(places[-1] + speed, path.end))
+        assert len(places) < 50_000
+    return np.array(places)
+
+
+def loads(path: JointPath, places: np.ndarray, bound: np.ndarray, brake: np.ndarray) -> tuple[float, float]:
+    """Largest step and largest change of it from one to the next, from and to rest, of their limits."""
+    steps = np.diff([path.smooth(place) for place in places], axis=0)
+    rest = np.zeros((1, steps.shape[1]))
+    changes = np.diff(np.concatenate([rest, steps, rest]), axis=0)
+    return float(np.abs(steps / bound).max()), float(np.abs(changes / brake).max())
+
+
+def fewest_steps(distance: float, bound: float, brake: float) -> int:
+    """The fewest steps from rest to rest, none above the bound, none differing by more than the brake."""
+    count = 1
+    while True:
+        k = np.arange(1, count + 1)
+        reach = np.minimum(np.minimum(k, count + 1 - k) * brake, bound).sum()
+        if reach >= distance * (1.0 - ROUNDING):
+            return count
+        count += 1
+
+
+@pytest.mark.parametrize("seed", range(25))
+@pytest.mark.parametrize("timed", [True, False])
+def test_the_motion_keeps_speed_and_acceleration_from_rest_to_rest(seed: int, timed: bool) -> None:
+    rng = np.random.default_rng(seed)
+    joints, rows = int(rng.integers(1, 6)), int(rng.integers(60, 300))
+    path = smooth_way(rng, rows, joints)
+    row = np.abs(np.diff(path.offsets, axis=0)).max()
+    bound = row * rng.uniform(0.2, 0.9) * rng.uniform(0.5, 1.0, joints)
+    brake = bound * 10 ** rng.uniform(-2.0, 0.0)
+    most = 10 ** rng.uniform(-1.0, 0.3) if timed else np.inf
+    fastest, hardest = loads(path, gone(path, bound, brake, most), bound, brake)
+    assert fastest <= 1.0 + ROUNDING
+    assert hardest <= 1.0 + ROUNDING
+    assert max(fastest, hardest) > 0.3 or timed  # it does not creep
+
+
+@given(st.floats(0.01, 3.0), st.floats(0.003, 0.3), st.floats(0.03, 2.0), st.integers(2, 200), st.booleans())
+@settings(deadline=None, max_examples=40)
+def test_a_straight_way_takes_little_longer_than_it_must(
+    distance: float, bound: float, share: float, rows: int, timed: bool
+) -> None:
+    brake = share * bound
+    path = way(np.linspace(0.0, distance, rows)[:, None])
+    most = 0.6 * bound / distance * path.end if timed else np.inf
+    places = gone(path, np.array([bound]), np.array([brake]), most)
+    fastest, hardest = loads(path, places, np.array([bound]), np.array([brake]))
+    assert fastest <= 1.0 + ROUNDING and hardest <= 1.0 + ROUNDING
+    least = fewest_steps(distance, 0.6 * bound if timed else bound, brake)
+    assert least <= len(places) - 1 <= 1.3 * least + 3.0
+    # In continuous time that is the trapezoid: D / v + v / a, or the triangle 2 sqrt(D / a).
+    speed = 0.6 * bound if timed else bound
+    long = distance > speed**2 / brake
+    theory = distance / speed + speed / brake if long else 2.0 * np.sqrt(distance / brake)
+    assert len(places) - 1 <= 1.3 * theory + 4.0
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_tighter_limits_are_never_faster(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    path = smooth_way(rng, 120, 3)
+    bound, brake, most = np.full(3, 0.02), np.full(3, 0.004), 0.8
+    counts = [
+        len(gone(path, bound, brake, most)),
+        len(gone(path, 0.7 * bound, brake, most)),
+        len(gone(path, 0.7 * bound, 0.5 * brake, most)),
+        len(gone(path, 0.7 * bound, 0.5 * brake, 0.5 * most)),
+    ]
+    assert counts == sorted(counts) and counts[0] < counts[-1]
+
+
+@pytest.mark.parametrize("most", [0.13, 1.0, 3.7])
+def test_time_alone_sets_the_pace_where_limits_are_wide(most: float) -> None:
+    path = smooth_way(np.random.default_rng(1), 90, 2)
+    for brake in (None, np.full(2, 1e3)):
+        places = gone(path, np.full(2, 1e3), brake, most)
+        np.testing.assert_allclose(np.diff(places)[:-1], most, rtol=1e-12)
+        assert len(places) - 1 == int(np.ceil(path.end / most - ROUNDING))
+
+
+def test_speed_alone_sets_it_where_nothing_brakes() -> None:
+    path = way(np.linspace(0.0, 1.0, 41)[:, None])
+    steps = np.diff(path.end / 40 * gone(path, np.array([0.02]), None, 5.0) / 40)
+    np.testing.assert_allclose(steps[:-1], 0.95 * 0.02, rtol=1e-9)
+
+
+@pytest.mark.parametrize("most", [np.inf, 0.05])
+def test_two_rows_and_joints_that_stand_still(most: float) -> None:
+    path = way(np.array([[0.0, 0.0, 0.0], [0.5, 0.0, -0.2]]))
+    bound, brake = np.full(3, 0.03), np.full(3, 0.01)
+    fastest, hardest = loads(path, gone(path, bound, brake, most), bound, brake)
+    assert 0.5 < fastest <= 1.0 and hardest <= 1.0 + ROUNDING
+
+
+@pytest.mark.parametrize("most", [0.4, 1.0])
+def test_rows_that_repeat_take_their_time(most: float) -> None:
+    s = np.linspace(0.0, 1.0, 40)[:, None]
+    bend = (s**3 * (10.0 - 15.0 * s + 6.0 * s**2)) * [[0.4, -0.7]]
+    path = way(np.concatenate([bend, np.repeat(bend[-1:], 25, axis=0), bend[::-1]]))
+    bound, brake = np.full(2, 0.05), np.full(2, 0.003)
+    places = gone(path, bound, brake, most)
+    fastest, hardest = loads(path, places, bound, brake)
+    assert fastest <= 1.0 + ROUNDING and hardest <= 1.0 + ROUNDING
+    resting = np.count_nonzero((places >= 40.0) & (places <= 63.0))
+    assert resting == pytest.approx(23.0 / most, abs=1.5)
+
+
+def test_a_way_that_goes_nowhere_ends_all_the_same() -> None:
+    path = way(np.zeros((5, 2)))
+    for most in (0.5, np.inf):
+        assert gone(path, np.full(2, 0.1), np.full(2, 0.01), most)[-1] == path.end
+
+
+@pytest.mark.parametrize("most", [np.inf, 0.7])
+def test_the_last_step_can_be_stopped_from_at_once(most: float) -> None:
+    # Ways that end steeply: the pace has to come down to what one step can brake.
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        path = way(np.linspace(0.0, rng.uniform(0.1, 2.0), 30)[:, None])
+        brake = 10 ** rng.uniform(-3.5, -1.5)
+        places = gone(path, np.array([0.05]), np.array([brake]), most)
+        last = path.smooth(places[-1]) - path.smooth(places[-2])
+        assert abs(last[0]) <= brake * (1.0 + ROUNDING)

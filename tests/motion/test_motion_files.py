@@ -1,0 +1,203 @@
+"""A file gives a motion in time back to the last bit, or says what is wrong with it."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import pinposture as pp
+from pinposture.errors import FileError
+from pinposture.motion.motion import Motion
+from pinposture.task import Mark, Reference, perform
+
+ARM = pp.Arm.from_template("RyRz", 4)
+LIMITS = pp.Limits(step=None, velocity=np.full(8, 1.5), dt=0.05, acceleration=30.0, position_margin=0.01)
+
+
+def motion_of(controller: str = "qp", scene: pp.Scene | None = None, stop: int | None = None) -> Motion:
+    s = np.linspace(0.0, 1.0, 31)[:, None]
+    offsets = s**3 * (10.0 - 15.0 * s + 6.0 * s**2) * np.linspace(0.2, -0.5, ARM.nv)
+    weights = np.ones((31, 4))
+    weights[10:20, 1] = 0.0
+    q = np.full(ARM.nv, 0.1)
+    marks = tuple(
+        Mark(name, row, pp.Target.from_configuration(ARM, q + offsets[row]))
+        for name, row in (("first, with ä", 0), ("middle", 15), ("last", 30))
+    )
+    told: list[float] = []
+
+    def progress(time: float, _: float) -> bool:
+        told.append(time)
+        return len(told) == stop
+
+    reference = Reference(ARM, 0.04, q, offsets, weights, marks)
+    return perform(reference, controller, LIMITS, scene, q0=q + 0.05, progress=progress)
+
+
+@pytest.fixture(scope="module")
+def motion() -> Motion:
+    return motion_of()
+
+
+@pytest.fixture(scope="module")
+def content(motion: Motion, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    return motion.save(tmp_path_factory.mktemp("motion") / "motion.npz").read_bytes()
+
+
+def assert_equal(one: Motion, other: Motion) -> None:
+    """All of it: arrays to the last bit and of the same kind, numbers, words, and the run within."""
+    for pair in ((one, other), (one.run, other.run)):
+        for field in fields(pair[1]):
+            got, value = (getattr(each, field.name) for each in pair)
+            if isinstance(value, np.ndarray):
+                assert got.dtype == value.dtype, field.name
+                np.testing.assert_array_equal(got, value, err_msg=field.name)
+            elif field.name in (
+                "set_out",
+                "planned",
+                "passed",
+                "detours",
+                "limits",
+                "scene",
+                "status",
+                "reason",
+            ):
+                assert got == value and type(got) is type(value), field.name
+    np.testing.assert_array_equal(one.run.target.points, other.run.target.points)
+    np.testing.assert_array_equal(one.run.target.q, other.run.target.q)
+    assert one.arm.joint_names == other.arm.joint_names
+    np.testing.assert_array_equal(one.arm.at(one.q[-1]).points, other.arm.at(other.q[-1]).points)
+    for name in ("velocities", "accelerations", "time", "mean_error", "duration", "slowing"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+    assert repr(one) == repr(other)
+
+
+KINDS = {
+    "followed": {},
+    "in a scene": {"scene": pp.Scene({"ball": pp.Sphere((0.1, 0.0, 0.35), 0.02)})},
+    "stopped": {"stop": 14},
+    "before it set out": {"stop": 1},
+    "another controller": {"controller": "joint"},
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_file_gives_everything_back(kind: str, tmp_path: Path) -> None:
+    motion = motion_of(**KINDS[kind])
+    path = motion.save(tmp_path / "deep" / "done")
+    assert path == tmp_path / "deep" / "done.npz" and list(path.parent.iterdir()) == [path]
+    loaded = Motion.load(path)
+    assert_equal(loaded, motion)
+    again = loaded.save(tmp_path / "again.npz")
+    assert_equal(Motion.load(again), motion)
+
+
+def test_a_motion_pickles(motion: Motion) -> None:
+    assert_equal(pickle.loads(pickle.dumps(motion)), motion)
+
+
+def test_its_arrays_are_not_to_be_written_to(motion: Motion, tmp_path: Path) -> None:
+    loaded = Motion.load(motion.save(tmp_path / "motion"))
+    for each in (motion, loaded):
+        for array in (each.targets, each.asked, each.clock, each.q):
+            with pytest.raises(ValueError, match="read-only"):
+                array[0] = 0
+
+
+def test_files_of_other_kinds_name_who_reads_them(motion: Motion, tmp_path: Path) -> None:
+    target = pp.Target.from_configuration(ARM, np.full(8, 0.2))
+    whole = motion.save(tmp_path / "motion")
+    run = motion.run.save(tmp_path / "run")
+    batch = pp.track_many(ARM, [target], [ARM.neutral()], "qp", LIMITS, max_steps=3).save(tmp_path / "batch")
+    for path, reader in ((run, "Trajectory.load"), (batch, "Batch.load")):
+        with pytest.raises(FileError, match=reader):
+            Motion.load(path)
+    with pytest.raises(FileError, match="Motion"):
+        pp.Trajectory.load(whole)
+    with pytest.raises(FileError):
+        pp.Batch.load(whole)
+    assert pp.Trajectory.load(run).status == motion.run.status
+
+
+def test_what_is_missing_or_no_such_file_is_named(motion: Motion, tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="no such file"):
+        Motion.load(tmp_path / "nowhere.npz")
+    for name, text in (("empty.npz", b""), ("text.npz", b"not an archive"), ("zip.npz", b"PK\x03\x04")):
+        (tmp_path / name).write_bytes(text)
+        with pytest.raises(FileError, match=name):
+            Motion.load(tmp_path / name)
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(FileError):
+        motion.save(tmp_path / "file" / "motion.npz")
+
+
+def repacked(content: bytes, tmp_path: Path, **changed: object) -> Path:
+    """A file with other arrays; None takes one away."""
+    path = tmp_path / "changed.npz"
+    path.write_bytes(content)
+    with np.load(path) as stored:
+        arrays = {name: stored[name] for name in stored.files}
+    for name, value in changed.items():
+        if value is None:
+            del arrays[name]
+        else:
+            arrays[name] = value
+    np.savez(path, **arrays)
+    return path
+
+
+def test_arrays_that_do_not_fit_are_refused(content: bytes, motion: Motion, tmp_path: Path) -> None:
+    assert_equal(Motion.load(repacked(content, tmp_path)), motion)
+    for name in ("motion_targets", "motion_asked", "motion_clock"):
+        whole = getattr(motion, name.removeprefix("motion_"))
+        for wrong in (None, whole[:-1], np.zeros(3), whole[..., None]):
+            with pytest.raises(FileError, match=r"changed\.npz"):
+                Motion.load(repacked(content, tmp_path, **{name: wrong}))
+
+
+def test_a_file_without_a_cycle_is_refused(content: bytes, tmp_path: Path) -> None:
+    path = repacked(content, tmp_path)
+    with np.load(path) as stored:
+        about = json.loads(str(stored["about"]))
+    for key in ("dt", "motion"):
+        spoilt = {**about, key: None}
+        with pytest.raises(FileError):
+            Motion.load(repacked(content, tmp_path, about=np.array(json.dumps(spoilt))))
+    newer = np.array(json.dumps({**about, "version": 99}))
+    with pytest.raises(FileError, match="99"):
+        Motion.load(repacked(content, tmp_path, about=newer))
+
+
+@given(data=st.data())
+@settings(deadline=None, max_examples=30)
+def test_a_damaged_file_is_refused_or_whole(
+    data: st.DataObject, content: bytes, motion: Motion, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "damaged.npz"
+    at = data.draw(st.integers(0, len(content) - 1))
+    if data.draw(st.booleans()):
+        path.write_bytes(content[:at])
+    else:
+        spoilt = bytearray(content)
+        spoilt[at] ^= data.draw(st.integers(1, 255))
+        path.write_bytes(bytes(spoilt))
+    try:
+        loaded = Motion.load(path)
+    except FileError as error:
+        assert "damaged.npz" in str(error)
+    else:
+        assert_equal(loaded, motion)
+
+
+def test_joint_trajectories_of_a_motion_keep_its_rows_and_rest_at_both_ends(motion: Motion) -> None:
+    joints = motion.joint_trajectory()
+    assert len(joints.time) == motion.steps + 3
+    np.testing.assert_allclose(np.diff(joints.time), 0.05)
+    assert not np.any(joints.velocities[0]) and not np.any(joints.velocities[-1])

@@ -1,0 +1,250 @@
+"""The streaming controller where all goes well: where it leads, what it reports, what it refuses."""
+
+from __future__ import annotations
+
+import gc
+import tracemalloc
+
+import numpy as np
+import pytest
+
+import pinposture as pp
+from pinposture.errors import InvalidValue, PostureError, UnknownName
+from pinposture.motion import Tracker
+from pinposture.study import smooth_configuration
+from pinposture.target import Target
+
+ARM = pp.Arm.from_template("RyRz", 6)
+LIMITS = pp.Limits(step=None, velocity=2.0, dt=0.02, acceleration=10.0)
+
+
+def run(tracker: Tracker, q: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    """Configurations and steps of an arm that does as it is told."""
+    path, moved = [q], []
+    for _ in range(steps):
+        dq = tracker.step(path[-1])
+        moved.append(dq)
+        path.append(tracker.arm.integrate(path[-1], dq))
+    return np.array(path), np.array(moved)
+
+
+@pytest.mark.parametrize("controller", ["qp", "joint", "lm", "switching"])
+@pytest.mark.parametrize("interface", ["position", "velocity"])
+def test_the_arm_comes_to_its_target_and_rests(controller: str, interface: str) -> None:
+    rng = np.random.default_rng(1)
+    start, goal = (smooth_configuration(ARM, rng, 0.6) for _ in range(2))
+    tracker = Tracker(ARM, controller, LIMITS, interface=interface)
+    tracker.update(Target.from_configuration(ARM, goal))
+    path, moved = run(tracker, start, 400)
+    assert np.linalg.norm(ARM.at(path[-1]).points - ARM.at(goal).points, axis=1).mean() < 1e-6 * ARM.length
+    assert tracker.report.status == "arrived" and tracker.report.reason == ""
+    assert tracker.report.mean_error < 1e-6 * ARM.length and tracker.report.target_age == pytest.approx(8.0)
+    np.testing.assert_allclose(tracker.command, path[-1], atol=1e-12)
+    rest = np.zeros((1, ARM.nv))
+    assert np.abs(np.diff(np.concatenate([rest, moved, rest]), axis=0)).max() <= 10.0 * 0.02**2 + 1e-9
+    assert np.abs(moved).max() <= 2.0 * 0.02 + 1e-9
+    assert np.abs(moved[-1]).max() < 1e-12
+
+
+def test_it_goes_the_way_that_a_run_goes() -> None:
+    rng = np.random.default_rng(2)
+    start, goal = (smooth_configuration(ARM, rng, 0.8) for _ in range(2))
+    target = Target.from_configuration(ARM, goal)
+    motion = pp.track(ARM, target, start, limits=LIMITS)
+    tracker = Tracker(ARM, "qp", LIMITS)
+    tracker.update(target)
+    path, _ = run(tracker, start, motion.steps)
+    np.testing.assert_allclose(path, motion.q, atol=1e-9)
+
+
+def test_before_anything_is_known() -> None:
+    tracker = Tracker(ARM, "qp", LIMITS)
+    assert tracker.report.status == "holding" and tracker.report.reason and tracker.target is None
+    with pytest.raises(InvalidValue, match="command"):
+        _ = tracker.command
+    assert not np.any(tracker.step(None)) and tracker.report.reason == "no measurement"
+    tracker.update(Target.from_configuration(ARM, np.full(ARM.nv, 0.1)))
+    assert not np.any(tracker.step(None)) and tracker.report.mean_error is None
+    with pytest.raises(InvalidValue, match="command"):
+        _ = tracker.command
+    assert np.any(tracker.step(ARM.neutral())) and tracker.report.status == "moving"
+
+
+def test_without_a_target_it_stands() -> None:
+    tracker = Tracker(ARM, "qp", LIMITS)
+    for _ in range(5):
+        assert not np.any(tracker.step(ARM.neutral()))
+    report = tracker.report
+    assert report.status == "holding" and "no target" in report.reason
+    assert report.mean_error is None and report.target_age is None and report.disagreement == 0.0
+
+
+def test_a_target_that_does_not_fit_is_refused_and_the_one_before_stays() -> None:
+    tracker = Tracker(ARM, "qp", LIMITS)
+    good = Target.from_configuration(ARM, np.full(ARM.nv, 0.2))
+    tracker.update(good)
+    tracker.step(ARM.neutral())
+    other = pp.Arm.from_template("RyRz", 3)
+    spoilt = np.array(good.points)
+    spoilt[1, 0] = np.nan
+    for bad in (
+        Target.from_configuration(other, other.neutral()),
+        Target(spoilt, np.ones(6)),
+        Target(good.points, np.zeros(6)),
+        Target(good.points, np.ones(6), q=np.full(ARM.nq, np.inf)),
+        good.points,
+        None,
+    ):
+        with pytest.raises(InvalidValue):
+            tracker.update(bad)
+        assert tracker.target is good
+    assert np.any(tracker.step(tracker.command))
+    assert tracker.report.target_age == pytest.approx(0.04)
+
+
+def test_a_target_that_the_controller_cannot_work_with_brakes_the_arm_and_says_why() -> None:
+    tracker = Tracker(ARM, "joint", LIMITS)
+    tracker.update(Target.from_configuration(ARM, np.full(ARM.nv, 0.8)))
+    path, moved = run(tracker, ARM.neutral(), 8)
+    assert np.abs(moved[-1]).max() > 0.02
+    tracker.update(Target.from_points(ARM, 1.1 * ARM.at(np.full(ARM.nv, 0.5)).points))  # not to be had
+    path, braking = run(tracker, path[-1], 12)
+    assert tracker.report.status == "holding" and "target.q" in tracker.report.reason
+    assert not np.any(braking[-1])
+    assert np.abs(np.diff(np.concatenate([moved[-1:], braking]), axis=0)).max() <= 10.0 * 0.02**2 + 1e-12
+    tracker.update(Target.from_configuration(ARM, np.full(ARM.nv, 0.5)))
+    run(tracker, path[-1], 1)
+    assert tracker.report.status == "moving"
+
+
+def test_so_does_a_controller_that_works_in_a_thread_of_its_own() -> None:
+    tracker = Tracker(ARM, "joint", LIMITS, deadline=5.0)
+    tracker.update(Target.from_points(ARM, 1.1 * ARM.at(np.full(ARM.nv, 0.5)).points))  # not to be had
+    run(tracker, ARM.neutral(), 3)
+    assert "target.q" in tracker.report.reason
+    tracker.update(Target.from_configuration(ARM, np.full(ARM.nv, 0.5)))
+    run(tracker, ARM.neutral(), 1)
+    assert tracker.report.status == "moving"
+
+
+def test_faults_of_the_program_are_raised() -> None:
+    tracker = Tracker(ARM, "qp", LIMITS)
+    q = ARM.neutral()
+    for bad in (np.zeros(ARM.nq - 1), np.zeros((2, ARM.nq)), "here"):
+        with pytest.raises(InvalidValue, match="q_measured"):
+            tracker.step(bad)
+    for dt in (0.0, -0.01, np.nan, np.inf, "soon"):
+        with pytest.raises(InvalidValue, match="dt"):
+            tracker.step(q, dt)
+    with pytest.raises(InvalidValue, match="points"):
+        tracker.step(q, points=np.zeros((ARM.n_modules + 1, 3)))
+    with pytest.raises(InvalidValue, match="q_measured"):
+        tracker.restart(np.full(ARM.nq, np.nan))
+
+
+def test_what_it_is_made_with_is_checked() -> None:
+    for limits in (None, pp.Limits(), "fast"):
+        with pytest.raises(InvalidValue, match="dt"):
+            Tracker(ARM, "qp", limits)
+    for name in ("feedback", "disagreement", "patience", "timeout", "deadline"):
+        for value in (0.0, -1.0, np.nan):
+            with pytest.raises(InvalidValue, match=name):
+                Tracker(ARM, "qp", LIMITS, **{name: value})
+    with pytest.raises(UnknownName, match="torque"):
+        Tracker(ARM, "qp", LIMITS, interface="torque")
+    with pytest.raises(UnknownName):
+        Tracker(ARM, "best", LIMITS)
+    with pytest.raises(PostureError):
+        Tracker(ARM, "qp", pp.Limits(step=np.ones(3), dt=0.01))
+
+
+def singular_goals() -> dict[str, np.ndarray]:
+    folded, straight = ARM.straight(), ARM.straight()
+    folded[4] = np.pi - 1e-3
+    near = straight + 1e-7 * np.random.default_rng(3).normal(size=ARM.nv)
+    return {"straight": straight, "folded": folded, "nearly straight": near, "bent to limits": straight + 3.1}
+
+
+@pytest.mark.parametrize("name", singular_goals())
+@pytest.mark.parametrize("known", [True, False])
+def test_singular_postures_are_taken_or_given_up_at_rest(name: str, known: bool) -> None:
+    goal = singular_goals()[name]
+    target = Target.from_configuration(ARM, goal)
+    target = target if known else Target.from_points(ARM, target.points)
+    tracker = Tracker(ARM, "qp", LIMITS)
+    tracker.update(target)
+    path, moved = run(tracker, smooth_configuration(ARM, np.random.default_rng(4), 0.5), 500)
+    assert np.all(np.isfinite(path)) and np.abs(path).max() <= np.pi + 1e-9
+    assert not np.any(moved[-1]) and tracker.report.status in ("arrived", "stuck")
+    if known:
+        assert tracker.report.status == "arrived"
+        np.testing.assert_allclose(ARM.at(path[-1]).points, target.points, atol=1e-6)
+    # And on from there: no posture is a trap.
+    tracker.update(Target.from_configuration(ARM, 0.3 * np.ones(ARM.nv)))
+    path, _ = run(tracker, path[-1], 500)
+    assert tracker.report.status == "arrived"
+
+
+@pytest.mark.parametrize("factor", [1.05, 1.3, 5.0])
+def test_what_is_out_of_reach_ends_stuck_and_at_rest(factor: float) -> None:
+    points = factor * ARM.at(smooth_configuration(ARM, np.random.default_rng(6), 0.4)).points
+    tracker = Tracker(ARM, "qp", LIMITS)
+    tracker.update(Target.from_points(ARM, points))
+    path, moved = run(tracker, 0.1 * np.ones(ARM.nv), 500)
+    assert tracker.report.status == "stuck" and tracker.report.reason
+    assert not np.any(moved[-1])
+    off = np.linalg.norm(ARM.at(path[-1]).points - points, axis=1).mean()
+    assert tracker.report.mean_error == pytest.approx(off, rel=1e-9) and off > 1e-3
+
+
+def test_a_target_that_moves_slowly_is_kept() -> None:
+    rng = np.random.default_rng(7)
+    one, two = (smooth_configuration(ARM, rng, 0.6) for _ in range(2))
+    tracker, q, off = Tracker(ARM, "qp", LIMITS), one, []
+    for k in range(400):
+        wanted = np.cos(0.01 * k) * one + np.sin(0.01 * k) * two
+        tracker.update(Target.from_configuration(ARM, wanted))
+        q = ARM.integrate(q, tracker.step(q))
+        off.append(np.linalg.norm(ARM.at(q).points - ARM.at(wanted).points, axis=1).mean())
+    # At most what the target moves on in some cycles.
+    assert max(off[50:]) < 0.1 * ARM.length / ARM.n_modules
+
+
+def test_a_new_target_ahead_does_not_stop_the_arm() -> None:
+    arm = pp.Arm.from_template("Rz", 1)
+    tracker, q, speeds = Tracker(arm, "qp", LIMITS), arm.neutral(), []
+    for k in range(70):
+        if k % 10 == 0:  # always a jump of its own, too far for the way to be bent
+            tracker.update(Target.from_configuration(arm, np.array([2.6 + 0.05 * k / 10])))
+        dq = tracker.step(q)
+        speeds.append(dq[0] / 0.02)
+        q = arm.integrate(q, dq)
+    assert min(speeds[15:55]) > 1.6
+
+
+def test_memory_does_not_grow() -> None:
+    arm = pp.Arm.from_template("RyRz", 3)
+    rng = np.random.default_rng(8)
+    tracker, q = Tracker(arm, "qp", LIMITS), arm.neutral()
+    targets = [Target.from_configuration(arm, smooth_configuration(arm, rng, 0.5)) for _ in range(5)]
+
+    def cycles(count: int, q: np.ndarray) -> np.ndarray:
+        for k in range(count):
+            if k % 40 == 0:
+                tracker.update(targets[rng.integers(5)])
+            dt = 0.02 * rng.uniform(0.9, 1.1)
+            q = arm.integrate(q, tracker.step(q + 1e-5 * rng.normal(size=arm.nq), dt))
+        return q
+
+    def traced() -> int:
+        gc.collect()
+        return tracemalloc.get_traced_memory()[0]
+
+    q = cycles(300, q)
+    tracemalloc.start()
+    q = cycles(300, q)  # what was remembered before is replaced by what counts
+    before = traced()
+    cycles(500, q)
+    grown = traced() - before
+    tracemalloc.stop()
+    assert grown < 40_000  # less than an array in each cycle
