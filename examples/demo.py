@@ -1,4 +1,4 @@
-"""Scenarios of the thesis by qp, the default, by Selection, Projection, and both by turns; and a task in time.
+"""Scenarios of the thesis by qp, the default, Selection, Projection, and both by turns; and a task in time.
 
 make demo
 """

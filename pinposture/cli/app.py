@@ -23,6 +23,7 @@ from pinposture.cli import (
     methods,
     postures,
     reproduce,
+    run,
     scenes,
     simulate,
     track,
@@ -132,7 +133,7 @@ def _add(verb: ModuleType, group: typer.Typer) -> None:
     group.command(name, cls=kind, help=_paragraphs(verb.run.__doc__ or ""))(verb.run)
 
 
-for module in (generate, inspect, track, many, view, export, simulate, reproduce, compile):
+for module in (generate, inspect, track, many, run, view, export, simulate, reproduce, compile):
     _add(module, app)
 for module in (arms, methods, postures, headings, scenes, cycles, leader):
     _add(module, studies)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -16,6 +16,10 @@ from pinposture.cli.output import print_facts, print_json, print_note
 from pinposture.cli.progress import count_progress
 from pinposture.cli.results import keep_motion, motion_in_words, summarize_motion
 from pinposture.cli.view import show
+from pinposture.errors import PostureError
+
+if TYPE_CHECKING:
+    from pinposture.task.reference import Reference
 
 EXAMPLES = (
     "pinposture run examples/tasks/keyframes.toml -o out/keyframes",
@@ -34,7 +38,7 @@ def run(
             "--output",
             "-o",
             metavar="DIR",
-            help="Leave motion.npz, .csv, .json, .png and .html here, as the file says; else nothing is kept.",
+            help="Keep motion.npz, .csv, .json, .png and .html here, or what the file asks for.",
             rich_help_panel=OUTPUT,
         ),
     ] = None,
@@ -63,33 +67,26 @@ def run(
     admit the times of the file, it takes longer, and the summary says by how much. docs/tasks.md describes
     the file; a mistake in it is named with its line.
 
-    With -o the motion is kept in a directory. Each file appears there whole or not at all, and status.json says
-    whether all are there. The exit code is 0 whether or not the arm got there, 2 if it could not start.
+    With -o the motion is kept in a directory. Each file appears there whole or not at all, and status.json
+    says whether all are there. The exit code is 0 whether or not the arm got there, 2 if it could not start.
     """
     from pinposture.task import Task
 
     task = Task.load(file)
-    folder = None if output is None or check else Folder(output)
-    if folder is not None:
-        found = folder.found()
-        if found:
-            print_note(found)
-        folder.begin(str(file))
     if check:
         with count_progress("posture") as placing:
             reference = task.reference(placing)
-        facts = {"postures": len(reference.marks), "rows": reference.rows, "duration": reference.duration}
-        if as_json:
-            print_json({"task": str(file), **facts})
-        else:
-            print_facts({"postures": str(facts["postures"]), "duration": f"{reference.duration:.4g} s"})
+        _print_check(file, reference, as_json)
         return
-    with count_progress("posture") as placing, _time_progress() as moving:
-        motion = task.perform(placing, moving)
-    files: dict[str, str] = {}
-    if output is not None and folder is not None:
-        files = keep_motion(motion, output, task.formats)
-        folder.finish(str(file), [Path(each).name for each in files.values()])
+    folder = None if output is None else Folder(output, str(file))
+    with nullcontext() if folder is None else _kept_in(folder):
+        with count_progress("posture") as placing:
+            reference = task.reference(placing)
+        with _time_progress() as moving:
+            motion = task.perform(reference, moving)
+        files = {} if output is None else keep_motion(motion, output, task.formats)
+        if folder is not None:
+            folder.finish([Path(each).name for each in files.values()])
     summary = summarize_motion(motion)
     if as_json:
         print_json({"task": str(file), **summary, "files": files})
@@ -101,6 +98,33 @@ def run(
         show(motion, True, print_note)
     if require_convergence and not motion.converged:
         raise typer.Exit(1)
+
+
+def _print_check(file: Path, reference: Reference, as_json: bool) -> None:
+    """Say what is planned."""
+    names = [mark.name for mark in reference.marks]
+    if as_json:
+        times = [mark.row * reference.interval for mark in reference.marks]
+        places = [{"name": name, "planned": time} for name, time in zip(names, times, strict=True)]
+        print_json({"task": str(file), "keyframes": places, "planned": reference.duration})
+    else:
+        print_facts(
+            {"keyframes": ", ".join(names), "duration": f"{reference.duration:.4g} s, if nothing slows it"}
+        )
+
+
+@contextmanager
+def _kept_in(folder: Folder) -> Iterator[None]:
+    """Say what a directory holds from before, and write down in it how the run begins and that it failed."""
+    found = folder.found()
+    if found:
+        print_note(found)
+    folder.begin()
+    try:
+        yield
+    except PostureError as error:
+        folder.fail(str(error))
+        raise
 
 
 @contextmanager

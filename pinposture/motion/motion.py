@@ -23,9 +23,10 @@ class Passed(NamedTuple):
     Attributes:
         name: what it is called.
         planned: when it was to be there, counted from when the arm sets out on the motion [s].
-        reached: when it was, counted likewise [s]; None if never.
-        row: the row of the motion at which it was; None if never.
-        mean_error: mean distance of the control points from their targets then [m]; None if never.
+        reached: when it was, counted likewise, to the nearest cycle [s]; None if never.
+        row: the row of the motion at that time; None if never.
+        mean_error: mean distance of the control points from where they should be there [m]; None if never.
+            A place that is passed between two cycles is missed by what the arm moves in half of one.
     """
 
     name: str
@@ -165,5 +166,6 @@ class Motion:
         return load_motion(Path(path))
 
     def __repr__(self) -> str:
-        slower = f", {self.slowing:.3g} times as long as planned" if self.slowing > 1.005 else ""
+        slow = self.converged and self.slowing > 1.005
+        slower = f", {self.slowing:.3g} times as long as planned" if slow else ""
         return f"Motion({self.run.status}, {self.time[-1]:.4g} s{slower}, {len(self.passed)} places)"

@@ -25,6 +25,9 @@ RAMP = 0.1
 STRIDE = 0.5
 """How far the feed goes from one row to the next at most, in lengths of the shortest link."""
 
+MOST_ROWS = 1_000_000
+"""The longest motion."""
+
 
 def follow_leader(
     arm: Arm,
@@ -125,9 +128,16 @@ def advance(depth: float, speed: float, interval: float, stride: float) -> tuple
     Returns:
         Depths from 0 on, (N + 1,) [m], and the time between two of them [s]: the interval, or a whole
         fraction of it.
+
+    Raises:
+        InvalidValue: more than `MOST_ROWS` of them.
     """
-    interval = interval / max(int(np.ceil(speed * interval / stride)), 1)
     full = 1.0 + 2.0 * RAMP  # the time that it takes, in that at full speed
+    rows = full * depth / min(speed * interval, stride)
+    if not rows <= MOST_ROWS:
+        allowed = f"at most {MOST_ROWS} rows; {rows:.3g} are {interval:g} s or {stride:.3g} m apart"
+        raise InvalidValue("speed", speed, allowed)
+    interval = interval / max(int(np.ceil(speed * interval / stride)), 1)
     steps = max(int(np.ceil(full * depth / speed / interval)), 2)
     ramp = 2.0 * RAMP / full  # in all of the time, on which half as far is gone as at full speed
     t = np.linspace(0.0, 1.0, steps + 1)

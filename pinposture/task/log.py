@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pinposture.motion.drive import Drive
 from pinposture.motion.motion import Motion, Passed
 from pinposture.target import Target
 from pinposture.task.reference import Mark, Reference
+
+Array = NDArray[np.float64]
 
 ROUNDING = 1e-9
 """How far short of a row, in rows, is still at it."""
@@ -52,7 +55,6 @@ class Log:
         reference, places = self._reference, np.array(self._places)
         run = drive.recorder.trajectory(drive.arm, drive.controller, drive.limits, status, reason)
         asked = np.array([target.placed for target in self._targets])
-        errors = run.posture_error / asked.sum(axis=1)
         dt = reference.duration if drive.limits.dt is None else drive.limits.dt
         return Motion(
             run=run,
@@ -61,14 +63,19 @@ class Log:
             clock=np.minimum(places * reference.interval, reference.duration),
             set_out=len(places) - 1 if self._begun is None else self._begun,
             planned=reference.duration,
-            passed=tuple(self._passed(mark, places, errors, dt) for mark in reference.marks),
+            passed=tuple(self._passed(mark, places, run.points, dt) for mark in reference.marks),
             detours=tuple(self._notes),
         )
 
-    def _passed(self, mark: Mark, places: np.ndarray, errors: np.ndarray, dt: float) -> Passed:
+    def _passed(self, mark: Mark, places: Array, points: Array, dt: float) -> Passed:
+        """How a named place was passed: at the row that came nearest to it in time."""
         planned, begun = mark.row * self._reference.interval, self._begun
         there = np.flatnonzero(places[begun:] >= mark.row - ROUNDING)
         if begun is None or not len(there):
             return Passed(mark.name, planned, None, None, None)
         row = begun + int(there[0])
-        return Passed(mark.name, planned, int(there[0]) * dt, row, float(errors[row]))
+        if row > begun and mark.row - places[row - 1] < places[row] - mark.row:
+            row -= 1
+        placed = mark.target.placed
+        off = np.linalg.norm((mark.target.points - points[row])[placed], axis=1)
+        return Passed(mark.name, planned, (row - begun) * dt, row, float(off.mean()))

@@ -39,6 +39,9 @@ for controllers that do not know what is ahead."""
 
 STOPPED = "stopped by the callback"
 
+LONGEST = 1e6
+"""The most cycles of a motion."""
+
 STEPS, MORE = 10.0, 3000
 """The most steps, as a multiple of those foreseen and beyond that, after which a motion is given up."""
 
@@ -76,7 +79,7 @@ def perform(
         `slowing` tells how many times as long as planned it took.
 
     Raises:
-        InvalidValue: limits without dt, q0 or the tolerance do not fit.
+        InvalidValue: limits without dt, or so tight that it would never end; q0 or the tolerance do not fit.
         UnknownName: no controller has that name.
     """
     arm = reference.arm
@@ -87,6 +90,9 @@ def perform(
     require_positive("tolerance", tolerance)
     start = reference.start if q0 is None else arm.checked(q0, "q0")
     guide = Guide(reference, limits)
+    if guide.steps > LONGEST:
+        allowed = f"limits under which it takes at most {LONGEST:g} cycles, or a plan that asks for less"
+        raise InvalidValue("cycles of the motion", round(guide.steps), allowed)
     drive = Drive(arm, start, guide.target(0.0), controller, limits, scene)
     performance = _Performance(guide, drive, tolerance, progress)
     status, reason = performance.all()

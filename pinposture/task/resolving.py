@@ -111,6 +111,6 @@ def _refuse_rest(arm: Arm, keyframes: tuple[Keyframe, ...], index: int, resolved
     length = begun.curve.length - begun.parameter
     if keyframes[index].trim or length - covered <= float(arm.chain.module_lengths.max()):
         return
-    advice = "shorten it, use a longer arm, or say trim=True to take its first part"
+    advice = "shorten it, use a longer arm, or set trim to take its first part"
     reason = f"the curve is {length:.4g} m long, and the arm covers {covered:.4g} m of it; {advice}"
     raise TaskError(title(keyframes, index), reason)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.control import ConstrainedQP, Controller, Limits
-from pinposture.errors import FileError, PostureError
+from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.motion import Motion
 from pinposture.scene import Scene
 from pinposture.scene.inside import obstacles_around
@@ -24,7 +24,8 @@ from pinposture.task.keyframe import Keyframe
 from pinposture.task.keyframes import keyframe_reference
 from pinposture.task.perform import perform
 from pinposture.task.reading.document import Document
-from pinposture.task.reading.motions import Leader, read_keyframes, read_leader
+from pinposture.task.reading.lines import Place
+from pinposture.task.reading.motions import Leader, check_leader, check_points, read_keyframes, read_leader
 from pinposture.task.reading.robots import (
     read_arm,
     read_controller,
@@ -32,6 +33,7 @@ from pinposture.task.reading.robots import (
     read_start,
     read_surroundings,
 )
+from pinposture.task.reading.showing import shown
 from pinposture.task.reference import Reference
 from pinposture.task.schedule import CONTINUITIES
 
@@ -41,6 +43,7 @@ VERSION = 1
 KINDS = ("keyframes", "follow_leader")
 FORMATS = ("npz", "csv", "json", "png", "html")
 _COMMON = ("version", "kind", "name", "arm", "limits", "controller", "scene", "start", "output")
+_OWN = {"keyframes": ("keyframes", "continuity"), "follow_leader": ("leader",)}
 
 _KEYFRAME = re.compile(r"keyframe (\d+)")
 
@@ -88,11 +91,14 @@ class Task:
         """
         document = Document(Path(path))
         root = document.root
-        if root.value("version", VERSION) != VERSION:
-            raise root.fault("version", f"is {root.value('version')!r}; allowed: {VERSION}")
+        if "version" in root and (root.value("version") is True or root.value("version") != VERSION):
+            raise root.fault("version", f"is {shown(root.value('version'))}; allowed: {VERSION}")
         kind = root.text("kind", "keyframes", KINDS)
-        own = ("keyframes", "continuity") if kind == "keyframes" else ("leader",)
-        root.only(*_COMMON, *own)
+        for other in KINDS:
+            for key in _OWN[other]:
+                if key in root and kind != other:
+                    raise root.fault(key, f"goes with kind = {other!r}; the kind is {kind!r}")
+        root.only(*_COMMON, *_OWN[kind])
         arm = read_arm(root.table("arm"))
         leader = kind == "follow_leader"
         task = cls(
@@ -142,32 +148,36 @@ class Task:
 
     def perform(
         self,
-        placing: Callable[[int, int], object] | None = None,
-        moving: Callable[[float, float], object] | None = None,
+        reference: Reference | None = None,
+        progress: Callable[[float, float], object] | None = None,
     ) -> Motion:
         """Do it; see `pinposture.task.perform`.
 
         Args:
-            placing: as `progress` of `reference`.
-            moving: as `progress` of `perform`.
+            reference: what `reference` gave, if it was asked for before.
+            progress: as for `pinposture.task.perform`.
 
         Raises:
-            PostureError: as `reference`, and as `perform`.
+            PostureError: as `reference`, and as `pinposture.task.perform`.
         """
-        reference = self.reference(placing)
+        reference = self.reference() if reference is None else reference
         start = None if isinstance(self.motion, Leader) else self.start
         scene = self.surroundings(reference)
-        return perform(reference, self.controller, self.limits, scene, q0=start, progress=moving)
+        return perform(reference, self.controller, self.limits, scene, q0=start, progress=progress)
 
     def _check(self) -> None:
         """Refuse what can be seen to be wrong without a search."""
         assert self._document is not None
         root = self._document.root
-        if not isinstance(self.motion, Leader) and len(self.motion) < 2:
-            found = "none" if not self.motion else "only one"
-            raise root.fault(
-                "keyframes", f"there is {found}; allowed: two or more, each begun by [[keyframes]]"
-            )
+        if isinstance(self.motion, Leader):
+            check_leader(root.table("leader"), self.motion, self.arm)
+        else:
+            if len(self.motion) < 2:
+                found = "none" if not self.motion else "only one"
+                reason = f"there is {found}; allowed: two or more, each begun by [[keyframes]]"
+                raise root.fault("keyframes", reason)
+            for keyframe, table in zip(self.motion, root.tables("keyframes"), strict=True):
+                check_points(table, keyframe, self.arm)
         if self.scene is not None:
             named = obstacles_around(self.scene, self.arm.chain.base)
             if named:
@@ -183,21 +193,26 @@ class Task:
         except PostureError as error:
             if self._document is None:
                 raise
-            number = _KEYFRAME.match(str(error))
-            place: tuple[str | int, ...] = where
-            if number is not None:
-                place = ("keyframes", int(number[1]) - 1)
-            elif isinstance(self.motion, Leader) and not where:
-                place = ("leader", "path")
-            line = self._document.place(place).partition(":")[0] if place else ""
-            text = f"{line}: {error}" if line.startswith("line") else str(error)
-            raise FileError(self._document.path, text) from error
+            raise self._told(error, where) from error
+
+    def _told(self, error: PostureError, where: Place) -> FileError:
+        """An error of the search as one of the file."""
+        assert self._document is not None
+        if isinstance(self.motion, Leader):
+            reason, key = str(error), error.name if isinstance(error, InvalidValue) else ""
+            if key in self.motion._fields and isinstance(error, InvalidValue):
+                reason = f"is {shown(error.value)}; allowed: {error.allowed}"
+            own = ("leader", key if key in self.motion._fields else "path")
+            return self._document.fault(where or (("start",) if key == "start" else own), reason)
+        number = _KEYFRAME.match(str(error))  # the message begins with what it is about
+        line = self._document.line(("keyframes", int(number[1]) - 1) if number else ("keyframes",))
+        text = str(error)
+        return FileError(self._document.path, f"{'' if line is None else f'line {line}: '}{text}")
 
 
 def _formats(document: Document) -> tuple[str, ...]:
     table = document.root.table("output").only("formats")
     listed = table.value("formats", list(FORMATS))
-    for each in listed if isinstance(listed, list) else [listed]:
-        if each not in FORMATS or not isinstance(listed, list):
-            raise table.fault("formats", f"is {listed!r}; allowed: a list of {', '.join(FORMATS)}")
-    return tuple(listed)
+    if not isinstance(listed, list) or not all(each in FORMATS for each in listed):
+        raise table.fault("formats", f"is {shown(listed)}; allowed: a list of {', '.join(FORMATS)}")
+    return tuple(each for each in FORMATS if each in listed)

@@ -9,13 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pinposture.motion import Motion
+from pinposture.motion.rates import limit_shares
 from pinposture.view import palette
 from pinposture.view.clearance import has_clearance, plot_clearance
 from pinposture.view.drawn_obstacles import draw_obstacles, surround
 from pinposture.view.layout import footnote, lay_out, share_axis, title
 from pinposture.view.places import alike, shown_places
 from pinposture.view.postures import PosturePanel
-from pinposture.motion.rates import limit_shares
 from pinposture.view.run_postures import BETWEEN, draw_way, evenly
 from pinposture.view.time_panels import mark_places, plot_clock, plot_error, plot_joint_rates
 from pinposture.view.words import controller_name, ending_in_time, is_slowed

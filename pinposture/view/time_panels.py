@@ -10,11 +10,11 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from pinposture.motion import Motion
+from pinposture.motion.rates import limit_shares
 from pinposture.view import palette
 from pinposture.view.axes import dress_time, mark_end, mark_start, scale_values
 from pinposture.view.clearance import explain, mark_escapes, mark_relaxed
 from pinposture.view.places import LONGEST, Place
-from pinposture.motion.rates import limit_shares
 
 LETTER = 4.6
 """Width of a letter of the names above the axes, on average [pt]."""

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import shlex
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from pinposture.scene.obstacles import KINDS
 from pinposture.target.resolve import METHODS, PLACEMENTS
 from pinposture.thesis.curves import CURVES
 
-QUICK = ("generate", "inspect", "track", "many", "view", "export", "study arms", "compile")
+QUICK = ("generate", "inspect", "track", "many", "run", "view", "export", "study arms", "compile")
 STUDIES = ("methods", "postures", "headings", "scenes", "cycles")  # these take minutes, as does reproduce
 VERBS = (*QUICK, *(f"study {name}" for name in STUDIES), "reproduce")
 
@@ -103,6 +105,7 @@ def test_the_examples_run_one_after_the_other(command, tmp_path, monkeypatch):
     t = np.linspace(0, 1.2, 50)
     np.savetxt("curve.csv", np.column_stack([t, 0.1 * np.sin(3 * t)]), delimiter=",")
     (tmp_path / "scene.toml").write_text(scene_in_the_help(command))
+    shutil.copytree(Path(__file__).parents[2] / "examples" / "tasks", tmp_path / "examples" / "tasks")
     (tmp_path / "urdf").mkdir()
     command("generate", "Rz", "--modules", 8, "-o", tmp_path / "urdf" / "flat.urdf")
     for verb in QUICK:
@@ -117,6 +120,7 @@ def test_the_examples_run_one_after_the_other(command, tmp_path, monkeypatch):
     made = {path.name for path in tmp_path.iterdir()}
     assert made == {
         "curve.csv",
+        "examples",
         "scene.toml",
         "urdf",
         "arm.urdf",

@@ -87,9 +87,9 @@ def follow(
         rest = path.offsets[-1] - path.offset_of(state, here)
         left = float(np.abs(rest[posture.columns] / units).max(initial=0.0))
         dq = np.minimum(np.maximum(farthest(rest, bounds.brake), box.lower), box.upper)
-        after = float(np.abs((rest - dq)[posture.columns] / units).max(initial=0.0))
+        ahead = float(np.abs((rest - dq)[posture.columns] / units).max(initial=0.0))
         whole = float(np.abs(path.offsets[-1][posture.columns] / units).max(initial=0.0))
-        place, inside, hindered = max(here, 1.0 - after / max(whole, ARRIVED)), True, True
+        place, inside, hindered = max(here, 1.0 - ahead / max(whole, ARRIVED)), True, True
     else:
         columns, offset = posture.columns, path.offset_of(state, here)
         left = float(np.abs((path.offsets[-1] - offset)[columns] / units).max(initial=0.0))

@@ -35,7 +35,7 @@ LITTLE = 0.3
 """How far points of a target may move for it to be much like the one before, in module lengths."""
 
 ALIKE = 2.0
-"""How much worse than expected a goal may be to count as no worse than the one before: noise alone does as much."""
+"""How much worse than expected a goal may be to count as no worse than the one before: noise does as much."""
 
 BENT = 0.5
 """By how much a way may be bent in all, to end elsewhere, relative to what is left of it."""
@@ -102,8 +102,8 @@ def plan_on(
         state: where it is.
         bounds: what the limits mean for its joints.
         mu: weight of joint motion against the motion of control points [m per `Arm.joint_units`].
-        avoidance: what to keep clear of; nothing if None. A way that is bent a little is not looked along again:
-            each step on it is.
+        avoidance: what to keep clear of; nothing if None. A way that is bent a little is not looked along
+            again: each step on it is.
     """
     arm, path = posture.arm, course.path
     before = path.configuration(path.end)

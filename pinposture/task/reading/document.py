@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-import json
-import re
-import sys
-from collections.abc import Callable, Iterator, Mapping
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pinposture.errors import FileError, InvalidValue, PostureError
+from pinposture.task.reading.content import place_in_words, read_content
+from pinposture.task.reading.lines import Place, lines_of_toml
 from pinposture.task.reading.quantities import read_quantity
+from pinposture.task.reading.showing import shown
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
-Key = str | int
 Made = TypeVar("Made")
-
-_HEADER = re.compile(r"\s*(\[\[?)\s*([^\[\]]+?)\s*\]\]?\s*(?:#.*)?")
-_ENTRY = re.compile(r"\s*([A-Za-z0-9_.\"'-]+(?:\s*\.\s*[A-Za-z0-9_\"'-]+)*)\s*=")
 
 _REQUIRED: Any = object()
 
@@ -35,7 +28,7 @@ class Table:
     value, and what was allowed.
     """
 
-    def __init__(self, values: Mapping[str, Any], where: tuple[Key, ...], document: Document) -> None:
+    def __init__(self, values: Mapping[str, Any], where: Place, document: Document) -> None:
         self._values, self._where, self._document = values, where, document
 
     def __contains__(self, key: str) -> bool:
@@ -50,19 +43,21 @@ class Table:
                 raise self.fault(key, f"there is no such key{hint}; allowed: {', '.join(allowed)}")
         return self
 
-    def fault(self, key: str | None, reason: str) -> FileError:
-        """An error that says what is wrong with a key, or with the table."""
-        where = self._where if key is None else (*self._where, key)
-        return FileError(self._document.path, f"{self._document.place(where)}: {reason}")
+    def fault(self, key: str | None, reason: str, *within: str | int) -> FileError:
+        """An error that says what is wrong with a key, or with something within it, or with the table."""
+        where = self._where if key is None else (*self._where, key, *within)
+        return self._document.fault(where, reason)
 
     @contextmanager
     def blaming(self, key: str | None = None) -> Iterator[None]:
-        """Say of an error of the library that it is this key's fault."""
+        """Say of an error of the library that it is this key's fault, or that of the key it names."""
         try:
             yield
         except InvalidValue as error:
-            named = error.name if key is None and error.name in self._values else key
-            raise self.fault(named, str(error)) from error
+            if error.name not in self._values:
+                raise self.fault(key, str(error)) from error
+            reason = f"is {shown(self._values[error.name])}; allowed: {error.allowed}"
+            raise self.fault(error.name, reason) from error
         except PostureError as error:
             raise self.fault(key, str(error)) from error
 
@@ -72,74 +67,97 @@ class Table:
             raise self.fault(None, f"the key {key!r} is missing")
         return self._values.get(key, default)
 
-    def text(self, key: str, default: Any = _REQUIRED, allowed: tuple[str, ...] = ()) -> Any:
+    def text(self, key: str, default: Any = _REQUIRED, allowed: Sequence[str] = ()) -> Any:
         """Text, one of some words if those are given."""
         value = self.value(key, default)
         if key in self._values and (not isinstance(value, str) or (allowed and value not in allowed)):
+            close = get_close_matches(value, allowed, n=1) if isinstance(value, str) else []
+            hint = f" (did you mean {close[0]!r}?)" if close else ""
             words = ", ".join(map(repr, allowed)) or "text"
-            raise self.fault(key, f"is {value!r}; allowed: {words}")
+            raise self.fault(key, f"is {shown(value)}{hint}; allowed: {words}")
         return value
 
     def flag(self, key: str, default: bool) -> bool:
         """True or false."""
         value = self.value(key, default)
         if not isinstance(value, bool):
-            raise self.fault(key, f"is {value!r}; allowed: true, false")
+            raise self.fault(key, f"is {shown(value)}; allowed: true, false")
         return value
 
-    def whole(self, key: str, default: Any = _REQUIRED) -> Any:
+    def whole(self, key: str, least: int, most: int) -> int:
         """A whole number."""
-        value = self.value(key, default)
-        if key in self._values and (isinstance(value, bool) or not isinstance(value, int)):
-            raise self.fault(key, f"is {value!r}; allowed: a whole number")
+        value = self.value(key)
+        if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+            raise self.fault(key, f"is {shown(value)}; allowed: a whole number, {least} to {most}")
         return value
 
     def number(self, key: str, default: Any = _REQUIRED) -> Any:
-        """A number that has no unit."""
+        """A finite number that has no unit."""
         value = self.value(key, default)
-        if key in self._values and (isinstance(value, bool) or not isinstance(value, int | float)):
-            raise self.fault(key, f"is {value!r}; allowed: a number")
+        if key in self._values:
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            if not number or not math.isfinite(value):
+                raise self.fault(key, f"is {shown(value)}; allowed: a number")
         return value
 
     def quantity(self, key: str, *kinds: str, default: Any = _REQUIRED) -> Any:
         """A quantity in SI units; see `read_quantity`."""
         if key not in self._values:
             return self.value(key, default)
-        return self._quantity(key, self._values[key], kinds)
+        return self._quantity(self._values[key], kinds, key)
 
-    def quantities(self, key: str, count: int | None, *kinds: str, default: Any = _REQUIRED) -> Any:
-        """A list of quantities; `count` of them, or any number if None."""
+    def above_zero(self, key: str, kind: str, default: Any = _REQUIRED) -> Any:
+        """A quantity in SI units that is more than 0."""
+        value = self.quantity(key, kind, default=default)
+        if key in self._values and value <= 0.0:
+            raise self.fault(key, f"is {shown(self._values[key])}; allowed: more than 0")
+        return value
+
+    def quantities(self, key: str, kinds: Sequence[str], default: Any = _REQUIRED) -> Any:
+        """A list of quantities, one of each of these kinds."""
         value = self.value(key, default)
         if key not in self._values:
             return value
-        if not isinstance(value, list) or (count is not None and len(value) != count):
-            wanted = "a list" if count is None else f"a list of {count}"
-            raise self.fault(key, f"is {value!r}; allowed: {wanted}")
-        return [self._quantity(key, each, kinds) for each in value]
+        if not isinstance(value, list) or len(value) != len(kinds):
+            wanted = f"a list of {len(kinds)}"
+            raise self.fault(key, f"is {shown(value)}; allowed: {wanted}")
+        listed = enumerate(zip(value, kinds, strict=True))
+        return [self._quantity(each, (kind,), key, number) for number, (each, kind) in listed]
 
-    def _quantity(self, key: str, value: object, kinds: tuple[str, ...]) -> float:
+    def _quantity(self, value: object, kinds: Sequence[str], key: str, *within: int) -> float:
         try:
             return read_quantity(value, *kinds)
         except ValueError as error:
-            raise self.fault(key, str(error)) from None
+            raise self.fault(key, str(error), *within) from None
 
     def table(self, key: str) -> Table:
         """A table within this one; empty if there is none."""
         value = self._values.get(key, {})
         if not isinstance(value, Mapping):
-            raise self.fault(key, f"is {value!r}; allowed: a table, [{key}]")
+            raise self.fault(key, f"is {shown(value)}; allowed: a table")
         return Table(value, (*self._where, key), self._document)
 
     def tables(self, key: str) -> list[Table]:
         """Tables of the same name, in order."""
         value = self._values.get(key, [])
         if not isinstance(value, list) or not all(isinstance(each, Mapping) for each in value):
-            raise self.fault(key, f"is {value!r}; allowed: tables, each begun by [[{key}]]")
+            raise self.fault(key, f"is {shown(value)}; allowed: a list of tables, each begun by [[{key}]]")
         return [Table(each, (*self._where, key, i), self._document) for i, each in enumerate(value)]
 
     def part(self, *keys: str) -> Table:
         """The same table with some of its keys only."""
         return Table({k: v for k, v in self._values.items() if k in keys}, self._where, self._document)
+
+    def in_si(self, kinds: Mapping[str, str]) -> dict[str, Any]:
+        """What the table holds, as it is but for text in these keys, alone or listed: that is quantities."""
+        plain = self.plain()
+        for key, kind in kinds.items():
+            value = plain.get(key)
+            if isinstance(value, str):
+                plain[key] = self.quantity(key, kind)
+            elif isinstance(value, list) and any(isinstance(each, str) for each in value):
+                plain[key] = self.quantities(key, [kind] * len(value))
+        return plain
 
     def plain(self) -> dict[str, Any]:
         """What the table holds, as it is."""
@@ -147,9 +165,16 @@ class Table:
 
     def file(self, key: str, read: Callable[[Path], Made]) -> Made:
         """What a file holds that is named here; its path begins where the file lies that names it."""
-        path = Path(self.text(key)).expanduser()
+        path = self.path(key, self.text(key))
         with self.blaming(key):
-            return read(path if path.is_absolute() else self._document.path.parent / path)
+            return read(path)
+
+    def path(self, key: str, name: str) -> Path:
+        """A path that is named in the file; it begins where the file lies."""
+        try:
+            return self._document.path.parent / Path(name).expanduser()
+        except RuntimeError as error:  # the home of somebody unknown
+            raise self.fault(key, f"is {shown(name)}, which cannot be found ({error})") from None
 
 
 class Document:
@@ -162,69 +187,22 @@ class Document:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        text = _read(path)
-        toml = path.suffix.lower() == ".toml"
-        try:
-            content = tomllib.loads(text) if toml else json.loads(text)
-        except json.JSONDecodeError as error:
-            raise FileError(path, f"line {error.lineno}, column {error.colno}: {error.msg}") from error
-        except (ValueError, RecursionError) as error:  # TOML errors say the line themselves
-            raise FileError(path, " ".join(str(error).split())) from error
-        if not isinstance(content, dict):
-            raise FileError(path, "holds no table; allowed: keys and values, as in version = 1")
-        self._lines = _lines(text) if toml else {}
-        self.root = Table(content, (), self)
+        self._content = read_content(path)
+        self.root = Table(self._content.values, (), self)
 
-    def place(self, where: tuple[Key, ...]) -> str:
-        """What to call a key, with its line where that is known."""
-        words = ""
-        for key in where:
-            if isinstance(key, int):
-                words = f"{words.removesuffix('s')} {key + 1}"
-            else:
-                words += f"{'.' if words and not words[-1].isdigit() else ', ' if words else ''}{key}"
+    def line(self, where: Place) -> int | None:
+        """The line of a place, or of what it is within; None if no line is known, as in JSON."""
         for end in range(len(where), 0, -1):
             if where[:end] in self._lines:
-                return f"line {self._lines[where[:end]]}: {words}"
-        return words or "the file"
+                return self._lines[where[:end]]
+        return None
 
+    def fault(self, where: Place, reason: str) -> FileError:
+        """An error that says what is wrong at a place."""
+        line, text = self.line(where), " ".join(reason.split())
+        before = "" if line is None else f"line {line}: "
+        return FileError(self.path, f"{before}{place_in_words(where)}: {text}")
 
-def _read(path: Path) -> str:
-    suffix = path.suffix.lower()
-    if suffix not in (".toml", ".json"):
-        raise FileError(path, f"the name ends in {suffix!r}; allowed: .toml, .json")
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise FileError(path, "no such file") from None
-    except UnicodeDecodeError as error:
-        raise FileError(path, f"is not UTF-8 text (byte {error.start})") from None
-    except OSError as error:
-        raise FileError(path, f"cannot be read ({error.strerror or error})") from error
-
-
-def _lines(text: str) -> dict[tuple[Key, ...], int]:
-    """The line of each table and key of a TOML file, as far as they begin one."""
-    found: dict[tuple[Key, ...], int] = {}
-    counts: dict[tuple[Key, ...], int] = {}
-    inside: tuple[Key, ...] = ()
-    for number, line in enumerate(text.splitlines(), start=1):
-        header = _HEADER.fullmatch(line)
-        if header is not None:
-            names = _names(header[2])
-            if header[1] == "[[":
-                index = counts[names] = counts.get(names, -1) + 1
-                inside = (*names, index)
-            else:
-                first = names[:1]
-                inside = (*first, counts[first], *names[1:]) if first in counts else names
-            found.setdefault(inside, number)
-            continue
-        entry = _ENTRY.match(line)
-        if entry is not None:
-            found.setdefault((*inside, *_names(entry[1])), number)
-    return found
-
-
-def _names(dotted: str) -> tuple[Key, ...]:
-    return tuple(name.strip().strip("\"'") for name in dotted.split("."))
+    @cached_property
+    def _lines(self) -> dict[Place, int]:
+        return {} if self._content.toml is None else lines_of_toml(self._content.toml)

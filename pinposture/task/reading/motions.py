@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from pinposture.arm import Arm
+from pinposture.arm.ellipsoid import chosen_points
 from pinposture.control import EndEffector
 from pinposture.curve import Curve
 from pinposture.target.resolve import METHODS, PLACEMENTS
 from pinposture.task.keyframe import Keyframe
 from pinposture.task.reading.document import Table
 from pinposture.task.reading.robots import read_placement
+from pinposture.task.reading.showing import shown
 from pinposture.task.sliding_window import METHODS as WINDOWS
 from pinposture.thesis.curves import CURVES
 
@@ -30,7 +34,13 @@ _KEYFRAME = (
 )
 _TIP = ("position", "rotation", "point", "weight", "strict", "axis_only")
 _LEADER = ("path", "speed", "depth", "placement", "method", "and_back", "pipe")
-_LENGTHS, _ANGLES = ("radius", "pitch", "smoothing"), ("phase",)
+_QUANTITIES = {
+    **dict.fromkeys(("radius", "pitch", "smoothing", "a", "b", "center"), "length"),
+    "phase": "angle",
+}
+
+MOST = 1000
+"""How many arms long a path is at most, and how many pipe radii an arm."""
 
 
 class Leader(NamedTuple):
@@ -67,9 +77,9 @@ def _keyframe(table: Table) -> Keyframe:
         count = isinstance(region, list) and len(region) == 2
         if not (count and all(isinstance(each, int) and not isinstance(each, bool) for each in region)):
             allowed = "two whole numbers: the first and the last control point, counted from 1 at the base"
-            raise table.fault("region", f"is {region!r}; allowed: {allowed}")
+            raise table.fault("region", f"is {shown(region)}; allowed: {allowed}")
         if not 1 <= region[0] <= region[1]:
-            raise table.fault("region", f"is {region!r}; allowed: 1 or more, the last not before the first")
+            raise table.fault("region", f"is {region}; allowed: 1 or more, the last not before the first")
         region = (region[0] - 1, region[1] - 1)
     values: dict[str, Any] = {
         "name": table.text("name", ""),
@@ -92,19 +102,38 @@ def _tip(table: Table) -> EndEffector:
     """What is asked of the tip, or of another control point."""
     table.only(*_TIP)
     point = table.value("point", -1)
-    if isinstance(point, int) and not isinstance(point, bool) and point > 0:
-        point -= 1  # counted from 1 at the base, as everywhere in these files
+    if not isinstance(point, str):
+        if isinstance(point, bool) or not isinstance(point, int) or point == 0:
+            allowed = "1 or more, counted from the base; -1 or less, counted from the tip; or a name"
+            raise table.fault("point", f"is {shown(point)}; allowed: {allowed}")
+        point -= point > 0  # the library counts from 0
+    if "position" not in table:
+        raise table.fault(None, "the key 'position' is missing; 'rotation' goes with it, if it matters")
+    where = read_placement(table.part("position", "rotation"))
     options = {
         "point": point,
         "weight": table.number("weight", 1.0),
         "strict": table.flag("strict", False),
         "axis_only": table.flag("axis_only", False),
     }
-    where = read_placement(table.part("position", "rotation"))
+    place = {"pose": where} if "rotation" in table else {"position": where.translation}
     with table.blaming():
-        if "rotation" in table:
-            return EndEffector(pose=where, **options)
-        return EndEffector(position=table.quantities("position", 3, "length"), **options)
+        return EndEffector(**place, **options)
+
+
+def check_points(table: Table, keyframe: Keyframe, arm: Arm) -> None:
+    """Refuse control points of a keyframe that the arm does not have."""
+    m = arm.n_modules
+    if keyframe.region is not None and keyframe.region[1] >= m:
+        raise table.fault("region", f"is {table.value('region')}; the arm has control points 1 to {m}")
+    if keyframe.tip is not None:
+        point, tip = keyframe.tip.point, table.table("tip")
+        if isinstance(point, str):
+            with tip.blaming("point"):
+                chosen_points(arm.control_points, point)
+        elif not -m <= point < m:
+            allowed = f"1 to {m} from the base, -1 to -{m} from the tip, or a name"
+            raise tip.fault("point", f"is {tip.value('point')}; allowed: {allowed}")
 
 
 def read_curve(table: Table, key: str) -> Curve:
@@ -114,17 +143,15 @@ def read_curve(table: Table, key: str) -> Curve:
         if value in CURVES:
             return CURVES[value]
         if not Path(value).suffix:
+            close = get_close_matches(value, CURVES, n=1)
+            hint = f" (did you mean {close[0]!r}?)" if close else ""
             allowed = f"{', '.join(CURVES)}, a .json, .csv or .txt file, or a table with a type"
-            raise table.fault(key, f"is {value!r}; allowed: {allowed}")
+            raise table.fault(key, f"is {shown(value)}{hint}; allowed: {allowed}")
         return table.file(key, Curve.load)
     if not isinstance(value, Mapping):
-        raise table.fault(key, f"is {value!r}; allowed: a name, a file, or a table with a type")
+        raise table.fault(key, f"is {shown(value)}; allowed: a name, a file, or a table with a type")
     described = table.table(key)
-    plain = described.plain()
-    for names, kind in ((_LENGTHS, "length"), (_ANGLES, "angle")):
-        for name in names:
-            if isinstance(plain.get(name), str):
-                plain[name] = described.quantity(name, kind)
+    plain = described.in_si(_QUANTITIES)
     with described.blaming():
         return Curve.from_dict(plain)
 
@@ -134,10 +161,21 @@ def read_leader(table: Table) -> Leader:
     table.only(*_LEADER)
     return Leader(
         path=read_curve(table, "path"),
-        speed=table.quantity("speed", "speed"),
-        depth=table.quantity("depth", "length", default=None),
+        speed=table.above_zero("speed", "speed"),
+        depth=table.above_zero("depth", "length", default=None),
         placement=table.text("placement", "align", ("align", "as_is")),
         method=table.text("method", "closest", tuple(WINDOWS)),
         and_back=table.flag("and_back", False),
-        pipe=table.quantity("pipe", "length", default=None),
+        pipe=table.above_zero("pipe", "length", default=None),
     )
+
+
+def check_leader(table: Table, leader: Leader, arm: Arm) -> None:
+    """Refuse sizes that are beside all reason for the arm, and would take hours to find that out."""
+    longest, narrowest = MOST * arm.length, arm.length / MOST
+    if leader.path.length > longest:
+        reason = f"is {leader.path.length:.4g} m long; allowed: {longest:.4g} m, {MOST} times the arm"
+        raise table.fault("path", reason)
+    if leader.pipe is not None and leader.pipe < narrowest:
+        allowed = f"{narrowest:.4g} m or more, 1/{MOST} of the arm"
+        raise table.fault("pipe", f"is {shown(table.value('pipe'))}; allowed: {allowed}")

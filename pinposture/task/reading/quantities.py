@@ -7,6 +7,8 @@ import re
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from pinposture.task.reading.showing import shown
+
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _ANGLES = {"rad": 1.0, "deg": math.pi / 180.0, "turns": 2.0 * math.pi}
 _TIMES = {"s": 1.0, "ms": 1e-3, "min": 60.0}
@@ -46,20 +48,22 @@ def read_quantity(value: object, *kinds: str) -> float:
         unit for kind in kinds for unit in UNITS[kind]
     )
     if isinstance(value, int | float) and not isinstance(value, bool):
-        if not math.isfinite(value):
-            raise ValueError(f"is {value}; allowed: {allowed}")
-        return float(value)
-    if not isinstance(value, str):
-        raise ValueError(f"is {value!r}; allowed: {allowed}")
-    found = _TEXT.fullmatch(value)
+        return _finite(float(value), value, allowed)
+    found = _TEXT.fullmatch(value) if isinstance(value, str) else None
     if found is None:
-        raise ValueError(f"is {value!r}; allowed: {allowed}")
-    unit = (found[2] or "").replace("**", "^").replace("²", "^2").replace("/s/s", "/s^2").replace(" ", "")
+        raise ValueError(f"is {shown(value)}; allowed: {allowed}")
+    unit = (found[2] or "").replace("**", "^").replace("²", "^2").replace(" ", "").replace("/s/s", "/s^2")
     for kind in kinds:
         if unit in UNITS[kind]:
-            return float(found[1]) * UNITS[kind][unit]
+            return _finite(float(found[1]) * UNITS[kind][unit], value, allowed)
     for kind, known in UNITS.items():
         if unit in known:
-            raise ValueError(f"is {value!r}, of the kind {kind}; allowed: {allowed}")
-    what = f"and {unit!r} is no unit that is known" if unit else "without a unit"
-    raise ValueError(f"is {value!r}, {what}; allowed: {allowed}")
+            raise ValueError(f"is {shown(value)}, of the kind {kind}; allowed: {allowed}")
+    what = f"and {shown(unit)} is no unit that is known" if unit else "without a unit"
+    raise ValueError(f"is {shown(value)}, {what}; allowed: {allowed}")
+
+
+def _finite(number: float, value: object, allowed: str) -> float:
+    if not math.isfinite(number):
+        raise ValueError(f"is {shown(value)}, which is not finite; allowed: {allowed}")
+    return number

@@ -1,0 +1,226 @@
+"""`pinposture run`: what it prints, keeps and refuses."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pinposture as pp
+from pinposture.storage import write_text
+
+TASK = """\
+name = "bow"
+[arm]
+template = "RyRz"
+modules = 4
+[limits]
+cycle = "50 ms"
+[[keyframes]]
+name = "straight"
+curve = { type = "line", a = [0, 0, 0], b = [0.2, 0, 0] }
+[[keyframes]]
+name = "bowed"
+time = "1 s"
+curve = { type = "helix", radius = "10 cm", pitch = 0, turns = 0.5 }
+trim = true
+[output]
+formats = ["npz", "csv", "json"]
+"""
+KINDS = ("csv", "json", "npz")
+KEPT = [f"motion.{kind}" for kind in KINDS]
+FINITE = (int, float, str, bool, type(None))
+
+
+@pytest.fixture
+def task(tmp_path: Path) -> Path:
+    file = tmp_path / "bow.toml"
+    file.write_text(TASK)
+    return file
+
+
+def leaves(value: object) -> list[object]:
+    items = value.values() if isinstance(value, dict) else value if isinstance(value, list) else None
+    return [value] if items is None else [leaf for item in items for leaf in leaves(item)]
+
+
+def test_a_person_reads_what_became_of_it(command, task):
+    result = command("run", task)
+    assert (result.code, result.err) == (0, "")
+    words = {line.split("  ")[0].strip(): line for line in result.out.splitlines()}
+    assert "converged" in words["status"]
+    assert "as planned" in words["duration"]
+    assert "straight" in words["keyframes"]
+    assert {"reason", "speed", "posture error", "mean error"} <= set(words)
+    assert [path.name for path in task.parent.iterdir()] == ["bow.toml"]
+
+
+def test_a_program_reads_one_json_object_of_finite_numbers(command, task, tmp_path):
+    result = command("run", task, "--json", "-o", tmp_path / "out")
+    data = json.loads(result.out)
+    assert (data["task"], data["status"], data["converged"]) == (str(task), "converged", True)
+    assert [place["name"] for place in data["keyframes"]] == ["straight", "bowed"]
+    assert data["planned"] == pytest.approx(1.0)
+    assert data["slowing"] == pytest.approx(1.0)
+    assert all(isinstance(leaf, FINITE) for leaf in leaves(data))
+    assert all(np.isfinite(leaf) for leaf in leaves(data) if isinstance(leaf, int | float))
+    assert data["files"] == {
+        kind: str(tmp_path / "out" / f"motion.{kind}") for kind in ("npz", "csv", "json")
+    }
+
+
+def test_what_is_kept_is_what_the_file_asks_for_and_loads(command, task, tmp_path):
+    out = tmp_path / "out"
+    result = command("run", task, "-o", out)
+    assert sorted(path.name for path in out.iterdir()) == [
+        "motion.csv",
+        "motion.json",
+        "motion.npz",
+        "status.json",
+    ]
+    assert sorted(result.err.splitlines()) == [
+        f"wrote {out / f'motion.{kind}'}" for kind in ("csv", "json", "npz")
+    ]
+    motion = pp.Motion.load(out / "motion.npz")
+    expected = pp.Task.load(task).perform()
+    np.testing.assert_array_equal(motion.q, expected.q)
+    np.testing.assert_array_equal(motion.clock, expected.clock)
+    for kind in ("csv", "json"):
+        rows = pp.JointTrajectory.load(out / f"motion.{kind}", motion.arm).configurations(motion.arm)
+        np.testing.assert_allclose(rows[1:-1], motion.q, atol=1e-12)
+    status = json.loads((out / "status.json").read_text())
+    assert (status["state"], sorted(status["files"])) == (
+        "finished",
+        ["motion.csv", "motion.json", "motion.npz"],
+    )
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_without_a_list_every_format_is_kept(command, task, tmp_path):
+    task.write_text(TASK[: TASK.index("[output]")])
+    command("run", task, "-o", tmp_path / "out")
+    kinds = {path.suffix for path in (tmp_path / "out").iterdir() if path.name != "status.json"}
+    assert kinds == {".npz", ".csv", ".json", ".png", ".html"}
+
+
+def test_the_next_run_says_what_is_there(command, task, tmp_path):
+    out = tmp_path / "out"
+    command("run", task, "-o", out)
+    task.write_text(TASK.replace('"csv", "json"', '"csv"'))
+    said = command("run", task, "-o", out).err.splitlines()[0]
+    assert said.startswith(f"{out} holds the results of {task}, finished ")
+    assert sorted(path.name for path in out.iterdir()) == ["motion.csv", "motion.npz", "status.json"]
+
+
+def test_a_check_moves_and_writes_nothing(command, task, tmp_path, monkeypatch):
+    monkeypatch.setattr("pinposture.task.task.perform", None)
+    result = command("run", task, "--check", "-o", tmp_path / "out")
+    assert (result.code, result.err) == (0, "")
+    assert "straight, bowed" in result.out
+    assert "1 s" in result.out
+    data = json.loads(command("run", task, "--check", "--json").out)
+    assert data == {
+        "task": str(task),
+        "keyframes": [{"name": "straight", "planned": 0.0}, {"name": "bowed", "planned": pytest.approx(1.0)}],
+        "planned": pytest.approx(1.0),
+    }
+    assert [path.name for path in tmp_path.iterdir()] == ["bow.toml"]
+
+
+@pytest.mark.parametrize("flags", [(), ("--check",), ("--json",)])
+def test_what_the_arm_cannot_do_is_one_line_with_code_2(command, task, tmp_path, flags):
+    task.write_text(TASK.replace("trim = true\n", ""))
+    result = command("run", task, "-o", tmp_path / "out", *flags)
+    line = TASK[: TASK.index('[[keyframes]]\nname = "bowed"')].count("\n") + 1
+    assert (result.code, result.out) == (2, "")
+    assert result.err.startswith(
+        f"error: {task}: line {line}: keyframe 2 'bowed': the curve is 0.3142 m long"
+    )
+    assert result.err.count("\n") == 1
+
+
+def test_a_task_that_failed_is_written_down(command, task, tmp_path):
+    task.write_text(TASK.replace("trim = true\n", ""))
+    command("run", task, "-o", tmp_path / "out")
+    status = json.loads((tmp_path / "out" / "status.json").read_text())
+    assert status["state"] == "failed"
+    assert "keyframe 2 'bowed'" in status["reason"]
+    task.write_text(TASK)
+    said = command("run", task, "-o", tmp_path / "out").err.splitlines()[0]
+    assert "that failed (" in said
+    assert "it left no result" in said
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (("modules", "module"), ("line 4: arm.module: there is no such key (did you mean 'modules'?)",)),
+        (('"50 ms"', '"50 mm"'), ("line 6: limits.cycle: is '50 mm', of the kind length",)),
+        (("[arm]", "[arm"), ("line 2, column ",)),
+        ((TASK, ""), ("arm: needs one of the keys",)),
+    ],
+)
+def test_a_mistake_in_the_file_is_one_line_with_code_2(command, task, tmp_path, change, says):
+    task.write_text(TASK.replace(*change))
+    result = command("run", task, "-o", tmp_path / "out")
+    assert (result.code, result.out) == (2, "")
+    assert result.err.startswith(f"error: {task}: ")
+    assert result.err.count("\n") == 1
+    assert all(words in result.err for words in says)
+    assert not (tmp_path / "out").exists()
+
+
+def test_files_that_are_none(command, tmp_path):
+    for name in ("none.toml", "none.json", "none.yaml", "."):
+        result = command("run", tmp_path / name)
+        assert (result.code, result.out, result.err.count("\n")) == (2, "", 1)
+    assert "TASK" in command("run").err
+
+
+@pytest.mark.parametrize("where", ["file", "file/below", "status"])
+def test_an_output_that_cannot_be_is_refused_before_any_work(command, task, tmp_path, monkeypatch, where):
+    (tmp_path / "file").touch()
+    (tmp_path / "status" / "status.json").mkdir(parents=True)
+    monkeypatch.setattr("pinposture.task.Task.reference", None)
+    result = command("run", task, "-o", tmp_path / where)
+    assert result.code == 2
+    assert ("a directory" in result.err) and result.err.count("\n") == 1
+
+
+def test_a_directory_that_may_not_be_written_is_refused_before_any_work(command, task, tmp_path, monkeypatch):
+    monkeypatch.setattr("pinposture.task.Task.reference", None)
+    monkeypatch.setattr("os.access", lambda path, mode: mode != os.W_OK)
+    result = command("run", task, "-o", tmp_path / "out")
+    assert result.code == 2
+    assert "permission denied" in result.err
+
+
+def test_convergence_can_be_required(command, task):
+    assert command("run", task, "--require-convergence").code == 0
+    # The straight arm is singular, and this controller has no way out of that.
+    task.write_text(TASK.replace("[limits]", '[controller]\nname = "selection"\n[limits]'))
+    result = command("run", task, "--json", "--require-convergence")
+    data = json.loads(result.out)
+    assert (result.code, data["converged"]) == (1, False)
+    assert data["reason"]
+    assert command("run", task).code == 0
+
+
+def test_a_view_comes_last(command, task, monkeypatch):
+    shown = []
+    monkeypatch.setattr("pinposture.cli.run.show", lambda motion, *_: shown.append(motion))
+    assert command("run", task, "--view").code == 0
+    assert [type(motion) for motion in shown] == [pp.Motion]
+
+
+def test_notes_on_the_arm_are_told(command, task, tmp_path):
+    arm = pp.Arm.from_template("RyRz", modules=6)
+    write_text(tmp_path / "arm.urdf", arm.urdf)
+    text = TASK.replace('template = "RyRz"\nmodules = 4', 'urdf = "arm.urdf"\nbase = "m02_l2"\ntip = "tip"')
+    task.write_text(text)
+    result = command("run", task, "--check")
+    assert result.code == 0
+    assert "note: 4 joints off the chain" in result.err
