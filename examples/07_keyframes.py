@@ -36,7 +36,7 @@ for place in motion.passed:
     print(f"  {place.name:14}  planned {place.planned:.2f} s, reached {place.reached:.2f} s")
 print(f"mean distance of the control points from their targets: {motion.mean_error.max():.2g} m at most")
 
-out = Path("out/keyframes")
+out = Path("out/five_postures")
 motion.save(out / "motion.npz")
 motion.joint_trajectory().save(out / "motion.json")  # for a robot: trajectory_msgs/JointTrajectory
 pp.plot(motion).savefig(out / "motion.png", dpi=120)

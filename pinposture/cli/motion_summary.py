@@ -83,7 +83,7 @@ def motion_in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, st
     if summary["clearance"] is not None:
         words["clearance"] = closest_in_words(summary["clearance"], summary["dt"])
     if summary["detours"]:
-        words["detours"] = "\n".join(summary["detours"])
+        words["not as planned"] = "\n".join(summary["detours"])
     return words
 
 
@@ -110,6 +110,10 @@ def _keyframes(places: list[dict[str, Any]]) -> str:
         if place["reached"] is None:
             line += "not reached"
         else:
-            line += f"reached {place['reached']:8.4g} s, mean error {place['mean_error']:.2g} m"
+            line += f"passed {place['reached']:8.4g} s, mean error {place['mean_error']:.2g} m"
+        if place["off_curve"] is not None:
+            line += f", at most {place['off_curve']:.2g} m off its curve"
+        if place["tip_off"] is not None:
+            line += f", tip {place['tip_off']:.2g} m off"
         lines.append(line)
     return "\n".join(lines)

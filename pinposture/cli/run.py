@@ -12,14 +12,14 @@ import typer
 
 from pinposture.cli.folder import Folder
 from pinposture.cli.inputs import OUTPUT, JsonOption
-from pinposture.cli.output import print_facts, print_json, print_note
+from pinposture.cli.output import print_facts, print_json, print_note, print_table
 from pinposture.cli.progress import count_progress
 from pinposture.cli.results import keep_motion, motion_in_words, summarize_motion
 from pinposture.cli.view import show
 from pinposture.errors import PostureError
 
 if TYPE_CHECKING:
-    from pinposture.task.reference import Reference
+    from pinposture.task import Reference, Task
 
 EXAMPLES = (
     "pinposture run examples/tasks/keyframes.toml -o out/keyframes",
@@ -45,7 +45,9 @@ def run(
     check: Annotated[
         bool,
         typer.Option(
-            "--check", help="Only see whether the arm can take the postures.", rich_help_panel=OUTPUT
+            "--check",
+            help="Only see whether the arm can take the postures, and how near it is to the scene in them.",
+            rich_help_panel=OUTPUT,
         ),
     ] = False,
     as_json: JsonOption = False,
@@ -76,7 +78,7 @@ def run(
     if check:
         with count_progress("posture") as placing:
             reference = task.reference(placing)
-        _print_check(file, reference, as_json)
+        _print_check(file, task, reference, as_json)
         return
     folder = None if output is None else Folder(output, str(file))
     with nullcontext() if folder is None else _kept_in(folder):
@@ -100,17 +102,15 @@ def run(
         raise typer.Exit(1)
 
 
-def _print_check(file: Path, reference: Reference, as_json: bool) -> None:
-    """Say what is planned."""
-    names = [mark.name for mark in reference.marks]
+def _print_check(file: Path, task: Task, reference: Reference, as_json: bool) -> None:
+    """Say what is planned, and how well the arm can do it."""
+    places = [place._asdict() for place in task.outlook(reference)]
     if as_json:
-        times = [mark.row * reference.interval for mark in reference.marks]
-        places = [{"name": name, "planned": time} for name, time in zip(names, times, strict=True)]
         print_json({"task": str(file), "keyframes": places, "planned": reference.duration})
-    else:
-        print_facts(
-            {"keyframes": ", ".join(names), "duration": f"{reference.duration:.4g} s, if nothing slows it"}
-        )
+        return
+    print_facts({"duration": f"{reference.duration:.4g} s, if nothing slows it"})
+    headings = ("posture", "planned [s]", "off its curve [m]", "tip off [m]", "clearance [m]")
+    print_table(headings, [tuple(place.values()) for place in places])
 
 
 @contextmanager
@@ -124,6 +124,9 @@ def _kept_in(folder: Folder) -> Iterator[None]:
         yield
     except PostureError as error:
         folder.fail(str(error))
+        raise
+    except KeyboardInterrupt:
+        folder.fail("interrupted")
         raise
 
 

@@ -201,6 +201,10 @@ def _simulate(
     limits, scene = Limits(dt=asked.dt), None
     if isinstance(kept, Trajectory):
         limits, scene = replace(kept.limits, dt=asked.dt), kept.scene
+    if isinstance(
+        motion, Motion
+    ):  # it is within its limits, and whoever follows it has no need to brake early
+        limits = replace(limits, acceleration=None)
     duration = asked.dt * (len(asked.positions) - 1) + hold
     start = arm.configuration(asked.positions[0])
     tracker = Tracker(arm, limits=limits, scene=scene)

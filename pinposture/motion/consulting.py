@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import Future, wait
 from math import inf
+from threading import Thread
+from typing import Any
 
 from pinposture.arm import ArmState
 from pinposture.control import Controller, Limits, Step
@@ -21,7 +23,6 @@ class Consultation:
 
     def __init__(self, controller: Controller, deadline: float) -> None:
         self._controller, self._deadline = controller, deadline
-        self._pool: ThreadPoolExecutor | None = None
         self._pending: Future[Step] | None = None
 
     def ask(
@@ -43,10 +44,21 @@ class Consultation:
                 return None, memory
             # The arm has braked since, and is at rest or nearly.
             memory = late.memory if memory is None else memory._replace(own=late.memory.own)
-        if self._pool is None:
-            self._pool = ThreadPoolExecutor(1, "pinposture-controller")
-        self._pending = self._pool.submit(self._controller.step, state, target, limits, memory)
+        self._pending = self._begun(state, target, limits, memory)
         return self._waited(), memory
+
+    def _begun(self, *question: Any) -> Future[Step]:
+        """The answer to come, from a thread that does not keep a program from ending."""
+        answer: Future[Step] = Future()
+
+        def work() -> None:
+            try:
+                answer.set_result(self._controller.step(*question))
+            except BaseException as error:  # whoever waits for the answer gets it
+                answer.set_exception(error)
+
+        Thread(target=work, name="pinposture-controller", daemon=True).start()
+        return answer
 
     def _waited(self) -> Step | None:
         """The answer, if it is there before the deadline."""

@@ -27,6 +27,9 @@ class Passed(NamedTuple):
         row: the row of the motion at that time; None if never.
         mean_error: mean distance of the control points from where they should be there [m]; None if never.
             A place that is passed between two cycles is missed by what the arm moves in half of one.
+        off_curve: how far off the curve of this place the control points that follow it belong at most, where
+            the arm cannot take the curve exactly [m]; None if there is no curve.
+        tip_off: by how much the task of its tip is missed then [m]; None if there is none, or never.
     """
 
     name: str
@@ -34,6 +37,8 @@ class Passed(NamedTuple):
     reached: float | None
     row: int | None
     mean_error: float | None
+    off_curve: float | None = None
+    tip_off: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +57,7 @@ class Motion:
             last row if it did not get so far.
         planned: how long the plan takes if nothing slows it [s].
         passed: the named places, in order.
-        detours: where the arm left the way of the plan and came back by one of its own, in words.
+        detours: where the arm left the way of the plan, or fell behind, in words.
     """
 
     run: Trajectory

@@ -49,7 +49,7 @@ class Report(NamedTuple):
             the last measurement that could be used [m]; None before there is a target and a measurement.
         disagreement: largest difference between measured and expected joint positions, in `Arm.joint_units`;
             None without a measurement that can be used.
-        target_age: how long ago the target was given, in time that was stepped [s]; None without a target.
+        target_age: how long ago the target was given, as the cycles tell the time [s]; None without a target.
         relaxed: which constraints gave way in the step, as in `Diagnostics`.
     """
 
@@ -192,20 +192,20 @@ class Tracker:
             InvalidValue: arrays of a wrong shape, or a duration that is not positive: faults of the program,
                 not of a sensor.
         """
-        dt = self._usual if dt is None else _duration(dt)
-        dt = min(max(dt, SHORTEST * self._usual), self._usual)
+        passed = self._usual if dt is None else _duration(dt)
+        dt = min(max(passed, SHORTEST * self._usual), self._usual)
         limits = self.limits if dt == self._usual else replace(self.limits, dt=dt)
         seen = self._feedback.take(q_measured, points, dt)
         memory = None if self._feedback.anew else self._remembered(dt)
-        self._age += dt
+        self._age += passed
         step, reason, aim = None, seen.reason or self._missing(), None
         if seen.state is not None and self._given is not None and not reason:
             aim = self._feedback.shifted(self._given)
             try:
                 step, memory = self._consultation.ask(seen.state, aim, limits, memory)
                 reason = LATE if step is None else step.diagnostics.reason
-            except PostureError as error:  # what it cannot work with, as a target that knows no configuration
-                reason = str(error)
+            except (PostureError, ArithmeticError, np.linalg.LinAlgError) as error:
+                reason = str(error)  # what it cannot work with, as a target that knows no configuration
             if step is not None and not isfinite(step.dq @ step.dq):
                 step, reason = None, "the step of the controller is not finite"
         dq = self._braked(limits, memory) if step is None or reason else step.dq

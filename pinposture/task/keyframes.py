@@ -110,7 +110,7 @@ def keyframe_reference(
         q = arm.integrate(start, offsets[row])
         target = _taken(arm, given[index], resolved, q)
         masks.append(target.weights)
-        marks.append(Mark(given[index].name or title(given, index), row, target))
+        marks.append(Mark(given[index].name or title(given, index), row, target, given[index].tip))
     return Reference(arm, interval / finer, start, offsets, _weights(rows, masks), tuple(marks))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture.arm import ArmState
 from pinposture.motion.drive import Drive
 from pinposture.motion.motion import Motion, Passed
 from pinposture.target import Target
@@ -63,19 +64,32 @@ class Log:
             clock=np.minimum(places * reference.interval, reference.duration),
             set_out=len(places) - 1 if self._begun is None else self._begun,
             planned=reference.duration,
-            passed=tuple(self._passed(mark, places, run.points, dt) for mark in reference.marks),
+            passed=tuple(self._passed(mark, places, run.q, run.points, dt) for mark in reference.marks),
             detours=tuple(self._notes),
         )
 
-    def _passed(self, mark: Mark, places: Array, points: Array, dt: float) -> Passed:
+    def _passed(self, mark: Mark, places: Array, q: Array, points: Array, dt: float) -> Passed:
         """How a named place was passed: at the row that came nearest to it in time."""
         planned, begun = mark.row * self._reference.interval, self._begun
         there = np.flatnonzero(places[begun:] >= mark.row - ROUNDING)
         if begun is None or not len(there):
-            return Passed(mark.name, planned, None, None, None)
+            return Passed(mark.name, planned, None, None, None, off_curve(mark))
         row = begun + int(there[0])
         if row > begun and mark.row - places[row - 1] < places[row] - mark.row:
             row -= 1
         placed = mark.target.placed
         off = np.linalg.norm((mark.target.points - points[row])[placed], axis=1)
-        return Passed(mark.name, planned, (row - begun) * dt, row, float(off.mean()))
+        tip = None if mark.tip is None else tip_off(mark, self._reference.arm.at(q[row]))
+        return Passed(mark.name, planned, (row - begun) * dt, row, float(off.mean()), off_curve(mark), tip)
+
+
+def off_curve(mark: Mark) -> float | None:
+    """How far off its curve a named place is at most [m]; None if there is no curve."""
+    residual = mark.target.residual
+    return None if residual is None else float(residual[mark.target.placed].max())
+
+
+def tip_off(mark: Mark, state: ArmState) -> float:
+    """By how much the task of the tip of a named place is missed [m], turns by their lever."""
+    assert mark.tip is not None
+    return float(np.linalg.norm(mark.tip.rows(state, mark.target).error))

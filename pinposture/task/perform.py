@@ -231,12 +231,14 @@ class _Performance:
             else:
                 return None
             mark = guide.next_mark(self._place)
-            self.log.note(self._place, f"the arm left the way, and came to {mark.name} by another")
+            left = self._place
             # A way that is shorter does not make time run faster.
             due = drive.recorder.steps + ceil((mark.row - self._place) / guide.most)
             status, reason = self._come_to(float(mark.row), due)
             if status != "converged":
+                self.log.note(left, f"the arm left the way, and did not come to {mark.name} by another")
                 return status, f"on the way to {mark.name}: {reason}"
+            self.log.note(left, f"the arm left the way, and came to {mark.name} by another")
         return None
 
     def _lead(self) -> tuple[str, str] | None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
+from pinposture.control import EndEffector
 from pinposture.errors import InvalidValue
 from pinposture.target import Target
 
@@ -22,12 +23,15 @@ class Mark(NamedTuple):
     Attributes:
         name: what it is called.
         row: the row of the reference that it is.
-        target: what the arm should take there; at this row it stands for the target of the reference.
+        target: what the arm should take there; at this row it stands for the target of the reference. Its
+            residual is how far that is off the curve.
+        tip: what the tip should do there; None if nothing.
     """
 
     name: str
     row: int
     target: Target
+    tip: EndEffector | None = None
 
 
 @dataclass(frozen=True, eq=False)

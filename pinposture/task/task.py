@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,11 @@ from pinposture.motion import Motion
 from pinposture.scene import Scene
 from pinposture.scene.inside import obstacles_around
 from pinposture.scene.pipe import pipe
+from pinposture.target import Target
 from pinposture.task.follow_leader import follow_leader
 from pinposture.task.keyframe import Keyframe
 from pinposture.task.keyframes import keyframe_reference
+from pinposture.task.log import off_curve, tip_off
 from pinposture.task.perform import perform
 from pinposture.task.reading.document import Document
 from pinposture.task.reading.lines import Place
@@ -34,7 +36,7 @@ from pinposture.task.reading.robots import (
     read_surroundings,
 )
 from pinposture.task.reading.showing import shown
-from pinposture.task.reference import Reference
+from pinposture.task.reference import Mark, Reference
 from pinposture.task.schedule import CONTINUITIES
 
 Array = NDArray[np.float64]
@@ -46,6 +48,24 @@ _COMMON = ("version", "kind", "name", "arm", "limits", "controller", "scene", "s
 _OWN = {"keyframes": ("keyframes", "continuity"), "follow_leader": ("leader",)}
 
 _KEYFRAME = re.compile(r"keyframe (\d+)")
+
+
+class Outlook(NamedTuple):
+    """How well the arm can take a posture.
+
+    Attributes:
+        name: of the posture.
+        planned: when it is to be there [s].
+        off_curve: how far off its curve control points belong at most [m]; None if there is no curve.
+        tip_off: by how much the task of the tip is missed [m]; None if there is none.
+        clearance: smallest distance to something [m], negative inside of it; None without a scene.
+    """
+
+    name: str
+    planned: float
+    off_curve: float | None
+    tip_off: float | None
+    clearance: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +153,27 @@ class Task:
                 asked.pop("pipe")
                 return follow_leader(self.arm, interval=dt, start=self.start, progress=progress, **asked)
             return keyframe_reference(self.arm, self.motion, dt, self.continuity, progress)
+
+    def outlook(self, reference: Reference) -> list[Outlook]:
+        """How well the arm can take the postures, before anything moves; the scene is looked at in them only.
+
+        Args:
+            reference: what `reference` gave.
+
+        Raises:
+            PostureError: as `surroundings`.
+        """
+        scene, found = self.surroundings(reference), []
+        clearance = None if scene is None else scene.around(self.arm)
+        marks = list(reference.marks)
+        if isinstance(self.motion, Leader):
+            marks.insert(0, Mark("outside", 0, Target.from_configuration(self.arm, reference.start)))
+        for mark in marks:
+            q = reference.configuration(mark.row)
+            room = None if clearance is None else clearance.minimum(q).distance
+            tip = None if mark.tip is None else tip_off(mark, self.arm.at(q))
+            found.append(Outlook(mark.name, mark.row * reference.interval, off_curve(mark), tip, room))
+        return found
 
     def surroundings(self, reference: Reference) -> Scene | None:
         """What to keep clear of: the scene, with the pipe around the path if there is one."""

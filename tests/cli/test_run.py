@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 import os
 from pathlib import Path
+from unittest.mock import ANY
 
 import numpy as np
 import pytest
@@ -119,12 +121,15 @@ def test_a_check_moves_and_writes_nothing(command, task, tmp_path, monkeypatch):
     monkeypatch.setattr("pinposture.task.task.perform", None)
     result = command("run", task, "--check", "-o", tmp_path / "out")
     assert (result.code, result.err) == (0, "")
-    assert "straight, bowed" in result.out
+    assert re.search(r"^ straight .*\n bowed ", result.out, re.MULTILINE)
     assert "1 s" in result.out
     data = json.loads(command("run", task, "--check", "--json").out)
     assert data == {
         "task": str(task),
-        "keyframes": [{"name": "straight", "planned": 0.0}, {"name": "bowed", "planned": pytest.approx(1.0)}],
+        "keyframes": [
+            {"name": name, "planned": when, "off_curve": near, "tip_off": None, "clearance": None}
+            for name, when, near in (("straight", 0.0, ANY), ("bowed", pytest.approx(1.0), ANY))
+        ],
         "planned": pytest.approx(1.0),
     }
     assert [path.name for path in tmp_path.iterdir()] == ["bow.toml"]

@@ -161,6 +161,8 @@ def test_a_summary_holds_the_numbers_of_the_motion_from_setting_out_on():
         "planned": 1.25,
         "reached": pytest.approx(2.5),
         "mean_error": 1e-3,
+        "off_curve": None,
+        "tip_off": None,
     }
     closest = BALL.around(ARM).minimum(motion.q[run.clearance.argmin()])
     assert summary["clearance"]["smallest"] == pytest.approx(closest.distance)
@@ -179,11 +181,11 @@ def test_a_summary_in_words_tells_what_a_person_asks_for():
     assert words["speed"].endswith("% of the limit")
     lines = words["keyframes"].splitlines()
     assert [line.split()[0] for line in lines] == ["straight", "S", "coil", "late"]
-    assert lines[2].split(maxsplit=1)[1] == "planned     1.25 s, reached      2.5 s, mean error 0.001 m"
+    assert lines[2].split(maxsplit=1)[1] == "planned     1.25 s, passed      2.5 s, mean error 0.001 m"
     assert lines[3].endswith("not reached")
     assert "margin is 0.01 m" in words["clearance"]
     assert " steps" not in words["clearance"]
-    assert words["detours"] == "at 1 s it went round\nand again"
+    assert words["not as planned"] == "at 1 s it went round\nand again"
 
 
 def test_what_is_not_there_is_not_told():

@@ -244,7 +244,7 @@ def test_memory_does_not_grow() -> None:
     tracemalloc.start()
     q = cycles(300, q)  # what was remembered before is replaced by what counts
     before = traced()
-    cycles(500, q)
+    cycles(1000, q)
     grown = traced() - before
     tracemalloc.stop()
-    assert grown < 40_000  # less than an array in each cycle
+    assert grown < 100_000  # less than an array in each cycle; limits of the last cycles are remembered

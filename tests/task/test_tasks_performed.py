@@ -144,8 +144,9 @@ def test_the_tip_comes_to_where_it_was_asked_to_be_as_far_as_that_weighs(example
     task, reference, motion = examples["around"]
     aim = np.array([0.62, 0.52, 0.3])
     row = motion.passed[2].row
-    assert np.linalg.norm(motion.arm.at(motion.q[row]).points[-1] - aim) < 0.03
-    assert np.array_equal(reference.weights[-1] > 0, [True] * 8 + [False] * 4)
+    assert np.linalg.norm(motion.arm.at(motion.q[row]).points[-1] - aim) < 0.005
+    assert motion.passed[2].tip_off < 0.005 and motion.passed[2].off_curve > 1e-3
+    assert np.array_equal(reference.weights[-1] > 0, [True] * 5 + [False] * 7)
     assert task.continuity == "acceleration"
 
 
