@@ -97,8 +97,8 @@ class Tracker:
         timeout: age at which a target counts no more [s]; infinite: never.
         deadline: how long a cycle may wait for the controller [s]. A way round obstacles takes it seconds to
             plan; where it needs longer it goes on in a thread of its own, and the arm holds until it is done.
-            Threads of Python share their time: a cycle can take some tens of milliseconds more. Infinite: it is
-            always waited for.
+            Threads of Python share their time: a cycle can take some tens of milliseconds more. Infinite:
+            it is always waited for.
 
     Raises:
         InvalidValue: limits without dt, or numbers that are not positive.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.control import ConstrainedQP, Controller, Limits
-from pinposture.errors import FileError, InvalidValue, PostureError
+from pinposture.errors import FileError, InvalidValue, PostureError, PostureWarning, TaskError
 from pinposture.motion import Motion
 from pinposture.scene import Scene
 from pinposture.scene.inside import obstacles_around
@@ -199,12 +200,32 @@ class Task:
             progress: as for `pinposture.task.perform`.
 
         Raises:
-            PostureError: as `reference`, and as `pinposture.task.perform`.
+            PostureError: as `reference`, and as `pinposture.task.perform`; or the arm would begin inside of
+                something.
         """
         reference = self.reference() if reference is None else reference
         start = None if isinstance(self.motion, Leader) else self.start
         scene = self.surroundings(reference)
+        with self._naming():
+            self._require_room(reference, scene)
         return perform(reference, self.controller, self.limits, scene, q0=start, progress=progress)
+
+    def _require_room(self, reference: Reference, scene: Scene | None) -> None:
+        """Refuse a motion that begins inside of something; warn of postures that are."""
+        if scene is None:
+            return
+        clearance, keyed = scene.around(self.arm), not isinstance(self.motion, Leader)
+        rows = dict.fromkeys([0, *(mark.row for mark in reference.marks)])
+        for number, row in enumerate(rows, start=1):
+            closest = clearance.minimum(reference.configuration(row))
+            if closest.distance >= 0.0:
+                continue
+            where = f"keyframe {number}" if keyed else "the beginning" if row == 0 else "the end"
+            pair, deep = " and ".join(closest.pair or ()), -1e3 * closest.distance
+            depth = f"{pair} would be {deep:.3g} mm inside each other"
+            if row == 0:
+                raise TaskError(where, f"{depth}; move one of them, or begin elsewhere")
+            warnings.warn(f"{where}: {depth}", PostureWarning, stacklevel=3)
 
     def _check(self) -> None:
         """Refuse what can be seen to be wrong without a search."""

@@ -176,3 +176,14 @@ def test_progress_is_told_and_can_stop_the_motion(tmp_path: Path) -> None:
     stopped = task.perform(reference, lambda time, _: time > 0.5 * reference.duration)
     assert stopped.run.status == "stopped"
     assert 0 < stopped.steps < motion.steps
+
+
+def test_a_motion_that_begins_inside_of_something_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "task.toml"
+    file.write_text(
+        (FOLDER / "around.toml").read_text().replace("center = [0.5, 0.28, 0.0]", "center = [0.5, 0, 0.1]")
+    )
+    with pytest.raises(
+        pp.PostureError, match=r"line \d+: keyframe 1: .* and ball would be .* mm inside each other"
+    ):
+        pp.Task.load(file).perform()
