@@ -3,28 +3,26 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.control import ConstrainedQP, Controller, Limits
-from pinposture.errors import FileError, InvalidValue, PostureError, PostureWarning, TaskError
+from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.motion import Motion
 from pinposture.scene import Scene
 from pinposture.scene.inside import obstacles_around
 from pinposture.scene.pipe import pipe
-from pinposture.target import Target
 from pinposture.task.follow_leader import follow_leader
 from pinposture.task.keyframe import Keyframe
 from pinposture.task.keyframes import keyframe_reference
-from pinposture.task.log import off_curve, tip_off
+from pinposture.task.outlook import Outlook, outlook, require_room
 from pinposture.task.perform import perform
 from pinposture.task.reading.document import Document
 from pinposture.task.reading.lines import Place
@@ -37,7 +35,7 @@ from pinposture.task.reading.robots import (
     read_surroundings,
 )
 from pinposture.task.reading.showing import shown
-from pinposture.task.reference import Mark, Reference
+from pinposture.task.reference import Reference
 from pinposture.task.schedule import CONTINUITIES
 
 Array = NDArray[np.float64]
@@ -49,24 +47,6 @@ _COMMON = ("version", "kind", "name", "arm", "limits", "controller", "scene", "s
 _OWN = {"keyframes": ("keyframes", "continuity"), "follow_leader": ("leader",)}
 
 _KEYFRAME = re.compile(r"keyframe (\d+)")
-
-
-class Outlook(NamedTuple):
-    """How well the arm can take a posture.
-
-    Attributes:
-        name: of the posture.
-        planned: when it is to be there [s].
-        off_curve: how far off its curve control points belong at most [m]; None if there is no curve.
-        tip_off: by how much the task of the tip is missed [m]; None if there is none.
-        clearance: smallest distance to something [m], negative inside of it; None without a scene.
-    """
-
-    name: str
-    planned: float
-    off_curve: float | None
-    tip_off: float | None
-    clearance: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,17 +144,7 @@ class Task:
         Raises:
             PostureError: as `surroundings`.
         """
-        scene, found = self.surroundings(reference), []
-        clearance = None if scene is None else scene.around(self.arm)
-        marks = list(reference.marks)
-        if isinstance(self.motion, Leader):
-            marks.insert(0, Mark("outside", 0, Target.from_configuration(self.arm, reference.start)))
-        for mark in marks:
-            q = reference.configuration(mark.row)
-            room = None if clearance is None else clearance.minimum(q).distance
-            tip = None if mark.tip is None else tip_off(mark, self.arm.at(q))
-            found.append(Outlook(mark.name, mark.row * reference.interval, off_curve(mark), tip, room))
-        return found
+        return outlook(reference, self.surroundings(reference))
 
     def surroundings(self, reference: Reference) -> Scene | None:
         """What to keep clear of: the scene, with the pipe around the path if there is one."""
@@ -207,25 +177,8 @@ class Task:
         start = None if isinstance(self.motion, Leader) else self.start
         scene = self.surroundings(reference)
         with self._naming():
-            self._require_room(reference, scene)
+            require_room(reference, scene)
         return perform(reference, self.controller, self.limits, scene, q0=start, progress=progress)
-
-    def _require_room(self, reference: Reference, scene: Scene | None) -> None:
-        """Refuse a motion that begins inside of something; warn of postures that are."""
-        if scene is None:
-            return
-        clearance, keyed = scene.around(self.arm), not isinstance(self.motion, Leader)
-        rows = dict.fromkeys([0, *(mark.row for mark in reference.marks)])
-        for number, row in enumerate(rows, start=1):
-            closest = clearance.minimum(reference.configuration(row))
-            if closest.distance >= 0.0:
-                continue
-            where = f"keyframe {number}" if keyed else "the beginning" if row == 0 else "the end"
-            pair, deep = " and ".join(closest.pair or ()), -1e3 * closest.distance
-            depth = f"{pair} would be {deep:.3g} mm inside each other"
-            if row == 0:
-                raise TaskError(where, f"{depth}; move one of them, or begin elsewhere")
-            warnings.warn(f"{where}: {depth}", PostureWarning, stacklevel=3)
 
     def _check(self) -> None:
         """Refuse what can be seen to be wrong without a search."""

@@ -184,6 +184,6 @@ def test_a_motion_that_begins_inside_of_something_is_refused(tmp_path: Path) -> 
         (FOLDER / "around.toml").read_text().replace("center = [0.5, 0.28, 0.0]", "center = [0.5, 0, 0.1]")
     )
     with pytest.raises(
-        pp.PostureError, match=r"line \d+: keyframe 1: .* and ball would be .* mm inside each other"
+        pp.PostureError, match=r"line \d+: keyframe 1 .*: .* and ball would be .* mm inside each other"
     ):
         pp.Task.load(file).perform()
