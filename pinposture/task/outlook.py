@@ -61,11 +61,7 @@ def require_room(reference: Reference, scene: Scene | None) -> None:
         closest = clearance.minimum(reference.configuration(mark.row))
         if closest.distance >= 0.0:
             continue
-        where = (
-            f"keyframe {number} {mark.name!r}"
-            if reference.marks and reference.marks[0].row == 0
-            else mark.name
-        )
+        where = f"keyframe {number} {mark.name!r}" if keyed else mark.name
         pair, deep = " and ".join(closest.pair or ()), -1e3 * closest.distance
         depth = f"{pair} would be {deep:.3g} mm inside each other"
         if mark.row == 0:
