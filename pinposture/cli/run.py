@@ -125,9 +125,6 @@ def _kept_in(folder: Folder) -> Iterator[None]:
     except PostureError as error:
         folder.fail(str(error))
         raise
-    except KeyboardInterrupt:
-        folder.fail("interrupted")
-        raise
 
 
 @contextmanager
