@@ -198,6 +198,17 @@ class Limits:
         return bounds
 
 
+def cycle_of(limits: object) -> float:
+    """The duration of a control cycle that limits are for [s].
+
+    Raises:
+        InvalidValue: no limits, or they know of no time.
+    """
+    if not isinstance(limits, Limits) or limits.dt is None:
+        raise InvalidValue("limits", limits, "Limits(dt=...), with the duration of a control cycle")
+    return limits.dt
+
+
 _NONE = np.empty(0)
 _KNOWN: WeakKeyDictionary[Arm, dict[tuple[object, ...], JointBounds]] = WeakKeyDictionary()
 _MOST = 16  # limits of one arm that are remembered

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
+from pinposture.control.limits import cycle_of
 from pinposture.motion.joint_trajectory import JointTrajectory
 from pinposture.motion.trajectory import Trajectory
 
@@ -81,8 +82,7 @@ class Motion:
     @property
     def dt(self) -> float:
         """Duration of a control cycle [s]."""
-        assert self.run.limits.dt is not None  # who performs a motion asks for it
-        return self.run.limits.dt
+        return cycle_of(self.run.limits)
 
     @property
     def q(self) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cached_property
 from math import isfinite
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +14,7 @@ from pinposture.arm import Arm, ArmState
 from pinposture.control import Controller, Limits, Step, controller_named
 from pinposture.control.checks import require_positive
 from pinposture.control.controller import Memory
+from pinposture.control.limits import cycle_of
 from pinposture.errors import InvalidValue, PostureError, UnknownName
 from pinposture.motion.consulting import Consultation
 from pinposture.motion.feedback import Feedback, Seen
@@ -118,8 +119,8 @@ class Tracker:
         timeout: float = float("inf"),
         deadline: float = float("inf"),
     ) -> None:
-        if not isinstance(limits, Limits) or limits.dt is None:
-            raise InvalidValue("limits", limits, "Limits(dt=...): the duration of a control cycle is needed")
+        usual = cycle_of(limits)
+        limits = cast(Limits, limits)  # anything else was refused
         if interface not in INTERFACES:
             raise UnknownName("interface", interface, INTERFACES)
         times = {"feedback": feedback, "patience": patience, "timeout": timeout, "deadline": deadline}
@@ -129,11 +130,11 @@ class Tracker:
         limits.for_arm(arm)  # says now what does not fit
         self._consultation = Consultation(in_scene(controller_named(controller), scene)[0], deadline)
         self._feedback = Feedback(arm, feedback if interface == "position" else 0.0, disagreement, patience)
-        self._timeout, self._usual = timeout, limits.dt
+        self._timeout, self._usual = timeout, usual
         self._given: Target | None = None
         self._age = 0.0
         self._memory: Memory | None = None
-        self._dt = limits.dt
+        self._dt = usual
         self.report = Report("holding", "no step was taken yet", None, None, None)
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from math import ceil
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +14,7 @@ from pinposture.arm import Arm
 from pinposture.control import ConstrainedQP, Controller, Limits, controller_named
 from pinposture.control.checks import require_positive
 from pinposture.control.constrained.course import Course
+from pinposture.control.limits import cycle_of
 from pinposture.errors import InvalidValue
 from pinposture.motion.drive import PATIENCE, PROGRESS, Drive
 from pinposture.motion.motion import Motion
@@ -85,7 +86,7 @@ def perform(
     arm = reference.arm
     controller, scene = in_scene(controller_named(controller), scene)
     limits = Limits(step=None, dt=CYCLE) if limits is None else limits
-    _require_cycle(limits)
+    dt = cycle_of(limits)
     tolerance = 1e-6 * arm.length if tolerance is None else tolerance
     require_positive("tolerance", tolerance)
     start = reference.start if q0 is None else arm.checked(q0, "q0")
@@ -96,8 +97,7 @@ def perform(
     drive = Drive(arm, start, guide.target(0.0), controller, limits, scene)
     performance = _Performance(guide, drive, tolerance, progress)
     status, reason = performance.all()
-    seconds = cast(float, limits.dt) * drive.recorder.steps
-    logger.info("%s: %s after %.4g s: %s", controller.name, status, seconds, reason)
+    logger.info("%s: %s after %.4g s: %s", controller.name, status, dt * drive.recorder.steps, reason)
     return performance.log.motion(drive, status, reason)
 
 
@@ -128,14 +128,8 @@ def move_through(
         PostureError: as those two.
     """
     limits = Limits(step=None, dt=CYCLE) if limits is None else limits
-    _require_cycle(limits)
-    reference = keyframe_reference(arm, keyframes, cast(float, limits.dt), continuity)
+    reference = keyframe_reference(arm, keyframes, cycle_of(limits), continuity)
     return perform(reference, controller, limits, scene, q0)
-
-
-def _require_cycle(limits: object) -> None:
-    if not isinstance(limits, Limits) or limits.dt is None:
-        raise InvalidValue("limits", limits, "Limits(dt=...): a motion in time has control cycles")
 
 
 class _Performance:
