@@ -4,18 +4,27 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 export MPLBACKEND := Agg
 
-.PHONY: demo test lint urdf bench clean
+.PHONY: demo test lint docs pictures urdf bench clean
 
 demo: $(VENV)/base.stamp
 	$(RUN) examples/demo.py
 
+# Half a dozen processes share the tests; the browser's are skipped where there is no Chromium.
 test: $(VENV)/test.stamp
-	$(RUN) -m pytest
+	$(RUN) -m pytest -n auto --maxprocesses 6 --dist worksteal
 
 lint: $(VENV)/lint.stamp
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
+
+# The documentation site, into build/site; a test builds it, too, and checks its links.
+docs: $(VENV)/docs.stamp
+	NO_MKDOCS_2_WARNING=1 $(RUN) -m mkdocs build --strict
+
+# The pictures of the documentation; some minutes. They are kept with the source.
+pictures: $(VENV)/test.stamp
+	$(RUN) docs/pictures.py
 
 # The generated robot descriptions under urdf/; a test fails when they are stale.
 urdf: $(VENV)/base.stamp
@@ -40,7 +49,11 @@ $(VENV)/base.stamp: pyproject.toml | $(VENV)/bin/python
 	touch $@
 
 $(VENV)/test.stamp: $(VENV)/base.stamp
-	$(RUN) -m pip install --quiet --editable '.[test]'
+	$(RUN) -m pip install --quiet --editable '.[test,docs]'
+	touch $@
+
+$(VENV)/docs.stamp: $(VENV)/base.stamp
+	$(RUN) -m pip install --quiet --editable '.[docs]'
 	touch $@
 
 $(VENV)/lint.stamp: $(VENV)/base.stamp

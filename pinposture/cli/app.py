@@ -14,6 +14,7 @@ from pinposture.cli import (
     arms,
     compile,
     cycles,
+    edit,
     export,
     generate,
     headings,
@@ -133,7 +134,7 @@ def _add(verb: ModuleType, group: typer.Typer) -> None:
     group.command(name, cls=kind, help=_paragraphs(verb.run.__doc__ or ""))(verb.run)
 
 
-for module in (generate, inspect, track, many, run, view, export, simulate, reproduce, compile):
+for module in (generate, inspect, track, many, run, edit, view, export, simulate, reproduce, compile):
     _add(module, app)
 for module in (arms, methods, postures, headings, scenes, cycles, leader):
     _add(module, studies)

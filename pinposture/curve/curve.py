@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from pinposture.curve import build, fit
+from pinposture.curve import approximate, build, fit
 from pinposture.curve.bspline import Parts, trim
 from pinposture.curve.checks import as_number, as_vector
 from pinposture.curve.describe import read_call
@@ -184,6 +184,44 @@ class Curve(Geometry):
             FileError: the name does not end in .json, or the file cannot be written.
         """
         write_json(Path(path), self.to_dict())
+
+    @property
+    def control_points(self) -> NDArray[np.float64] | None:
+        """The points that control the curve, (n, 3) [m], if it is one as `spline` makes them; else None."""
+        return approximate.control_points(self)
+
+    def controlled(self, count: int, degree: int = 3) -> Curve:
+        """Give the curve controlled by a few points, as in `spline`, that comes nearest to this one.
+
+        That is the one with the least squares at samples of equal arc length. The ends are met. Each sample
+        belongs to the parameter that is its share of the length, or to that of this curve, whichever leaves
+        less. A curve that is of this kind already, with so many points, is given as it is.
+
+        Args:
+            count: how many control points, above the degree, at most 1000.
+            degree: 1 to 5.
+
+        Returns:
+            The curve; its `control_points` are what controls it.
+
+        Raises:
+            InvalidValue: the count or the degree.
+            CurveError: the points are too few for the curve: it would stand still somewhere.
+        """
+        return self._of(approximate.controlled(self, count, degree))
+
+    def controlled_within(self, tolerance: float, degree: int = 3, most: int = 50) -> Curve:
+        """Give the curve as in `controlled` with the fewest points that stays within a distance of this one.
+
+        Args:
+            tolerance: how far apart the curves may be at most, seen from either [m].
+            degree: 1 to 5.
+            most: how many control points it may take.
+
+        Raises:
+            InvalidValue: an argument, or a tolerance that so many points do not keep; says what they do.
+        """
+        return self._of(approximate.controlled_within(self, tolerance, degree, most))
 
     def moved(self, rotation: ArrayLike, translation: ArrayLike = (0, 0, 0)) -> Curve:
         """Give the curve turned about the origin, then shifted.

@@ -69,9 +69,9 @@ class Feedback:
         self._since, self._still = 0.0, True
         self._used: tuple[Target, Target, Array, Array] | None = None
 
-    def begin(self, q: Array) -> None:
-        """Take the arm to be at a configuration, (nq,), at rest."""
-        self.command, self.anew, self._suspect, self._still = q, True, None, True
+    def begin(self, q: Array, moving: bool = False) -> None:
+        """Take the arm to be at a configuration, (nq,), at rest or not."""
+        self.command, self.anew, self._suspect, self._still = q, not moving, None, not moving
         self._offset, self._shift = np.zeros(self.arm.nv), np.zeros((self.arm.n_modules, 3))
 
     def moved(self, dq: Array) -> None:

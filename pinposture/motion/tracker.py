@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture.arm import Arm, ArmState
+from pinposture.arm.checks import finite_vector
 from pinposture.control import Controller, Limits, Step, controller_named
 from pinposture.control.checks import require_positive
 from pinposture.control.controller import Memory
@@ -52,6 +53,7 @@ class Report(NamedTuple):
             None without a measurement that can be used.
         target_age: how long ago the target was given, as the cycles tell the time [s]; None without a target.
         relaxed: which constraints gave way in the step, as in `Diagnostics`.
+        step: what the controller answered, its active control set for instance; None if it was not asked.
     """
 
     status: str
@@ -60,6 +62,7 @@ class Report(NamedTuple):
     disagreement: float | None
     target_age: float | None
     relaxed: tuple[str, ...] = ()
+    step: Step | None = None
 
 
 class Tracker:
@@ -164,14 +167,19 @@ class Tracker:
         target.check(self.arm)
         self._given, self._age = with_configuration(self.arm, target), 0.0
 
-    def restart(self, q_measured: ArrayLike) -> None:
-        """Begin anew from where the arm is, at rest; the target stays.
+    def restart(self, q_measured: ArrayLike, dq: ArrayLike | None = None) -> None:
+        """Begin anew from where the arm is; the target stays.
+
+        Args:
+            q_measured: the configuration that was measured, (nq,).
+            dq: its displacement in the last cycle, (nv,) [rad or m]; None if it is at rest.
 
         Raises:
-            InvalidValue: not a configuration, (nq,).
+            InvalidValue: not a configuration, or not a displacement.
         """
-        self._feedback.begin(self.arm.checked(q_measured, "q_measured"))
-        self._memory = None
+        moved = None if dq is None else finite_vector("dq", dq, self.arm.nv)
+        self._feedback.begin(self.arm.checked(q_measured, "q_measured"), moved is not None)
+        self._memory, self._dt = None if moved is None else Memory(moved), self._usual
 
     def step(
         self, q_measured: ArrayLike | None, dt: float | None = None, points: ArrayLike | None = None
@@ -251,7 +259,7 @@ class Tracker:
         error = None if given is None or points is None else _mean_distance(points, given)
         age = None if given is None else self._age
         relaxed = () if step is None else step.diagnostics.relaxed
-        return Report(status, reason, error, seen.disagreement, age, relaxed)
+        return Report(status, reason, error, seen.disagreement, age, relaxed, step)
 
 
 def _mean_distance(points: Array, target: Target) -> float:

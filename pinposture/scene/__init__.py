@@ -5,6 +5,8 @@ from pinposture.scene.mesh import Mesh
 from pinposture.scene.obstacles import Box, Capsule, Cylinder, HalfSpace, Obstacle, Sphere, obstacle_from_dict
 from pinposture.scene.pairs import LeftOut
 from pinposture.scene.pipe import Bend, pipe, pipe_axis, pipe_walls
+from pinposture.scene.scan import Scan
+from pinposture.scene.scan_clearance import ScanClearance, ScanGap, scan_clearance
 from pinposture.scene.scene import Scene
 
 __all__ = [
@@ -19,10 +21,14 @@ __all__ = [
     "Mesh",
     "Nearness",
     "Obstacle",
+    "Scan",
+    "ScanClearance",
+    "ScanGap",
     "Scene",
     "Sphere",
     "obstacle_from_dict",
     "pipe",
     "pipe_axis",
     "pipe_walls",
+    "scan_clearance",
 ]

@@ -20,7 +20,7 @@ from pinposture.scene.distances import Distances
 from pinposture.scene.escape import escape_direction
 from pinposture.scene.narrow import Contact
 from pinposture.scene.pairs import ALWAYS_CLOSE, LeftOut, choose_pairs
-from pinposture.scene.placements import Placements
+from pinposture.scene.placements import placements_of
 from pinposture.scene.scene import Scene
 from pinposture.scene.solids import solid
 
@@ -88,7 +88,7 @@ class Clearance:
         # Not the arm itself: it would never be forgotten by what remembers clearances by arm.
         self.scene = scene
         self._model, self._plane = arm.model, np.array(arm.plane)
-        self._space, self._places = ConfigurationSpace(arm.model), Placements(arm.model)
+        self._space, self._places = ConfigurationSpace(arm.model), placements_of(arm)
         bodies = bodies_of(arm, scene.arm_radius)
         self._solids = [solid(body.shape) for body in bodies]
         obstacles = {name: solid(obstacle) for name, obstacle in scene.obstacles.items()}

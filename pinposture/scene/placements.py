@@ -7,12 +7,14 @@ ten times as long as computing them, so two arrays are laid over that memory ins
 from __future__ import annotations
 
 import threading
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import pinocchio as pin
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
+from pinposture.arm import Arm
 from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
@@ -38,6 +40,19 @@ class Placements(threading.local):
         self.data = model.createData()
         self.rotations = _side_by_side([placement.rotation for placement in self.data.oMi])
         self.positions = _side_by_side([placement.translation for placement in self.data.oMi])
+
+
+_KNOWN: WeakKeyDictionary[Arm, Placements] = WeakKeyDictionary()
+
+
+def placements_of(arm: Arm) -> Placements:
+    """The scratch data of an arm, the same for all scenes: it takes a second to make for 200 joints.
+
+    What it holds counts until it is next asked for in the same thread.
+    """
+    if arm not in _KNOWN:
+        _KNOWN[arm] = Placements(arm.model)
+    return _KNOWN[arm]
 
 
 def _side_by_side(views: list[Array]) -> Array:

@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm
 from pinposture.control.checks import require_positive
 from pinposture.errors import InvalidValue, TaskError, UnknownName
-from pinposture.target import Target
 from pinposture.task.between import STEP, TOO_FAR, Between, Progress
 from pinposture.task.keyframe import Keyframe, naming, title
 from pinposture.task.reference import Mark, Reference
-from pinposture.task.resolving import Keyed, Resolved, resolve_keyframes
+from pinposture.task.resolving import Keyed, resolve_keyframes, taken
 from pinposture.task.schedule import CONTINUITIES, Schedule, interpolate, schedule
 from pinposture.task.settled_tip import settled_tip
 
@@ -108,7 +107,7 @@ def keyframe_reference(
     for index, resolved in enumerate(keyed.keyframes):
         row = int(rows.reached[index])
         q = arm.integrate(start, offsets[row])
-        target = _taken(arm, given[index], resolved, q)
+        target = taken(arm, given[index], resolved.target, q)
         masks.append(target.weights)
         marks.append(Mark(given[index].name or title(given, index), row, target, given[index].tip))
     return Reference(arm, interval / finer, start, offsets, _weights(rows, masks), tuple(marks))
@@ -141,7 +140,7 @@ def _with_tips(
         if keyframe.tip is not None:
             q = arm.configuration(positions[rows.reached[index]])
             with naming(title(keyframes, index)):
-                target = _taken(arm, keyframe, keyed.keyframes[index], q)
+                target = taken(arm, keyframe, keyed.keyframes[index].target, q)
                 shifts[index] = settled_tip(arm, target, keyframe.tip, title(keyframes, index))
     if not np.any(shifts):
         return positions
@@ -154,14 +153,6 @@ def _with_tips(
         if left > reached:
             shifted[reached : left + 1] = positions[reached : left + 1] + shift
     return np.asarray(np.clip(shifted, arm.limits.lower, arm.limits.upper))
-
-
-def _taken(arm: Arm, keyframe: Keyframe, resolved: Resolved, q: Array) -> Target:
-    """The target of a keyframe as the arm takes it at q."""
-    curve, points, method = resolved.begun.curve, arm.at(q).points, resolved.target.method
-    parameters, distances = map(np.asarray, curve.nearest(points))
-    target = Target(points, np.ones(arm.n_modules), q, curve, parameters, distances, method)
-    return target if keyframe.region is None else target.region(*keyframe.region)
 
 
 def _weights(rows: Schedule, masks: list[Array]) -> Array:

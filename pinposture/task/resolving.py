@@ -13,6 +13,7 @@ from pinposture.target import Target, resolve_targets
 from pinposture.target.placement import beginning
 from pinposture.task.bending import Beginning
 from pinposture.task.keyframe import Keyframe, naming, title
+from pinposture.task.settled_tip import settled_tip
 
 Array = NDArray[np.float64]
 
@@ -58,6 +59,37 @@ class Keyed(NamedTuple):
     keyframes: tuple[Resolved, ...]
     method: str
     length: float
+
+
+def resolve_keyframe(arm: Arm, keyframe: Keyframe) -> Target:
+    """The target of a keyframe by itself: what the arm can have of its posture and of the task of its tip.
+
+    Quick, for one that is being changed: in a motion all keyframes are resolved by one method, and with more
+    samples of their curves.
+
+    Raises:
+        TargetError: as `resolve_targets`.
+        TaskError: a curve that is too long, a strict task of the tip that is out of reach.
+        InvalidValue: a region that the arm does not have.
+    """
+    where, given = title((keyframe,), 0), {"placement": keyframe.placement, "roll": keyframe.roll}
+    target = resolve_targets(arm, keyframe.curve, method=keyframe.method, **given)  # type: ignore[arg-type]
+    assert target.q is not None and target.curve is not None
+    begun = Beginning(target.curve, beginning(arm, target.curve)[0])
+    _refuse_rest(arm, (keyframe,), 0, Resolved(begun, target, arm.positions(target.q), False))
+    if keyframe.tip is not None:
+        q = arm.integrate(target.q, settled_tip(arm, target, keyframe.tip, where))
+        return taken(arm, keyframe, target, q)
+    return target if keyframe.region is None else target.region(*keyframe.region)
+
+
+def taken(arm: Arm, keyframe: Keyframe, target: Target, q: Array) -> Target:
+    """The target of a keyframe as the arm takes it at a configuration (nq,)."""
+    curve, points = target.curve, arm.at(q).points
+    assert curve is not None
+    parameters, distances = map(np.asarray, curve.nearest(points))
+    result = Target(points, np.ones(arm.n_modules), q, curve, parameters, distances, target.method)
+    return result if keyframe.region is None else result.region(*keyframe.region)
 
 
 def resolve_keyframes(arm: Arm, keyframes: tuple[Keyframe, ...]) -> Keyed:

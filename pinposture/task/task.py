@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,38 +13,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
-from pinposture.control import ConstrainedQP, Controller, Limits
+from pinposture.control import ConstrainedQP, Controller, Limits, controller_named
 from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.motion import Motion
 from pinposture.scene import Scene
-from pinposture.scene.inside import obstacles_around
 from pinposture.scene.pipe import pipe
+from pinposture.task.checks import FORMATS, check_task
 from pinposture.task.follow_leader import follow_leader
 from pinposture.task.keyframe import Keyframe
 from pinposture.task.keyframes import keyframe_reference
+from pinposture.task.leader import Leader
 from pinposture.task.outlook import Outlook, outlook, require_room
+from pinposture.task.paths import settled
 from pinposture.task.perform import perform
 from pinposture.task.reading.document import Document
 from pinposture.task.reading.lines import Place
-from pinposture.task.reading.motions import Leader, check_leader, check_points, read_keyframes, read_leader
-from pinposture.task.reading.robots import (
-    read_arm,
-    read_controller,
-    read_limits,
-    read_start,
-    read_surroundings,
-)
 from pinposture.task.reading.showing import shown
+from pinposture.task.reading.tasks import read_task
 from pinposture.task.reference import Reference
-from pinposture.task.schedule import CONTINUITIES
+from pinposture.task.writing.tasks import write_task
 
 Array = NDArray[np.float64]
-
-VERSION = 1
-KINDS = ("keyframes", "follow_leader")
-FORMATS = ("npz", "csv", "json", "png", "html")
-_COMMON = ("version", "kind", "name", "arm", "limits", "controller", "scene", "start", "output")
-_OWN = {"keyframes": ("keyframes", "continuity"), "follow_leader": ("leader",)}
 
 _KEYFRAME = re.compile(r"keyframe (\d+)")
 
@@ -55,17 +44,30 @@ class Task:
 
         task = pp.Task.load("walk.toml")
         motion = task.perform()
+        task.edited(continuity="acceleration").save("smooth.toml")
+
+    A task does not change; `edited` gives another one. What goes wrong with a task that was read from a file
+    is told with the line of that file; one that was edited is of no file, and keeps what was `described`.
 
     Attributes:
         arm: the arm.
-        motion: postures to take at their times, or the path to follow.
+        motion: postures to take at their times, two or more, or the path to follow.
         limits: what a control cycle may not exceed, with `dt`.
-        controller: what moves the arm.
+        controller: what moves the arm; an instance, or its name.
         scene: what to keep clear of; None if nothing.
         start: where the arm is at first, (nq,); None: where the motion begins.
         continuity: as for `keyframe_reference`.
         formats: what to keep of the result, of `FORMATS`.
         name: what to call it.
+        scans: files of surfaces and point clouds that an editor shows, absolute; nobody keeps clear of them,
+            and they need not be there.
+        described: what `save` may write of an arm, a curve, a tip, a scene or an obstacle, by that part
+            itself: what stands for it in a task file, in SI units, a `Path` for each path. For instance
+            `{arm: {"urdf": Path("snake.urdf"), "split": 2}, curve: "helix"}`. What is not in it, or no longer
+            gives the part, is written out.
+
+    Raises:
+        PostureError: a value that no task file could hold; see `pinposture.task.checks`.
     """
 
     arm: Arm
@@ -77,7 +79,32 @@ class Task:
     continuity: Literal["velocity", "acceleration"] = "velocity"
     formats: tuple[str, ...] = FORMATS
     name: str = ""
-    _document: Document | None = None
+    scans: tuple[Path, ...] = ()
+    described: Mapping[Hashable, object] = field(default_factory=dict, repr=False)
+    # Not among the arguments, so that `replace` leaves it behind.
+    _document: Document | None = field(default=None, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self._settle("controller", controller_named(self.controller))
+        if not isinstance(self.motion, Leader):
+            self._settle("motion", _listed("keyframes", self.motion, "two or more of Keyframe(...)"))
+        formats = _listed("formats", self.formats, f"some of {', '.join(FORMATS)}")
+        self._settle("formats", formats)
+        scans = _listed("scans", self.scans, "paths of files")
+        for scan in scans:
+            if not isinstance(scan, str | Path) or not str(scan).strip() or "\0" in str(scan):
+                raise InvalidValue("scans", self.scans, "paths of files")
+        self._settle("scans", tuple(map(settled, scans)))
+        check_task(self)
+        self._settle("formats", tuple(each for each in FORMATS if each in formats))
+        self._settle("described", dict(self.described))
+        if self.start is not None:
+            start = self.arm.checked(self.start, "start")
+            start.flags.writeable = False
+            self._settle("start", start)
+
+    def _settle(self, name: str, value: object) -> None:
+        object.__setattr__(self, name, value)
 
     @classmethod
     def load(cls, path: str | Path) -> Task:
@@ -91,31 +118,39 @@ class Task:
                 value and what is allowed.
         """
         document = Document(Path(path))
-        root = document.root
-        if "version" in root and (root.value("version") is True or root.value("version") != VERSION):
-            raise root.fault("version", f"is {shown(root.value('version'))}; allowed: {VERSION}")
-        kind = root.text("kind", "keyframes", KINDS)
-        for other in KINDS:
-            for key in _OWN[other]:
-                if key in root and kind != other:
-                    raise root.fault(key, f"goes with kind = {other!r}; the kind is {kind!r}")
-        root.only(*_COMMON, *_OWN[kind])
-        arm = read_arm(root.table("arm"))
-        leader = kind == "follow_leader"
-        task = cls(
-            arm=arm,
-            motion=read_leader(root.table("leader")) if leader else read_keyframes(root.tables("keyframes")),
-            limits=read_limits(root.table("limits"), arm),
-            controller=read_controller(root.table("controller")),
-            scene=read_surroundings(root.table("scene"), document.path.parent),
-            start=read_start(root.table("start"), arm),
-            continuity=cast(Any, root.text("continuity", "velocity", CONTINUITIES)),
-            formats=_formats(document),
-            name=root.text("name", document.path.stem),
-            _document=document,
-        )
-        task._check()
+        parts = read_task(document)
+        try:
+            task = cls(**parts)
+        except PostureError as error:
+            raise document.fault((), str(error)) from error
+        task._settle("_document", document)
         return task
+
+    def save(self, path: str | Path) -> Path:
+        """Write a task file, from which `load` makes an equal task; whole or not at all. Returns its path.
+
+        Numbers are in SI units. Files that the task names are named relative to the new one. Parts are
+        described as `described` says; a curve that is not in it is written with its points, an arm as the
+        template that it is made of, or else as a URDF file beside the task file, of the same name. What a
+        file that is replaced says besides, such as comments, is lost.
+
+        Args:
+            path: .toml or .json.
+
+        Raises:
+            FileError: the name ends otherwise, the file cannot be written, the URDF file is there and is
+                another one, or something that no task file can say: an arm without URDF, a controller with
+                parameters of its own.
+        """
+        return write_task(self, Path(path))
+
+    def edited(self, **changes: Any) -> Task:
+        """The task with other attributes, as by `dataclasses.replace`; it belongs to no file.
+
+        Raises:
+            PostureError: as `Task`.
+        """
+        return replace(self, **changes)
 
     def reference(self, progress: Callable[[int, int], object] | None = None) -> Reference:
         """What the arm should do when, before limits have a say.
@@ -180,26 +215,6 @@ class Task:
             require_room(reference, scene)
         return perform(reference, self.controller, self.limits, scene, q0=start, progress=progress)
 
-    def _check(self) -> None:
-        """Refuse what can be seen to be wrong without a search."""
-        assert self._document is not None
-        root = self._document.root
-        if isinstance(self.motion, Leader):
-            check_leader(root.table("leader"), self.motion, self.arm)
-        else:
-            if len(self.motion) < 2:
-                found = "none" if not self.motion else "only one"
-                reason = f"there is {found}; allowed: two or more, each begun by [[keyframes]]"
-                raise root.fault("keyframes", reason)
-            for keyframe, table in zip(self.motion, root.tables("keyframes"), strict=True):
-                check_points(table, keyframe, self.arm)
-        if self.scene is not None:
-            named = obstacles_around(self.scene, self.arm.chain.base)
-            if named:
-                at = ", ".join(f"{value:.4g}" for value in self.arm.chain.base)
-                reason = f"it stands where the base of the arm is, at ({at}) m; move it, or leave it out"
-                raise root.table("scene").table("obstacles").fault(named[0], reason)
-
     @contextmanager
     def _naming(self, *where: str) -> Iterator[None]:
         """Say of an error in which file, and where, its cause is."""
@@ -225,9 +240,8 @@ class Task:
         return FileError(self._document.path, f"{'' if line is None else f'line {line}: '}{text}")
 
 
-def _formats(document: Document) -> tuple[str, ...]:
-    table = document.root.table("output").only("formats")
-    listed = table.value("formats", list(FORMATS))
-    if not isinstance(listed, list) or not all(each in FORMATS for each in listed):
-        raise table.fault("formats", f"is {shown(listed)}; allowed: a list of {', '.join(FORMATS)}")
-    return tuple(each for each in FORMATS if each in listed)
+def _listed(name: str, values: object, allowed: str) -> tuple[Any, ...]:
+    """A sequence as a tuple; text is none."""
+    if isinstance(values, str) or not isinstance(values, Iterable):
+        raise InvalidValue(name, values, allowed)
+    return tuple(values)

@@ -74,15 +74,18 @@ def body_poses(arm: Arm, q: ArrayLike) -> Array:
     chain = arm.chain
     poses = np.zeros((len(positions), len(chain.joints), 4, 4))
     poses[..., 3, 3] = 1.0
+    # (f, n, 3, 3), all at once: one by one they take longer than everything else here
+    vectors = (positions[:, chain.columns, None] * chain.axes).reshape(-1, 3)
+    turns = Rotation.from_rotvec(vectors).as_matrix().reshape(len(positions), -1, 3, 3)
     turn = np.broadcast_to(np.eye(3), (len(positions), 3, 3))
     shift = np.zeros((len(positions), 3))
     for u, (axis, origin) in enumerate(zip(chain.axes, chain.origins, strict=True)):
-        amount = positions[:, chain.columns[u], None] * axis  # (f, 3)
         # The joint stands where the bodies before it carry its neutral place: p = R origin + shift.
         place = turn @ origin + shift
         if chain.revolute[u]:
-            turn = turn @ Rotation.from_rotvec(amount).as_matrix()
+            turn = turn @ turns[:, u]
         else:
+            amount = positions[:, chain.columns[u], None] * axis  # (f, 3)
             place = place + np.einsum("fij,fj->fi", turn, amount)
         shift = place - turn @ origin
         poses[:, u, :3, :3], poses[:, u, :3, 3] = turn, place

@@ -51,7 +51,7 @@ def balls(arm: Arm, points: tuple[int, ...], rows: Array) -> Balls:
     shape = (len(rows), len(points))
     listed = [one for q in rows for one in arm.at(q).ellipsoids(points)] if points else []
     centers = np.array([one.center for one in listed]).reshape(*shape, 3)
-    frames = np.array([_frame(one) for one in listed]).reshape(*shape, 3, 3)
+    frames = np.array([frame_of(one) for one in listed]).reshape(*shape, 3, 3)
     # An ellipse in a plane has no third radius.
     radii = np.array([np.append(one.radii, 0.0)[:3] for one in listed]).reshape(*shape, 3)
     indices = np.array([one.index for one in listed]).reshape(shape)
@@ -140,7 +140,7 @@ def _path(point: int) -> str:
     return f"{ROOT}/ellipsoids/point_{point + 1:03d}"
 
 
-def _frame(one: Ellipsoid) -> Array:
+def frame_of(one: Ellipsoid) -> Array:
     """Principal axes, one per row, right-handed, (3, 3); that of an ellipse in a plane is completed."""
     if len(one.directions) == 3:
         return one.directions

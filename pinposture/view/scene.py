@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,21 +67,36 @@ def require_fitting(arm: Arm, run: Trajectory | Motion | None, target: Target | 
         raise InvalidValue("target.points (shape)", target.points.shape, f"({arm.n_modules}, 3) for this arm")
 
 
-def arm_commands(arm: Arm, q: Array) -> list[Command]:
-    """Draw the arm at a configuration (nq,): one mesh for each body, control points fixed to theirs.
+class Surfaces(NamedTuple):
+    """What an arm looks like.
 
-    Bodies are drawn with the meshes of their description where those can be read.
+    Attributes:
+        base: what never moves, world frame [m].
+        bodies: one surface for each joint of the chain, from base to tip, body frame [m] (see `view.body`).
     """
-    radius = link_radius(arm)
-    own = body_meshes(arm)
-    commands = [draw(f"{ROOT}/arm/base", own.base or _base_mesh(arm, radius), palette.BASE)]
-    listed = bodies(arm)
+
+    base: Mesh
+    bodies: tuple[Mesh, ...]
+
+
+def arm_surfaces(arm: Arm) -> Surfaces:
+    """The surfaces of an arm: the meshes of its description where those can be read, else round bars."""
+    radius, own, listed = link_radius(arm), body_meshes(arm), bodies(arm)
+    surfaces = []
     for u, body in enumerate(listed):
         # The ball of the next joint closes a bar, unless it slides away or there is none.
         closed = u + 1 < len(listed) and bool(arm.chain.revolute[u + 1])
+        surfaces.append(own.bodies[u] or _body_mesh(body, radius, closed))
+    return Surfaces(own.base or _base_mesh(arm, radius), tuple(surfaces))
+
+
+def arm_commands(arm: Arm, q: Array) -> list[Command]:
+    """Draw the arm at a configuration (nq,): one mesh for each body, control points fixed to theirs."""
+    radius, surfaces = link_radius(arm), arm_surfaces(arm)
+    commands = [draw(f"{ROOT}/arm/base", surfaces.base, palette.BASE)]
+    for u, body in enumerate(bodies(arm)):
         shade = palette.MODULES[body.module % len(palette.MODULES)]
-        surface = own.bodies[u] or _body_mesh(body, radius, closed)
-        commands.append(draw(f"{body_path(u)}/link", surface, shade))
+        commands.append(draw(f"{body_path(u)}/link", surfaces.bodies[u], shade))
         if body.point is not None:
             commands.append(draw(point_path(u), ball(np.zeros(3), POINT_SIZE * radius), palette.IDLE))
             commands.append(transform(point_path(u), _placed(body.point, IDLE_SIZE)))

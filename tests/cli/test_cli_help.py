@@ -14,7 +14,7 @@ from pinposture.scene.obstacles import KINDS
 from pinposture.target.resolve import METHODS, PLACEMENTS
 from pinposture.thesis.curves import CURVES
 
-QUICK = ("generate", "inspect", "track", "many", "run", "view", "export", "study arms", "compile")
+QUICK = ("generate", "inspect", "track", "many", "run", "edit", "view", "export", "study arms", "compile")
 STUDIES = ("methods", "postures", "headings", "scenes", "cycles")  # these take minutes, as does reproduce
 VERBS = (*QUICK, *(f"study {name}" for name in STUDIES), "reproduce")
 
@@ -99,7 +99,25 @@ def test_the_examples_run_one_after_the_other(command, tmp_path, monkeypatch):
     def interrupted():
         raise KeyboardInterrupt
 
+    class Served:
+        url = "address"
+
+        def __init__(self, task, path, host, port, joint_states):
+            if not path.exists():
+                task.save(path)
+
+        def start(self):
+            pass
+
+        def wait(self):
+            raise KeyboardInterrupt
+
+        def close(self):
+            pass
+
     monkeypatch.setattr("pinposture.view.view", lambda *_, **__: Viewer())
+    monkeypatch.setattr("pinposture.editor.Editor", Served, raising=False)
+    monkeypatch.setattr("webbrowser.open", lambda _: None)
     monkeypatch.setattr("pinposture.cli.view.wait", interrupted)
     monkeypatch.chdir(tmp_path)
     t = np.linspace(0, 1.2, 50)

@@ -222,6 +222,29 @@ def test_a_new_target_ahead_does_not_stop_the_arm() -> None:
     assert min(speeds[15:55]) > 1.6
 
 
+def test_a_restart_on_the_move_goes_on_at_that_speed():
+    limits = pp.Limits(step=None, dt=0.02, acceleration=5.0)
+    tracker = Tracker(ARM, limits=limits, feedback=float("inf"))
+    rng = np.random.default_rng(0)
+    target = pp.Target.from_configuration(ARM, smooth_configuration(ARM, rng, 0.5))
+    tracker.restart(ARM.neutral())
+    tracker.update(target)
+    for _ in range(8):
+        dq = tracker.step(tracker.command)
+    assert np.abs(dq).max() > 2.0 * limits.acceleration * limits.dt**2
+    other = Tracker(ARM, limits=limits, feedback=float("inf"))
+    other.restart(tracker.command, dq)
+    other.update(target)
+    most = limits.acceleration * limits.dt**2 * (1.0 + 1e-9)
+    assert np.abs(other.step(other.command) - dq).max() <= most
+    still = Tracker(ARM, limits=limits, feedback=float("inf"))
+    still.restart(tracker.command)
+    still.update(target)
+    assert np.abs(still.step(still.command)).max() <= most  # from rest it cannot be that fast
+    with pytest.raises(InvalidValue, match="dq"):
+        other.restart(tracker.command, np.full(ARM.nv, np.nan))
+
+
 def test_memory_does_not_grow() -> None:
     arm = pp.Arm.from_template("RyRz", 3)
     rng = np.random.default_rng(8)

@@ -46,7 +46,16 @@ def read_content(path: Path) -> Content:
     Raises:
         FileError: it is missing, unreadable, of another format, malformed, or holds no table; names the line.
     """
-    text = _text(path)
+    check_format(path)
+    return content_of(path, read_text(path).replace("\r\n", "\n"))
+
+
+def content_of(path: Path, text: str) -> Content:
+    """What a file would hold, if this were its text.
+
+    Raises:
+        FileError: the text is malformed, or holds no table; names the line.
+    """
     toml = path.suffix.lower() == ".toml"
     try:
         values = tomllib.loads(text) if toml else json.loads(text, object_pairs_hook=_once)
@@ -62,11 +71,15 @@ def read_content(path: Path) -> Content:
     return Content(values, text if toml else None)
 
 
-def _text(path: Path) -> str:
+def check_format(path: Path) -> None:
+    """Refuse a name that says nothing of the format.
+
+    Raises:
+        FileError: it ends neither in .toml nor in .json.
+    """
     suffix = path.suffix.lower()
     if suffix not in (".toml", ".json"):
         raise FileError(path, f"the name ends in {suffix!r}; allowed: .toml, .json")
-    return read_text(path).replace("\r\n", "\n")
 
 
 def _where_first(message: str) -> str:

@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 from pinposture.errors import FileError, InvalidValue, PostureError
-from pinposture.task.reading.content import place_in_words, read_content
+from pinposture.task.paths import settled
+from pinposture.task.reading.content import Content, place_in_words, read_content
 from pinposture.task.reading.lines import Place, lines_of_toml
 from pinposture.task.reading.quantities import read_quantity
 from pinposture.task.reading.showing import shown
 
 Made = TypeVar("Made")
+Part = TypeVar("Part", bound=Hashable)
 
 _REQUIRED: Any = object()
+_NO_WORDS: Mapping[str, float] = MappingProxyType({})
 
 
 class Table:
@@ -113,8 +117,14 @@ class Table:
             raise self.fault(key, f"is {shown(self._values[key])}; allowed: more than 0")
         return value
 
-    def quantities(self, key: str, kinds: Sequence[str], default: Any = _REQUIRED) -> Any:
-        """A list of quantities, one of each of these kinds."""
+    def quantities(
+        self,
+        key: str,
+        kinds: Sequence[str],
+        default: Any = _REQUIRED,
+        words: Mapping[str, float] = _NO_WORDS,
+    ) -> Any:
+        """A list of quantities, one of each of these kinds, or words that stand for one."""
         value = self.value(key, default)
         if key not in self._values:
             return value
@@ -122,7 +132,12 @@ class Table:
             wanted = f"a list of {len(kinds)}"
             raise self.fault(key, f"is {shown(value)}; allowed: {wanted}")
         listed = enumerate(zip(value, kinds, strict=True))
-        return [self._quantity(each, (kind,), key, number) for number, (each, kind) in listed]
+        return [
+            words[each]
+            if isinstance(each, str) and each in words
+            else self._quantity(each, (kind,), key, number)
+            for number, (each, kind) in listed
+        ]
 
     def _quantity(self, value: object, kinds: Sequence[str], key: str, *within: int) -> float:
         try:
@@ -159,6 +174,16 @@ class Table:
                 plain[key] = self.quantities(key, [kind] * len(value))
         return plain
 
+    def says(self, part: Part, plain: object) -> Part:
+        """Remember how the file describes a part of the task; returns the part itself.
+
+        Args:
+            part: what was made of it.
+            plain: the description, as plain data in SI units; paths in it are absolute, and a `Path` each.
+        """
+        self._document.described[part] = plain
+        return part
+
     def plain(self) -> dict[str, Any]:
         """What the table holds, as it is."""
         return dict(self._values)
@@ -176,6 +201,10 @@ class Table:
         except RuntimeError as error:  # the home of somebody unknown
             raise self.fault(key, f"is {shown(name)}, which cannot be found ({error})") from None
 
+    def place(self, key: str, name: str) -> Path:
+        """The same, absolute."""
+        return settled(self.path(key, name))
+
 
 class Document:
     """A file that was read.
@@ -183,12 +212,20 @@ class Document:
     Attributes:
         path: the file.
         root: what it holds.
+        described: parts of the task that were made of it, and what it says of each; see `Table.says`.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, content: Content | None = None) -> None:
+        """Read a file.
+
+        Args:
+            path: the file.
+            content: what it is to hold, if it is not to be read.
+        """
         self.path = path
-        self._content = read_content(path)
+        self._content = read_content(path) if content is None else content
         self.root = Table(self._content.values, (), self)
+        self.described: dict[Hashable, object] = {}
 
     def line(self, where: Place) -> int | None:
         """The line of a place, or of what it is within; None if no line is known, as in JSON."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from pinposture.arm import Arm
 from pinposture.arm.ellipsoid import chosen_points
@@ -13,8 +13,10 @@ from pinposture.control import EndEffector
 from pinposture.curve import Curve
 from pinposture.target.resolve import METHODS, PLACEMENTS
 from pinposture.task.keyframe import Keyframe
+from pinposture.task.leader import MOST, Leader
+from pinposture.task.leader import PLACEMENTS as ENTRIES
+from pinposture.task.reading.arms import placement_in_si, read_placement
 from pinposture.task.reading.document import Table
-from pinposture.task.reading.robots import read_placement
 from pinposture.task.reading.showing import shown
 from pinposture.task.sliding_window import METHODS as WINDOWS
 from pinposture.thesis.curves import CURVES
@@ -32,37 +34,12 @@ _KEYFRAME = (
     "region",
     "tip",
 )
-_TIP = ("position", "rotation", "point", "weight", "strict", "axis_only")
+_TIP = ("position", "rotation", "point", "weight", "strict", "axis_only", "length")
 _LEADER = ("path", "speed", "depth", "placement", "method", "and_back", "pipe")
 _QUANTITIES = {
     **dict.fromkeys(("radius", "pitch", "smoothing", "a", "b", "center"), "length"),
     "phase": "angle",
 }
-
-MOST = 1000
-"""How many arms long a path is at most, and how many pipe radii an arm."""
-
-
-class Leader(NamedTuple):
-    """What `follow_leader` is asked for.
-
-    Attributes:
-        path: where the tip goes.
-        speed: largest speed of the feed [m/s].
-        depth: how far to go in [m]; None: to the end.
-        placement: as for `follow_leader`.
-        method: as for `follow_leader`.
-        and_back: whether to come out again.
-        pipe: radius of the pipe around the path, in which the arm has to stay [m]; None: there is none.
-    """
-
-    path: Curve
-    speed: float
-    depth: float | None
-    placement: Any
-    method: Any
-    and_back: bool
-    pipe: float | None
 
 
 def read_keyframes(tables: list[Table]) -> tuple[Keyframe, ...]:
@@ -91,14 +68,14 @@ def _keyframe(table: Table) -> Keyframe:
         "method": table.text("method", "auto", METHODS),
         "trim": table.flag("trim", False),
         "region": region,
-        "tip": _tip(table.table("tip")) if "tip" in table else None,
+        "tip": read_tip(table.table("tip")) if "tip" in table else None,
     }
     curve = read_curve(table, "curve")
     with table.blaming():
         return Keyframe(curve, **values)
 
 
-def _tip(table: Table) -> EndEffector:
+def read_tip(table: Table) -> EndEffector:
     """What is asked of the tip, or of another control point."""
     table.only(*_TIP)
     point = table.value("point", -1)
@@ -115,10 +92,15 @@ def _tip(table: Table) -> EndEffector:
         "weight": table.number("weight", 1.0),
         "strict": table.flag("strict", False),
         "axis_only": table.flag("axis_only", False),
+        "length": table.above_zero("length", "length", default=None),
     }
     place = {"pose": where} if "rotation" in table else {"position": where.translation}
     with table.blaming():
-        return EndEffector(**place, **options)
+        tip = EndEffector(**place, **options)
+    plain = placement_in_si(table)
+    if "length" in table:
+        plain["length"] = tip.length
+    return table.says(tip, plain)
 
 
 def check_points(table: Table, keyframe: Keyframe, arm: Arm) -> None:
@@ -141,19 +123,19 @@ def read_curve(table: Table, key: str) -> Curve:
     value = table.value(key)
     if isinstance(value, str):
         if value in CURVES:
-            return CURVES[value]
+            return table.says(CURVES[value], value)
         if not Path(value).suffix:
             close = get_close_matches(value, CURVES, n=1)
             hint = f" (did you mean {close[0]!r}?)" if close else ""
             allowed = f"{', '.join(CURVES)}, a .json, .csv or .txt file, or a table with a type"
             raise table.fault(key, f"is {shown(value)}{hint}; allowed: {allowed}")
-        return table.file(key, Curve.load)
+        return table.says(table.file(key, Curve.load), table.place(key, value))
     if not isinstance(value, Mapping):
         raise table.fault(key, f"is {shown(value)}; allowed: a name, a file, or a table with a type")
     described = table.table(key)
     plain = described.in_si(_QUANTITIES)
     with described.blaming():
-        return Curve.from_dict(plain)
+        return table.says(Curve.from_dict(plain), plain)
 
 
 def read_leader(table: Table) -> Leader:
@@ -163,14 +145,14 @@ def read_leader(table: Table) -> Leader:
         path=read_curve(table, "path"),
         speed=table.above_zero("speed", "speed"),
         depth=table.above_zero("depth", "length", default=None),
-        placement=table.text("placement", "align", ("align", "as_is")),
+        placement=table.text("placement", "align", ENTRIES),
         method=table.text("method", "closest", tuple(WINDOWS)),
         and_back=table.flag("and_back", False),
         pipe=table.above_zero("pipe", "length", default=None),
     )
 
 
-def check_leader(table: Table, leader: Leader, arm: Arm) -> None:
+def check_path(table: Table, leader: Leader, arm: Arm) -> None:
     """Refuse sizes that are beside all reason for the arm, and would take hours to find that out."""
     longest, narrowest = MOST * arm.length, arm.length / MOST
     if leader.path.length > longest:

@@ -1,121 +1,36 @@
-"""What a task file says of the robot: the arm, its limits, its controller, where it begins."""
+"""What a task file says of an arm's limits, its controller, what surrounds it, and where it begins."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, cast
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
-from pinposture.arm import Arm, JointSpec, ModuleTemplate, template
+from pinposture.arm import Arm
 from pinposture.control import CONTROLLERS, ConstrainedQP, Controller, Limits, controller_named
-from pinposture.errors import InvalidValue, PostureError, UnknownName
 from pinposture.scene import Scene
-from pinposture.scene.obstacles import obstacle_from_dict
+from pinposture.scene.obstacles import Obstacle, obstacle_from_dict
+from pinposture.task.checks import LONGEST_CYCLE
+from pinposture.task.paths import settled
 from pinposture.task.perform import CYCLE
 from pinposture.task.reading.document import Table
 from pinposture.task.reading.showing import shown
 
 Array = NDArray[np.float64]
 
-_DESCRIBED = ("urdf", "base", "tip", "split", "locked", "package_dirs")
-_TEMPLATED = ("template", "modules", "link_lengths", "joint_limits", "feed")
-_FEED = ("length", "stroke", "speed")
 _SCENE = ("version", "obstacles", "self_collision", "margin", "arm_radius")
 _QUANTITIES = dict.fromkeys(
     ("margin", "arm_radius", "radius", "center", "size", "start", "end", "point"), "length"
 ) | {"rotation": "angle"}
 
-MOST_MODULES = 1000
-"""The longest arm."""
+UNLIMITED = "none"
+"""What stands in a file for a limit that does not exist."""
 
-LONGEST_CYCLE = 60.0
-"""The longest control cycle [s]."""
-
-
-def read_arm(table: Table) -> Arm:
-    """The arm: from a URDF file, or of modules of a template, perhaps on a feed."""
-    table.only(*_DESCRIBED, *_TEMPLATED, "placement")
-    kind, other = (_DESCRIBED, _TEMPLATED) if "urdf" in table else (_TEMPLATED, _DESCRIBED)
-    for key in other:
-        if key in table:
-            raise table.fault(key, f"does not go with {kind[0]!r}")
-    placement = read_placement(table.table("placement")) if "placement" in table else None
-    if "urdf" in table:
-        return _described(table, placement)
-    if "template" not in table:
-        raise table.fault(None, "needs one of the keys 'urdf', 'template'")
-    name = table.text("template")
-    with table.blaming("template"):
-        module = template(name)
-    if "link_lengths" in table:
-        lengths = table.quantities("link_lengths", ["length"] * len(module.joints))
-        with table.blaming("link_lengths"):
-            module = module.with_lengths(lengths)
-    if "joint_limits" in table:
-        lower, upper = table.quantities("joint_limits", ["angle"] * 2)
-        with table.blaming("joint_limits"):
-            module = module.with_limits(lower, upper)
-    modules = [module] * table.whole("modules", 1, MOST_MODULES)
-    if "feed" in table:
-        modules.insert(0, _feed(table.table("feed"), module))
-    with table.blaming():
-        return Arm.from_modules(modules, base_placement=placement, name=module.name)
-
-
-def _described(table: Table, placement: pin.SE3 | None) -> Arm:
-    """The arm of a URDF file, with what `Arm.from_urdf` takes besides."""
-    given: dict[str, Any] = {"base": table.text("base", None), "tip": table.text("tip", None)}
-    folders = table.value("package_dirs", None)
-    if folders is not None:
-        if not isinstance(folders, list) or not all(isinstance(each, str) for each in folders):
-            raise table.fault("package_dirs", f"is {shown(folders)}; allowed: a list of folders")
-        folders = [table.path("package_dirs", each) for each in folders]
-    held = table.table("locked")
-    locked = {name: held.quantity(name, "angle", "length") for name in held.plain()}
-    given |= {"modules": table.value("split", None), "locked": locked, "package_dirs": folders}
-    path = table.path("urdf", table.text("urdf"))
-    try:
-        return Arm.from_urdf(path, **given, base_placement=placement)
-    except PostureError as error:
-        key, reason = _named_by(error, table), str(error)
-        if key == "split" and isinstance(error, InvalidValue):
-            reason = f"is {shown(error.value)}; allowed: {error.allowed}"
-        raise table.fault(key, reason) from error
-
-
-def _named_by(error: PostureError, table: Table) -> str:
-    """The key that an error of `Arm.from_urdf` is about."""
-    if isinstance(error, InvalidValue) and error.name.startswith("modules"):
-        return "split"
-    if isinstance(error, UnknownName):
-        for key in ("base", "tip", "split", "locked"):
-            value = table.value(key, None)
-            if error.name == value or (isinstance(value, list | dict) and error.name in value):
-                return key
-    return "urdf"
-
-
-def _feed(table: Table, module: ModuleTemplate) -> ModuleTemplate:
-    """A slide along the axis of the arm, with the link that it pushes."""
-    table.only(*_FEED)
-    stroke = table.above_zero("stroke", "length")
-    length = table.quantity("length", "length", default=module.length)
-    speed = table.above_zero("speed", "speed", default=0.1)
-    with table.blaming():
-        slide = JointSpec("x", "prismatic", 0.0, stroke, velocity=speed)
-        return ModuleTemplate("Feed", (slide,), (length,), module.radius)
-
-
-def read_placement(table: Table) -> pin.SE3:
-    """A placement in the world: a position, and roll, pitch and yaw."""
-    table.only("position", "rotation")
-    position = table.quantities("position", ["length"] * 3, default=[0.0, 0.0, 0.0])
-    angles = table.quantities("rotation", ["angle"] * 3, default=[0.0, 0.0, 0.0])
-    return pin.SE3(pin.rpy.rpyToMatrix(*angles), np.array(position))
+_NO_LIMIT = MappingProxyType({UNLIMITED: np.inf})
 
 
 def read_limits(table: Table, arm: Arm) -> Limits:
@@ -140,8 +55,11 @@ def read_limits(table: Table, arm: Arm) -> Limits:
 def _for_joints(table: Table, key: str, arm: Arm, turning: str, sliding: str) -> float | Array | None:
     """A limit for all joints, for those that turn and those that slide, or one for each."""
     value = table.value(key, None)
+    if value == UNLIMITED:
+        return np.inf
     if isinstance(value, list):
-        return np.array(table.quantities(key, [sliding if slides else turning for slides in arm.slides]))
+        kinds = [sliding if slides else turning for slides in arm.slides]
+        return np.array(table.quantities(key, kinds, words=_NO_LIMIT))
     if not isinstance(value, dict):
         both = "a table with both, as in {turning = ..., sliding = ...}"
         return _for_all(table, key, arm, both, turning, sliding)
@@ -185,18 +103,26 @@ def read_surroundings(table: Table, folder: Path) -> Scene | None:
     """The scene: a file of its own, or what would be in it."""
     if "file" in table:
         table.only("file")
-        return table.file("file", Scene.load)
+        scene = table.file("file", Scene.load)
+        return table.says(scene, {"file": table.place("file", table.text("file"))})
     if not table.plain():
         return None
     table.only("file", *_SCENE)
-    obstacles, listed = {}, table.table("obstacles")
-    for name in listed.plain():
-        plain = listed.table(name).in_si(_QUANTITIES)
-        with listed.table(name).blaming():
-            obstacles[name] = obstacle_from_dict(plain, str(folder))
+    listed = table.table("obstacles")
+    obstacles = {name: read_obstacle(listed.table(name), folder) for name in listed.plain()}
     plain = table.in_si(_QUANTITIES) | {"obstacles": {}}
     with table.blaming():
         return replace(Scene.from_dict(plain), obstacles=obstacles)
+
+
+def read_obstacle(table: Table, folder: Path) -> Obstacle:
+    """An obstacle of the scene; the path of a mesh begins in the folder."""
+    plain = table.in_si(_QUANTITIES)
+    with table.blaming():
+        obstacle = obstacle_from_dict(plain, str(folder))
+    if "path" in plain:
+        plain["path"] = settled(folder / plain["path"])
+    return table.says(obstacle, plain)
 
 
 def read_start(table: Table, arm: Arm) -> Array | None:

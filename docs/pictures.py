@@ -1,0 +1,285 @@
+"""The pictures of the documentation: the concepts, drawn here, and what the examples leave.
+
+python docs/pictures.py            # all, into docs/pictures
+python docs/pictures.py limits     # those named
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import runpy
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from PIL import Image
+
+import pinposture as pp
+from pinposture.task.reference import Reference
+from pinposture.view import palette
+from pinposture.view.axes import dress_time
+from pinposture.view.clearance import plot_clearance
+from pinposture.view.ellipsoids import draw_ellipsoids, ellipsoid_key, shade_ellipsoids
+from pinposture.view.postures import PosturePanel
+from pinposture.view.run_postures import draw_runs
+
+Array = NDArray[np.float64]
+
+HERE = Path(__file__).parent
+DPI, COLORS = 110, 256
+"""Resolution of the drawings, and how many colours a picture keeps: the fewer, the smaller its file."""
+
+PLANAR = pp.Arm.from_template("Rz", modules=20, link_lengths=(0.05,))
+"""What most pictures show: an arm of 1 m that moves in the plane of the paper."""
+
+WORDS: dict[str, Any] = {"fontsize": 9, "color": palette.INK}
+ARROW: dict[str, Any] = {"arrowstyle": "-", "color": palette.QUIET, "lw": 0.8, "shrinkB": 3}
+
+
+def bent(*curvatures: float) -> Array:
+    """A configuration of the planar arm that bends by so many radians in each of as many equal parts."""
+    return np.repeat(np.array(curvatures) * len(curvatures) / PLANAR.nq, PLANAR.nq // len(curvatures))
+
+
+def empty(columns: int, height: float, **grid: Any) -> tuple[Figure, list[Axes]]:
+    """A figure with axes beside each other."""
+    figure = Figure(figsize=(9.0, height), layout="constrained")
+    return figure, list(figure.subplots(1, columns, squeeze=False, **grid)[0])
+
+
+def frame(*axes: Axes) -> None:
+    """Give axes the same scales, as far as any of them needs, and no more room than that."""
+    boxes = [ax.dataLim for ax in axes]
+    wide = np.array([min(box.x0 for box in boxes), max(box.x1 for box in boxes)])
+    high = np.array([min(box.y0 for box in boxes), max(box.y1 for box in boxes)])
+    room = 0.04 * np.ptp(wide) * np.array([-1.0, 1.0])
+    for ax in axes:
+        ax.set_aspect("equal", adjustable="box")
+        ax.set(xlim=wide + room, ylim=high + room)
+
+
+def modules() -> Figure:
+    """An arm of three modules with the names of its parts."""
+    arm = pp.Arm.from_template("RzRz", modules=3)
+    figure, (ax,) = empty(1, 3.4)
+    panel = PosturePanel(arm, ax)
+    q = np.array([0.45, -0.15, -0.5, -0.35, 0.3, 0.5])
+    points = np.vstack([arm.chain.base, arm.at(q).points])
+    joints = arm.at(q).placed.origins
+    for k in range(3):
+        line = np.vstack([points[k], joints[2 * k : 2 * k + 2], points[k + 1]])
+        panel.line(line, color=palette.MODULES[k % 2], lw=9.0, solid_capstyle="butt", zorder=3)
+    panel.line(joints, ls="none", marker="o", ms=6, mfc="none", mec=palette.TURN, mew=1.5, zorder=5)
+    panel.line(points[1:], ls="none", marker="o", ms=9, mfc=palette.ACTIVE, mec=palette.INK, zorder=4)
+    panel.finish()
+    middle = (points[1] + joints[3]) / 2.0
+    for text, place, offset in (
+        ("base", points[0], (-6, -38)),
+        ("joint", joints[1], (-4, 32)),
+        ("module 2: two joints, two links", middle, (-70, -62)),
+        ("module boundary,\nposture control point 1", points[1], (-6, 34)),
+        ("posture control point 3, the tip", points[3], (-170, 22)),
+    ):
+        words = {"xytext": offset, "textcoords": "offset points", "arrowprops": ARROW}
+        ax.annotate(text, place[:2], **words, **WORDS)
+    ax.set_aspect("equal", adjustable="box")
+    ax.set(xlim=(-0.06, 0.92), ylim=(-0.13, 0.24))
+    return figure
+
+
+def target() -> Figure:
+    """A curve by its control points, and where the arm belongs on it."""
+    controls = np.array([(0, 0, 0), (0.35, 0, 0), (0.5, 0.5, 0), (0.8, 0.1, 0), (1.2, 0.2, 0)])
+    curve = pp.Curve.spline(controls)
+    resolved = pp.resolve_targets(PLANAR, curve)
+    figure, axes = empty(2, 3.0)
+    drawn = PosturePanel(PLANAR, axes[0])
+    drawn.line(controls, color=palette.START, lw=0.8, ls=(0, (4, 3)), marker="s", ms=5)
+    drawn.line(curve.at(np.linspace(0, curve.length, 300)), color=palette.TARGET, lw=1.6)
+    drawn.finish()
+    axes[0].set_title("what you draw: control points, and the curve they pull", **WORDS)
+    panel = PosturePanel(PLANAR, axes[1])
+    panel.target(resolved)
+    panel.posture(resolved.q, palette.FINAL, "posture of the arm", 2.0)
+    panel.finish()
+    axes[1].set_title("what follows: a place on the curve for each control point", **WORDS)
+    axes[1].legend(fontsize=8, frameon=False, loc="upper left")
+    frame(*axes)
+    return figure
+
+
+def ellipsoids() -> Figure:
+    """Manipulability ellipsoids of three postures, from singular to regular."""
+    figure, axes = empty(3, 3.1, width_ratios=(1.0, 1.0, 1.0))
+    postures = {"straight, singular": bent(0.0), "nearly straight": bent(0.5, -0.5), "bent": bent(2.6, -2.6)}
+    for ax, (name, q) in zip(axes, postures.items(), strict=True):
+        panel, chosen = PosturePanel(PLANAR, ax), PLANAR.at(q).ellipsoids([6, 12, 19])
+        draw_ellipsoids(panel, chosen)
+        panel.posture(q, palette.START, "arm", 2.0)
+        panel.finish()
+        shade_ellipsoids(panel, chosen)
+        ax.set_ylabel("")
+        ax.set_title(f"{name}: index of the tip {chosen[-1].index:.2g}", **WORDS)
+    frame(*axes)
+    figure.legend(handles=ellipsoid_key(), loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    return figure
+
+
+def active() -> Figure:
+    """The control points that Selection moves, in a posture with a straight stretch."""
+    q = bent(0.0, 0.0, 1.2, -0.7, 1.3)
+    goal = pp.Target.from_configuration(PLANAR, bent(0.4, 0.5, -0.8, 0.6, 0.3))
+    step = pp.Selection().step(PLANAR.at(q), goal)
+    figure, (ax,) = empty(1, 3.0)
+    panel = PosturePanel(PLANAR, ax)
+    points = PLANAR.at(q).points
+    panel.line(np.vstack([PLANAR.chain.base, points]), color=palette.MODULES[0], lw=4.0, zorder=3)
+    dots = {"ls": "none", "marker": "o", "ms": 7.5, "mec": palette.INK, "mew": 0.8}
+    panel.line(points, mfc=palette.IDLE, zorder=4, label="not active: in this step it goes along", **dots)
+    panel.line(points[list(step.active)], mfc=palette.ACTIVE, zorder=5, label="active", **dots)
+    panel.finish()
+    ax.legend(fontsize=9, frameon=False, loc="upper left")
+    frame(ax)
+    ax.set_title(f"{len(step.active)} of {PLANAR.n_modules} control points are active", **WORDS)
+    return figure
+
+
+def direct() -> Figure:
+    """The most direct way to a posture, and the way straight through joint space."""
+    start, goal = bent(1.5, -0.3), bent(-1.1, -0.9)
+    slowly = pp.Limits(step=0.02)
+    figure, axes = empty(2, 4.4)
+    names = {"qp": "the most direct way (qp)", "joint": "straight through joint space (joint)"}
+    for ax, (controller, name) in zip(axes, names.items(), strict=True):
+        run = pp.track(PLANAR, pp.Target.from_configuration(PLANAR, goal), start, controller, slowly)
+        panel = PosturePanel(PLANAR, ax)
+        moved = np.linalg.norm(np.diff(run.points, axis=0), axis=2).mean(axis=1)
+        way = np.append(0.0, np.cumsum(moved))
+        for share in np.linspace(0.0, 1.0, 7):
+            row = int(np.abs(way - share * way[-1]).argmin())
+            panel.posture(run.q[row], palette.in_time(share), "_", 1.4)
+        for k in (9, 19):
+            panel.line(run.points[:, k], color=palette.QUIET, lw=0.8, ls=(0, (3, 2)), zorder=1)
+        panel.finish()
+        ax.set_title(f"{name}:\n{run.sweep:.2f} times as long as straight lines", **WORDS)
+    frame(*axes)
+    return figure
+
+
+def limits() -> Figure:
+    """Joint speeds of a run under limits of speed and acceleration."""
+    within = pp.Limits(step=None, dt=0.02, velocity=0.5, acceleration=2.0)
+    goal = pp.Target.from_configuration(PLANAR, bent(1.4, -1.8, 1.0, -0.6))
+    run = pp.track(PLANAR, goal, bent(0.3, -0.2, 0.6, -0.4), limits=within, max_steps=2000)
+    joints = run.joint_trajectory()
+    figure, axes = empty(2, 3.0)
+    for ax, values, bound, label in (
+        (axes[0], joints.velocities, 0.5, "joint speed [rad/s]"),
+        (axes[1], joints.accelerations, 2.0, "joint acceleration [rad/s²]"),
+    ):
+        for k, line in enumerate(values.T):
+            ax.plot(joints.time, line, lw=0.8, color=palette.ALONG[k * len(palette.ALONG) // values.shape[1]])
+        for sign in (-1.0, 1.0):
+            ax.axhline(sign * bound, color=palette.MARK, lw=1.0, ls=(0, (4, 2)))
+        dress_time(ax, label)
+        ax.set_ylim(-1.15 * bound, 1.15 * bound)
+    figure.suptitle("20 joints, from base (dark) to tip (light); red: the limits", **WORDS)
+    return figure
+
+
+def scene() -> Figure:
+    """A way round a post, and how near the arm came to it."""
+    post = pp.Cylinder(start=(0.82, 0.0, -1.0), end=(0.82, 0.0, 1.0), radius=0.06)
+    around = pp.Scene({"post": post}, margin=0.02)
+    goal = pp.Target.from_configuration(PLANAR, bent(-0.9, 0.6))
+    run = pp.track(PLANAR, goal, bent(0.9, -0.6), scene=around)
+    figure, axes = empty(2, 4.0, width_ratios=(1.0, 1.0))
+    draw_runs([(run, "final posture", palette.controller_color(run.controller))], axes[0])
+    plot_clearance(run, axes[1])
+    return figure
+
+
+def between() -> Figure:
+    """What lies between two keyframes: the curve bends, and keeps its length."""
+    line = pp.Curve.line((0, 0, 0), (1, 0, 0))
+    coil = pp.Curve.helix(radius=0.16, pitch=0.0, turns=1.0)
+    keyframes = [pp.Keyframe(line), pp.Keyframe(coil, time=1.0, trim=True)]
+    reference: Reference = pp.keyframe_reference(PLANAR, keyframes, interval=0.02)
+    figure, (ax,) = empty(1, 3.4)
+    panel = PosturePanel(PLANAR, ax)
+    for share in np.linspace(0.0, 1.0, 7):
+        row = round(share * (reference.rows - 1))
+        label = f"{reference.times[row]:.2f} s"
+        panel.posture(reference.configuration(row), palette.in_time(share), label, 1.6)
+    panel.finish()
+    frame(ax)
+    ax.legend(fontsize=8, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
+
+
+CONCEPTS: dict[str, Callable[[], Figure]] = {
+    drawing.__name__: drawing
+    for drawing in (modules, target, ellipsoids, active, direct, limits, scene, between)
+}
+"""The pictures that are drawn here."""
+
+EXAMPLES = {
+    "01_first_posture": "out/first_posture/run.png",
+    "02_your_own_curve": "out/your_own_curve/run.png",
+    "03_your_own_module": "out/your_own_module/arm.png",
+    "04_part_of_an_arm": "out/part_of_an_arm/comparison.png",
+    "05_around_obstacles": "out/around_obstacles/run.png",
+    "06_keyframes": "out/five_postures/motion.png",
+    "07_export_a_motion": "out/export/joints.png",
+    "08_physics": "out/physics/open_gravity.png",
+    "09_streaming": "out/streaming/errors.png",
+    "10_follow_the_leader": "out/follow_the_leader/motion.png",
+    "12_many_targets": "out/many_targets/reached.png",
+}
+"""The picture that each example of the tutorial leaves."""
+
+
+def draw(name: str, folder: Path) -> Path:
+    """Make one picture.
+
+    Args:
+        name: a key of `CONCEPTS` or of `EXAMPLES`.
+        folder: where to leave it.
+
+    Returns:
+        The file, a PNG.
+    """
+    made = io.BytesIO()
+    if name in CONCEPTS:
+        CONCEPTS[name]().savefig(made, dpi=DPI)
+    else:
+        back = Path.cwd()
+        with tempfile.TemporaryDirectory() as place, contextlib.redirect_stdout(None):
+            os.chdir(place)
+            try:
+                runpy.run_path(str(HERE.parent / "examples" / f"{name}.py"), run_name="__main__")
+                made = io.BytesIO(Path(EXAMPLES[name]).read_bytes())
+            finally:
+                os.chdir(back)
+    picture = Image.open(made).convert("RGB").quantize(COLORS, dither=Image.Dither.NONE)
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{name}.png"
+    picture.save(path, optimize=True)
+    return path
+
+
+if __name__ == "__main__":
+    for wanted in sys.argv[1:] or (*CONCEPTS, *EXAMPLES):
+        draw(wanted, HERE / "pictures")

@@ -1,0 +1,35 @@
+"""Your own module: describe it in a few lines, chain it, and get a URDF that other programs read too.
+
+python examples/03_your_own_module.py
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+import pinposture as pp
+
+# A stubby module with hinges that turn by up to 60 degrees, and a slimmer one for the far half of the arm.
+bend = np.radians(60.0)
+hinges = (pp.JointSpec("z", lower=-bend, upper=bend), pp.JointSpec("y", lower=-bend, upper=bend))
+stub = pp.ModuleTemplate("stub", joints=hinges, link_lengths=(0.04, 0.05), radius=0.02)
+slim = pp.ModuleTemplate("slim", joints=hinges, link_lengths=(0.03, 0.04), radius=0.012)
+
+arm = pp.Arm.from_modules([stub] * 6 + [slim] * 8, name="tapered")
+print(arm)
+
+out = Path("out/your_own_module")
+out.mkdir(parents=True, exist_ok=True)
+(out / "tapered.urdf").write_text(arm.urdf)
+
+# What can such modules follow? Ask before tracking.
+curve = pp.Curve.helix(radius=0.15, pitch=0.4, turns=2)
+adequacy = arm.adequate(curve)
+print(f"curvature they follow: {adequacy.max_curvature:.1f} /m; of the curve: {adequacy.curvature:.1f} /m")
+
+target = pp.resolve_targets(arm, curve)
+run = pp.track(arm, target, arm.straight())  # by the default controller, "qp", within the limits above
+print(run.status, "-", run.reason)
+pp.plot_arm(arm, run.q[-1]).savefig(out / "arm.png", dpi=100)
+pp.save_html(arm, run, out / "run.html")
+print(f"look at {out / 'arm.png'}, and open {out / 'run.html'} in a browser to see it move")

@@ -1,0 +1,48 @@
+"""Export a motion: joint positions, speeds and accelerations for a robot or a simulator, and back again.
+
+python examples/07_export_a_motion.py
+"""
+
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import pinposture as pp
+
+# A short motion in time: six modules, from straight to a hook and back.
+arm = pp.Arm.from_template("RyRz", modules=6)
+straight = pp.Curve.line((0, 0, 0), (0.3, 0, 0))
+hook = pp.Curve.spline([(0, 0, 0), (0.12, 0, 0), (0.22, 0.06, 0), (0.2, 0.2, 0.08)])
+postures = [
+    pp.Keyframe(straight),
+    pp.Keyframe(hook, duration=1.5, hold=0.3, trim=True),
+    pp.Keyframe(straight, duration=1.5),
+]
+limits = pp.Limits(step=None, dt=0.02, velocity=1.5, acceleration=6.0)
+motion = pp.move_through(arm, postures, limits=limits)
+
+# What a robot needs: where each joint is when, and how fast it moves. At rest at both ends.
+joints = motion.joint_trajectory()
+print(joints)
+fastest, hardest = np.abs(joints.velocities).max(), np.abs(joints.accelerations).max()
+print(f"fastest joint {fastest:.3g} rad/s, hardest acceleration {hardest:.3g} rad/s^2")
+
+# One motion, three formats: for NumPy, for a spreadsheet, and the message that ros2_control takes.
+out = Path("out/export")
+for suffix in ("npz", "csv", "json"):
+    path = joints.save(out / f"motion.{suffix}")
+    again = pp.JointTrajectory.load(path, arm)
+    same = np.array_equal(again.positions, joints.positions)
+    print(f"{path}: {path.stat().st_size} bytes, the same positions when read back: {same}")
+
+# A player with a cycle of its own gets rows at its own rate.
+print("for a player of 1 kHz:", joints.sampled(0.001))
+
+figure, axes = plt.subplots(2, 1, sharex=True, figsize=(9, 5), layout="constrained")
+axes[0].plot(joints.time, joints.positions)
+axes[0].set_ylabel("position [rad]")
+axes[1].plot(joints.time, joints.velocities)
+axes[1].set(xlabel="time [s]", ylabel="velocity [rad/s]")
+figure.savefig(out / "joints.png", dpi=100)
+print(f"look at {out / 'joints.png'}")

@@ -1,0 +1,42 @@
+"""Many targets: one arm, forty random postures, all cores, one file.
+
+python examples/12_many_targets.py
+"""
+
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import pinposture as pp
+from pinposture.study import smooth_configuration
+
+if __name__ == "__main__":  # other processes read this file, too
+    # An arm of 10 modules, 20 degrees of freedom, 0.5 m long, and 40 postures that it can take.
+    arm = pp.Arm.from_template("RyRz", modules=10)
+    rng = np.random.default_rng(0)
+    goals = [smooth_configuration(arm, rng, rng.uniform(0.3, 1.2)) for _ in range(40)]
+    targets = [pp.Target.from_configuration(arm, goal) for goal in goals]
+
+    # One start for all. Forty runs take a moment here; ten thousand would go to every core by themselves.
+    batch = pp.track_many(arm, targets, arm.straight(), max_steps=100)
+
+    out = Path("out/many_targets")
+    batch.save(out / "batch.npz")
+    print(batch.summary())
+
+    # What was reached: each posture, the darker the more steps it took; a cross where the tip should be.
+    figure, axes = plt.subplots(subplot_kw={"projection": "3d"}, figsize=(7, 6))
+    for number, run in enumerate(batch):
+        points = np.vstack([arm.chain.base, run.points[-1]])
+        axes.plot(*points.T, color=plt.cm.viridis_r(run.steps / batch.steps.max()), linewidth=1)
+        axes.scatter(*batch.target(number).points[-1], marker="x", color="black", s=12)
+    axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", aspect="equal")
+    figure.savefig(out / "reached.png", dpi=120)
+
+    # The runs that took longest.
+    print("\n run  status     steps  error at first [m]  at last [m]  paths")
+    for k in np.argsort(-batch.steps, kind="stable")[:8]:
+        errors = f"{batch.start_error[k]:18.3g}  {batch.final_error[k]:11.2g}"
+        print(f"{k:4}  {batch.status[k]:9}  {batch.steps[k]:5}  {errors}  {batch.sweep[k]:5.2f}")
+    print(f"look at {out / 'reached.png'}")

@@ -1,0 +1,142 @@
+"""`pinposture edit`: drag the curve, watch the arm."""
+
+from __future__ import annotations
+
+import webbrowser
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pinposture.cli.inputs import BaseOption, ModulesOption, TipOption, read_arm, read_modules
+from pinposture.cli.output import print_note
+from pinposture.errors import FileError, InvalidValue, UnknownName
+
+if TYPE_CHECKING:
+    from pinposture.arm import Arm
+    from pinposture.task import Task
+
+EXAMPLES = (
+    "pinposture edit",
+    "pinposture edit examples/tasks/keyframes.toml",
+    "pinposture edit RyRz --modules 40 --save-as snake.toml",
+    "pinposture edit arm.urdf --modules 2 --save-as dance.toml",
+    "pinposture edit dance.toml --joint-states measured.jsonl --port 8090",
+)
+
+MODULES = 20
+"""Modules of an arm that is made of a template, if nothing else is said."""
+
+
+def run(
+    *,
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="[TASK|URDF|TEMPLATE]",
+            help="A task file (.toml, .json), a robot description, or a module template.",
+        ),
+    ] = "RyRz",
+    base: BaseOption = None,
+    tip: TipOption = None,
+    modules: ModulesOption = None,
+    save_as: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The task file of what is new; else it is named after the arm."),
+    ] = None,
+    joint_states: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE|-",
+            help="Show measured joint positions beside the plan: JSON lines such as "
+            '{"name": [...], "position": [...]}, from a file that grows, a pipe, or - for stdin.',
+        ),
+    ] = None,
+    host: Annotated[
+        str, typer.Option(help="Address to listen at; 0.0.0.0 lets other machines in.")
+    ] = "127.0.0.1",
+    port: Annotated[
+        int, typer.Option(help="Port to listen at; the next one that is free if it is taken.")
+    ] = 8080,
+    no_browser: Annotated[
+        bool, typer.Option("--no-browser", help="Print the address, but open no browser.")
+    ] = False,
+) -> None:
+    """Edit the postures of an arm in the browser: drag the curve, watch the arm.
+
+    The arm follows the curve of the selected keyframe while you drag its control points, by the controller
+    and within the limits of the task. Keyframes make a motion, to be played, checked and exported; the
+    task file that is saved is what `pinposture run` performs. Changes are kept beside it all the time, and
+    taken up again if the editor ends without saving.
+
+    Any number of browsers may look on and take part. It runs until Ctrl-C.
+    """
+    from pinposture.editor import Editor
+    from pinposture.editor.autosave import autosave_path
+
+    task, path = read_task(source, base, tip, modules, save_as)
+    editor = Editor(task, path, host, port, joint_states)
+    editor.start()
+    typer.echo(editor.url)
+    print_note("press Ctrl-C to end")
+    if not no_browser:
+        webbrowser.open(editor.url)
+    try:
+        editor.wait()
+    except KeyboardInterrupt:
+        print_note("")
+    finally:
+        editor.close()
+        if autosave_path(path).exists():
+            print_note("what was not saved is kept, and taken up at the next start")
+
+
+def read_task(
+    source: str, base: str | None, tip: str | None, modules: str | None, save_as: Path | None
+) -> tuple[Task, Path]:
+    """The task to edit, and its file, which need not be there yet.
+
+    Raises:
+        PostureError: there is no such file or template; or as `Task.load` and `Arm.from_urdf`.
+    """
+    from pinposture.task import Task
+
+    suffix = Path(source).suffix.lower()
+    if suffix in (".toml", ".json"):
+        for name, value in (("--base", base), ("--tip", tip), ("--modules", modules), ("--save-as", save_as)):
+            if value is not None:
+                raise InvalidValue(name, str(value), "nothing: the task file says it")
+        path = Path(source).absolute()
+        return Task.load(path), path
+    from pinposture.editor.first_task import first_task
+
+    described: dict[str, object] | None
+    if suffix in (".urdf", ".xml", ".xacro") or Path(source).exists():
+        arm, name = read_arm(source, base, tip, modules), Path(source).stem
+        asked = {"base": base, "tip": tip, "split": None if modules is None else read_modules(modules)}
+        described = {"urdf": Path(source).absolute()} | {k: v for k, v in asked.items() if v is not None}
+    else:
+        (arm, name), described = _templated(source, base, tip, modules), None
+    path = (Path(f"{name}.toml") if save_as is None else save_as).absolute()
+    if path.exists():
+        raise FileError(
+            path, f"exists already; edit it (pinposture edit {path.name}), or give another --save-as"
+        )
+    return first_task(arm, name, described), path
+
+
+def _templated(source: str, base: str | None, tip: str | None, modules: str | None) -> tuple[Arm, str]:
+    """An arm of a template, and what to call it."""
+    from pinposture.arm import Arm
+    from pinposture.arm.template import TEMPLATES
+
+    if source not in TEMPLATES:
+        raise UnknownName("task file, robot description or template", source, TEMPLATES)
+    for name, value in (("--base", base), ("--tip", tip)):
+        if value is not None:
+            raise InvalidValue(name, value, "nothing: a template has no links yet")
+    try:
+        count = MODULES if modules is None else int(modules)
+    except ValueError:
+        raise InvalidValue("--modules", modules, "a whole number: how many modules of the template") from None
+    return Arm.from_template(source, count), f"{source.lower()}{count}"

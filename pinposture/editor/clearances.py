@@ -1,0 +1,164 @@
+"""How far the arm is from what is around it, worked out in a thread of its own."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from threading import Event, Lock, Thread
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.arm import Arm, ArmState
+from pinposture.errors import PostureError
+from pinposture.scene import Scene
+from pinposture.scene.scan import Scan
+from pinposture.scene.scan_clearance import scan_clearance
+
+Array = NDArray[np.float64]
+logger = logging.getLogger(__name__)
+
+PERIOD = 0.1
+"""How often it is worked out at most [s]."""
+
+
+class Nearest(NamedTuple):
+    """Where an arm is nearest to something that is not part of it.
+
+    Attributes:
+        distance: between the surfaces, negative where they overlap [m].
+        body: name of the body of the arm.
+        other: name of the obstacle, or of the scan.
+        on_arm: point of the body, nearest to the other or deepest in it, (3,) [m], world frame.
+        on_other: point of the other's surface, (3,) [m], world frame.
+        margin: the distance to keep [m]; 0 for scans, which are not avoided.
+        scanned: whether the other is a scan.
+    """
+
+    distance: float
+    body: str
+    other: str
+    on_arm: Array
+    on_other: Array
+    margin: float
+    scanned: bool = False
+
+    @property
+    def level(self) -> str:
+        """How that is: "inside", "within the margin" or "clear"."""
+        if self.distance < 0.0:
+            return "inside"
+        return "within the margin" if self.distance < self.margin else "clear"
+
+
+class Asked(NamedTuple):
+    """What the clearance is asked of.
+
+    Attributes:
+        arm: the arm.
+        q: its configuration, (nq,).
+        scene: the obstacles; None if there are none.
+        scans: the scans, by the names to call them.
+    """
+
+    arm: Arm
+    q: Array
+    scene: Scene | None
+    scans: Mapping[str, Scan]
+
+    def like(self, other: Asked) -> bool:
+        """Whether it is the same."""
+        same = self.arm is other.arm and self.scene is other.scene and self.scans == other.scans
+        return same and np.array_equal(self.q, other.q)
+
+
+def nearest(asked: Asked) -> Nearest | None:
+    """Where an arm is nearest to obstacles and scans; None if there is nothing to be near to.
+
+    Raises:
+        PostureError: a distance that cannot be told.
+    """
+    state = asked.arm.at(asked.q)
+    radius = None if asked.scene is None else asked.scene.arm_radius
+    found = [_of_obstacles(state, asked.scene)]
+    found += [_of_scan(state, name, scan, radius) for name, scan in asked.scans.items()]
+    return min((each for each in found if each is not None), key=lambda each: each.distance, default=None)
+
+
+class Clearances:
+    """Works out the clearance of what was last asked, ten times a second at most; the rest is dropped."""
+
+    def __init__(self) -> None:
+        self._lock, self._news, self._over = Lock(), Event(), Event()
+        self._asked: Asked | None = None
+        self._latest: Nearest | None = None
+        self._thread: Thread | None = None
+
+    @property
+    def latest(self) -> Nearest | None:
+        """The last that was found; None if there is nothing to be near to."""
+        with self._lock:
+            return self._latest
+
+    def ask(self, asked: Asked) -> None:
+        """Ask for something; returns at once, and does nothing if it is what was asked before."""
+        with self._lock:
+            before, self._asked = self._asked, asked
+        if before is not None and before.like(asked):
+            return
+        self._news.set()
+        if self._thread is None:
+            self._thread = Thread(target=self._run, name="pinposture-clearance", daemon=True)
+            self._thread.start()
+
+    def close(self) -> None:
+        """End, after what it is at."""
+        self._over.set()
+        self._news.set()
+        if self._thread is not None:
+            self._thread.join(timeout=5.0)
+
+    def _run(self) -> None:
+        while True:
+            self._news.wait()
+            if self._over.is_set():
+                return
+            self._news.clear()
+            begun = time.monotonic()
+            with self._lock:
+                asked = self._asked
+            assert asked is not None
+            try:
+                found = nearest(asked)
+            except (PostureError, ArithmeticError, np.linalg.LinAlgError) as error:
+                logger.warning("the clearance cannot be told: %s", error)
+                found = None
+            with self._lock:
+                self._latest = found
+            self._over.wait(max(PERIOD - (time.monotonic() - begun), 0.0))
+
+
+def _of_obstacles(state: ArmState, scene: Scene | None) -> Nearest | None:
+    if scene is None or not scene.obstacles:
+        return None
+    # Without the arm itself: links next but one to each other are always near, and would hide the rest.
+    clearance = (replace(scene, self_collision=False) if scene.self_collision else scene).around(state.arm)
+    least = clearance.minimum(state.q)
+    if least.pair is None:
+        return None
+    near = clearance.nearest(state, max(least.distance, 0.0) + 1e-9 * state.arm.length)
+    if not len(near.distances):
+        return None
+    on_other = near.points[0] - near.distances[0] * near.normals[0]
+    body, other = near.pairs[0]
+    return Nearest(float(near.distances[0]), body, other, near.points[0], on_other, scene.margin)
+
+
+def _of_scan(state: ArmState, name: str, scan: Scan, radius: float | None) -> Nearest | None:
+    gap = scan_clearance(state.arm, scan, state.q, radius)
+    if gap.body is None or gap.on_arm is None or gap.on_scan is None:
+        return None
+    return Nearest(gap.distance, gap.body, name, gap.on_arm, gap.on_scan, 0.0, scanned=True)

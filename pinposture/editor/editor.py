@@ -1,0 +1,159 @@
+"""The editor: one loop that takes what hands do, asks the solver, and shows what comes of it."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from threading import Event, Lock, Thread
+from typing import TypeAlias
+
+from pinposture.editor.files import Files, restore
+from pinposture.editor.joint_states import JointStates
+from pinposture.editor.live import Live
+from pinposture.editor.page import Page
+from pinposture.editor.session import Session
+from pinposture.editor.solver import Solver
+from pinposture.editor.surroundings import Surroundings
+from pinposture.errors import PostureError
+from pinposture.task import Task
+
+logger = logging.getLogger(__name__)
+
+Request: TypeAlias = Callable[[Session], None]
+
+FRAME, IDLE = 1.0 / 60.0, 0.25
+"""How soon after each other the page is brought up to date, and how often at least [s]."""
+
+
+class Editor:
+    """An editor of a task, shown to browsers; it works in threads of its own.
+
+        editor = Editor(pp.Task.load("walk.toml"), Path("walk.toml"))
+        editor.start()
+        print(editor.url)
+
+    Callbacks of the page only leave requests here. The loop takes them in turn, and never waits for the arm:
+    what the arm makes of it is worked out by the solver, and looked up.
+
+    Args:
+        task: the task to edit.
+        path: its file, if it has one.
+        host: at which address to listen.
+        port: at which port; another if it is taken.
+        joint_states: what tells where the arm is measured to be, as for `JointStates`; None if nothing does.
+
+    Raises:
+        TaskError: a task without keyframes.
+        ViewerError: the page cannot be served.
+        FileError: the joint states cannot be read.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        path: Path | None = None,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        joint_states: str | Path | None = None,
+    ) -> None:
+        self.session = Session(task, path)
+        restore(self.session)
+        self._inbox: deque[tuple[str, Request]] = deque()
+        self._lock, self._news, self._over = Lock(), Event(), Event()
+        self._solver = Solver(self.session.problem, task.arm.straight(), self._news.set)
+        self._asked = self.session.number
+        self.files = Files(self.post)
+        self.surroundings = Surroundings(self.post)
+        self._states = None if joint_states is None else JointStates(task.arm, joint_states)
+        self.page = Page(self.session, self.post, self.files, self.surroundings, self._states, host, port)
+        self._thread = Thread(target=self._run, name="pinposture-editor", daemon=True)
+
+    @property
+    def url(self) -> str:
+        """Where a browser finds it."""
+        return self.page.url
+
+    @property
+    def live(self) -> Live:
+        """The arm as it is at the moment."""
+        return self._solver.live
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._solver.start()
+        self._thread.start()
+
+    def wait(self) -> None:
+        """Wait until it is closed; Ctrl-C ends the waiting."""
+        while not self._over.wait(0.5):
+            pass
+
+    def close(self) -> None:
+        """End."""
+        self._over.set()
+        self._news.set()
+        if self._thread.is_alive():
+            self._thread.join(timeout=5.0)
+        self._solver.close()
+        self.session.playback.close()
+        self.surroundings.close()
+        if self._states is not None:
+            self._states.close()
+        self.files.close()
+        self.page.close()
+
+    def post(self, request: Request, key: str = "") -> None:
+        """Leave a request for the loop. May be called from any thread, and returns at once.
+
+        Args:
+            request: what to do with the session.
+            key: requests with the same key that follow each other count as one: the last.
+        """
+        with self._lock:
+            if key and self._inbox and self._inbox[-1][0] == key:
+                self._inbox[-1] = key, request
+            else:
+                self._inbox.append((key, request))
+        self._news.set()
+
+    def _run(self) -> None:
+        while not self._over.is_set():
+            begun = time.monotonic()
+            self._news.clear()
+            live = self._solver.live
+            self.session.settle(live)
+            while (request := self._next()) is not None:
+                self._do(request)
+            self.surroundings.watch(self.session, live)
+            if self.session.number != self._asked:
+                self._asked = self.session.number
+                self._solver.ask(self.session.problem)
+            self.files.watch(self.session)
+            self.session.playback.follow(self.session)
+            try:
+                self.page.show(self.session, live)
+            except Exception:  # the page of the moment is lost, the work is not
+                logger.exception("the page could not be brought up to date")
+            left = FRAME - (time.monotonic() - begun)
+            if left > 0.0:
+                self._over.wait(left)
+            self._news.wait(IDLE)
+
+    def _next(self) -> Request | None:
+        """The next request, if it may be done: what is proposed is decided on before anything else."""
+        if self.session.proposal is not None and self.session.proposal.final:
+            return None
+        with self._lock:
+            return self._inbox.popleft()[1] if self._inbox else None
+
+    def _do(self, request: Request) -> None:
+        try:
+            request(self.session)
+        except PostureError as error:
+            self.session.say(str(error), "error")
+        except Exception as error:  # a fault of ours; whoever edits goes on with what there was
+            logger.exception("a request failed")
+            self.session.say(f"that did not work, and nothing was changed ({error})", "error")

@@ -1,0 +1,74 @@
+"""What the page says at its top: how the arm is doing, and what was last to say."""
+
+from __future__ import annotations
+
+from html import escape
+
+import viser
+
+from pinposture.editor.live import Live
+from pinposture.editor.session import Session
+from pinposture.view import palette
+
+COLORS = {"info": palette.REGULAR, "warning": palette.ACTIVE, "error": palette.MARK}
+
+ROUNDING = 1e-6
+"""Errors that are none [mm]."""
+
+
+class Status:
+    """A few lines, always in sight.
+
+    Args:
+        server: the page.
+    """
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._html = server.gui.add_html("")
+        self._said = ""
+
+    def show(self, session: Session, live: Live) -> None:
+        """Bring it up to date."""
+        text = _lines(session, live)
+        if text != self._said:
+            self._said = text
+            self._html.content = text
+
+
+def _lines(session: Session, live: Live) -> str:
+    verdict = live.verdict
+    if verdict.reason:
+        kind, head, more = "error", "The arm cannot take this shape", verdict.reason
+    elif verdict.collision:
+        kind, head, more = "warning", "In the way", verdict.notes[0]
+    else:
+        kind, head, more = "info", _doing(session, live) + _room(session), "; ".join(verdict.notes)
+    if live.reason and live.status != "arrived" and kind == "info":
+        kind, more = "warning", live.reason
+    notice = session.notice
+    said = ""
+    if notice.text:
+        said = (
+            f'<div id="notice" data-kind="{notice.kind}" style="color:{COLORS[notice.kind]};margin-top:4px">'
+            f"{escape(notice.text)}</div>"
+        )
+    return (
+        '<div style="font-size:13px;line-height:1.35;padding:2px 10px 4px 10px">'
+        f'<div id="status" style="border-left:4px solid {COLORS[kind]};padding-left:8px">'
+        f"<b>{escape(head)}</b><br><span>{escape(more) or '&nbsp;'}</span></div>{said}</div>"
+    )
+
+
+def _doing(session: Session, live: Live) -> str:
+    words = {"arrived": "Taken", "moving": "On the way"}
+    doing = "Motion" if session.playback.q is not None else words.get(live.status, "Holding")
+    millimetres = 1000.0 * live.mean_error
+    return f"{doing}: mean error {millimetres if millimetres > ROUNDING else 0.0:.3g} mm"
+
+
+def _room(session: Session) -> str:
+    """The clearance in a few words."""
+    found = session.nearest
+    if found is None:
+        return ""
+    return f", {1000.0 * abs(found.distance):.3g} mm {'inside' if found.distance < 0.0 else 'clear'}"

@@ -1,0 +1,184 @@
+"""The one place where the arm is moved: a loop in a thread of its own that is always at the latest shape."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from threading import Event, Lock, Thread
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.arm import ArmState
+from pinposture.control import Limits
+from pinposture.editor.live import Live, Problem, active_of, at_limit, errors_of
+from pinposture.editor.verdict import Verdict, judge
+from pinposture.errors import PostureError
+from pinposture.motion import Tracker
+
+Array = NDArray[np.float64]
+logger = logging.getLogger(__name__)
+
+CYCLE = 0.02
+"""How long a step takes [s]: the arm moves in real time, within its limits."""
+
+PATIENCE = 0.25
+"""How long a step waits for its controller before the arm holds, and the controller goes on alone [s]."""
+
+IDLE = 0.25
+"""How often it looks around while the arm is at rest and nothing is asked [s]."""
+
+RESTING = ("arrived", "stuck")
+MOVING = ("controller", "limits", "scene")
+"""What of a problem has to do with how the arm moves, and not with where to."""
+
+
+class Solver:
+    """Takes the latest problem, whatever came before it, judges it, and moves the arm to what it can take.
+
+    What is asked while it is at work on something is not queued: only the last counts.
+
+    Args:
+        first: the first problem.
+        start: where the arm is, (nq,).
+        tell: called after each step, in the solver's thread.
+    """
+
+    def __init__(self, first: Problem, start: Array, tell: Callable[[], object] = lambda: None) -> None:
+        self._tell = tell
+        self._lock, self._news, self._over = Lock(), Event(), Event()
+        self._asked, self._problem, self._made_for = first, first, first
+        self._tracker, self._verdict = _tracker(first, start), Verdict(None)
+        self._lag: float | None = None
+        self._steps, self._last = 0, deque([time.monotonic()], maxlen=64)
+        self._dq, self._fault = np.zeros(first.arm.nv), ""
+        self._live = self._look(first.arm.at(start))
+        self._thread = Thread(target=self._run, name="pinposture-solver", daemon=True)
+
+    @property
+    def live(self) -> Live:
+        """The arm as it was after the last step."""
+        with self._lock:
+            return self._live
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def ask(self, problem: Problem) -> None:
+        """Ask for something else from now on."""
+        with self._lock:
+            self._asked = problem
+        self._news.set()
+
+    def close(self) -> None:
+        """End, after the step that it is at."""
+        self._over.set()
+        self._news.set()
+        if self._thread.is_alive():
+            self._thread.join(timeout=5.0)
+
+    def _run(self) -> None:
+        self._take(self._problem, new=True)
+        while not self._over.is_set():
+            begun = time.monotonic()
+            with self._lock:
+                asked = self._asked
+            if asked.number != self._problem.number:
+                self._take(asked)
+            self._step()
+            resting = self._tracker.report.status in RESTING or self._tracker.target is None
+            left = IDLE if resting else CYCLE - (time.monotonic() - begun)
+            if resting:
+                self._news.wait(left)
+            elif left > 0.0:
+                self._over.wait(left)
+            self._news.clear()
+
+    def _take(self, problem: Problem, new: bool = False) -> None:
+        """Turn to another problem. Whatever is wrong with it is said in the verdict, and the arm stays."""
+        self._problem, self._lag = problem, None
+        before = self._made_for
+        try:
+            self._verdict = judge(problem.arm, problem.keyframe, problem.scene)
+            if problem.arm is not before.arm:
+                self._dq = np.zeros(problem.arm.nv)
+                self._tracker, self._made_for = _tracker(problem, problem.arm.straight()), problem
+            elif new or any(getattr(problem, part) != getattr(before, part) for part in MOVING):
+                target, tracker = self._tracker.target, _tracker(problem, self._tracker.command, self._dq)
+                if target is not None:
+                    tracker.update(target)
+                self._tracker, self._made_for = tracker, problem
+            if self._verdict.target is not None:
+                self._tracker.update(self._verdict.target)
+        except PostureError as error:
+            self._verdict = Verdict(None, str(error))
+        except Exception as error:  # a fault of ours, which must not end the thread: it would be waited for
+            logger.exception("a problem could not be looked at")
+            self._verdict = Verdict(None, f"that could not be worked out ({error})")
+
+    def _step(self) -> None:
+        """One step, and what can be seen after it."""
+        tracker, problem = self._tracker, self._problem
+        target = tracker.target
+        if problem.at_once and target is not None and target.q is not None:
+            tracker.restart(target.q)
+        try:
+            self._dq, self._fault = tracker.step(tracker.command), ""
+        except Exception as error:  # of a controller, of whatever kind
+            if str(error) != self._fault:
+                logger.warning("the arm stands still: %s", error)
+            self._dq, self._fault = np.zeros(tracker.arm.nv), str(error) or type(error).__name__
+        now = time.monotonic()
+        self._steps += 1
+        self._last.append(now)
+        if self._lag is None:
+            self._lag = now - problem.asked
+        live = self._look(tracker.arm.at(tracker.command))
+        with self._lock:
+            self._live = live
+        self._tell()
+
+    def _look(self, state: ArmState) -> Live:
+        tracker, problem = self._tracker, self._problem
+        report, target = tracker.report, tracker.target
+        span = self._last[-1] - self._last[0]
+        return Live(
+            number=problem.number,
+            arm=tracker.arm,
+            verdict=self._verdict,
+            state=state,
+            target=target,
+            errors=errors_of(state, target),
+            active=active_of(report, tracker.arm.n_modules),
+            at_limit=at_limit(state, self._dq, tracker.limits.bound(state)),
+            status="holding" if self._fault else report.status,
+            reason=self._fault or report.reason,
+            lag=self._lag,
+            rate=(len(self._last) - 1) / span if span > 0.0 else 0.0,
+            steps=self._steps,
+        )
+
+
+def _tracker(problem: Problem, q: Array, dq: Array | None = None) -> Tracker:
+    """What moves the arm; from q, at rest or after a step dq, (nv,) [rad or m]."""
+    tracker = Tracker(
+        problem.arm,
+        problem.controller,
+        in_cycles(problem.limits),
+        problem.scene,
+        feedback=float("inf"),
+        deadline=PATIENCE,
+    )
+    tracker.restart(q, dq)  # the speed goes on: dragging an obstacle makes a tracker several times a second
+    return tracker
+
+
+def in_cycles(limits: Limits) -> Limits:
+    """The same limits for cycles of `CYCLE`: what a step may be is a share of what it was."""
+    if limits.step is None or limits.dt is None:
+        return replace(limits, dt=CYCLE)
+    return replace(limits, dt=CYCLE, step=limits.step * (CYCLE / limits.dt))

@@ -1,0 +1,124 @@
+"""Whether an arm can take a shape, and if not, why; in the words of whoever drew it."""
+
+from __future__ import annotations
+
+import warnings
+from typing import NamedTuple
+
+import numpy as np
+
+from pinposture.arm import Arm
+from pinposture.errors import (
+    CurveBendsTooMuch,
+    CurveEndsEarly,
+    CurveLeavesTooSharply,
+    PostureError,
+    PostureWarning,
+    TargetError,
+    TaskError,
+)
+from pinposture.scene import Scene
+from pinposture.scene.inside import obstacles_around
+from pinposture.target import Target
+from pinposture.task import Keyframe
+from pinposture.task.resolving import resolve_keyframe
+
+NEAR_LIMIT = 1e-3
+"""How near to a limit of its position a joint is at it, in `Arm.joint_units`."""
+
+REST = 1.5
+"""How much of a curve may be left over without being told, in longest modules: some is needed to bend."""
+
+NAMED = 3
+"""How many joints are named."""
+
+
+class Verdict(NamedTuple):
+    """What an arm can make of a shape.
+
+    Attributes:
+        target: what it takes; None if it cannot.
+        reason: why it cannot, in words; empty if it can.
+        notes: what is to be known of it though it can: in collision, at limits, longer than the arm.
+        collision: whether it would touch something, or come nearer than the margin.
+    """
+
+    target: Target | None
+    reason: str = ""
+    notes: tuple[str, ...] = ()
+    collision: bool = False
+
+
+def judge(arm: Arm, keyframe: Keyframe, scene: Scene | None) -> Verdict:
+    """See whether an arm can take the shape of a keyframe.
+
+    Args:
+        arm: the arm.
+        keyframe: the keyframe.
+        scene: what it should keep clear of; None if there is nothing.
+    """
+    try:
+        target = resolve_keyframe(arm, keyframe)
+    except (PostureError, ArithmeticError, np.linalg.LinAlgError) as error:
+        return Verdict(None, _reason(error))
+    notes = [*_rest(arm, target), *_at_limits(arm, target)]
+    touching = _touching(arm, target, scene)
+    return Verdict(target, "", (*touching, *notes), bool(touching))
+
+
+def _reason(error: Exception) -> str:
+    """An error in the words of whoever drew the curve."""
+    if isinstance(error, TaskError):
+        return " ".join(error.reason.split())  # without the number: it is that of a keyframe by itself
+    if not isinstance(error, TargetError):
+        return " ".join(str(error).split())
+    where = f"at module {error.module}, {error.parameter:.3g} m along the curve"
+    if isinstance(error, CurveEndsEarly):
+        return f"too short: the curve ends before the arm does, {where}; draw it longer"
+    if isinstance(error, CurveLeavesTooSharply):
+        return "bends too much at the base: the curve leaves in a direction that the first module cannot take"
+    if isinstance(error, CurveBendsTooMuch):
+        return f"bends too much for the limits of the joints, {where}"
+    return " ".join(str(error).split())
+
+
+def _rest(arm: Arm, target: Target) -> list[str]:
+    """Say how much of the curve the arm leaves uncovered, if that is worth telling."""
+    if target.curve is None or target.parameters is None:
+        return []
+    rest = target.curve.length - float(target.parameters[target.placed].max(initial=0.0))
+    if rest <= REST * float(arm.chain.module_lengths.max()):
+        return []
+    return [f"too long by {rest:.3g} m: the arm leaves the grey part of the curve"]
+
+
+def _at_limits(arm: Arm, target: Target) -> list[str]:
+    """Name the joints that are at limits of their positions."""
+    if target.q is None:
+        return []
+    positions = arm.positions(target.q)
+    room = np.minimum(positions - arm.limits.lower, arm.limits.upper - positions) / arm.joint_units
+    near = room[arm.columns] < NEAR_LIMIT
+    names = [name for name, at in zip(arm.chain.joints, near, strict=True) if at]
+    if not names:
+        return []
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return [f"at the limit of {', '.join(names[:NAMED])}{more}"]
+
+
+def _touching(arm: Arm, target: Target, scene: Scene | None) -> list[str]:
+    """Say what the arm would touch, or come too near to."""
+    if scene is None or target.q is None:
+        return []
+    around = obstacles_around(scene, arm.chain.base)
+    if around:
+        return [f"in collision: {around[0]} stands where the base of the arm is"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PostureWarning)
+        closest = scene.around(arm).minimum(target.q)
+    if closest.pair is None or closest.distance >= scene.margin:
+        return []
+    body, other = closest.pair
+    if closest.distance < 0.0:
+        return [f"in collision: {body} is {-closest.distance:.3g} m inside {other}"]
+    return [f"nearer than the margin: {body} is {closest.distance:.3g} m from {other}"]

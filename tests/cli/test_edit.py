@@ -1,0 +1,97 @@
+"""`pinposture edit`: what is edited, and how it begins and ends."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+
+import pinposture as pp
+from pinposture.cli.edit import MODULES, read_task
+from pinposture.editor.autosave import autosave_path
+from pinposture.editor.verdict import judge
+from pinposture.errors import FileError, InvalidValue, UnknownName
+
+
+@pytest.fixture(autouse=True)
+def in_a_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_template_begins_with_two_shapes_that_the_arm_can_take(tmp_path):
+    task, path = read_task("RyRz", None, None, None, None)
+    assert (task.arm.n_modules, path) == (MODULES, tmp_path / "ryrz20.toml")
+    assert not path.exists()
+    for keyframe in task.motion:
+        assert judge(task.arm, keyframe, None).target is not None
+    assert np.linalg.norm(task.motion[1].curve.start - task.arm.chain.base) < 1e-12
+
+
+@pytest.mark.parametrize("name", ["RyRz", "RzRy", "Rz", "RzRz", "RzRzRz"])
+@pytest.mark.parametrize("count", [1, 2, 7])
+def test_every_template_can_be_begun_with(name, count):
+    task, _ = read_task(name, None, None, str(count), None)
+    assert task.arm.n_modules == count
+    verdicts = [judge(task.arm, keyframe, None) for keyframe in task.motion]
+    assert all(verdict.target is not None for verdict in verdicts)
+
+
+def test_an_urdf_file_is_named_in_the_task_file(tmp_path):
+    arm = pp.Arm.from_template("RyRz", 6)
+    (tmp_path / "snake.urdf").write_text(arm.urdf)
+    task, path = read_task("snake.urdf", None, None, "2", None)
+    assert path == tmp_path / "snake.toml"
+    task.save(path)
+    assert 'urdf = "snake.urdf"' in path.read_text()
+    again = pp.Task.load(path)
+    assert again.arm.control_points == task.arm.control_points
+    assert [each.curve for each in again.motion] == [each.curve for each in task.motion]
+
+
+def test_a_task_file_is_edited_as_it_is(tmp_path):
+    task, path = read_task("RyRz", None, None, "4", tmp_path / "own.toml")
+    task.save(path)
+    again, same = read_task("own.toml", None, None, None, None)
+    assert same == path
+    assert again.arm.n_modules == 4
+
+
+@pytest.mark.parametrize(
+    ("arguments", "kind", "words"),
+    [
+        (("nothing.toml", None, None, None, None), FileError, "no such file"),
+        (("nothing.urdf", None, None, None, None), FileError, "nothing.urdf"),
+        (("RyRx", None, None, None, None), UnknownName, "did you mean 'RyRz'"),
+        (("RyRz", None, None, "many", None), InvalidValue, "--modules"),
+        (("RyRz", None, "hand", None, None), InvalidValue, "--tip"),
+        (("there.toml", None, None, "3", None), InvalidValue, "the task file says it"),
+        (("RyRz", None, None, None, "there.toml"), FileError, "exists already"),
+    ],
+)
+def test_what_cannot_be_edited_is_refused_by_name(arguments, kind, words, tmp_path):
+    read_task("RyRz", None, None, "3", None)[0].save(tmp_path / "there.toml")
+    *others, save_as = arguments
+    with pytest.raises(kind, match=re.escape(words)):
+        read_task(*others, None if save_as is None else tmp_path / save_as)
+
+
+def test_it_serves_a_page_until_ctrl_c_and_leaves_nothing_behind(tmp_path):
+    pytest.importorskip("viser", reason="viser is not installed")
+    command = [sys.executable, "-m", "pinposture", "edit", "--no-browser", "--port", "8430"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen(command, **pipes, cwd=tmp_path)
+    url = process.stdout.readline().strip()
+    assert "Ctrl-C" in process.stderr.readline()
+    with urlopen(url, timeout=20) as page:
+        assert page.status == 200
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=30)
+    assert (process.returncode, out, err.strip()) == (0, "", "")
+    assert list(tmp_path.iterdir()) == []
+    assert not autosave_path(tmp_path / "ryrz20.toml").exists()

@@ -1,0 +1,88 @@
+"""What the URDF guide says is refused: a case for each message that it shows."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+from arm.describing import HERE, LINK, X, Y, Z, arm_text, joint, limit, links, moving, pairs, robot
+from arm.faults import FAULTS
+
+import pinposture as pp
+
+Load = Callable[[], Any]
+
+ARM = arm_text(pairs(2))
+FORK = robot(
+    links(["base", "left", "right"]) + moving("a", "base", "left") + moving("b", "base", "right", axis=Z)
+)
+FOLLOWER = '<mimic joint="j1" multiplier="1"/>'
+LOCKED = [("revolute", Y, LINK, limit(0, 0)), ("revolute", Z, LINK, limit(0, 0))]
+TWO = links("abc") + moving("j", "a", "b")
+
+
+def loading(text: str, **options: Any) -> Load:
+    """A call that loads an arm."""
+    return lambda: pp.Arm.from_urdf(text, **options)
+
+
+CHAIN: dict[str, Load] = {
+    "several longest chains": loading(FORK),
+    "no moving joint": loading(arm_text(LOCKED)),
+    "a joint that mimics, on the chain": loading(
+        robot(TWO + moving("k", "b", "c", axis=Z, more='<mimic joint="j"/>')), tip="c"
+    ),
+    "a floating joint inside the chain": loading(robot(TWO + joint("k", "b", "c", "floating")), tip="c"),
+    "a planar joint inside the chain": loading(robot(TWO + joint("k", "b", "c", "planar")), tip="c"),
+    "no length": loading(arm_text([("revolute", Y, HERE), ("revolute", Z, HERE)], tip="0 0 0")),
+    "a tip that is not below the base": loading(FORK, base="left", tip="right"),
+    "a link that does not exist": loading(ARM, tip="tipp"),
+    "a base and no tip": loading(ARM, base="l0"),
+    "joints per module that do not divide": loading(ARM, modules=3),
+    "sizes that do not add up": loading(ARM, modules=[2, 1]),
+    "links that are not in order": loading(ARM, modules=["l3", "l2", "tip"]),
+    "links that leave joints over": loading(ARM, tip="tip", modules=["l2", "l3"]),
+    "a locked joint that does not exist": loading(ARM, locked={"j9": 0.0}),
+    "a locked position that is no number": loading(ARM, locked={"j1": "bent"}),
+}
+"""Refused once the file itself has been read: what was asked of it does not fit."""
+
+FILE: dict[str, Load] = {name: loading(fault[0]) for name, fault in FAULTS.items()}
+"""Refused because the description has a fault."""
+
+SETTLED: dict[str, Load] = {
+    "a base that floats": loading(
+        robot(links(["world"]) + joint("free", "world", "l0", "floating") + ARM[len('<robot name="r">') : -8])
+    ),
+    "limits that leave one position": loading(
+        arm_text([*pairs(1), ("revolute", X, LINK, limit(0.5, 0.5)), *pairs(1)])
+    ),
+    "no limits": loading(arm_text([*pairs(1), ("revolute", Y, LINK, limit()), ("revolute", Z, LINK)])),
+    "joints beside the chain": loading(
+        arm_text(pairs(2), extra=links(["jaw"]) + moving("grip", "l2", "jaw", "prismatic"))
+    ),
+    "a follower beside the chain": loading(
+        arm_text(pairs(2), extra=links(["fin"]) + moving("fold", "l2", "fin", more=FOLLOWER))
+    ),
+}
+"""Not refused, but settled with a warning."""
+
+
+def refusal(load: Load) -> str:
+    """What is said as the load is refused; empty if it is not."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            load()
+        except pp.PostureError as error:
+            return str(error)
+    return ""
+
+
+def settlements(load: Load) -> list[str]:
+    """The warnings of a load that is not refused."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        load()
+    return [str(each.message) for each in caught]

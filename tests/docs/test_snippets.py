@@ -1,0 +1,64 @@
+"""Every snippet in Python runs, those of a page one after the other, as a reader would type them."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import pinposture as pp
+from pinposture import view
+
+DOCS = Path(__file__).parents[2] / "docs"
+PAGES = ("index.md", "quickstart.md", "concepts.md", "controllers.md", "urdf.md", "scenes.md", "streaming.md")
+ELSEWHERE = {"tasks.md", "trajectories.md", "physics.md"}  # in tests/test_docs.py
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def fenced(page: Path, language: str) -> list[str]:
+    """The snippets of a page in a language."""
+    return [code for kind, code in FENCE.findall(page.read_text()) if kind == language]
+
+
+@pytest.fixture(autouse=True)
+def in_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(view, "view", lambda *_: None)
+
+
+def test_no_page_with_snippets_is_forgotten() -> None:
+    with_python = {page.name for page in DOCS.glob("*.md") if fenced(page, "python")}
+    assert with_python == {*PAGES, *ELSEWHERE}
+    for page in DOCS.rglob("*.md"):
+        assert all(kind for kind, _ in FENCE.findall(page.read_text())), f"{page.name}: say the language"
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_the_snippets_of_a_page_run(page: str, capsys: pytest.CaptureFixture) -> None:
+    names: dict[str, Any] = {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", pp.PostureWarning)
+        for code in fenced(DOCS / page, "python"):
+            exec(compile(code, page, "exec"), names)
+    printed = capsys.readouterr().out
+    assert printed
+    assert "nan" not in printed
+    for shown in fenced(DOCS / page, "text"):
+        assert shown in printed
+    if "run" in names:
+        assert names["run"].converged
+
+
+def test_the_scene_file_is_one_with_every_kind_of_obstacle(tmp_path: Path) -> None:
+    (text,) = fenced(DOCS / "scenes.md", "toml")
+    (tmp_path / "scene.toml").write_text(text)
+    scene = pp.Scene.load(tmp_path / "scene.toml")
+    assert (scene.margin, scene.self_collision) == (0.01, True)
+    kinds = {each.type for each in scene.obstacles.values()}
+    assert kinds == {"cylinder", "sphere", "capsule", "box", "half_space"}  # and a mesh needs a file
+    (radius,) = re.findall(r"^# (arm_radius = \S+)", text, re.MULTILINE)
+    (tmp_path / "scene.toml").write_text(f"{radius}\n{text}")
+    assert pp.Scene.load(tmp_path / "scene.toml").arm_radius == 0.012

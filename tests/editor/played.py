@@ -1,0 +1,94 @@
+"""What the tests of rehearsal, playback and export share: a motion, a clock that is set by hand."""
+
+from __future__ import annotations
+
+import time
+from functools import cache
+
+import numpy as np
+
+import pinposture as pp
+from pinposture.editor.live import Live
+from pinposture.editor.rehearsal import Rehearsal, Rehearsed
+from pinposture.editor.session import Session
+from pinposture.editor.solver import Solver
+from pinposture.motion import Motion, Trajectory
+from pinposture.task import Keyframe, Task
+
+ARM = pp.Arm.from_template("RyRz", modules=4)
+L = ARM.length
+STRAIGHT = pp.Curve.line((0.0, 0.0, 0.0), (L, 0.0, 0.0))
+BENT = pp.Curve.spline(
+    L * np.array([(0, 0, 0), (0.4, 0, 0), (0.7, 0.1, 0.1), (1.0, 0.2, 0.1), (1.4, 0.2, 0)])
+)
+SHORT = pp.Curve.line((0.0, 0.0, 0.0), (0.5 * L, 0.0, 0.0))
+LIMITS = pp.Limits(dt=0.02, velocity=3.0, acceleration=20.0)
+
+
+class Clock:
+    """A clock that only goes when it is told to."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def short(**values: object) -> Task:
+    """A task of two keyframes."""
+    frames = (Keyframe(STRAIGHT), Keyframe(BENT, time=1.0, trim=True))
+    return Task(**({"arm": ARM, "motion": frames, "limits": LIMITS, "name": "short"} | values))  # type: ignore[arg-type]
+
+
+@cache
+def moved() -> Motion:
+    """The motion of such a task."""
+    return short().perform()
+
+
+def done(rehearsal: Rehearsal, task: Task, patience: float = 60.0) -> Rehearsed:
+    """What came of a task, waited for."""
+    end = time.monotonic() + patience
+    while (found := rehearsal.of(task)) is None:
+        assert time.monotonic() < end, "nothing came of the task"
+        time.sleep(0.005)
+    return found
+
+
+def live_of(session: Session) -> Live:
+    """The arm of a session before anything moved."""
+    return Solver(session.problem, session.arm.straight()).live
+
+
+def by_hand(arm: pp.Arm, q: np.ndarray, off: np.ndarray, dt: float = 0.1) -> Motion:
+    """A motion through configurations (N, nq), whose points miss their targets by `off`, (N, m, 3)."""
+    rows, m = len(q), arm.n_modules
+    points = np.array([arm.at(row).points for row in q])
+    target = pp.Target(points[-1], np.ones(m))
+    steps = rows - 1
+    run = Trajectory(
+        arm=arm,
+        target=target,
+        controller="qp",
+        limits=pp.Limits(step=None, dt=dt, velocity=2.0),
+        status="converged",
+        reason="",
+        q=q,
+        points=points,
+        point_errors=np.linalg.norm(off, axis=2),
+        active=np.ones((steps, m), dtype=np.bool_),
+        index=np.ones(steps),
+        sigma_min=np.ones(steps),
+        sigma_max=np.ones(steps),
+        rows=np.full(steps, 3 * m),
+        scale=np.ones(steps),
+        clipped=np.zeros((steps, arm.nv), dtype=np.bool_),
+        method=np.full(steps, ""),
+        switched=np.full(steps, ""),
+        escape=np.zeros(steps, dtype=np.bool_),
+        relaxed=np.full(steps, ""),
+        clearance=np.full(rows, np.inf),
+    )
+    asked = np.ones((rows, m), dtype=np.bool_)
+    return Motion(run, points + off, asked, dt * np.arange(rows), 0, dt * steps)

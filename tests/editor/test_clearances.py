@@ -1,0 +1,130 @@
+"""The clearance that the editor tells, against distances by hand; its thread; the pace of new scenes."""
+
+from __future__ import annotations
+
+import time
+from functools import partial
+
+import numpy as np
+import pytest
+from editor.edited_tasks import ARM, task
+
+import pinposture as pp
+from pinposture.editor.clearances import Asked, Clearances, Nearest, nearest
+from pinposture.editor.obstacle_edits import rearrange
+from pinposture.editor.obstacle_handles import moved
+from pinposture.editor.session import Session
+from pinposture.editor.solver import Solver
+from pinposture.editor.surroundings import Surroundings
+from pinposture.scene.scan import Scan
+
+Q = ARM.straight()
+THICK = 0.01
+
+
+def until(holds, seconds=20.0):
+    """Wait for something that a thread is to bring about."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if holds():
+            return True
+        time.sleep(0.01)
+    return False
+
+
+def beside(height: float, radius: float = 0.02) -> pp.Scene:
+    """A ball above the middle of the straight arm, whose links are taken for bars of `THICK`."""
+    middle = np.array([0.5 * ARM.length, 0.0, height])
+    return pp.Scene({"ball": pp.Sphere(middle, radius)}, margin=0.03, arm_radius=THICK)
+
+
+@pytest.mark.parametrize("height, level", [(0.2, "clear"), (0.05, "within the margin"), (0.025, "inside")])
+def test_distance_and_ends_of_the_line(height, level):
+    found = nearest(Asked(ARM, Q, beside(height), {}))
+    assert found.distance == pytest.approx(height - 0.02 - THICK, abs=1e-6)
+    assert found.other == "ball"
+    assert found.level == level
+    np.testing.assert_allclose(found.on_arm, [0.5 * ARM.length, 0, THICK], atol=1e-6)
+    np.testing.assert_allclose(found.on_other, [0.5 * ARM.length, 0, height - 0.02], atol=1e-6)
+
+
+def test_links_near_each_other_do_not_hide_obstacles():
+    scene = pp.Scene(beside(0.2).obstacles, self_collision=True, arm_radius=THICK)
+    assert nearest(Asked(ARM, Q, scene, {})).other == "ball"
+
+
+def test_without_anything_around_there_is_no_clearance():
+    assert nearest(Asked(ARM, Q, None, {})) is None
+    assert nearest(Asked(ARM, Q, pp.Scene(self_collision=True), {})) is None
+
+
+def test_a_scan_that_is_nearer_counts_but_has_no_margin():
+    cloud = Scan(np.array([[0.5 * ARM.length, 0.0, -0.04], [5.0, 5.0, 5.0]]))
+    found = nearest(Asked(ARM, Q, beside(0.2), {"room.ply": cloud}))
+    assert found.scanned
+    assert (found.other, found.margin, found.level) == ("room.ply", 0.0, "clear")
+    assert found.distance == pytest.approx(0.04 - THICK, abs=1e-6)
+    np.testing.assert_allclose(found.on_other, [0.5 * ARM.length, 0, -0.04], atol=1e-6)
+    assert nearest(Asked(ARM, Q, beside(0.05), {"room.ply": cloud})).other == "ball"
+
+
+def test_the_last_that_was_asked_wins_and_no_thread_is_left():
+    clearances = Clearances()
+    assert clearances.latest is None
+    for height in (0.5, 0.4, 0.3, 0.2):
+        clearances.ask(Asked(ARM, Q, beside(height), {}))
+    assert until(lambda: clearances.latest and abs(clearances.latest.distance - (0.18 - THICK)) < 1e-6)
+    thread = clearances._thread
+    clearances.close()
+    assert not thread.is_alive()
+
+
+def test_what_cannot_be_told_ends_no_thread():
+    clearances = Clearances()
+    clearances.ask(Asked(ARM, np.full(ARM.nq, np.nan), beside(0.2), {}))
+    clearances.ask(Asked(ARM, Q, beside(0.2), {}))
+    assert until(lambda: clearances.latest is not None)
+    clearances.close()
+
+
+def test_a_dragged_obstacle_reaches_solver_and_clearance_before_the_drag_ends():
+    session = Session(task(scene=beside(0.3)))
+    solver = Solver(session.problem, session.arm.straight())
+    surroundings, asked = Surroundings(lambda request, key="": request(session)), [session.number]
+    solver.start()
+
+    def turn() -> None:  # what the loop does
+        surroundings.watch(session, solver.live)
+        if session.number != asked[-1]:
+            asked.append(session.number)
+            solver.ask(session.problem)
+        time.sleep(0.005)
+
+    def told() -> bool:
+        turn()
+        return solver.live.number == session.number and session.number == session.proposal.number
+
+    try:
+        for step in range(1, 41):
+            shift = np.array([0.0, 0.0, -0.001 * step])
+            rearrange("ball", partial(_shift, shift), "moved ball", False, session)
+            turn()
+        assert len(asked) < 20  # 40 moves, but not 40 scenes
+        assert until(told)
+        assert solver.live.number > 1
+        assert session.task.scene.obstacles["ball"].center[2] == pytest.approx(0.3)
+        assert session.problem.scene.obstacles["ball"].center[2] == pytest.approx(0.26)
+    finally:
+        surroundings.close()
+        solver.close()
+
+
+def test_nearest_tells_how_it_is():
+    at = np.zeros(3)
+    assert Nearest(-1e-9, "a", "b", at, at, 0.0).level == "inside"
+    assert Nearest(0.0, "a", "b", at, at, 0.01).level == "within the margin"
+    assert Nearest(0.01, "a", "b", at, at, 0.01).level == "clear"
+
+
+def _shift(shift, obstacle):
+    return moved(obstacle, shift)

@@ -1,0 +1,68 @@
+"""What is taken away loads again, and is the motion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from played import ARM, moved
+
+from pinposture.editor.exports import KINDS, exported
+from pinposture.errors import UnknownName
+from pinposture.motion import JointTrajectory, Motion
+
+
+def test_the_archive_is_the_motion(tmp_path: Path) -> None:
+    made = exported(moved(), "npz", "walk")
+    assert made.name == "walk.npz"
+    (tmp_path / made.name).write_bytes(made.content)
+    loaded = Motion.load(tmp_path / made.name)
+    for field in ("q", "targets", "clock", "mean_error"):
+        np.testing.assert_array_equal(getattr(loaded, field), getattr(moved(), field))
+    assert [place.name for place in loaded.passed] == [place.name for place in moved().passed]
+
+
+@pytest.mark.parametrize("kind", ["CSV", "ROS JSON"])
+def test_joints_come_back_at_their_times(tmp_path: Path, kind: str) -> None:
+    made = exported(moved(), kind, "walk")
+    (tmp_path / made.name).write_bytes(made.content)
+    loaded = JointTrajectory.load(tmp_path / made.name, ARM)
+    still = np.concatenate([moved().q[:1], moved().q, moved().q[-1:]])  # a cycle at rest before and after
+    np.testing.assert_allclose(loaded.configurations(ARM), still, atol=1e-12)
+    np.testing.assert_allclose(np.diff(loaded.time), moved().dt, atol=2e-9)
+
+
+def test_the_picture_is_one(tmp_path: Path) -> None:
+    made = exported(moved(), "Picture", "walk")
+    assert made.name == "walk.png"
+    assert made.content.startswith(b"\x89PNG\r\n\x1a\n")
+    assert int.from_bytes(made.content[16:20], "big") == 1200  # as wide as `plot` says
+
+
+def test_the_animation_is_a_page_by_itself() -> None:
+    made = exported(moved(), "Animation", "walk")
+    text = made.content.decode()
+    assert made.name == "walk.html"
+    assert text.lstrip().lower().startswith("<!doctype html>")
+    assert text.rstrip().endswith("</html>")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_it_is_told_what_was_written_and_how_long_the_motion_is(kind: str) -> None:
+    made = exported(moved(), kind, "walk")
+    assert made.told.startswith(f"{made.name}: ")
+    assert f"{moved().time[-1]:.4g} s, {moved().steps} cycles" in made.told
+    assert f"{len(made.content) / 1000.0:,.0f} kB" in made.told
+
+
+@pytest.mark.parametrize(
+    ("stem", "name"), [("my walk/2", "my_walk_2.csv"), ("../..", "motion.csv"), ("", "motion.csv")]
+)
+def test_names_of_files_are_plain(stem: str, name: str) -> None:
+    assert exported(moved(), "CSV", stem).name == name
+
+
+def test_other_kinds_are_refused() -> None:
+    with pytest.raises(UnknownName, match="kind of export"):
+        exported(moved(), "gif", "walk")

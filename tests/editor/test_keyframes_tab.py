@@ -1,0 +1,124 @@
+"""What the tab for keyframes asks of a session, and how it says what there is; without a page."""
+
+from __future__ import annotations
+
+import pytest
+from edited_tasks import BENT, STRAIGHT, task
+
+import pinposture as pp
+from pinposture.editor import edits
+from pinposture.editor.session import Session
+from pinposture.task import Keyframe
+
+pytest.importorskip("viser")
+
+from pinposture.editor.page import keyframes_tab as tab
+from pinposture.editor.page import typed
+
+
+def names(session: Session) -> list[str]:
+    return [keyframe.name for keyframe in edits.keyframes_of(session.task)]
+
+
+def test_add_goes_on_with_the_new_one_and_delete_with_the_one_before() -> None:
+    session = Session(task(), selected=1)
+    tab.add(session)
+    assert (session.selected, len(names(session))) == (2, 5)
+    assert session.keyframe.curve is BENT
+    tab.rename(2, "twice", session)
+    assert names(session) == ["straight", "", "twice", "coil", ""]
+    tab.delete(session)
+    assert (session.selected, names(session)) == (1, ["straight", "", "coil", ""])
+    for _ in range(3):
+        session.undo()
+    assert session.task.motion == task().motion
+
+
+def test_moving_goes_along_and_stops_at_the_ends() -> None:
+    session = Session(task(), selected=2)
+    tab.move(-1, session)
+    tab.move(-1, session)
+    assert (session.selected, names(session)[0]) == (0, "coil")
+    before = session.task
+    tab.move(-1, session)
+    assert session.task is before
+    assert session.selected == 0
+    assert session.notice.kind == "error"
+
+
+def test_a_method_waits_for_the_arm() -> None:
+    session = Session(task(), selected=1)
+    tab.choose_method("closest", session)
+    assert session.proposal is not None
+    assert session.keyframe.method == "closest"
+    assert session.task.motion[1].method == "auto"  # type: ignore[index]
+
+
+def test_rows_say_number_name_and_time() -> None:
+    frames, times = edits.keyframes_of(task()), [0.0, 1.0, 3.125, 12.5]
+    rows = [tab.row_label(frames, times, index) for index in range(4)]
+    assert rows[0].split() == ["1", "straight", "·", "0", "s"]
+    assert rows[1].split() == ["2", "·", "1", "s"]
+    assert rows[2].split() == ["3", "coil", "·", "3.125", "s"]
+    assert rows[3].split() == ["4", "·", "12.5", "s"]
+
+
+def test_what_else_is_asked_is_said() -> None:
+    assert tab.about(Keyframe(STRAIGHT)) == ""
+    region = tab.about(Keyframe(STRAIGHT, region=(0, 3)))
+    assert "Only control points 1 to 4 have to take the shape." in region
+    tip = pp.EndEffector(position=(0.1, 0.25, -1.0), strict=True)
+    assert "The tip is asked to be at (0.1, 0.25, -1) m, strictly." in tab.about(Keyframe(STRAIGHT, tip=tip))
+    named = tab.about(Keyframe(STRAIGHT, tip=pp.EndEffector(position=(0, 0, 0), point="<b>", weight=2.0)))
+    assert "&lt;b&gt;" in named
+    assert "with weight 2." in named
+
+
+class Field:
+    """A field as the page has it, typed into by `type`."""
+
+    def __init__(self, value: object) -> None:
+        self.value, self.disabled = value, False
+
+    def on_update(self, call: object) -> None:
+        self.call = call
+
+    def type(self, value: object) -> None:
+        self.value = value
+        event = type("Event", (), {"client_id": 1})()
+        with pytest.raises(StopIteration):
+            self.call(event).send(None)  # type: ignore[operator]
+
+
+def test_what_is_typed_counts_when_the_hand_rests(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, told = [100.0], []
+    monkeypatch.setattr(typed.time, "monotonic", lambda: now[0])
+    control = Field(3.0)
+    field = typed.Typed(control, told.append)
+    for key in (1.0, 12.0, 12.5):
+        control.type(key)
+        now[0] += 0.5 * typed.PAUSE
+        field.show(3.0)
+        assert (control.value, told) == (key, [])  # nobody writes into it
+    now[0] += typed.PAUSE
+    field.show(3.0)
+    assert told == [12.5]
+    field.show(3.0)  # it was refused
+    assert (control.value, told) == (3.0, [12.5])
+
+
+def test_what_is_typed_counts_before_something_else_is_done_or_is_dropped() -> None:
+    told: list[object] = []
+    control = Field("coil")
+    field = typed.Typed(control, told.append)
+    field.show("coil")
+    field.finish()
+    assert told == []
+    control.type("spring")
+    field.finish()
+    field.finish()
+    assert told == ["spring"]
+    control.type("ring")
+    field.forget()
+    field.show("spring")
+    assert (control.value, told) == ("spring", ["spring"])

@@ -1,0 +1,332 @@
+"""The scene in the page: what its controls and nodes show of a session, what they ask of it. No browser."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+import time
+from types import SimpleNamespace
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+pytest.importorskip("viser", reason="viser is not installed")
+
+import viser
+from editor.edited_tasks import ARM, task
+
+import pinposture as pp
+from pinposture.editor.clearances import Nearest
+from pinposture.editor.obstacle_edits import obstacles_of, select_obstacle, take_in
+from pinposture.editor.page import typing_in
+from pinposture.editor.page.clearance import ClearanceLine, clearance_text
+from pinposture.editor.page.measured import MeasuredArm
+from pinposture.editor.page.obstacles import Obstacles
+from pinposture.editor.page.part import color
+from pinposture.editor.page.scans import ScanControls, Scans
+from pinposture.editor.page.scene_tab import SceneTab
+from pinposture.editor.scan_shelf import ScanShelf
+from pinposture.editor.session import Session
+from pinposture.view import palette
+
+LIVE = SimpleNamespace(arm=ARM, state=ARM.at(ARM.straight()), target=None)
+
+BALL = pp.Sphere((0.3, 0.2, 0.1), 0.05)
+BOX = pp.Box((0.2, -0.3, 0.1), (0.1, 0.2, 0.3), (0.0, 0.0, np.pi / 2))
+FLOOR = pp.HalfSpace((0, 0, -0.2), (0, 0, 1))
+ROD = pp.Cylinder((0.1, 0.4, 0.0), (0.1, 0.4, 0.3), 0.02)
+
+
+@pytest.fixture(scope="module")
+def server():
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    logging.getLogger("websockets.server").setLevel(logging.WARNING)
+    made = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
+    yield made
+    made.stop()
+
+
+@pytest.fixture
+def desk(server):
+    """A session with obstacles, and requests that are done at once."""
+    scene = pp.Scene({"ball": BALL, "box": BOX, "floor": FLOOR, "rod": ROD})
+    session = Session(task(scene=scene))
+    yield session, lambda request, key="": request(session)
+    server.gui.reset()
+    server.scene.reset()
+
+
+def event(**values):
+    return SimpleNamespace(client_id=1, **values)
+
+
+def test_every_obstacle_is_drawn_where_it_is(server, desk):
+    session, post = desk
+    drawing = Obstacles(server, ARM, post)
+    drawing.show(session, LIVE)
+    assert set(drawing._drawn) == {"ball", "box", "floor", "rod"}
+    handle = drawing._drawn["box"].handle
+    np.testing.assert_allclose(handle.position, BOX.center)
+    np.testing.assert_allclose(np.abs(handle.wxyz), np.sqrt([0.5, 0, 0, 0.5]), atol=1e-9)
+    np.testing.assert_allclose(np.ptp(handle.vertices, axis=0), BOX.size, atol=1e-6)
+    floor = drawing._drawn["floor"].handle
+    assert floor.position[2] == pytest.approx(-0.2)
+    assert floor.vertices[:, 2].max() == pytest.approx(0.0, abs=1e-9)  # all of the plate is below its surface
+    assert tuple(handle.color) == color(palette.OBSTACLE)
+    assert handle.opacity == palette.SEE_THROUGH
+
+
+def test_only_what_is_selected_has_axes_and_handles(server, desk):
+    session, post = desk
+    drawing = Obstacles(server, ARM, post)
+    drawing.show(session, LIVE)
+    assert not drawing._axes.visible
+    counts = {"ball": 1, "box": 3, "floor": 1, "rod": 3}
+    for name, count in counts.items():
+        asyncio.run(drawing._on_click(name, None))
+        drawing.show(session, LIVE)
+        assert session.obstacle == name
+        assert drawing._axes.visible
+        assert [ball.visible for ball in drawing._balls] == [k < count for k in range(3)]
+        assert drawing._axes.disable_rotations == (name == "ball")
+        assert tuple(drawing._drawn[name].handle.color) != color(palette.OBSTACLE)
+    session.handle = 1  # a hand at the curve
+    drawing.show(session, LIVE)
+    assert not drawing._axes.visible
+    assert not any(ball.visible for ball in drawing._balls)
+
+
+def test_a_drag_moves_by_as_much_as_the_mouse_and_is_one_step(server, desk):
+    session, post = desk
+    drawing = Obstacles(server, ARM, post)
+    drawing.show(session, LIVE)
+    grip = np.array(BALL.center) + (0.0, -0.05, 0.0)
+    states = len(session.history._states)
+    for phase, by in (("start", 0.0), ("update", 0.01), ("update", 0.02), ("end", 0.03)):
+        end = grip + np.array([by, 0.0, 0.0])
+        asyncio.run(drawing._on_drag("ball", event(phase=phase, start_position=grip, end_position=end)))
+        drawing.show(session, LIVE)
+        np.testing.assert_allclose(drawing._drawn["ball"].handle.position, BALL.center + np.array([by, 0, 0]))
+    assert len(session.history._states) == states + 1
+    assert obstacles_of(session.task)["ball"].center == pytest.approx((0.33, 0.2, 0.1))
+    assert not drawing._taken
+
+
+def test_axes_move_and_turn_in_one_step(server, desk):
+    session, post = desk
+    drawing = Obstacles(server, ARM, post)
+    select_obstacle("rod", session)
+    drawing.show(session, LIVE)
+    drawing._axes.position = (0.1, 0.4, 0.25)
+    drawing._axes.wxyz = np.sqrt([0.5, 0.5, 0, 0])  # by a quarter about x: the axis goes to -y
+    for phase in ("start", "update", "end"):
+        asyncio.run(drawing._on_axes(event(phase=phase)))
+    rod = obstacles_of(session.task)["rod"]
+    np.testing.assert_allclose([rod.start, rod.end], [(0.1, 0.55, 0.25), (0.1, 0.25, 0.25)], atol=1e-6)
+    assert session.history.undoable == "moved rod"
+    session.undo()
+    assert obstacles_of(session.task)["rod"] == ROD
+
+
+def test_values_of_ours_at_the_axes_ask_for_nothing(server, desk):
+    session, post = desk
+    drawing = Obstacles(server, ARM, post)
+    select_obstacle("box", session)
+    drawing.show(session, LIVE)
+    before = session.task
+    asyncio.run(drawing._on_axes(SimpleNamespace(client_id=None, phase="update")))
+    asyncio.run(drawing._on_axes(event(phase="update")))  # nobody has taken hold of them
+    assert session.task is before
+    assert session.proposal is None
+
+
+def test_another_kind_under_the_same_name_is_drawn_anew(server, desk):
+    session, post = desk
+    drawing = Obstacles(server, ARM, post)
+    drawing.show(session, LIVE)
+    session.edit(lambda t: t.edited(scene=pp.Scene({"ball": FLOOR})), "another")
+    drawing.show(session, LIVE)
+    assert set(drawing._drawn) == {"ball"}
+    assert drawing._drawn["ball"].look == ("half_space",)
+
+
+def test_the_tab_shows_what_the_selected_obstacle_has(server, desk, tmp_path):
+    session, post = desk
+    tab = SceneTab(server, ScanShelf(post), post)
+    shown = {
+        "ball": {"center", "radius"},
+        "box": {"center", "size", "rotation"},
+        "floor": {"point", "normal"},
+        "rod": {"start", "end", "radius"},
+    }
+    for name, keys in shown.items():
+        select_obstacle(name, session)
+        tab.show(session, LIVE)
+        visible = {key for key, typed in tab._vectors.items() if typed.control.visible}
+        assert visible | ({"radius"} if tab._radius.control.visible else set()) == keys
+        assert tab._called.control.value == name
+    select_obstacle("box", session)
+    tab.show(session, LIVE)
+    assert tab._vectors["rotation"].control.value == pytest.approx((0, 0, 90))
+    assert tab._vectors["center"].control.value == pytest.approx(BOX.center)
+    select_obstacle(None, session)
+    tab.show(session, LIVE)
+    assert not tab._delete.visible
+    assert tuple(tab._chosen.options) == ("none", "ball", "box", "floor", "rod")
+
+
+def test_what_is_typed_is_seen_at_once_and_counts_when_it_is_over(server, desk, monkeypatch):
+    session, post = desk
+    tab = SceneTab(server, ScanShelf(post), post)
+    select_obstacle("ball", session)
+    tab.show(session, LIVE)
+    clock = [100.0]
+    monkeypatch.setattr(typing_in.time, "monotonic", lambda: clock[0])
+    states = len(session.history._states)
+    for radius in (0.0, 0.03, 0.035):  # "0.035", key by key
+        tab._radius._changed(radius)
+        clock[0] += 0.2
+        tab.show(session, LIVE)
+    assert len(session.history._states) == states
+    assert obstacles_of(session.shown)["ball"].radius == 0.035
+    clock[0] += typing_in.QUIET
+    tab.show(session, LIVE)
+    assert obstacles_of(session.task)["ball"].radius == 0.035
+    assert len(session.history._states) == states + 1
+
+
+def test_what_is_refused_returns_to_what_it_was(server, desk, monkeypatch):
+    session, post = desk
+    tab = SceneTab(server, ScanShelf(post), post)
+    select_obstacle("ball", session)
+    tab.show(session, LIVE)
+    clock = [100.0]
+    monkeypatch.setattr(typing_in.time, "monotonic", lambda: clock[0])
+    tab._vectors["center"].control.value = (0.0, 0.0, 0.0)
+    tab._vectors["center"]._changed((0.0, 0.0, 0.0))  # where the base is
+    clock[0] += 2.0
+    tab.show(session, LIVE)
+    tab.show(session, LIVE)
+    assert tab._vectors["center"].control.value == pytest.approx(BALL.center)
+    assert "base" in session.notice.text
+
+
+def test_margin_self_collision_and_thickness(server, desk, monkeypatch):
+    session, post = desk
+    tab = SceneTab(server, ScanShelf(post), post)
+    tab._margin_typed(0.02, True)
+    tab._thickness_typed(0.015, True)
+    tab._itself_too(True)
+    scene = session.task.scene
+    assert (scene.margin, scene.arm_radius, scene.self_collision) == (0.02, 0.015, True)
+    assert obstacles_of(session.task)["rod"] == ROD
+    tab._thickness_typed(0.0, True)
+    assert session.task.scene.arm_radius is None
+    before = session.task
+    tab._margin_typed(-1.0, True)
+    assert session.task is before
+    tab.show(session, LIVE)
+    assert tab._margin.control.value == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize(
+    "distance, shade, words",
+    [
+        (0.02, palette.REGULAR, "20 mm from link to ball"),
+        (0.004, palette.ACTIVE, "less than the margin of 5 mm"),
+        (-0.003, palette.MARK, "3 mm inside ball"),
+    ],
+)
+def test_the_line_is_coloured_by_how_near_it_is(server, desk, distance, shade, words):
+    session, _ = desk
+    line = ClearanceLine(server, ARM)
+    ends = np.array([[0.1, 0.0, 0.0], [0.1, 0.0, 0.02]])
+    session.nearest = Nearest(distance, "link", "ball", *ends, 0.005)
+    line.show(session, LIVE)
+    assert line._line.visible
+    np.testing.assert_allclose(line._line.points[0], ends, atol=1e-6)
+    assert tuple(line._line.colors[0, 0]) == color(shade)
+    assert words in clearance_text(session.nearest)
+    session.nearest = None
+    line.show(session, LIVE)
+    assert not line._line.visible
+
+
+def test_scans_are_drawn_as_points_or_as_a_surface(server, desk, tmp_path):
+    session, post = desk
+    requests: list = []
+    shelf = ScanShelf(lambda request, key="": requests.append(request))
+    points, mesh = tmp_path / "points.npy", tmp_path / "surface.obj"
+    np.save(points, np.random.default_rng(0).uniform(1, 2, (50, 3)))
+    mesh.write_text("v 1 0 1\nv 2 0 1\nv 1 1 1\nf 1 2 3\n")
+    session.edit(lambda t: t.edited(scans=(points, mesh)), "opened")
+    drawing, controls = Scans(server, ARM, shelf), ScanControls(server, shelf, post)
+    end = time.monotonic() + 20.0
+    while len(drawing._drawn) < 2 and time.monotonic() < end:
+        drawing.show(session, LIVE)
+        time.sleep(0.01)
+    assert isinstance(drawing._drawn[points][1], viser.PointCloudHandle)
+    assert isinstance(drawing._drawn[mesh][1], viser.MeshHandle)
+    controls.show(session)
+    assert tuple(controls._listed.options) == ("points.npy", "surface.obj")
+    controls._listed.value = "surface.obj"
+    controls._removed("Remove")
+    assert session.task.scans == (points,)
+    drawing.show(session, LIVE)
+    assert list(drawing._drawn) == [points]
+    shelf.close()
+
+
+class Measured(NamedTuple):
+    q: np.ndarray
+    age: float
+    count: int
+    complaint: str
+
+
+def test_a_measured_arm_stands_where_it_is_measured(server, desk):
+    session, _ = desk
+    states = SimpleNamespace(arm=ARM, latest=Measured(ARM.straight(), 0.0, 0, ""))
+    part = MeasuredArm(server, ARM, states)
+    part.show(session, LIVE)
+    assert "no joint states" in part._about.content
+    assert not part._drawing._base.visible
+    q = np.full(ARM.nq, 0.1)
+    states.latest = Measured(q, 3.0, 1, "line 7: nonsense")
+    part.show(session, LIVE)
+    away = np.linalg.norm(ARM.at(q).points - LIVE.state.points, axis=1).mean()
+    assert f"{1000 * away:.3g} mm from the plan" in part._about.content
+    assert "3 s old" in part._about.content
+    assert "line 7: nonsense" in part._about.content
+    assert part._drawing._base.visible
+    np.testing.assert_allclose(part._drawing._q, q)
+
+
+def test_without_joint_states_nothing_is_shown(server, desk):
+    session, _ = desk
+    MeasuredArm(server, ARM, None).show(session, LIVE)
+    other = SimpleNamespace(arm=pp.Arm.from_template("RyRz", modules=2))  # and nothing else: it is not asked
+    MeasuredArm(server, ARM, other).show(session, LIVE)
+    assert not [name for name in server.scene._handle_from_node_name if name.startswith("/measured")]
+
+
+def test_a_mesh_is_drawn_where_its_corners_are(server, desk):
+    session, post = desk
+    corners = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]) + 0.5
+    mesh = pp.Mesh(corners, (0.1, 0.0, 0.0), (0.3, 0.0, 0.0))
+    take_in("part", mesh, session)
+    drawing = Obstacles(server, ARM, post)
+    drawing.show(session, LIVE)
+    handle = drawing._drawn["part"].handle
+    w, x, y, z = handle.wxyz
+    turn = pp.Box((0, 0, 0), (1, 1, 1), (0.3, 0, 0)).rotation
+    assert (w, x, y, z) == pytest.approx((np.cos(0.15), np.sin(0.15), 0.0, 0.0))
+    drawn = handle.vertices @ np.array(turn).T + handle.position
+    expected = np.array(mesh.vertices) @ np.array(turn).T + mesh.center
+    gaps = np.linalg.norm(drawn[:, None] - expected[None], axis=2)
+    assert gaps.min(axis=1).max() < 1e-5
+    assert gaps.min(axis=0).max() < 1e-5

@@ -1,0 +1,213 @@
+"""Shapes: what keeps of them however they are pulled about, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from edited_tasks import ARM, BENT, COIL, STRAIGHT, L
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+import pinposture as pp
+from pinposture.editor.shape import APART, DEGREE, FINE, MOST_POINTS, Shape
+from pinposture.editor.verdict import judge
+from pinposture.errors import CurveError, InvalidValue, PostureError
+from pinposture.target import resolve_targets
+from pinposture.target.placement import lay
+from pinposture.task import Keyframe
+
+AWAY = pin.SE3(pin.exp3(np.array([0.3, -0.5, 0.9])), np.array([0.7, -0.4, 1.1]))
+PLANAR = pp.Arm.from_template("Rz", modules=5, base_placement=AWAY)
+SPATIAL = pp.Arm.from_template("RyRz", modules=5, base_placement=AWAY)
+ARMS = {"at the origin": ARM, "elsewhere": SPATIAL, "planar, elsewhere": PLANAR}
+
+coordinates = st.floats(-1.5, 1.5)
+moves = st.tuples(
+    st.sampled_from(["move", "insert", "remove"]),
+    st.integers(0, 9),
+    st.tuples(coordinates, coordinates, coordinates),
+)
+
+
+def length_of(curve: pp.Curve, pieces: int = 20_000) -> float:
+    """Its length, by a fine polygon: never more than it is."""
+    knots = np.linspace(0.0, curve.length, pieces + 1)
+    return float(np.linalg.norm(np.diff(curve.at(knots), axis=0), axis=1).sum())
+
+
+@pytest.mark.parametrize("where", ARMS)
+@given(st.lists(moves, min_size=1, max_size=8))
+@settings(max_examples=40)
+def test_it_begins_at_the_base_and_is_never_shorter_than_the_arm(where: str, listed: list[tuple]) -> None:
+    arm = ARMS[where]
+    shape = Shape.of(arm, Keyframe(pp.Curve.line((0, 0, 0), (arm.length, 0, 0))))
+    degree = shape.degree
+    for kind, index, place in listed:
+        before = shape.points.copy()
+        try:
+            if kind == "move":
+                after = shape.moved(arm, index, arm.chain.base + arm.length * np.array(place))
+            else:
+                after = shape.inserted(arm, index) if kind == "insert" else shape.removed(arm, index)
+        except (CurveError, InvalidValue):
+            after = shape
+        assert np.array_equal(shape.points, before)
+        shape = after
+        assert shape.degree == degree
+        assert len(shape.points) > degree
+        assert np.allclose(shape.points[0], arm.chain.base, atol=1e-12)
+        if kind == "move" and shape.points is not before:
+            assert np.allclose(shape.curve.start, arm.chain.base, atol=1e-9 * arm.length)
+        if not np.array_equal(shape.points, before):
+            assert length_of(shape.curve) >= arm.length
+        assert np.all(np.isfinite(shape.points))
+
+
+@given(st.integers(1, 3), st.tuples(coordinates, coordinates, coordinates))
+def test_a_moved_point_is_where_it_was_put_and_the_others_stay_but_for_the_last(
+    index: int, place: tuple[float, float, float]
+) -> None:
+    shape = Shape.of(ARM, Keyframe(BENT))
+    wanted = L * np.array(place)
+    rest = np.delete(shape.points, index, axis=0)
+    assume(np.linalg.norm(rest - wanted, axis=1).min() > 1.001 * APART * ARM.chain.module_lengths.min())
+    after = shape.moved(ARM, index, wanted)
+    assert np.array_equal(after.points[index], wanted)
+    assert np.array_equal(np.delete(after.points, index, axis=0)[:-1], rest[:-1])
+    ahead, moved = shape.points[-1] - after.points[-2], after.points[-1] - shape.points[-1]
+    assert np.allclose(np.cross(ahead, moved), 0.0, atol=1e-9)  # straight ahead, if at all
+    assert ahead @ moved >= 0.0
+
+
+def test_a_point_in_the_middle_stands_half_way() -> None:
+    shape = Shape.of(ARM, Keyframe(BENT))
+    after = shape.inserted(ARM, 1)
+    assert np.allclose(after.points[2], 0.5 * (shape.points[1] + shape.points[2]))
+    assert np.array_equal(np.delete(after.points, 2, axis=0), shape.points)
+    assert np.array_equal(after.removed(ARM, 2).points, shape.points)
+    longer = shape.inserted(ARM, len(shape.points) - 1)
+    assert np.allclose(longer.points[-1], 1.5 * shape.points[-1] - 0.5 * shape.points[-2])
+
+
+@given(st.integers(1, 3), st.tuples(coordinates, coordinates, coordinates))
+def test_points_of_a_planar_arm_stay_in_its_plane(index: int, place: tuple[float, float, float]) -> None:
+    base, axis = PLANAR.chain.base, AWAY.rotation[:, 2]  # about which all of its joints turn
+    shape = Shape.of(PLANAR, Keyframe(pp.Curve.line((0, 0, 0), (PLANAR.length, 0, 0))))
+    wanted = base + np.array(place)
+    try:
+        after = shape.moved(PLANAR, index, wanted)
+    except CurveError:
+        assume(False)
+    assert np.allclose((after.points - base) @ axis, 0.0, atol=1e-9)
+    if index < len(after.points) - 1:  # the last may have given way
+        assert np.allclose(np.cross(wanted - after.points[index], axis), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("index", [-1, 5])
+def test_points_that_there_are_not(index: int) -> None:
+    shape = Shape.of(ARM, Keyframe(BENT))
+    for act in (lambda: shape.moved(ARM, index, (0, 0, 1)), lambda: shape.inserted(ARM, index)):
+        with pytest.raises(InvalidValue, match="allowed: 1 to 5"):
+            act()
+    with pytest.raises(InvalidValue, match="allowed: 1 to 5"):
+        shape.removed(ARM, index)
+
+
+@pytest.mark.parametrize("place", [(0, np.nan, 0), (0, np.inf, 0), (0, 0), "nowhere"])
+def test_places_that_are_none(place: object) -> None:
+    with pytest.raises(InvalidValue, match="position"):
+        Shape.of(ARM, Keyframe(BENT)).moved(ARM, 2, place)  # type: ignore[arg-type]
+
+
+def test_what_is_refused() -> None:
+    shape = Shape.of(ARM, Keyframe(BENT))
+    with pytest.raises(CurveError, match="point 3: would lie on point 2"):
+        shape.moved(ARM, 2, shape.points[1])
+    with pytest.raises(InvalidValue, match=r"point 1 .*stands at the base"):
+        shape.moved(ARM, 0, (0.1, 0, 0))
+    with pytest.raises(InvalidValue, match=r"point 1 .*stands at the base"):
+        shape.removed(ARM, 0)
+    least = shape.removed(ARM, 2)
+    with pytest.raises(CurveError, match="a curve of degree 3 needs 4 control points"):
+        least.removed(ARM, 2)
+    assert np.array_equal(shape.moved(ARM, 0, shape.points[0]).points[0], ARM.chain.base)
+
+
+def test_control_points_of_a_spline_are_its_own() -> None:
+    shape = Shape.of(ARM, Keyframe(BENT, placement="as_is"))
+    assert np.array_equal(shape.points, BENT.control_points)
+    assert (shape.degree, shape.off) == (3, 0.0)
+    polygon = pp.Curve.spline(BENT.control_points, degree=2)
+    assert Shape.of(ARM, Keyframe(polygon, placement="as_is")).degree == 2
+
+
+@pytest.mark.parametrize(
+    "curve", [STRAIGHT, COIL, pp.Curve.helix(0.1 * L, 0.1 * L, 6), pp.Curve.points(BENT.resample(40))]
+)
+@pytest.mark.parametrize("where", ["at the origin", "elsewhere"])
+def test_another_kind_of_curve_is_controlled_within_what_it_says(where: str, curve: pp.Curve) -> None:
+    arm = ARMS[where]
+    keyframe = Keyframe(curve, trim=True)
+    shape, laid = Shape.of(arm, keyframe), lay(arm, curve, "align", 0.0)
+    places = laid.at(np.linspace(0.0, min(laid.length, arm.length), 1001))
+    fine = shape.curve.at(np.linspace(0.0, shape.curve.length, 40_001))
+    apart = max(float(np.linalg.norm(fine - place, axis=1).min()) for place in places)
+    assert shape.off <= FINE * arm.chain.module_lengths.mean()
+    assert apart <= shape.off + 1e-4 * arm.length
+    assert DEGREE < len(shape.points) <= MOST_POINTS
+    assert np.allclose(shape.points[0], arm.chain.base, atol=1e-9)
+
+
+def test_a_curve_that_winds_too_much_says_how_far_off_it_is() -> None:
+    arm = pp.Arm.from_template("RyRz", modules=40)
+    shape = Shape.of(arm, Keyframe(pp.Curve.helix(0.02, 0.005, 40), trim=True))
+    assert len(shape.points) == MOST_POINTS
+    assert shape.off > FINE * arm.chain.module_lengths.mean()
+
+
+def test_a_curve_that_passes_the_base_begins_there() -> None:
+    curve = pp.Curve.line((-L, 0, 0), (2 * L, 0, 0))
+    shape = Shape.of(ARM, Keyframe(curve, placement="as_is", trim=True))
+    assert np.allclose(shape.points[0], 0.0, atol=1e-9)
+    assert np.allclose(shape.points[:, 1:], 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("modules", [4, 8, 20])
+def test_a_curve_that_is_lengthened_is_nearly_always_long_enough_where_it_bends(modules: int) -> None:
+    arm, rng = pp.Arm.from_template("RyRz", modules=modules), np.random.default_rng(modules)
+    tried = short_of = 0
+    for _ in range(100):
+        points = np.cumsum([(0, 0, 0), (1, 0, 0), *rng.normal((0.5, 0, 0), 0.45, (4, 3))], axis=0)
+        spline = pp.Curve.spline(points)
+        short = Shape(points * (0.9 * arm.length / spline.length))
+        try:
+            longer = short.moved(arm, 2, short.points[2])
+        except CurveError:  # points too near to each other
+            continue
+        ahead = longer.points[-1] - longer.points[-2]
+        ample = np.vstack([longer.points, longer.points[-1] + arm.length * ahead / np.linalg.norm(ahead)])
+        try:
+            resolve_targets(arm, pp.Curve.spline(ample), placement="as_is")
+        except PostureError:  # it bends too much
+            continue
+        tried += 1
+        short_of += "too short" in judge(arm, longer.keyframe(Keyframe(STRAIGHT)), None).reason
+    assert tried > 20
+    assert short_of <= 0.05 * tried
+
+
+def test_a_keyframe_keeps_all_but_its_shape() -> None:
+    before = Keyframe(COIL, time=2.0, hold=0.5, name="coil", roll=0.3, method="smooth", region=(1, 3))
+    after = Shape.of(ARM, before).keyframe(before)
+    assert (after.time, after.hold, after.name, after.method, after.region) == (
+        2.0,
+        0.5,
+        "coil",
+        "smooth",
+        (1, 3),
+    )
+    assert (after.placement, after.roll, after.trim) == ("as_is", 0.0, True)
+    assert before.curve is COIL
+    here, there = resolve_targets(ARM, after.curve, placement="as_is"), resolve_targets(ARM, COIL, roll=0.3)
+    assert np.abs(here.points - there.points).max() < 0.1 * ARM.chain.module_lengths.mean()

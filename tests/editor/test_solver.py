@@ -1,0 +1,228 @@
+"""The solver's thread: the latest problem wins, whoever asks never waits, and limits hold throughout."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from edited_tasks import ARM, BENT, COIL, STRAIGHT, L
+
+import pinposture as pp
+from pinposture.control import ConstrainedQP, controller_named
+from pinposture.control.names import CONTROLLERS
+from pinposture.editor.live import Live, Problem
+from pinposture.editor.solver import CYCLE, Solver, in_cycles
+from pinposture.task import Keyframe
+
+SOON = 20.0
+"""How long something that has to happen is waited for [s]."""
+
+SPEED = 3.0
+LIMITS = pp.Limits(step=None, dt=0.02, velocity=SPEED)
+TO_BENT, TO_COIL = Keyframe(BENT, trim=True), Keyframe(COIL, trim=True)
+SHORT = Keyframe(pp.Curve.line((0, 0, 0), (0.5 * L, 0, 0)))
+
+
+def problem(number: int, keyframe: Keyframe = TO_BENT, **values: object) -> Problem:
+    given = {"arm": ARM, "controller": ConstrainedQP(), "limits": LIMITS, "scene": None, "at_once": False}
+    given.update(values)
+    return Problem(number=number, keyframe=keyframe, asked=time.monotonic(), **given)  # type: ignore[arg-type]
+
+
+@contextmanager
+def started(first: Problem, start: np.ndarray | None = None) -> Iterator[Solver]:
+    solver = Solver(first, first.arm.straight() if start is None else start)
+    solver.start()
+    try:
+        yield solver
+    finally:
+        solver.close()
+        assert not solver._thread.is_alive()
+
+
+def until(solver: Solver, met: Callable[[Live], bool]) -> Live:
+    """The first of its states that meets something."""
+    end = time.monotonic() + SOON
+    while not met(live := solver.live):
+        assert time.monotonic() < end, live
+        time.sleep(0.005)
+    return live
+
+
+def arrived(number: int) -> Callable[[Live], bool]:
+    return lambda live: live.number == number and live.steps > 1 and live.mean_error <= 1e-6 * live.arm.length
+
+
+class Sleepy:
+    """A controller that sleeps in each step, as one that plans would."""
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds, self.own, self.asked = seconds, ConstrainedQP(), 0
+
+    def step(self, *given: object, **named: object) -> object:
+        self.asked += 1
+        time.sleep(self.seconds)
+        return self.own.step(*given, **named)  # type: ignore[arg-type]
+
+
+class Broken:
+    def step(self, *given: object, **named: object) -> object:
+        raise RuntimeError("a wire came off")
+
+
+WAITING = ("selection", "pinv", "task-constraints", "extended")
+"""Controllers that may stand still near an easy shape: they promise no more."""
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_every_controller_takes_an_easy_shape_or_at_least_comes_nearer(name: str) -> None:
+    gentle = pp.Curve.spline(L * np.array([(0, 0, 0), (0.4, 0, 0), (0.8, 0.05, 0.05), (1.2, 0.2, 0.1)]))
+    first = problem(1, Keyframe(gentle, placement="as_is", trim=True), controller=controller_named(name))
+    bent = ARM.integrate(ARM.straight(), np.random.default_rng(0).uniform(-0.3, 0.3, ARM.nv))
+    with started(first, bent) as solver:
+        if name in WAITING:
+            began = until(solver, lambda live: live.target is not None).target
+            before = float(np.linalg.norm(ARM.at(bent).points - began.points, axis=1).mean())  # type: ignore
+            until(solver, lambda live: live.mean_error < 0.5 * before)
+        else:
+            live = until(solver, arrived(1))
+            goal = live.target.points  # type: ignore[union-attr]
+            assert np.linalg.norm(live.state.points - goal, axis=1).mean() <= 1e-6 * L
+
+
+def test_whoever_asks_does_not_wait_and_the_latest_wins() -> None:
+    sleepy = Sleepy(1.0)
+    with started(problem(1, controller=sleepy)) as solver:
+        until(solver, lambda live: live.steps > 0 and sleepy.asked > 0)
+        before = solver.live.steps
+        for number in range(2, 200):
+            solver.ask(problem(number, TO_COIL if number % 2 else TO_BENT, controller=sleepy))
+        assert solver.live.steps - before <= 2  # nothing was waited for: no time for the steps of 200
+        live = until(solver, lambda live: live.number == 199)
+        assert live.verdict.target is not None
+        assert abs(live.verdict.target.curve.length - COIL.length) < 1e-6  # type: ignore[union-attr]
+        solver.ask(problem(200))
+        until(solver, arrived(200))
+
+
+def test_what_cannot_be_taken_keeps_the_arm_where_it_was() -> None:
+    with started(problem(1)) as solver:
+        there = until(solver, arrived(1))
+        solver.ask(problem(2, SHORT))
+        live = until(solver, lambda live: live.number == 2 and live.steps > there.steps + 2)
+        assert live.verdict.target is None
+        assert "too short" in live.verdict.reason
+        assert live.target is not None
+        assert np.allclose(live.state.points, there.state.points, atol=1e-6 * L)
+        solver.ask(problem(3, TO_COIL))
+        until(solver, arrived(3))
+
+
+def test_no_joint_is_too_fast_whatever_is_changed_on_the_way() -> None:
+    ball = pp.Scene({"ball": pp.Sphere((0.5 * L, 0.5 * L, 0.5 * L), 0.05 * L)})
+    changes: list[dict[str, object]] = [
+        {"keyframe": TO_COIL},
+        {"controller": controller_named("lm")},
+        {"scene": ball},
+        {"limits": replace(LIMITS, acceleration=20.0)},
+        {"keyframe": Keyframe(STRAIGHT), "controller": controller_named("projection")},
+        {"controller": ConstrainedQP(), "scene": None},
+    ]
+    states: list[Live] = []
+    with started(problem(1)) as solver:
+        now: dict[str, object] = {"keyframe": TO_BENT}
+        for number, change in enumerate(changes, start=2):
+            now.update(change)
+            solver.ask(problem(number, **now))  # type: ignore[arg-type]
+            end = time.monotonic() + SOON
+            while len(states) < 10 * number and time.monotonic() < end:
+                live = solver.live
+                if not states or live.steps > states[-1].steps:
+                    states.append(live)
+                time.sleep(0.002)
+                if live.status == "arrived":
+                    break
+        until(solver, arrived(len(changes) + 1))
+    assert len(states) > 20
+    for earlier, later in pairwise(states):
+        moved = np.abs(later.state.positions - earlier.state.positions).max()
+        assert moved <= SPEED * CYCLE * (later.steps - earlier.steps) * (1.0 + 1e-9)
+
+
+def test_speed_goes_on_where_a_new_scene_comes_in_between() -> None:
+    most = 20.0
+    slow = pp.Limits(step=None, dt=0.02, velocity=SPEED, acceleration=most)
+    solver = Solver(problem(1, TO_COIL, limits=slow), ARM.straight())
+    solver._take(solver._problem, new=True)
+    places = [solver.live.state.positions]
+    for step in range(40):
+        if step % 5 == 4:
+            ball = pp.Scene({"ball": pp.Sphere((2 * L, 0, 0.01 * step), 0.1)})
+            solver._take(problem(step + 2, TO_COIL, limits=slow, scene=ball))
+        solver._step()
+        places.append(solver.live.state.positions)
+    speeds = np.diff(places, axis=0) / CYCLE
+    assert np.abs(speeds).max() > 0.5
+    assert np.abs(np.diff(speeds, axis=0)).max() <= most * CYCLE * (1.0 + 1e-6)
+
+
+def test_at_once_is_at_once() -> None:
+    with started(problem(1, at_once=True)) as solver:
+        live = until(solver, lambda live: live.steps > 0)
+        assert live.mean_error <= 1e-6 * L
+
+
+def test_a_fault_in_a_controller_or_a_problem_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    with started(problem(1, controller=Broken())) as solver:
+        live = until(solver, lambda live: live.steps > 2)
+        assert np.array_equal(live.state.q, ARM.straight())
+        solver.ask(problem(2, limits=pp.Limits(dt=0.02, velocity=np.ones(3))))  # the arm has 12 joints
+        live = until(solver, lambda live: live.number == 2)
+        assert live.verdict.target is None
+        assert "velocity" in live.verdict.reason
+
+        def fault(*given: object) -> None:
+            raise KeyError("a fault")
+
+        monkeypatch.setattr("pinposture.editor.solver.judge", fault)
+        solver.ask(problem(3))
+        live = until(solver, lambda live: live.number == 3)
+        assert "a fault" in live.verdict.reason
+        monkeypatch.undo()
+        solver.ask(problem(4))
+        until(solver, arrived(4))
+
+
+def test_another_arm_begins_straight() -> None:
+    other = pp.Arm.from_template("Rz", modules=4)
+    line = Keyframe(pp.Curve.line((0, 0, 0), (other.length, 0, 0)))
+    with started(problem(1)) as solver:
+        until(solver, lambda live: live.steps > 3)
+        solver.ask(problem(2, line, arm=other))
+        live = until(solver, arrived(2))
+        assert live.arm is other
+        assert len(live.at_limit) == 4
+
+
+def test_limits_of_a_step_are_those_of_as_long_a_time() -> None:
+    limits = in_cycles(pp.Limits(step=0.1, dt=0.1, velocity=2.0))
+    assert (limits.dt, limits.step, limits.velocity) == (CYCLE, pytest.approx(0.1 * CYCLE / 0.1), 2.0)
+    assert in_cycles(pp.Limits(step=None, dt=0.1)).step is None
+
+
+def test_no_thread_is_left() -> None:
+    before = {thread.name for thread in threading.enumerate()}
+    for _ in range(3):
+        with started(problem(1)) as solver:
+            until(solver, lambda live: live.steps > 2)
+        solver.close()  # again
+    end = time.monotonic() + SOON
+    while {thread.name for thread in threading.enumerate()} - before and time.monotonic() < end:
+        time.sleep(0.01)  # the last answer of the controller may be on its way
+    assert not {thread.name for thread in threading.enumerate()} - before

@@ -1,0 +1,223 @@
+"""The arm of a task that was saved: as it was described, a template, or a URDF file beside the task."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from arm.awkward import SILENT, WARNED
+from arm.describing import LINK, Y, Z, arm_text, links, moving, pairs
+from arm.test_example_robots import LOADED, ROBOTS
+from task.same_tasks import assert_same_arms
+
+import pinposture as pp
+from pinposture.errors import FileError, PostureWarning
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+AWAKE = [(name, *case[:2]) for cases in (WARNED, SILENT) for name, case in cases.items()]
+SIX = pp.Arm.from_template("RyRz", modules=6)
+
+
+def arm_of(source: Any, **arguments: Any) -> pp.Arm:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PostureWarning)
+        return pp.Arm.from_urdf(source, **arguments)
+
+
+def task_of(arm: pp.Arm, **more: Any) -> pp.Task:
+    line = pp.Curve.line((0, 0, 0), (1, 0, 0))
+    return pp.Task(
+        arm, (pp.Keyframe(line), pp.Keyframe(line, time=1.0)), pp.Limits(step=None, dt=0.02), **more
+    )
+
+
+def saved(arm: pp.Arm, path: Path, **more: Any) -> tuple[pp.Arm, dict[str, Any]]:
+    """The arm that comes back, and what the file says of it."""
+    task_of(arm, **more).save(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PostureWarning)
+        return pp.Task.load(path).arm, tomllib.loads(path.read_text())["arm"]
+
+
+@pytest.mark.parametrize(
+    ("arm", "table"),
+    [
+        (SIX, {"template": "RyRz", "modules": 6}),
+        (pp.Arm.from_template("Rz", 1), {"template": "Rz", "modules": 1}),
+        (
+            pp.Arm.from_template("RzRzRz", 2, (0.1, 1 / 3, 0)),
+            {"template": "RzRzRz", "modules": 2, "link_lengths": [0.1, 1 / 3, 0]},
+        ),
+        (
+            pp.Arm.from_template("RzRy", 2, base_placement=pin.SE3(np.eye(3), np.array([0, 0, 0.5]))),
+            {"template": "RzRy", "modules": 2, "placement": {"position": [0, 0, 0.5]}},
+        ),
+        (
+            SIX.with_sliding_unit(0.2),
+            {"template": "RyRz", "modules": 6, "sliding_unit": 0.2},
+        ),
+    ],
+)
+def test_an_arm_of_a_template_is_written_as_one(tmp_path: Path, arm: pp.Arm, table: dict[str, Any]) -> None:
+    again, written = saved(arm, tmp_path / "task.toml")
+    assert written == table
+    assert_same_arms(again, arm)
+    assert [file.name for file in tmp_path.iterdir()] == ["task.toml"]
+
+
+def test_an_arm_that_only_bears_the_name_of_a_template_is_not_taken_for_one(tmp_path: Path) -> None:
+    arms = [
+        pp.Arm.from_modules([pp.template("RyRz").with_limits(-1, 1)] * 2, name="RyRz_2"),
+        pp.Arm.from_modules([pp.template("RzRy")] * 2, name="RyRz_2"),
+        pp.Arm.from_modules([pp.template("RyRz")] * 2, name="RyRz_3"),
+        pp.Arm.from_modules([pp.template("RyRz")] * 2, name="RyRz_0"),
+        pp.Arm.from_urdf(pp.Arm.from_template("RyRz", 2).urdf, modules=4),
+        pp.Arm.from_urdf(pp.Arm.from_template("RyRz", 2).urdf, tip="m02_l1"),
+    ]
+    for number, arm in enumerate(arms):
+        again, written = saved(arm, tmp_path / f"{number}.toml")
+        assert written["urdf"] == f"{number}.urdf"
+        assert_same_arms(again, arm)
+
+
+@pytest.mark.parametrize(("name", "text", "arguments"), AWAKE, ids=[name for name, *_ in AWAKE])
+def test_urdf_text_is_written_beside_the_task(
+    tmp_path: Path, name: str, text: str, arguments: dict[str, Any]
+) -> None:
+    turn = pin.SE3(pin.rpy.rpyToMatrix(0.3, -0.2, 1.5), np.array([0.1, 0.2, 0.3]))
+    for number, placement in enumerate((None, turn)):
+        arm = arm_of(text, base_placement=placement, **arguments)
+        again, written = saved(arm, tmp_path / f"walk.{number}.toml")
+        assert written["urdf"] == f"walk.{number}.urdf"
+        assert (tmp_path / f"walk.{number}.urdf").read_text() == arm.urdf
+        assert_same_arms(again, arm)
+        assert (again.report.base, again.report.tip) == (arm.report.base, arm.report.tip)
+
+
+@pytest.mark.parametrize("name", LOADED)
+def test_robots_that_others_wrote(tmp_path: Path, name: str) -> None:
+    _, tip = LOADED[name]
+    arm = arm_of(ROBOTS / name, tip=tip)
+    again, _ = saved(arm, tmp_path / "task.toml")
+    assert_same_arms(again, arm)
+    assert set(arm.package_dirs) <= set(again.package_dirs)  # meshes are found where they were
+    again, written = saved(arm, tmp_path / "other" / "task.toml", described={arm: {"urdf": ROBOTS / name}})
+    assert list(written) == ["urdf"] if tip is None else ["urdf", "tip", "split"]
+    assert_same_arms(again, arm)
+
+
+def test_locked_joints_are_found_where_they_are(tmp_path: Path) -> None:
+    branch = links("ab") + moving("ja", "l1", "a", more="") + moving("jb", "a", "b", "prismatic")
+    text = arm_text(
+        [*pairs(2), ("continuous", "1 2 3", LINK, ""), ("prismatic", "0 1 1", LINK), *pairs(1)], extra=branch
+    )
+    locked = {"j2": 0.3, "j3": 0.0, "j5": -2.75, "j6": 0.125, "ja": -0.4}
+    arm = arm_of(text, tip="tip", locked=locked)
+    again, written = saved(arm, tmp_path / "task.toml")
+    assert written["locked"] == locked
+    assert_same_arms(again, arm)
+
+
+def test_a_file_that_the_caller_knows_is_named(tmp_path: Path) -> None:
+    (tmp_path / "robots").mkdir()
+    file = tmp_path / "robots" / "~arm 1.urdf"
+    file.write_text(arm_text(pairs(3)))
+    arm = pp.Arm.from_urdf(file, modules=3, locked={"j1": np.pi / 4}, tip="l4")
+    table = {"urdf": file, "split": 3, "locked": {"j1": np.pi / 4}, "tip": "l4"}
+    again, written = saved(arm, tmp_path / "tasks" / "task.toml", described={arm: table})
+    assert written == {**table, "urdf": "../robots/~arm 1.urdf"}
+    assert_same_arms(again, arm)
+    again, written = saved(arm, tmp_path / "robots" / "task.toml", described={arm: table})
+    assert written["urdf"] == str(file)  # "~arm 1.urdf" would be in the home of a user
+    assert_same_arms(again, arm)
+
+
+@pytest.mark.parametrize(
+    ("table", "why"),
+    [
+        ({"template": "RyRz", "modules": 7}, "which gives another one now"),
+        ({"template": "RyRs", "modules": 6}, "did you mean 'RyRz'"),
+        ({"urdf": Path("/nowhere/a.urdf")}, "no such file"),
+        ("RyRz", "allowed: a table"),
+    ],
+)
+def test_a_description_that_does_not_hold_is_told_and_not_written(
+    tmp_path: Path, table: object, why: str
+) -> None:
+    with pytest.warns(PostureWarning, match=rf"task\.toml: arm was .*{why}.*; it is written out"):
+        again, written = saved(SIX, tmp_path / "task.toml", described={SIX: table})
+    assert written == {"template": "RyRz", "modules": 6}
+    assert_same_arms(again, SIX)
+
+
+def test_a_file_that_changed_after_it_was_read_is_not_named(tmp_path: Path) -> None:
+    (tmp_path / "snake.urdf").write_text(arm_text(pairs(3)))
+    path = tmp_path / "task.toml"
+    path.write_text(
+        '[arm]\nurdf = "snake.urdf"\n[[keyframes]]\ncurve = "line"\n[[keyframes]]\ntime = 1\ncurve = "line"\n'
+    )
+    task = pp.Task.load(path)
+    (tmp_path / "snake.urdf").write_text(arm_text(pairs(4)))
+    with pytest.warns(PostureWarning, match="'snake.urdf'.*another one now"):
+        task.save(path)
+    assert (tmp_path / "task.urdf").read_text() == task.arm.urdf
+    assert_same_arms(pp.Task.load(path).arm, task.arm)
+
+
+def test_another_urdf_file_is_not_overwritten(tmp_path: Path) -> None:
+    arms = [pp.Arm.from_urdf(arm_text(pairs(count))) for count in (2, 3)]
+    path = task_of(arms[0]).save(tmp_path / "task.toml")
+    before = path.read_text()
+    with pytest.raises(FileError, match=r"task\.urdf: is there already, and holds something else") as caught:
+        task_of(arms[1]).save(path)
+    assert caught.value.path == tmp_path / "task.urdf"
+    assert path.read_text() == before
+    assert (tmp_path / "task.urdf").read_text() == arms[0].urdf
+    task_of(arms[0], name="again").save(path)  # the same one serves again
+    assert pp.Task.load(path).name == "again"
+
+
+def test_an_arm_without_urdf_is_refused(tmp_path: Path) -> None:
+    model = pin.buildModelFromXML(arm_text(pairs(3)))
+    arm = pp.Arm.from_model(model, ["l2", "l4", "tip"])
+    with pytest.raises(FileError, match=r"task\.toml: arm: no file can describe it: it was made of"):
+        task_of(arm).save(tmp_path / "task.toml")
+    assert not any(tmp_path.iterdir())
+    # It has one if somebody says how.
+    (tmp_path / "arm.urdf").write_text(arm_text([("revolute", Y, LINK), ("revolute", Z, LINK)]))
+    other = pp.Arm.from_urdf(tmp_path / "arm.urdf")
+    again, _ = saved(other, tmp_path / "task.toml", described={other: {"urdf": tmp_path / "arm.urdf"}})
+    assert_same_arms(again, other)
+
+
+def test_what_a_file_says_of_an_arm_stays(tmp_path: Path) -> None:
+    text = (
+        '[arm]\ntemplate = "RyRz"\nmodules = 4\nlink_lengths = ["3 cm", 0.02]\n'
+        'joint_limits = ["-90 deg", 2]\nfeed = { stroke = "30 cm", speed = "5 cm/s" }\n'
+        'placement = { rotation = ["90 deg", 0, "-45 deg"] }\nsliding_unit = "3 cm"\n'
+        '[[keyframes]]\ncurve = "line"\n[[keyframes]]\ntime = 1\ncurve = "line"\n'
+    )
+    (tmp_path / "task.toml").write_text(text)
+    task = pp.Task.load(tmp_path / "task.toml")
+    assert task.arm.sliding_unit == 0.03
+    assert task.arm.model.name == "RyRz_4"
+    path = task.save(tmp_path / "other" / "task.toml")
+    assert tomllib.loads(path.read_text())["arm"] == {
+        "template": "RyRz",
+        "modules": 4,
+        "link_lengths": [0.03, 0.02],
+        "joint_limits": [-np.pi / 2, 2],
+        "feed": {"stroke": 0.3, "speed": 0.05},
+        "placement": {"rotation": [np.pi / 2, 0, -np.pi / 4]},
+        "sliding_unit": 0.03,
+    }
+    assert_same_arms(pp.Task.load(path).arm, task.arm)
