@@ -33,6 +33,8 @@ class Problem(NamedTuple):
         scene: what to keep clear of; None if there is nothing.
         at_once: whether to be there at once, whatever the limits.
         asked: when it was asked, by `time.monotonic` [s].
+        shaping: whether the shape was made by hand of the one before, so that what the arm does is near.
+        passing: whether the hand is still at it, so that it is not worth a long search.
     """
 
     number: int
@@ -43,6 +45,8 @@ class Problem(NamedTuple):
     scene: Scene | None
     at_once: bool
     asked: float
+    shaping: bool = False
+    passing: bool = False
 
 
 class Live(NamedTuple):

@@ -144,6 +144,8 @@ class Session:
             task.scene,
             self.at_once,
             self.asked,
+            shaping=self.proposal is not None,
+            passing=self.proposal is not None and not self.proposal.final,
         )
 
     def say(self, text: str, kind: str = "info") -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+import warnings
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,12 +13,14 @@ from threading import Event, Lock, Thread
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture.arm import ArmState
+from pinposture.arm import Arm, ArmState
 from pinposture.control import Limits
 from pinposture.editor.live import Live, Problem, active_of, at_limit, errors_of
-from pinposture.editor.verdict import Verdict, judge
-from pinposture.errors import PostureError
+from pinposture.editor.verdict import Verdict, judge, review
+from pinposture.errors import PostureError, PostureWarning
 from pinposture.motion import Tracker
+from pinposture.target import Target
+from pinposture.task import Keyframe
 
 Array = NDArray[np.float64]
 logger = logging.getLogger(__name__)
@@ -53,6 +56,7 @@ class Solver:
         self._asked, self._problem, self._made_for = first, first, first
         self._tracker, self._verdict = _tracker(first, start), Verdict(None)
         self._lag: float | None = None
+        self._taken: tuple[Arm, Keyframe, Target] | None = None  # the last shape that could be
         self._steps, self._last = 0, deque([time.monotonic()], maxlen=64)
         self._dq, self._fault = np.zeros(first.arm.nv), ""
         self._live = self._look(first.arm.at(start))
@@ -103,7 +107,7 @@ class Solver:
         self._problem, self._lag = problem, None
         before = self._made_for
         try:
-            self._verdict = judge(problem.arm, problem.keyframe, problem.scene)
+            self._verdict = self._judged(problem)
             if problem.arm is not before.arm:
                 self._dq = np.zeros(problem.arm.nv)
                 self._tracker, self._made_for = _tracker(problem, problem.arm.straight()), problem
@@ -119,6 +123,18 @@ class Solver:
         except Exception as error:  # a fault of ours, which must not end the thread: it would be waited for
             logger.exception("a problem could not be looked at")
             self._verdict = Verdict(None, f"that could not be worked out ({error})")
+
+    def _judged(self, problem: Problem) -> Verdict:
+        """What the arm can make of a problem; known already of a shape that was judged before."""
+        arm, keyframe = problem.arm, problem.keyframe
+        before = self._taken if self._taken is not None and self._taken[0] is arm else None
+        if before is not None and before[1] is keyframe:
+            return review(arm, before[2], problem.scene)
+        near = before[2] if before is not None and problem.shaping else None
+        verdict = judge(arm, keyframe, problem.scene, near, not problem.passing)
+        if verdict.target is not None:
+            self._taken = arm, keyframe, verdict.target
+        return verdict
 
     def _step(self) -> None:
         """One step, and what can be seen after it."""
@@ -165,14 +181,16 @@ class Solver:
 
 def _tracker(problem: Problem, q: Array, dq: Array | None = None) -> Tracker:
     """What moves the arm; from q, at rest or after a step dq, (nv,) [rad or m]."""
-    tracker = Tracker(
-        problem.arm,
-        problem.controller,
-        in_cycles(problem.limits),
-        problem.scene,
-        feedback=float("inf"),
-        deadline=PATIENCE,
-    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PostureWarning)  # the status says it
+        tracker = Tracker(
+            problem.arm,
+            problem.controller,
+            in_cycles(problem.limits),
+            problem.scene,
+            feedback=float("inf"),
+            deadline=PATIENCE,
+        )
     tracker.restart(q, dq)  # the speed goes on: dragging an obstacle makes a tracker several times a second
     return tracker
 

@@ -49,18 +49,36 @@ class Verdict(NamedTuple):
     collision: bool = False
 
 
-def judge(arm: Arm, keyframe: Keyframe, scene: Scene | None) -> Verdict:
+def judge(
+    arm: Arm, keyframe: Keyframe, scene: Scene | None, near: Target | None = None, search: bool = True
+) -> Verdict:
     """See whether an arm can take the shape of a keyframe.
 
     Args:
         arm: the arm.
         keyframe: the keyframe.
         scene: what it should keep clear of; None if there is nothing.
+        near: what it takes on a curve that differs a little, to begin with; None if that is not known.
+        search: whether to look farther where nothing is found near that, which can take seconds.
     """
     try:
-        target = resolve_keyframe(arm, keyframe)
+        target = _resolved(arm, keyframe, near, search)
     except (PostureError, ArithmeticError, np.linalg.LinAlgError) as error:
         return Verdict(None, _reason(error))
+    return review(arm, target, scene)
+
+
+def _resolved(arm: Arm, keyframe: Keyframe, near: Target | None, search: bool) -> Target:
+    try:
+        return resolve_keyframe(arm, keyframe, near)
+    except TargetError:
+        if near is None or not search:
+            raise
+    return resolve_keyframe(arm, keyframe)
+
+
+def review(arm: Arm, target: Target, scene: Scene | None) -> Verdict:
+    """What is to be known of a target that the arm can take; arguments as for `judge`."""
     notes = [*_rest(arm, target), *_at_limits(arm, target)]
     touching = _touching(arm, target, scene)
     return Verdict(target, "", (*touching, *notes), bool(touching))

@@ -21,6 +21,7 @@ from pinposture.errors import (
 )
 from pinposture.target.fit import fit_curve
 from pinposture.target.placement import ROUNDING, Placement, beginning, lay
+from pinposture.target.refine import fit_near
 from pinposture.target.target import Target
 from pinposture.target.walk import place_in_turn
 
@@ -46,6 +47,7 @@ def resolve_targets(
     roll: float = 0.0,
     incomplete: Literal["raise", "partial"] = "raise",
     method: Literal["auto", "sequential", "smooth", "closest"] = "auto",
+    near: Target | None = None,
 ) -> Target:
     """Find where on a curve each control point belongs, and the configuration that puts it there.
 
@@ -67,6 +69,9 @@ def resolve_targets(
             target that says why in `incomplete` and gives weight 0 to the points from there on.
         method: as above; "auto" is sequential where that works and does not zigzag, else smooth, or
             closest where a module has no closed-form kinematics.
+        near: the target on a curve that differs a little, as while one is dragged. Least squares then begin
+            there and look no farther, which is quick; None: they begin with the straight arm, and take tenths
+            of a second for 20 modules and seconds for 100.
 
     Returns:
         The target, with `q`, `parameters`, `residual` and `method` filled in.
@@ -77,7 +82,8 @@ def resolve_targets(
         CurveBendsTooMuch: a later module cannot, or the curve leaves the plane of a planar module, or a
             control point stays farther off the curve than a tenth of its module's length.
         UnsupportedModule: sequential placement of a module for which no solver exists.
-        InvalidValue: fewer than 2 samples, a roll that is not finite.
+        InvalidValue: fewer than 2 samples, a roll that is not finite, a target of another arm or of no curve
+            to be near to.
         UnknownName: a `placement`, `incomplete` or `method` that does not exist.
     """
     _require("placement", placement, PLACEMENTS)
@@ -87,13 +93,17 @@ def resolve_targets(
         raise InvalidValue("samples", samples, "a whole number of at least 2")
     if not math.isfinite(roll):
         raise InvalidValue("roll", roll, "a finite angle [rad]")
+    if near is not None:
+        near.check(arm)
+        if near.q is None or near.parameters is None:
+            raise InvalidValue("near", near, "a target with q and parameters, as from `resolve_targets`")
     placed = lay(arm, curve, placement, roll)
     if method == "sequential":
         result = place_in_turn(arm, placed, samples)
     elif method == "auto":
-        result, method = _choose(arm, placed, samples)
+        result, method = _choose(arm, placed, samples, near)
     else:
-        result = _place_together(arm, placed, method)
+        result = _place_together(arm, placed, method, near)
     if result.failure is not None and incomplete == "raise":
         raise result.failure
     return _target(arm, placed, result, method)
@@ -105,17 +115,17 @@ def _require(kind: str, name: str, allowed: tuple[str, ...]) -> None:
 
 
 def _choose(
-    arm: Arm, curve: Curve, samples: int
+    arm: Arm, curve: Curve, samples: int, near: Target | None
 ) -> tuple[Placement, Literal["sequential", "smooth", "closest"]]:
     try:
         in_turn = place_in_turn(arm, curve, samples)
     except UnsupportedModule:
-        return _place_together(arm, curve, "closest"), "closest"
+        return _place_together(arm, curve, "closest", near), "closest"
     if isinstance(in_turn.failure, CurveEndsEarly):
         return in_turn, "sequential"
     if in_turn.failure is None and not _zigzags(arm, in_turn.positions):
         return in_turn, "sequential"
-    together = _place_together(arm, curve, "smooth")
+    together = _place_together(arm, curve, "smooth", near)
     if together.failure is None:
         return together, "smooth"
     return in_turn, "sequential"
@@ -128,11 +138,13 @@ def _zigzags(arm: Arm, positions: Array) -> bool:
     return norms > 1e-6 * arm.n_modules and products < -0.5 * norms
 
 
-def _place_together(arm: Arm, curve: Curve, method: str) -> Placement:
+def _place_together(arm: Arm, curve: Curve, method: str, near: Target | None) -> Placement:
     """Least squares over the whole arm; a failure where a control point ends up too far off the curve."""
     start, _ = beginning(arm, curve)
     lengths = np.maximum(arm.chain.module_lengths, arm.chain.module_lengths.mean())
-    fit = fit_curve(arm, curve, start, STIFFNESS[method] * float(np.median(lengths)))
+    bending = STIFFNESS[method] * float(np.median(lengths))
+    given = arm, curve, start, bending
+    fit = fit_curve(*given) if near is None else fit_near(*given, near)
     ends = np.minimum(fit.parameters, curve.length)
     residual = np.linalg.norm(arm.at(arm.configuration(fit.positions)).points - curve.at(ends), axis=1)
     failure: TargetError | None = None

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
+from pinposture.target.refine import refined
 from pinposture.task.bending import Bending, BentCurve
 from pinposture.task.blending import crossfade, ramp, window
 from pinposture.task.following import Follower, InTurn
@@ -202,11 +203,11 @@ class Between:
         follower, numbers = self._follower, range(start.row, end.row + 1)
         count = len(numbers)
         first, last = curves.at(start.row), curves.at(end.row)
-        begun = follower.fit(first, start.unknowns)
+        begun = refined(follower.problem, first, start.unknowns)
         shift, nothing = start.unknowns - begun, np.zeros(len(begun))
         way = max(LONGEST, LONGER * float(np.abs(end.unknowns - begun).max()))
         forth = follower.march(curves.at, numbers, begun, way)
-        goal = end.unknowns if end.pinned else follower.fit(last, forth[-1])
+        goal = end.unknowns if end.pinned else refined(follower.problem, last, forth[-1])
         left, best = goal - forth[-1], follower.miss(last, end.unknowns)
         met = float(np.abs(left).max()) <= NEAR
         forth += ramp(count, shift, left if met else nothing)
@@ -224,7 +225,7 @@ class Between:
         off, size = on_the_way[-1] - best, 1.0 / self._arm.n_modules
         if met and off <= AS_GOOD and max(on_the_way) <= best + FAR * size:
             return forth
-        arrived = follower.fit(last, end.unknowns)
+        arrived = refined(follower.problem, last, end.unknowns)
         back = follower.march(curves.at, numbers[::-1], arrived, way)[::-1]
         back = back + ramp(count, nothing, end.unknowns - arrived)
         places = np.unique(np.linspace(0, count - 1 - window(count), PLACES).astype(np.int64))

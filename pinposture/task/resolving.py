@@ -61,19 +61,31 @@ class Keyed(NamedTuple):
     length: float
 
 
-def resolve_keyframe(arm: Arm, keyframe: Keyframe) -> Target:
+def resolve_keyframe(arm: Arm, keyframe: Keyframe, near: Target | None = None) -> Target:
     """The target of a keyframe by itself: what the arm can have of its posture and of the task of its tip.
 
     Quick, for one that is being changed: in a motion all keyframes are resolved by one method, and with more
     samples of their curves.
+
+    Args:
+        arm: the arm.
+        keyframe: the keyframe.
+        near: as for `resolve_targets`.
 
     Raises:
         TargetError: as `resolve_targets`.
         TaskError: a curve that is too long, a strict task of the tip that is out of reach.
         InvalidValue: a region that the arm does not have.
     """
-    where, given = title((keyframe,), 0), {"placement": keyframe.placement, "roll": keyframe.roll}
-    target = resolve_targets(arm, keyframe.curve, method=keyframe.method, **given)  # type: ignore[arg-type]
+    where = title((keyframe,), 0)
+    target = resolve_targets(
+        arm,
+        keyframe.curve,
+        placement=keyframe.placement,
+        roll=keyframe.roll,
+        method=keyframe.method,
+        near=near,
+    )
     assert target.q is not None and target.curve is not None
     begun = Beginning(target.curve, beginning(arm, target.curve)[0])
     _refuse_rest(arm, (keyframe,), 0, Resolved(begun, target, arm.positions(target.q), False))

@@ -146,5 +146,8 @@ def test_the_examples_run_one_after_the_other(command, tmp_path, monkeypatch):
         "long.urdf",
         "out",
         "motion.html",
+        "ryrz20.toml",
+        "snake.toml",
+        "dance.toml",
         "motion.png",
     }

@@ -190,7 +190,7 @@ def test_a_fault_in_a_controller_or_a_problem_ends_nothing(monkeypatch: pytest.M
         def fault(*given: object) -> None:
             raise KeyError("a fault")
 
-        monkeypatch.setattr("pinposture.editor.solver.judge", fault)
+        monkeypatch.setattr("pinposture.editor.solver.review", fault)  # the shape itself is known
         solver.ask(problem(3))
         live = until(solver, lambda live: live.number == 3)
         assert "a fault" in live.verdict.reason

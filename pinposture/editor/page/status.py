@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from html import escape
 
 import viser
@@ -11,6 +12,12 @@ from pinposture.editor.session import Session
 from pinposture.view import palette
 
 COLORS = {"info": palette.REGULAR, "warning": palette.ACTIVE, "error": palette.MARK}
+
+CLEAR = "qp"
+"""The controller that keeps clear of a scene."""
+
+PATIENCE = 0.4
+"""How long after something was asked it is said that it takes time [s]."""
 
 ROUNDING = 1e-6
 """Errors that are none [mm]."""
@@ -42,7 +49,7 @@ def _lines(session: Session, live: Live) -> str:
     elif verdict.collision:
         kind, head, more = "warning", "In the way", verdict.notes[0]
     else:
-        kind, head, more = "info", _doing(session, live) + _room(session), "; ".join(verdict.notes)
+        kind, head, more = "info", _doing(session, live) + _room(session), "; ".join(_notes(session, live))
     if live.reason and live.status != "arrived" and kind == "info":
         kind, more = "warning", live.reason
     notice = session.notice
@@ -64,6 +71,17 @@ def _doing(session: Session, live: Live) -> str:
     doing = "Motion" if session.playback.q is not None else words.get(live.status, "Holding")
     millimetres = 1000.0 * live.mean_error
     return f"{doing}: mean error {millimetres if millimetres > ROUNDING else 0.0:.3g} mm"
+
+
+def _notes(session: Session, live: Live) -> list[str]:
+    """What is to be known though the arm can take the shape."""
+    notes = list(live.verdict.notes)
+    controller = session.task.controller.name
+    if session.task.scene is not None and controller != CLEAR:
+        notes.append(f"{controller} keeps clear of nothing, {CLEAR} does")
+    if live.number < session.number and time.monotonic() - session.asked > PATIENCE:
+        notes.insert(0, "looking whether the arm can take this shape ...")
+    return notes
 
 
 def _room(session: Session) -> str:
