@@ -97,6 +97,15 @@ def jobs() -> Iterator[Callable[[], object]]:
 
         return action
 
+    def pushed(arm: pp.Arm) -> Callable[[], object]:
+        def action() -> None:  # on its way and thrown back, so that its limits keep it from going on
+            target = Target.from_configuration(arm, arm.configuration(np.full(arm.nv, 0.3)))
+            state, limits = arm.at(arm.neutral()), pp.Limits(step=0.02, acceleration=3.0, dt=0.05)
+            memory = pp.ConstrainedQP().step(state, target, limits).memory
+            pp.ConstrainedQP().step(state, target, limits, memory._replace(dq=-2.0 * memory.dq))
+
+        return action
+
     def timed(arm: pp.Arm) -> Callable[[], object]:
         line = pp.Curve.line((0, 0, 0), (1.01 * arm.length, 0, 0))
         bent = pp.Curve.helix(0.4 * arm.length, 0.0, 0.45)
@@ -114,5 +123,6 @@ def jobs() -> Iterator[Callable[[], object]]:
             yield track(arm, name, pp.Limits())
         yield track(arm, "qp", pp.Limits(step=0.02, acceleration=3.0, dt=0.05))
         yield moving(arm)
+        yield pushed(arm)
         yield timed(arm)
     yield near_a_box
