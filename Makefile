@@ -4,7 +4,7 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 export MPLBACKEND := Agg
 
-.PHONY: demo test lint docs pictures urdf bench clean
+.PHONY: demo test lint edit docs pictures urdf bench clean
 
 demo: $(VENV)/base.stamp
 	$(RUN) examples/demo.py
@@ -17,6 +17,11 @@ lint: $(VENV)/lint.stamp
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
+
+# The editor in the browser, at an example. Another task: make edit TASK=mine.toml
+TASK ?= examples/tasks/keyframes.toml
+edit: $(VENV)/edit.stamp
+	$(RUN) -m pinposture edit $(TASK)
 
 # The documentation site, into build/site; a test builds it, too, and checks its links.
 docs: $(VENV)/docs.stamp
@@ -50,6 +55,10 @@ $(VENV)/base.stamp: pyproject.toml | $(VENV)/bin/python
 
 $(VENV)/test.stamp: $(VENV)/base.stamp
 	$(RUN) -m pip install --quiet --editable '.[test,docs]'
+	touch $@
+
+$(VENV)/edit.stamp: $(VENV)/base.stamp
+	$(RUN) -m pip install --quiet --editable '.[editor]'
 	touch $@
 
 $(VENV)/docs.stamp: $(VENV)/base.stamp

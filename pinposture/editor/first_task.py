@@ -32,6 +32,9 @@ NUDGES = (0.3, 0.15, 0.05, 0.0)
 LONGER = 1.08
 """How much of the arm's length the curve has: where it bends, modules cover more of it than they are long."""
 
+ACCELERATION = 20.0
+"""Of each joint at most [rad/s^2 or m/s^2]: the arm moves smoothly, and follows a hand."""
+
 TIME = 3.0
 """When it is to be taken [s]."""
 
@@ -58,7 +61,7 @@ def first_task(arm: Arm, name: str = "", described: Mapping[str, object] | None 
     return Task(
         arm=arm,
         motion=keyframes,
-        limits=Limits(step=None, dt=CYCLE),
+        limits=Limits(step=None, dt=CYCLE, acceleration=ACCELERATION),
         name=name,
         described={} if described is None else {arm: described},
     )
