@@ -5,7 +5,8 @@
 A client that speaks the protocol of the page, without drawing, drags a control point in circles and looks at
 what it is sent: how many postures of the arm a second, while it tells of its moves twenty times a second, as
 browsers do, and as often as it likes; and how long after a single move from rest the first posture towards it
-comes. What a browser needs to draw is not in these figures.
+comes. What a browser needs to draw is not in these figures. Besides, how long least squares take that lay the
+arm on the curve, where Algorithm 1 would zigzag: from the straight arm, and from where it was.
 """
 
 from __future__ import annotations
@@ -110,9 +111,22 @@ def rested(client: Client) -> None:
         time.sleep(0.05)
 
 
+def resolving(arm: pp.Arm, moves: int) -> dict[str, float]:
+    """How long it takes to lay the arm on a curve that leaves its base at an angle, as a handle is dragged."""
+    points = arm.length * np.linspace([0.0, 0.0, 0.0], [1.1, 0.0, 0.3], 6)
+    near, took = None, []
+    for k in range(moves + 1):
+        points[1] = arm.length * np.array([0.2, 0.04 + 0.002 * k, 0.1])
+        begun = time.perf_counter()
+        near = pp.resolve_targets(arm, pp.Curve.spline(points), placement="as_is", method="smooth", near=near)
+        took.append(1e3 * (time.perf_counter() - begun))
+    return {"least squares, anew [ms]": took[0], "least squares, near [ms]": statistics.median(took[1:])}
+
+
 def measure(modules: int, seconds: float, moves: int) -> dict[str, float]:
     """Drag, and see what comes of it."""
     arm = pp.Arm.from_template("RyRz", modules=modules)
+    resolved = resolving(arm, moves)
     editor = Editor(first_task(arm), port=8300)
     editor.start()
     client = Client(editor.url)
@@ -155,6 +169,7 @@ def measure(modules: int, seconds: float, moves: int) -> dict[str, float]:
             **rates,
             "lag, median [ms]": 1e3 * statistics.median(lags),
             "lag, longest [ms]": 1e3 * max(lags),
+            **resolved,
         }
     finally:
         client.close()

@@ -85,7 +85,7 @@ class Field:
 
     def type(self, value: object) -> None:
         self.value = value
-        event = type("Event", (), {"client_id": 1})()
+        event = type("Event", (), {"client_id": 1, "target": self})()
         with pytest.raises(StopIteration):
             self.call(event).send(None)  # type: ignore[operator]
 
@@ -94,7 +94,7 @@ def test_what_is_typed_counts_when_the_hand_rests(monkeypatch: pytest.MonkeyPatc
     now, told = [100.0], []
     monkeypatch.setattr(typed.time, "monotonic", lambda: now[0])
     control = Field(3.0)
-    field = typed.Typed(control, told.append)
+    field = typed.Typed(control, lambda value, over: told.append(value))
     for key in (1.0, 12.0, 12.5):
         control.type(key)
         now[0] += 0.5 * typed.PAUSE
@@ -110,7 +110,7 @@ def test_what_is_typed_counts_when_the_hand_rests(monkeypatch: pytest.MonkeyPatc
 def test_what_is_typed_counts_before_something_else_is_done_or_is_dropped() -> None:
     told: list[object] = []
     control = Field("coil")
-    field = typed.Typed(control, told.append)
+    field = typed.Typed(control, lambda value, over: told.append(value))
     field.show("coil")
     field.finish()
     assert told == []

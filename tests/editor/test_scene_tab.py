@@ -20,7 +20,7 @@ from editor.edited_tasks import ARM, task
 import pinposture as pp
 from pinposture.editor.clearances import Nearest
 from pinposture.editor.obstacle_edits import obstacles_of, select_obstacle, take_in
-from pinposture.editor.page import typing_in
+from pinposture.editor.page import typed
 from pinposture.editor.page.clearance import ClearanceLine, clearance_text
 from pinposture.editor.page.measured import MeasuredArm
 from pinposture.editor.page.obstacles import Obstacles
@@ -185,7 +185,7 @@ def test_what_is_typed_is_seen_at_once_and_counts_when_it_is_over(server, desk, 
     select_obstacle("ball", session)
     tab.show(session, LIVE)
     clock = [100.0]
-    monkeypatch.setattr(typing_in.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(typed.time, "monotonic", lambda: clock[0])
     states = len(session.history._states)
     for radius in (0.0, 0.03, 0.035):  # "0.035", key by key
         tab._radius._changed(radius)
@@ -193,7 +193,7 @@ def test_what_is_typed_is_seen_at_once_and_counts_when_it_is_over(server, desk, 
         tab.show(session, LIVE)
     assert len(session.history._states) == states
     assert obstacles_of(session.shown)["ball"].radius == 0.035
-    clock[0] += typing_in.QUIET
+    clock[0] += typed.PAUSE
     tab.show(session, LIVE)
     assert obstacles_of(session.task)["ball"].radius == 0.035
     assert len(session.history._states) == states + 1
@@ -205,7 +205,7 @@ def test_what_is_refused_returns_to_what_it_was(server, desk, monkeypatch):
     select_obstacle("ball", session)
     tab.show(session, LIVE)
     clock = [100.0]
-    monkeypatch.setattr(typing_in.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(typed.time, "monotonic", lambda: clock[0])
     tab._vectors["center"].control.value = (0.0, 0.0, 0.0)
     tab._vectors["center"]._changed((0.0, 0.0, 0.0))  # where the base is
     clock[0] += 2.0

@@ -14,6 +14,7 @@ from pinposture.editor.page.arm import ArmDrawing
 from pinposture.editor.page.ellipsoids import Ellipsoids
 from pinposture.editor.page.painting import WAYS, near_singular, paint
 from pinposture.editor.page.part import Post, on_change, put
+from pinposture.editor.page.typed import Typed
 from pinposture.editor.session import Session
 
 NAMED = 4
@@ -35,10 +36,10 @@ class ArmTab:
         self._steps = -1
         self._facts = gui.add_markdown("")
         self._controller = gui.add_dropdown("Controller", tuple(CONTROLLERS), hint="What moves the arm")
-        self._speed = gui.add_number(
+        speed = gui.add_number(
             "Speed [rad/s]", 0.0, min=0.0, step=0.1, hint="Of each joint at most; 0: as the arm is described"
         )
-        self._acceleration = gui.add_number(
+        acceleration = gui.add_number(
             "Accel. [rad/s²]", 0.0, min=0.0, step=1.0, hint="Of each joint at most; 0: no limit"
         )
         self._at_once = gui.add_checkbox(
@@ -47,17 +48,19 @@ class ArmTab:
         self._way = gui.add_dropdown("Colours", WAYS, hint="Red: at a limit, or near singular")
         self._balls = gui.add_checkbox("Ellipsoids", False, hint="Manipulability; red and flat: singular")
         on_change(self._controller, self._controlled)
-        on_change(self._speed, partial(self._limited, "velocity", "speed"))
-        on_change(self._acceleration, partial(self._limited, "acceleration", "acceleration"))
+        self._limits = (
+            Typed(speed, partial(self._limited, "velocity", "speed")),
+            Typed(acceleration, partial(self._limited, "acceleration", "acceleration")),
+        )
         on_change(self._at_once, self._hurried)
 
     def show(self, session: Session, live: Live) -> None:
         """Bring it up to date."""
         limits = session.task.limits
         put(self._controller, value=session.task.controller.name)
-        for control, limit in ((self._speed, limits.velocity), (self._acceleration, limits.acceleration)):
+        for field, limit in zip(self._limits, (limits.velocity, limits.acceleration), strict=True):
             several = np.ndim(limit if limit is not None else 0.0) > 0
-            put(control, value=0.0 if limit is None else round(float(np.min(limit)), 6), disabled=several)
+            field.show(0.0 if limit is None else round(float(np.min(limit)), 6), disabled=several)
         put(self._at_once, value=session.at_once)
         if live.steps != self._steps:
             self._steps = live.steps
@@ -68,7 +71,8 @@ class ArmTab:
     def _controlled(self, name: str) -> None:
         self._post(lambda session: session.edit(with_controller(name), f"controller {name}"))
 
-    def _limited(self, key: str, what: str, value: float) -> None:
+    def _limited(self, key: str, what: str, value: float, over: bool) -> None:
+        del over
         limit = None if value == 0.0 else float(value)
         text = f"{what} {value:g}" if limit else f"no limit of {what} of our own"
         self._post(lambda session: session.edit(with_limits(**{key: limit}), text))

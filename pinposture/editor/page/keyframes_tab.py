@@ -122,14 +122,17 @@ class KeyframesTab:
         requests = (add, delete, partial(move, -1), partial(move, 1))
         self._post(dict(zip(ACTIONS, requests, strict=True))[action])
 
-    def _renamed(self, name: str) -> None:
+    def _renamed(self, name: str, over: bool) -> None:
+        del over
         self._post(partial(rename, self._index, name))
 
-    def _retimed(self, time: float) -> None:
+    def _retimed(self, time: float, over: bool) -> None:
+        del over
         edit, what = edits.retimed(self._index, float(time)), f"keyframe {self._index + 1} at {time:g} s"
         self._post(lambda session: session.edit(edit, what))
 
-    def _held(self, hold: float) -> None:
+    def _held(self, hold: float, over: bool) -> None:
+        del over
         edit, what = edits.held(self._index, float(hold)), f"keyframe {self._index + 1} held {hold:g} s"
         self._post(lambda session: session.edit(edit, what))
 

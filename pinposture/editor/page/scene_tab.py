@@ -24,7 +24,7 @@ from pinposture.editor.obstacle_edits import (
 from pinposture.editor.page.clearance import COLORS, clearance_text
 from pinposture.editor.page.part import Post, on_change, on_choice, on_click, put
 from pinposture.editor.page.scans import ScanControls
-from pinposture.editor.page.typing_in import Typed
+from pinposture.editor.page.typed import Typed
 from pinposture.editor.scan_shelf import ScanShelf
 from pinposture.editor.session import Session
 from pinposture.scene import Obstacle, Scene
@@ -130,7 +130,7 @@ class SceneTab:
         put(self._chosen, value=name or "none")
         if (name or "") != self._name:
             for typed in (self._called, self._radius, *self._vectors.values()):
-                typed.drop()  # it was meant for the one before
+                typed.finish()  # it was meant for the one before
             self._name = name or ""
         self._show_values(listed.get(self._name))
         self._margin.show(round(scene.margin, 6))

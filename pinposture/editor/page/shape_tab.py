@@ -11,6 +11,7 @@ from pinposture.arm import Arm
 from pinposture.editor.live import Live
 from pinposture.editor.page.handles import move_point, select_point
 from pinposture.editor.page.part import Post, on_change, on_choice, put
+from pinposture.editor.page.typed import Typed
 from pinposture.editor.session import Session
 from pinposture.editor.shape import Shape
 
@@ -28,12 +29,12 @@ class ShapeTab:
 
     def __init__(self, server: viser.ViserServer, post: Post) -> None:
         self._post, gui = post, server.gui
-        self._index = 0
+        self._index, self._keyframe = 0, 0
         self._point = gui.add_dropdown("Control point", ("none",), hint="Or click on one in the picture")
-        self._place = gui.add_vector3("x, y, z [m]", (0.0, 0.0, 0.0), step=0.001, hint="In the world")
+        place = gui.add_vector3("x, y, z [m]", (0.0, 0.0, 0.0), step=0.001, hint="In the world")
+        self._place = Typed(place, self._typed, preview=True)
         self._edit = gui.add_button_group("Point", ("Insert after", "Delete"))
         on_change(self._point, self._selected)
-        on_change(self._place, self._typed)
         on_choice(self._edit, self._edited)
 
     def show(self, session: Session, live: Live) -> None:
@@ -45,17 +46,26 @@ class ShapeTab:
             self._point.options = names
         handle = session.handle
         put(self._point, value="none" if handle is None else names[handle + 1])
-        put(self._place, disabled=handle is None or handle == 0)
-        if handle is not None:
-            self._index = handle
-            place = tuple(round(float(x), DIGITS) for x in session.shape.points[handle])
-            put(self._place, value=place)
+        if handle is not None and (handle, session.selected) != (self._index, self._keyframe):
+            self._place.finish()  # it was meant for the one before
+            self._index, self._keyframe = handle, session.selected
+        place = session.shape.points[self._index] if handle is not None else self._place.control.value
+        shown = tuple(round(float(x), DIGITS) for x in place)
+        self._place.show(shown, disabled=handle is None or handle == 0)
 
     def _selected(self, name: str) -> None:
         self._post(partial(select_point, None if name == "none" else int(name.split(maxsplit=1)[0]) - 1))
 
-    def _typed(self, place: tuple[float, float, float]) -> None:
-        self._post(partial(move_point, self._index, np.array(place), True))
+    def _typed(self, place: tuple[float, float, float], final: bool) -> None:
+        index, keyframe = self._index, self._keyframe
+
+        def request(session: Session) -> None:
+            if session.selected == keyframe:
+                chosen = session.handle  # perhaps another by now
+                move_point(index, np.array(place), final, session)
+                session.handle = chosen
+
+        self._post(request, "" if final else "move")
 
     def _edited(self, what: str) -> None:
         self._post(insert_point if what == "Insert after" else delete_point)

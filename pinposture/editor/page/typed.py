@@ -1,4 +1,4 @@
-"""Fields that are typed into: a value counts when the hand rests, not with every key."""
+"""Fields that are typed into: each key changes them, and a value counts when the typing is over."""
 
 from __future__ import annotations
 
@@ -6,9 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from viser import GuiEvent
-
-from pinposture.editor.page.part import put
+from pinposture.editor.page.part import on_change, put
 
 PAUSE = 0.8
 """How long after the last key a value counts [s]."""
@@ -20,43 +18,47 @@ class Typed:
     The browser tells of each key. "12" on the way to "125" is not meant, and may be impossible; so nothing is
     done until the hand rests, and nobody writes into the field before.
 
+    Attributes:
+        control: the field.
+
     Args:
         control: the field.
-        act: told the new value when it counts; may only post.
+        act: told the value, and whether the typing is over; may only post.
+        preview: whether it is told while typing goes on, too.
     """
 
-    def __init__(self, control: Any, act: Callable[[Any], None]) -> None:
-        self._control, self._act = control, act
-        self._pressed: float | None = None
+    def __init__(self, control: Any, act: Callable[[Any, bool], None], preview: bool = False) -> None:
+        self.control, self._act, self._preview = control, act, preview
+        self._typed: Any = None
         self._value: Any = control.value
+        self._since: float | None = None
+        on_change(control, self._changed)
 
-        async def pressed(event: GuiEvent[Any]) -> None:
-            if event.client_id is not None:
-                self._pressed = time.monotonic()
+    def _changed(self, value: Any) -> None:
+        self._typed, self._since = value, time.monotonic()
+        if self._preview:
+            self._act(value, False)
 
-        control.on_update(pressed)
-
-    def show(self, value: Any, disabled: bool = False) -> None:
-        """Write what counts into it, or pass on what was typed.
+    def show(self, value: Any, **others: Any) -> None:
+        """Write what counts into it, or pass on what was typed; called by the loop.
 
         Args:
             value: what counts.
-            disabled: whether it may not be typed into.
+            others: further attributes of the field.
         """
         self._value = value
-        pressed = self._pressed
-        if pressed is None:
-            put(self._control, value=value)
-        elif time.monotonic() - pressed >= PAUSE:
+        if self._since is None:
+            put(self.control, value=value)
+        elif time.monotonic() - self._since >= PAUSE:
             self.finish()
-        put(self._control, disabled=disabled)
+        put(self.control, **others)
 
     def finish(self) -> None:
         """Pass on what was typed, if it does not count yet: something else is done now."""
-        pressed, self._pressed = self._pressed, None
-        if pressed is not None and self._control.value != self._value:
-            self._act(self._control.value)
+        since, self._since = self._since, None
+        if since is not None and (self._preview or self._typed != self._value):
+            self._act(self._typed, True)
 
     def forget(self) -> None:
         """Drop what was typed and does not count yet."""
-        self._pressed = None
+        self._since = None
