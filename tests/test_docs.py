@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import pinposture as pp
-from pinposture import scene, task
 
 DOCS = Path(__file__).parents[1] / "docs"
 
@@ -47,21 +46,36 @@ def test_every_snippet_in_python_or_toml_is_known_here() -> None:
     languages = ("python", "toml", "csv", "json")
     counts = {page: [len(snippets(page, name)) for name in languages] for page in pages}
     assert counts == {
-        "tasks.md": [1, 2, 0, 0],
+        "tasks.md": [3, 2, 0, 0],
         "trajectories.md": [1, 0, 1, 1],
-        "follow_leader.md": [0, 0, 0, 0],
+        "follow_leader.md": [1, 0, 0, 0],
         "physics.md": [1, 0, 0, 0],
     }
 
 
 def test_keyframes_in_python(capsys: pytest.CaptureFixture) -> None:
-    (code,) = snippets("tasks.md", "python")
-    motion = run(code)["motion"]
+    motion = run(snippets("tasks.md", "python")[0])["motion"]
     assert motion.converged
     assert capsys.readouterr().out == f"{motion!r}\n"
     for name in ("q", "time", "mean_error", "passed", "slowing"):  # as the page goes on to say
         assert f"`motion.{name}`" in (DOCS / "tasks.md").read_text()
         assert getattr(motion, name) is not None
+
+
+def test_tasks_are_saved_as_shown(in_a_folder: Path) -> None:
+    _, edited, described = snippets("tasks.md", "python")
+    (in_a_folder / "examples").symlink_to(DOCS.parent / "examples")
+    higher, before = run(edited)["task"], pp.Task.load("examples/tasks/keyframes.toml")
+    again = pp.Task.load("higher.toml")
+    assert (again.continuity, before.continuity) == ("acceleration", "velocity")
+    risen = again.motion[-1].curve.at(0.1) - before.motion[-1].curve.at(0.1)
+    np.testing.assert_allclose(risen, (0, 0, 0.05), atol=1e-9)
+    assert [each.curve for each in again.motion] == [each.curve for each in higher.motion]
+    run(described)
+    text = (in_a_folder / "coil.toml").read_text()
+    assert 'urdf = "snake.urdf"\nsplit = 2\n' in text
+    assert 'curve = { type = "helix", radius = 0.05, pitch = 0.05, turns = 1.2 }' in text
+    assert pp.Task.load("coil.toml").arm.nv == 12
 
 
 def test_the_task_file_is_one_and_its_comments_are_true(in_a_folder: Path) -> None:
@@ -148,17 +162,16 @@ def test_a_motion_in_three_formats(in_a_folder: Path) -> None:
     run(line, **known)
 
 
-def test_follow_the_leader_in_python() -> None:
-    path = pp.Curve.spline([(0, 0, 0), (0.1, 0, 0), (0.2, 0, 0), (0.3, 0.1, 0)])
-    code = indented("follow_leader.md", "feed = ")
-    for long, short in (("* 20", "* 6"), ("interval=0.1", "interval=0.4"), ("dt=0.1", "dt=0.4")):
+def test_follow_the_leader_in_python(capsys: pytest.CaptureFixture) -> None:
+    (code,) = snippets("follow_leader.md", "python")
+    for long, short in (
+        ("] * 20", "] * 6"),
+        ("interval=0.1, speed=0.05", "interval=0.4, speed=0.05, depth=0.1"),
+    ):
+        assert long in code
         code = code.replace(long, short)
-    *most, last = code.replace("speed=0.05", "speed=0.05, depth=0.1").strip().splitlines()
-    most.insert(3, "laid = reference.marks[0].target.curve")
-    functions = (scene.pipe, task.follow_leader, task.path_deviation, task.perform)
-    names = run("\n".join(most), pp=pp, path=path, **{each.__name__: each for each in functions})
-    assert names["motion"].converged
-    assert np.all(np.isfinite(eval(last, names)))
+    assert run(code.replace("dt=0.1", "dt=0.4"))["motion"].converged
+    assert np.isfinite(float(capsys.readouterr().out))
 
 
 def test_physics_in_python() -> None:

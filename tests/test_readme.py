@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import runpy
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 
 import pinposture as pp
 from pinposture.cli import app
+from pinposture.view import viewer
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
@@ -22,13 +24,14 @@ def test_the_snippet_runs_and_the_arm_gets_there(
     script = tmp_path / "snippet.py"
     script.write_text(code)
     shown = []
-    monkeypatch.setattr(pp, "view", lambda *seen: shown.append(seen), raising=False)
+    monkeypatch.setattr(pp, "view", lambda *seen, **how: shown.append((seen, how)), raising=False)
     monkeypatch.chdir(tmp_path)
     run = runpy.run_path(str(script))["run"]
     assert run.converged
     assert capsys.readouterr().out.startswith("converged ")
     assert {path.name for path in tmp_path.iterdir()} >= {"run.png", "run.html", "run.npz"}
     assert len(shown) == 1
+    inspect.signature(viewer.view).bind(*shown[0][0], **shown[0][1])
 
 
 def test_the_commands_shown_exist() -> None:

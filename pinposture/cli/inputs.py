@@ -64,11 +64,15 @@ def read_arm(urdf: str, base: str | None, tip: str | None, modules: str | None) 
     """Load an arm as `Arm.from_urdf` does; "-" reads the URDF from stdin.
 
     Raises:
-        PostureError: as `Arm.from_urdf`; or nothing between two of the commas of `modules`.
+        PostureError: as `Arm.from_urdf`; the name of a template; or nothing between two of the commas of
+            `modules`.
     """
-    from pinposture.arm import Arm
+    from pinposture.arm import TEMPLATES, Arm
 
     source: str | Path = Path(urdf)
+    if urdf in TEMPLATES and not Path(urdf).exists():
+        advice = f"make an arm of the template first: pinposture generate {urdf} --modules 20 -o arm.urdf"
+        raise FileError(urdf, f"no such file; {advice}")
     if urdf == "-":
         source = sys.stdin.read()
         if not source.lstrip("\ufeff \t\r\n").startswith("<"):

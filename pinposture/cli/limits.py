@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pinposture.cli.inputs import read_numbers
+from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:
     import numpy as np
@@ -66,6 +67,9 @@ def read_limits(
     """
     from pinposture.control import Limits
 
+    for option, given in (("--velocity", velocity), ("--acceleration", acceleration)):
+        if dt is None and given is not None:
+            raise InvalidValue("--dt", dt, f"the duration of a step [s], needed with {option}")
     speed, change = _for_joints("--velocity", velocity), _for_joints("--acceleration", acceleration)
     return Limits(step=step, velocity=speed, dt=dt, position_margin=position_margin, acceleration=change)
 

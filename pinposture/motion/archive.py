@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
+from zipfile import is_zipfile
 
 import numpy as np
 
@@ -86,5 +87,7 @@ def read_archive(
     except FileError:
         raise
     except Exception as error:  # a damaged file can trip zlib, numpy's reader or Pinocchio's, anything
-        detail = "" if isinstance(error, ValueError) and "pickle" in str(error) else f": {error}"
-        raise FileError(path, f"is not a saved {kind.noun} ({type(error).__name__}{detail})") from error
+        detail = f"{type(error).__name__}: {error}"
+        if isinstance(error, ValueError) and "pickle" in str(error):  # numpy's advice is not to be followed
+            detail = "ValueError" if is_zipfile(path) else "it is no .npz archive"
+        raise FileError(path, f"is not a saved {kind.noun} ({detail})") from error

@@ -82,10 +82,14 @@ def resolve_targets(
         CurveBendsTooMuch: a later module cannot, or the curve leaves the plane of a planar module, or a
             control point stays farther off the curve than a tenth of its module's length.
         UnsupportedModule: sequential placement of a module for which no solver exists.
-        InvalidValue: fewer than 2 samples, a roll that is not finite, a target of another arm or of no curve
-            to be near to.
+        InvalidValue: no arm or no curve, fewer than 2 samples, a roll that is not finite, a target of another
+            arm or of no curve to be near to.
         UnknownName: a `placement`, `incomplete` or `method` that does not exist.
     """
+    if not isinstance(arm, Arm):
+        raise InvalidValue("arm", arm, "an Arm")
+    if not isinstance(curve, Curve):
+        raise InvalidValue("curve", curve, "a Curve")
     _require("placement", placement, PLACEMENTS)
     _require("way to treat an incomplete target", incomplete, ("raise", "partial"))
     _require("method", method, METHODS)

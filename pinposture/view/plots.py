@@ -41,9 +41,14 @@ def plot(run: Trajectory | Motion) -> Figure:
     Returns:
         A figure, 1200 pixels wide; `figure.savefig(path)` writes it. It is not shown, and pyplot does not
         know of it.
+
+    Raises:
+        InvalidValue: it is neither a run nor a motion.
     """
     if isinstance(run, Motion):
         return plot_motion(run)
+    if not isinstance(run, Trajectory):
+        raise InvalidValue("run", run, "a Trajectory, as from `track`, or a Motion, as from `move_through`")
     draws = [plot_posture_error, plot_point_errors]
     if chooses_points(run):
         draws.append(plot_active_points)

@@ -59,8 +59,10 @@ def require_fitting(arm: Arm, run: Trajectory | Motion | None, target: Target | 
     """Check that a run or a motion and a target belong to an arm.
 
     Raises:
-        InvalidValue: they have other numbers of joints or control points.
+        InvalidValue: it is neither a run nor a motion; they have other numbers of joints or control points.
     """
+    if run is not None and not isinstance(run, (Trajectory, Motion)):
+        raise InvalidValue("run", run, "a Trajectory, as from `track`, or a Motion, as from `move_through`")
     if run is not None and run.q.shape[1] != arm.nq:
         raise InvalidValue("run.q (shape)", run.q.shape, f"(steps + 1, {arm.nq}) for this arm")
     if target is not None and target.points.shape != (arm.n_modules, 3):

@@ -36,6 +36,9 @@ CASES = [
     Case("output is a pipe", "generate RyRz -n 3 -o DIR/pipe", ("DIR/pipe", "a device", "allowed: a file")),
     # the arm
     Case("missing arm", "inspect DIR/none.urdf", ("DIR/none.urdf", "no such file")),
+    Case(
+        "template for a file", "track RyRz --curve helix", ("RyRz: no such file", "pinposture generate RyRz")
+    ),
     Case("arm is a directory", "inspect DIR", ("DIR", "directory")),
     Case("malformed URDF", "inspect DIR/broken.urdf", ("DIR/broken.urdf", "line 3", "XML")),
     Case("no link of the joint", "track DIR/orphan.urdf --curve helix", ("joint 'j'", "'nowhere'")),

@@ -58,8 +58,8 @@ def test_an_infinite_step_is_no_limit(track):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (("--velocity", 1), ("dt is None", "velocity")),
-        (("--acceleration", 1), ("dt is None", "acceleration")),
+        (("--velocity", 1), ("--dt is None", "with --velocity")),
+        (("--acceleration", 1), ("--dt is None", "with --acceleration")),
         (("--velocity", "fast", "--dt", 1), ("--velocity is 'fast'", "numbers separated by commas")),
         (("--velocity", 0, "--dt", 1), ("velocity is 0", "positive")),
         (("--velocity", "1,nan", "--dt", 1), ("velocity", "nan", "positive")),

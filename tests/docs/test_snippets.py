@@ -14,7 +14,7 @@ from pinposture import view
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = ("index.md", "quickstart.md", "concepts.md", "controllers.md", "urdf.md", "scenes.md", "streaming.md")
-ELSEWHERE = {"tasks.md", "trajectories.md", "physics.md"}  # in tests/test_docs.py
+ELSEWHERE = {"tasks.md", "follow_leader.md", "trajectories.md", "physics.md"}  # in tests/test_docs.py
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -55,7 +55,9 @@ def test_the_snippets_of_a_page_run(page: str, capsys: pytest.CaptureFixture) ->
 def test_the_scene_file_is_one_with_every_kind_of_obstacle(tmp_path: Path) -> None:
     (text,) = fenced(DOCS / "scenes.md", "toml")
     (tmp_path / "scene.toml").write_text(text)
-    scene = pp.Scene.load(tmp_path / "scene.toml")
+    example = DOCS.parent / "examples/scene.toml"
+    assert example.read_text().split("\n", 2)[2] == text  # after what it is for
+    scene = pp.Scene.load(example)
     assert (scene.margin, scene.self_collision) == (0.01, True)
     kinds = {each.type for each in scene.obstacles.values()}
     assert kinds == {"cylinder", "sphere", "capsule", "box", "half_space"}  # and a mesh needs a file

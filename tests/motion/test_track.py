@@ -116,7 +116,7 @@ def test_files_that_are_no_runs_are_named(tmp_path: object, run: pp.Trajectory) 
         pp.Trajectory.load(tmp_path / "missing.npz")
     text = tmp_path / "text.npz"
     text.write_text("hello")
-    with pytest.raises(FileError, match="not a saved run"):
+    with pytest.raises(FileError, match=r"not a saved run \(it is no \.npz archive\)"):
         pp.Trajectory.load(text)
     other = tmp_path / "other.npz"
     np.savez(other, q=np.zeros(3))

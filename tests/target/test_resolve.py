@@ -201,6 +201,13 @@ def test_bad_arguments_are_named(arguments: dict, kind: type, message: str) -> N
         pp.resolve_targets(ARM, LINE, **arguments)
 
 
+def test_what_is_no_arm_or_no_curve_is_named() -> None:
+    with pytest.raises(InvalidValue, match=r"arm is Curve.*allowed: an Arm"):
+        pp.resolve_targets(LINE, ARM)
+    with pytest.raises(InvalidValue, match="curve is 'line'; allowed: a Curve"):
+        pp.resolve_targets(ARM, "line")
+
+
 def test_targets_from_points_and_configurations() -> None:
     q = ARM.random(np.random.default_rng(1))
     taken = pp.Target.from_configuration(ARM, q)

@@ -203,3 +203,5 @@ def test_a_run_of_another_arm_is_refused(tmp_path):
     other = Target.from_configuration(Arm.from_template("RyRz", modules=5), np.zeros(10))
     with pytest.raises(InvalidValue, match=r"target\.points"):
         save_html(run.arm, run, tmp_path / "run.html", target=other)
+    with pytest.raises(InvalidValue, match=r"run is .*Target.*allowed: a Trajectory"):
+        save_html(run.arm, run.target, tmp_path / "run.html")

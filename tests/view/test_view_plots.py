@@ -263,6 +263,11 @@ def test_several_runs_in_one_panel_all_fit():
     assert high > RUN.posture_error.max()
 
 
+def test_what_is_no_run_is_not_drawn():
+    with pytest.raises(InvalidValue, match=r"run is .*Target.*allowed: a Trajectory"):
+        pp.plot(HELIX)
+
+
 def test_runs_that_have_nothing_in_common_are_not_compared():
     with pytest.raises(InvalidValue, match="same target"):
         pp.plot_comparison({"a": RUN, "b": run_to(pp.Target.from_configuration(ARM, GOAL))})
