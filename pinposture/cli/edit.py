@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -23,6 +24,12 @@ EXAMPLES = (
     "pinposture edit arm.urdf --modules 2 --save-as dance.toml",
     "pinposture edit dance.toml --joint-states measured.jsonl --port 8090",
 )
+
+SUFFIXES = (".toml", ".json")
+"""What the names of task files end in."""
+
+ENDING = ("SIGTERM", "SIGHUP")
+"""Signals that end it as Ctrl-C does: what was changed last is written yet."""
 
 MODULES = 20
 """Modules of an arm that is made of a template, if nothing else is said."""
@@ -76,19 +83,23 @@ def run(
 
     task, path = read_task(source, base, tip, modules, save_as)
     editor = Editor(task, path, host, port, joint_states)
-    editor.start()
-    typer.echo(editor.url)
-    print_note("press Ctrl-C to end")
-    if not no_browser:
-        webbrowser.open(editor.url)
     try:
+        for name in ENDING:
+            if hasattr(signal, name):
+                signal.signal(getattr(signal, name), signal.default_int_handler)
+        editor.start()
+        typer.echo(editor.url)
+        print_note("press Ctrl-C to end")
+        if not no_browser:
+            webbrowser.open(editor.url)
         editor.wait()
     except KeyboardInterrupt:
         print_note("")
     finally:
         editor.close()
-        if autosave_path(path).exists():
-            print_note("what was not saved is kept, and taken up at the next start")
+        now = editor.session.path  # another one may have been opened
+        if now is not None and autosave_path(now).exists():
+            print_note(f"what was not saved of {now.name} is kept, and taken up at the next start")
 
 
 def read_task(
@@ -99,26 +110,31 @@ def read_task(
     Raises:
         PostureError: there is no such file or template; or as `Task.load` and `Arm.from_urdf`.
     """
+    from pinposture.editor.autosave import recover, version_of
     from pinposture.task import Task
 
     suffix = Path(source).suffix.lower()
-    if suffix in (".toml", ".json"):
+    if suffix in SUFFIXES:
         for name, value in (("--base", base), ("--tip", tip), ("--modules", modules), ("--save-as", save_as)):
             if value is not None:
                 raise InvalidValue(name, str(value), "nothing: the task file says it")
         path = Path(source).absolute()
-        return Task.load(path), path
+        # What was never saved, or whose file is gone, goes on from what was kept.
+        left = None if version_of(path) else recover(path)
+        return (Task.load(path) if left is None or left.task is None else left.task), path
     from pinposture.editor.first_task import first_task
 
     described: dict[str, object] | None
-    if suffix in (".urdf", ".xml", ".xacro") or Path(source).exists():
+    if suffix in (".urdf", ".xml", ".xacro") or version_of(Path(source)):
         arm, name = read_arm(source, base, tip, modules), Path(source).stem
         asked = {"base": base, "tip": tip, "split": None if modules is None else read_modules(modules)}
         described = {"urdf": Path(source).absolute()} | {k: v for k, v in asked.items() if v is not None}
     else:
         (arm, name), described = _templated(source, base, tip, modules), None
     path = (Path(f"{name}.toml") if save_as is None else save_as).absolute()
-    if path.exists():
+    if path.suffix.lower() not in SUFFIXES:
+        raise FileError(path, f"the name ends in {path.suffix!r}; allowed: {', '.join(SUFFIXES)}")
+    if version_of(path):
         raise FileError(
             path, f"exists already; edit it (pinposture edit {path.name}), or give another --save-as"
         )
@@ -129,6 +145,7 @@ def _templated(source: str, base: str | None, tip: str | None, modules: str | No
     """An arm of a template, and what to call it."""
     from pinposture.arm import Arm
     from pinposture.arm.template import TEMPLATES
+    from pinposture.task.reading.arms import MOST_MODULES
 
     if source not in TEMPLATES:
         raise UnknownName("task file, robot description or template", source, TEMPLATES)
@@ -139,4 +156,6 @@ def _templated(source: str, base: str | None, tip: str | None, modules: str | No
         count = MODULES if modules is None else int(modules)
     except ValueError:
         raise InvalidValue("--modules", modules, "a whole number: how many modules of the template") from None
+    if count > MOST_MODULES:  # no task file could hold it
+        raise InvalidValue("--modules", count, f"{MOST_MODULES} at most")
     return Arm.from_template(source, count), f"{source.lower()}{count}"

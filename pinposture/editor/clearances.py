@@ -133,8 +133,9 @@ class Clearances:
             assert asked is not None
             try:
                 found = nearest(asked)
-            except (PostureError, ArithmeticError, np.linalg.LinAlgError) as error:
-                logger.warning("the clearance cannot be told: %s", error)
+            except Exception as error:  # of whatever kind: the thread is needed for what is asked next
+                known = isinstance(error, PostureError | ArithmeticError | np.linalg.LinAlgError)
+                logger.warning("the clearance cannot be told: %s", error, exc_info=not known)
                 found = None
             with self._lock:
                 self._latest = found

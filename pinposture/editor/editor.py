@@ -6,6 +6,7 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import TypeAlias
@@ -23,6 +24,9 @@ from pinposture.task import Task
 logger = logging.getLogger(__name__)
 
 Request: TypeAlias = Callable[[Session], None]
+
+MOST = 1000
+"""How many requests may wait; there are more only if a program sends them, and those are dropped."""
 
 FRAME, IDLE = 1.0 / 60.0, 0.25
 """How soon after each other the page is brought up to date, and how often at least [s]."""
@@ -62,13 +66,20 @@ class Editor:
         self.session = Session(task, path)
         restore(self.session)
         self._inbox: deque[tuple[str, Request]] = deque()
+        self._flooded, self._fault = False, ""
         self._lock, self._news, self._over = Lock(), Event(), Event()
-        self._solver = Solver(self.session.problem, task.arm.straight(), self._news.set)
+        self._solver = Solver(self.session.problem, self.session.arm.straight(), self._news.set)
         self._asked = self.session.number
-        self.files = Files(self.post)
+        self.files = Files(self.post, self.session.path)
         self.surroundings = Surroundings(self.post)
-        self._states = None if joint_states is None else JointStates(task.arm, joint_states)
-        self.page = Page(self.session, self.post, self.files, self.surroundings, self._states, host, port)
+        self._states: JointStates | None = None
+        try:
+            if joint_states is not None:
+                self._states = JointStates(self.session.arm, joint_states)
+            self.page = Page(self.session, self.post, self.files, self.surroundings, self._states, host, port)
+        except BaseException:
+            self._close_parts()
+            raise
         self._thread = Thread(target=self._run, name="pinposture-editor", daemon=True)
 
     @property
@@ -98,12 +109,15 @@ class Editor:
         if self._thread.is_alive():
             self._thread.join(timeout=5.0)
         self._solver.close()
+        self._close_parts()
+        self.page.close()
+
+    def _close_parts(self) -> None:
         self.session.playback.close()
         self.surroundings.close()
         if self._states is not None:
             self._states.close()
         self.files.close()
-        self.page.close()
 
     def post(self, request: Request, key: str = "") -> None:
         """Leave a request for the loop. May be called from any thread, and returns at once.
@@ -115,32 +129,54 @@ class Editor:
         with self._lock:
             if key and self._inbox and self._inbox[-1][0] == key:
                 self._inbox[-1] = key, request
-            else:
+            elif len(self._inbox) < MOST:
                 self._inbox.append((key, request))
+            else:
+                self._flooded = True
         self._news.set()
 
     def _run(self) -> None:
         while not self._over.is_set():
             begun = time.monotonic()
             self._news.clear()
-            live = self._solver.live
-            self.session.settle(live)
-            while (request := self._next()) is not None:
-                self._do(request)
-            self.surroundings.watch(self.session, live)
-            if self.session.number != self._asked:
-                self._asked = self.session.number
-                self._solver.ask(self.session.problem)
-            self.files.watch(self.session)
-            self.session.playback.follow(self.session)
-            try:
-                self.page.show(self.session, live)
-            except Exception:  # the page of the moment is lost, the work is not
-                logger.exception("the page could not be brought up to date")
+            session, live = self.session, self._solver.live
+            for part in (
+                partial(session.settle, live),
+                self._take_requests,
+                partial(self.surroundings.watch, session, live),
+                self._ask,
+                partial(self.files.watch, session),
+                partial(session.playback.follow, session),
+                partial(self.page.show, session, live),
+            ):
+                self._safely(part)
             left = FRAME - (time.monotonic() - begun)
             if left > 0.0:
                 self._over.wait(left)
             self._news.wait(IDLE)
+
+    def _safely(self, part: Callable[[], object]) -> None:
+        """Do a part of what the loop does; a fault of ours costs this part of this turn, and not the work."""
+        try:
+            part()
+        except Exception as error:
+            fault = f"{type(error).__name__}: {error}"
+            if fault != self._fault:  # it may come with every turn
+                logger.exception("a part of the editor failed")
+                self._fault = fault
+
+    def _take_requests(self) -> None:
+        while (request := self._next()) is not None:
+            self._do(request)
+        if self._flooded:
+            self._flooded = False
+            self.session.say("too much at once: some of it was not done", "warning")
+
+    def _ask(self) -> None:
+        """Tell the solver what is asked of the arm, if that is something else now."""
+        if self.session.number != self._asked:
+            self._asked = self.session.number
+            self._solver.ask(self.session.problem)
 
     def _next(self) -> Request | None:
         """The next request, if it may be done: what is proposed is decided on before anything else."""

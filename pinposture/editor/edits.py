@@ -55,7 +55,7 @@ def with_keyframe(index: int, **changes: Any) -> Edit:
     """A keyframe with other values: its name, hold, region and so on."""
 
     def edit(task: Task) -> Task:
-        keyframes = list(keyframes_of(task))
+        keyframes = _listed(task, index)
         keyframes[index] = replace(keyframes[index], **changes)
         return _with(task, keyframes)
 
@@ -66,7 +66,7 @@ def reshaped(index: int, change: Callable[[Arm, Shape], Shape], shape: Shape) ->
     """A keyframe with another shape, made of the one that it has."""
 
     def edit(task: Task) -> Task:
-        keyframes = list(keyframes_of(task))
+        keyframes = _listed(task, index)
         keyframes[index] = change(task.arm, shape).keyframe(keyframes[index])
         return _with(task, keyframes)
 
@@ -80,7 +80,7 @@ def retimed(index: int, time: float) -> Edit:
     """
 
     def edit(task: Task) -> Task:
-        keyframes, gaps = list(keyframes_of(task)), _gaps(task)
+        keyframes, gaps = _listed(task, index), _gaps(task)
         if index == 0:
             if time != 0.0:
                 raise InvalidValue("time of keyframe 1", time, "0 s: the motion begins with it")
@@ -103,7 +103,7 @@ def held(index: int, hold: float) -> Edit:
     """A keyframe that is held for another time [s]; those behind it move along."""
 
     def edit(task: Task) -> Task:
-        keyframes, gaps = list(keyframes_of(task)), _gaps(task)
+        keyframes, gaps = _listed(task, index), _gaps(task)
         keyframes[index] = replace(keyframes[index], hold=hold)
         return _timed(task, keyframes, gaps)
 
@@ -117,7 +117,7 @@ def added(index: int, name: str = "") -> Edit:
     """
 
     def edit(task: Task) -> Task:
-        keyframes, gaps = list(keyframes_of(task)), _gaps(task)
+        keyframes, gaps = _listed(task, index), _gaps(task)
         own = replace(keyframes[index], time=None, duration=LATER, hold=0.0, name=name, tip=None)
         if keyframes[index].duration is None:
             own = replace(own, time=0.0, duration=None)
@@ -132,7 +132,7 @@ def removed(index: int) -> Edit:
     """All keyframes but one; the others stay at their times, but for the first of them, which is at 0."""
 
     def edit(task: Task) -> Task:
-        keyframes, gaps = list(keyframes_of(task)), _gaps(task)
+        keyframes, gaps = _listed(task, index), _gaps(task)
         if len(keyframes) <= 2:
             raise TaskError(f"keyframe {index + 1}", "cannot be deleted: a motion needs two keyframes")
         if 0 < index < len(gaps) - 1:
@@ -147,7 +147,7 @@ def reordered(index: int, to: int) -> Edit:
     """A keyframe at another place in the order, held as it was; the times in between stay as they are."""
 
     def edit(task: Task) -> Task:
-        keyframes = list(keyframes_of(task))
+        keyframes = _listed(task, index)
         if not 0 <= to < len(keyframes):
             raise TaskError(f"keyframe {index + 1}", "there is none before the first or after the last")
         keyframes.insert(to, keyframes.pop(index))
@@ -195,6 +195,18 @@ def with_obstacle(name: str, obstacle: Obstacle | None, instead: str | None = No
 def with_scene(**changes: Any) -> Edit:
     """The task in a scene of another margin, or with self-collision looked at, and so on."""
     return lambda task: task.edited(scene=replace(task.scene or Scene(), **changes))
+
+
+def _listed(task: Task, index: int) -> list[Keyframe]:
+    """The keyframes of a task, of which one is going to be changed.
+
+    Raises:
+        TaskError: it is not there, any more perhaps.
+    """
+    keyframes = list(keyframes_of(task))
+    if not 0 <= index < len(keyframes):
+        raise TaskError(f"keyframe {index + 1}", f"does not exist; allowed: 1 to {len(keyframes)}")
+    return keyframes
 
 
 def _gaps(task: Task) -> list[float]:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import logging
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from threading import Thread
 
-from pinposture.editor.autosave import Autosave, autosave_path, recover
+from pinposture.editor.autosave import Autosave, Recovered, put_aside, recover, version_of
 from pinposture.editor.edits import keyframes_of
 from pinposture.editor.session import Session
 from pinposture.errors import FileError, PostureError
 from pinposture.task import Task
+from pinposture.task.paths import settled
+from pinposture.task.writing.same import same_arm
 
-SUFFIXES = (".toml", ".json")
+logger = logging.getLogger(__name__)
 
 
 class Files:
@@ -20,13 +23,15 @@ class Files:
 
     Args:
         post: leaves a request for the loop.
+        path: the task file, as it was read a moment ago; None if there is none.
     """
 
-    def __init__(self, post: Callable[[Callable[[Session], None]], None]) -> None:
+    def __init__(self, post: Callable[[Callable[[Session], None]], None], path: Path | None = None) -> None:
         self._post = post
         self._autosave = Autosave()
         self._kept: Task | None = None
         self._complained = ""
+        self._version = None if path is None else version_of(path)  # the file as it is known here
 
     def watch(self, session: Session) -> None:
         """Keep what was changed; called by the loop whenever it likes."""
@@ -41,41 +46,60 @@ class Files:
         if self._autosave.complaint != self._complained:
             self._complained = self._autosave.complaint
             if self._complained:
-                session.say(f"your changes cannot be kept: {self._complained}", "error")
+                session.say(self._complained, "error")
 
     def save(self, session: Session, path: Path | None = None) -> None:
         """Save the task in its file, or in another one, which then is its file.
 
         Raises:
-            FileError: it cannot be written; nothing changes.
+            FileError: it cannot be written, another file has that name, or somebody else changed the file:
+                that is told once, and saving again replaces it. Nothing changes.
         """
         path = session.path if path is None else path
         if path is None:
             raise FileError("the task", "has no file yet; give it a name, such as task.toml")
-        path = path.expanduser().absolute()
-        if path != session.path and path.exists():
+        path = _absolute(path)
+        there = version_of(path)
+        if path != session.path and there is not None:
             raise FileError(
                 path, "exists already; allowed: a name that is free, or that of the file being edited"
             )
+        if there is not None and there != self._version:
+            self._version = there
+            raise FileError(path, "somebody else changed it; save again to replace that, or save elsewhere")
         session.task.save(path)
         before, session.path, session.saved = session.path, path, session.task
+        self._version = version_of(path)
         self._autosave.forget(path)
         if before is not None and before != path:
             self._autosave.forget(before)
         session.say(f"saved as {path.name}")
 
     def open(self, session: Session, path: Path) -> None:
-        """Open another task file; the loop goes on meanwhile."""
-        path = path.expanduser().absolute()
+        """Open another task file; the loop goes on meanwhile.
+
+        Raises:
+            FileError: a name that no file can have.
+        """
+        path = _absolute(path)
         session.say(f"opening {path.name} ...")
 
         def work() -> None:
+            self._autosave.finish()  # it may be that of the file that is opened again
+            version = version_of(path)
             try:
-                opened = open_task(path)
-            except PostureError as error:
+                put = open_task(path)
+            except Exception as error:
+                if not isinstance(error, PostureError):  # a fault of ours, which has to be told, too
+                    logger.exception("%s could not be opened", path)
                 reason = str(error)
                 self._post(lambda session: session.say(f"not opened: {reason}", "error"))
                 return
+
+            def opened(session: Session) -> None:
+                put(session)
+                self._version = version
+
             self._post(opened)
 
         Thread(target=work, name="pinposture-open", daemon=True).start()
@@ -104,23 +128,57 @@ def open_task(path: Path) -> Callable[[Session], None]:
 
 
 def restore(session: Session) -> None:
-    """Take up what was changed and not saved when an editor of the same file ended; undo takes it back."""
-    if session.path is None:
-        return
-    left = recover(session.path)
+    """Take up what was changed and not saved when an editor of the same file ended; undo takes it back.
+
+    Where the file was written after that, it counts, and redo takes the changes up.
+    """
+    left = None if session.path is None else recover(session.path)
     if left is None:
         return
     if left.task is None:
-        session.say(
-            f"{left.path.name} holds changes that were not saved, and cannot be read: {left.complaint}",
-            "error",
-        )
+        session.say(_unreadable(left), "error")
         return
-    count = len(keyframes_of(left.task))
-    session.take_up(left.task, min(session.selected, count - 1))
-    session.say(
-        f"recovered what was not saved (from {left.path.name}); undo goes back to the file", "warning"
-    )
+    task = _kept_of(left.task, session.task, left.path)
+    session.take_up(task, min(session.selected, len(keyframes_of(task)) - 1))
+    if left.older:
+        session.undo()
+        text = f"{left.path.name} holds changes from before the file was written; redo takes them up"
+    else:
+        back = "takes that back" if session.saved is None else "goes back to the file"
+        text = f"recovered what was not saved (from {left.path.name}); undo {back}"
+    session.say(text, "warning")
 
 
-__all__ = ["SUFFIXES", "Files", "autosave_path", "open_task", "restore"]
+def _unreadable(left: Recovered) -> str:
+    """Say what became of changes that cannot be read; they are not written over."""
+    try:
+        name = put_aside(left.path).name
+    except OSError as error:
+        name = f"{left.path.name}, which is going to be replaced ({error.strerror or error})"
+    return f"changes that were not saved cannot be read, and are in {name}: {left.complaint}"
+
+
+def _kept_of(task: Task, there: Task, kept: Path) -> Task:
+    """A task that was kept, with the arm that is there if it is the same one: it need not begin anew then.
+
+    A description of the arm that was kept beside the task goes when that is saved, and is not relied on.
+    """
+    arm, told = task.arm, task.described.get(task.arm)
+    if same_arm(arm, there.arm):
+        arm, told = there.arm, there.described.get(there.arm)
+    elif isinstance(told, Mapping) and told.get("urdf") == settled(kept.with_suffix(".urdf")):
+        told = None
+    described = {part: each for part, each in task.described.items() if part is not task.arm}
+    return task.edited(arm=arm, described=described if told is None else described | {arm: told})
+
+
+def _absolute(path: Path) -> Path:
+    """A path from the root; as whoever types it means it.
+
+    Raises:
+        FileError: somebody's home that there is not.
+    """
+    try:
+        return path.expanduser().absolute()
+    except RuntimeError as error:
+        raise FileError(path, f"cannot be found ({error})") from None

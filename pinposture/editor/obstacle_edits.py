@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pinposture.editor.edits import Edit, with_obstacle
 from pinposture.editor.new_obstacles import new_obstacle
 from pinposture.editor.session import Proposal, Session
-from pinposture.errors import PostureError, TaskError
+from pinposture.errors import InvalidValue, PostureError, TaskError
 from pinposture.scene import Obstacle, Scene
 from pinposture.scene.inside import obstacles_around
 from pinposture.task import Task
@@ -131,6 +131,8 @@ def edit_obstacle(name: str, key: str, value: object, final: bool, session: Sess
     """Give an obstacle another value: of its centre, size, radius and so on, by the name of the attribute."""
 
     def change(obstacle: Obstacle) -> Obstacle:
+        if not hasattr(obstacle, key):  # it has become another one since
+            raise InvalidValue(f"{key} of {name}", value, f"nothing, of a {obstacle.type}")
         return replace(obstacle, **{key: value})  # type: ignore[arg-type]
 
     rearrange(name, change, f"changed {name}", final, session)

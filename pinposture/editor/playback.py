@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from pinposture.arm import ArmState
 from pinposture.editor.live import Live, at_limit, errors_of
 from pinposture.editor.rehearsal import Rehearsal
+from pinposture.errors import InvalidValue
 from pinposture.motion import Motion
 from pinposture.target import Target
 from pinposture.task import Task
@@ -151,7 +153,12 @@ class Playback:
         Args:
             task: whose motion.
             at: which moment [s]; the nearest that there is counts.
+
+        Raises:
+            InvalidValue: no moment.
         """
+        if not math.isfinite(at):
+            raise InvalidValue("time", at, "a finite number of seconds")
         self._want(task)
         self._playing = False
         self._put(max(at, 0.0) if self.motion is None else min(max(at, 0.0), self.lasting))

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pinposture.arm import Arm
+from pinposture.editor.autosave import version_of
 from pinposture.editor.clearances import Nearest
 from pinposture.editor.edits import Edit, keyframes_of, reshaped
 from pinposture.editor.history import Done, History
@@ -84,7 +85,7 @@ class Session:
         if not 0 <= self.selected < count:
             raise InvalidValue("selected", selected, f"a keyframe of the task, 0 to {count - 1}")
         self.history = History(task, self.selected)
-        self.path = path
+        self.path = None if path is None else path.absolute()
         self.handle: int | None = None
         self.obstacle: str | None = None
         self.proposal: Proposal | None = None
@@ -94,7 +95,7 @@ class Session:
         self.number = 1
         self.revision = 1
         self.asked = time.monotonic()
-        self.saved: Task | None = task if path is not None and path.exists() else None
+        self.saved: Task | None = task if path is not None and version_of(path) else None
         self.playback = Playback()
         self._shapes: tuple[Keyframe, Shape] | None = None
 
@@ -222,6 +223,7 @@ class Session:
             return
         self.proposal = None
         if live.verdict.target is None:
+            self._settle_on(self.selected)
             reason = f"not done, the arm cannot take that shape: {live.verdict.reason}"
             self.say(f"{proposal.what}: {reason}", "error")
             self.touch()
@@ -229,6 +231,14 @@ class Session:
         self._add(proposal.task, proposal.what, self.selected)
         if proposal.note:
             self.say(f"{proposal.what}; {proposal.note}")
+
+    def take_hold(self, handle: int | None) -> None:
+        """Select a control point, 0-based, in place of an obstacle; one that there is not changes nothing."""
+        if handle is None:
+            self.handle = None
+        elif 0 <= handle < len(self.shape.points):
+            self.handle, self.obstacle = handle, None
+        self.revision += 1
 
     def select(self, keyframe: int) -> None:
         """Go on with another keyframe, 0-based; one that there is not changes nothing."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ArmState
-from pinposture.control import Limits
+from pinposture.control import ConstrainedQP, Limits
 from pinposture.editor.live import Live, Problem, active_of, at_limit, errors_of
 from pinposture.editor.verdict import Verdict, judge, review
 from pinposture.errors import PostureError, PostureWarning
@@ -93,6 +93,7 @@ class Solver:
                 asked = self._asked
             if asked.number != self._problem.number:
                 self._take(asked)
+                self._publish()  # whoever proposed it need not wait for a step that has to be planned
             self._step()
             resting = self._tracker.report.status in RESTING or self._tracker.target is None
             left = IDLE if resting else CYCLE - (time.monotonic() - begun)
@@ -109,8 +110,7 @@ class Solver:
         try:
             self._verdict = self._judged(problem)
             if problem.arm is not before.arm:
-                self._dq = np.zeros(problem.arm.nv)
-                self._tracker, self._made_for = _tracker(problem, problem.arm.straight()), problem
+                self._begin(problem)
             elif new or any(getattr(problem, part) != getattr(before, part) for part in MOVING):
                 target, tracker = self._tracker.target, _tracker(problem, self._tracker.command, self._dq)
                 if target is not None:
@@ -123,6 +123,17 @@ class Solver:
         except Exception as error:  # a fault of ours, which must not end the thread: it would be waited for
             logger.exception("a problem could not be looked at")
             self._verdict = Verdict(None, f"that could not be worked out ({error})")
+
+    def _begin(self, problem: Problem) -> None:
+        """Turn to another arm; it lies straight.
+
+        Raises:
+            PostureError: it cannot be moved by this controller, in this scene. It then just lies there.
+        """
+        self._dq = np.zeros(problem.arm.nv)
+        start, bare = problem.arm.straight(), problem._replace(controller=ConstrainedQP(), scene=None)
+        self._tracker, self._made_for = _tracker(bare, start), bare
+        self._tracker, self._made_for = _tracker(problem, start), problem
 
     def _judged(self, problem: Problem) -> Verdict:
         """What the arm can make of a problem; known already of a shape that was judged before."""
@@ -139,21 +150,27 @@ class Solver:
     def _step(self) -> None:
         """One step, and what can be seen after it."""
         tracker, problem = self._tracker, self._problem
-        target = tracker.target
-        if problem.at_once and target is not None and target.q is not None:
-            tracker.restart(target.q)
+        arm, target = tracker.arm, tracker.target
         try:
+            if problem.at_once and target is not None and target.q is not None:
+                tracker.restart(target.q)
             self._dq, self._fault = tracker.step(tracker.command), ""
         except Exception as error:  # of a controller, of whatever kind
-            if str(error) != self._fault:
-                logger.warning("the arm stands still: %s", error)
-            self._dq, self._fault = np.zeros(tracker.arm.nv), str(error) or type(error).__name__
+            reason = str(error) or type(error).__name__
+            if reason != self._fault:
+                logger.warning("the arm is brought to rest: %s", error)
+            self._dq, self._fault = tracker.limits.hold(arm.at(tracker.command), self._dq).dq, reason
+            tracker.restart(arm.integrate(tracker.command, self._dq), self._dq)
         now = time.monotonic()
         self._steps += 1
         self._last.append(now)
         if self._lag is None:
             self._lag = now - problem.asked
-        live = self._look(tracker.arm.at(tracker.command))
+        self._publish()
+
+    def _publish(self) -> None:
+        """Leave what there is to see, to be looked up."""
+        live = self._look(self._tracker.arm.at(self._tracker.command))
         with self._lock:
             self._live = live
         self._tell()

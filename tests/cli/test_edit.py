@@ -62,6 +62,14 @@ def test_a_task_file_is_edited_as_it_is(tmp_path):
     assert again.arm.n_modules == 4
 
 
+def test_what_was_never_saved_goes_on_from_what_was_kept(tmp_path):
+    task, path = read_task("RyRz", None, None, "4", None)
+    task.edited(name="kept").save(autosave_path(path))
+    again, same = read_task("ryrz4.toml", None, None, None, None)
+    assert (again.name, same) == ("kept", path)
+    assert not path.exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "kind", "words"),
     [
@@ -69,9 +77,12 @@ def test_a_task_file_is_edited_as_it_is(tmp_path):
         (("nothing.urdf", None, None, None, None), FileError, "nothing.urdf"),
         (("RyRx", None, None, None, None), UnknownName, "did you mean 'RyRz'"),
         (("RyRz", None, None, "many", None), InvalidValue, "--modules"),
+        (("RyRz", None, None, "1001", None), InvalidValue, "--modules is 1001; allowed: 1000 at most"),
+        (("n" * 300 + ".toml", None, None, None, None), FileError, "cannot be read"),
         (("RyRz", None, "hand", None, None), InvalidValue, "--tip"),
         (("there.toml", None, None, "3", None), InvalidValue, "the task file says it"),
         (("RyRz", None, None, None, "there.toml"), FileError, "exists already"),
+        (("RyRz", None, None, None, "new.csv"), FileError, "the name ends in '.csv'; allowed: .toml, .json"),
     ],
 )
 def test_what_cannot_be_edited_is_refused_by_name(arguments, kind, words, tmp_path):
@@ -81,7 +92,25 @@ def test_what_cannot_be_edited_is_refused_by_name(arguments, kind, words, tmp_pa
         read_task(*others, None if save_as is None else tmp_path / save_as)
 
 
-def test_it_serves_a_page_until_ctrl_c_and_leaves_nothing_behind(tmp_path):
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--port", "65536"), "port is 65536; allowed: a whole number from 1 to 65535"),
+        (("--port", "0"), "port is 0; allowed"),
+        (("--host", "192.0.2.1"), "cannot serve at '192.0.2.1'"),  # of nobody, RFC 5737
+        (("--host", "no host"), "cannot serve at 'no host'"),
+    ],
+)
+def test_an_address_that_is_not_to_be_had_is_told_at_once(options, words):
+    pytest.importorskip("viser", reason="viser is not installed")
+    command = [sys.executable, "-m", "pinposture", "edit", "--no-browser", *options]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (2, "", 1)
+    assert words in ended.stderr
+
+
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_it_serves_a_page_until_it_is_ended_and_leaves_nothing_behind(end, tmp_path):
     pytest.importorskip("viser", reason="viser is not installed")
     command = [sys.executable, "-m", "pinposture", "edit", "--no-browser", "--port", "8430"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
@@ -90,7 +119,7 @@ def test_it_serves_a_page_until_ctrl_c_and_leaves_nothing_behind(tmp_path):
     assert "Ctrl-C" in process.stderr.readline()
     with urlopen(url, timeout=20) as page:
         assert page.status == 200
-    process.send_signal(signal.SIGINT)
+    process.send_signal(end)
     out, err = process.communicate(timeout=30)
     assert (process.returncode, out, err.strip()) == (0, "", "")
     assert list(tmp_path.iterdir()) == []

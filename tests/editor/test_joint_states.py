@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -328,7 +329,8 @@ def test_a_named_pipe_and_those_who_write_into_it_one_after_the_other(tmp_path):
         with path.open("w") as file:
             file.write("x\n" + line(np.zeros(6))[:20])
         latest = until(states, lambda now: now.refused == 2)
-        assert latest.complaint.startswith("line 8: ")
+        # Where the next one writes before the end of the one before was seen, their lines are one.
+        assert re.match("line [5-8]: ", latest.complaint)
     assert states.ended
 
 

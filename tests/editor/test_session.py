@@ -15,7 +15,7 @@ from pinposture.editor.live import Live
 from pinposture.editor.session import Session
 from pinposture.editor.shape import Shape
 from pinposture.editor.solver import Solver
-from pinposture.editor.verdict import judge
+from pinposture.editor.verdict import Verdict, judge
 from pinposture.errors import InvalidValue
 from pinposture.task import Keyframe
 
@@ -190,3 +190,44 @@ def test_the_next_task_is_begun_with_nothing_of_the_last() -> None:
     assert (session.selected, session.handle, session.proposal) == (1, None, None)
     assert session.history.undoable == ""
     assert session.changed
+
+
+@pytest.mark.parametrize("index", [-1, 99])
+def test_a_control_point_that_there_is_not_cannot_be_selected(index: int) -> None:
+    session = opened()
+    session.obstacle = "post"
+    session.take_hold(2)
+    assert (session.handle, session.obstacle) == (2, None)
+    session.take_hold(index)
+    assert session.handle == 2
+    session.take_hold(None)
+    assert session.handle is None
+
+
+def test_a_new_control_point_that_cannot_be_is_selected_no_more() -> None:
+    session = opened()
+    count = len(session.shape.points)
+    session.take_hold(count - 1)
+    session.reshape(lambda arm, shape: shape.inserted(arm, count - 1), "inserted a point")
+    session.take_hold(count)
+    assert session.handle == count
+    session.settle(looked_at(session)._replace(verdict=Verdict(None, "no")))
+    assert len(session.shape.points) == count
+    assert session.handle is None
+
+
+def test_a_keyframe_that_is_gone_is_not_changed() -> None:
+    session = opened()
+    shape, before = session.shape, session.task
+    for edit in (
+        edits.with_keyframe(4, name="x"),
+        edits.reshaped(4, lambda arm, shape: shape, shape),
+        edits.retimed(4, 9.0),
+        edits.held(-1, 1.0),
+        edits.added(4),
+        edits.removed(4),
+        edits.reordered(4, 0),
+    ):
+        assert not session.edit(edit, "changed it")
+        assert "does not exist; allowed: 1 to 4" in session.notice.text
+    assert session.task is before

@@ -187,3 +187,10 @@ def test_what_files_may_say_besides_is_checked(tmp_path: Path, old: str, new: st
     with pytest.raises(FileError) as caught:
         pp.Task.load(path)
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["n" * 300 + ".toml", "nu\0ll.toml", "circle.toml"])
+def test_a_name_that_no_file_can_have_is_refused(tmp_path: Path, name: str) -> None:
+    (tmp_path / "circle.toml").symlink_to(tmp_path / "circle.toml")
+    with pytest.raises(FileError, match="cannot be written"):
+        pp.Task(ARM, FRAMES, LIMITS).save(tmp_path / name)

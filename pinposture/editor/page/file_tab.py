@@ -53,7 +53,7 @@ class FileTab:
         put(self._about, content=_about(session))
         if session.path is not None and session.path != self._shown:
             self._shown = session.path
-            self._typed = str(session.path)
+            self._typed = _shortly(session.path)
             put(self._path, value=self._typed)
 
     def _type(self, text: str) -> None:
@@ -71,6 +71,12 @@ class FileTab:
 async def _toured(event: Any) -> None:
     if event.client is not None:
         show_tour(event.client)
+
+
+def _shortly(path: Path) -> str:
+    """A path as it is typed: from the folder that we are in, if it is in there."""
+    here = Path.cwd()
+    return str(path.relative_to(here) if path.is_relative_to(here) else path)
 
 
 def _about(session: Session) -> str:

@@ -28,7 +28,7 @@ AXES = 0.14
 
 def move_point(index: int, position: Array, final: bool, session: Session) -> None:
     """Propose a control point of the curve elsewhere."""
-    session.handle, session.obstacle = index, None
+    session.take_hold(index)
 
     def change(arm: Arm, shape: Shape) -> Shape:
         return shape.moved(arm, index, position)
@@ -124,7 +124,11 @@ class Handles:
             self._grabbed[index] = np.asarray(event.start_position) - ball.position
         place = np.asarray(event.end_position) - self._grabbed[index]
         final = event.phase == "end"
-        ball.position = place
+        try:
+            ball.position = place
+        except RuntimeError:  # the ball has been removed, and perhaps the arm with it
+            self._grabbed.pop(index, None)
+            return
         if final:
             del self._grabbed[index]
         self._post(partial(move_point, index, place, final), "" if final else "move")
@@ -141,5 +145,4 @@ class Handles:
 
 def select_point(index: int | None, session: Session) -> None:
     """Select a control point of the curve; then no obstacle is."""
-    session.handle, session.obstacle = index, session.obstacle if index is None else None
-    session.revision += 1
+    session.take_hold(index)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
+import socket
 
 import viser
 
@@ -138,8 +139,22 @@ class Page:
             self._server.stop()
 
 
+def _check_address(host: str, port: int) -> None:
+    """Raise ViewerError for an address that is not to be had; the server's thread would die of it."""
+    if not 1 <= port <= 65535:
+        raise ViewerError("viser", f"port is {port}; allowed: a whole number from 1 to 65535")
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.bind(address)
+    except (OSError, UnicodeError) as error:
+        allowed = "allowed: an address of this machine, such as 127.0.0.1; 0.0.0.0 for all that it has"
+        raise ViewerError("viser", f"cannot serve at {host!r} ({error}); {allowed}") from error
+
+
 def _serve(host: str, port: int) -> viser.ViserServer:
     """The server, without what it would print."""
+    _check_address(host, port)
     logging.getLogger("websockets.server").setLevel(logging.WARNING)
     try:
         with contextlib.redirect_stdout(io.StringIO()):

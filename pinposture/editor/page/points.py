@@ -94,6 +94,6 @@ class Points:
 
 def _ring(radius: float, thickness: float) -> tuple[Array, NDArray[np.intp]]:
     """A ring about the x axis."""
-    around = np.linspace(0.0, 2.0 * np.pi, 25)
+    around = np.linspace(0.0, 2.0 * np.pi, 13)
     circle = radius * np.column_stack([np.zeros_like(around), np.cos(around), np.sin(around)])
     return tube(circle, thickness)

@@ -58,11 +58,12 @@ def add_shortcuts(server: viser.ViserServer, files: Files, post: Post) -> None:
     """Tell the page of all keys."""
     for label, key, modifier, act in shortcuts(files):
         command = server.gui.add_command(label, hotkey=key, modifier=modifier)  # type: ignore[arg-type]
-        command.on_trigger(partial(_triggered, post, act))
+        # A key that is held down repeats itself; the arm may need longer than that for a move.
+        command.on_trigger(partial(_triggered, post, act, label if modifier == "shift" else ""))
 
 
-async def _triggered(post: Post, act: Callable[[Session], object], _: Any) -> None:
-    post(act)
+async def _triggered(post: Post, act: Callable[[Session], object], same: str, _: Any) -> None:
+    post(act, same)
 
 
 def _next(by: int, session: Session) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pinposture.errors import FileError
+from pinposture.errors import FileError, PostureError
 from pinposture.storage import check_writable, write_text
 from pinposture.task.checks import FORMATS
 from pinposture.task.leader import Leader
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 def write_task(task: Task, path: Path) -> Path:
     """Write a task file, and a URDF file beside it if it takes one; see `Task.save`."""
     check_format(path)
-    with _folder(path.parent):  # ways to other files lead through it
+    with _naming(path), _folder(path.parent):  # ways to other files lead through it
         wording = Wording(path, task.described)
         arm = write_arm(task.arm, wording)
         text = _text(path, _contents(task, arm, wording))
@@ -46,6 +46,18 @@ def write_task(task: Task, path: Path) -> Path:
                 arm.file.unlink(missing_ok=True)
             raise
     return path
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Refuse a name that no file can have: too long, with a null byte, or links that lead in a circle."""
+    try:
+        yield
+    except PostureError:
+        raise
+    except (OSError, RuntimeError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise FileError(path, f"cannot be written ({reason})") from error
 
 
 @contextmanager

@@ -1,0 +1,242 @@
+"""The editor's loop: whatever is asked of it, by whom and how fast, it goes on, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import random
+import threading
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from edited_tasks import ARM, L, task
+
+import pinposture as pp
+from pinposture.control import ConstrainedQP
+from pinposture.editor import edits, obstacle_edits, solver
+from pinposture.editor.autosave import autosave_path
+from pinposture.editor.first_task import first_task
+from pinposture.editor.live import Problem
+from pinposture.editor.session import Session
+from pinposture.editor.solver import CYCLE, Solver
+from pinposture.errors import TaskError, ViewerError
+from pinposture.task import Task
+
+pytest.importorskip("viser", reason="viser is not installed")
+
+from pinposture.editor import Editor
+from pinposture.editor import editor as editor_module
+from pinposture.editor.page import handles, keyframes_tab, player, shape_tab
+
+SOON = 60.0
+"""How long something that has to happen is waited for [s]."""
+
+PORT = 8265
+
+
+def until(met: Callable[[], bool]) -> None:
+    end = time.monotonic() + SOON
+    while not met():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def our_threads() -> set[str]:
+    return {each.name for each in threading.enumerate() if each.name.startswith("pinposture")}
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return first_task(ARM, "own").save(tmp_path / "own.toml")
+
+
+@pytest.fixture
+def editor(path: Path) -> Iterator[Editor]:
+    made = Editor(Task.load(path), path, port=PORT)
+    made.start()
+    yield made
+    made.close()
+    until(lambda: our_threads() <= {"pinposture-controller"})  # which ends when it has planned
+
+
+def idle(editor: Editor) -> bool:
+    return not editor._inbox and editor.session.proposal is None
+
+
+def test_hands_that_do_anything_at_all_leave_a_sound_task(
+    editor: Editor, path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    other = first_task(pp.Arm.from_template("Rz", 4), "other").save(path.with_name("other.toml"))
+    broken: list[str] = []
+
+    def look(session: Session) -> None:
+        if not 0 <= session.selected < len(edits.keyframes_of(session.task)):
+            broken.append(f"keyframe {session.selected}")
+        if session.handle is not None and not 0 <= session.handle < len(session.shape.points):
+            broken.append(f"point {session.handle}")
+        if session.obstacle not in (None, *obstacle_edits.obstacles_of(session.shown)):
+            broken.append(f"obstacle {session.obstacle}")
+
+    def hand(seed: int) -> None:
+        chance = random.Random(seed)
+        for _ in range(150):
+            k, name = chance.randrange(9), chance.choice(["sphere_1", "box_1", "x"])
+            place = L * np.array([chance.uniform(-0.2, 1.4), *(chance.uniform(-0.5, 0.5) for _ in range(2))])
+            final, key = chance.random() < 0.3, chance.choice(["center", "radius", "start", "size"])
+            value = chance.choice([tuple(map(float, place)), 0.02, -1.0, np.nan])
+            file = chance.choice([path, other])
+            requests: list[Callable[[Session], object]] = [
+                partial(handles.move_point, k, place, final),
+                partial(handles.select_point, k),
+                shape_tab.insert_point,
+                shape_tab.delete_point,
+                Session.undo,
+                Session.redo,
+                lambda session, k=k: session.select(k),  # type: ignore[misc]
+                keyframes_tab.add,
+                keyframes_tab.delete,
+                partial(keyframes_tab.rename, k, "höhle"),
+                lambda session, k=k: session.edit(edits.retimed(k, 0.5 * k), "retimed"),  # type: ignore[misc]
+                partial(obstacle_edits.add_obstacle, chance.choice(["sphere", "box"]), np.zeros((1, 3))),
+                partial(obstacle_edits.edit_obstacle, name, key, value, final),
+                partial(obstacle_edits.rename_obstacle, name, "x"),
+                obstacle_edits.delete_obstacle,
+                player.play,
+                player.stop,
+                partial(player.seek, chance.choice([0.0, 1.0, -1.0, np.nan])),
+                editor.files.save,
+                lambda session, file=file: editor.files.open(session, file),  # type: ignore[misc]
+            ]
+            weights = [8] + [2] * (len(requests) - 2) + [0.3]
+            editor.post(chance.choices(requests, weights)[0])
+            editor.post(look)
+            time.sleep(0.005)
+
+    hands = [threading.Thread(target=hand, args=(seed,)) for seed in range(3)]
+    for each in hands:
+        each.start()
+    for each in hands:
+        each.join()
+    until(lambda: idle(editor))
+    editor.close()
+    session = editor.session
+    assert broken == []
+    assert [record.message for record in caplog.records if record.levelname == "ERROR"] == []
+    assert session.path is not None
+    last = Task.load(autosave_path(session.path) if session.changed else session.path)
+    assert last.motion == session.task.motion
+    assert last.scene == session.task.scene
+
+
+def test_a_part_that_fails_does_not_end_the_loop(
+    editor: Editor, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fail(*given: object) -> None:
+        raise RuntimeError("a wire came off")
+
+    monkeypatch.setattr(editor.surroundings, "watch", fail)
+    monkeypatch.setattr(editor.page, "show", fail)
+    editor.post(fail)
+    done = threading.Event()
+    until(lambda: "a wire came off" in editor.session.notice.text)
+    for _ in range(5):
+        editor.post(lambda _: done.set())
+        assert done.wait(SOON)
+        done.clear()
+    assert sum(record.message == "a part of the editor failed" for record in caplog.records) == 1
+
+
+def test_more_requests_than_can_be_done_are_dropped_and_that_is_told(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(editor_module, "MOST", 10)
+    editor, done = Editor(Task.load(path), path, port=PORT), []
+    for k in range(50):
+        editor.post(lambda _, k=k: done.append(k))  # type: ignore[misc]
+    editor.post(lambda _: done.append(-1), "key")
+    editor.start()
+    until(lambda: "too much at once" in editor.session.notice.text)
+    editor.close()
+    assert done == list(range(10))
+
+
+def test_what_was_left_of_another_arm_is_taken_up(path: Path) -> None:
+    left = first_task(pp.Arm.from_template("Rz", 3), "left")
+    left.save(autosave_path(path))
+    editor = Editor(Task.load(path), path, port=PORT)
+    editor.start()
+    until(lambda: editor.live.steps > 0)
+    assert editor.live.arm.nv == left.arm.nv
+    editor.post(Session.undo)
+    until(lambda: editor.live.arm.nv == ARM.nv)
+    editor.close()
+
+
+def test_an_editor_that_cannot_be_made_leaves_nothing_behind(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*given: object) -> None:
+        raise ViewerError("viser", "cannot serve")
+
+    monkeypatch.setattr(editor_module, "Page", refuse)
+    before = our_threads()
+    with pytest.raises(ViewerError):
+        Editor(Task.load(path), path, port=PORT)
+    assert our_threads() == before
+
+
+class Loose:
+    """A controller that fails now and then."""
+
+    def __init__(self) -> None:
+        self.own, self.asked = ConstrainedQP(), 0
+
+    def step(self, *given: object, **named: object) -> object:
+        self.asked += 1
+        if self.asked % 9 > 5:
+            raise RuntimeError("a wire came off")
+        return self.own.step(*given, **named)  # type: ignore[arg-type]
+
+
+def problem(number: int, **values: object) -> Problem:
+    session = Session(task(limits=pp.Limits(dt=0.02, velocity=3.0, acceleration=10.0)), selected=1)
+    return session.problem._replace(number=number, **values)  # type: ignore[arg-type]
+
+
+def test_a_controller_that_fails_brings_the_arm_to_rest_within_its_limits() -> None:
+    looked: list[np.ndarray] = []
+    moving = Solver(
+        problem(1, controller=Loose()), ARM.straight(), lambda: looked.append(moving.live.state.q)
+    )
+    moving.start()
+    until(lambda: len(looked) > 60)
+    moving.close()
+    speeds = np.array([ARM.difference(a, b) for a, b in pairwise(looked)]) / CYCLE
+    changes = np.abs(np.diff(speeds, axis=0)) / CYCLE
+    assert np.abs(speeds).max() > 0.1
+    assert changes.max() <= 10.0 * (1.0 + 1e-6)
+
+
+def test_an_arm_that_cannot_be_moved_is_seen_and_the_reason_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    other, made = pp.Arm.from_template("Rz", 3), solver._tracker
+
+    def refuse(asked: Problem, *given: object) -> object:
+        if asked.scene is not None:
+            raise TaskError("the scene", "is too much")
+        return made(asked, *given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(solver, "_tracker", refuse)
+    moving = Solver(problem(1), ARM.straight())
+    moving.start()
+    session = Session(first_task(other).edited(scene=pp.Scene({"ball": pp.Sphere((9.0, 9.0, 9.0), 0.1)})))
+    moving.ask(session.problem._replace(number=2))
+    until(lambda: moving.live.number == 2)
+    assert moving.live.arm is other
+    assert "is too much" in moving.live.verdict.reason
+    moving.ask(session.problem._replace(number=3, scene=None))
+    until(lambda: moving.live.number == 3)
+    assert moving.live.verdict.target is not None
+    moving.close()

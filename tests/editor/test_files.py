@@ -1,0 +1,288 @@
+"""Files of a session: what was not saved is found again, and nobody's changes are lost in silence."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from edited_tasks import ARM, task
+
+import pinposture as pp
+from pinposture.editor import edits
+from pinposture.editor.autosave import Autosave, autosave_path, recover
+from pinposture.editor.files import Files, restore
+from pinposture.editor.session import Session
+from pinposture.errors import FileError
+from pinposture.task import Task
+from pinposture.task.leader import Leader
+
+SOON = 20.0
+"""How long something that has to happen is waited for [s]."""
+
+
+class Desk:
+    """A session and its files, and the requests that were left for the loop."""
+
+    def __init__(self, path: Path) -> None:
+        self.session = Session(Task.load(path), path)
+        restore(self.session)
+        self.requests: list[Callable[[Session], None]] = []
+        self.files = Files(self.requests.append, path)
+        self.files.watch(self.session)
+
+    def rename(self, name: str) -> None:
+        self.session.edit(edits.with_keyframe(0, name=name), "renamed")
+        self.files.watch(self.session)
+
+    def open(self, path: Path) -> None:
+        self.files.open(self.session, path)
+        until(lambda: bool(self.requests))
+        self.requests.pop()(self.session)
+        self.files.watch(self.session)
+
+    @property
+    def name(self) -> str:
+        return name_in(self.session.task)
+
+
+def name_in(task: Task) -> str:
+    return edits.keyframes_of(task)[0].name
+
+
+def until(met: Callable[[], bool]) -> None:
+    end = time.monotonic() + SOON
+    while not met():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return task().save(tmp_path / "höhle 1.toml")
+
+
+@pytest.fixture
+def desk(path: Path) -> Iterator[Desk]:
+    made = Desk(path)
+    yield made
+    made.files.close()
+
+
+def test_the_last_of_many_changes_is_kept_and_taken_up(desk: Desk, path: Path) -> None:
+    for k in range(200):
+        desk.rename(f"the {k}th")
+    desk.files.close()
+    again = Desk(path)
+    assert again.name == "the 199th"
+    assert again.session.arm.urdf == ARM.urdf
+    again.session.undo()
+    assert again.name == "straight"
+    again.files.close()
+
+
+def test_what_is_taken_up_goes_on_with_the_arm_that_is_there(path: Path) -> None:
+    task().edited(name="kept").save(autosave_path(path))
+    session = Session(Task.load(path), path)
+    arm = session.arm
+    restore(session)
+    assert session.task.name == "kept"
+    assert session.arm is arm
+    session.task.save(path)
+    assert 'template = "RyRz"' in path.read_text()
+
+
+def test_saving_leaves_nothing_beside_the_file(desk: Desk, path: Path) -> None:
+    desk.rename("a")
+    until(autosave_path(path).exists)
+    desk.files.save(desk.session)
+    desk.files.watch(desk.session)
+    desk.files.close()
+    assert list(path.parent.iterdir()) == [path]
+    assert name_in(Task.load(path)) == "a"
+
+
+def test_changes_of_one_file_are_kept_though_another_is_opened(desk: Desk, path: Path) -> None:
+    other = task().save(path.with_name("other.toml"))
+    for k in range(3):  # the last of them is waiting to be written when the other file comes
+        desk.rename(f"{k}")
+    desk.open(other)
+    assert desk.session.path == other
+    desk.files.close()
+    assert name_in(Task.load(autosave_path(path))) == "2"
+    assert not autosave_path(other).exists()
+
+
+def test_what_waits_to_be_written_is_not_lost_to_another_file(path: Path) -> None:
+    saved = Autosave()
+    saved.keep(task(), path)
+    until(autosave_path(path).exists)
+    saved.keep(task().edited(name="last"), path)  # waits: one was written only now
+    saved.forget(path.with_name("other.toml"))
+    saved.close()
+    assert Task.load(autosave_path(path)).name == "last"
+
+
+def test_a_file_that_is_opened_again_keeps_the_last_change(desk: Desk, path: Path) -> None:
+    for k in range(3):
+        desk.rename(f"{k}")
+    desk.open(path)
+    assert desk.name == "2"
+
+
+def test_a_file_that_somebody_else_changed_is_not_written_over_in_silence(desk: Desk, path: Path) -> None:
+    task().edited(name="by somebody else").save(path)
+    desk.rename("mine")
+    with pytest.raises(FileError, match="somebody else changed it; save again"):
+        desk.files.save(desk.session)
+    assert Task.load(path).name == "by somebody else"
+    desk.files.save(desk.session)  # whoever has been told, means it
+    assert name_in(Task.load(path)) == "mine"
+    desk.files.save(desk.session)
+
+
+def test_a_file_that_is_gone_is_written_again(desk: Desk, path: Path) -> None:
+    path.unlink()
+    desk.rename("mine")
+    desk.files.save(desk.session)
+    assert name_in(Task.load(path)) == "mine"
+
+
+def test_another_file_is_not_written_over(desk: Desk, path: Path) -> None:
+    other = task().save(path.with_name("other.toml"))
+    with pytest.raises(FileError, match="exists already"):
+        desk.files.save(desk.session, other)
+    assert desk.session.path == path
+
+
+def test_a_session_of_a_relative_path_saves_that_file(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(path.parent)
+    session, files = Session(Task.load(path), Path(path.name)), Files(lambda _: None, path)
+    session.edit(edits.with_keyframe(0, name="mine"), "renamed")
+    files.save(session)
+    files.close()
+    assert name_in(Task.load(path)) == "mine"
+
+
+def test_where_the_file_is_newer_it_counts_and_redo_takes_the_changes_up(path: Path) -> None:
+    kept = task().edited(name="kept").save(autosave_path(path))
+    os.utime(kept, ns=(0, path.stat().st_mtime_ns - 1))
+    desk = Desk(path)
+    assert desk.session.task.name == ""
+    assert "before the file was written" in desk.session.notice.text
+    desk.session.redo()
+    assert desk.session.task.name == "kept"
+    desk.files.close()
+
+
+@pytest.mark.parametrize("content", ["no [ toml", 'version = 1\nkind = "follow_leader"\n', ""])
+def test_what_cannot_be_read_is_put_aside(content: str, path: Path) -> None:
+    autosave_path(path).write_text(content)
+    desk = Desk(path)
+    assert desk.name == "straight"
+    assert "cannot be read" in desk.session.notice.text
+    desk.rename("mine")
+    desk.files.close()
+    assert path.with_name("höhle 1.autosave.1.toml").read_text() == content
+    assert name_in(Task.load(autosave_path(path))) == "mine"
+
+
+def test_a_leader_that_was_left_is_no_task_to_edit(path: Path) -> None:
+    leader = Leader(pp.Curve.line((0, 0, 0), (1, 0, 0)), 0.1)
+    Task(ARM, leader, pp.Limits(dt=0.02)).save(autosave_path(path))
+    left = recover(path)
+    assert left is not None
+    assert left.task is None
+    assert "leader" in left.complaint
+
+
+def test_two_editors_of_one_file_are_told_of(path: Path) -> None:
+    one, other = Desk(path), Desk(path)
+    one.rename("one")
+    until(autosave_path(path).exists)
+    other.rename("other")
+    until(lambda: name_in(Task.load(autosave_path(path))) == "other")
+    one.rename("one again")
+    one.files.close()
+    one.files.watch(one.session)
+    assert "somebody else writes höhle 1.autosave.toml" in one.session.notice.text
+    other.files.close()
+
+
+def test_what_cannot_be_kept_is_told_and_tried_again(desk: Desk, path: Path) -> None:
+    autosave_path(path).mkdir()
+    desk.rename("a")
+
+    def told() -> bool:
+        desk.files.watch(desk.session)
+        return "cannot be kept" in desk.session.notice.text
+
+    until(told)
+    autosave_path(path).rmdir()
+    desk.rename("b")
+    desk.files.close()
+    assert name_in(Task.load(autosave_path(path))) == "b"
+
+
+def test_an_arm_that_is_kept_beside_the_task_goes_with_it(path: Path) -> None:
+    assert ARM.urdf is not None
+    arm = pp.Arm.from_urdf(ARM.urdf.replace("RyRz_6", "snake"), modules=2)  # of no template
+    saved, kept = Autosave(), autosave_path(path)
+    saved.keep(task(arm=arm), path)
+    saved.finish()
+    assert {each.name for each in path.parent.iterdir()} == {
+        path.name,
+        kept.name,
+        kept.with_suffix(".urdf").name,
+    }
+    session = Session(task(), path)
+    restore(session)
+    assert session.arm.urdf == arm.urdf
+    assert session.arm not in session.task.described  # what is beside it goes
+    saved.forget(path)
+    saved.close()
+    assert list(path.parent.iterdir()) == [path]
+    session.task.save(path)
+    assert Task.load(path).arm.control_points == session.arm.control_points
+
+
+def test_a_file_that_cannot_be_opened_is_told(desk: Desk, path: Path) -> None:
+    for name in ("missing.toml", "folder.toml", "x\0y.toml", "n" * 300 + ".toml"):
+        (path.parent / "folder.toml").mkdir(exist_ok=True)
+        desk.open(path.parent / name)
+        assert desk.session.notice.text.startswith("not opened:")
+    with pytest.raises(FileError, match="cannot be found"):
+        desk.files.open(desk.session, Path("~nobody_of_this_name/x.toml"))
+
+
+WRITER = """
+import sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[2])
+from test_files import Desk
+desk = Desk(Path(sys.argv[1]))
+print("ready", flush=True)
+for k in range(10**6):
+    desk.rename(str(k))
+    if k % 5 == 4:
+        desk.files.save(desk.session)
+"""
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.05, 0.11, 0.34])
+def test_files_are_whole_whenever_it_is_killed(delay: float, path: Path) -> None:
+    command = [sys.executable, "-c", WRITER, str(path), str(Path(__file__).parent)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    time.sleep(delay)
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    Task.load(path)
+    left = recover(path)
+    assert left is None or left.task is not None
