@@ -1,14 +1,23 @@
-"""A real browser. Skipped, with the reason, where there is none."""
+"""A real browser, editors to be opened in it. Skipped, with the reason, where there is none."""
 
 from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+pytest.importorskip("viser", reason="viser is not installed")
+
+from editor.browser.desk import EXAMPLE, is_free, opened, wait_until
+from editor.browser.window import Window
+
+from pinposture.editor import Editor
 
 FLAGS = (
     "--no-sandbox",
@@ -23,7 +32,8 @@ FLAGS = (
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 
 
-@pytest.fixture(scope="session")
+# Not for the session: while Playwright is at work, nothing else in the process can run an event loop.
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     """Chromium without a screen, driven by Playwright."""
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -40,4 +50,46 @@ def browser() -> Iterator[Any]:
 def pictures() -> Path | None:
     """Where to keep pictures of what was seen: PICTURES, if that is set."""
     folder = os.environ.get("PICTURES")
-    return Path(folder) if folder else None
+    return Path(folder).absolute() if folder else None
+
+
+@pytest.fixture
+def file(tmp_path: Path, pictures: Path | None, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A task file to be edited, in the folder that we are in."""
+    monkeypatch.chdir(tmp_path)
+    return Path(shutil.copy(EXAMPLE, tmp_path / "walk.toml"))
+
+
+@pytest.fixture
+def edit(browser: Any) -> Iterator[Callable[..., Editor]]:
+    """Opens editors, as `desk.opened` does; at the end nothing is left of them."""
+    editors: list[Editor] = []
+    with ExitStack() as stack:
+
+        def start(*given: Any, **named: Any) -> Editor:
+            editors.append(stack.enter_context(opened(*given, **named)))
+            return editors[-1]
+
+        yield start
+    for editor in editors:
+        wait_until(lambda port=int(editor.url.rsplit(":", 1)[1]): is_free(port), "nobody listens any more")
+    wait_until(lambda: _threads() == [], f"no thread of an editor is left: {_threads()}")
+
+
+@pytest.fixture
+def look(browser: Any, edit: object, pictures: Path | None) -> Iterator[Callable[..., Window]]:
+    """Opens windows of an editor, closed at the end; the browser must have had nothing to complain of."""
+    windows: list[Window] = []
+
+    def open_window(editor: Editor, **named: Any) -> Window:
+        windows.append(Window(browser, editor.url, editor.session.arm, pictures, **named))
+        return windows[-1]
+
+    yield open_window
+    for window in windows:
+        window.close()
+    assert [window.complaints for window in windows if window.complaints] == []
+
+
+def _threads() -> list[str]:
+    return [each.name for each in threading.enumerate() if each.name.startswith("pinposture")]

@@ -1,52 +1,68 @@
-"""A window of the editor in a browser: where things are in it, and hands that drag them."""
+"""A window of the editor in a browser: where things are in it, and hands that drag, press and type."""
 
 from __future__ import annotations
 
-import time
+import io
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from editor.browser.desk import PATIENCE, wait_until
+from PIL import Image
 
 from pinposture.arm import Arm
 from pinposture.editor.page.stage import outlook
 from pinposture.editor.page.tour import SEEN
 
 SIZE = {"width": 1280, "height": 720}
-PATIENCE = 60.0
+COARSE = 0.4
+"""How finely is drawn what nobody keeps, relative to pixels: drawing without a screen takes long."""
 
+CANVAS = "canvas[data-engine]"
 
-def wait_until(true: Callable[[], Any], what: str, patience: float = PATIENCE) -> Any:
-    """Wait until something is so; fail if it takes too long."""
-    end = time.monotonic() + patience
-    while time.monotonic() < end:
-        value = true()
-        if value:
-            return value
-        time.sleep(0.05)
-    raise AssertionError(f"after {patience:g} s not: {what}")
+CLOSE = 'document.querySelectorAll(".mantine-Notification-closeButton").forEach((each) => each.click())'
+"""Closes what viser says of machines that draw without a GPU."""
+
+LARGEST = 240_000
+"""Of a picture [bytes]; one that would be larger gets fewer colours."""
+
+WATCH = """
+const look = (event) => setTimeout(() => { window.taken = event.defaultPrevented; });
+window.addEventListener("keydown", look, true);
+"""
+"""Keeps whether the page took the last key, so that the browser did nothing of its own with it."""
 
 
 class Window:
-    """A page of the editor, as large as a small screen."""
+    """A page of the editor, as large as a small screen.
+
+    Args:
+        browser: the browser.
+        url: where the editor is.
+        arm: the arm in it.
+        pictures: where to keep pictures; None if nobody wants any.
+        toured: whether this is not the first visit.
+    """
 
     def __init__(self, browser: Any, url: str, arm: Arm, pictures: Path | None, toured: bool = True) -> None:
         self._arm, self._pictures = arm, pictures
         self._context = browser.new_context(viewport=SIZE)
+        self._context.set_default_timeout(1000.0 * PATIENCE)
         if toured:
             self._context.add_init_script(f"window.localStorage.setItem('viser-user:{SEEN}', 'yes')")
+        self._context.add_init_script(WATCH)
         self.page = self._context.new_page()
+        self._mouse = 0.0, 0.0
         self.complaints: list[str] = []
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
-        self.page.goto(url)
-        self.page.wait_for_selector("canvas[data-engine]")
+        self.page.goto(f"{url}/?fixedDpr={COARSE}" if pictures is None else url)
+        self.page.wait_for_selector(CANVAS)
         self.page.wait_for_selector("#status")
-        time.sleep(2.0)  # the first pictures
 
     def at(self, point: Any) -> tuple[float, float]:
         """Where a place of the world is in the window [pixels], while nobody has moved the camera."""
-        view, box = outlook(self._arm), self.page.locator("canvas[data-engine]").bounding_box()
+        view, box = outlook(self._arm), self.page.locator(CANVAS).bounding_box()
         ahead = view.look_at - view.position
         ahead /= np.linalg.norm(ahead)
         right = np.cross(ahead, [0.0, 0.0, 1.0])
@@ -57,57 +73,112 @@ class Window:
         y = box["y"] + box["height"] / 2.0 - scale * (away @ np.cross(right, ahead))
         return float(x), float(y)
 
-    def grab(self, point: Any) -> tuple[float, float]:
-        """Press the mouse button on a place of the world."""
+    def hover(self, point: Any) -> tuple[float, float]:
+        """Point at a place of the world, until the page shows that something there can be taken hold of."""
         x, y = self.at(point)
-        self.page.mouse.move(x, y)
-        time.sleep(0.3)
+        near = iter(range(10_000))
+
+        def found() -> bool:
+            self.page.mouse.move(x + next(near) % 2, y)
+            shape = self.page.evaluate(f"document.querySelector('{CANVAS}').style.cursor")
+            return shape not in ("", "auto", "default")
+
+        wait_until(found, "there is something to be taken hold of")
+        return x, y
+
+    def grab(self, point: Any) -> tuple[float, float]:
+        """Press the mouse button on what is at a place of the world."""
+        x, y = self.hover(point)
         self.page.mouse.down()
         return x, y
 
-    def drag(self, x: float, y: float, dx: float, dy: float, steps: int = 12) -> None:
-        """Move the mouse, the button held."""
+    def drag(self, point: Any, to: Any, look: Callable[[], object] = lambda: None, steps: int = 8) -> None:
+        """Drag what is at a place of the world in a straight line, without letting go.
+
+        Args:
+            point: the place.
+            to: the place where it then is, as it is seen in the window.
+            look: called after each step.
+            steps: how many moves of the mouse it takes.
+        """
+        x, y = self.grab(point)
+        dx, dy = np.subtract(self.at(to), (x, y))
         for k in range(1, steps + 1):
-            self.page.mouse.move(x + dx * k / steps, y + dy * k / steps)
-            time.sleep(0.06)
+            self._move(x + dx * k / steps, y + dy * k / steps)
+            look()
+
+    def drag_on(self, dx: float, dy: float, look: Callable[[], object] = lambda: None) -> None:
+        """Drag what is held a little further [share of the window's width and height]."""
+        x, y = self._mouse
+        self._move(x + dx * SIZE["width"], y + dy * SIZE["height"])
+        look()
 
     def drop(self) -> None:
         """Let go."""
         self.page.mouse.up()
+
+    def aside(self) -> None:
+        """Click beside everything: what was typed into has the keyboard no more."""
+        self.page.mouse.click(20.0, 20.0)
+
+    def key(self, name: str) -> bool:
+        """Press a key; tells whether the page took it, so that the browser did not."""
+        self.page.evaluate("window.taken = undefined")
+        self.page.keyboard.press(name)
+        self.page.wait_for_function("window.taken !== undefined")
+        return bool(self.page.evaluate("window.taken"))
 
     def tab(self, name: str) -> None:
         """Turn to a tab."""
         self.page.get_by_role("tab", name=name, exact=True).click()
 
     def press(self, name: str) -> None:
-        """Press a button."""
-        self.page.get_by_role("button", name=name).first.click()
+        """Press the button of a name that is in sight."""
+        self.page.get_by_role("button", name=name, exact=True).click()
 
-    def fill(self, label: str, text: str) -> None:
-        """Type into a field."""
-        field = self.page.get_by_label(label).first
-        field.fill(text)
-        field.press("Enter")
+    def field(self, label: str, number: int = 0) -> Any:
+        """A field in sight, by what stands before it; the first, or another of several."""
+        row = self.page.locator("label:visible").get_by_text(label, exact=True)
+        return row.locator("xpath=ancestor::div[.//input][1]//input").nth(number)
 
     @property
     def notice(self) -> str:
         """What was last said; empty if nothing was."""
         found = self.page.locator("#notice")
-        return found.inner_text() if found.count() else ""
+        return str(found.inner_text()) if found.count() else ""
 
     @property
     def status(self) -> str:
         """How the arm is doing."""
         return str(self.page.locator("#status").inner_text())
 
+    def says(self, words: str) -> str:
+        """Wait until something is said; gives all of it."""
+        return str(wait_until(lambda: words in (said := self.notice) and said, f"it says: {words}"))
+
+    def shade(self, color: str) -> int:
+        """How many pixels of the picture have about a colour, such as "#D55E00"."""
+        box = self.page.locator(CANVAS).bounding_box()
+        seen = np.asarray(Image.open(io.BytesIO(self.page.screenshot(clip=box))).convert("RGB"), dtype=int)
+        wanted = np.array([int(color[k : k + 2], 16) for k in (1, 3, 5)])
+        return int(np.count_nonzero(np.abs(seen - wanted).max(axis=2) < 40))
+
     def picture(self, name: str) -> None:
         """Keep a picture, if pictures are wanted."""
-        if self._pictures is not None:
-            self._pictures.mkdir(parents=True, exist_ok=True)
-            for close in self.page.locator(".mantine-Notification-closeButton").all():
-                close.click()
-            time.sleep(1.0)
-            self.page.screenshot(path=self._pictures / f"{name}.png")
+        if self._pictures is None:
+            return
+        self._pictures.mkdir(parents=True, exist_ok=True)
+        self.page.evaluate(CLOSE)
+        self.page.wait_for_timeout(1500)
+        kept = self._pictures / f"{name}.png"
+        seen = Image.open(io.BytesIO(self.page.screenshot())).convert("RGB")
+        seen.save(kept, optimize=True)
+        if kept.stat().st_size > LARGEST:
+            seen.quantize(256, dither=Image.Dither.NONE).save(kept, optimize=True)
+
+    def _move(self, x: float, y: float) -> None:
+        self._mouse = x, y
+        self.page.mouse.move(x, y)
 
     def close(self) -> None:
         """Leave."""

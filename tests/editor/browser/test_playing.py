@@ -1,0 +1,80 @@
+"""The motion of a task, played, stopped and taken away."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from editor.browser.desk import arrived, wait_until
+from editor.browser.window import Window
+
+import pinposture as pp
+from pinposture.editor import Editor
+from pinposture.editor.edits import keyframes_of, times_of
+
+Edit, Look = Callable[..., Editor], Callable[..., Window]
+
+
+def short(file: Path) -> pp.Task:
+    """The example, its first two keyframes only: that is worked out sooner."""
+    task = pp.Task.load(file)
+    return task.edited(motion=keyframes_of(task)[:2])
+
+
+def test_a_motion_is_played_and_scrubbed_and_an_edit_ends_it(edit: Edit, look: Look, file: Path) -> None:
+    editor = edit(short(file), file)
+    window, session = look(editor), editor.session
+    arrived(editor)
+    playback = session.playback
+    window.press("Faster")
+    wait_until(lambda: playback.speed == 2.0, "it is to be shown at twice the speed")
+    window.press("Slower")
+    window.press("Play")
+    wait_until(lambda: playback.shown and playback.time > 0.1, "it is played")
+    window.press("Pause")
+    wait_until(lambda: not playback.playing, "it stands still")
+    at = playback.time
+    wait_until(lambda: "Motion: mean error" in window.status, "the page says that this is the motion")
+    window.press("Play") if at < playback.lasting else None
+
+    # A click on the track of the slider shows that moment of it.
+    track = window.page.locator(".mantine-Slider-track:visible").first.bounding_box()
+    wait_until(lambda: playback.time > at or at >= playback.lasting, "time goes on")
+    window.page.mouse.click(track["x"] + 0.5 * track["width"], track["y"] + 0.5 * track["height"])
+    wait_until(lambda: not playback.playing, "it stands still")
+    wait_until(
+        lambda: abs(playback.time - 0.5 * playback.lasting) < 0.1 * playback.lasting, "half of it is over"
+    )
+    motion = playback.motion
+    assert motion is not None
+    row = round(playback.time / motion.dt)
+    assert np.abs(playback.q - motion.q[row]).max() < 0.1  # as it is in the motion
+    window.picture("11-motion")
+
+    # Whoever edits sees the arm of the moment.
+    window.aside()
+    window.key("n")
+    window.key("Shift+ArrowUp")
+    wait_until(lambda: session.history.undoable == "moved point 2", "a point is moved")
+    wait_until(lambda: not playback.shown, "the motion is shown no more")
+    wait_until(lambda: "Motion" not in window.status, "the page says so")
+
+
+def test_a_motion_is_taken_away_as_a_file(edit: Edit, look: Look, file: Path, tmp_path: Path) -> None:
+    task = short(file)
+    editor = edit(task, file)
+    window = look(editor)
+    window.tab("File")
+    with window.page.expect_download() as coming:
+        window.press("CSV")
+    got = tmp_path / coming.value.suggested_filename
+    assert got.name == "walk.csv"
+    coming.value.save_as(got)
+    window.says("walk.csv: joint positions, speeds and accelerations")
+    window.picture("12-exported")
+    loaded = pp.JointTrajectory.load(got)
+    motion = wait_until(lambda: editor.session.playback.rehearsal.of(task), "it is kept").motion
+    assert loaded.joint_names == motion.joint_trajectory().joint_names
+    assert np.allclose(loaded.positions, motion.joint_trajectory().positions, atol=1e-9)
+    assert loaded.time[-1] >= times_of(task)[-1]

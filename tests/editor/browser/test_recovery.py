@@ -1,0 +1,53 @@
+"""A server that is killed loses nothing."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from editor.browser.desk import curves, served, wait_until
+from editor.browser.window import Window
+
+import pinposture as pp
+from pinposture.editor.autosave import autosave_path
+from pinposture.editor.edits import keyframes_of
+from pinposture.editor.shape import Shape
+
+
+def end(task: pp.Task) -> np.ndarray:
+    """The second control point of the last keyframe."""
+    return Shape.of(task.arm, keyframes_of(task)[-1]).points[1]
+
+
+def test_what_a_killed_server_leaves_is_taken_up_again(
+    browser: Any, file: Path, pictures: Path | None
+) -> None:
+    content, task = file.read_text(), pp.Task.load(file)
+    with served(file) as (server, url):
+        window = Window(browser, url, task.arm, None)
+        window.key("n")
+        wait_until(lambda: window.field("Control point").input_value() == "2", "a key selects a point")
+        window.key("Shift+ArrowUp")
+        window.says("moved point 2")
+        wait_until(lambda: autosave_path(file).exists(), "it is kept")
+        os.kill(server.pid, signal.SIGKILL)
+        server.wait()
+        window.close()
+    assert file.read_text() == content  # not saved, and whole
+    left = pp.Task.load(autosave_path(file))
+    assert np.allclose(end(left) - end(task), [0.0, 0.0, 0.01 * task.arm.length], atol=1e-9)
+
+    with served(file) as (server, url):
+        window = Window(browser, url, task.arm, pictures)
+        window.says("recovered what was not saved (from walk.autosave.toml)")
+        window.tab("File")
+        window.picture("10-recovered")
+        window.press("Save")
+        window.says("saved as walk.toml")
+        wait_until(lambda: not autosave_path(file).exists(), "nothing is left beside it")
+        window.close()
+    assert server.returncode == 0
+    assert curves(pp.Task.load(file)) == curves(left)
