@@ -112,7 +112,7 @@ def rested(client: Client) -> None:
 
 
 def resolving(arm: pp.Arm, moves: int) -> dict[str, float]:
-    """How long it takes to lay the arm on a curve that leaves its base at an angle, as a handle is dragged."""
+    """How long it takes to lay the arm on a curve that leaves its base at an angle, as it is dragged."""
     points = arm.length * np.linspace([0.0, 0.0, 0.0], [1.1, 0.0, 0.3], 6)
     near, took = None, []
     for k in range(moves + 1):

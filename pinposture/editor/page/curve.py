@@ -42,7 +42,7 @@ class CurveDrawing:
         """Bring it up to date."""
         verdict = live.verdict if live.number == session.number else None
         shape = session.shape
-        key = (shape, None if verdict is None else verdict.target)
+        key = (shape, verdict is not None, None if verdict is None else verdict.target)
         if key == self._shown:
             return
         self._shown = key
