@@ -47,7 +47,7 @@ class Player:
     """
 
     def __init__(self, server: viser.ViserServer, arm: Arm, post: Post) -> None:
-        self._server, self._post, self._touched = server, post, 0.0
+        self._server, self._post, self._touched, self._stale = server, post, 0.0, False
         self._lasting = 1.0
         self._marks: Marks = ()
         self._panel = server.gui.add_panel()
@@ -78,7 +78,12 @@ class Player:
             self._time.remove()
             self._time = self._slider(playback.time)
         if alone > HELD or playback.playing:
-            put(self._time, value=_rounded(min(playback.time, self._lasting)))
+            at = _rounded(min(playback.time, self._lasting))
+            if self._stale and alone > HELD:
+                # Where it was put by us while a hand moved it, the browser has that: it is told anew.
+                self._stale = False
+                put(self._time, value=at - STEP if at >= STEP else at + STEP)
+            put(self._time, value=at)
         rehearsal = playback.rehearsal
         put(self._progress, visible=rehearsal.working)
         if rehearsal.working:
@@ -106,7 +111,7 @@ class Player:
         self._post(PRESSED.get(label, at_usual_speed))
 
     def _sought(self, at: float) -> None:
-        self._touched = time.monotonic()
+        self._touched, self._stale = time.monotonic(), True
         self._post(partial(seek, at), "seek")
 
 

@@ -71,9 +71,9 @@ def edit(browser: Any) -> Iterator[Callable[..., Editor]]:
             return editors[-1]
 
         yield start
-    for editor in editors:
-        wait_until(lambda port=int(editor.url.rsplit(":", 1)[1]): is_free(port), "nobody listens any more")
-    wait_until(lambda: _threads() == [], f"no thread of an editor is left: {_threads()}")
+    ports = [int(editor.url.rsplit(":", 1)[1]) for editor in editors]
+    wait_until(lambda: all(map(is_free, ports)), "nobody listens any more")
+    wait_until(lambda: not _threads(), "no thread of an editor is left")
 
 
 @pytest.fixture

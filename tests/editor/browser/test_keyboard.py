@@ -96,6 +96,10 @@ def test_what_is_typed_is_no_command(edit: Edit, look: Look, file: Path) -> None
         window.key(key)
     assert path.input_value() == "walk.tomlni"
 
+    assert not window.key("Control+s")  # the browser's own, while a field has the keyboard
+    assert not window.key("Control+z")
+    assert session.changed
+
     # A click into the picture, and keys are commands again.
     window.aside()
     window.key("n")

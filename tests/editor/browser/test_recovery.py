@@ -44,7 +44,7 @@ def test_what_a_killed_server_leaves_is_taken_up_again(
         window = Window(browser, url, task.arm, pictures)
         window.says("recovered what was not saved (from walk.autosave.toml)")
         window.tab("File")
-        window.picture("10-recovered")
+        window.picture("09-recovered")
         window.press("Save")
         window.says("saved as walk.toml")
         wait_until(lambda: not autosave_path(file).exists(), "nothing is left beside it")

@@ -53,9 +53,7 @@ def test_a_curve_that_the_arm_cannot_take(edit: Edit, look: Look, stiff: Path) -
 
     # Back beyond the base: the curve would turn round at once.
     window.drag(points[1], [-0.25, 0.0, 0.1])
-    wait_until(
-        lambda: "The arm cannot take this shape" in window.status, "it is said while the hand is at it"
-    )
+    wait_until(lambda: "The arm cannot take this shape" in window.status, "it is said meanwhile")
     assert "bends too much" in window.status
     wait_until(lambda: window.shade(palette.MARK) > 20, "the curve is red")
     assert session.task is task
@@ -99,10 +97,10 @@ def test_a_point_upon_another_and_one_too_few(edit: Edit, look: Look, stiff: Pat
     window.says("point 4: cannot be deleted: a curve of degree 3 needs 4 control points")
     assert session.task is task
 
-    # And the base stays where it is.
-    window.key("Escape") if False else window.aside()
+    # The one at the base is passed over: it stays where it is.
+    window.aside()
     window.key("n")
-    wait_until(lambda: session.handle == 1, "the next to the last is the second: the base is passed over")
+    wait_until(lambda: session.handle == 1, "the second is selected after the last")
 
 
 def test_a_file_that_cannot_be_read(edit: Edit, look: Look, stiff: Path) -> None:
@@ -118,7 +116,6 @@ def test_a_file_that_cannot_be_read(edit: Edit, look: Look, stiff: Path) -> None
     said = window.says("not opened")
     assert "broken.toml: line 8" in said
     assert "modules" in said
-    window.picture("09-not-opened")
     name.fill("nowhere.toml")
     window.press("Open this file")
     window.says("nowhere.toml")

@@ -47,7 +47,7 @@ def test_a_box_is_put_there_dragged_and_resized(edit: Edit, look: Look, file: Pa
         lambda: abs(millimetres(window) - clear(editor)) < 0.01 * clear(editor), "the page tells how near"
     )
     far = millimetres(window)
-    window.picture("13-box")
+    window.picture("12-box")
 
     # Dragged by the mouse, beside its axes; what is told changes while the hand is at it.
     corner = np.add(first.center, np.multiply(first.size, [-0.3, -0.5, 0.35]))
@@ -77,7 +77,7 @@ def test_a_box_is_put_there_dragged_and_resized(edit: Edit, look: Look, file: Pa
     wait_until(
         lambda: abs(millimetres(window) - clear(editor)) < 0.01 * abs(clear(editor)) + 0.1, "it is told"
     )
-    window.picture("14-box-resized")
+    window.picture("13-box-resized")
 
     window.aside()
     for told in ("undone: resized box_1", "undone: moved box_1"):
@@ -106,7 +106,7 @@ def test_a_scan_is_shown_and_told_of(edit: Edit, look: Look, file: Path) -> None
     gap = pp.scene.Scan.load(file.with_name("floor.xyz")).around(session.arm).minimum(q).distance
     wait_until(lambda: abs(millimetres(window) - 1000.0 * gap) < 1.0, "the page tells how near it is")
     assert "floor.xyz" in window.page.locator("#clearance").inner_text()
-    window.picture("15-scan")
+    window.picture("14-scan")
     window.field("File").fill("nothing.ply")
     window.press("Load")
     window.says("nothing.ply")

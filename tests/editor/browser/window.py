@@ -24,8 +24,8 @@ CANVAS = "canvas[data-engine]"
 CLOSE = 'document.querySelectorAll(".mantine-Notification-closeButton").forEach((each) => each.click())'
 """Closes what viser says of machines that draw without a GPU."""
 
-LARGEST = 240_000
-"""Of a picture [bytes]; one that would be larger gets fewer colours."""
+LARGEST = 250_000
+"""More than a picture may have [bytes]."""
 
 WATCH = """
 const look = (event) => setTimeout(() => { window.taken = event.defaultPrevented; });
@@ -53,7 +53,7 @@ class Window:
             self._context.add_init_script(f"window.localStorage.setItem('viser-user:{SEEN}', 'yes')")
         self._context.add_init_script(WATCH)
         self.page = self._context.new_page()
-        self._mouse = 0.0, 0.0
+        self._mouse, self._held = (0.0, 0.0), False
         self.complaints: list[str] = []
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
         self.page.goto(f"{url}/?fixedDpr={COARSE}" if pictures is None else url)
@@ -90,6 +90,7 @@ class Window:
         """Press the mouse button on what is at a place of the world."""
         x, y = self.hover(point)
         self.page.mouse.down()
+        self._held = True
         return x, y
 
     def drag(self, point: Any, to: Any, look: Callable[[], object] = lambda: None, steps: int = 8) -> None:
@@ -116,6 +117,7 @@ class Window:
     def drop(self) -> None:
         """Let go."""
         self.page.mouse.up()
+        self._held = False
 
     def aside(self) -> None:
         """Click beside everything: what was typed into has the keyboard no more."""
@@ -169,12 +171,13 @@ class Window:
             return
         self._pictures.mkdir(parents=True, exist_ok=True)
         self.page.evaluate(CLOSE)
+        if not self._held:
+            self.page.mouse.move(20.0, 20.0)  # no hint is in the way
         self.page.wait_for_timeout(1500)
         kept = self._pictures / f"{name}.png"
         seen = Image.open(io.BytesIO(self.page.screenshot())).convert("RGB")
-        seen.save(kept, optimize=True)
-        if kept.stat().st_size > LARGEST:
-            seen.quantize(256, dither=Image.Dither.NONE).save(kept, optimize=True)
+        seen.quantize(256, dither=Image.Dither.NONE).save(kept, optimize=True)
+        assert kept.stat().st_size < LARGEST
 
     def _move(self, x: float, y: float) -> None:
         self._mouse = x, y
