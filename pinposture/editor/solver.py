@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from threading import Event, Lock, Thread
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,23 @@ RESTING = ("arrived", "stuck")
 MOVING = ("controller", "limits", "scene")
 """What of a problem has to do with how the arm moves, and not with where to."""
 
+MOST_KNOWN = 100
+"""Shapes that are remembered, so that going back to one takes no time."""
+
+
+class Taken(NamedTuple):
+    """A shape that the arm can take.
+
+    Attributes:
+        arm: the arm.
+        keyframe: which has the shape.
+        target: what the arm takes.
+    """
+
+    arm: Arm
+    keyframe: Keyframe
+    target: Target
+
 
 class Solver:
     """Takes the latest problem, whatever came before it, judges it, and moves the arm to what it can take.
@@ -56,7 +74,8 @@ class Solver:
         self._asked, self._problem, self._made_for = first, first, first
         self._tracker, self._verdict = _tracker(first, start), Verdict(None)
         self._lag: float | None = None
-        self._taken: tuple[Arm, Keyframe, Target] | None = None  # the last shape that could be
+        self._taken: Taken | None = None  # the last shape that could be
+        self._known: dict[int, Taken] = {}  # those that were not only passed, by their keyframes
         self._steps, self._last = 0, deque([time.monotonic()], maxlen=64)
         self._dq, self._fault = np.zeros(first.arm.nv), ""
         self._live = self._look(first.arm.at(start))
@@ -138,13 +157,18 @@ class Solver:
     def _judged(self, problem: Problem) -> Verdict:
         """What the arm can make of a problem; known already of a shape that was judged before."""
         arm, keyframe = problem.arm, problem.keyframe
-        before = self._taken if self._taken is not None and self._taken[0] is arm else None
-        if before is not None and before[1] is keyframe:
-            return review(arm, before[2], problem.scene)
-        near = before[2] if before is not None and problem.shaping else None
-        verdict = judge(arm, keyframe, problem.scene, near, not problem.passing)
+        known, before = self._known.get(id(keyframe), self._taken), self._taken
+        if known is not None and known.arm is arm and known.keyframe is keyframe:
+            verdict = review(arm, known.target, problem.scene)
+        else:
+            near = before.target if before is not None and before.arm is arm and problem.shaping else None
+            verdict = judge(arm, keyframe, problem.scene, near, not problem.passing)
         if verdict.target is not None:
-            self._taken = arm, keyframe, verdict.target
+            self._taken = Taken(arm, keyframe, verdict.target)
+            if not problem.passing:
+                self._known[id(keyframe)] = self._taken
+                if len(self._known) > MOST_KNOWN:
+                    del self._known[next(iter(self._known))]
         return verdict
 
     def _step(self) -> None:

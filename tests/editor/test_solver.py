@@ -18,6 +18,7 @@ from pinposture.control import ConstrainedQP, controller_named
 from pinposture.control.names import CONTROLLERS
 from pinposture.editor.live import Live, Problem
 from pinposture.editor.solver import CYCLE, Solver, in_cycles
+from pinposture.editor.verdict import Verdict, judge
 from pinposture.task import Keyframe
 
 SOON = 20.0
@@ -226,3 +227,25 @@ def test_no_thread_is_left() -> None:
     while {thread.name for thread in threading.enumerate()} - before and time.monotonic() < end:
         time.sleep(0.01)  # the last answer of the controller may be on its way
     assert not {thread.name for thread in threading.enumerate()} - before
+
+
+def test_a_shape_that_is_known_is_not_worked_out_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    judged: list[Keyframe] = []
+
+    def counted(arm: pp.Arm, keyframe: Keyframe, *others: object) -> Verdict:
+        judged.append(keyframe)
+        return judge(arm, keyframe, *others)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("pinposture.editor.solver.judge", counted)
+    with started(problem(1)) as solver:
+        for number, keyframe in enumerate((TO_COIL, TO_BENT, TO_COIL, TO_BENT), start=2):
+            solver.ask(problem(number, keyframe))
+            until(solver, arrived(number))
+        assert judged == [TO_BENT, TO_COIL]
+        passing = replace(TO_COIL, name="passing")
+        for number in (6, 7):  # what a hand only passed is not remembered
+            solver.ask(problem(number, passing, shaping=True, passing=True))
+            until(solver, arrived(number))
+            solver.ask(problem(number + 2, TO_BENT))
+            until(solver, lambda live, number=number: live.number == number + 2)
+        assert judged[2:] == [passing, passing]
