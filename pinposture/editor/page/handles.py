@@ -26,8 +26,23 @@ AXES = 0.14
 """Size of the axes along which the selected one can be moved, relative to the arm."""
 
 
-def move_point(index: int, position: Array, final: bool, session: Session) -> None:
-    """Propose a control point of the curve elsewhere."""
+def move_point(
+    index: int, position: Array, final: bool, session: Session, keyframe: int | None = None
+) -> None:
+    """Propose a control point of the curve elsewhere.
+
+    Args:
+        index: of the point, 0-based.
+        position: where, (3,) [m], world frame.
+        final: whether it is to count, or the hand is still at it.
+        session: the session.
+        keyframe: the one that the hand is at; nothing is done if another was selected meanwhile, in another
+            window perhaps. None: the one that is selected.
+    """
+    if keyframe is not None and keyframe != session.selected:
+        if final:
+            session.say(f"point {index + 1} was let go: another keyframe was selected meanwhile", "warning")
+        return
     session.take_hold(index)
 
     def change(arm: Arm, shape: Shape) -> Shape:
@@ -66,12 +81,13 @@ class Handles:
         )
         self._led = False  # whether the axes are dragged
         self._axes.on_update(self._on_axes)
-        self._index = -1
+        self._index, self._keyframe = -1, -1
+        self._held = -1  # the keyframe that a hand took hold of
 
     def show(self, session: Session, live: Live) -> None:
         """Bring them up to date."""
         del live
-        points = session.shape.points
+        points, self._keyframe = session.shape.points, session.selected
         if len(points) != len(self._balls):
             self._make(len(points))
         for index, (ball, point) in enumerate(zip(self._balls, points, strict=True)):
@@ -122,6 +138,7 @@ class Handles:
         ball = self._balls[index]
         if event.phase == "start" or index not in self._grabbed:
             self._grabbed[index] = np.asarray(event.start_position) - ball.position
+            self._held = self._keyframe
         place = np.asarray(event.end_position) - self._grabbed[index]
         final = event.phase == "end"
         try:
@@ -131,16 +148,19 @@ class Handles:
             return
         if final:
             del self._grabbed[index]
-        self._post(partial(move_point, index, place, final), "" if final else "move")
+        self._post(partial(move_point, index, place, final, keyframe=self._held), "" if final else "move")
 
     async def _on_click(self, index: int, _: Any) -> None:
         self._post(partial(select_point, index))
 
     async def _on_axes(self, event: Any) -> None:
+        if not self._led:
+            self._held = self._keyframe
         self._led = event.phase != "end"
         final = not self._led
         place = np.array(self._axes.position)
-        self._post(partial(move_point, self._index, place, final), "" if final else "move")
+        request = partial(move_point, self._index, place, final, keyframe=self._held)
+        self._post(request, "" if final else "move")
 
 
 def select_point(index: int | None, session: Session) -> None:
