@@ -8,16 +8,16 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
-pytest.importorskip("viser", reason="viser is not installed")
+if TYPE_CHECKING:
+    from editor.browser.window import Window
 
-from editor.browser.desk import EXAMPLE, is_free, opened, wait_until
-from editor.browser.window import Window
+    from pinposture.editor import Editor
 
-from pinposture.editor import Editor
+EXAMPLE = Path(__file__).parents[3] / "examples" / "tasks" / "keyframes.toml"
 
 FLAGS = (
     "--no-sandbox",
@@ -54,15 +54,22 @@ def pictures() -> Path | None:
 
 
 @pytest.fixture
-def file(tmp_path: Path, pictures: Path | None, monkeypatch: pytest.MonkeyPatch) -> Path:
+def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A task file to be edited, in the folder that we are in."""
     monkeypatch.chdir(tmp_path)
     return Path(shutil.copy(EXAMPLE, tmp_path / "walk.toml"))
 
 
 @pytest.fixture
-def edit(browser: Any) -> Iterator[Callable[..., Editor]]:
+def edit(
+    browser: Any, pictures: Path | None, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Callable[..., Editor]]:
     """Opens editors, as `desk.opened` does; at the end nothing is left of them."""
+    viser = pytest.importorskip("viser", reason="viser is not installed")
+    if pictures is None:  # half the time that it takes to open a window without a GPU goes into its light
+        monkeypatch.setattr(viser.SceneApi, "configure_environment_map", lambda *_, **__: None)
+    from editor.browser.desk import is_free, opened, wait_until
+
     editors: list[Editor] = []
     with ExitStack() as stack:
 
@@ -79,6 +86,8 @@ def edit(browser: Any) -> Iterator[Callable[..., Editor]]:
 @pytest.fixture
 def look(browser: Any, edit: object, pictures: Path | None) -> Iterator[Callable[..., Window]]:
     """Opens windows of an editor, closed at the end; the browser must have had nothing to complain of."""
+    from editor.browser.window import Window
+
     windows: list[Window] = []
 
     def open_window(editor: Editor, **named: Any) -> Window:

@@ -17,8 +17,6 @@ import pinposture as pp
 from pinposture.editor import Editor
 from pinposture.editor.edits import keyframes_of
 
-EXAMPLE = Path(__file__).parents[3] / "examples" / "tasks" / "keyframes.toml"
-
 PATIENCE = 60.0
 """How long something that has to happen is waited for [s]: a busy machine draws slowly without a screen."""
 

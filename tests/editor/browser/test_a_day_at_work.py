@@ -6,6 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pytest
+
+pytest.importorskip("viser", reason="viser is not installed")
+
 from editor.browser.desk import arrived, curves, wait_until
 from editor.browser.window import Window
 

@@ -8,6 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
+
+pytest.importorskip("viser", reason="viser is not installed")
+
 from editor.browser.desk import curves, served, wait_until
 from editor.browser.window import Window
 

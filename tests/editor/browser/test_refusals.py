@@ -7,6 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+pytest.importorskip("viser", reason="viser is not installed")
+
 from editor.browser.desk import arrived, wait_until
 from editor.browser.window import Window
 

@@ -9,6 +9,10 @@ from threading import Event
 from typing import Any
 
 import numpy as np
+import pytest
+
+pytest.importorskip("viser", reason="viser is not installed")
+
 from editor.browser.desk import PATIENCE, arrived, wait_until
 from editor.browser.window import Window
 
