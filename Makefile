@@ -30,6 +30,7 @@ docs: $(VENV)/docs.stamp
 # The pictures of the documentation; some minutes. They are kept with the source.
 pictures: $(VENV)/test.stamp
 	$(RUN) docs/pictures.py
+	PICTURES=docs/screenshots $(RUN) -m pytest tests/editor/browser
 
 # The generated robot descriptions under urdf/; a test fails when they are stale.
 urdf: $(VENV)/base.stamp
