@@ -9,6 +9,7 @@ import pytest
 
 import pinposture
 from pinposture.control import CONTROLLERS
+from pinposture.editor.session import Session
 from pinposture.scene import Cylinder, Scene
 from pinposture.scene.obstacles import KINDS
 from pinposture.target.resolve import METHODS, PLACEMENTS
@@ -103,6 +104,7 @@ def test_the_examples_run_one_after_the_other(command, tmp_path, monkeypatch):
         url = "address"
 
         def __init__(self, task, path, host, port, joint_states):
+            self.session = Session(task, path)
             if not path.exists():
                 task.save(path)
 
