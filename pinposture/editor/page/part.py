@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Protocol, TypeAlias
 
-import viser
 from viser import GuiEvent
 
 from pinposture.editor.live import Live
@@ -70,8 +69,3 @@ def put(control: Any, **values: Any) -> None:
     for name, value in values.items():
         if getattr(control, name) != value:
             setattr(control, name, value)
-
-
-def gui(server: viser.ViserServer) -> viser.GuiApi:
-    """The controls that all browsers share."""
-    return server.gui
