@@ -9,9 +9,10 @@ export MPLBACKEND := Agg
 demo: $(VENV)/base.stamp
 	$(RUN) examples/demo.py
 
-# Half a dozen processes share the tests; the browser's are skipped where there is no Chromium.
+# Up to six processes share the tests, so each has one thread for its matrices; those of the browser are skipped
+# where there is no Chromium.
 test: $(VENV)/test.stamp
-	$(RUN) -m pytest -n auto --maxprocesses 6 --dist worksteal
+	OPENBLAS_NUM_THREADS=1 $(RUN) -m pytest -n auto --maxprocesses 6 --dist worksteal
 
 lint: $(VENV)/lint.stamp
 	$(VENV)/bin/ruff check .
