@@ -130,9 +130,8 @@ class Clearances:
             begun = time.monotonic()
             with self._lock:
                 asked = self._asked
-            assert asked is not None
             try:
-                found = nearest(asked)
+                found = None if asked is None else nearest(asked)
             except Exception as error:  # of whatever kind: the thread is needed for what is asked next
                 known = isinstance(error, PostureError | ArithmeticError | np.linalg.LinAlgError)
                 logger.warning("the clearance cannot be told: %s", error, exc_info=not known)

@@ -37,7 +37,7 @@ class Editor:
 
         editor = Editor(pp.Task.load("walk.toml"), Path("walk.toml"))
         editor.start()
-        print(editor.url)
+        webbrowser.open(editor.url)
 
     Callbacks of the page only leave requests here. The loop takes them in turn, and never waits for the arm:
     what the arm makes of it is worked out by the solver, and looked up.

@@ -64,7 +64,6 @@ class Live(NamedTuple):
         status: as in `Report`.
         reason: why it does not move on, in words.
         lag: from asking to the first step towards it [s]; None if that is to come.
-        rate: steps in the last second [1/s].
         steps: how many there were in all.
     """
 
@@ -79,7 +78,6 @@ class Live(NamedTuple):
     status: str
     reason: str
     lag: float | None
-    rate: float
     steps: int
 
     @property

@@ -90,21 +90,21 @@ def new_obstacle(kind: str, arm: Arm, points: Array, scene: Scene | None) -> Obs
         low = float((path @ up).min()) - BELOW * arm.length
         return HalfSpace(_vector(arm.chain.base + (low - arm.chain.base @ up) * up), _vector(up))
     axis = np.cross(*arm.plane) if arm.dimension == 2 else up
-    best, most = None, -np.inf
+    tried: list[tuple[float, Obstacle]] = []
     for center in _places(arm, path, up):
         obstacle = SOLIDS[kind](center, axis, arm.length)
         room = float(np.linalg.norm(path - center, axis=1).min()) - reach(obstacle)
         if room >= ROOM * arm.length and _free(scene, center, reach(obstacle) + ROOM * arm.length):
             return obstacle
-        if room > most:
-            best, most = obstacle, room
-    assert best is not None
-    return best
+        tried.append((room, obstacle))
+    return max(tried, key=lambda each: each[0])[1]
 
 
 def _places(arm: Arm, path: Array, up: Array) -> Iterator[Array]:
     """Places beside the arm, near ones first."""
     ahead = path[-1] - path[0]
+    if float(np.linalg.norm(ahead)) < 1e-3 * arm.length:  # it is closed to a ring
+        ahead = arm.plane[0]
     if arm.dimension == 2:
         across = arm.plane.T @ np.array([[0.0, -1.0], [1.0, 0.0]]) @ (arm.plane @ ahead)
         sides = [across, -across]

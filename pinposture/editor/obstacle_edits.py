@@ -48,7 +48,6 @@ def select_obstacle(name: str | None, session: Session) -> None:
     if session.obstacle != name or (name is not None and session.handle is not None):
         session.obstacle = name
         session.handle = None if name is not None else session.handle
-        session.revision += 1
 
 
 def add_obstacle(kind: str, points: Array, session: Session) -> None:
@@ -124,7 +123,6 @@ def rearrange(name: str, change: Change, what: str, final: bool, session: Sessio
         return
     # The solver is told at its own pace: see `Surroundings`.
     session.proposal = Proposal(task, what, False, session.number + 1)
-    session.revision += 1
 
 
 def edit_obstacle(name: str, key: str, value: object, final: bool, session: Session) -> None:

@@ -65,7 +65,6 @@ class Session:
         notice: the last thing that was said.
         at_once: whether the arm takes shapes at once, whatever its limits.
         number: rises with everything that the solver should know.
-        revision: rises with everything at all.
         saved: the task as it is in the file; None if it is in none.
         playback: what is shown of the motion of the task.
 
@@ -93,7 +92,6 @@ class Session:
         self.notice = Notice("", "info", 0)
         self.at_once = False
         self.number = 1
-        self.revision = 1
         self.asked = time.monotonic()
         self.saved: Task | None = task if path is not None and version_of(path) else None
         self.playback = Playback()
@@ -152,12 +150,10 @@ class Session:
     def say(self, text: str, kind: str = "info") -> None:
         """Say something."""
         self.notice = Notice(" ".join(text.split()), kind, self.notice.number + 1)
-        self.revision += 1
 
     def touch(self) -> None:
         """Something changed that the solver should know, and whoever looks on."""
         self.number += 1
-        self.revision += 1
         self.asked = time.monotonic()
 
     def edit(self, edit: Edit, what: str, select: int | None = None) -> bool:
@@ -238,7 +234,6 @@ class Session:
             self.handle = None
         elif 0 <= handle < len(self.shape.points):
             self.handle, self.obstacle = handle, None
-        self.revision += 1
 
     def select(self, keyframe: int) -> None:
         """Go on with another keyframe, 0-based; one that there is not changes nothing."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import time
 import warnings
-from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from threading import Event, Lock, Thread
@@ -43,18 +42,18 @@ MOST_KNOWN = 100
 """Shapes that are remembered, so that going back to one takes no time."""
 
 
-class Taken(NamedTuple):
-    """A shape that the arm can take.
+class Judged(NamedTuple):
+    """A shape that was judged.
 
     Attributes:
         arm: the arm.
         keyframe: which has the shape.
-        target: what the arm takes.
+        verdict: what the arm can make of it.
     """
 
     arm: Arm
     keyframe: Keyframe
-    target: Target
+    verdict: Verdict
 
 
 class Solver:
@@ -74,9 +73,9 @@ class Solver:
         self._asked, self._problem, self._made_for = first, first, first
         self._tracker, self._verdict = _tracker(first, start), Verdict(None)
         self._lag: float | None = None
-        self._taken: Taken | None = None  # the last shape that could be
-        self._known: dict[int, Taken] = {}  # those that were not only passed, by their keyframes
-        self._steps, self._last = 0, deque([time.monotonic()], maxlen=64)
+        self._taken: tuple[Arm, Target] | None = None  # the last shape that could be
+        self._known: dict[int, Judged] = {}  # those that were not only passed, by their keyframes
+        self._steps = 0
         self._dq, self._fault = np.zeros(first.arm.nv), ""
         self._live = self._look(first.arm.at(start))
         self._thread = Thread(target=self._run, name="pinposture-solver", daemon=True)
@@ -150,6 +149,7 @@ class Solver:
             PostureError: it cannot be moved by this controller, in this scene. It then just lies there.
         """
         self._dq = np.zeros(problem.arm.nv)
+        self._known.clear()  # of the arm from before
         start, bare = problem.arm.straight(), problem._replace(controller=ConstrainedQP(), scene=None)
         self._tracker, self._made_for = _tracker(bare, start), bare
         self._tracker, self._made_for = _tracker(problem, start), problem
@@ -157,18 +157,20 @@ class Solver:
     def _judged(self, problem: Problem) -> Verdict:
         """What the arm can make of a problem; known already of a shape that was judged before."""
         arm, keyframe = problem.arm, problem.keyframe
-        known, before = self._known.get(id(keyframe), self._taken), self._taken
-        if known is not None and known.arm is arm and known.keyframe is keyframe:
-            verdict = review(arm, known.target, problem.scene)
+        known, before = self._known.get(id(keyframe)), self._taken
+        if known is not None and known.arm is arm:
+            target, verdict = known.verdict.target, known.verdict
+            if target is not None:
+                verdict = review(arm, target, problem.scene)
         else:
-            near = before.target if before is not None and before.arm is arm and problem.shaping else None
+            near = before[1] if before is not None and before[0] is arm and problem.shaping else None
             verdict = judge(arm, keyframe, problem.scene, near, not problem.passing)
-        if verdict.target is not None:
-            self._taken = Taken(arm, keyframe, verdict.target)
             if not problem.passing:
-                self._known[id(keyframe)] = self._taken
+                self._known[id(keyframe)] = Judged(arm, keyframe, verdict)
                 if len(self._known) > MOST_KNOWN:
                     del self._known[next(iter(self._known))]
+        if verdict.target is not None:
+            self._taken = arm, verdict.target
         return verdict
 
     def _step(self) -> None:
@@ -185,11 +187,9 @@ class Solver:
                 logger.warning("the arm is brought to rest: %s", error)
             self._dq, self._fault = tracker.limits.hold(arm.at(tracker.command), self._dq).dq, reason
             tracker.restart(arm.integrate(tracker.command, self._dq), self._dq)
-        now = time.monotonic()
         self._steps += 1
-        self._last.append(now)
         if self._lag is None:
-            self._lag = now - problem.asked
+            self._lag = time.monotonic() - problem.asked
         self._publish()
 
     def _publish(self) -> None:
@@ -202,7 +202,6 @@ class Solver:
     def _look(self, state: ArmState) -> Live:
         tracker, problem = self._tracker, self._problem
         report, target = tracker.report, tracker.target
-        span = self._last[-1] - self._last[0]
         return Live(
             number=problem.number,
             arm=tracker.arm,
@@ -215,7 +214,6 @@ class Solver:
             status="holding" if self._fault else report.status,
             reason=self._fault or report.reason,
             lag=self._lag,
-            rate=(len(self._last) - 1) / span if span > 0.0 else 0.0,
             steps=self._steps,
         )
 

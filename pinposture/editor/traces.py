@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from pinposture.control import Limits
 from pinposture.editor.live import Live
-from pinposture.editor.solver import CYCLE
+from pinposture.editor.solver import in_cycles
 from pinposture.motion import Motion
 from pinposture.motion.rates import limit_shares
 
@@ -101,7 +100,7 @@ class Recent:
             return
         speed = 0.0
         if last is not None and live.arm is last.arm and live.steps > last.steps:
-            bound = replace(limits, dt=CYCLE).for_arm(live.arm).bound * (live.steps - last.steps)
+            bound = in_cycles(limits).for_arm(live.arm).bound * (live.steps - last.steps)
             limited = np.isfinite(bound) & (bound > 0.0)
             moved = np.abs(live.arm.difference(last.state.q, live.state.q))
             speed = float((moved[limited] / bound[limited]).max(initial=0.0))

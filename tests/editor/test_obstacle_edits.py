@@ -181,3 +181,13 @@ def test_no_other_kinds_can_be_made_new():
 
 def _shift(shift, obstacle):
     return moved(obstacle, shift)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_planar_arm_that_is_closed_to_a_ring_leaves_room_beside_it(kind):
+    arm = pp.Arm.from_template("Rz", 12)
+    ring = np.array([[np.sin(a), 1.0 - np.cos(a), 0.0] for a in np.linspace(0.0, 2.0 * np.pi, 13)[1:]])
+    points = ring * arm.length / (2.0 * np.pi)
+    points[-1] = arm.chain.base  # the tip is where the base is
+    obstacle = new_obstacle(kind, arm, points, None)
+    assert signed_distance(obstacle, points).min() > 0.0

@@ -249,3 +249,8 @@ def test_a_shape_that_is_known_is_not_worked_out_again(monkeypatch: pytest.Monke
             solver.ask(problem(number + 2, TO_BENT))
             until(solver, lambda live, number=number: live.number == number + 2)
         assert judged[2:] == [passing, passing]
+        for number in (11, 12):  # nor is there need to look again at what could not be
+            solver.ask(problem(number, SHORT))
+            until(solver, lambda live, number=number: live.number == number)
+            assert "too short" in solver.live.verdict.reason
+        assert judged[4:] == [SHORT]

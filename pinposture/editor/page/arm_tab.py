@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from functools import partial
 
 import numpy as np
@@ -16,6 +17,9 @@ from pinposture.editor.page.painting import WAYS, near_singular, paint
 from pinposture.editor.page.part import Post, on_change, put
 from pinposture.editor.page.typed import Typed
 from pinposture.editor.session import Session
+
+PAUSE = 0.25
+"""How long facts stay as they are, for people to read them [s]."""
 
 NAMED = 4
 """How many stretches are listed."""
@@ -33,7 +37,7 @@ class ArmTab:
     def __init__(self, server: viser.ViserServer, drawing: ArmDrawing, post: Post) -> None:
         self._drawing, self._post, gui = drawing, post, server.gui
         self._ellipsoids = Ellipsoids(server, drawing.arm)
-        self._steps = -1
+        self._steps, self._due = -1, 0.0
         self._facts = gui.add_markdown("")
         self._controller = gui.add_dropdown("Controller", tuple(CONTROLLERS), hint="What moves the arm")
         speed = gui.add_number(
@@ -62,8 +66,9 @@ class ArmTab:
             several = np.ndim(limit if limit is not None else 0.0) > 0
             field.show(0.0 if limit is None else round(float(np.min(limit)), 6), disabled=several)
         put(self._at_once, value=session.at_once)
-        if live.steps != self._steps:
-            self._steps = live.steps
+        now = time.monotonic()
+        if live.steps != self._steps and now >= self._due:
+            self._steps, self._due = live.steps, now + PAUSE
             put(self._facts, content=_facts(live))
         self._drawing.paint(paint(self._way.value, live, self._drawing.shades))
         self._ellipsoids.show(live.state, live.steps, self._balls.value)
@@ -92,8 +97,10 @@ def _facts(live: Live) -> str:
     listed = ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in stretches[:NAMED])
     more = " ..." if len(stretches) > NAMED else ""
     bound = int(np.count_nonzero(live.at_limit))
+    lag = "..." if live.lag is None else f"{1000.0 * live.lag:.0f} ms"
     return (
         f"**{arm.n_modules} modules, {arm.nv} joints, {arm.length:.3g} m**\n\n"
         f"Near singular: {f'modules {listed}{more}' if listed else 'nowhere'}\n\n"
-        f"Joints at a limit: {bound or 'none'}"
+        f"Joints at a limit: {bound or 'none'}\n\n"
+        f"First step after a change: {lag}"
     )

@@ -106,10 +106,9 @@ class Handles:
 
     def _put_axes(self, session: Session, points: Array) -> None:
         """Show the axes at the selected point."""
-        visible = session.handle is not None and session.handle > 0
-        if visible:
-            assert session.handle is not None
-            self._index = session.handle
+        visible = False
+        if session.handle is not None and session.handle > 0:
+            visible, self._index = True, session.handle
             if not self._led and not np.allclose(self._axes.position, points[self._index], atol=1e-7):
                 self._axes.position = points[self._index]
         if self._axes.visible != visible:

@@ -9,7 +9,6 @@ from pinposture.arm import Arm, ArmState
 from pinposture.editor.live import Live
 from pinposture.editor.page.part import color
 from pinposture.view import palette
-from pinposture.view.body import bodies
 
 Colors = NDArray[np.uint8]
 
@@ -40,8 +39,8 @@ def paint(way: str, live: Live, shades: Colors) -> Colors:
         by_module: Colors = np.array(
             [color(palette.index_color(float(index))) for index in indices], dtype=np.uint8
         )
-        of_bodies: Colors = by_module[[body.module for body in bodies(live.arm)]]
-        return of_bodies
+        sizes = [len(joints) for joints in live.arm.module_joints]
+        return np.repeat(by_module, sizes, axis=0)
     return shades
 
 

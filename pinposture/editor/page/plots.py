@@ -80,9 +80,11 @@ class Plots:
         playback, now = session.playback, time.monotonic()
         if not playback.shown:
             self._recent.add(live, session.task.limits)
+        if now < self._due:
+            return
         lately = now if self._recent.changing else now // AT_REST
         key = (playback.motion, playback.time) if playback.shown else (None, lately)
-        if now < self._due or key == self._shown:
+        if key == self._shown:
             return
         self._shown, self._due = key, now + (SMOOTHLY if playback.shown else NOW_AND_THEN)
         color = palette.controller_color(session.task.controller.name)

@@ -44,7 +44,9 @@ class Status:
 
 def _lines(session: Session, live: Live) -> str:
     verdict = live.verdict
-    if verdict.reason:
+    if live.number < session.number and time.monotonic() - session.asked > PATIENCE:
+        kind, head, more = "warning", "Looking whether the arm can take this shape ...", ""
+    elif verdict.reason:
         kind, head, more = "error", "The arm cannot take this shape", verdict.reason
     elif verdict.collision:
         kind, head, more = "warning", "In the way", verdict.notes[0]
@@ -79,8 +81,6 @@ def _notes(session: Session, live: Live) -> list[str]:
     controller = session.task.controller.name
     if session.task.scene is not None and controller != CLEAR:
         notes.append(f"{controller} keeps clear of nothing, {CLEAR} does")
-    if live.number < session.number and time.monotonic() - session.asked > PATIENCE:
-        notes.insert(0, "looking whether the arm can take this shape ...")
     return notes
 
 
