@@ -14,35 +14,28 @@ SI units throughout: metres, radians, seconds.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from pinposture.arm import (
-    Adequacy,
-    Arm,
-    ArmState,
-    Ellipsoid,
-    JointLimits,
-    JointSpec,
-    ModuleTemplate,
-    template,
-)
-from pinposture.control import (
-    ConstrainedQP,
-    Controller,
-    EndEffector,
-    JointPosture,
-    Limits,
-    Projection,
-    Selection,
-    Step,
-    Switching,
-    Tangents,
-)
-from pinposture.curve import Curve
-from pinposture.errors import PostureError, PostureWarning
-from pinposture.motion import Batch, JointTrajectory, Motion, Tracker, Trajectory, track, track_many
-from pinposture.scene import Box, Capsule, Cylinder, HalfSpace, Mesh, Scene, Sphere
-from pinposture.target import Target, fit_points, resolve_targets
-
 if TYPE_CHECKING:
+    from pinposture.arm import Adequacy, Arm, ArmState, Ellipsoid, JointLimits, JointSpec, ModuleTemplate
+    from pinposture.arm.template import template
+    from pinposture.control import (
+        ConstrainedQP,
+        Controller,
+        EndEffector,
+        JointPosture,
+        Limits,
+        Projection,
+        Selection,
+        Step,
+        Switching,
+        Tangents,
+    )
+    from pinposture.curve import Curve
+    from pinposture.errors import PostureError, PostureWarning
+    from pinposture.motion import Batch, JointTrajectory, Motion, Tracker, Trajectory
+    from pinposture.motion.track import track
+    from pinposture.motion.track_many import track_many
+    from pinposture.scene import Box, Capsule, Cylinder, HalfSpace, Mesh, Scene, Sphere
+    from pinposture.target import Target, fit_points, resolve_targets
     from pinposture.task.deviation import path_deviation
     from pinposture.task.follow_leader import follow_leader
     from pinposture.task.keyframe import Keyframe
@@ -106,23 +99,57 @@ __all__ = [
     "view",
 ]
 
-
-_TASKS = (
-    "Keyframe",
-    "Task",
-    "follow_leader",
-    "keyframe_reference",
-    "move_through",
-    "path_deviation",
-    "perform",
-)
+# Everything is imported when it is first asked for: who plans needs no matplotlib, who draws no solver.
+_PACKAGES = {
+    "arm": (
+        "Adequacy",
+        "Arm",
+        "ArmState",
+        "Ellipsoid",
+        "JointLimits",
+        "JointSpec",
+        "ModuleTemplate",
+        "template",
+    ),
+    "control": (
+        "ConstrainedQP",
+        "Controller",
+        "EndEffector",
+        "JointPosture",
+        "Limits",
+        "Projection",
+        "Selection",
+        "Step",
+        "Switching",
+        "Tangents",
+    ),
+    "curve": ("Curve",),
+    "errors": ("PostureError", "PostureWarning"),
+    "motion": ("Batch", "JointTrajectory", "Motion", "Tracker", "Trajectory", "track", "track_many"),
+    "scene": ("Box", "Capsule", "Cylinder", "HalfSpace", "Mesh", "Scene", "Sphere"),
+    "target": ("Target", "fit_points", "resolve_targets"),
+    "task": (
+        "Keyframe",
+        "Task",
+        "follow_leader",
+        "keyframe_reference",
+        "move_through",
+        "path_deviation",
+        "perform",
+    ),
+    "view": ("plot", "plot_arm", "plot_comparison", "save_html"),
+}
+_PACKAGE_OF = {name: package for package, names in _PACKAGES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
-    # Matplotlib and meshcat take longer to import than everything else together: only when asked for.
-    if name in ("plot", "plot_arm", "plot_comparison", "save_html", "view"):
-        drawing = import_module("pinposture.view")
-        return drawing if name == "view" else getattr(drawing, name)  # that package can be called
-    if name in _TASKS:
-        return getattr(import_module("pinposture.task"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name in _PACKAGES:  # `view` is a package and can be called
+        return import_module(f"{__name__}.{name}")
+    if name not in _PACKAGE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = globals()[name] = getattr(import_module(f"{__name__}.{_PACKAGE_OF[name]}"), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]
