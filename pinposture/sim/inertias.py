@@ -98,7 +98,8 @@ def settled(body: Body) -> tuple[Body, str]:
         ball = 0.4 * STAND_IN_MASS * STAND_IN_RADIUS**2 * np.eye(3)
         return Body(STAND_IN_MASS, np.zeros(3), ball), "no mass"
     spread, axes = np.linalg.eigh(np.trace(body.inertia) / 2.0 * np.eye(3) - body.inertia)
-    least = body.mass * SMALLEST_RADIUS**2 / 5.0
+    # Less than 1e-12 of the largest could come out negative by rounding.
+    least = max(body.mass * SMALLEST_RADIUS**2 / 5.0, 1e-12 * float(spread[2]))
     if spread[0] >= least:
         return body, ""
     repaired = np.maximum(spread, least)

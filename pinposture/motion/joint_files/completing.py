@@ -36,6 +36,8 @@ def completed(
     """
     positions, velocities, accelerations = told
     try:
+        if not (np.isnan(velocities).any() or np.isnan(accelerations).any()):
+            return JointTrajectory(tuple(joints), time, positions, velocities, accelerations, tuple(units))
         known = JointTrajectory.from_positions(joints, positions, time, units)
         return replace(
             known,
