@@ -3,16 +3,26 @@ PYTHON ?= python3
 VENV := .venv
 RUN := $(VENV)/bin/python
 export MPLBACKEND := Agg
+unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test lint edit docs pictures urdf bench clean
+.PHONY: demo test test-all mutation lint edit docs pictures urdf bench clean
 
 demo: $(VENV)/base.stamp
 	$(RUN) examples/demo.py
 
-# Up to six processes share the tests, so each has one thread for its matrices; those of the browser are skipped
-# where there is no Chromium.
+# Two or more processes share the tests, so each has one thread for its matrices.
+PYTEST := OPENBLAS_NUM_THREADS=1 $(RUN) -m pytest -n auto --maxprocesses 6 --dist worksteal
+
 test: $(VENV)/test.stamp
-	OPENBLAS_NUM_THREADS=1 $(RUN) -m pytest -n auto --maxprocesses 6 --dist worksteal
+	$(PYTEST) $(ARGS)
+
+# Everything, with many and random examples; what needs a browser is skipped where there is no Chromium.
+test-all: $(VENV)/test-all.stamp
+	$(PYTEST) --full $(ARGS)
+
+# Seeded faults in the library: does the quick set catch what the full set catches? Half an hour.
+mutation: $(VENV)/test-all.stamp
+	$(RUN) tests/mutation.py $(ARGS)
 
 lint: $(VENV)/lint.stamp
 	$(VENV)/bin/ruff check .
@@ -21,7 +31,7 @@ lint: $(VENV)/lint.stamp
 
 # The editor in the browser, at an example. Another task: make edit TASK=mine.toml
 TASK ?= examples/tasks/keyframes.toml
-edit: $(VENV)/edit.stamp
+edit: $(VENV)/editor.stamp
 	$(RUN) -m pinposture edit $(TASK)
 
 # The documentation site, into build/site; a test builds it, too, and checks its links.
@@ -29,9 +39,9 @@ docs: $(VENV)/docs.stamp
 	NO_MKDOCS_2_WARNING=1 $(RUN) -m mkdocs build --strict
 
 # The pictures of the documentation; some minutes. They are kept with the source.
-pictures: $(VENV)/test.stamp
+pictures: $(VENV)/test-all.stamp
 	$(RUN) docs/pictures.py
-	PICTURES=docs/screenshots $(RUN) -m pytest tests/editor/browser
+	PICTURES=docs/screenshots $(RUN) -m pytest --full tests/editor/browser
 
 # The generated robot descriptions under urdf/; a test fails when they are stale.
 urdf: $(VENV)/base.stamp
@@ -50,23 +60,13 @@ $(VENV)/bin/python:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "pinposture needs Python 3.10 or newer")'
 	$(PYTHON) -m venv $(VENV)
 
+# A stamp for each extra of pyproject.toml; pip compiles no bytecode, Python does for what is imported.
 $(VENV)/base.stamp: pyproject.toml | $(VENV)/bin/python
-	$(RUN) -m pip install --quiet --editable .
+	$(RUN) -m pip install --quiet --no-compile --editable .
 	$(RUN) -m pinposture compile
 	touch $@
 
-$(VENV)/test.stamp: $(VENV)/base.stamp
-	$(RUN) -m pip install --quiet --editable '.[test,docs]'
-	touch $@
-
-$(VENV)/edit.stamp: $(VENV)/base.stamp
-	$(RUN) -m pip install --quiet --editable '.[editor]'
-	touch $@
-
-$(VENV)/docs.stamp: $(VENV)/base.stamp
-	$(RUN) -m pip install --quiet --editable '.[docs]'
-	touch $@
-
-$(VENV)/lint.stamp: $(VENV)/base.stamp
-	$(RUN) -m pip install --quiet --editable '.[test,lint]'
+$(VENV)/%.stamp: pyproject.toml | $(VENV)/bin/python
+	$(RUN) -m pip install --quiet --no-compile --editable '.[$*]'
+	$(RUN) -m pinposture compile
 	touch $@

@@ -48,9 +48,10 @@ def main() -> None:
                 table.add_row(scenario.arm, scenario.title, name, *row)
                 folder = OUT / scenario.name / name
                 run.save(folder / "run.npz")
-                pp.plot(run).savefig(folder / "run.png", dpi=120)
-                pp.save_html(arm, run, folder / "run.html")
                 progress.advance(task)
+            folder = OUT / scenario.name / "qp"
+            pp.plot(runs["qp"]).savefig(folder / "run.png", dpi=120)
+            pp.save_html(arm, runs["qp"], folder / "run.html")
             pp.plot_comparison(runs).savefig(OUT / scenario.name / "comparison.png", dpi=120)
     console.print(table)
     console.print(
@@ -64,8 +65,9 @@ def main() -> None:
     pp.save_html(motion.arm, motion, folder / "motion.html")
     names = ", ".join(f"{place.name} at {place.reached:.2f} s" for place in motion.passed)
     console.print(f"{TASK.name}: {names}; {motion.slowing:.2f} times as long as planned, within all limits")
-    console.print(f"pictures: {OUT}/*/comparison.png, {OUT}/*/*/run.png and {folder}/motion.png")
-    console.print(f"animations, to open in a browser: {OUT}/*/*/run.html and {folder}/motion.html")
+    console.print(f"pictures: {OUT}/*/comparison.png, {OUT}/*/qp/run.png and {folder}/motion.png")
+    console.print(f"animations, to open in a browser: {OUT}/*/qp/run.html and {folder}/motion.html")
+    console.print(f"the other runs: pinposture view {OUT}/{scenarios[0].name}/selection --html run.html")
     console.print(f"took {time.perf_counter() - begun:.0f} s")
 
 

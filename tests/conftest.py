@@ -1,15 +1,81 @@
-"""What every test shares: the reference in `tests/analytic`, and repeatable hypothesis runs."""
+"""What every test shares: the reference in `tests/analytic`, and the quick and the full set."""
 
 from __future__ import annotations
 
+import gc
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-from hypothesis import settings
+import pytest
 
 TESTS = str(Path(__file__).resolve().parent)
 if TESTS not in sys.path:  # so that `from analytic import ryrz` works from any test, in any import mode
     sys.path.insert(0, TESTS)
 
-settings.register_profile("ci", deadline=None, derandomize=True)
-settings.load_profile("ci")  # `pytest --hypothesis-profile=default` overrides it
+from sampling import draw_fully  # noqa: E402
+
+import pinposture.thesis.curves  # noqa: E402, F401  # its curves are not counted below
+from pinposture.arm import Arm  # noqa: E402
+from pinposture.curve import Curve  # noqa: E402
+
+SLOW = {
+    "site": "builds the documentation site",
+    "tutorial": "runs the tutorial and the examples",
+    "pictures": "draws whole pictures and reads their pixels",
+    "browser": "drives a real browser",
+    "soak": "runs for many cycles, or is killed and started again",
+    "studies": "runs a study in small",
+    "reproduction": "runs figures and claims of the thesis",
+    "statistics": "counts over many seeds",
+    "process": "starts the command in processes of its own, or kills them",
+}
+"""Markers of tests that the quick set leaves out."""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--full", action="store_true", help="every test, with many and random examples")
+
+
+BUILT_EARLY = pytest.StashKey[list[str]]()
+"""Classes of what was built while the tests were collected, which costs every worker of every run."""
+
+_untouched: dict[type, Callable[..., None]] = {}
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    for name, meaning in SLOW.items():
+        config.addinivalue_line("markers", f"{name}: {meaning}; only with --full")
+    draw_fully(config.getoption("full"))
+    built = config.stash[BUILT_EARLY] = []
+    for kind in (Arm, Curve):
+        original = _untouched[kind] = kind.__init__
+
+        def noted(self: Any, *args: Any, original: Any = original, **named: Any) -> None:
+            built.append(type(self).__name__)
+            original(self, *args, **named)
+
+        kind.__init__ = noted
+
+
+def pytest_collection_finish() -> None:
+    for kind, original in _untouched.items():
+        kind.__init__ = original
+    _untouched.clear()
+    gc.freeze()  # thousands of tests that stay: not to be looked through again and again
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out the slow tests, unless all are asked for, or one of them by its name."""
+    if config.getoption("full") or any("::" in argument for argument in config.args):
+        return
+    slow = {item for item in items if any(mark.name in SLOW for mark in item.iter_markers())}
+    items[:] = [item for item in items if item not in slow]
+    config.hook.pytest_deselected(items=list(slow))
+
+
+@pytest.fixture
+def built_early(pytestconfig: pytest.Config) -> list[str]:
+    """Classes of arms and curves that were built while the tests were collected."""
+    return pytestconfig.stash[BUILT_EARLY]

@@ -13,8 +13,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from analytic import planar
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 import pinposture as pp
 
@@ -81,7 +82,7 @@ def test_jacobians_of_planar_arms_are_those_of_the_closed_form(
 
 
 @given(st.integers(0, 10**6), st.integers(1, 4))
-@settings(deadline=None, max_examples=25)
+@examples(25)
 def test_rows_of_a_later_point_differ_by_the_section_between(seed: int, dof: int) -> None:
     # (A.1) for one joint, (A.4) for two, and so on: one column for all joints up to k, then one for each.
     rng = np.random.default_rng(seed)
@@ -96,7 +97,7 @@ def test_rows_of_a_later_point_differ_by_the_section_between(seed: int, dof: int
 
 
 @given(st.integers(0, 10**6), st.sampled_from([0.05, 3.0]))
-@settings(deadline=None, max_examples=25)
+@examples(25)
 def test_neighbours_of_one_joint_modules_conflict_in_every_posture(seed: int, amplitude: float) -> None:
     rng = np.random.default_rng(seed)
     arm = single(rng.uniform(0.1, 0.5, 7))
@@ -143,7 +144,7 @@ def test_the_tables_hold_for_modules_of_equal_links(
 
 
 @given(st.integers(0, 10**6), st.integers(2, 3), st.data())
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_sections_are_singular_exactly_when_their_inner_joints_are_straight(
     seed: int, dof: int, data: st.DataObject
 ) -> None:
@@ -166,7 +167,7 @@ def test_sections_are_singular_exactly_when_their_inner_joints_are_straight(
 
 
 @given(st.integers(0, 10**6), st.integers(2, 6))
-@settings(deadline=None, max_examples=25)
+@examples(25)
 def test_a_straight_or_folded_section_of_any_length_makes_its_ends_conflict(seed: int, dof: int) -> None:
     rng = np.random.default_rng(seed)
     links = rng.uniform(0.1, 0.5, 4 + dof)
@@ -180,7 +181,7 @@ def test_a_straight_or_folded_section_of_any_length_makes_its_ends_conflict(seed
 
 
 @given(st.integers(0, 10**6))
-@settings(deadline=None, max_examples=25)
+@examples(25)
 def test_points_conflict_only_if_one_of_them_or_a_section_between_is_singular(seed: int) -> None:
     rng = np.random.default_rng(seed)
     arm = single(rng.uniform(0.1, 0.5, 9))

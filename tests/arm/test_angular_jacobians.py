@@ -19,11 +19,13 @@ MIXED = pp.ModuleTemplate(
     (0.02, 0.03, 0.04),
 )
 ARMS = {
-    "spatial": pp.Arm.from_template("RyRz", 5, base_placement=PLACEMENT),
-    "planar": pp.Arm.from_template("Rz", 7, base_placement=PLACEMENT),
-    "mixed": pp.Arm.from_modules([MIXED] * 3, base_placement=PLACEMENT),
-    "one joint": pp.Arm.from_template("Rz", 1),
-    "off the chain": pp.Arm.from_model(pin.buildSampleModelManipulator(), ["elbow_body", "wrist1_body"]),
+    "spatial": lambda: pp.Arm.from_template("RyRz", 5, base_placement=PLACEMENT),
+    "planar": lambda: pp.Arm.from_template("Rz", 7, base_placement=PLACEMENT),
+    "mixed": lambda: pp.Arm.from_modules([MIXED] * 3, base_placement=PLACEMENT),
+    "one joint": lambda: pp.Arm.from_template("Rz", 1),
+    "off the chain": lambda: pp.Arm.from_model(
+        pin.buildSampleModelManipulator(), ["elbow_body", "wrist1_body"]
+    ),
 }
 
 
@@ -40,7 +42,7 @@ def turns(arm: pp.Arm, q: np.ndarray, h: float = 1e-6) -> np.ndarray:
 
 @pytest.mark.parametrize("name", ARMS)
 def test_angular_jacobians_equal_finite_differences(name: str) -> None:
-    arm = ARMS[name]
+    arm = ARMS[name]()
     configurations = [arm.neutral(), *(arm.random(np.random.default_rng(seed)) for seed in range(4))]
     for q in configurations:
         state = arm.at(q)
@@ -50,14 +52,14 @@ def test_angular_jacobians_equal_finite_differences(name: str) -> None:
 
 @pytest.mark.parametrize("name", ARMS)
 def test_axes_are_those_of_the_joints(name: str) -> None:
-    arm = ARMS[name]
+    arm = ARMS[name]()
     state = arm.at(arm.neutral())
     expected = np.where(arm.chain.revolute[:, None], arm.chain.axes, 0.0).T
     np.testing.assert_allclose(state.axes[:, arm.columns], expected, atol=1e-12)
 
 
 def test_they_are_kept_when_the_arm_moves_on_and_cannot_be_changed() -> None:
-    arm = ARMS["spatial"]
+    arm = ARMS["spatial"]()
     rng = np.random.default_rng(0)
     state = arm.at(arm.random(rng))
     axes = state.axes.copy()

@@ -40,20 +40,16 @@ def finite_differences(arm: pp.Arm, q: np.ndarray, h: float = 1e-6) -> np.ndarra
 
 
 @given(st.integers(0, 10**6))
-def test_placements_and_jacobians_equal_the_closed_form(seed: int) -> None:
-    for arm in (ARM, PLACED):
-        q = arm.random(np.random.default_rng(seed))
-        state = arm.at(q)
-        p0, E0 = arm.base_placement.translation, arm.base_placement.rotation
+def test_placements_and_jacobians_equal_the_closed_form(arm: pp.Arm, placed: pp.Arm, seed: int) -> None:
+    for one in (arm, placed):
+        q = one.random(np.random.default_rng(seed))
+        state = one.at(q)
+        p0, E0 = one.base_placement.translation, one.base_placement.rotation
         np.testing.assert_allclose(state.points, ryrz.points(q, L1, L2, p0, E0), atol=1e-12)
         np.testing.assert_allclose(state.rotations, ryrz.rotations(q, L1, L2, p0, E0), atol=1e-12)
         for k in (1, 3, 6):
             expected = ryrz.jacobian(k, q, L1, L2, p0, E0)
             np.testing.assert_allclose(state.jacobians[k - 1], expected, atol=1e-12)
-
-
-ARM = pp.Arm.from_template("RyRz", 6, (L1, L2))
-PLACED = pp.Arm.from_template("RyRz", 6, (L1, L2), base_placement=PLACEMENT)
 
 
 def test_planar_jacobians_equal_appendix_a() -> None:
@@ -90,9 +86,9 @@ def test_jacobians_equal_finite_differences_with_continuous_and_sliding_joints()
 
 
 @given(st.integers(0, 10**6), st.sampled_from([0.0, 1e-6, 0.3, 3.0]))
-def test_indices_equal_those_of_the_section_jacobians(seed: int, amplitude: float) -> None:
+def test_indices_equal_those_of_the_section_jacobians(arm: pp.Arm, seed: int, amplitude: float) -> None:
     q = amplitude * np.random.default_rng(seed).uniform(-1, 1, 12)
-    found = ARM.at(q).manipulability()
+    found = arm.at(q).manipulability()
     expected = enumeration.index_matrix(lambda s, i: ryrz.section_jacobian(i, s, q, L1, L2), 6)
     np.testing.assert_allclose(found, expected, atol=2e-7)
     assert np.all((found >= 0.0) & (found <= 1.0))
@@ -177,8 +173,8 @@ def test_slides_and_turns_are_compared_by_a_scale_that_can_be_chosen() -> None:
         arm.with_sliding_unit(0.0)
 
 
-def test_links_fixed_to_the_world_move_with_the_base() -> None:
-    frame = PLACED.model.frames[PLACED.model.getFrameId("base", pin.FrameType.BODY)]
+def test_links_fixed_to_the_world_move_with_the_base(placed: pp.Arm) -> None:
+    frame = placed.model.frames[placed.model.getFrameId("base", pin.FrameType.BODY)]
     np.testing.assert_allclose(frame.placement.homogeneous, PLACEMENT.homogeneous, atol=1e-15)
 
 

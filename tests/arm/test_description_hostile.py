@@ -7,6 +7,7 @@ import time
 
 import pytest
 from arm.describing import LIMIT, links, one_joint, pinocchio_loads, robot
+from sampling import seeds
 
 from pinposture.arm.description import Description, read_description
 from pinposture.arm.template import template
@@ -75,7 +76,7 @@ PIECES = [
 ]
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", seeds(5))
 def test_whatever_is_done_to_a_text_it_loads_in_pinocchio_or_is_refused_by_us(seed, capfd):
     """Nothing that we accept is refused by Pinocchio, and nothing raises what is not ours."""
     rng, accepted = random.Random(seed), 0

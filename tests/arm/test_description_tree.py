@@ -6,8 +6,9 @@ import time
 
 import pytest
 from arm.describing import LIMIT, joint, links, pinocchio_loads, robot
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 from pinposture.arm.description import read_description
 from pinposture.errors import UnknownName, URDFError
@@ -68,7 +69,7 @@ def test_when_different_joints_lead_to_several_tips_the_choice_is_left_to_the_us
 
 
 @given(st.lists(st.tuples(st.integers(0, 7), st.integers(0, 7)), max_size=9), st.integers(1, 8))
-@settings(max_examples=300)
+@examples(300)
 def test_any_graph_is_a_tree_or_refused_for_what_it_is(edges, size):
     """Against a search by brute force: the root reaches every link by exactly one way."""
     edges = [(parent % size, child % size) for parent, child in edges]

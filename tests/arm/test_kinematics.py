@@ -3,6 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+from sampling import seeds
 
 import pinposture as pp
 from pinposture.errors import InvalidValue
@@ -47,7 +48,7 @@ def by_pinocchio(arm: pp.Arm, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
     return points, rotations, np.array([j[:3] for j in full]), np.array([j[3:] for j in full])
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", seeds(12))
 def test_placements_and_jacobians_are_those_of_pinocchio(seed):
     arm = odd_arm(seed)
     rng = np.random.default_rng(seed)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import warnings
+from functools import cache
 
 import numpy as np
 import pytest
 from arm.describing import HERE, LINK, X, Y, Z, arm_text, limit, pairs
 from arm.rewriting import renamed, scaled, turned_frames, with_fixed_joints, with_sensors
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 import pinposture as pp
 
@@ -19,13 +21,15 @@ MIXED = [
     ("prismatic", X, "0.05 0 0", limit(0, 0.05)),
 ] * 3
 ARMS = {
-    "template": pp.Arm.from_template("RyRz", 6).urdf,
-    "unequal": pp.Arm.from_modules([pp.template(name) for name in ("RyRz", "RzRy", "Rz", "RyRz")]).urdf,
-    "planar": arm_text([("revolute", Z, LINK), ("prismatic", X, LINK, limit(0, 0.04))] * 3),
-    "mixed": arm_text(MIXED),
-    "no end": arm_text(pairs(4), tip=HERE),
-    "roll at the tip": arm_text([*pairs(3), ("revolute", X, LINK)]),
-    "nothing alike": arm_text(
+    "template": lambda: pp.Arm.from_template("RyRz", 6).urdf,
+    "unequal": lambda: (
+        pp.Arm.from_modules([pp.template(name) for name in ("RyRz", "RzRy", "Rz", "RyRz")]).urdf
+    ),
+    "planar": lambda: arm_text([("revolute", Z, LINK), ("prismatic", X, LINK, limit(0, 0.04))] * 3),
+    "mixed": lambda: arm_text(MIXED),
+    "no end": lambda: arm_text(pairs(4), tip=HERE),
+    "roll at the tip": lambda: arm_text([*pairs(3), ("revolute", X, LINK)]),
+    "nothing alike": lambda: arm_text(
         [
             ("revolute", Y, LINK),
             ("revolute", X, "0.03 0 0"),
@@ -36,6 +40,11 @@ ARMS = {
 }
 
 
+@cache
+def described(name):
+    return ARMS[name]()
+
+
 def load(text):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -44,11 +53,11 @@ def load(text):
 
 @pytest.mark.parametrize("name", ARMS)
 @given(st.integers(0, 10**6))
-@settings(max_examples=12)
+@examples(12)
 def test_names_fixed_joints_sensors_and_frames_change_nothing(name, seed):
     rng = np.random.default_rng(seed)
-    arm = load(ARMS[name])
-    text, new = renamed(ARMS[name], rng)
+    arm = load(described(name))
+    text, new = renamed(described(name), rng)
     for change in (with_sensors, *rng.permutation([with_fixed_joints, turned_frames])):
         text = change(text, rng)
     other = load(text)
@@ -67,8 +76,8 @@ def test_names_fixed_joints_sensors_and_frames_change_nothing(name, seed):
 @pytest.mark.parametrize("name", ARMS)
 def test_every_part_of_the_last_link_comes_out_the_same_if_the_tip_is_named(name):
     rng = np.random.default_rng(5)
-    arm = load(ARMS[name])
-    text = turned_frames(with_sensors(with_fixed_joints(ARMS[name], rng), rng), rng)
+    arm = load(described(name))
+    text = turned_frames(with_sensors(with_fixed_joints(described(name), rng), rng), rng)
     other = pp.Arm.from_urdf(text, tip="tip")
     positions = rng.uniform(-1.0, 1.0, arm.nv)
     state, same = (a.at(a.configuration(positions)) for a in (arm, other))
@@ -79,7 +88,7 @@ def test_every_part_of_the_last_link_comes_out_the_same_if_the_tip_is_named(name
 @pytest.mark.parametrize("factor", [1e-3, 1e3])
 @pytest.mark.parametrize("name", ARMS)
 def test_an_arm_of_any_size_behaves_alike(name, factor):
-    arm, other = load(ARMS[name]), load(scaled(ARMS[name], factor))
+    arm, other = load(described(name)), load(scaled(described(name), factor))
     assert other.module_joints == arm.module_joints
     assert other.segmentation == arm.segmentation
     assert (other.dimension, other.n_modules) == (arm.dimension, arm.n_modules)

@@ -8,8 +8,9 @@ import warnings
 import numpy as np
 import pytest
 from arm.describing import HERE, LINK, X, Y, Z, arm_text, limit, pairs
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 import pinposture as pp
 
@@ -198,7 +199,7 @@ def test_the_reason_names_the_pattern_and_the_exception():
         max_size=12,
     )
 )
-@settings(max_examples=120)
+@examples(120)
 def test_any_arm_is_cut_into_modules_that_can_place_their_ends_or_is_one_module(joints):
     arm = load(joints)
     cut = arm.segmentation

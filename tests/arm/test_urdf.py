@@ -8,8 +8,9 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 from scipy.spatial.transform import Rotation
 
 from pinposture.arm.description import read_description
@@ -55,7 +56,7 @@ def tip_by_hand(modules, positions):
 
 
 @given(arms(), st.integers(0, 2**32 - 1))
-@settings(max_examples=60)
+@examples(60)
 def test_the_tip_is_where_the_product_of_joints_and_links_puts_it(modules, seed):
     model = pin.buildModelFromXML(modules_to_urdf(modules, "any"))
     positions = np.random.default_rng(seed).uniform(-3.0, 3.0, model.nv)
@@ -69,7 +70,7 @@ def test_the_tip_is_where_the_product_of_joints_and_links_puts_it(modules, seed)
 
 
 @given(arms())
-@settings(max_examples=40)
+@examples(40)
 def test_every_number_reads_back_as_the_float_it_was(modules):
     description = read_description(modules_to_urdf(modules, "any"))
     specs = [spec for module in modules for spec in module.joints]

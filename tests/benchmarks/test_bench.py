@@ -57,6 +57,7 @@ def test_cases_are_reachable_and_the_same_for_everybody(scenarios, tmp_path: Pat
     assert np.abs(np.diff(scenarios.stream(30, 50), axis=0)).max() < given.bound
 
 
+@pytest.mark.studies
 def test_a_tiny_run_without_peers(tmp_path: Path) -> None:
     command = [sys.executable, str(BENCHMARKS / "bench.py"), "--here", "--steps-only", "--sizes", "8"]
     command += ["--seconds", "0.5", "--methods", "joint", "numpy-lm", "placo", "--out", str(tmp_path)]

@@ -86,6 +86,7 @@ def test_the_scene_in_the_help_is_one_and_names_every_kind_of_obstacle(command, 
         assert key in out
 
 
+@pytest.mark.tutorial
 @pytest.mark.usefixtures("no_pictures")
 def test_the_examples_run_one_after_the_other(command, tmp_path, monkeypatch):
     class Viewer:

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import pinposture
+from pinposture.cli import app
 
 COMMAND = [sys.executable, "-m", "pinposture"]
 posix = pytest.mark.skipif(os.name != "posix", reason="signals and pseudo-terminals of POSIX")
@@ -31,6 +32,7 @@ def process(*arguments: object, **options: object) -> subprocess.CompletedProces
     return subprocess.run(line, check=False, **options)
 
 
+@pytest.mark.process
 def test_stdout_holds_one_json_object_and_nothing_else(arm_file, tmp_path):
     result = process("track", arm_file, "--curve", "helix", "--steps", 5, "--json", "-o", tmp_path)
     assert result.returncode == 0
@@ -38,6 +40,14 @@ def test_stdout_holds_one_json_object_and_nothing_else(arm_file, tmp_path):
     assert result.stderr.splitlines() == [
         f"wrote {tmp_path / name}" for name in ("run.npz", "run.png", "run.html")
     ]
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("verb", [*(command.name for command in app.registered_commands), "study"])
+def test_every_verb_starts_in_a_process_of_its_own(verb):
+    result = process(verb, "--help", env=environment(COLUMNS="80"))
+    assert (result.returncode, result.stderr) == (0, "")
+    assert f"pinposture {verb} " in result.stdout
 
 
 def test_an_error_is_one_line_on_stderr_with_code_2(tmp_path):
@@ -50,6 +60,7 @@ def test_an_error_is_one_line_on_stderr_with_code_2(tmp_path):
     assert "Traceback" not in result.stderr
 
 
+@pytest.mark.process
 def test_notes_come_whatever_the_filters_say_and_leave_other_warnings_alone(arm_file, tmp_path):
     file = tmp_path / "limitless.urdf"
     file.write_text(re.sub(r'lower="\S+" upper="\S+"', "", arm_file.read_text()))
@@ -67,6 +78,7 @@ def test_notes_come_whatever_the_filters_say_and_leave_other_warnings_alone(arm_
     assert "UserWarning: another" in result.stderr
 
 
+@pytest.mark.process
 def test_a_bug_shows_its_traceback_without_dumping_variables(arm_file):
     code = (
         "import pinposture.motion, pinposture.cli\n"
@@ -88,6 +100,7 @@ def heed_interrupts() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
+@pytest.mark.process
 @posix
 @pytest.mark.parametrize("arguments", [("inspect", "ARM"), ("generate", "RyRz", "-n", 300)])
 def test_a_reader_that_goes_away_is_no_news(arm_file, arguments):
@@ -98,6 +111,7 @@ def test_a_reader_that_goes_away_is_no_news(arm_file, arguments):
     assert child.wait(60) != 0
 
 
+@pytest.mark.process
 @posix
 def test_progress_shows_on_a_terminal_and_ctrl_c_ends_it_quietly(tmp_path, command):
     import pty
@@ -134,6 +148,7 @@ def test_progress_shows_on_a_terminal_and_ctrl_c_ends_it_quietly(tmp_path, comma
     assert sorted(path.name for path in tmp_path.iterdir()) == ["arm.urdf"]
 
 
+@pytest.mark.process
 @posix
 def test_ctrl_c_closes_the_viewer_and_leaves_no_process_behind(run_directory):
     line = [*COMMAND, "view", str(run_directory), "--no-browser"]

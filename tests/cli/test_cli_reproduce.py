@@ -43,6 +43,7 @@ def test_alone_it_lists_what_there_is_and_runs_nothing(command, asked):
     assert f"verdicts on {len(CLAIMS)} claims" in result.out
 
 
+@pytest.mark.reproduction
 def test_a_figure_leaves_its_picture_and_its_numbers(done):
     result, directory = done
     assert result.code == 0
@@ -64,6 +65,7 @@ def test_a_figure_leaves_its_picture_and_its_numbers(done):
     ]
 
 
+@pytest.mark.reproduction
 def test_json_is_the_file(command, done, tmp_path):
     _, directory = done
     result = command("reproduce", "6.8", "--steps", 3, "--jobs", 1, "-o", tmp_path, "--json")

@@ -60,6 +60,7 @@ def test_the_table_names_each_group_once_and_says_what_the_json_says(command, ar
     assert families.count(" -> ") == 10
 
 
+@pytest.mark.studies
 def test_without_a_file_both_arms_that_are_built_in_are_studied(command):
     found = json.loads(command("study", "postures", "--controllers", "joint", "--cases", 2, "--json").out)
     expected = study_postures([built_subject("ryrz20"), built_subject("planar45")], ["joint"], 2)
@@ -67,6 +68,7 @@ def test_without_a_file_both_arms_that_are_built_in_are_studied(command):
     assert {row["arm"] for row in found["rows"]} == {"ryrz20", "planar45"}
 
 
+@pytest.mark.studies
 def test_a_loaded_arm_and_the_files_that_are_left(command, arm_file, tmp_path):
     out = tmp_path / "new"
     done = command(*QUICK, "--urdf", arm_file, "--modules", 2, "--cases", 10, "--seed0", 4, "-o", out)
@@ -102,6 +104,7 @@ def test_a_controller_that_refuses_is_named(command, arm_file, monkeypatch):
     assert done.err == "note: lm refused 3 of its runs: arm is 3; allowed: an arm of another kind\n"
 
 
+@pytest.mark.studies
 def test_headings_print_what_the_library_found(command, tmp_path):
     records = study_headings([built_subject("planar45")], ("joint", "lm"), 4, knowledge="curve")
     asked = (*TURNS, "--arms", "planar45", "--target", "curve")

@@ -35,6 +35,7 @@ def found(runs, monkeypatch):
     return asked
 
 
+@pytest.mark.studies
 def test_json_is_what_the_library_found(command, runs):
     done = command("study", "scenes", "--scenes", "inside,post", "--seeds", 1, "--json")
     assert (done.code, done.err) == (0, "")
@@ -54,6 +55,7 @@ def test_json_is_what_the_library_found(command, runs):
         assert row == whole
 
 
+@pytest.mark.studies
 def test_the_table_and_the_files_say_what_the_runs_say(command, runs, found, tmp_path):
     out = tmp_path / "new"
     done = command("study", "scenes", "--seeds", 1, "--seed0", 7, "--jobs", 2, "-o", out)
@@ -74,6 +76,7 @@ def test_the_table_and_the_files_say_what_the_runs_say(command, runs, found, tmp
     assert json.loads((out / "summary.json").read_text())["seed0"] == 7
 
 
+@pytest.mark.studies
 def test_runs_that_did_not_do_as_they_should_are_named(command, runs, found):
     inside, post = runs
     runs[:] = [
@@ -100,6 +103,7 @@ def test_the_help_names_every_scene(command):
     assert f"Some of: {','.join(SITUATIONS)}; else all." in out
 
 
+@pytest.mark.studies
 def test_cycles_print_what_the_library_found(command):
     asked = ("study", "cycles", "--arms", "ryrz20", "--cycles", 1, "--rounds", 2)
     found = study_cycles([built_subject("ryrz20")], cycles=1, rounds=2)

@@ -10,6 +10,7 @@ from urllib.request import urlopen
 
 import numpy as np
 import pytest
+from editor.browser.desk import free_port
 
 import pinposture as pp
 from pinposture.cli.edit import MODULES, read_task
@@ -92,6 +93,7 @@ def test_what_cannot_be_edited_is_refused_by_name(arguments, kind, words, tmp_pa
         read_task(*others, None if save_as is None else tmp_path / save_as)
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -109,10 +111,11 @@ def test_an_address_that_is_not_to_be_had_is_told_at_once(options, words):
     assert words in ended.stderr
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_it_serves_a_page_until_it_is_ended_and_leaves_nothing_behind(end, tmp_path):
     pytest.importorskip("viser", reason="viser is not installed")
-    command = [sys.executable, "-m", "pinposture", "edit", "--no-browser", "--port", "8430"]
+    command = [sys.executable, "-m", "pinposture", "edit", "--no-browser", "--port", str(free_port())]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     process = subprocess.Popen(command, **pipes, cwd=tmp_path)
     url = process.stdout.readline().strip()

@@ -17,10 +17,15 @@ import pytest
 
 import pinposture as pp
 
+pytestmark = pytest.mark.process
+
 linux = pytest.mark.skipif(
     not Path("/proc/self/fd").exists(), reason="names of open files, as Linux has them"
 )
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+pytestmark = [
+    pytest.mark.process,
+    pytest.mark.skipif(os.name != "posix", reason="signals of POSIX"),
+]
 
 TASK = """\
 [arm]

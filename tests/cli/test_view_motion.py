@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from view.motions import ARM, some_motion
+from view.motions import five_modules, some_motion
 
 import pinposture as pp
 from pinposture.cli.results import (
@@ -23,7 +23,9 @@ from pinposture.cli.results import (
 from pinposture.errors import FileError
 from pinposture.motion.motion import Motion, Passed
 
-BALL = pp.Scene({"ball": pp.Sphere((0.1, 0.3, 0.2), 0.05)}, margin=0.01)
+
+def around_a_ball() -> pp.Scene:
+    return pp.Scene({"ball": pp.Sphere((0.1, 0.3, 0.2), 0.05)}, margin=0.01)
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +123,7 @@ def test_a_motion_is_kept_in_every_format_that_is_asked_for(tmp_path):
     message = json.loads(Path(files["json"]).read_text(encoding="utf-8"))
     # It stands still for a cycle before and after.
     assert len(message["points"]) == motion.steps + 3
-    assert message["joint_names"] == list(ARM.joint_names)
+    assert message["joint_names"] == list(five_modules().joint_names)
     assert "<html" in Path(files["html"]).read_text(encoding="utf-8").lower()
     assert Path(files["png"]).read_bytes().startswith(b"\x89PNG\r\n")
     table = pp.JointTrajectory.load(files["csv"])
@@ -135,7 +137,7 @@ def test_formats_that_are_not_asked_for_are_not_written(tmp_path):
 
 
 def test_a_summary_holds_the_numbers_of_the_motion_from_setting_out_on():
-    motion = some_motion(planned=1.25, set_out=10, scene=BALL)
+    motion = some_motion(planned=1.25, set_out=10, scene=around_a_ball())
     run = motion.run
     errors = run.point_errors.copy()
     errors[3] = 9.0  # on the way to the first posture, which is not the plan
@@ -164,13 +166,13 @@ def test_a_summary_holds_the_numbers_of_the_motion_from_setting_out_on():
         "off_curve": None,
         "tip_off": None,
     }
-    closest = BALL.around(ARM).minimum(motion.q[run.clearance.argmin()])
+    closest = around_a_ball().around(five_modules()).minimum(motion.q[run.clearance.argmin()])
     assert summary["clearance"]["smallest"] == pytest.approx(closest.distance)
     assert summary["detours"] == ["at 1 s it went round"]
 
 
 def test_a_summary_in_words_tells_what_a_person_asks_for():
-    motion = some_motion(planned=1.25, set_out=10, scene=BALL)
+    motion = some_motion(planned=1.25, set_out=10, scene=around_a_ball())
     passed = (*motion.passed, Passed("late", 1.25, None, None, None))
     motion = replace(motion, passed=passed, detours=("at 1 s it went round", "and again"))
     words = motion_in_words(summarize_motion(motion))

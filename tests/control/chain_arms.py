@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pinocchio as pin
 
@@ -14,16 +16,23 @@ ONE, OTHER = (pp.ModuleTemplate(f"R{axis}", (pp.JointSpec(axis),), (0.1,)) for a
 PLACEMENT = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -2.0, 0.7]))
 
 ARMS = {
-    "two joints": pp.Arm.from_template("RyRz", 12),
-    "planar": pp.Arm.from_template("Rz", 14, base_placement=PLACEMENT),
-    "planar, two joints": pp.Arm.from_template("RzRz", 6),
-    "slides": pp.Arm.from_modules([SLIDING, pp.template("RyRz")] * 4),
-    "planar slides": pp.Arm.from_modules(
+    "two joints": lambda: pp.Arm.from_template("RyRz", 12),
+    "planar": lambda: pp.Arm.from_template("Rz", 14, base_placement=PLACEMENT),
+    "planar, two joints": lambda: pp.Arm.from_template("RzRz", 6),
+    "slides": lambda: pp.Arm.from_modules([SLIDING, pp.template("RyRz")] * 4),
+    "planar slides": lambda: pp.Arm.from_modules(
         [pp.ModuleTemplate("RzPx", (pp.JointSpec("z"), SLIDE), (0.0, 0.1))] * 5
     ),
-    "one joint in space": pp.Arm.from_modules([ONE, OTHER] * 6),
-    "mixed": pp.Arm.from_modules([LONG, pp.template("RyRz"), ONE, LONG, OTHER], base_placement=PLACEMENT),
+    "one joint in space": lambda: pp.Arm.from_modules([ONE, OTHER] * 6),
+    "mixed": lambda: pp.Arm.from_modules(
+        [LONG, pp.template("RyRz"), ONE, LONG, OTHER], base_placement=PLACEMENT
+    ),
 }
+
+
+@cache
+def arm_called(name: str) -> pp.Arm:
+    return ARMS[name]()
 
 
 def branched() -> pp.Arm:

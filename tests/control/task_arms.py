@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 import pinocchio as pin
@@ -30,13 +31,13 @@ _TILTED = _module("tilted", [((0.5, 0, 1), "revolute"), ((-0.5, 0, -1), "continu
 _GANTRY = _module("gantry", [("x", "prismatic"), ("y", "prismatic"), ("z", "prismatic")], (0.1, 0.1, 0.1))
 
 ARMS = {
-    "spatial": pp.Arm.from_template("RyRz", 4, (0.03, 0.02), base_placement=PLACEMENT),
-    "planar": pp.Arm.from_template("Rz", 6, base_placement=PLACEMENT),
-    "mixed": pp.Arm.from_modules([_MIXED] * 3, base_placement=PLACEMENT),
-    "scara": pp.Arm.from_modules([_SCARA], base_placement=PLACEMENT),
-    "wrist": pp.Arm.from_modules([pp.template("Rz")] * 3 + [_WRIST], base_placement=PLACEMENT),
-    "tilted": pp.Arm.from_modules([_TILTED] * 3, base_placement=PLACEMENT),
-    "gantry": pp.Arm.from_modules([_GANTRY], base_placement=PLACEMENT),
+    "spatial": lambda: pp.Arm.from_template("RyRz", 4, (0.03, 0.02), base_placement=PLACEMENT),
+    "planar": lambda: pp.Arm.from_template("Rz", 6, base_placement=PLACEMENT),
+    "mixed": lambda: pp.Arm.from_modules([_MIXED] * 3, base_placement=PLACEMENT),
+    "scara": lambda: pp.Arm.from_modules([_SCARA], base_placement=PLACEMENT),
+    "wrist": lambda: pp.Arm.from_modules([pp.template("Rz")] * 3 + [_WRIST], base_placement=PLACEMENT),
+    "tilted": lambda: pp.Arm.from_modules([_TILTED] * 3, base_placement=PLACEMENT),
+    "gantry": lambda: pp.Arm.from_modules([_GANTRY], base_placement=PLACEMENT),
 }
 """The wrist turns its tip in all ways without leaving the plane; the scara leaves it, and turns one way.
 
@@ -47,8 +48,13 @@ STATES = [(name, seed) for name in ARMS for seed in (None, 0, 1)]
 """Arms, and seeds of configurations; None for the neutral one, which is singular."""
 
 
+@cache
+def arm_called(name: str) -> pp.Arm:
+    return ARMS[name]()
+
+
 def state_of(name: str, seed: int | None) -> pp.ArmState:
-    arm = ARMS[name]
+    arm = arm_called(name)
     return arm.at(arm.neutral() if seed is None else arm.random(np.random.default_rng(seed)))
 
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from arms import template_arm
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 from scipy.optimize import minimize
 
 import pinposture as pp
@@ -19,13 +22,21 @@ FREE = pp.Limits(step=None)
 SLIDE = pp.JointSpec("x", type="prismatic", lower=-0.09, upper=0.1)
 SLIDING = pp.ModuleTemplate("slides", (pp.JointSpec("y"), SLIDE, pp.JointSpec("z")), (0.03,) * 3)
 TILTED = pin.SE3(pin.rpy.rpyToMatrix(1.0, 0.4, 0.0), np.zeros(3))
-PLANAR = pp.Arm.from_template("Rz", 4)
 ARMS = {
-    "spatial": pp.Arm.from_template("RyRz", 4),
-    "planar": pp.Arm.from_template("Rz", 6, base_placement=TILTED),
-    "sliding": pp.Arm.from_modules([SLIDING] * 3),
+    "spatial": lambda: pp.Arm.from_template("RyRz", 4),
+    "planar": lambda: pp.Arm.from_template("Rz", 6, base_placement=TILTED),
+    "sliding": lambda: pp.Arm.from_modules([SLIDING] * 3),
 }
 H = 1e-5
+
+
+@cache
+def arm_called(name: str) -> pp.Arm:
+    return ARMS[name]()
+
+
+def planar() -> pp.Arm:
+    return template_arm("Rz", 4)
 
 
 def state_of(arm: pp.Arm, seed: int) -> pp.ArmState:
@@ -58,11 +69,11 @@ def projected(state: pp.ArmState, objective: str) -> np.ndarray:
 @pytest.mark.parametrize("kind", ARMS)
 @pytest.mark.parametrize("objective", ["manipulability", "joint_limits"])
 @given(seed=st.integers(0, 10**6))
-@settings(max_examples=8)
+@examples(8)
 def test_constraint_rows_are_the_derivative_of_the_projected_gradient(
     kind: str, objective: str, seed: int
 ) -> None:
-    arm = ARMS[kind]
+    arm = arm_called(kind)
     state = state_of(arm, seed)
     if np.linalg.svd(tip(state), compute_uv=False)[-1] < 0.05 * arm.length:
         return
@@ -86,7 +97,7 @@ def test_constraint_rows_are_the_derivative_of_the_projected_gradient(
 @pytest.mark.parametrize("objective", ["manipulability", "joint_limits"])
 def test_the_step_is_newtons_for_an_extremum_under_the_task(kind: str, objective: str) -> None:
     """With multipliers in place of a basis: d(grad h - J^T l) = 0 with l free to change, J dq = dp."""
-    arm, checked = ARMS[kind], 0
+    arm, checked = arm_called(kind), 0
     for seed in range(8):
         state = state_of(arm, seed)
         target = pp.Target.from_points(arm, state_of(arm, seed + 1).points)
@@ -117,16 +128,16 @@ def test_the_step_is_newtons_for_an_extremum_under_the_task(kind: str, objective
 def extremum() -> np.ndarray:
     """A configuration of the planar arm with the best manipulability for where its tip is."""
     q = np.array([0.3, 0.9, 0.5, 1.1])
-    target = pp.Target.from_points(PLANAR, PLANAR.at(q).points)
+    target = pp.Target.from_points(planar(), planar().at(q).points)
     climb, settle = PseudoInverse("manipulability", null_gain=2.0), ExtendedJacobian(restore=1.0)
     for method, steps in ((climb, 150), (settle, 8)):
         for _ in range(steps):
-            q = PLANAR.integrate(q, method.step(PLANAR.at(q), target).dq)
+            q = planar().integrate(q, method.step(planar().at(q), target).dq)
     return q
 
 
 def stray(q: np.ndarray) -> float:
-    return float(np.linalg.norm(projected(PLANAR.at(q), "manipulability")))
+    return float(np.linalg.norm(projected(planar().at(q), "manipulability")))
 
 
 def drive(method: object, q: np.ndarray, targets: np.ndarray, limits: pp.Limits = FREE) -> np.ndarray:
@@ -135,8 +146,8 @@ def drive(method: object, q: np.ndarray, targets: np.ndarray, limits: pp.Limits 
     for point in targets:
         points = np.zeros((4, 3))
         points[-1] = point
-        target = pp.Target.from_points(PLANAR, points, [0, 0, 0, 1])
-        path.append(PLANAR.integrate(path[-1], method.step(PLANAR.at(path[-1]), target, limits).dq))
+        target = pp.Target.from_points(planar(), points, [0, 0, 0, 1])
+        path.append(planar().integrate(path[-1], method.step(planar().at(path[-1]), target, limits).dq))
     return np.array(path)
 
 
@@ -146,18 +157,19 @@ def loop(start: np.ndarray, radius: float, steps: int) -> np.ndarray:
 
 
 def test_restore_finds_the_extremum_that_a_constrained_optimiser_finds(extremum: np.ndarray) -> None:
-    point = PLANAR.at(extremum).points[-1]
+    point = planar().at(extremum).points[-1]
     assert stray(extremum) < 1e-12
     assert stray(np.array([0.3, 0.9, 0.5, 1.1])) > 1e-3
 
     def loss(q: np.ndarray) -> float:
-        return -float(np.sqrt(np.linalg.det(tip(PLANAR.at(q)) @ tip(PLANAR.at(q)).T))) / PLANAR.length**2
+        jacobian = tip(planar().at(q))
+        return -float(np.sqrt(np.linalg.det(jacobian @ jacobian.T))) / planar().length ** 2
 
     found = minimize(
         loss,
         extremum + [0.05, -0.08, 0.04, 0.02],
         method="SLSQP",
-        constraints={"type": "eq", "fun": lambda q: (PLANAR.at(q).points[-1] - point)[:2]},
+        constraints={"type": "eq", "fun": lambda q: (planar().at(q).points[-1] - point)[:2]},
         options={"ftol": 1e-14, "maxiter": 200},
     )
     np.testing.assert_allclose(found.x, extremum, atol=1e-4)
@@ -165,13 +177,13 @@ def test_restore_finds_the_extremum_that_a_constrained_optimiser_finds(extremum:
 
 
 def test_it_stays_at_the_extremum_while_the_end_effector_moves(extremum: np.ndarray) -> None:
-    start = PLANAR.at(extremum).points[-1]
+    start = planar().at(extremum).points[-1]
     targets = loop(start, 0.06, 300)
     strays = {}
     for name, method in (("extended", ExtendedJacobian()), ("pinv", PseudoInverse())):
         path = drive(method, extremum, targets)
         strays[name] = max(stray(q) for q in path)
-        reached = np.array([PLANAR.at(q).points[-1] for q in path[1:]])
+        reached = np.array([planar().at(q).points[-1] for q in path[1:]])
         assert np.abs(reached - targets).max() < 1e-4
     assert strays["extended"] < 1e-4
     assert strays["pinv"] > 20 * strays["extended"]
@@ -181,7 +193,7 @@ def test_it_stays_at_the_extremum_while_the_end_effector_moves(extremum: np.ndar
 
 
 def test_from_an_extremum_the_motion_repeats(extremum: np.ndarray) -> None:
-    targets = loop(PLANAR.at(extremum).points[-1], 0.06, 400)
+    targets = loop(planar().at(extremum).points[-1], 0.06, 400)
     apart = {}
     for name, method in (("extended", ExtendedJacobian(restore=1.0)), ("pinv", PseudoInverse())):
         apart[name] = np.abs(drive(method, extremum, targets)[-1] - extremum).max()
@@ -191,7 +203,7 @@ def test_from_an_extremum_the_motion_repeats(extremum: np.ndarray) -> None:
 
 def test_off_an_extremum_it_stays_off(extremum: np.ndarray) -> None:
     q = extremum + [0.1, -0.3, 0.2, 0.1]
-    start = PLANAR.at(q).points[-1]
+    start = planar().at(q).points[-1]
     path = drive(ExtendedJacobian(), q, loop(start, 0.03, 200))
     assert stray(path[-1]) == pytest.approx(stray(q), rel=1e-2)
     back = drive(ExtendedJacobian(restore=0.5), q, np.tile(start, (40, 1)))
@@ -208,8 +220,8 @@ def test_as_many_joints_as_directions_leave_no_constraint() -> None:
 
 
 def test_where_there_is_no_inverse_it_stands_and_says_why() -> None:
-    target = pp.Target.from_points(PLANAR, state_of(PLANAR, 1).points)
-    straight = ExtendedJacobian().step(PLANAR.at(PLANAR.straight()), target)
+    target = pp.Target.from_points(planar(), state_of(planar(), 1).points)
+    straight = ExtendedJacobian().step(planar().at(planar().straight()), target)
     assert not straight.dq.any()
     assert "end-effector is singular" in straight.diagnostics.reason
     # Without limits, the distance from them is no objective: flat everywhere.

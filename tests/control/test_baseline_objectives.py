@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 import pinposture as pp
 from pinposture.control.baselines.derivatives import PositionDerivatives, joint_axes
@@ -25,11 +27,16 @@ SLIDE = pp.JointSpec("x", type="prismatic", lower=-0.04, upper=0.05)
 ENDLESS = pp.JointSpec("z", type="continuous")
 SLIDING = pp.ModuleTemplate("slides", (pp.JointSpec("y"), SLIDE, ENDLESS), (0.03,) * 3)
 ARMS = {
-    "spatial": pp.Arm.from_template("RyRz", 6, base_placement=PLACEMENT),
-    "planar": pp.Arm.from_template("Rz", 7, base_placement=PLACEMENT),
-    "sliding": pp.Arm.from_modules([SLIDING] * 4, base_placement=PLACEMENT),
+    "spatial": lambda: pp.Arm.from_template("RyRz", 6, base_placement=PLACEMENT),
+    "planar": lambda: pp.Arm.from_template("Rz", 7, base_placement=PLACEMENT),
+    "sliding": lambda: pp.Arm.from_modules([SLIDING] * 4, base_placement=PLACEMENT),
 }
 H = 1e-5
+
+
+@cache
+def arm_called(name: str) -> pp.Arm:
+    return ARMS[name]()
 
 
 def state_of(arm: pp.Arm, seed: int, amplitude: float = 1.0) -> pp.ArmState:
@@ -50,7 +57,7 @@ def differences(state: pp.ArmState, function: Callable[[pp.ArmState], object]) -
 
 @pytest.mark.parametrize("kind", ARMS)
 def test_axes_are_those_of_pinocchio(kind: str) -> None:
-    arm = ARMS[kind]
+    arm = arm_called(kind)
     for seed in range(5):
         state = state_of(arm, seed, 3.0)
         spatial = pin.computeJointJacobians(arm.model, arm.model.createData(), state.q)
@@ -59,9 +66,9 @@ def test_axes_are_those_of_pinocchio(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ARMS)
 @given(seed=st.integers(0, 10**6), share=st.sampled_from([0.5, 1.0]))
-@settings(max_examples=8)
+@examples(8)
 def test_position_derivatives_of_second_and_third_order(kind: str, seed: int, share: float) -> None:
-    arm = ARMS[kind]
+    arm = arm_called(kind)
     state, point = state_of(arm, seed), int(share * (arm.n_modules - 1))
     found = PositionDerivatives(state, point)
     columns = found.columns
@@ -80,9 +87,9 @@ def test_position_derivatives_of_second_and_third_order(kind: str, seed: int, sh
 @pytest.mark.parametrize("kind", ARMS)
 @pytest.mark.parametrize("objective", OBJECTIVES)
 @given(seed=st.integers(0, 10**6), share=st.sampled_from([0.5, 1.0]))
-@settings(max_examples=8)
+@examples(8)
 def test_gradient_and_hessian_of_each_objective(kind: str, objective: str, seed: int, share: float) -> None:
-    arm = ARMS[kind]
+    arm = arm_called(kind)
     state, point = state_of(arm, seed, 0.9), int(share * (arm.n_modules - 1))
     gradient = objective_gradient(objective, state, point)
     hessian = objective_hessian(objective, state, point)
@@ -100,7 +107,7 @@ def test_gradient_and_hessian_of_each_objective(kind: str, objective: str, seed:
 
 @pytest.mark.parametrize("kind", ARMS)
 def test_the_measure_is_the_root_of_the_determinant(kind: str) -> None:
-    arm = ARMS[kind]
+    arm = arm_called(kind)
     for seed in range(5):
         state = state_of(arm, seed)
         jacobian = state.task_jacobians[-1] / arm.length
@@ -109,7 +116,7 @@ def test_the_measure_is_the_root_of_the_determinant(kind: str) -> None:
 
 
 def test_the_measure_has_no_gradient_where_the_jacobian_is_singular() -> None:
-    arm = ARMS["spatial"]
+    arm = arm_called("spatial")
     state = arm.at(arm.straight())
     assert not objective_gradient("manipulability", state, 5).any()
     assert not objective_hessian("manipulability", state, 5).any()
@@ -137,7 +144,7 @@ def test_joint_limits_are_kept_away_from_and_never_pull_outwards() -> None:
 
 
 def test_joints_without_limits_and_joints_off_the_chain_feel_nothing() -> None:
-    arm = ARMS["sliding"]
+    arm = arm_called("sliding")
     endless = np.array([joint.nq == 2 for joint in list(arm.model.joints)[1:]])
     assert endless.sum() == 4
     gradient = objective_gradient("joint_limits", state_of(arm, 3), 3)

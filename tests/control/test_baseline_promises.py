@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 import pinposture as pp
 from pinposture.control import CONTROLLERS, controller_named
@@ -18,14 +20,23 @@ PLACEMENT = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -2.0, 0.
 SLIDE = pp.JointSpec("x", type="prismatic", lower=-0.04, upper=0.05)
 ENDLESS = pp.JointSpec("z", type="continuous")
 SLIDING = pp.ModuleTemplate("slides", (pp.JointSpec("y"), SLIDE, ENDLESS), (0.03,) * 3)
-SPATIAL = pp.Arm.from_template("RyRz", 7)
 ARMS = {
-    "spatial": SPATIAL,
-    "planar": pp.Arm.from_template("Rz", 8, base_placement=PLACEMENT),
-    "sliding": pp.Arm.from_modules([SLIDING] * 4),
-    "limited": pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.8, 0.6)] * 5),
-    "single": pp.Arm.from_template("RyRz", 1),
+    "spatial": lambda: pp.Arm.from_template("RyRz", 7),
+    "planar": lambda: pp.Arm.from_template("Rz", 8, base_placement=PLACEMENT),
+    "sliding": lambda: pp.Arm.from_modules([SLIDING] * 4),
+    "limited": lambda: pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.8, 0.6)] * 5),
+    "single": lambda: pp.Arm.from_template("RyRz", 1),
 }
+
+
+@cache
+def arm_called(name: str) -> pp.Arm:
+    return ARMS[name]()
+
+
+@pytest.fixture(scope="session")
+def spatial() -> pp.Arm:
+    return arm_called("spatial")
 
 
 def state_of(arm: pp.Arm, seed: int, amplitude: float = 0.8) -> pp.ArmState:
@@ -39,12 +50,12 @@ def target_of(arm: pp.Arm, seed: int, weights: object = None) -> pp.Target:
 
 
 @pytest.mark.parametrize("name", BASELINES)
-def test_steps_do_not_depend_on_where_the_base_stands(name: str) -> None:
+def test_steps_do_not_depend_on_where_the_base_stands(spatial: pp.Arm, name: str) -> None:
     turned = pp.Arm.from_template("RyRz", 7, base_placement=PLACEMENT)
     for seed in range(4):
-        q, goal = state_of(SPATIAL, seed).q, target_of(SPATIAL, seed)
+        q, goal = state_of(spatial, seed).q, target_of(spatial, seed)
         moved = goal.points @ PLACEMENT.rotation.T + PLACEMENT.translation
-        here = controller_named(name).step(SPATIAL.at(q), goal)
+        here = controller_named(name).step(spatial.at(q), goal)
         there = controller_named(name).step(turned.at(q), pp.Target.from_points(turned, moved))
         assert here.active == there.active
         assert here.diagnostics.sigma_max == pytest.approx(there.diagnostics.sigma_max, rel=1e-9)
@@ -59,11 +70,11 @@ def test_steps_do_not_depend_on_where_the_base_stands(name: str) -> None:
     largest=st.sampled_from([None, 1e-3, 0.1]),
     seed=st.integers(0, 10**6),
 )
-@settings(max_examples=40)
+@examples(40)
 def test_every_step_is_finite_and_within_the_limits(
     name: str, kind: str, amplitude: float, free: str, largest: float | None, seed: int
 ) -> None:
-    arm, rng = ARMS[kind], np.random.default_rng(seed)
+    arm, rng = arm_called(kind), np.random.default_rng(seed)
     m = arm.n_modules
     weights = np.ones(m)
     if m > 1:
@@ -114,9 +125,9 @@ def test_joints_that_move_no_control_point_stay(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", BASELINES)
-def test_without_any_target_the_arm_stands_and_says_so(name: str) -> None:
-    target = pp.Target(SPATIAL.at(SPATIAL.straight()).points, np.zeros(7))
-    step = controller_named(name).step(state_of(SPATIAL, 0), target)
+def test_without_any_target_the_arm_stands_and_says_so(spatial: pp.Arm, name: str) -> None:
+    target = pp.Target(spatial.at(spatial.straight()).points, np.zeros(7))
+    step = controller_named(name).step(state_of(spatial, 0), target)
     assert not step.dq.any()
     assert step.active == ()
     assert "target" in step.diagnostics.reason

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from arms import template_arm
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 from scipy.linalg import null_space
 from scipy.optimize import lsq_linear
 
@@ -28,9 +32,16 @@ PLACEMENT = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -2.0, 0.
 SLIDE = pp.JointSpec("x", type="prismatic", lower=-0.04, upper=0.05)
 ENDLESS = pp.JointSpec("z", type="continuous")
 SLIDING = pp.ModuleTemplate("slides", (pp.JointSpec("y"), SLIDE, ENDLESS), (0.03,) * 3)
-SPATIAL = pp.Arm.from_template("RyRz", 7)
-PLANAR = pp.Arm.from_template("Rz", 8, base_placement=PLACEMENT)
-ARMS = {"spatial": SPATIAL, "planar": PLANAR, "sliding": pp.Arm.from_modules([SLIDING] * 4)}
+ARMS = {
+    "spatial": lambda: template_arm("RyRz", 7),
+    "planar": lambda: pp.Arm.from_template("Rz", 8, base_placement=PLACEMENT),
+    "sliding": lambda: pp.Arm.from_modules([SLIDING] * 4),
+}
+
+
+@pytest.fixture(scope="session")
+def spatial() -> pp.Arm:
+    return template_arm("RyRz", 7)
 
 
 def unlimited(arm: pp.Arm) -> pp.Arm:
@@ -40,7 +51,9 @@ def unlimited(arm: pp.Arm) -> pp.Arm:
     return pp.Arm.from_model(model, arm.control_points)
 
 
-OPEN = {kind: unlimited(arm) for kind, arm in ARMS.items()}
+@cache
+def open_arm(kind: str) -> pp.Arm:
+    return unlimited(ARMS[kind]())
 
 
 def state_of(arm: pp.Arm, seed: int, amplitude: float = 0.8) -> pp.ArmState:
@@ -63,11 +76,11 @@ def in_units(state: pp.ArmState, step: pp.Step) -> np.ndarray:
     return step.dq / state.arm.joint_units
 
 
-@pytest.mark.parametrize("kind", OPEN)
+@pytest.mark.parametrize("kind", ARMS)
 @given(seed=st.integers(0, 10**6), objective=st.sampled_from([None, "manipulability", "joint_limits"]))
-@settings(max_examples=15)
+@examples(15)
 def test_pseudo_inverse_is_the_formula(kind: str, seed: int, objective: str | None) -> None:
-    arm = OPEN[kind]
+    arm = open_arm(kind)
     state, target = state_of(arm, seed), target_of(arm, seed)
     step = PseudoInverse(objective, gain=0.6, null_gain=0.3).step(state, target, FREE)
     jacobian, errors = stacked(state, target, [arm.n_modules - 1])
@@ -104,9 +117,9 @@ def minus_barrier(state: pp.ArmState) -> float:
     return -0.5 * float(np.sum((state.q + 1.2) ** -2.0 + (state.q - 1.2) ** -2.0))
 
 
-def test_the_end_effector_is_the_last_point_that_has_a_target() -> None:
+def test_the_end_effector_is_the_last_point_that_has_a_target(spatial: pp.Arm) -> None:
     weights = np.array([0, 1, 0, 1, 1, 0, 0.0])
-    state, target = state_of(SPATIAL, 2), target_of(SPATIAL, 2, weights)
+    state, target = state_of(spatial, 2), target_of(spatial, 2, weights)
     for method in (PseudoInverse(), ExtendedJacobian()):
         step = method.step(state, target, FREE)
         assert step.active == (4,)
@@ -119,11 +132,11 @@ def test_the_end_effector_is_the_last_point_that_has_a_target() -> None:
         assert controller_named(name).step(state, target, FREE).active == (1, 3, 4)
 
 
-@pytest.mark.parametrize("kind", OPEN)
+@pytest.mark.parametrize("kind", ARMS)
 @given(seed=st.integers(0, 10**6), few=st.booleans())
-@settings(max_examples=15)
+@examples(15)
 def test_augmented_is_the_pseudo_inverse_of_everything(kind: str, seed: int, few: bool) -> None:
-    arm = OPEN[kind]
+    arm = open_arm(kind)
     weights = np.arange(arm.n_modules) % 3 == 1 if few else np.ones(arm.n_modules)
     state, target = state_of(arm, seed), target_of(arm, seed, weights)
     points = [int(k) for k in np.flatnonzero(weights)]
@@ -141,11 +154,11 @@ def test_augmented_is_the_pseudo_inverse_of_everything(kind: str, seed: int, few
     assert step.diagnostics.sigma_min == pytest.approx(sigma[:rows].min(), rel=1e-6, abs=1e-14)
 
 
-@pytest.mark.parametrize("kind", OPEN)
+@pytest.mark.parametrize("kind", ARMS)
 @given(seed=st.integers(0, 10**6), constraints=st.sampled_from([None, 0, 1, 2]))
-@settings(max_examples=15)
+@examples(15)
 def test_constraints_come_second(kind: str, seed: int, constraints: int | None) -> None:
-    arm = OPEN[kind]
+    arm = open_arm(kind)
     state, target = state_of(arm, seed), target_of(arm, seed)
     step = TaskConstraints(constraints, gain=0.7).step(state, target, FREE)
     *others, end = step.active
@@ -184,15 +197,15 @@ def test_constraints_are_spread_over_the_arm() -> None:
 
 @given(
     seed=st.integers(0, 10**6),
-    kind=st.sampled_from(sorted(OPEN)),
+    kind=st.sampled_from(sorted(ARMS)),
     amplitude=st.sampled_from([0.0, 1e-6, 0.8]),
     damping=st.floats(1e-3, 0.5),
 )
-@settings(max_examples=30)
+@examples(30)
 def test_damped_least_squares_minimises_what_it_says(
     seed: int, kind: str, amplitude: float, damping: float
 ) -> None:
-    arm = OPEN[kind]
+    arm = open_arm(kind)
     state, target = state_of(arm, seed, amplitude), target_of(arm, seed)
     step = DampedLeastSquares(damping, gain=0.9).step(state, target, FREE)
     jacobian, errors = stacked(state, target, list(range(arm.n_modules)))
@@ -205,15 +218,15 @@ def test_damped_least_squares_minimises_what_it_says(
 
 @given(
     seed=st.integers(0, 10**6),
-    kind=st.sampled_from(sorted(OPEN)),
+    kind=st.sampled_from(sorted(ARMS)),
     amplitude=st.sampled_from([0.0, 1e-6, 0.8]),
     bias=st.sampled_from([1e-6, 1e-3, 1.0]),
 )
-@settings(max_examples=30)
+@examples(30)
 def test_levenberg_marquardt_weighs_and_damps_as_it_says(
     seed: int, kind: str, amplitude: float, bias: float
 ) -> None:
-    arm = OPEN[kind]
+    arm = open_arm(kind)
     weights = np.random.default_rng(seed).choice([0.0, 0.3, 1.0, 5.0], arm.n_modules)
     weights[-1] = 2.0
     state, target = state_of(arm, seed, amplitude), target_of(arm, seed, weights)
@@ -228,16 +241,16 @@ def test_levenberg_marquardt_weighs_and_damps_as_it_says(
     assert step.active == tuple(np.flatnonzero(weights))
 
 
-def test_levenberg_marquardt_reaches_near_targets_to_machine_precision() -> None:
-    state = state_of(SPATIAL, 1)
-    goal = pp.Target.from_configuration(SPATIAL, SPATIAL.integrate(state.q, np.full(14, 0.02)))
-    run = pp.track(SPATIAL, goal, state.q, "lm", max_steps=30, tolerance=1e-12 * SPATIAL.length)
+def test_levenberg_marquardt_reaches_near_targets_to_machine_precision(spatial: pp.Arm) -> None:
+    state = state_of(spatial, 1)
+    goal = pp.Target.from_configuration(spatial, spatial.integrate(state.q, np.full(14, 0.02)))
+    run = pp.track(spatial, goal, state.q, "lm", max_steps=30, tolerance=1e-12 * spatial.length)
     assert run.converged
 
 
-def test_the_straight_arm_is_left_by_those_that_can() -> None:
-    state = SPATIAL.at(SPATIAL.straight())
-    target = target_of(SPATIAL, 3)
+def test_the_straight_arm_is_left_by_those_that_can(spatial: pp.Arm) -> None:
+    state = spatial.at(spatial.straight())
+    target = target_of(spatial, 3)
     jacobian, errors = stacked(state, target, [6])
     step = PseudoInverse().step(state, target, FREE)
     np.testing.assert_allclose(jacobian @ step.dq, errors * [0, 1, 1], atol=1e-12)

@@ -6,19 +6,34 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from analytic import ryrz
+from arms import template_arm
 from hypothesis import given
 from hypothesis import strategies as st
+from sampling import seeds
 
 import pinposture as pp
 from pinposture.control import SectionTree, Step, active_set, controller_named, section_indices
 from pinposture.control.controller import task_errors
 from pinposture.errors import InvalidValue, UnknownName
 
-ARM = pp.Arm.from_template("RyRz", 8)
-PLANAR = pp.Arm.from_template("Rz", 12)
 FREE = pp.Limits(step=None)
 THESIS = ("selection", "projection")
 PLACEMENT = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -2.0, 0.7]))
+
+
+@pytest.fixture(scope="session")
+def spatial() -> pp.Arm:
+    return template_arm("RyRz", 8)
+
+
+@pytest.fixture(scope="session")
+def planar() -> pp.Arm:
+    return template_arm("Rz", 12)
+
+
+@pytest.fixture(scope="session")
+def narrow() -> pp.Arm:
+    return pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.8, 0.8)] * 8)
 
 
 def target_of(arm: pp.Arm, seed: int, amplitude: float = 0.5) -> pp.Target:
@@ -35,8 +50,10 @@ def active_jacobian(state: pp.ArmState, step: Step) -> np.ndarray:
 
 
 @given(st.integers(0, 10**6), st.sampled_from([0.3, 1.0, 3.0]), st.sampled_from(["spatial", "planar"]))
-def test_selection_moves_its_points_straight_to_their_targets(seed: int, amplitude: float, kind: str) -> None:
-    arm = ARM if kind == "spatial" else PLANAR
+def test_selection_moves_its_points_straight_to_their_targets(
+    spatial: pp.Arm, planar: pp.Arm, seed: int, amplitude: float, kind: str
+) -> None:
+    arm = spatial if kind == "spatial" else planar
     state, target = state_of(arm, seed, amplitude), target_of(arm, seed)
     method = pp.Selection(gain=0.7, null_gain=0.3)
     step = method.step(state, target, pp.Limits(step=1e6))
@@ -54,8 +71,8 @@ def test_selection_moves_its_points_straight_to_their_targets(seed: int, amplitu
 
 
 @given(st.integers(0, 10**6))
-def test_the_null_space_term_descends_and_leaves_the_active_points_alone(seed: int) -> None:
-    state, target = state_of(ARM, seed, 0.7), target_of(ARM, seed)
+def test_the_null_space_term_descends_and_leaves_the_active_points_alone(spatial: pp.Arm, seed: int) -> None:
+    state, target = state_of(spatial, seed, 0.7), target_of(spatial, seed)
     without = pp.Selection(null_gain=0.0).step(state, target, FREE)
     with_it = pp.Selection(null_gain=0.5).step(state, target, FREE)
     if without.diagnostics.clipped.any() or with_it.diagnostics.clipped.any():
@@ -66,15 +83,17 @@ def test_the_null_space_term_descends_and_leaves_the_active_points_alone(seed: i
     h = 1e-6 / max(np.linalg.norm(difference), 1e-12)
 
     def squared(factor: float) -> float:
-        points = ARM.at(ARM.integrate(state.q, factor * difference)).points
+        points = spatial.at(spatial.integrate(state.q, factor * difference)).points
         return 0.5 * float(np.sum((target.points - points) ** 2))
 
     assert squared(h) - squared(-h) <= 1e-18
 
 
 @given(st.integers(0, 10**6), st.sampled_from([0.0, 1e-9, 1e-3, 0.5, 3.1]))
-def test_projection_has_full_row_rank_everywhere(seed: int, amplitude: float) -> None:
-    for arm in (ARM, PLANAR):
+def test_projection_has_full_row_rank_everywhere(
+    spatial: pp.Arm, planar: pp.Arm, seed: int, amplitude: float
+) -> None:
+    for arm in (spatial, planar):
         state, target = state_of(arm, seed, amplitude), target_of(arm, seed)
         for coupling in ("full", "local"):
             method = pp.Projection(coupling=coupling)
@@ -88,13 +107,15 @@ def test_projection_has_full_row_rank_everywhere(seed: int, amplitude: float) ->
 
 
 @given(st.integers(0, 10**6))
-def test_projection_moves_each_point_as_asked_within_its_manipulability_space(seed: int) -> None:
-    state, target = state_of(ARM, seed, 0.8), target_of(ARM, seed)
+def test_projection_moves_each_point_as_asked_within_its_manipulability_space(
+    spatial: pp.Arm, seed: int
+) -> None:
+    state, target = state_of(spatial, seed, 0.8), target_of(spatial, seed)
     step = pp.Projection(gain=0.3, null_gain=0.0).step(state, target, pp.Limits(step=1e6))
     if step.diagnostics.clipped.any():
         return
     moved = state.task_jacobians @ step.dq
-    for k in range(ARM.n_modules):
+    for k in range(spatial.n_modules):
         local = ryrz.section_jacobian(k + 1, k, state.q, 0.025, 0.025)
         frame = np.eye(3) if k == 0 else ryrz.rotations(state.q, 0.025, 0.025)[k - 1]
         u, sigma, _ = np.linalg.svd(local)
@@ -103,8 +124,8 @@ def test_projection_moves_each_point_as_asked_within_its_manipulability_space(se
         np.testing.assert_allclose(kept.T @ frame.T @ moved[k], kept.T @ frame.T @ asked, atol=1e-9)
 
 
-def test_local_coupling_is_block_diagonal_and_full_is_block_triangular() -> None:
-    state, target = state_of(ARM, 3, 0.8), target_of(ARM, 3)
+def test_local_coupling_is_block_diagonal_and_full_is_block_triangular(spatial: pp.Arm) -> None:
+    state, target = state_of(spatial, 3, 0.8), target_of(spatial, 3)
     errors = task_errors(state, target)
     full = pp.Projection(coupling="full").posture_control_matrix(state, errors, target.placed)[0]
     local = pp.Projection(coupling="local").posture_control_matrix(state, errors, target.placed)[0]
@@ -140,27 +161,27 @@ def test_every_posture_control_matrix_of_long_runs_has_full_row_rank(name: str) 
     assert all(rank == rows for rank, rows in ranks)
 
 
-def test_singular_values_and_steps_do_not_depend_on_the_frame() -> None:
+def test_singular_values_and_steps_do_not_depend_on_the_frame(spatial: pp.Arm) -> None:
     turned = pp.Arm.from_template("RyRz", 8, base_placement=PLACEMENT)
-    for seed in range(10):
-        q, goal = state_of(ARM, seed, 0.8).q, target_of(ARM, seed)
+    for seed in seeds(10):
+        q, goal = state_of(spatial, seed, 0.8).q, target_of(spatial, seed)
         moved = goal.points @ PLACEMENT.rotation.T + PLACEMENT.translation
         for name in THESIS:
-            here = controller_named(name).step(ARM.at(q), goal)
+            here = controller_named(name).step(spatial.at(q), goal)
             there = controller_named(name).step(turned.at(q), pp.Target.from_points(turned, moved))
             assert here.active == there.active
             assert here.diagnostics.sigma_min == pytest.approx(there.diagnostics.sigma_min, rel=1e-6)
             np.testing.assert_allclose(here.dq, there.dq, atol=1e-8)
-            sigma = [np.linalg.svd(arm.at(q).jacobians, compute_uv=False) for arm in (ARM, turned)]
+            sigma = [np.linalg.svd(arm.at(q).jacobians, compute_uv=False) for arm in (spatial, turned)]
             np.testing.assert_allclose(sigma[0], sigma[1], atol=1e-13)
 
 
-def test_selection_says_that_it_cannot_leave_the_straight_arm() -> None:
-    step = pp.Selection().step(ARM.at(ARM.straight()), target_of(ARM, 0))
+def test_selection_says_that_it_cannot_leave_the_straight_arm(spatial: pp.Arm) -> None:
+    step = pp.Selection().step(spatial.at(spatial.straight()), target_of(spatial, 0))
     assert step.active == ()
     assert not step.dq.any()
     assert "absolute manipulability condition" in step.diagnostics.reason
-    assert pp.Projection().step(ARM.at(ARM.straight()), target_of(ARM, 0)).dq.any()
+    assert pp.Projection().step(spatial.at(spatial.straight()), target_of(spatial, 0)).dq.any()
 
 
 @given(
@@ -170,10 +191,10 @@ def test_selection_says_that_it_cannot_leave_the_straight_arm() -> None:
     st.floats(1e-3, 0.5),
 )
 def test_every_output_is_finite_and_within_its_limits(
-    seed: int, name: str, amplitude: float, largest: float
+    narrow: pp.Arm, seed: int, name: str, amplitude: float, largest: float
 ) -> None:
     rng = np.random.default_rng(seed)
-    arm = LIMITED
+    arm = narrow
     q = np.clip(amplitude * rng.uniform(-1, 1, arm.nv), -0.8, 0.8)
     target = pp.Target.from_points(arm, rng.normal(0.0, rng.choice([1e-9, 0.1, 10.0]), (8, 3)))
     limits = pp.Limits(step=largest, velocity=rng.uniform(0.5, 2.0, arm.nv), dt=0.05, position_margin=0.01)
@@ -187,27 +208,24 @@ def test_every_output_is_finite_and_within_its_limits(
         assert np.all(np.abs(state.q[inside]) <= 0.79 + 1e-12)
 
 
-LIMITED = pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.8, 0.8)] * 8)
-
-
-def test_free_control_points_are_not_used() -> None:
+def test_free_control_points_are_not_used(spatial: pp.Arm) -> None:
     weights = np.zeros(8)
     weights[[3, 7]] = 1.0
-    points = ARM.at(ARM.straight()).points + [0.0, 0.05, 0.0]
-    target = pp.Target.from_points(ARM, points, weights)
-    state = state_of(ARM, 5, 0.7)
+    points = spatial.at(spatial.straight()).points + [0.0, 0.05, 0.0]
+    target = pp.Target.from_points(spatial, points, weights)
+    state = state_of(spatial, 5, 0.7)
     for method in (pp.Selection(), pp.Projection()):
         assert set(method.step(state, target).active) <= {3, 7}
     # The first point never clears the absolute condition, however well the others do.
-    first = pp.Selection().step(state, pp.Target.from_points(ARM, points, np.eye(8)[0]))
+    first = pp.Selection().step(state, pp.Target.from_points(spatial, points, np.eye(8)[0]))
     assert first.active == ()
     assert "largest index is 0," in first.diagnostics.reason or "e-" in first.diagnostics.reason
 
 
-def test_each_score_takes_the_best_of_its_own_sets() -> None:
+def test_each_score_takes_the_best_of_its_own_sets(planar: pp.Arm) -> None:
     taken = set()
     for seed in range(20):
-        state, target = state_of(PLANAR, seed, 1.0), target_of(PLANAR, seed)
+        state, target = state_of(planar, seed, 1.0), target_of(planar, seed)
         indices = state.manipulability()
         distances = np.linalg.norm(task_errors(state, target), axis=1)
         clear = indices[0, 1:] > 0.01
@@ -223,16 +241,18 @@ def test_each_score_takes_the_best_of_its_own_sets() -> None:
     assert any(len(set(sets)) == 3 for sets in taken)  # no score is another by a different name
 
 
-def test_sections_are_for_planar_arms_of_single_joints_and_unbroken_regions() -> None:
+def test_sections_are_for_planar_arms_of_single_joints_and_unbroken_regions(
+    spatial: pp.Arm, planar: pp.Arm
+) -> None:
     two_joints = pp.Arm.from_template("RzRz", 6)
     holes = np.tile([1.0, 1.0, 0.0], 4)
     for seed in range(5):
         for arm, weights, expected in (
-            (ARM, None, "error"),
+            (spatial, None, "error"),
             (two_joints, None, "error"),
-            (PLANAR, None, "geometric"),
-            (PLANAR, holes, "error"),
-            (PLANAR, np.r_[np.zeros(4), np.ones(7), 0.0], "geometric"),
+            (planar, None, "geometric"),
+            (planar, holes, "error"),
+            (planar, np.r_[np.zeros(4), np.ones(7), 0.0], "geometric"),
         ):
             state = state_of(arm, seed, 1.0)
             target = pp.Target.from_points(arm, target_of(arm, seed).points, weights)
@@ -242,8 +262,8 @@ def test_sections_are_for_planar_arms_of_single_joints_and_unbroken_regions() ->
     assert pp.Selection() == pp.Selection(score="auto", strides=[3, 2])
 
 
-def test_selection_says_that_no_section_is_stable() -> None:
-    state, target = state_of(PLANAR, 0, 0.3), target_of(PLANAR, 0)
+def test_selection_says_that_no_section_is_stable(planar: pp.Arm) -> None:
+    state, target = state_of(planar, 0, 0.3), target_of(planar, 0)
     step = pp.Selection(relative=0.99).step(state, target)
     assert step.active == ()
     assert "no section of 2 or 3 modules" in step.diagnostics.reason
@@ -251,10 +271,10 @@ def test_selection_says_that_no_section_is_stable() -> None:
     assert pp.Selection(relative=0.99).step(state, target.region(5, 5)).active == (5,)
 
 
-def test_joint_interpolation_goes_straight_and_exactly() -> None:
-    target = target_of(LIMITED, 4, 0.7)
-    start = state_of(LIMITED, 5, 0.7)
-    run = pp.track(LIMITED, target, start.q, "joint")
+def test_joint_interpolation_goes_straight_and_exactly(narrow: pp.Arm) -> None:
+    target = target_of(narrow, 4, 0.7)
+    start = state_of(narrow, 5, 0.7)
+    run = pp.track(narrow, target, start.q, "joint")
     assert run.converged
     assert run.steps == np.ceil(np.abs(target.q - start.q).max() / 0.1)
     np.testing.assert_allclose(run.q[-1], target.q, atol=1e-12)
@@ -262,20 +282,20 @@ def test_joint_interpolation_goes_straight_and_exactly() -> None:
     shares = offsets @ offsets[-1] / (offsets[-1] @ offsets[-1])
     np.testing.assert_allclose(offsets, np.outer(shares, offsets[-1]), atol=1e-12)
     with pytest.raises(InvalidValue, match=r"target\.q"):
-        pp.track(LIMITED, pp.Target.from_points(LIMITED, target.points), start.q, "joint")
+        pp.track(narrow, pp.Target.from_points(narrow, target.points), start.q, "joint")
 
 
-def test_limits_flag_what_they_did() -> None:
-    state = LIMITED.at(np.full(16, 0.75))
+def test_limits_flag_what_they_did(narrow: pp.Arm) -> None:
+    state = narrow.at(np.full(16, 0.75))
     limited = pp.Limits(step=0.1).apply(state, np.r_[0.4, np.zeros(14), 0.2])
     assert limited.scale == pytest.approx(0.25)
     np.testing.assert_allclose(limited.dq[[0, 15]], [0.05, 0.05])
     assert not limited.clipped[:15].all()
-    outside = LIMITED.at(np.full(16, 1.5))
+    outside = narrow.at(np.full(16, 1.5))
     back = pp.Limits(step=0.1).apply(outside, np.zeros(16))
     np.testing.assert_allclose(back.dq, -0.1)
     own = pp.Limits(step=None, dt=0.01).bound(state)
-    np.testing.assert_allclose(own, 0.01 * LIMITED.limits.velocity)
+    np.testing.assert_allclose(own, 0.01 * narrow.limits.velocity)
 
 
 @pytest.mark.parametrize(
@@ -295,7 +315,11 @@ def test_limits_flag_what_they_did() -> None:
         (lambda: pp.Projection(coupling="half"), UnknownName, "full, local"),
         (lambda: pp.Projection(null_gain=-1.0), InvalidValue, "null_gain"),
         (lambda: controller_named("selektion"), UnknownName, "did you mean 'selection'"),
-        (lambda: pp.Limits(step=np.ones(3)).bound(ARM.at(ARM.neutral())), InvalidValue, r"\(16,\)"),
+        (
+            lambda: pp.Limits(step=np.ones(3)).bound(state_of(template_arm("RyRz", 8), 0, 0.0)),
+            InvalidValue,
+            r"\(16,\)",
+        ),
     ],
 )
 def test_bad_parameters_are_named(make: object, kind: type, message: str) -> None:

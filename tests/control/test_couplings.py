@@ -4,18 +4,32 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from arms import template_arm
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 import pinposture as pp
 from pinposture.control.controller import task_errors
 from pinposture.control.projection import COUPLINGS
 from pinposture.thesis.curves import HELIX
 
-ARM = pp.Arm.from_template("RyRz", 8)
-LONG = pp.Arm.from_template("RyRz", 20)
-PLANAR = pp.Arm.from_template("Rz", 12)
 FREE = pp.Limits(step=1e6)
+
+
+@pytest.fixture(scope="session")
+def spatial() -> pp.Arm:
+    return template_arm("RyRz", 8)
+
+
+@pytest.fixture(scope="session")
+def long() -> pp.Arm:
+    return template_arm("RyRz", 20)
+
+
+@pytest.fixture(scope="session")
+def planar() -> pp.Arm:
+    return template_arm("Rz", 12)
 
 
 def random_posture(arm: pp.Arm, seed: int, amplitude: float) -> np.ndarray:
@@ -34,11 +48,11 @@ def goal(arm: pp.Arm, seed: int, free: list[int]) -> pp.Target:
     st.sampled_from(["spatial", "planar"]),
     st.lists(st.integers(0, 7), max_size=5),
 )
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_every_coupling_has_full_row_rank_also_with_free_points(
-    seed: int, amplitude: float, kind: str, free: list[int]
+    spatial: pp.Arm, planar: pp.Arm, seed: int, amplitude: float, kind: str, free: list[int]
 ) -> None:
-    arm = ARM if kind == "spatial" else PLANAR
+    arm = spatial if kind == "spatial" else planar
     state, target = arm.at(random_posture(arm, seed, amplitude)), goal(arm, seed, free)
     for coupling in COUPLINGS:
         method = pp.Projection(coupling=coupling)
@@ -51,12 +65,12 @@ def test_every_coupling_has_full_row_rank_also_with_free_points(
 
 
 @pytest.mark.parametrize("free", [[], [2, 3], [0, 5], [0, 1, 6]])
-def test_relative_coupling_covers_the_errors_between_neighbours(free: list[int]) -> None:
+def test_relative_coupling_covers_the_errors_between_neighbours(spatial: pp.Arm, free: list[int]) -> None:
     """By finite differences: the motion between neighbours, in the directions that the module has."""
-    state, target = ARM.at(random_posture(ARM, 5, 0.7)), goal(ARM, 5, free)
+    state, target = spatial.at(random_posture(spatial, 5, 0.7)), goal(spatial, 5, free)
     step = pp.Projection(coupling="relative", gain=0.4, null_gain=0.0).step(state, target, FREE)
     h = 1e-6
-    ahead, behind = (ARM.at(state.q + sign * h * step.dq).points for sign in (1.0, -1.0))
+    ahead, behind = (spatial.at(state.q + sign * h * step.dq).points for sign in (1.0, -1.0))
     motion, errors = (ahead - behind) / (2.0 * h), target.points - state.points
     previous = -1
     for k in np.flatnonzero(target.placed):
@@ -70,11 +84,13 @@ def test_relative_coupling_covers_the_errors_between_neighbours(free: list[int])
         previous = k
 
 
-def test_relative_coupling_unrolls_the_straight_arm_onto_the_helix_where_the_others_fail() -> None:
-    target = pp.resolve_targets(LONG, HELIX)
+def test_relative_coupling_unrolls_the_straight_arm_onto_the_helix_where_the_others_fail(
+    long: pp.Arm,
+) -> None:
+    target = pp.resolve_targets(long, HELIX)
     ends = {}
     for coupling in COUPLINGS:
-        run = pp.track(LONG, target, LONG.straight(), pp.Projection(coupling=coupling), max_steps=400)
-        ends[coupling] = run.point_errors[-1].mean() / LONG.length
+        run = pp.track(long, target, long.straight(), pp.Projection(coupling=coupling), max_steps=400)
+        ends[coupling] = run.point_errors[-1].mean() / long.length
     assert ends["relative"] < 1e-5
     assert min(ends["full"], ends["local"]) > 1e-3

@@ -6,18 +6,21 @@ import pickle
 
 import numpy as np
 import pytest
+from arms import template_arm
 
 import pinposture as pp
 from pinposture.control import Diagnostics
 from pinposture.control.posture_matrix import PostureMatrix
 
-ARM = pp.Arm.from_template("RyRz", 6)
+
+def arm() -> pp.Arm:
+    return template_arm("RyRz", 6)
 
 
 def a_step(name: str) -> pp.control.Step:
     rng = np.random.default_rng(0)
-    target = pp.Target.from_configuration(ARM, rng.uniform(-0.5, 0.5, 12))
-    return pp.control.controller_named(name).step(ARM.at(rng.uniform(-0.5, 0.5, 12)), target)
+    target = pp.Target.from_configuration(arm(), rng.uniform(-0.5, 0.5, 12))
+    return pp.control.controller_named(name).step(arm().at(rng.uniform(-0.5, 0.5, 12)), target)
 
 
 @pytest.mark.parametrize("name", ["selection", "projection"])
@@ -51,13 +54,13 @@ def test_fields_by_number_are_those_by_name() -> None:
 
 
 def test_a_run_keeps_numbers() -> None:
-    target = pp.Target.from_configuration(ARM, np.full(12, 0.3))
+    target = pp.Target.from_configuration(arm(), np.full(12, 0.3))
     states = []
     run = pp.track(
-        ARM, target, np.full(12, 0.1), "selection", max_steps=5, callback=lambda *a: states.append(a[1])
+        arm(), target, np.full(12, 0.1), "selection", max_steps=5, callback=lambda *a: states.append(a[1])
     )
     for state, active, smallest, largest in zip(
-        [ARM.at(q) for q in run.q], run.active_sets, run.sigma_min, run.sigma_max, strict=False
+        [arm().at(q) for q in run.q], run.active_sets, run.sigma_min, run.sigma_max, strict=False
     ):
         sigma = np.linalg.svd(state.task_jacobians[list(active)].reshape(-1, 12), compute_uv=False)
         np.testing.assert_allclose([smallest, largest], sigma[[-1, 0]], rtol=1e-9)

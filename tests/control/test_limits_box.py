@@ -5,12 +5,14 @@ from __future__ import annotations
 import gc
 import pickle
 import weakref
+from functools import cache
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 import pinposture as pp
 from pinposture.errors import InvalidValue
@@ -28,13 +30,21 @@ LOADED = """<robot name="r"><link name="a"/><link name="b"/><link name="c"/><lin
 <joint name="wrist" type="revolute"><parent link="d"/><child link="e"/><axis xyz="0 1 0"/>
 <origin xyz="0.1 0 0"/><limit effort="1" velocity="3.4028e+38" lower="-1" upper="1"/></joint></robot>"""
 ARMS = {
-    "spatial": pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.8, 0.3)] * 4),
-    "planar": pp.Arm.from_template("Rz", 6),
-    "sliding": pp.Arm.from_modules([SLIDING] * 3),
-    "loaded": pp.Arm.from_urdf(LOADED, modules=[2, 2]),
+    "spatial": lambda: pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.8, 0.3)] * 4),
+    "planar": lambda: pp.Arm.from_template("Rz", 6),
+    "sliding": lambda: pp.Arm.from_modules([SLIDING] * 3),
+    "loaded": lambda: pp.Arm.from_urdf(LOADED, modules=[2, 2]),
 }
-LIMITED = ARMS["spatial"]
 ALLOWED = 1e-9
+
+
+@cache
+def arm_called(name: str) -> pp.Arm:
+    return ARMS[name]()
+
+
+def limited() -> pp.Arm:
+    return arm_called("spatial")
 
 
 def edges_of(arm: pp.Arm, margin: float) -> tuple[np.ndarray, np.ndarray]:
@@ -63,7 +73,7 @@ def choice(rng: np.random.Generator, policy: str, box: object) -> np.ndarray:
     margin=st.sampled_from([0.0, 0.01]),
     seed=st.integers(0, 10**6),
 )
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_from_a_viable_state_no_choice_ever_leads_out(
     kind: str,
     policies: list[str],
@@ -73,7 +83,7 @@ def test_from_a_viable_state_no_choice_ever_leads_out(
     margin: float,
     seed: int,
 ) -> None:
-    arm, rng, dt = ARMS[kind], np.random.default_rng(seed), 0.02
+    arm, rng, dt = arm_called(kind), np.random.default_rng(seed), 0.02
     largest = acceleration * (rng.uniform(0.2, 1.0, arm.nv) if per_joint else np.ones(arm.nv))
     limits = pp.Limits(
         step=step, dt=dt, position_margin=margin, acceleration=largest if per_joint else acceleration
@@ -99,19 +109,19 @@ def test_from_a_viable_state_no_choice_ever_leads_out(
 
 def test_a_joint_that_always_takes_the_edge_stops_exactly_at_its_limit() -> None:
     limits = pp.Limits(step=0.07, velocity=9.0, dt=0.02, acceleration=20.0)  # dq changes by at most 0.008
-    q, previous, steps = LIMITED.configuration(np.full(8, -0.75)), None, []
+    q, previous, steps = limited().configuration(np.full(8, -0.75)), None, []
     while previous is None or np.abs(previous).max() > 1e-12:
-        previous = limits.box(LIMITED.at(q), previous).upper
-        q = LIMITED.integrate(q, previous)
+        previous = limits.box(limited().at(q), previous).upper
+        q = limited().integrate(q, previous)
         steps.append(previous[0])
-    np.testing.assert_allclose(LIMITED.positions(q), 0.3, atol=1e-12)
+    np.testing.assert_allclose(limited().positions(q), 0.3, atol=1e-12)
     assert max(steps) == pytest.approx(0.07)
     assert np.abs(np.diff([0.0, *steps])).max() <= 0.008 + 1e-12
     assert len(steps) < 40
 
 
 def test_a_start_outside_its_limits_is_named_and_brought_back() -> None:
-    arm = ARMS["loaded"]
+    arm = arm_called("loaded")
     q = arm.configuration([0.5, 40.0, 0.1, 0.0])
     for limits in (pp.Limits(step=0.05), pp.Limits(step=0.05, dt=0.02, acceleration=10.0)):
         box = limits.box(arm.at(q))
@@ -135,7 +145,7 @@ def test_a_start_outside_its_limits_is_named_and_brought_back() -> None:
 
 
 def test_a_margin_that_the_start_does_not_keep_is_named() -> None:
-    state = LIMITED.at(np.full(8, 0.295))
+    state = limited().at(np.full(8, 0.295))
     assert pp.Limits().box(state).relaxed == ()
     relaxed = pp.Limits(position_margin=0.01).box(state).relaxed
     assert len(relaxed) == 8
@@ -144,7 +154,7 @@ def test_a_margin_that_the_start_does_not_keep_is_named() -> None:
 
 def test_a_joint_that_is_too_fast_brakes_as_hard_as_it_may_and_is_named() -> None:
     limits = pp.Limits(step=0.1, dt=0.1, acceleration=1.0)  # dq changes by at most 0.01
-    state, fast = LIMITED.at(np.full(8, 0.28)), np.zeros(8)
+    state, fast = limited().at(np.full(8, 0.28)), np.zeros(8)
     fast[2], fast[3], fast[4] = 0.05, -0.05, 0.02
     box = limits.box(state, fast)
     assert len(box.relaxed) == 1
@@ -158,7 +168,7 @@ def test_a_joint_faster_than_its_bound_takes_the_bound_and_is_named() -> None:
     limits = pp.Limits(step=0.1, dt=0.1, acceleration=1.0)
     fast = np.zeros(8)
     fast[1], fast[6] = -0.3, 0.105
-    box = limits.box(LIMITED.at(np.r_[np.zeros(6), -0.6, 0.0]), fast)
+    box = limits.box(limited().at(np.r_[np.zeros(6), -0.6, 0.0]), fast)
     assert len(box.relaxed) == 1
     assert "acceleration limit of joint 'm01_j2_z'" in box.relaxed[0]
     assert box.lower[1] == box.upper[1] == -0.1
@@ -167,9 +177,9 @@ def test_a_joint_faster_than_its_bound_takes_the_bound_and_is_named() -> None:
 
 
 @given(st.integers(0, 10**6), st.sampled_from(sorted(ARMS)))
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_from_any_state_the_box_holds_the_bound_and_full_braking_at_least(seed: int, kind: str) -> None:
-    arm, rng = ARMS[kind], np.random.default_rng(seed)
+    arm, rng = arm_called(kind), np.random.default_rng(seed)
     limits = pp.Limits(step=0.1, dt=0.1, acceleration=rng.uniform(0.5, 5.0, arm.nv))
     state = arm.at(arm.configuration(rng.normal(0.0, 2.0, arm.nv)))
     previous, positions = rng.normal(0.0, 0.1, arm.nv), arm.positions(state.q)
@@ -208,11 +218,11 @@ def test_joints_off_the_chain_are_left_alone() -> None:
 
 
 @given(st.integers(0, 10**6), st.sampled_from(sorted(ARMS)), st.sampled_from([None, 0.1]))
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_without_an_acceleration_limit_steps_are_scaled_and_cut(
     seed: int, kind: str, step: float | None
 ) -> None:
-    arm, rng = ARMS[kind], np.random.default_rng(seed)
+    arm, rng = arm_called(kind), np.random.default_rng(seed)
     limits = pp.Limits(step=step, dt=0.04, position_margin=0.005)
     state = arm.at(arm.configuration(rng.normal(0.0, 1.0, arm.nv)))
     asked = rng.normal(0.0, rng.choice([0.01, 0.1, 10.0]), arm.nv)
@@ -260,13 +270,13 @@ def test_what_is_remembered_of_an_arm_does_not_keep_it() -> None:
         (lambda: pp.Limits(acceleration=[1.0, -1.0], dt=0.1), "acceleration"),
         (lambda: pp.Limits(acceleration="x", dt=0.1), "acceleration is 'x'"),
         (
-            lambda: pp.Limits(acceleration=np.ones(3), dt=0.1).box(LIMITED.at(np.zeros(8))),
+            lambda: pp.Limits(acceleration=np.ones(3), dt=0.1).box(limited().at(np.zeros(8))),
             r"acceleration \(sh",
         ),
-        (lambda: pp.Limits(position_margin=0.6).box(LIMITED.at(np.zeros(8))), "position_margin is 0.6"),
-        (lambda: BRAKING.box(LIMITED.at(np.zeros(8)), np.zeros(7)), r"previous \(shape\)"),
-        (lambda: BRAKING.apply(LIMITED.at(np.zeros(8)), np.zeros(8), np.full(8, np.nan)), r"previous\[0\]"),
-        (lambda: BRAKING.hold(LIMITED.at(np.zeros(8)), "x"), "previous is 'x'"),
+        (lambda: pp.Limits(position_margin=0.6).box(limited().at(np.zeros(8))), "position_margin is 0.6"),
+        (lambda: BRAKING.box(limited().at(np.zeros(8)), np.zeros(7)), r"previous \(shape\)"),
+        (lambda: BRAKING.apply(limited().at(np.zeros(8)), np.zeros(8), np.full(8, np.nan)), r"previous\[0\]"),
+        (lambda: BRAKING.hold(limited().at(np.zeros(8)), "x"), "previous is 'x'"),
     ],
 )
 def test_bad_accelerations_are_named(make: object, message: str) -> None:
@@ -279,7 +289,8 @@ BRAKING = pp.Limits(dt=0.1, acceleration=1.0)
 
 @pytest.mark.parametrize("acceleration", [1e-250, 1e-12, 1e12, 1e300, np.inf])
 def test_extreme_accelerations_give_finite_steps(acceleration: float) -> None:
-    for arm in ARMS.values():
+    for kind in ARMS:
+        arm = arm_called(kind)
         limits = pp.Limits(step=0.1, dt=1e-3, velocity=1e9, acceleration=acceleration)
         for q in (arm.configuration(middle_of(arm)), arm.configuration(np.full(arm.nv, 1.7))):
             box = limits.box(arm.at(q), np.zeros(arm.nv))

@@ -7,8 +7,9 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 import pinposture as pp
 from pinposture.control.braking import farthest, full_braking
@@ -38,7 +39,7 @@ def test_farthest_is_the_largest_step_from_which_some_deceleration_stops_in_time
 
 
 @given(st.floats(1e-6, 1e3), st.floats(1e-4, 10.0))
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_farthest_uses_up_the_room_to_the_last_bit(room: float, brake: float) -> None:
     step = float(farthest(np.array([room]), np.array([brake]))[0])
     steps = np.arange(step, 0.0, -brake)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -14,12 +15,17 @@ SLIDE = pp.JointSpec("x", type="prismatic", lower=-0.04, upper=0.05)
 ENDLESS = pp.JointSpec("z", type="continuous")
 SLIDING = pp.ModuleTemplate("slides", (pp.JointSpec("y"), SLIDE, ENDLESS), (0.03,) * 3)
 ARMS = {
-    "limited": pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.8, 0.6)] * 5),
-    "planar": pp.Arm.from_template("Rz", 8),
-    "sliding": pp.Arm.from_modules([SLIDING] * 4),
+    "limited": lambda: pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.8, 0.6)] * 5),
+    "planar": lambda: pp.Arm.from_template("Rz", 8),
+    "sliding": lambda: pp.Arm.from_modules([SLIDING] * 4),
 }
 ALLOWED = 1e-9
 STAND = ("pinv", "task-constraints", "extended", "augmented", "dls", "lm")
+
+
+@cache
+def arm_called(name: str) -> pp.Arm:
+    return ARMS[name]()
 
 
 def posture(arm: pp.Arm, seed: int, amplitude: float = 0.6) -> np.ndarray:
@@ -42,7 +48,7 @@ def test_every_controller_keeps_an_acceleration_limit(name: str, kind: str) -> N
     if name == "joint" and kind != "known":
         kind = "known"
     for seed, (arm_kind, acceleration) in enumerate(zip(ARMS, (2.0, 8.0, 0.5), strict=True)):
-        arm, dt = ARMS[arm_kind], 0.05
+        arm, dt = arm_called(arm_kind), 0.05
         limits = pp.Limits(step=0.1, dt=dt, velocity=1.5, acceleration=acceleration, position_margin=1e-3)
         q = np.clip(arm.positions(posture(arm, seed)), arm.limits.lower + 1e-3, arm.limits.upper - 1e-3)
         q, memory, before, moved = arm.configuration(q), None, np.zeros(arm.nv), 0
@@ -63,7 +69,7 @@ def test_every_controller_keeps_an_acceleration_limit(name: str, kind: str) -> N
 
 @pytest.mark.parametrize("name", [*STAND, "selection", "projection", "switching"])
 def test_who_has_nowhere_to_go_brakes_first(name: str) -> None:
-    arm = ARMS["limited"]
+    arm = arm_called("limited")
     limits = pp.Limits(step=0.1, dt=0.1, acceleration=3.0)  # dq changes by at most 0.03
     speed = np.linspace(-0.1, 0.1, 10)
     nowhere = pp.Target(arm.at(arm.straight()).points, np.zeros(5))
@@ -99,7 +105,7 @@ def test_switching_keeps_it_where_projection_cannot_move(known: bool) -> None:
 
 def test_joints_stop_at_the_end_of_the_way_that_they_were_asked_to_go() -> None:
     """Joint interpolation asks for the whole way: it gets there without swinging past."""
-    arm = ARMS["planar"]
+    arm = arm_called("planar")
     limits = pp.Limits(step=0.1, dt=0.05, acceleration=2.0)
     run = pp.track(arm, target_of(arm, 3, "known"), posture(arm, 4), "joint", limits)
     assert run.converged
@@ -111,7 +117,7 @@ def test_joints_stop_at_the_end_of_the_way_that_they_were_asked_to_go() -> None:
 
 
 def test_joints_cut_short_for_braking_are_flagged_and_others_are_not() -> None:
-    arm = ARMS["limited"]
+    arm = arm_called("limited")
     limits = pp.Limits(step=0.1, dt=0.1, acceleration=1.0)  # dq changes by at most 0.01
     state = arm.at(np.r_[0.55, np.zeros(9)])
     limited = limits.apply(state, np.full(10, 0.1), np.full(10, 0.03))

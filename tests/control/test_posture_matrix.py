@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from chain_arms import ARMS, branched, state_of
-from hypothesis import given, settings
+from chain_arms import ARMS, arm_called, branched, state_of
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples, seeds
 
 import pinposture as pp
 from pinposture.arm.screws import constants_of, screws_of
@@ -65,11 +66,11 @@ def test_the_step_is_as_accurate_as_the_matrix_allows(m: int, amplitude: float, 
 
 
 @given(kinds, st.integers(0, 10**6), st.sampled_from([0.5, 3.0]), st.sampled_from([0.05, 0.4]))
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_projection_moves_as_its_dense_matrix_says(
     kind: str, seed: int, amplitude: float, kappa: float
 ) -> None:
-    arm, rng = ARMS[kind], np.random.default_rng(seed)
+    arm, rng = arm_called(kind), np.random.default_rng(seed)
     state, goal = state_of(arm, seed, amplitude), state_of(arm, seed + 1, amplitude)
     weights = (rng.random(arm.n_modules) < 0.7).astype(float)
     weights[-1] = 1.0
@@ -95,12 +96,12 @@ def test_projection_moves_as_its_dense_matrix_says(
 
 
 @given(kinds, st.integers(0, 10**6), st.sampled_from([0.0, 1e-7, 0.5, 3.0]), st.sampled_from([0.05, 0.4]))
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_spaces_of_modules_are_those_of_the_singular_values(
     kind: str, seed: int, amplitude: float, kappa: float
 ) -> None:
     """By their projectors: singular vectors of equal singular values are any of their plane."""
-    arm, rng = ARMS[kind], np.random.default_rng(seed)
+    arm, rng = arm_called(kind), np.random.default_rng(seed)
     state, eligible = state_of(arm, seed, amplitude), rng.random(arm.n_modules) < 0.7
     eligible[0] = True
     method = pp.Projection(threshold=kappa, coupling="local")
@@ -128,9 +129,9 @@ def test_spaces_of_modules_are_those_of_the_singular_values(
 
 
 @given(kinds, st.integers(0, 10**6), st.sampled_from([0.0, 1e-6, 0.5, 3.0]))
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_the_gradient_is_that_of_the_dense_jacobians(kind: str, seed: int, amplitude: float) -> None:
-    arm = ARMS[kind]
+    arm = arm_called(kind)
     state, goal = state_of(arm, seed, amplitude), state_of(arm, seed + 1, 1.0)
     target = pp.Target.from_points(arm, goal.points, np.arange(arm.n_modules) % 3 > 0)
     errors = aligned_errors(state, target, target.placed)
@@ -142,22 +143,23 @@ def test_the_gradient_is_that_of_the_dense_jacobians(kind: str, seed: int, ampli
 
 
 def test_rows_that_depend_on_others_are_told() -> None:
-    straight = ARMS["planar"].at(ARMS["planar"].straight())
+    planar = arm_called("planar")
+    straight = planar.at(planar.straight())
     matrix, dense = of_points(straight, np.array([1, 4, 8]))
     assert np.linalg.matrix_rank(dense, tol=1e-9) < len(dense)
     smallest, blame = matrix.weakest()
     assert smallest < 1e-12
     assert blame.max() > 0.1
     # More rows than joints: the first control point of a planar arm in both directions, from one joint.
-    bent = state_of(ARMS["planar"], 0, 1.0)
+    bent = state_of(planar, 0, 1.0)
     smallest, blame = of_points(bent, np.array([0, 5]))[0].weakest()
     assert smallest < 1e-12
     assert int(np.argmax(blame)) == 0
 
 
 def test_the_blame_is_the_last_left_singular_vector() -> None:
-    for seed in range(10):
-        state = state_of(ARMS["two joints"], seed, 0.4)
+    for seed in seeds(10):
+        state = state_of(arm_called("two joints"), seed, 0.4)
         matrix, dense = of_points(state, np.array([1, 3, 5, 7, 9, 11]))
         left, sigma, _ = np.linalg.svd(dense, full_matrices=False)
         smallest, blame = matrix.weakest()

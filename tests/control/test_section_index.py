@@ -6,8 +6,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from analytic import enumeration, planar
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples, seeds
 from scipy.optimize import differential_evolution
 
 import pinposture as pp
@@ -22,7 +23,7 @@ def index(lengths: tuple[float, ...], inner: np.ndarray) -> float:
 
 
 @given(st.tuples(length, length))
-@settings(deadline=None, max_examples=25)
+@examples(25)
 def test_two_links_have_the_best_of_all_their_elbows(lengths: tuple[float, float]) -> None:
     elbows = np.linspace(0.0, np.pi, 721)
     highest = max(index(lengths, np.array([elbow])) for elbow in elbows)
@@ -72,7 +73,7 @@ def test_the_best_posture_has_index_one_and_none_has_more() -> None:
     elbow = np.arccos(-2.0 / 3.0)  # of two equal links
     found = section_indices(arm.at([0.4, elbow, 0.1, elbow, -2.0, -elbow]), (2,))
     np.testing.assert_allclose([found[0, 2], found[2, 4], found[4, 6]], 1.0, atol=1e-7)
-    for seed in range(20):
+    for seed in seeds(20):
         assert section_indices(arm.at(arm.random(np.random.default_rng(seed))), (2, 3)).max() <= 1.0
 
 

@@ -6,8 +6,9 @@ from itertools import combinations, islice, pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 import pinposture as pp
 from pinposture.control import SectionTree, section_indices
@@ -56,7 +57,7 @@ regions = st.tuples(st.integers(0, 15), st.integers(0, 15)).map(sorted)
     st.sampled_from([0.6, 1.0]),
     regions,
 )
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_the_best_branch_is_the_best_of_all_on_real_postures(
     m: int, seed: int, amplitude: float, threshold: float, absolute: float, placed: float, region: list[int]
 ) -> None:
@@ -78,7 +79,7 @@ def test_the_best_branch_is_the_best_of_all_on_real_postures(
     regions,
     st.sampled_from(STRIDES),
 )
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_the_same_on_arbitrary_indices(
     m: int, seed: int, threshold: float, share: float, region: list[int], strides: tuple[int, ...]
 ) -> None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 from scipy.spatial.transform import Rotation
 
 from pinposture.control.sweep import sweep
@@ -33,7 +34,7 @@ def test_the_sweep_of_nothing_and_of_a_way_back_is_one():
 
 
 @given(seed=st.integers(0, 10_000), scale=st.floats(1e-3, 1e3))
-@settings(deadline=None, max_examples=30)
+@examples(30)
 def test_the_sweep_does_not_depend_on_where_things_are_nor_on_the_unit(seed, scale):
     rng = np.random.default_rng(seed)
     points = np.cumsum(rng.normal(size=(6, 4, 3)), axis=0)

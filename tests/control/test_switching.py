@@ -8,8 +8,10 @@ from itertools import groupby, pairwise
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from arms import template_arm
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 import pinposture as pp
 from pinposture.control import CONTROLLERS, Memory, controller_named
@@ -17,9 +19,20 @@ from pinposture.errors import InvalidValue
 from pinposture.study import smooth_configuration
 from pinposture.thesis.curves import HELIX, LINE
 
-ARM = pp.Arm.from_template("RyRz", 12)
-LONG = pp.Arm.from_template("RyRz", 20)
-PLANAR = pp.Arm.from_template("Rz", 20)
+
+@pytest.fixture(scope="session")
+def spatial() -> pp.Arm:
+    return template_arm("RyRz", 12)
+
+
+@pytest.fixture(scope="session")
+def long() -> pp.Arm:
+    return template_arm("RyRz", 20)
+
+
+@pytest.fixture(scope="session")
+def planar() -> pp.Arm:
+    return template_arm("Rz", 20)
 
 
 def posture(arm: pp.Arm, seed: int, amplitude: float = 0.6) -> np.ndarray:
@@ -31,25 +44,25 @@ def stints(run: pp.Trajectory) -> list[tuple[str, int]]:
 
 
 @pytest.fixture(scope="module")
-def hard() -> pp.Trajectory:
+def hard(long: pp.Arm) -> pp.Trajectory:
     """A run from which Selection alone and Projection alone do not get to the helix."""
-    return pp.track(LONG, pp.resolve_targets(LONG, HELIX), posture(LONG, 10, 0.9), "switching", max_steps=400)
+    return pp.track(long, pp.resolve_targets(long, HELIX), posture(long, 10, 0.9), "switching", max_steps=400)
 
 
-def test_it_gets_where_neither_part_gets_alone(hard: pp.Trajectory) -> None:
+def test_it_gets_where_neither_part_gets_alone(long: pp.Arm, hard: pp.Trajectory) -> None:
     alone = [
-        pp.track(LONG, hard.target, hard.q[0], name, max_steps=400) for name in ("selection", "projection")
+        pp.track(long, hard.target, hard.q[0], name, max_steps=400) for name in ("selection", "projection")
     ]
     assert hard.converged
-    assert all(run.point_errors[-1].mean() > 1e-3 * LONG.length for run in alone)
+    assert all(run.point_errors[-1].mean() > 1e-3 * long.length for run in alone)
 
 
-def test_each_step_is_one_of_the_method_that_it_names(hard: pp.Trajectory) -> None:
+def test_each_step_is_one_of_the_method_that_it_names(long: pp.Arm, hard: pp.Trajectory) -> None:
     """Selection's steps are Selection's; Projection's are those towards the target or towards a waypoint."""
     method = pp.Switching()
     aims = []
     for k in range(hard.steps):
-        state = LONG.at(hard.q[k])
+        state = long.at(hard.q[k])
         moved = hard.q[k + 1] - hard.q[k]
         if hard.method[k] == "selection":
             expected = method.selection.step(state, hard.target)
@@ -57,7 +70,7 @@ def test_each_step_is_one_of_the_method_that_it_names(hard: pp.Trajectory) -> No
             continue
         straight = method.projection.step(state, hard.target).dq
         way = hard.target.q - hard.q[k]
-        ahead = LONG.at(hard.q[k] + way * min(1.0, method.reach / np.abs(way).max())).points
+        ahead = long.at(hard.q[k] + way * min(1.0, method.reach / np.abs(way).max())).points
         waypoint = method.projection.step(state, replace(hard.target, points=ahead)).dq
         fits = [bool(np.allclose(moved, dq, atol=1e-12)) for dq in (straight, waypoint)]
         assert any(fits)
@@ -85,25 +98,25 @@ def test_the_stints_of_projection_double_so_that_it_cannot_chatter(hard: pp.Traj
     assert all(wait >= 3 for wait in waits)
 
 
-def test_from_the_straight_arm_projection_begins_and_says_why() -> None:
-    run = pp.track(ARM, pp.resolve_targets(ARM, HELIX), ARM.straight(), "switching")
+def test_from_the_straight_arm_projection_begins_and_says_why(spatial: pp.Arm) -> None:
+    run = pp.track(spatial, pp.resolve_targets(spatial, HELIX), spatial.straight(), "switching")
     assert run.method[0] == "projection"
     assert "absolute manipulability condition" in run.switched[0]
     assert "selection" in run.method
     assert run.converged
 
 
-def test_near_the_straight_line_projection_takes_over_and_stays() -> None:
-    run = pp.track(ARM, pp.resolve_targets(ARM, LINE), posture(ARM, 1), "switching")
+def test_near_the_straight_line_projection_takes_over_and_stays(spatial: pp.Arm) -> None:
+    run = pp.track(spatial, pp.resolve_targets(spatial, LINE), posture(spatial, 1), "switching")
     assert run.converged
     assert run.method[-1] == "projection"
-    assert pp.track(ARM, run.target, run.q[0], "selection").status == "no_control_points"
+    assert pp.track(spatial, run.target, run.q[0], "selection").status == "no_control_points"
 
 
-def test_without_a_known_configuration_every_stint_is_short_and_aims_at_the_target() -> None:
-    start = posture(ARM, 4)
-    goal = pp.Target.from_points(ARM, ARM.at(posture(ARM, 5)).points)
-    run = pp.track(ARM, goal, start, "switching", max_steps=120)
+def test_without_a_known_configuration_every_stint_is_short_and_aims_at_the_target(spatial: pp.Arm) -> None:
+    start = posture(spatial, 4)
+    goal = pp.Target.from_points(spatial, spatial.at(posture(spatial, 5)).points)
+    run = pp.track(spatial, goal, start, "switching", max_steps=120)
     assert not any(run.method[k] == "projection" and _is_escape(run, k) for k in range(run.steps))
     assert all(length <= 5 for name, length in stints(run)[:-1] if name == "projection")
 
@@ -114,20 +127,22 @@ def _is_escape(run: pp.Trajectory, k: int) -> bool:
 
 
 @pytest.mark.parametrize("largest", [0.02, 0.1])
-def test_its_course_does_not_depend_on_the_rate_of_control(largest: float) -> None:
+def test_its_course_does_not_depend_on_the_rate_of_control(long: pp.Arm, largest: float) -> None:
     """Durations are joint travel: with a fifth of the step limit, a stint has five times as many steps."""
-    target = pp.resolve_targets(LONG, HELIX)
+    target = pp.resolve_targets(long, HELIX)
     run = pp.track(
-        LONG, target, LONG.straight(), "switching", pp.Limits(step=largest), max_steps=round(40 / largest)
+        long, target, long.straight(), "switching", pp.Limits(step=largest), max_steps=round(40 / largest)
     )
     assert run.converged
     assert stints(run)[0] == ("projection", round(0.5 / largest))
 
 
 @given(st.integers(0, 10**6), st.sampled_from(["spatial", "planar"]), st.sampled_from([0.0, 1e-6, 0.7, 3.0]))
-@settings(deadline=None, max_examples=30)
-def test_its_steps_are_finite_and_within_limits(seed: int, kind: str, amplitude: float) -> None:
-    arm = ARM if kind == "spatial" else PLANAR
+@examples(30)
+def test_its_steps_are_finite_and_within_limits(
+    spatial: pp.Arm, planar: pp.Arm, seed: int, kind: str, amplitude: float
+) -> None:
+    arm = spatial if kind == "spatial" else planar
     rng = np.random.default_rng(seed)
     points = rng.normal(0.0, rng.choice([1e-9, 0.2, 10.0]), (arm.n_modules, 3))
     known = pp.Target.from_configuration(arm, arm.configuration(rng.uniform(-3.0, 3.0, arm.nv)))
@@ -139,12 +154,12 @@ def test_its_steps_are_finite_and_within_limits(seed: int, kind: str, amplitude:
     assert set(run.method) <= {"selection", "projection"}
 
 
-def test_what_another_controller_remembers_is_not_its_own() -> None:
-    target = pp.resolve_targets(ARM, HELIX)
-    state = ARM.at(posture(ARM, 2))
+def test_what_another_controller_remembers_is_not_its_own(spatial: pp.Arm) -> None:
+    target = pp.resolve_targets(spatial, HELIX)
+    state = spatial.at(posture(spatial, 2))
     method = controller_named("switching")
     fresh = method.step(state, target)
-    foreign = method.step(state, target, memory=Memory(np.ones(ARM.nv), own="something else"))
+    foreign = method.step(state, target, memory=Memory(np.ones(spatial.nv), own="something else"))
     np.testing.assert_array_equal(fresh.dq, foreign.dq)
 
 
@@ -165,11 +180,11 @@ def test_bad_parameters_are_named(parameters: dict, message: str) -> None:
 
 
 @pytest.mark.parametrize("region", [(19, 19), (10, 19), (0, 9), (5, 12)])
-def test_a_region_of_the_arm_gets_there_too(region: tuple[int, int]) -> None:
+def test_a_region_of_the_arm_gets_there_too(long: pp.Arm, region: tuple[int, int]) -> None:
     """The joints before the region must bring its base into place, though no point of theirs has a target."""
-    target = pp.Target.from_configuration(LONG, posture(LONG, 7, 0.8)).region(*region)
-    run = pp.track(LONG, target, posture(LONG, 8, 0.8), "switching", max_steps=400)
-    assert run.point_errors[-1].max() < 1e-3 * LONG.length
+    target = pp.Target.from_configuration(long, posture(long, 7, 0.8)).region(*region)
+    run = pp.track(long, target, posture(long, 8, 0.8), "switching", max_steps=400)
+    assert run.point_errors[-1].max() < 1e-3 * long.length
 
 
 @pytest.mark.parametrize("largest", [0.01, 0.003])
@@ -196,10 +211,10 @@ def test_a_single_point_near_the_base_gets_there_though_selection_never_may_move
     assert run.converged, run.reason
 
 
-def test_joints_off_the_chain_stay_where_they_are() -> None:
-    model = pin.Model(ARM.model)
+def test_joints_off_the_chain_stay_where_they_are(spatial: pp.Arm) -> None:
+    model = pin.Model(spatial.model)
     camera = model.addJoint(4, pin.JointModelRX(), pin.SE3.Identity(), "camera")
-    arm = pp.Arm.from_model(model, ARM.control_points)
+    arm = pp.Arm.from_model(model, spatial.control_points)
     column = arm.model.joints[camera].idx_v
     rng = np.random.default_rng(0)
     start, goal = rng.uniform(-0.6, 0.6, (2, arm.nq))
@@ -214,13 +229,13 @@ def test_joints_off_the_chain_stay_where_they_are() -> None:
 )  # with the second, Projection hardly ever can move anything
 @pytest.mark.parametrize("point", [0, 3, 11])
 def test_a_switch_is_recorded_exactly_where_the_method_changes(
-    known: bool, threshold: float, point: int
+    spatial: pp.Arm, known: bool, threshold: float, point: int
 ) -> None:
-    target = pp.Target.from_configuration(ARM, posture(ARM, 7, 0.9)).region(0, point)
+    target = pp.Target.from_configuration(spatial, posture(spatial, 7, 0.9)).region(0, point)
     if not known:
         target = replace(target, q=None)
     method = pp.Switching(projection=pp.Projection(threshold=threshold, coupling="relative"))
-    run = pp.track(ARM, target, posture(ARM, 8, 0.9), method, max_steps=80)
+    run = pp.track(spatial, target, posture(spatial, 8, 0.9), method, max_steps=80)
     before = np.concatenate([["selection"], run.method[:-1]])
     assert [switch.step for switch in run.switches] == np.flatnonzero(run.method != before).tolist()
 

@@ -9,8 +9,9 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 from scipy.spatial.transform import Rotation
 from task_arms import ARMS, STATES, derivative, gauss_newton, random_rotation, state_of, target_of
 
@@ -80,7 +81,7 @@ def test_the_gradient_of_the_squared_error_is_exact_for_the_axis_alone(
 
 
 @given(st.integers(0, 10**6), st.floats(0.0, np.pi - 1e-6))
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_orientation_errors_are_rotation_vectors(seed: int, angle: float) -> None:
     state = state_of("spatial", seed)
     wanted = turned(state, angle, seed)
@@ -91,7 +92,7 @@ def test_orientation_errors_are_rotation_vectors(seed: int, angle: float) -> Non
 
 @pytest.mark.parametrize("name", ["planar", "scara", "tilted"])
 @given(st.integers(0, 10**6), st.sampled_from([1.9, 2.9]))
-@settings(deadline=None, max_examples=10)
+@examples(10)
 def test_an_orientation_out_of_reach_asks_for_the_nearest_one(name: str, seed: int, angle: float) -> None:
     """Against a scan of all turns about the one axis that there is."""
     state = state_of(name, seed)
@@ -159,7 +160,7 @@ def test_half_a_turn_is_finite_bounded_and_not_left_to_rounding(name: str, axis:
 
 
 @given(st.lists(st.floats(-4.0, 4.0), min_size=3, max_size=3), st.sampled_from(sorted(ARMS)), st.booleans())
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_rows_are_finite_and_bounded_wherever_the_arm_looks(
     rotation: list[float], name: str, axis_only: bool
 ) -> None:

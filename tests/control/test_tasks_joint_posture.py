@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from task_arms import ARMS, STATES, derivative, gauss_newton, state_of, target_of
+from sampling import examples
+from task_arms import ARMS, STATES, arm_called, derivative, gauss_newton, state_of, target_of
 
 import pinposture as pp
 from pinposture.control import JointPosture, Task
@@ -40,9 +41,9 @@ def test_one_plain_step_arrives() -> None:
 
 
 @given(st.floats(-np.pi, np.pi), st.floats(-np.pi, np.pi))
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_continuous_joints_go_the_shorter_way_round(now: float, then: float) -> None:
-    arm = ARMS["mixed"]
+    arm = arm_called("mixed")
     positions, wanted = np.zeros(9), np.zeros(9)
     positions[4], wanted[4] = now, then
     task = JointPosture(arm.configuration(wanted), length=1.0)

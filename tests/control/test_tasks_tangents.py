@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from task_arms import ARMS, STATES, derivative, gauss_newton, state_of, target_of
+from sampling import examples
+from task_arms import ARMS, STATES, arm_called, derivative, gauss_newton, state_of, target_of
 
 import pinposture as pp
 from pinposture.control import Tangents
@@ -134,7 +135,7 @@ def test_an_arm_that_only_slides_has_no_rows_and_a_wrist_has_two_where_it_turns(
     st.sampled_from(["opposite", "along", "x", "-x", "y", "z", "-z"]),
     st.sampled_from([0.0, 1e-300, 1e-16, 1e-12]),
 )
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_rows_are_finite_and_opposite_links_turn_one_way(
     name: str, seed: int, kind: str, noise: float
 ) -> None:
@@ -232,7 +233,7 @@ def test_links_of_a_file_come_from_the_joint_before_the_control_point(name: str)
 
 
 def test_links_do_not_depend_on_the_frames_of_a_file() -> None:
-    made = ARMS["spatial"]
+    made = arm_called("spatial")
     plain = pp.Arm.from_urdf(made.urdf, modules=2)
     turned = pp.Arm.from_urdf(turned_frames(made.urdf, np.random.default_rng(5)), modules=2)
     points = np.arange(4)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import cases, examples
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
@@ -13,7 +16,11 @@ from pinposture.curve import Curve
 from pinposture.errors import CurveError, InvalidValue
 
 POINTS = np.array([[0, 0, 0], [0.2, 0.1, 0], [0.3, 0.4, 0.2], [0.1, 0.5, 0.4], [-0.2, 0.3, 0.5], [0, 0, 0.7]])
-COIL = Curve.helix(0.1, 0.08, 2)
+
+
+@cache
+def coil() -> Curve:
+    return Curve.helix(0.1, 0.08, 2)
 
 
 def even_knots(count: int, degree: int) -> np.ndarray:
@@ -42,9 +49,9 @@ def apart(one: Curve, other: Curve, samples: int = 3000) -> float:
 @pytest.mark.parametrize("count", [7, 12, 30])
 def test_it_is_the_solution_of_the_least_squares(count: int, degree: int) -> None:
     # The parameter of a helix is its arc length; its spans ask for two samples each.
-    found = COIL.controlled(count, degree)
+    found = coil().controlled(count, degree)
     shares = np.linspace(0.0, 1.0, 1025)
-    points, _ = least_squares(COIL.at(COIL.length * shares), shares, count, degree)
+    points, _ = least_squares(coil().at(coil().length * shares), shares, count, degree)
     np.testing.assert_allclose(found.coefficients, points, atol=1e-10)
     np.testing.assert_allclose(found.knots, even_knots(count, degree), atol=1e-15)
     assert found.degree == degree
@@ -86,10 +93,11 @@ def test_points_are_found_again_behind_more_knots(degree: int) -> None:
     np.testing.assert_allclose(refined.controlled(len(POINTS), degree).control_points, POINTS, atol=1e-9)
 
 
+@pytest.mark.statistics
 def test_a_curve_by_more_points_comes_as_near_as_the_theory_says() -> None:
     # Cubic splines are of fourth order, quintic ones of sixth; in between that holds to a factor.
     for degree, order in ((1, 2), (3, 4), (5, 6)):
-        errors = [apart(COIL, COIL.controlled(n, degree), 4000) for n in (24, 48)]
+        errors = [apart(coil(), coil().controlled(n, degree), 4000) for n in (24, 48)]
         assert errors[0] / errors[1] > 0.8 * 2**order or errors[1] < 2e-4 / 4000
 
 
@@ -100,7 +108,7 @@ def test_control_points_are_told_of_nothing_else() -> None:
         np.testing.assert_array_equal(curve.control_points, curve.coefficients)
     np.testing.assert_array_equal(Curve.line((0, 0, 0), (1, 0, 0)).control_points, [[0, 0, 0], [1, 0, 0]])
     others = (
-        COIL,
+        coil(),
         Curve.points(POINTS),
         Curve.spline(POINTS, through=True),
         spline.trimmed(0.1, 0.9),
@@ -109,7 +117,7 @@ def test_control_points_are_told_of_nothing_else() -> None:
     assert [curve.control_points for curve in others] == [None] * 5
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 5), st.integers(1, 12), st.tuples(*[st.floats(-3, 3)] * 3))
 def test_it_moves_with_the_curve_and_meets_its_ends(
     seed: int, degree: int, more: int, turn: tuple[float, float, float]
@@ -130,16 +138,16 @@ def test_it_moves_with_the_curve_and_meets_its_ends(
     np.testing.assert_allclose(backwards.control_points, found.control_points[::-1], atol=1e-8)
 
 
-@pytest.mark.parametrize("tolerance", [2e-2, 1e-3, 1e-4])
+@pytest.mark.parametrize("tolerance", cases([1e-3, 1e-4, 2e-2], quick=1))
 def test_a_tolerance_chooses_the_fewest_points(tolerance: float) -> None:
-    found = COIL.controlled_within(tolerance)
+    found = coil().controlled_within(tolerance)
     fewest = len(found.control_points)
-    assert found == COIL.controlled(fewest)
-    assert apart(COIL, found) <= tolerance + 1e-3  # two samples may be so far apart
-    assert COIL.nearest(found.resample(2000)).distance.max() <= 1.001 * tolerance
+    assert found == coil().controlled(fewest)
+    assert apart(coil(), found) <= tolerance + 1e-3  # two samples may be so far apart
+    assert coil().nearest(found.resample(2000)).distance.max() <= 1.001 * tolerance
     for count in range(4, fewest):
-        fewer = COIL.controlled(count)
-        ways = (COIL.nearest(fewer.resample(2000)), fewer.nearest(COIL.resample(2000)))
+        fewer = coil().controlled(count)
+        ways = (coil().nearest(fewer.resample(2000)), fewer.nearest(coil().resample(2000)))
         assert max(way.distance.max() for way in ways) > 0.999 * tolerance
 
 
@@ -165,14 +173,14 @@ def test_closed_curves_take_the_points_that_it_needs() -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: COIL.controlled(3), "count is 3; allowed: an integer from 4 to 1000"),
-        (lambda: COIL.controlled(5.5), "count is 5.5"),
-        (lambda: COIL.controlled(True), "count is True"),
-        (lambda: COIL.controlled(1001), "count is 1001"),
-        (lambda: COIL.controlled(8, 6), "degree is 6; allowed: an integer from 1 to 5"),
-        (lambda: COIL.controlled_within(0.0), "tolerance is 0.0; allowed: a distance above 0"),
-        (lambda: COIL.controlled_within(float("nan")), "tolerance is nan"),
-        (lambda: COIL.controlled_within(1e-3, most=3), "most is 3; allowed: an integer from 4"),
+        (lambda: coil().controlled(3), "count is 3; allowed: an integer from 4 to 1000"),
+        (lambda: coil().controlled(5.5), "count is 5.5"),
+        (lambda: coil().controlled(True), "count is True"),
+        (lambda: coil().controlled(1001), "count is 1001"),
+        (lambda: coil().controlled(8, 6), "degree is 6; allowed: an integer from 1 to 5"),
+        (lambda: coil().controlled_within(0.0), "tolerance is 0.0; allowed: a distance above 0"),
+        (lambda: coil().controlled_within(float("nan")), "tolerance is nan"),
+        (lambda: coil().controlled_within(1e-3, most=3), "most is 3; allowed: an integer from 4"),
     ],
 )
 def test_what_is_refused(call: object, message: str) -> None:

@@ -2,15 +2,19 @@
 
 import numpy as np
 import pytest
+from sampling import seeds
 
 from pinposture.curve import Curve
 from pinposture.errors import CurveError, InvalidValue
 
 NAN = float("nan")
 SQUARE = [[0, 0], [1, 0], [1, 1], [0, 1]]
-LINE = Curve.line((0, 0), (2, 0))
 KNOTS = [0, 0, 0, 0, 0.5, 1, 1, 1, 1]
 FIVE = [[0, 0], [1, 0], [1, 1], [0, 1], [0, 2]]
+
+
+def line():
+    return Curve.line((0, 0), (2, 0))
 
 
 @pytest.mark.parametrize(
@@ -89,29 +93,29 @@ FIVE = [[0, 0], [1, 0], [1, 1], [0, 1], [0, 2]]
         (lambda: Curve([0, 0, 1, 1, 2, 2], SQUARE, 1), CurveError, ["knot 1.0", "2 times", "at most 1"]),
         (lambda: Curve(KNOTS, [*FIVE[:4], [0, NAN]], 3), CurveError, ["coefficient 4", "y is nan"]),
         # queries
-        (lambda: LINE.at(-1e-3), InvalidValue, ["s is -0.001", "0 to 2 m"]),
-        (lambda: LINE.tangent(2.001), InvalidValue, ["s is 2.001"]),
-        (lambda: LINE.curvature([0, 1, 3, 1]), InvalidValue, ["s[2] is 3.0"]),
-        (lambda: LINE.torsion([0, NAN]), InvalidValue, ["s[1] is nan"]),
-        (lambda: LINE.at("half"), InvalidValue, ["s is 'half'"]),
-        (lambda: LINE.at([[0, 1]]), InvalidValue, ["s is [[0, 1]]", "shape (n,)"]),
-        (lambda: LINE.at([[0], [0, 1]]), InvalidValue, ["s is [[0], [0, 1]]"]),
-        (lambda: LINE.resample(1), InvalidValue, ["n is 1", "2 to"]),
-        (lambda: LINE.resample(10.5), InvalidValue, ["n is 10.5"]),
-        (lambda: LINE.nearest([0, NAN, 0]), CurveError, ["point 0", "y is nan"]),
-        (lambda: LINE.nearest([[0, 0], [0]]), CurveError, ["point 1", "1 coordinates"]),
-        (lambda: LINE.nearest([0, 1, 2, 3]), CurveError, ["4 coordinates"]),
+        (lambda: line().at(-1e-3), InvalidValue, ["s is -0.001", "0 to 2 m"]),
+        (lambda: line().tangent(2.001), InvalidValue, ["s is 2.001"]),
+        (lambda: line().curvature([0, 1, 3, 1]), InvalidValue, ["s[2] is 3.0"]),
+        (lambda: line().torsion([0, NAN]), InvalidValue, ["s[1] is nan"]),
+        (lambda: line().at("half"), InvalidValue, ["s is 'half'"]),
+        (lambda: line().at([[0, 1]]), InvalidValue, ["s is [[0, 1]]", "shape (n,)"]),
+        (lambda: line().at([[0], [0, 1]]), InvalidValue, ["s is [[0], [0, 1]]"]),
+        (lambda: line().resample(1), InvalidValue, ["n is 1", "2 to"]),
+        (lambda: line().resample(10.5), InvalidValue, ["n is 10.5"]),
+        (lambda: line().nearest([0, NAN, 0]), CurveError, ["point 0", "y is nan"]),
+        (lambda: line().nearest([[0, 0], [0]]), CurveError, ["point 1", "1 coordinates"]),
+        (lambda: line().nearest([0, 1, 2, 3]), CurveError, ["4 coordinates"]),
         # changes
-        (lambda: LINE.moved(2 * np.eye(3)), InvalidValue, ["rotation", "orthonormal"]),
-        (lambda: LINE.moved(-np.eye(3)), InvalidValue, ["rotation", "determinant +1"]),
-        (lambda: LINE.moved(np.eye(2)), InvalidValue, ["rotation"]),
-        (lambda: LINE.moved(np.full((3, 3), NAN)), InvalidValue, ["rotation"]),
-        (lambda: LINE.moved("turn"), InvalidValue, ["rotation is 'turn'"]),
-        (lambda: LINE.moved(np.eye(3), (0, 0, NAN)), InvalidValue, ["translation"]),
-        (lambda: LINE.trimmed(-0.1, 1), InvalidValue, ["start is -0.1"]),
-        (lambda: LINE.trimmed(0.5, 2.1), InvalidValue, ["end is 2.1", "0.5 to 2"]),
-        (lambda: LINE.trimmed(1, 1), InvalidValue, ["end is 1"]),
-        (lambda: LINE.trimmed(1, 0.5), InvalidValue, ["end is 0.5"]),
+        (lambda: line().moved(2 * np.eye(3)), InvalidValue, ["rotation", "orthonormal"]),
+        (lambda: line().moved(-np.eye(3)), InvalidValue, ["rotation", "determinant +1"]),
+        (lambda: line().moved(np.eye(2)), InvalidValue, ["rotation"]),
+        (lambda: line().moved(np.full((3, 3), NAN)), InvalidValue, ["rotation"]),
+        (lambda: line().moved("turn"), InvalidValue, ["rotation is 'turn'"]),
+        (lambda: line().moved(np.eye(3), (0, 0, NAN)), InvalidValue, ["translation"]),
+        (lambda: line().trimmed(-0.1, 1), InvalidValue, ["start is -0.1"]),
+        (lambda: line().trimmed(0.5, 2.1), InvalidValue, ["end is 2.1", "0.5 to 2"]),
+        (lambda: line().trimmed(1, 1), InvalidValue, ["end is 1"]),
+        (lambda: line().trimmed(1, 0.5), InvalidValue, ["end is 0.5"]),
     ],
 )
 def test_bad_input_is_refused_by_name(make, kind, words):
@@ -123,8 +127,8 @@ def test_bad_input_is_refused_by_name(make, kind, words):
 
 
 def test_arc_lengths_beyond_an_end_by_rounding_are_that_end():
-    assert LINE.length == 2
-    np.testing.assert_array_equal(LINE.at([-1e-9, 2 + 1e-9]), [[0, 0, 0], [2, 0, 0]])
+    assert line().length == 2
+    np.testing.assert_array_equal(line().at([-1e-9, 2 + 1e-9]), [[0, 0, 0], [2, 0, 0]])
 
 
 def test_close_points_are_told_apart_relative_to_their_extent():
@@ -143,7 +147,7 @@ def test_close_points_are_told_apart_relative_to_their_extent():
 
 
 @pytest.mark.parametrize("cusp", [0.05, 0.3, 0.5, 1 / np.sqrt(3), 0.99])
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", seeds(5))
 def test_a_cusp_anywhere_is_found_and_placed(cusp, seed):
     # The derivative (u - cusp) (a + b u) vanishes at the cusp; integrated, and in Bernstein form.
     rng = np.random.default_rng(seed)

@@ -12,19 +12,19 @@ POINTS = [[0, 0, 0], [0.1, 0.2, 0], [0.3, 0.2, 0.1], [0.4, 0, 1 / 3], [0.5, 0.1,
 
 
 @pytest.mark.parametrize(
-    "curve",
+    "make",
     [
-        Curve.spline(POINTS),
-        Curve.spline(POINTS, 4, through=True),
-        Curve.line((0, 0), (1 / 3, np.pi)),
-        Curve.helix(0.06, 0.15, 4, phase=0.1),
-        Curve.points(POINTS, 0.01),
-        Curve.spline(POINTS).trimmed(0.1, 0.3),
+        lambda: Curve.spline(POINTS),
+        lambda: Curve.spline(POINTS, 4, through=True),
+        lambda: Curve.line((0, 0), (1 / 3, np.pi)),
+        lambda: Curve.helix(0.06, 0.15, 4, phase=0.1),
+        lambda: Curve.points(POINTS, 0.01),
+        lambda: Curve.spline(POINTS).trimmed(0.1, 0.3),
     ],
-    ids=repr,
+    ids=["spline", "through", "line", "helix", "points", "trimmed"],
 )
-def test_saved_curve_comes_back_equal_to_the_last_bit(curve, tmp_path):
-    path = tmp_path / "curve.json"
+def test_saved_curve_comes_back_equal_to_the_last_bit(make, tmp_path):
+    curve, path = make(), tmp_path / "curve.json"
     curve.save(path)
     again = Curve.load(str(path))
     assert again == curve
@@ -56,27 +56,27 @@ def test_a_failed_save_keeps_the_old_file(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("content", "expected"),
+    ("content", "make"),
     [
-        ({"type": "spline", "control_points": POINTS}, Curve.spline(POINTS)),
+        ({"type": "spline", "control_points": POINTS}, lambda: Curve.spline(POINTS)),
         (
             {"type": "spline", "control_points": POINTS, "degree": 2, "through": True},
-            Curve.spline(POINTS, degree=2, through=True),
+            lambda: Curve.spline(POINTS, degree=2, through=True),
         ),
-        ({"type": "line", "a": [0, 0], "b": [1, 2, 3]}, Curve.line((0, 0, 0), (1, 2, 3))),
+        ({"type": "line", "a": [0, 0], "b": [1, 2, 3]}, lambda: Curve.line((0, 0, 0), (1, 2, 3))),
         (
             {"type": "helix", "radius": 0.06, "pitch": 0.15, "turns": 4, "handedness": "left"},
-            Curve.helix(0.06, 0.15, 4, handedness="left"),
+            lambda: Curve.helix(0.06, 0.15, 4, handedness="left"),
         ),
-        ({"type": "points", "points": POINTS}, Curve.points(POINTS)),
-        ({"type": "points", "points": POINTS, "smoothing": 0.02}, Curve.points(POINTS, 0.02)),
-        (POINTS, Curve.points(POINTS)),
+        ({"type": "points", "points": POINTS}, lambda: Curve.points(POINTS)),
+        ({"type": "points", "points": POINTS, "smoothing": 0.02}, lambda: Curve.points(POINTS, 0.02)),
+        (POINTS, lambda: Curve.points(POINTS)),
     ],
 )
-def test_handwritten_json_calls_the_constructor(content, expected, tmp_path):
+def test_handwritten_json_calls_the_constructor(content, make, tmp_path):
     path = tmp_path / "curve.json"
     path.write_text(json.dumps(content))
-    assert Curve.load(path) == expected
+    assert Curve.load(path) == make()
 
 
 @pytest.mark.parametrize(

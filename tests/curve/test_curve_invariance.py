@@ -5,8 +5,9 @@ import pickle
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
+from sampling import examples
 from scipy.spatial.transform import Rotation
 
 from pinposture.curve import Curve
@@ -29,7 +30,7 @@ def curves(draw):
 rotations = st.tuples(*[st.floats(-3, 3)] * 3).map(lambda v: Rotation.from_rotvec(v).as_matrix())
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(curves(), rotations, point)
 def test_motion_moves_the_places_and_keeps_the_shape(curve, rotation, translation):
     moved = curve.moved(rotation, translation)
@@ -48,7 +49,7 @@ def test_motion_moves_the_places_and_keeps_the_shape(curve, rotation, translatio
         )
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(rotations, point)
 def test_motion_keeps_the_torsion(rotation, translation):
     curve = Curve.spline(
@@ -59,7 +60,7 @@ def test_motion_keeps_the_torsion(rotation, translation):
     np.testing.assert_allclose(moved.torsion(s), curve.torsion(s), rtol=1e-7, atol=1e-7)
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(curves())
 def test_arc_length_is_at_least_the_chord_and_at_most_the_control_polygon(curve):
     polygon = np.linalg.norm(np.diff(curve.coefficients, axis=0), axis=1).sum()
@@ -68,7 +69,7 @@ def test_arc_length_is_at_least_the_chord_and_at_most_the_control_polygon(curve)
     assert fine >= curve.length * (1 - 1e-2)
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(curves())
 def test_reversed_runs_back_over_the_same_places(curve):
     back = curve.reversed()
@@ -80,7 +81,7 @@ def test_reversed_runs_back_over_the_same_places(curve):
     )
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(curves(), st.floats(0, 1), st.floats(0, 1))
 def test_trimmed_is_the_part_between(curve, a, b):
     a, b = sorted((a * curve.length, b * curve.length))

@@ -1,27 +1,37 @@
 """The nearest place against brute force."""
 
+from functools import cache
+
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 from pinposture.curve import Curve
 
 CURVES = {
-    "spline": Curve.spline([[0, 0, 0], [1, 0, 0], [1, 1, 0.5], [0, 1, 1], [0, 0, 1.5], [1, 0.2, 0.1]]),
-    "through": Curve.spline([[0, 0], [1, 0], [1, 1], [0, 1], [0.4, 0.3]], through=True),
-    "polygon": Curve.spline([[0, 0, 0], [1, 0, 0], [1, 1, 1], [0, 1, 0], [0.1, 0, 0.2]], degree=1),
-    "helix": Curve.helix(0.3, 0.2, 4),
-    "hairpin": Curve.spline([[0, 0], [0.999, 1], [0.001, 1], [1, 0]]),
-    "line": Curve.line((0, 0, 0), (1, 1, 1)),
+    "spline": lambda: Curve.spline(
+        [[0, 0, 0], [1, 0, 0], [1, 1, 0.5], [0, 1, 1], [0, 0, 1.5], [1, 0.2, 0.1]]
+    ),
+    "through": lambda: Curve.spline([[0, 0], [1, 0], [1, 1], [0, 1], [0.4, 0.3]], through=True),
+    "polygon": lambda: Curve.spline([[0, 0, 0], [1, 0, 0], [1, 1, 1], [0, 1, 0], [0.1, 0, 0.2]], degree=1),
+    "helix": lambda: Curve.helix(0.3, 0.2, 4),
+    "hairpin": lambda: Curve.spline([[0, 0], [0.999, 1], [0.001, 1], [1, 0]]),
+    "line": lambda: Curve.line((0, 0, 0), (1, 1, 1)),
 }
 coordinate = st.floats(-2, 2)
 
 
-@settings(max_examples=100, deadline=None)
+@cache
+def curve_called(name):
+    return CURVES[name]()
+
+
+@examples(100)
 @given(st.sampled_from(sorted(CURVES)), st.tuples(coordinate, coordinate, coordinate))
 def test_no_place_is_nearer_than_the_one_found(name, point):
-    curve = CURVES[name]
+    curve = curve_called(name)
     found = curve.nearest(point)
     dense = np.linalg.norm(curve.resample(20_001) - point, axis=1)
     assert found.distance <= dense.min() + 1e-12
@@ -32,7 +42,7 @@ def test_no_place_is_nearer_than_the_one_found(name, point):
 
 @pytest.mark.parametrize("name", CURVES)
 def test_places_on_the_curve_are_found(name):
-    curve = CURVES[name]
+    curve = curve_called(name)
     s = np.linspace(0, curve.length, 500)
     found = curve.nearest(curve.at(s))
     np.testing.assert_allclose(found.distance, 0, atol=1e-9)
@@ -50,13 +60,13 @@ def test_offset_along_the_normal_is_the_distance():
 
 
 def test_beyond_the_ends_the_end_is_nearest():
-    line = CURVES["line"]
+    line = curve_called("line")
     assert tuple(line.nearest((-1, -1, -1))) == pytest.approx((0, np.sqrt(3)))
     assert tuple(line.nearest((2, 2, 2))) == pytest.approx((line.length, np.sqrt(3)))
 
 
 def test_many_points_in_pieces_agree_with_one_at_a_time():
-    curve = CURVES["helix"]
+    curve = curve_called("helix")
     points = np.random.default_rng(3).normal(size=(3000, 3))
     found = curve.nearest(points)
     assert found.parameter.shape == found.distance.shape == (3000,)

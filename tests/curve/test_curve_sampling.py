@@ -7,8 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
+from sampling import examples
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
@@ -46,7 +47,7 @@ def quadrature(curve: Curve, end: float) -> float:
     return total
 
 
-@settings(deadline=None, max_examples=30)
+@examples(30)
 @given(st.integers(0, 10**6), st.integers(1, 5))
 def test_arc_lengths_are_those_of_quadrature(seed: int, degree: int) -> None:
     """To 1e-10 of the length, for splines whose speed does not nearly vanish."""
@@ -61,7 +62,7 @@ def test_arc_lengths_are_those_of_quadrature(seed: int, degree: int) -> None:
         np.testing.assert_allclose(curve.at(s), spline(u), atol=1e-13)
 
 
-@settings(deadline=None, max_examples=40)
+@examples(40)
 @given(st.integers(0, 10**6), st.integers(1, 5))
 def test_values_and_derivatives_are_those_of_scipy(seed: int, degree: int) -> None:
     curve = random_curve(seed, degree)
@@ -86,7 +87,7 @@ def test_one_place_is_that_among_many() -> None:
     np.testing.assert_array_equal(curve.at(0), curve.start)
 
 
-@settings(deadline=None, max_examples=30)
+@examples(30)
 @given(st.integers(0, 10**6), st.integers(1, 5))
 def test_a_moved_curve_is_as_if_made_anew(seed: int, degree: int) -> None:
     """A motion keeps the measured length; making the curve of the moved coefficients measures it again."""

@@ -43,7 +43,7 @@ def check(command: str, complete: bool) -> bool:
     """Check one command; tells whether it was one of ours."""
     program, *words = shlex.split(command, comments=True)
     if program == "make":
-        targets = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+        targets = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
         assert words[0] in targets, f"no target {words[0]!r}"
     elif program == "python":
         assert (ROOT / words[0]).is_file(), f"no script {words[0]!r}"

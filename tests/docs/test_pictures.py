@@ -5,19 +5,25 @@ from __future__ import annotations
 import re
 import runpy
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
 DOCS = Path(__file__).parents[2] / "docs"
-SCRIPT = runpy.run_path(str(DOCS / "pictures.py"))
-MADE = (*SCRIPT["CONCEPTS"], *SCRIPT["EXAMPLES"])
+CONCEPTS = ("modules", "target", "ellipsoids", "active", "direct", "limits", "scene", "between")
 
 
-def test_each_picture_is_made_by_the_script_small_and_shown_somewhere() -> None:
+@pytest.fixture(scope="module")
+def script() -> dict[str, Any]:
+    return runpy.run_path(str(DOCS / "pictures.py"))
+
+
+def test_each_picture_is_made_by_the_script_small_and_shown_somewhere(script: dict[str, Any]) -> None:
     files = sorted((DOCS / "pictures").glob("*.png"))
-    assert {path.stem for path in files} == set(MADE)
+    assert tuple(script["CONCEPTS"]) == CONCEPTS
+    assert {path.stem for path in files} == {*CONCEPTS, *script["EXAMPLES"]}
     pages = "".join(path.read_text() for path in DOCS.rglob("*.md"))
     for path in files:
         assert path.stat().st_size < 120_000
@@ -29,11 +35,14 @@ def test_every_picture_has_words_for_those_who_cannot_see_it() -> None:
         assert all(len(words) > 10 for words in re.findall(r"!\[([^\]]*)\]", page.read_text())), page.name
 
 
-@pytest.mark.parametrize("name", SCRIPT["CONCEPTS"])
-def test_a_concept_can_be_drawn_and_is_what_is_kept(name: str, tmp_path: Path) -> None:
+@pytest.mark.pictures
+@pytest.mark.parametrize("name", CONCEPTS)
+def test_a_concept_can_be_drawn_and_is_what_is_kept(
+    script: dict[str, Any], name: str, tmp_path: Path
+) -> None:
     drawn, kept = (
         np.asarray(Image.open(path).convert("L").resize((99, 40)), dtype=float)
-        for path in (SCRIPT["draw"](name, tmp_path), DOCS / "pictures" / f"{name}.png")
+        for path in (script["draw"](name, tmp_path), DOCS / "pictures" / f"{name}.png")
     )
     # Fonts differ from version to version, shapes do not.
     assert drawn.std() > 5.0

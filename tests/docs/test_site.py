@@ -14,6 +14,8 @@ from docs.links import dead_links
 
 from pinposture.view import palette
 
+pytestmark = pytest.mark.site
+
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 BEHIND = {"editor": ("Session", "Shape", "Live")}

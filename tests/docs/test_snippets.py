@@ -36,6 +36,7 @@ def test_no_page_with_snippets_is_forgotten() -> None:
         assert all(kind for kind, _ in FENCE.findall(page.read_text())), f"{page.name}: say the language"
 
 
+@pytest.mark.tutorial
 @pytest.mark.parametrize("page", PAGES)
 def test_the_snippets_of_a_page_run(page: str, capsys: pytest.CaptureFixture) -> None:
     names: dict[str, Any] = {}

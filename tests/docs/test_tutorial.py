@@ -46,6 +46,7 @@ def test_the_step_shows_all_code_of_its_example(example: Path) -> None:
     assert f"python examples/{example.name}\n" in example.read_text()
 
 
+@pytest.mark.tutorial
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_the_example_runs_and_prints_what_the_step_says(
     example: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture

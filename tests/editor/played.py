@@ -6,6 +6,7 @@ import time
 from functools import cache
 
 import numpy as np
+from arms import template_arm
 
 import pinposture as pp
 from pinposture.editor.live import Live
@@ -15,14 +16,33 @@ from pinposture.editor.solver import Solver
 from pinposture.motion import Motion, Trajectory
 from pinposture.task import Keyframe, Task
 
-ARM = pp.Arm.from_template("RyRz", modules=4)
-L = ARM.length
-STRAIGHT = pp.Curve.line((0.0, 0.0, 0.0), (L, 0.0, 0.0))
-BENT = pp.Curve.spline(
-    L * np.array([(0, 0, 0), (0.4, 0, 0), (0.7, 0.1, 0.1), (1.0, 0.2, 0.1), (1.4, 0.2, 0)])
-)
-SHORT = pp.Curve.line((0.0, 0.0, 0.0), (0.5 * L, 0.0, 0.0))
+L = 0.2
+"""Length of the arm of four modules [m]."""
+
 LIMITS = pp.Limits(dt=0.02, velocity=3.0, acceleration=20.0)
+
+
+def four_modules() -> pp.Arm:
+    """The arm of the motions."""
+    return template_arm("RyRz", 4)
+
+
+@cache
+def straight_line() -> pp.Curve:
+    return pp.Curve.line((0.0, 0.0, 0.0), (L, 0.0, 0.0))
+
+
+@cache
+def bent_spline() -> pp.Curve:
+    return pp.Curve.spline(
+        L * np.array([(0, 0, 0), (0.4, 0, 0), (0.7, 0.1, 0.1), (1.0, 0.2, 0.1), (1.4, 0.2, 0)])
+    )
+
+
+@cache
+def half_line() -> pp.Curve:
+    """A line that is too short for the arm."""
+    return pp.Curve.line((0.0, 0.0, 0.0), (0.5 * L, 0.0, 0.0))
 
 
 class Clock:
@@ -37,8 +57,9 @@ class Clock:
 
 def short(**values: object) -> Task:
     """A task of two keyframes."""
-    frames = (Keyframe(STRAIGHT), Keyframe(BENT, time=1.0, trim=True))
-    return Task(**({"arm": ARM, "motion": frames, "limits": LIMITS, "name": "short"} | values))  # type: ignore[arg-type]
+    frames = (Keyframe(straight_line()), Keyframe(bent_spline(), time=1.0, trim=True))
+    given = {"arm": four_modules(), "motion": frames, "limits": LIMITS, "name": "short"} | values
+    return Task(**given)  # type: ignore[arg-type]
 
 
 @cache

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from editor.edited_tasks import ARM, task
+from editor.edited_tasks import L, six_modules, task
 
 import pinposture as pp
 from pinposture.editor.clearances import Asked, Clearances, Nearest, nearest
@@ -18,7 +18,6 @@ from pinposture.editor.solver import Solver
 from pinposture.editor.surroundings import Surroundings
 from pinposture.scene.scan import Scan
 
-Q = ARM.straight()
 THICK = 0.01
 
 
@@ -34,45 +33,51 @@ def until(holds, seconds=20.0):
 
 def beside(height: float, radius: float = 0.02) -> pp.Scene:
     """A ball above the middle of the straight arm, whose links are taken for bars of `THICK`."""
-    middle = np.array([0.5 * ARM.length, 0.0, height])
+    middle = np.array([0.5 * L, 0.0, height])
     return pp.Scene({"ball": pp.Sphere(middle, radius)}, margin=0.03, arm_radius=THICK)
+
+
+def asked(scene: pp.Scene | None, scans: dict[str, Scan] | None = None) -> Asked:
+    """For the clearance of the straight arm."""
+    arm = six_modules()
+    return Asked(arm, arm.straight(), scene, scans or {})
 
 
 @pytest.mark.parametrize("height, level", [(0.2, "clear"), (0.05, "within the margin"), (0.025, "inside")])
 def test_distance_and_ends_of_the_line(height, level):
-    found = nearest(Asked(ARM, Q, beside(height), {}))
+    found = nearest(asked(beside(height)))
     assert found.distance == pytest.approx(height - 0.02 - THICK, abs=1e-6)
     assert found.other == "ball"
     assert found.level == level
-    np.testing.assert_allclose(found.on_arm, [0.5 * ARM.length, 0, THICK], atol=1e-6)
-    np.testing.assert_allclose(found.on_other, [0.5 * ARM.length, 0, height - 0.02], atol=1e-6)
+    np.testing.assert_allclose(found.on_arm, [0.5 * L, 0, THICK], atol=1e-6)
+    np.testing.assert_allclose(found.on_other, [0.5 * L, 0, height - 0.02], atol=1e-6)
 
 
 def test_links_near_each_other_do_not_hide_obstacles():
     scene = pp.Scene(beside(0.2).obstacles, self_collision=True, arm_radius=THICK)
-    assert nearest(Asked(ARM, Q, scene, {})).other == "ball"
+    assert nearest(asked(scene)).other == "ball"
 
 
 def test_without_anything_around_there_is_no_clearance():
-    assert nearest(Asked(ARM, Q, None, {})) is None
-    assert nearest(Asked(ARM, Q, pp.Scene(self_collision=True), {})) is None
+    assert nearest(asked(None)) is None
+    assert nearest(asked(pp.Scene(self_collision=True))) is None
 
 
 def test_a_scan_that_is_nearer_counts_but_has_no_margin():
-    cloud = Scan(np.array([[0.5 * ARM.length, 0.0, -0.04], [5.0, 5.0, 5.0]]))
-    found = nearest(Asked(ARM, Q, beside(0.2), {"room.ply": cloud}))
+    cloud = Scan(np.array([[0.5 * L, 0.0, -0.04], [5.0, 5.0, 5.0]]))
+    found = nearest(asked(beside(0.2), {"room.ply": cloud}))
     assert found.scanned
     assert (found.other, found.margin, found.level) == ("room.ply", 0.0, "clear")
     assert found.distance == pytest.approx(0.04 - THICK, abs=1e-6)
-    np.testing.assert_allclose(found.on_other, [0.5 * ARM.length, 0, -0.04], atol=1e-6)
-    assert nearest(Asked(ARM, Q, beside(0.05), {"room.ply": cloud})).other == "ball"
+    np.testing.assert_allclose(found.on_other, [0.5 * L, 0, -0.04], atol=1e-6)
+    assert nearest(asked(beside(0.05), {"room.ply": cloud})).other == "ball"
 
 
 def test_the_last_that_was_asked_wins_and_no_thread_is_left():
     clearances = Clearances()
     assert clearances.latest is None
     for height in (0.5, 0.4, 0.3, 0.2):
-        clearances.ask(Asked(ARM, Q, beside(height), {}))
+        clearances.ask(asked(beside(height)))
     assert until(lambda: clearances.latest and abs(clearances.latest.distance - (0.18 - THICK)) < 1e-6)
     thread = clearances._thread
     clearances.close()
@@ -81,8 +86,9 @@ def test_the_last_that_was_asked_wins_and_no_thread_is_left():
 
 def test_what_cannot_be_told_ends_no_thread():
     clearances = Clearances()
-    clearances.ask(Asked(ARM, np.full(ARM.nq, np.nan), beside(0.2), {}))
-    clearances.ask(Asked(ARM, Q, beside(0.2), {}))
+    arm = six_modules()
+    clearances.ask(Asked(arm, np.full(arm.nq, np.nan), beside(0.2), {}))
+    clearances.ask(asked(beside(0.2)))
     assert until(lambda: clearances.latest is not None)
     clearances.close()
 

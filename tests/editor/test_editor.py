@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from edited_tasks import ARM, L, task
+from edited_tasks import L, six_modules, task
 
 import pinposture as pp
 from pinposture.control import ConstrainedQP
@@ -50,7 +50,7 @@ def our_threads() -> set[str]:
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    return first_task(ARM, "own").save(tmp_path / "own.toml")
+    return first_task(six_modules(), "own").save(tmp_path / "own.toml")
 
 
 @pytest.fixture
@@ -66,6 +66,7 @@ def idle(editor: Editor) -> bool:
     return not editor._inbox and editor.session.proposal is None
 
 
+@pytest.mark.soak
 def test_hands_that_do_anything_at_all_leave_a_sound_task(
     editor: Editor, path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -171,7 +172,7 @@ def test_what_was_left_of_another_arm_is_taken_up(path: Path) -> None:
     until(lambda: editor.live.steps > 0)
     assert editor.live.arm.nv == left.arm.nv
     editor.post(Session.undo)
-    until(lambda: editor.live.arm.nv == ARM.nv)
+    until(lambda: editor.live.arm.nv == six_modules().nv)
     editor.close()
 
 
@@ -206,15 +207,16 @@ def problem(number: int, **values: object) -> Problem:
     return session.problem._replace(number=number, **values)  # type: ignore[arg-type]
 
 
+@pytest.mark.soak
 def test_a_controller_that_fails_brings_the_arm_to_rest_within_its_limits() -> None:
     looked: list[np.ndarray] = []
     moving = Solver(
-        problem(1, controller=Loose()), ARM.straight(), lambda: looked.append(moving.live.state.q)
+        problem(1, controller=Loose()), six_modules().straight(), lambda: looked.append(moving.live.state.q)
     )
     moving.start()
     until(lambda: len(looked) > 60)
     moving.close()
-    speeds = np.array([ARM.difference(a, b) for a, b in pairwise(looked)]) / CYCLE
+    speeds = np.array([six_modules().difference(a, b) for a, b in pairwise(looked)]) / CYCLE
     changes = np.abs(np.diff(speeds, axis=0)) / CYCLE
     assert np.abs(speeds).max() > 0.1
     assert changes.max() <= 10.0 * (1.0 + 1e-6)
@@ -229,7 +231,7 @@ def test_an_arm_that_cannot_be_moved_is_seen_and_the_reason_told(monkeypatch: py
         return made(asked, *given)  # type: ignore[arg-type]
 
     monkeypatch.setattr(solver, "_tracker", refuse)
-    moving = Solver(problem(1), ARM.straight())
+    moving = Solver(problem(1), six_modules().straight())
     moving.start()
     session = Session(first_task(other).edited(scene=pp.Scene({"ball": pp.Sphere((9.0, 9.0, 9.0), 0.1)})))
     moving.ask(session.problem._replace(number=2))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from played import ARM, moved
+from played import four_modules, moved
 
 from pinposture.editor.exports import KINDS, exported
 from pinposture.errors import UnknownName
@@ -27,9 +27,9 @@ def test_the_archive_is_the_motion(tmp_path: Path) -> None:
 def test_joints_come_back_at_their_times(tmp_path: Path, kind: str) -> None:
     made = exported(moved(), kind, "walk")
     (tmp_path / made.name).write_bytes(made.content)
-    loaded = JointTrajectory.load(tmp_path / made.name, ARM)
+    loaded = JointTrajectory.load(tmp_path / made.name, four_modules())
     still = np.concatenate([moved().q[:1], moved().q, moved().q[-1:]])  # a cycle at rest before and after
-    np.testing.assert_allclose(loaded.configurations(ARM), still, atol=1e-12)
+    np.testing.assert_allclose(loaded.configurations(four_modules()), still, atol=1e-12)
     np.testing.assert_allclose(np.diff(loaded.time), moved().dt, atol=2e-9)
 
 

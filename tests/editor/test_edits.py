@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from edited_tasks import ARM, BENT, COIL, STRAIGHT, L, task
+from edited_tasks import L, bent_spline, coil, six_modules, straight_line, task
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -102,7 +102,8 @@ def test_the_first_keyframe_stays_at_the_beginning() -> None:
 
 @pytest.mark.parametrize("late", [{"time": 2.0}, {"duration": 2.0}])
 def test_a_first_keyframe_that_is_late_can_be_put_right(late: dict[str, float]) -> None:
-    wrong = task(Keyframe(STRAIGHT, **late), Keyframe(BENT, time=3.0), Keyframe(STRAIGHT, duration=1.0))
+    frame = Keyframe(straight_line())
+    wrong = task(replace(frame, **late), Keyframe(bent_spline(), time=3.0), replace(frame, duration=1.0))
     with pytest.raises(TaskError):
         reached(wrong)
     assert edits.times_of(wrong) == [2.0, 3.0, 4.0]
@@ -160,7 +161,7 @@ def test_two_keyframes_stay() -> None:
 def test_a_new_order_keeps_holds_with_their_keyframes_and_the_time_in_between() -> None:
     after = edits.reordered(1, 2)(task())
     frames = edits.keyframes_of(after)
-    assert [frame.curve for frame in frames] == [STRAIGHT, COIL, BENT, STRAIGHT]
+    assert [frame.curve for frame in frames] == [straight_line(), coil(), bent_spline(), straight_line()]
     assert [frame.hold for frame in frames] == [0.0, 0.0, 0.5, 0.0]
     assert edits.times_of(after) == pytest.approx([0.0, 1.0, 3.0, 5.0])
 
@@ -198,7 +199,7 @@ def test_a_task_that_follows_a_leader_is_refused_in_words() -> None:
 
 def test_another_shape_keeps_all_else() -> None:
     before = edits.with_keyframe(2, region=(1, 4), hold=0.25, method="smooth")(task())
-    shape = Shape.of(ARM, before.motion[2])  # type: ignore[index]
+    shape = Shape.of(six_modules(), before.motion[2])  # type: ignore[index]
     after = edits.reshaped(2, lambda arm, own: own.inserted(arm, 1), shape)(before).motion[2]  # type: ignore[index]
     assert (after.name, after.duration, after.hold) == ("coil", 2.0, 0.25)
     assert (after.region, after.method, after.placement, after.trim) == ((1, 4), "smooth", "as_is", True)
@@ -229,5 +230,5 @@ def test_obstacles_are_put_renamed_replaced_and_taken_away() -> None:
 
 def test_no_obstacle_may_stand_around_the_base() -> None:
     with pytest.raises(TaskError, match="it stands where the base of the arm is"):
-        edits.with_obstacle("ball", pp.Sphere(ARM.chain.base, 0.1 * L))(task())
-    edits.with_obstacle("ball", pp.Sphere(ARM.chain.base + (0, 0, 0.2 * L), 0.1 * L))(task())
+        edits.with_obstacle("ball", pp.Sphere(six_modules().chain.base, 0.1 * L))(task())
+    edits.with_obstacle("ball", pp.Sphere(six_modules().chain.base + (0, 0, 0.2 * L), 0.1 * L))(task())

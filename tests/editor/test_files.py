@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from edited_tasks import ARM, task
+from edited_tasks import six_modules, task
 
 import pinposture as pp
 from pinposture.editor import edits
@@ -80,7 +80,7 @@ def test_the_last_of_many_changes_is_kept_and_taken_up(desk: Desk, path: Path) -
     desk.files.close()
     again = Desk(path)
     assert again.name == "the 199th"
-    assert again.session.arm.urdf == ARM.urdf
+    assert again.session.arm.urdf == six_modules().urdf
     again.session.undo()
     assert again.name == "straight"
     again.files.close()
@@ -194,7 +194,7 @@ def test_what_cannot_be_read_is_put_aside(content: str, path: Path) -> None:
 
 def test_a_leader_that_was_left_is_no_task_to_edit(path: Path) -> None:
     leader = Leader(pp.Curve.line((0, 0, 0), (1, 0, 0)), 0.1)
-    Task(ARM, leader, pp.Limits(dt=0.02)).save(autosave_path(path))
+    Task(six_modules(), leader, pp.Limits(dt=0.02)).save(autosave_path(path))
     left = recover(path)
     assert left is not None
     assert left.task is None
@@ -230,8 +230,8 @@ def test_what_cannot_be_kept_is_told_and_tried_again(desk: Desk, path: Path) -> 
 
 
 def test_an_arm_that_is_kept_beside_the_task_goes_with_it(path: Path) -> None:
-    assert ARM.urdf is not None
-    arm = pp.Arm.from_urdf(ARM.urdf.replace("RyRz_6", "snake"), modules=2)  # of no template
+    assert six_modules().urdf is not None
+    arm = pp.Arm.from_urdf(six_modules().urdf.replace("RyRz_6", "snake"), modules=2)  # of no template
     saved, kept = Autosave(), autosave_path(path)
     saved.keep(task(arm=arm), path)
     saved.finish()
@@ -263,7 +263,7 @@ def test_a_file_that_cannot_be_opened_is_told(desk: Desk, path: Path) -> None:
 WRITER = """
 import sys
 from pathlib import Path
-sys.path.insert(0, sys.argv[2])
+sys.path[:0] = sys.argv[2:]
 from test_files import Desk
 desk = Desk(Path(sys.argv[1]))
 print("ready", flush=True)
@@ -274,9 +274,10 @@ for k in range(10**6):
 """
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("delay", [0.0, 0.05, 0.11, 0.34])
 def test_files_are_whole_whenever_it_is_killed(delay: float, path: Path) -> None:
-    command = [sys.executable, "-c", WRITER, str(path), str(Path(__file__).parent)]
+    command = [sys.executable, "-c", WRITER, str(path), *map(str, Path(__file__).parents[:2])]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     assert process.stdout.readline() == "ready\n"

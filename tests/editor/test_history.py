@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from edited_tasks import task
 from hypothesis import given
 from hypothesis import strategies as st
@@ -9,17 +10,22 @@ from test_edits import any_edit, done
 
 from pinposture.editor import edits
 from pinposture.editor.history import MOST, History
+from pinposture.task import Task
 
-TASKS = [task(name=str(k)) for k in range(6)]
 steps = st.lists(st.sampled_from(["undo", "redo"]) | st.integers(0, 5), max_size=30)
 
 
+@pytest.fixture(scope="session")
+def tasks() -> list[Task]:
+    return [task(name=str(k)) for k in range(6)]
+
+
 @given(steps)
-def test_it_is_a_list_of_states_and_a_place_in_it(listed: list[str | int]) -> None:
-    history, states, at = History(TASKS[0], 3), [(TASKS[0], "", 3, 3)], 0
+def test_it_is_a_list_of_states_and_a_place_in_it(tasks: list[Task], listed: list[str | int]) -> None:
+    history, states, at = History(tasks[0], 3), [(tasks[0], "", 3, 3)], 0
     for number, step in enumerate(listed):
         if isinstance(step, int):
-            states[at + 1 :] = [(TASKS[step], f"what {number}", number, number + 1)]
+            states[at + 1 :] = [(tasks[step], f"what {number}", number, number + 1)]
             at += 1
             history.add(*states[at])
         elif step == "undo":
@@ -56,13 +62,13 @@ def test_after_any_edits_undo_and_redo_come_back_to_the_same_tasks(
     assert history.redo() is None
 
 
-def test_it_forgets_what_is_long_ago() -> None:
-    history = History(TASKS[0])
+def test_it_forgets_what_is_long_ago(tasks: list[Task]) -> None:
+    history = History(tasks[0])
     for number in range(MOST + 20):
-        history.add(TASKS[number % 6], f"what {number}", 0, 0)
+        history.add(tasks[number % 6], f"what {number}", 0, 0)
     count = 0
     while history.undo() is not None:
         count += 1
     assert count == MOST - 1
     assert history.undoable == ""
-    assert history.now.task is TASKS[20 % 6]
+    assert history.now.task is tasks[20 % 6]

@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from arms import template_arm
+from sampling import cases
 
 import pinposture as pp
 from pinposture.editor import line_source
@@ -20,9 +22,20 @@ from pinposture.editor.joint_lines import JointLines
 from pinposture.editor.joint_states import LOOKED_AT, JointStates
 from pinposture.errors import FileError, InvalidValue
 
-ARM = pp.Arm.from_template("RyRz", modules=3)
-NAMES = list(ARM.joint_names)
-RNG = np.random.default_rng(0)
+
+@pytest.fixture(scope="session")
+def arm():
+    return template_arm("RyRz", 3)
+
+
+@pytest.fixture(scope="session")
+def names(arm):
+    return list(arm.joint_names)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(0)
 
 
 def continuous():
@@ -58,19 +71,19 @@ def path(tmp_path):
     return path
 
 
-def test_before_anything_is_told_the_arm_is_at_zero_and_infinitely_old(path):
-    with JointStates(ARM, path) as states:
+def test_before_anything_is_told_the_arm_is_at_zero_and_infinitely_old(arm, names, path):
+    with JointStates(arm, path) as states:
         latest = states.latest
-        np.testing.assert_array_equal(latest.q, ARM.neutral())
+        np.testing.assert_array_equal(latest.q, arm.neutral())
         assert (latest.age, latest.count, latest.complaint) == (np.inf, 0, "")
-        assert latest.unheard == tuple(NAMES) and not states.ended
+        assert latest.unheard == tuple(names) and not states.ended
     assert states.ended
 
 
-def test_a_file_that_grows_is_followed_line_by_line(path):
-    with JointStates(ARM, str(path)) as states, path.open("a") as file:
+def test_a_file_that_grows_is_followed_line_by_line(arm, rng, path):
+    with JointStates(arm, str(path)) as states, path.open("a") as file:
         for number in range(1, 6):
-            q = RNG.normal(size=6)
+            q = rng.normal(size=6)
             file.write(line(q))
             file.flush()
             latest = until(states, lambda now, n=number: now.count == n)
@@ -83,48 +96,48 @@ def test_a_file_that_grows_is_followed_line_by_line(path):
             latest.q[0] = 1.0
 
 
-def test_all_three_kinds_of_lines_tell_the_same(path):
-    q = RNG.normal(size=6)
-    order = RNG.permutation(6)
+def test_all_three_kinds_of_lines_tell_the_same(arm, names, rng, path):
+    q = rng.normal(size=6)
+    order = rng.permutation(6)
     for text in (
         line(q),
-        line(q[order], [NAMES[k] for k in order]),
+        line(q[order], [names[k] for k in order]),
         json.dumps({"q": q.tolist()}) + "\n",
-        json.dumps({"header": {"stamp": {"sec": 3, "nanosec": 5}}, "name": NAMES, "position": q.tolist(),
+        json.dumps({"header": {"stamp": {"sec": 3, "nanosec": 5}}, "name": names, "position": q.tolist(),
                     "velocity": [0.0] * 6, "effort": []}) + "\n",
     ):  # fmt: skip
         path.write_text(text)
-        with JointStates(ARM, path) as states:
+        with JointStates(arm, path) as states:
             latest = until(states, lambda now: now.count == 1)
             np.testing.assert_array_equal(latest.q, q)
     assert latest.stamp == 3.000000005
 
 
-def test_joints_that_a_line_does_not_tell_of_keep_their_last_position(path):
-    path.write_text(line([0.1, 0.2], [NAMES[4], NAMES[1]]))
-    with JointStates(ARM, path) as states, path.open("a") as file:
+def test_joints_that_a_line_does_not_tell_of_keep_their_last_position(arm, names, path):
+    path.write_text(line([0.1, 0.2], [names[4], names[1]]))
+    with JointStates(arm, path) as states, path.open("a") as file:
         latest = until(states, lambda now: now.count == 1)
         np.testing.assert_array_equal(latest.q, [0, 0.2, 0, 0, 0.1, 0])
-        assert latest.unheard == (NAMES[0], NAMES[2], NAMES[3], NAMES[5])
+        assert latest.unheard == (names[0], names[2], names[3], names[5])
         assert all(repr(name) in latest.complaint for name in latest.unheard)
-        file.write(line([0.3], [NAMES[1]]) + line([0.4, 0.5], [NAMES[0], NAMES[2]]) + line([9.0], [NAMES[5]]))
-        file.write(line([0.6, 0.7], [NAMES[5], NAMES[3]]))
+        file.write(line([0.3], [names[1]]) + line([0.4, 0.5], [names[0], names[2]]) + line([9.0], [names[5]]))
+        file.write(line([0.6, 0.7], [names[5], names[3]]))
         file.flush()
         latest = until(states, lambda now: now.count == 5)
         np.testing.assert_array_equal(latest.q, [0.4, 0.3, 0.5, 0.7, 0.1, 0.6])
         assert latest.unheard == () and latest.complaint == ""
 
 
-def test_joints_that_the_arm_has_not_are_named_once(path):
-    path.write_text(line([1, 2], ["gripper", NAMES[0]]))
-    with JointStates(ARM, path) as states, path.open("a") as file:
+def test_joints_that_the_arm_has_not_are_named_once(arm, names, path):
+    path.write_text(line([1, 2], ["gripper", names[0]]))
+    with JointStates(arm, path) as states, path.open("a") as file:
         latest = until(states, lambda now: now.count == 1)
         assert (
-            "line 1" in latest.complaint and "'gripper'" in latest.complaint and NAMES[0] in latest.complaint
+            "line 1" in latest.complaint and "'gripper'" in latest.complaint and names[0] in latest.complaint
         )
         file.write("broken\n")
         file.write(
-            line([1, 3], ["gripper", NAMES[0]]) + line([1], ["gripper"]) + line([1, 4], ["hand", NAMES[0]])
+            line([1, 3], ["gripper", names[0]]) + line([1], ["gripper"]) + line([1, 4], ["hand", names[0]])
         )
         file.flush()
         latest = until(states, lambda now: now.count == 3)
@@ -185,10 +198,10 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("text", WRONG, ids=range(len(WRONG)))
-def test_lines_that_are_malformed_are_counted_and_the_arm_stays(path, text):
-    q = RNG.normal(size=6)
-    with JointStates(ARM, path) as states, path.open("ab") as file:
+@pytest.mark.parametrize("text", cases(WRONG, quick=8), ids=cases(range(len(WRONG)), quick=8))
+def test_lines_that_are_malformed_are_counted_and_the_arm_stays(arm, rng, path, text):
+    q = rng.normal(size=6)
+    with JointStates(arm, path) as states, path.open("ab") as file:
         file.write(line(q).encode() + b"\n" + text.encode("latin-1") + b"\n")
         file.flush()
         latest = until(states, lambda now: now.refused == 1)
@@ -201,24 +214,24 @@ def test_lines_that_are_malformed_are_counted_and_the_arm_stays(path, text):
         assert latest.refused == 1 and latest.complaint.startswith("line 3: ")
 
 
-def test_of_several_complaints_the_last_is_told(path):
+def test_of_several_complaints_the_last_is_told(arm, path):
     path.write_text("one\n" + line(np.ones(6)) + '{"position": []}\n' + line(np.zeros(6)))
-    with JointStates(ARM, path) as states:
+    with JointStates(arm, path) as states:
         latest = until(states, lambda now: now.count == 2)
         assert latest.refused == 2 and latest.complaint.startswith("line 3: position (length) is 0")
 
 
-def test_messages_without_positions_tell_nothing(path):
-    path.write_text(line([], NAMES) + line([], []) + line([1.0], ["other"]) + line(np.ones(6)))
-    with JointStates(ARM, path) as states:
+def test_messages_without_positions_tell_nothing(arm, names, path):
+    path.write_text(line([], names) + line([], []) + line([1.0], ["other"]) + line(np.ones(6)))
+    with JointStates(arm, path) as states:
         latest = until(states, lambda now: now.count == 1)
         assert latest.skipped == 3 and latest.refused == 0 and latest.age < 20.0
 
 
-def test_half_a_line_waits_for_the_other_half(path):
-    q = RNG.normal(size=6)
+def test_half_a_line_waits_for_the_other_half(arm, rng, path):
+    q = rng.normal(size=6)
     text = line(q)
-    with JointStates(ARM, path) as states, path.open("a") as file:
+    with JointStates(arm, path) as states, path.open("a") as file:
         file.write(line(np.ones(6)) + text[:25])
         file.flush()
         until(states, lambda now: now.count == 1)
@@ -231,10 +244,10 @@ def test_half_a_line_waits_for_the_other_half(path):
         assert latest.refused == 0
 
 
-def test_a_line_at_the_end_of_a_file_needs_no_end_and_is_counted_once(path):
-    q = RNG.normal(size=6)
+def test_a_line_at_the_end_of_a_file_needs_no_end_and_is_counted_once(arm, rng, path):
+    q = rng.normal(size=6)
     path.write_text(line(np.ones(6)) + line(q).rstrip("\n"))
-    with JointStates(ARM, path) as states, path.open("a") as file:
+    with JointStates(arm, path) as states, path.open("a") as file:
         latest = until(states, lambda now: now.count == 2)
         np.testing.assert_array_equal(latest.q, q)
         file.write("\n")
@@ -246,8 +259,8 @@ def test_a_line_at_the_end_of_a_file_needs_no_end_and_is_counted_once(path):
         assert latest.count == 2 and latest.complaint.startswith("line 3: ")
 
 
-def test_an_object_in_an_object_is_no_end_of_a_line(path):
-    with JointStates(ARM, path) as states, path.open("a") as file:
+def test_an_object_in_an_object_is_no_end_of_a_line(arm, path):
+    with JointStates(arm, path) as states, path.open("a") as file:
         file.write('{"header": {"stamp": {"sec": 1, "nanosec": 0}}')
         file.flush()
         time.sleep(3 * line_source.POLL)
@@ -258,9 +271,9 @@ def test_an_object_in_an_object_is_no_end_of_a_line(path):
         assert latest.refused == 0 and latest.stamp == 1.0
 
 
-def test_a_file_that_is_cut_short_or_replaced_is_read_anew(path, tmp_path):
+def test_a_file_that_is_cut_short_or_replaced_is_read_anew(arm, path, tmp_path):
     path.write_text("bad\n" * 3 + line(np.ones(6)) * 3)
-    with JointStates(ARM, path) as states:
+    with JointStates(arm, path) as states:
         until(states, lambda now: now.count == 3)
         path.write_text("bad\n" + line(np.zeros(6)))
         latest = until(states, lambda now: now.count == 4)
@@ -282,9 +295,9 @@ def test_a_file_that_is_cut_short_or_replaced_is_read_anew(path, tmp_path):
         np.testing.assert_array_equal(latest.q, np.ones(6))
 
 
-def test_a_burst_leaves_the_last_of_its_lines(path):
-    burst = RNG.normal(size=(10_000, 6))
-    with JointStates(ARM, path) as states, path.open("a") as file:
+def test_a_burst_leaves_the_last_of_its_lines(arm, rng, path):
+    burst = rng.normal(size=(10_000, 6))
+    with JointStates(arm, path) as states, path.open("a") as file:
         file.write("".join(line(q) for q in burst))
         file.flush()
         latest = until(states, lambda now: now.count + now.skipped == 10_000)
@@ -292,30 +305,30 @@ def test_a_burst_leaves_the_last_of_its_lines(path):
         assert latest.refused == 0 and latest.complaint == ""
 
 
-def test_of_many_lines_the_old_ones_are_not_read(path, monkeypatch):
+def test_of_many_lines_the_old_ones_are_not_read(arm, path, monkeypatch):
     read = []
     ordinary = JointLines.read
     monkeypatch.setattr(JointLines, "read", lambda self, text: (read.append(text), ordinary(self, text))[1])
     path.write_text("".join(line(np.full(6, k / 10)) for k in range(10_000)))
-    with JointStates(ARM, path) as states:
+    with JointStates(arm, path) as states:
         latest = until(states, lambda now: now.count + now.skipped == 10_000)
     np.testing.assert_array_equal(latest.q, np.full(6, 999.9))
     assert latest.count == len(read) == LOOKED_AT
 
 
-def test_but_for_joints_that_only_old_ones_tell_of(path):
-    start = line(np.arange(6.0)) + line([50.0], [NAMES[3]])
-    path.write_text(line(np.ones(6)) * 100 + start + "".join(line([k], [NAMES[2]]) for k in range(3000)))
-    with JointStates(ARM, path) as states:
+def test_but_for_joints_that_only_old_ones_tell_of(arm, names, path):
+    start = line(np.arange(6.0)) + line([50.0], [names[3]])
+    path.write_text(line(np.ones(6)) * 100 + start + "".join(line([k], [names[2]]) for k in range(3000)))
+    with JointStates(arm, path) as states:
         latest = until(states, lambda now: now.count + now.skipped == 3102)
     np.testing.assert_array_equal(latest.q, [0, 1, 2999, 50, 4, 5])
     assert latest.skipped == 100
 
 
-def test_a_named_pipe_and_those_who_write_into_it_one_after_the_other(tmp_path):
+def test_a_named_pipe_and_those_who_write_into_it_one_after_the_other(arm, tmp_path):
     path = tmp_path / "pipe"
     os.mkfifo(path)
-    with JointStates(ARM, path) as states:  # nobody has opened it yet
+    with JointStates(arm, path) as states:  # nobody has opened it yet
         time.sleep(2 * line_source.POLL)
         assert not states.ended
         for number in range(1, 4):
@@ -334,18 +347,18 @@ def test_a_named_pipe_and_those_who_write_into_it_one_after_the_other(tmp_path):
     assert states.ended
 
 
-def test_a_burst_through_a_pipe(tmp_path):
+def test_a_burst_through_a_pipe(arm, rng, tmp_path):
     path = tmp_path / "pipe"
     os.mkfifo(path)
-    burst = RNG.normal(size=(10_000, 6))
-    with JointStates(ARM, path) as states, path.open("w") as file:
+    burst = rng.normal(size=(10_000, 6))
+    with JointStates(arm, path) as states, path.open("w") as file:
         file.write("".join(line(q) for q in burst))
         file.flush()
         latest = until(states, lambda now: now.count + now.skipped == 10_000)
         np.testing.assert_array_equal(latest.q, burst[-1])
 
 
-def test_the_standard_input_until_it_ends():
+def test_the_standard_input_until_it_ends(names):
     program = """
 import sys, time, numpy as np, pinposture as pp
 from pinposture.editor.joint_states import JointStates
@@ -357,14 +370,14 @@ states.close()
 print(latest.q.tolist(), latest.count, latest.refused)
 """
     run = [sys.executable, "-c", program]
-    given = line(np.ones(6)) + "bad\n" + line([0.5], [NAMES[0]]).rstrip("\n")
+    given = line(np.ones(6)) + "bad\n" + line([0.5], [names[0]]).rstrip("\n")
     result = subprocess.run(run, input=given, capture_output=True, text=True, timeout=100, check=True)
     assert result.stdout.strip() == "[0.5, 1.0, 1.0, 1.0, 1.0, 1.0] 2 1"
 
 
-def test_a_line_without_end_takes_no_memory(path, monkeypatch):
+def test_a_line_without_end_takes_no_memory(arm, path, monkeypatch):
     monkeypatch.setattr(line_source, "LONGEST", 1000)
-    with JointStates(ARM, path) as states, path.open("a") as file:
+    with JointStates(arm, path) as states, path.open("a") as file:
         file.write('{"position": [' + "1, " * 2000)
         file.flush()
         latest = until(states, lambda now: now.refused == 1)
@@ -375,22 +388,22 @@ def test_a_line_without_end_takes_no_memory(path, monkeypatch):
         assert latest.count == 1 and latest.complaint.startswith("line 3: ")
 
 
-def test_what_is_no_source_is_refused_at_once(tmp_path):
+def test_what_is_no_source_is_refused_at_once(arm, tmp_path):
     with pytest.raises(FileError, match="no such file"):
-        JointStates(ARM, tmp_path / "missing")
+        JointStates(arm, tmp_path / "missing")
     with pytest.raises(FileError, match="directory"):
-        JointStates(ARM, tmp_path)
+        JointStates(arm, tmp_path)
     with pytest.raises(FileError, match="cannot be read"):
-        JointStates(ARM, "a\0b")
+        JointStates(arm, "a\0b")
     with pytest.raises(InvalidValue, match="source"):
-        JointStates(ARM, 3)
+        JointStates(arm, 3)
     with pytest.raises(InvalidValue, match="an Arm"):
         JointStates("arm", tmp_path / "missing")
 
 
-def test_a_source_that_breaks_is_told_of_and_nothing_is_raised(path, monkeypatch):
+def test_a_source_that_breaks_is_told_of_and_nothing_is_raised(arm, path, monkeypatch):
     path.write_text(line(np.ones(6)))
-    states = JointStates(ARM, path)
+    states = JointStates(arm, path)
     until(states, lambda now: now.count == 1)
     for error in (OSError(5, "Input/output error"), RuntimeError("broken")):
 
@@ -407,17 +420,17 @@ def test_a_source_that_breaks_is_told_of_and_nothing_is_raised(path, monkeypatch
         states.close()
         assert states.ended
         path.write_text(line(np.ones(6)))
-        states = JointStates(ARM, path)
+        states = JointStates(arm, path)
         until(states, lambda now: now.count == 1)
     states.close()
     states.close()
 
 
 @pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="the open files cannot be counted")
-def test_many_come_and_go_without_a_trace(path):
+def test_many_come_and_go_without_a_trace(arm, path):
     path.write_text(line(np.ones(6)))
     before = len(list(Path("/proc/self/fd").iterdir()))
     for _ in range(20):
-        with JointStates(ARM, path) as states:
+        with JointStates(arm, path) as states:
             until(states, lambda now: now.count == 1)
     assert len(list(Path("/proc/self/fd").iterdir())) == before

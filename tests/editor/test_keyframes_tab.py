@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from edited_tasks import BENT, STRAIGHT, task
+from edited_tasks import bent_spline, straight_line, task
 
 import pinposture as pp
 from pinposture.editor import edits
@@ -24,7 +24,7 @@ def test_add_goes_on_with_the_new_one_and_delete_with_the_one_before() -> None:
     session = Session(task(), selected=1)
     tab.add(session)
     assert (session.selected, len(names(session))) == (2, 5)
-    assert session.keyframe.curve is BENT
+    assert session.keyframe.curve is bent_spline()
     tab.rename(2, "twice", session)
     assert names(session) == ["straight", "", "twice", "coil", ""]
     tab.delete(session)
@@ -64,12 +64,13 @@ def test_rows_say_number_name_and_time() -> None:
 
 
 def test_what_else_is_asked_is_said() -> None:
-    assert tab.about(Keyframe(STRAIGHT)) == ""
-    region = tab.about(Keyframe(STRAIGHT, region=(0, 3)))
+    straight = straight_line()
+    assert tab.about(Keyframe(straight)) == ""
+    region = tab.about(Keyframe(straight, region=(0, 3)))
     assert "Only control points 1 to 4 have to take the shape." in region
     tip = pp.EndEffector(position=(0.1, 0.25, -1.0), strict=True)
-    assert "The tip is asked to be at (0.1, 0.25, -1) m, strictly." in tab.about(Keyframe(STRAIGHT, tip=tip))
-    named = tab.about(Keyframe(STRAIGHT, tip=pp.EndEffector(position=(0, 0, 0), point="<b>", weight=2.0)))
+    assert "The tip is asked to be at (0.1, 0.25, -1) m, strictly." in tab.about(Keyframe(straight, tip=tip))
+    named = tab.about(Keyframe(straight, tip=pp.EndEffector(position=(0, 0, 0), point="<b>", weight=2.0)))
     assert "&lt;b&gt;" in named
     assert "with weight 2." in named
 

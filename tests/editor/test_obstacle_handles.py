@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from editor.solid_distances import signed_distance
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 from scipy.spatial.transform import Rotation
 
 import pinposture as pp
@@ -51,7 +52,7 @@ def obstacles(draw: st.DrawFn) -> Obstacle:
 
 
 @given(obstacles(), vectors, st.integers(0, 1000))
-@settings(deadline=None, max_examples=150)
+@examples(150)
 def test_moving_shifts_every_distance(obstacle, shift, seed):
     points = np.random.default_rng(seed).uniform(-3, 3, (40, 3))
     before = signed_distance(obstacle, points)
@@ -60,7 +61,7 @@ def test_moving_shifts_every_distance(obstacle, shift, seed):
 
 
 @given(obstacles(), turns, vectors, st.integers(0, 1000))
-@settings(deadline=None, max_examples=150)
+@examples(150)
 def test_turning_about_the_middle_carries_every_distance_along(obstacle, turn, place, seed):
     points = np.random.default_rng(seed).uniform(-3, 3, (40, 3))
     pose = pose_of(obstacle, MEASURES)
@@ -72,7 +73,7 @@ def test_turning_about_the_middle_carries_every_distance_along(obstacle, turn, p
 
 
 @given(obstacles())
-@settings(deadline=None, max_examples=100)
+@examples(100)
 def test_an_obstacle_put_where_it_is_stays(obstacle):
     points = np.random.default_rng(0).uniform(-3, 3, (40, 3))
     same = at_pose(obstacle, pose_of(obstacle, MEASURES))
@@ -82,7 +83,7 @@ def test_an_obstacle_put_where_it_is_stays(obstacle):
 
 
 @given(obstacles())
-@settings(deadline=None, max_examples=100)
+@examples(100)
 def test_a_handle_put_where_it_is_changes_nothing(obstacle):
     points = np.random.default_rng(0).uniform(-3, 3, (40, 3))
     for grip in grips(obstacle, MEASURES):
@@ -93,14 +94,14 @@ def test_a_handle_put_where_it_is_changes_nothing(obstacle):
 
 
 @given(obstacles())
-@settings(deadline=None, max_examples=100)
+@examples(100)
 def test_handles_are_outside_by_the_gap(obstacle):
     places = np.array([grip.place for grip in grips(obstacle, MEASURES)]).reshape(-1, 3)
     np.testing.assert_allclose(signed_distance(obstacle, places), MEASURES.gap, atol=1e-9)
 
 
 @given(obstacles(), st.floats(0.005, 0.5))
-@settings(deadline=None, max_examples=150)
+@examples(150)
 def test_a_handle_follows_the_hand_along_its_axis(obstacle, by):
     pose = pose_of(obstacle, MEASURES)
     for k, grip in enumerate(grips(obstacle, MEASURES)):
@@ -148,7 +149,7 @@ def test_an_end_of_a_cylinder_goes_anywhere_and_the_other_stays():
 
 
 @given(obstacles(), st.integers(0, 1000))
-@settings(deadline=None, max_examples=100)
+@examples(100)
 def test_nothing_reaches_beyond_its_reach(obstacle, seed):
     if isinstance(obstacle, pp.HalfSpace):
         assert reach(obstacle) == 0.0

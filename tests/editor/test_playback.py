@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from played import ARM, BENT, SHORT, Clock, by_hand, done, live_of, moved, short
+from played import Clock, bent_spline, by_hand, done, four_modules, half_line, live_of, moved, short
 
 import pinposture as pp
 from pinposture.editor.edits import with_keyframe
@@ -16,8 +16,11 @@ from pinposture.editor.playback import Playback, moment_of
 from pinposture.editor.session import Session
 from pinposture.task import Keyframe, Task
 
-JOINTS = (pp.JointSpec("z", type="continuous"), pp.JointSpec("y"))
-ENDLESS = pp.Arm.from_modules([pp.ModuleTemplate("endless", JOINTS, (0.05, 0.05))] * 2)
+
+@pytest.fixture(scope="session")
+def endless() -> pp.Arm:
+    joints = (pp.JointSpec("z", type="continuous"), pp.JointSpec("y"))
+    return pp.Arm.from_modules([pp.ModuleTemplate("endless", joints, (0.05, 0.05))] * 2)
 
 
 def begun(task: Task | None = None) -> tuple[Session, Playback, Clock]:
@@ -153,7 +156,7 @@ def test_a_proposal_stops_it_too() -> None:
 
 
 def test_a_task_that_cannot_be_performed_is_told_again_whenever_it_is_played() -> None:
-    task = short(motion=(Keyframe(BENT, trim=True), Keyframe(SHORT, time=1.0)))
+    task = short(motion=(Keyframe(bent_spline(), trim=True), Keyframe(half_line(), time=1.0)))
     session, playback, _ = begun(task)
     numbers = []
     for _ in range(2):
@@ -199,18 +202,18 @@ def test_between_cycles_joints_move_evenly(share: float) -> None:
     np.testing.assert_allclose(moment.state.q, wanted, atol=1e-10)
 
 
-def test_continuous_joints_go_the_short_way_past_pi() -> None:
-    q = np.array([ENDLESS.configuration([angle, 0.1, angle, 0.0]) for angle in (3.0, 2.0 * np.pi - 3.0)])
-    motion = by_hand(ENDLESS, q, np.zeros((2, ENDLESS.n_modules, 3)))
+def test_continuous_joints_go_the_short_way_past_pi(endless: pp.Arm) -> None:
+    q = np.array([endless.configuration([angle, 0.1, angle, 0.0]) for angle in (3.0, 2.0 * np.pi - 3.0)])
+    motion = by_hand(endless, q, np.zeros((2, endless.n_modules, 3)))
     half = moment_of(motion, 0.05).state.q
-    np.testing.assert_allclose(half, ENDLESS.configuration([np.pi, 0.1, np.pi, 0.0]), atol=1e-12)
+    np.testing.assert_allclose(half, endless.configuration([np.pi, 0.1, np.pi, 0.0]), atol=1e-12)
 
 
-def test_errors_between_cycles_are_between_those_of_the_cycles() -> None:
-    q = np.array([ENDLESS.configuration([angle, 0.3, 0.0, 0.0]) for angle in (0.0, 1.5)])
-    off = np.zeros((2, ENDLESS.n_modules, 3))
+def test_errors_between_cycles_are_between_those_of_the_cycles(endless: pp.Arm) -> None:
+    q = np.array([endless.configuration([angle, 0.3, 0.0, 0.0]) for angle in (0.0, 1.5)])
+    off = np.zeros((2, endless.n_modules, 3))
     off[1, :, 2] = 0.004
-    motion = by_hand(ENDLESS, q, off)
+    motion = by_hand(endless, q, off)
     for share in (0.0, 0.25, 0.5, 1.0):
         state, target, _ = moment_of(motion, 0.1 * share)
         errors = np.linalg.norm(target.points - state.points, axis=1)
@@ -231,20 +234,20 @@ def test_the_arm_that_is_seen_is_that_of_the_moment() -> None:
     assert playback.seen(live).status == "arrived"
 
 
-def test_joints_at_their_speed_limit_are_seen() -> None:
+def test_joints_at_their_speed_limit_are_seen(endless: pp.Arm) -> None:
     angles = (0.0, 0.2, 0.3)  # the limit is 2 rad/s, and a cycle 0.1 s
-    q = np.array([ENDLESS.configuration([angle, 0.0, 0.0, 0.0]) for angle in angles])
-    motion = by_hand(ENDLESS, q, np.zeros((3, ENDLESS.n_modules, 3)))
+    q = np.array([endless.configuration([angle, 0.0, 0.0, 0.0]) for angle in angles])
+    motion = by_hand(endless, q, np.zeros((3, endless.n_modules, 3)))
     session, playback = Session(short()), Playback(Clock())
-    live = live_of(session)._replace(arm=ENDLESS)
+    live = live_of(session)._replace(arm=endless)
     playback.motion = motion
     for at, first in ((0.05, True), (0.15, False)):
         playback._put(at)
         np.testing.assert_array_equal(playback.seen(live).at_limit, [first, False, False, False])
 
 
-def test_a_motion_of_another_arm_is_not_shown_on_this_one() -> None:
+def test_a_motion_of_another_arm_is_not_shown_on_this_one(endless: pp.Arm) -> None:
     session, playback, _ = playing()
-    live = live_of(session)._replace(arm=ENDLESS)
-    assert ARM is not ENDLESS
+    live = live_of(session)._replace(arm=endless)
+    assert four_modules() is not endless
     assert playback.seen(live) is live

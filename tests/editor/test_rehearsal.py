@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from played import BENT, SHORT, done, moved, short
+from played import bent_spline, done, half_line, moved, short
 
 from pinposture.editor.rehearsal import Rehearsal
 from pinposture.motion import Motion
@@ -102,7 +102,7 @@ def test_no_thread_is_left_after_closing(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_a_task_that_cannot_be_tells_which_keyframe_and_why() -> None:
-    task = short(motion=(Keyframe(BENT, trim=True), Keyframe(SHORT, time=1.0)))
+    task = short(motion=(Keyframe(bent_spline(), trim=True), Keyframe(half_line(), time=1.0)))
     rehearsal = Rehearsal()
     rehearsal.ask(task)
     found = done(rehearsal, task)

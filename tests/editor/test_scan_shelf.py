@@ -7,14 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 from editor.edited_tasks import task
 
 import pinposture as pp
 from pinposture.editor.scan_shelf import ScanShelf, remove_scan
 from pinposture.editor.session import Session
-
-CLOUD = np.random.default_rng(1).uniform(0.5, 2.0, (300, 3))
 
 
 class Desk:
@@ -50,17 +47,22 @@ def desk(tmp_path):
 
 
 @pytest.fixture
-def cloud(tmp_path) -> Path:
+def points() -> np.ndarray:
+    return np.random.default_rng(1).uniform(0.5, 2.0, (300, 3))
+
+
+@pytest.fixture
+def cloud(tmp_path, points) -> Path:
     path = tmp_path / "room.xyz"
-    np.savetxt(path, CLOUD)
+    np.savetxt(path, points)
     return path
 
 
-def test_a_scan_that_can_be_read_is_added_in_one_step(desk, cloud):
+def test_a_scan_that_can_be_read_is_added_in_one_step(desk, cloud, points):
     before = desk.session.task
     desk.shelf.add_scan(cloud)
     assert desk.until(lambda: desk.session.task.scans == (cloud,))
-    np.testing.assert_allclose(desk.shelf.of(desk.session.task)[cloud].points, CLOUD)
+    np.testing.assert_allclose(desk.shelf.of(desk.session.task)[cloud].points, points)
     desk.session.undo()
     assert desk.session.task is before
     assert desk.shelf.of(desk.session.task) == {}
@@ -123,6 +125,8 @@ def test_without_a_task_file_there_is_nowhere_to_keep_them(cloud):
 
 
 def test_a_mesh_becomes_an_obstacle(desk, tmp_path):
+    import trimesh
+
     path = tmp_path / "part.stl"
     trimesh.creation.box((100.0, 200.0, 300.0)).apply_translation((900.0, 900.0, 900.0)).export(path)
     desk.shelf.add_mesh(path, 0.001)
@@ -136,6 +140,8 @@ def test_a_mesh_becomes_an_obstacle(desk, tmp_path):
 
 
 def test_a_mesh_around_the_base_is_refused(desk, tmp_path):
+    import trimesh
+
     path = tmp_path / "room.stl"
     trimesh.creation.box((3.0, 3.0, 3.0)).export(path)
     before = desk.session.task
@@ -165,10 +171,10 @@ def test_removing_a_scan_leaves_its_file(desk, cloud):
     assert desk.session.task.scans == (cloud,)
 
 
-def test_large_scans_are_thinned_for_the_eye(desk, tmp_path, monkeypatch):
+def test_large_scans_are_thinned_for_the_eye(desk, points, tmp_path, monkeypatch):
     monkeypatch.setattr("pinposture.editor.scan_shelf.SHOWN", 100)
     path = tmp_path / "large.npy"
-    np.save(path, CLOUD)
+    np.save(path, points)
     desk.shelf.add_scan(path)
     assert desk.until(lambda: desk.session.task.scans == (path,))
     assert len(desk.shelf.of(desk.session.task)[path].points) == 300

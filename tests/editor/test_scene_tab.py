@@ -15,7 +15,7 @@ import pytest
 pytest.importorskip("viser", reason="viser is not installed")
 
 import viser
-from editor.edited_tasks import ARM, task
+from editor.edited_tasks import six_modules, task
 
 import pinposture as pp
 from pinposture.editor.clearances import Nearest
@@ -31,12 +31,20 @@ from pinposture.editor.scan_shelf import ScanShelf
 from pinposture.editor.session import Session
 from pinposture.view import palette
 
-LIVE = SimpleNamespace(arm=ARM, state=ARM.at(ARM.straight()), target=None)
-
 BALL = pp.Sphere((0.3, 0.2, 0.1), 0.05)
 BOX = pp.Box((0.2, -0.3, 0.1), (0.1, 0.2, 0.3), (0.0, 0.0, np.pi / 2))
 FLOOR = pp.HalfSpace((0, 0, -0.2), (0, 0, 1))
 ROD = pp.Cylinder((0.1, 0.4, 0.0), (0.1, 0.4, 0.3), 0.02)
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return six_modules()
+
+
+@pytest.fixture(scope="module")
+def live(arm):
+    return SimpleNamespace(arm=arm, state=arm.at(arm.straight()), target=None)
 
 
 @pytest.fixture(scope="module")
@@ -64,10 +72,10 @@ def event(**values):
     return SimpleNamespace(client_id=1, **values)
 
 
-def test_every_obstacle_is_drawn_where_it_is(server, desk):
+def test_every_obstacle_is_drawn_where_it_is(arm, live, server, desk):
     session, post = desk
-    drawing = Obstacles(server, ARM, post)
-    drawing.show(session, LIVE)
+    drawing = Obstacles(server, arm, post)
+    drawing.show(session, live)
     assert set(drawing._drawn) == {"ball", "box", "floor", "rod"}
     handle = drawing._drawn["box"].handle
     np.testing.assert_allclose(handle.position, BOX.center)
@@ -80,47 +88,47 @@ def test_every_obstacle_is_drawn_where_it_is(server, desk):
     assert handle.opacity == palette.SEE_THROUGH
 
 
-def test_only_what_is_selected_has_axes_and_handles(server, desk):
+def test_only_what_is_selected_has_axes_and_handles(arm, live, server, desk):
     session, post = desk
-    drawing = Obstacles(server, ARM, post)
-    drawing.show(session, LIVE)
+    drawing = Obstacles(server, arm, post)
+    drawing.show(session, live)
     assert not drawing._axes.visible
     counts = {"ball": 1, "box": 3, "floor": 1, "rod": 3}
     for name, count in counts.items():
         asyncio.run(drawing._on_click(name, None))
-        drawing.show(session, LIVE)
+        drawing.show(session, live)
         assert session.obstacle == name
         assert drawing._axes.visible
         assert [ball.visible for ball in drawing._balls] == [k < count for k in range(3)]
         assert drawing._axes.disable_rotations == (name == "ball")
         assert tuple(drawing._drawn[name].handle.color) != color(palette.OBSTACLE)
     session.handle = 1  # a hand at the curve
-    drawing.show(session, LIVE)
+    drawing.show(session, live)
     assert not drawing._axes.visible
     assert not any(ball.visible for ball in drawing._balls)
 
 
-def test_a_drag_moves_by_as_much_as_the_mouse_and_is_one_step(server, desk):
+def test_a_drag_moves_by_as_much_as_the_mouse_and_is_one_step(arm, live, server, desk):
     session, post = desk
-    drawing = Obstacles(server, ARM, post)
-    drawing.show(session, LIVE)
+    drawing = Obstacles(server, arm, post)
+    drawing.show(session, live)
     grip = np.array(BALL.center) + (0.0, -0.05, 0.0)
     states = len(session.history._states)
     for phase, by in (("start", 0.0), ("update", 0.01), ("update", 0.02), ("end", 0.03)):
         end = grip + np.array([by, 0.0, 0.0])
         asyncio.run(drawing._on_drag("ball", event(phase=phase, start_position=grip, end_position=end)))
-        drawing.show(session, LIVE)
+        drawing.show(session, live)
         np.testing.assert_allclose(drawing._drawn["ball"].handle.position, BALL.center + np.array([by, 0, 0]))
     assert len(session.history._states) == states + 1
     assert obstacles_of(session.task)["ball"].center == pytest.approx((0.33, 0.2, 0.1))
     assert not drawing._taken
 
 
-def test_axes_move_and_turn_in_one_step(server, desk):
+def test_axes_move_and_turn_in_one_step(arm, live, server, desk):
     session, post = desk
-    drawing = Obstacles(server, ARM, post)
+    drawing = Obstacles(server, arm, post)
     select_obstacle("rod", session)
-    drawing.show(session, LIVE)
+    drawing.show(session, live)
     drawing._axes.position = (0.1, 0.4, 0.25)
     drawing._axes.wxyz = np.sqrt([0.5, 0.5, 0, 0])  # by a quarter about x: the axis goes to -y
     for phase in ("start", "update", "end"):
@@ -132,11 +140,11 @@ def test_axes_move_and_turn_in_one_step(server, desk):
     assert obstacles_of(session.task)["rod"] == ROD
 
 
-def test_values_of_ours_at_the_axes_ask_for_nothing(server, desk):
+def test_values_of_ours_at_the_axes_ask_for_nothing(arm, live, server, desk):
     session, post = desk
-    drawing = Obstacles(server, ARM, post)
+    drawing = Obstacles(server, arm, post)
     select_obstacle("box", session)
-    drawing.show(session, LIVE)
+    drawing.show(session, live)
     before = session.task
     asyncio.run(drawing._on_axes(SimpleNamespace(client_id=None, phase="update")))
     asyncio.run(drawing._on_axes(event(phase="update")))  # nobody has taken hold of them
@@ -144,17 +152,17 @@ def test_values_of_ours_at_the_axes_ask_for_nothing(server, desk):
     assert session.proposal is None
 
 
-def test_another_kind_under_the_same_name_is_drawn_anew(server, desk):
+def test_another_kind_under_the_same_name_is_drawn_anew(arm, live, server, desk):
     session, post = desk
-    drawing = Obstacles(server, ARM, post)
-    drawing.show(session, LIVE)
+    drawing = Obstacles(server, arm, post)
+    drawing.show(session, live)
     session.edit(lambda t: t.edited(scene=pp.Scene({"ball": FLOOR})), "another")
-    drawing.show(session, LIVE)
+    drawing.show(session, live)
     assert set(drawing._drawn) == {"ball"}
     assert drawing._drawn["ball"].look == ("half_space",)
 
 
-def test_the_tab_shows_what_the_selected_obstacle_has(server, desk, tmp_path):
+def test_the_tab_shows_what_the_selected_obstacle_has(live, server, desk, tmp_path):
     session, post = desk
     tab = SceneTab(server, ScanShelf(post), post)
     shown = {
@@ -165,57 +173,57 @@ def test_the_tab_shows_what_the_selected_obstacle_has(server, desk, tmp_path):
     }
     for name, keys in shown.items():
         select_obstacle(name, session)
-        tab.show(session, LIVE)
+        tab.show(session, live)
         visible = {key for key, typed in tab._vectors.items() if typed.control.visible}
         assert visible | ({"radius"} if tab._radius.control.visible else set()) == keys
         assert tab._called.control.value == name
     select_obstacle("box", session)
-    tab.show(session, LIVE)
+    tab.show(session, live)
     assert tab._vectors["rotation"].control.value == pytest.approx((0, 0, 90))
     assert tab._vectors["center"].control.value == pytest.approx(BOX.center)
     select_obstacle(None, session)
-    tab.show(session, LIVE)
+    tab.show(session, live)
     assert not tab._delete.visible
     assert tuple(tab._chosen.options) == ("none", "ball", "box", "floor", "rod")
 
 
-def test_what_is_typed_is_seen_at_once_and_counts_when_it_is_over(server, desk, monkeypatch):
+def test_what_is_typed_is_seen_at_once_and_counts_when_it_is_over(live, server, desk, monkeypatch):
     session, post = desk
     tab = SceneTab(server, ScanShelf(post), post)
     select_obstacle("ball", session)
-    tab.show(session, LIVE)
+    tab.show(session, live)
     clock = [100.0]
     monkeypatch.setattr(typed.time, "monotonic", lambda: clock[0])
     states = len(session.history._states)
     for radius in (0.0, 0.03, 0.035):  # "0.035", key by key
         tab._radius._changed(radius)
         clock[0] += 0.2
-        tab.show(session, LIVE)
+        tab.show(session, live)
     assert len(session.history._states) == states
     assert obstacles_of(session.shown)["ball"].radius == 0.035
     clock[0] += typed.PAUSE
-    tab.show(session, LIVE)
+    tab.show(session, live)
     assert obstacles_of(session.task)["ball"].radius == 0.035
     assert len(session.history._states) == states + 1
 
 
-def test_what_is_refused_returns_to_what_it_was(server, desk, monkeypatch):
+def test_what_is_refused_returns_to_what_it_was(live, server, desk, monkeypatch):
     session, post = desk
     tab = SceneTab(server, ScanShelf(post), post)
     select_obstacle("ball", session)
-    tab.show(session, LIVE)
+    tab.show(session, live)
     clock = [100.0]
     monkeypatch.setattr(typed.time, "monotonic", lambda: clock[0])
     tab._vectors["center"].control.value = (0.0, 0.0, 0.0)
     tab._vectors["center"]._changed((0.0, 0.0, 0.0))  # where the base is
     clock[0] += 2.0
-    tab.show(session, LIVE)
-    tab.show(session, LIVE)
+    tab.show(session, live)
+    tab.show(session, live)
     assert tab._vectors["center"].control.value == pytest.approx(BALL.center)
     assert "base" in session.notice.text
 
 
-def test_margin_self_collision_and_thickness(server, desk, monkeypatch):
+def test_margin_self_collision_and_thickness(live, server, desk, monkeypatch):
     session, post = desk
     tab = SceneTab(server, ScanShelf(post), post)
     tab._margin_typed(0.02, True)
@@ -229,7 +237,7 @@ def test_margin_self_collision_and_thickness(server, desk, monkeypatch):
     before = session.task
     tab._margin_typed(-1.0, True)
     assert session.task is before
-    tab.show(session, LIVE)
+    tab.show(session, live)
     assert tab._margin.control.value == pytest.approx(0.02)
 
 
@@ -241,22 +249,22 @@ def test_margin_self_collision_and_thickness(server, desk, monkeypatch):
         (-0.003, palette.MARK, "3 mm inside ball"),
     ],
 )
-def test_the_line_is_coloured_by_how_near_it_is(server, desk, distance, shade, words):
+def test_the_line_is_coloured_by_how_near_it_is(arm, live, server, desk, distance, shade, words):
     session, _ = desk
-    line = ClearanceLine(server, ARM)
+    line = ClearanceLine(server, arm)
     ends = np.array([[0.1, 0.0, 0.0], [0.1, 0.0, 0.02]])
     session.nearest = Nearest(distance, "link", "ball", *ends, 0.005)
-    line.show(session, LIVE)
+    line.show(session, live)
     assert line._line.visible
     np.testing.assert_allclose(line._line.points[0], ends, atol=1e-6)
     assert tuple(line._line.colors[0, 0]) == color(shade)
     assert words in clearance_text(session.nearest)
     session.nearest = None
-    line.show(session, LIVE)
+    line.show(session, live)
     assert not line._line.visible
 
 
-def test_scans_are_drawn_as_points_or_as_a_surface(server, desk, tmp_path):
+def test_scans_are_drawn_as_points_or_as_a_surface(arm, live, server, desk, tmp_path):
     session, post = desk
     requests: list = []
     shelf = ScanShelf(lambda request, key="": requests.append(request))
@@ -264,10 +272,10 @@ def test_scans_are_drawn_as_points_or_as_a_surface(server, desk, tmp_path):
     np.save(points, np.random.default_rng(0).uniform(1, 2, (50, 3)))
     mesh.write_text("v 1 0 1\nv 2 0 1\nv 1 1 1\nf 1 2 3\n")
     session.edit(lambda t: t.edited(scans=(points, mesh)), "opened")
-    drawing, controls = Scans(server, ARM, shelf), ScanControls(server, shelf, post)
+    drawing, controls = Scans(server, arm, shelf), ScanControls(server, shelf, post)
     end = time.monotonic() + 20.0
     while len(drawing._drawn) < 2 and time.monotonic() < end:
-        drawing.show(session, LIVE)
+        drawing.show(session, live)
         time.sleep(0.01)
     assert isinstance(drawing._drawn[points][1], viser.PointCloudHandle)
     assert isinstance(drawing._drawn[mesh][1], viser.MeshHandle)
@@ -276,7 +284,7 @@ def test_scans_are_drawn_as_points_or_as_a_surface(server, desk, tmp_path):
     controls._listed.value = "surface.obj"
     controls._removed("Remove")
     assert session.task.scans == (points,)
-    drawing.show(session, LIVE)
+    drawing.show(session, live)
     assert list(drawing._drawn) == [points]
     shelf.close()
 
@@ -288,17 +296,17 @@ class Measured(NamedTuple):
     complaint: str
 
 
-def test_a_measured_arm_stands_where_it_is_measured(server, desk):
+def test_a_measured_arm_stands_where_it_is_measured(arm, live, server, desk):
     session, _ = desk
-    states = SimpleNamespace(arm=ARM, latest=Measured(ARM.straight(), 0.0, 0, ""))
-    part = MeasuredArm(server, ARM, states)
-    part.show(session, LIVE)
+    states = SimpleNamespace(arm=arm, latest=Measured(arm.straight(), 0.0, 0, ""))
+    part = MeasuredArm(server, arm, states)
+    part.show(session, live)
     assert "no joint states" in part._about.content
     assert not part._drawing._base.visible
-    q = np.full(ARM.nq, 0.1)
+    q = np.full(arm.nq, 0.1)
     states.latest = Measured(q, 3.0, 1, "line 7: nonsense")
-    part.show(session, LIVE)
-    away = np.linalg.norm(ARM.at(q).points - LIVE.state.points, axis=1).mean()
+    part.show(session, live)
+    away = np.linalg.norm(arm.at(q).points - live.state.points, axis=1).mean()
     assert f"{1000 * away:.3g} mm from the plan" in part._about.content
     assert "3 s old" in part._about.content
     assert "line 7: nonsense" in part._about.content
@@ -306,21 +314,21 @@ def test_a_measured_arm_stands_where_it_is_measured(server, desk):
     np.testing.assert_allclose(part._drawing._q, q)
 
 
-def test_without_joint_states_nothing_is_shown(server, desk):
+def test_without_joint_states_nothing_is_shown(arm, live, server, desk):
     session, _ = desk
-    MeasuredArm(server, ARM, None).show(session, LIVE)
+    MeasuredArm(server, arm, None).show(session, live)
     other = SimpleNamespace(arm=pp.Arm.from_template("RyRz", modules=2))  # and nothing else: it is not asked
-    MeasuredArm(server, ARM, other).show(session, LIVE)
+    MeasuredArm(server, arm, other).show(session, live)
     assert not [name for name in server.scene._handle_from_node_name if name.startswith("/measured")]
 
 
-def test_a_mesh_is_drawn_where_its_corners_are(server, desk):
+def test_a_mesh_is_drawn_where_its_corners_are(arm, live, server, desk):
     session, post = desk
     corners = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]) + 0.5
     mesh = pp.Mesh(corners, (0.1, 0.0, 0.0), (0.3, 0.0, 0.0))
     take_in("part", mesh, session)
-    drawing = Obstacles(server, ARM, post)
-    drawing.show(session, LIVE)
+    drawing = Obstacles(server, arm, post)
+    drawing.show(session, live)
     handle = drawing._drawn["part"].handle
     w, x, y, z = handle.wxyz
     turn = pp.Box((0, 0, 0), (1, 1, 1), (0.3, 0, 0)).rotation

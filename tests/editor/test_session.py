@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from edited_tasks import BENT, L, task
+from edited_tasks import L, bent_spline, task
 
 import pinposture as pp
 from pinposture.arm import Arm
@@ -50,7 +51,7 @@ def test_a_shape_counts_once_the_arm_is_seen_to_take_it() -> None:
     assert session.proposal is None
     assert np.allclose(session.task.motion[1].curve.control_points[2], L * np.array((0.7, 0.2, 0.1)))  # type: ignore
     assert session.history.undoable == "moved point 3"
-    assert before.motion[1].curve is BENT  # type: ignore[index]
+    assert before.motion[1].curve is bent_spline()  # type: ignore[index]
 
 
 def test_a_shape_that_the_arm_cannot_take_changes_nothing() -> None:
@@ -186,7 +187,8 @@ def test_the_file_is_behind_after_a_change_and_not_after_it_was_undone(tmp_path:
 def test_the_next_task_is_begun_with_nothing_of_the_last() -> None:
     session = opened()
     session.reshape(OVER, "moved point 3")
-    session.replace(task(Keyframe(BENT, trim=True), Keyframe(BENT, time=1.0, trim=True)), None, saved=False)
+    bent = Keyframe(bent_spline(), trim=True)
+    session.replace(task(bent, replace(bent, time=1.0)), None, saved=False)
     assert (session.selected, session.handle, session.proposal) == (1, None, None)
     assert session.history.undoable == ""
     assert session.changed

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
+
 import numpy as np
 import pinocchio as pin
 import pytest
-from edited_tasks import ARM, BENT, COIL, STRAIGHT, L
-from hypothesis import assume, given, settings
+from edited_tasks import L, bent_spline, coil, six_modules, straight_line
+from hypothesis import assume, given
 from hypothesis import strategies as st
+from sampling import cases, examples
 
 import pinposture as pp
 from pinposture.editor.shape import APART, DEGREE, FINE, MOST_POINTS, Shape
@@ -18,9 +22,25 @@ from pinposture.target.placement import lay
 from pinposture.task import Keyframe
 
 AWAY = pin.SE3(pin.exp3(np.array([0.3, -0.5, 0.9])), np.array([0.7, -0.4, 1.1]))
-PLANAR = pp.Arm.from_template("Rz", modules=5, base_placement=AWAY)
-SPATIAL = pp.Arm.from_template("RyRz", modules=5, base_placement=AWAY)
-ARMS = {"at the origin": ARM, "elsewhere": SPATIAL, "planar, elsewhere": PLANAR}
+
+
+@cache
+def planar() -> pp.Arm:
+    return pp.Arm.from_template("Rz", modules=5, base_placement=AWAY)
+
+
+@cache
+def spatial() -> pp.Arm:
+    return pp.Arm.from_template("RyRz", modules=5, base_placement=AWAY)
+
+
+ARMS = {"at the origin": six_modules, "elsewhere": spatial, "planar, elsewhere": planar}
+
+
+@pytest.fixture(scope="session")
+def arm() -> pp.Arm:
+    return six_modules()
+
 
 coordinates = st.floats(-1.5, 1.5)
 moves = st.tuples(
@@ -38,9 +58,9 @@ def length_of(curve: pp.Curve, pieces: int = 20_000) -> float:
 
 @pytest.mark.parametrize("where", ARMS)
 @given(st.lists(moves, min_size=1, max_size=8))
-@settings(max_examples=40)
+@examples(40)
 def test_it_begins_at_the_base_and_is_never_shorter_than_the_arm(where: str, listed: list[tuple]) -> None:
-    arm = ARMS[where]
+    arm = ARMS[where]()
     shape = Shape.of(arm, Keyframe(pp.Curve.line((0, 0, 0), (arm.length, 0, 0))))
     degree = shape.degree
     for kind, index, place in listed:
@@ -66,13 +86,13 @@ def test_it_begins_at_the_base_and_is_never_shorter_than_the_arm(where: str, lis
 
 @given(st.integers(1, 3), st.tuples(coordinates, coordinates, coordinates))
 def test_a_moved_point_is_where_it_was_put_and_the_others_stay_but_for_the_last(
-    index: int, place: tuple[float, float, float]
+    arm: pp.Arm, index: int, place: tuple[float, float, float]
 ) -> None:
-    shape = Shape.of(ARM, Keyframe(BENT))
+    shape = Shape.of(arm, Keyframe(bent_spline()))
     wanted = L * np.array(place)
     rest = np.delete(shape.points, index, axis=0)
-    assume(np.linalg.norm(rest - wanted, axis=1).min() > 1.001 * APART * ARM.chain.module_lengths.min())
-    after = shape.moved(ARM, index, wanted)
+    assume(np.linalg.norm(rest - wanted, axis=1).min() > 1.001 * APART * arm.chain.module_lengths.min())
+    after = shape.moved(arm, index, wanted)
     assert np.array_equal(after.points[index], wanted)
     assert np.array_equal(np.delete(after.points, index, axis=0)[:-1], rest[:-1])
     ahead, moved = shape.points[-1] - after.points[-2], after.points[-1] - shape.points[-1]
@@ -80,23 +100,24 @@ def test_a_moved_point_is_where_it_was_put_and_the_others_stay_but_for_the_last(
     assert ahead @ moved >= 0.0
 
 
-def test_a_point_in_the_middle_stands_half_way() -> None:
-    shape = Shape.of(ARM, Keyframe(BENT))
-    after = shape.inserted(ARM, 1)
+def test_a_point_in_the_middle_stands_half_way(arm: pp.Arm) -> None:
+    shape = Shape.of(arm, Keyframe(bent_spline()))
+    after = shape.inserted(arm, 1)
     assert np.allclose(after.points[2], 0.5 * (shape.points[1] + shape.points[2]))
     assert np.array_equal(np.delete(after.points, 2, axis=0), shape.points)
-    assert np.array_equal(after.removed(ARM, 2).points, shape.points)
-    longer = shape.inserted(ARM, len(shape.points) - 1)
+    assert np.array_equal(after.removed(arm, 2).points, shape.points)
+    longer = shape.inserted(arm, len(shape.points) - 1)
     assert np.allclose(longer.points[-1], 1.5 * shape.points[-1] - 0.5 * shape.points[-2])
 
 
 @given(st.integers(1, 3), st.tuples(coordinates, coordinates, coordinates))
 def test_points_of_a_planar_arm_stay_in_its_plane(index: int, place: tuple[float, float, float]) -> None:
-    base, axis = PLANAR.chain.base, AWAY.rotation[:, 2]  # about which all of its joints turn
-    shape = Shape.of(PLANAR, Keyframe(pp.Curve.line((0, 0, 0), (PLANAR.length, 0, 0))))
+    arm = planar()
+    base, axis = arm.chain.base, AWAY.rotation[:, 2]  # about which all of its joints turn
+    shape = Shape.of(arm, Keyframe(pp.Curve.line((0, 0, 0), (arm.length, 0, 0))))
     wanted = base + np.array(place)
     try:
-        after = shape.moved(PLANAR, index, wanted)
+        after = shape.moved(arm, index, wanted)
     except CurveError:
         assume(False)
     assert np.allclose((after.points - base) @ axis, 0.0, atol=1e-9)
@@ -105,49 +126,58 @@ def test_points_of_a_planar_arm_stay_in_its_plane(index: int, place: tuple[float
 
 
 @pytest.mark.parametrize("index", [-1, 5])
-def test_points_that_there_are_not(index: int) -> None:
-    shape = Shape.of(ARM, Keyframe(BENT))
-    for act in (lambda: shape.moved(ARM, index, (0, 0, 1)), lambda: shape.inserted(ARM, index)):
+def test_points_that_there_are_not(arm: pp.Arm, index: int) -> None:
+    shape = Shape.of(arm, Keyframe(bent_spline()))
+    for act in (lambda: shape.moved(arm, index, (0, 0, 1)), lambda: shape.inserted(arm, index)):
         with pytest.raises(InvalidValue, match="allowed: 1 to 5"):
             act()
     with pytest.raises(InvalidValue, match="allowed: 1 to 5"):
-        shape.removed(ARM, index)
+        shape.removed(arm, index)
 
 
 @pytest.mark.parametrize("place", [(0, np.nan, 0), (0, np.inf, 0), (0, 0), "nowhere"])
-def test_places_that_are_none(place: object) -> None:
+def test_places_that_are_none(arm: pp.Arm, place: object) -> None:
     with pytest.raises(InvalidValue, match="position"):
-        Shape.of(ARM, Keyframe(BENT)).moved(ARM, 2, place)  # type: ignore[arg-type]
+        Shape.of(arm, Keyframe(bent_spline())).moved(arm, 2, place)  # type: ignore[arg-type]
 
 
-def test_what_is_refused() -> None:
-    shape = Shape.of(ARM, Keyframe(BENT))
+def test_what_is_refused(arm: pp.Arm) -> None:
+    shape = Shape.of(arm, Keyframe(bent_spline()))
     with pytest.raises(CurveError, match="point 3: would lie on point 2"):
-        shape.moved(ARM, 2, shape.points[1])
+        shape.moved(arm, 2, shape.points[1])
     with pytest.raises(InvalidValue, match=r"point 1 .*stands at the base"):
-        shape.moved(ARM, 0, (0.1, 0, 0))
+        shape.moved(arm, 0, (0.1, 0, 0))
     with pytest.raises(InvalidValue, match=r"point 1 .*stands at the base"):
-        shape.removed(ARM, 0)
-    least = shape.removed(ARM, 2)
+        shape.removed(arm, 0)
+    least = shape.removed(arm, 2)
     with pytest.raises(CurveError, match="a curve of degree 3 needs 4 control points"):
-        least.removed(ARM, 2)
-    assert np.array_equal(shape.moved(ARM, 0, shape.points[0]).points[0], ARM.chain.base)
+        least.removed(arm, 2)
+    assert np.array_equal(shape.moved(arm, 0, shape.points[0]).points[0], arm.chain.base)
 
 
-def test_control_points_of_a_spline_are_its_own() -> None:
-    shape = Shape.of(ARM, Keyframe(BENT, placement="as_is"))
-    assert np.array_equal(shape.points, BENT.control_points)
+def test_control_points_of_a_spline_are_its_own(arm: pp.Arm) -> None:
+    shape = Shape.of(arm, Keyframe(bent_spline(), placement="as_is"))
+    assert np.array_equal(shape.points, bent_spline().control_points)
     assert (shape.degree, shape.off) == (3, 0.0)
-    polygon = pp.Curve.spline(BENT.control_points, degree=2)
-    assert Shape.of(ARM, Keyframe(polygon, placement="as_is")).degree == 2
+    polygon = pp.Curve.spline(bent_spline().control_points, degree=2)
+    assert Shape.of(arm, Keyframe(polygon, placement="as_is")).degree == 2
 
 
 @pytest.mark.parametrize(
-    "curve", [STRAIGHT, COIL, pp.Curve.helix(0.1 * L, 0.1 * L, 6), pp.Curve.points(BENT.resample(40))]
+    "make",
+    [
+        straight_line,
+        coil,
+        lambda: pp.Curve.helix(0.1 * L, 0.1 * L, 6),
+        lambda: pp.Curve.points(bent_spline().resample(40)),
+    ],
+    ids=["line", "coil", "helix", "points"],
 )
-@pytest.mark.parametrize("where", ["at the origin", "elsewhere"])
-def test_another_kind_of_curve_is_controlled_within_what_it_says(where: str, curve: pp.Curve) -> None:
-    arm = ARMS[where]
+@pytest.mark.parametrize("where", cases(["elsewhere", "at the origin"], quick=1))
+def test_another_kind_of_curve_is_controlled_within_what_it_says(
+    where: str, make: Callable[[], pp.Curve]
+) -> None:
+    arm, curve = ARMS[where](), make()
     keyframe = Keyframe(curve, trim=True)
     shape, laid = Shape.of(arm, keyframe), lay(arm, curve, "align", 0.0)
     places = laid.at(np.linspace(0.0, min(laid.length, arm.length), 1001))
@@ -166,13 +196,14 @@ def test_a_curve_that_winds_too_much_says_how_far_off_it_is() -> None:
     assert shape.off > FINE * arm.chain.module_lengths.mean()
 
 
-def test_a_curve_that_passes_the_base_begins_there() -> None:
+def test_a_curve_that_passes_the_base_begins_there(arm: pp.Arm) -> None:
     curve = pp.Curve.line((-L, 0, 0), (2 * L, 0, 0))
-    shape = Shape.of(ARM, Keyframe(curve, placement="as_is", trim=True))
+    shape = Shape.of(arm, Keyframe(curve, placement="as_is", trim=True))
     assert np.allclose(shape.points[0], 0.0, atol=1e-9)
     assert np.allclose(shape.points[:, 1:], 0.0, atol=1e-9)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("modules", [4, 8, 20])
 def test_a_curve_that_is_lengthened_is_nearly_always_long_enough_where_it_bends(modules: int) -> None:
     arm, rng = pp.Arm.from_template("RyRz", modules=modules), np.random.default_rng(modules)
@@ -192,14 +223,14 @@ def test_a_curve_that_is_lengthened_is_nearly_always_long_enough_where_it_bends(
         except PostureError:  # it bends too much
             continue
         tried += 1
-        short_of += "too short" in judge(arm, longer.keyframe(Keyframe(STRAIGHT)), None).reason
+        short_of += "too short" in judge(arm, longer.keyframe(Keyframe(straight_line())), None).reason
     assert tried > 20
     assert short_of <= 0.05 * tried
 
 
-def test_a_keyframe_keeps_all_but_its_shape() -> None:
-    before = Keyframe(COIL, time=2.0, hold=0.5, name="coil", roll=0.3, method="smooth", region=(1, 3))
-    after = Shape.of(ARM, before).keyframe(before)
+def test_a_keyframe_keeps_all_but_its_shape(arm: pp.Arm) -> None:
+    before = Keyframe(coil(), time=2.0, hold=0.5, name="coil", roll=0.3, method="smooth", region=(1, 3))
+    after = Shape.of(arm, before).keyframe(before)
     assert (after.time, after.hold, after.name, after.method, after.region) == (
         2.0,
         0.5,
@@ -208,6 +239,6 @@ def test_a_keyframe_keeps_all_but_its_shape() -> None:
         (1, 3),
     )
     assert (after.placement, after.roll, after.trim) == ("as_is", 0.0, True)
-    assert before.curve is COIL
-    here, there = resolve_targets(ARM, after.curve, placement="as_is"), resolve_targets(ARM, COIL, roll=0.3)
-    assert np.abs(here.points - there.points).max() < 0.1 * ARM.chain.module_lengths.mean()
+    assert before.curve is coil()
+    here, there = resolve_targets(arm, after.curve, placement="as_is"), resolve_targets(arm, coil(), roll=0.3)
+    assert np.abs(here.points - there.points).max() < 0.1 * arm.chain.module_lengths.mean()

@@ -7,11 +7,13 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from edited_tasks import ARM, BENT, COIL, STRAIGHT, L
+from edited_tasks import L, bent_spline, coil, six_modules, straight_line
+from sampling import cases
 
 import pinposture as pp
 from pinposture.control import ConstrainedQP, controller_named
@@ -26,14 +28,28 @@ SOON = 20.0
 
 SPEED = 3.0
 LIMITS = pp.Limits(step=None, dt=0.02, velocity=SPEED)
-TO_BENT, TO_COIL = Keyframe(BENT, trim=True), Keyframe(COIL, trim=True)
-SHORT = Keyframe(pp.Curve.line((0, 0, 0), (0.5 * L, 0, 0)))
 
 
-def problem(number: int, keyframe: Keyframe = TO_BENT, **values: object) -> Problem:
-    given = {"arm": ARM, "controller": ConstrainedQP(), "limits": LIMITS, "scene": None, "at_once": False}
-    given.update(values)
-    return Problem(number=number, keyframe=keyframe, asked=time.monotonic(), **given)  # type: ignore[arg-type]
+@cache
+def to_bent() -> Keyframe:
+    return Keyframe(bent_spline(), trim=True)
+
+
+@cache
+def to_coil() -> Keyframe:
+    return Keyframe(coil(), trim=True)
+
+
+@cache
+def short() -> Keyframe:
+    return Keyframe(pp.Curve.line((0, 0, 0), (0.5 * L, 0, 0)))
+
+
+def problem(number: int, keyframe: Keyframe | None = None, **values: object) -> Problem:
+    """Of taking a shape, the bent one by default."""
+    given = {"arm": six_modules(), "keyframe": keyframe or to_bent(), "controller": ConstrainedQP()}
+    given |= {"limits": LIMITS, "scene": None, "at_once": False} | values
+    return Problem(number=number, asked=time.monotonic(), **given)  # type: ignore[arg-type]
 
 
 @contextmanager
@@ -81,15 +97,16 @@ WAITING = ("selection", "pinv", "task-constraints", "extended")
 """Controllers that may stand still near an easy shape: they promise no more."""
 
 
-@pytest.mark.parametrize("name", CONTROLLERS)
+@pytest.mark.parametrize("name", cases(CONTROLLERS, quick=4))
 def test_every_controller_takes_an_easy_shape_or_at_least_comes_nearer(name: str) -> None:
     gentle = pp.Curve.spline(L * np.array([(0, 0, 0), (0.4, 0, 0), (0.8, 0.05, 0.05), (1.2, 0.2, 0.1)]))
     first = problem(1, Keyframe(gentle, placement="as_is", trim=True), controller=controller_named(name))
-    bent = ARM.integrate(ARM.straight(), np.random.default_rng(0).uniform(-0.3, 0.3, ARM.nv))
+    arm = six_modules()
+    bent = arm.integrate(arm.straight(), np.random.default_rng(0).uniform(-0.3, 0.3, arm.nv))
     with started(first, bent) as solver:
         if name in WAITING:
             began = until(solver, lambda live: live.target is not None).target
-            before = float(np.linalg.norm(ARM.at(bent).points - began.points, axis=1).mean())  # type: ignore
+            before = float(np.linalg.norm(arm.at(bent).points - began.points, axis=1).mean())  # type: ignore
             until(solver, lambda live: live.mean_error < 0.5 * before)
         else:
             live = until(solver, arrived(1))
@@ -103,11 +120,11 @@ def test_whoever_asks_does_not_wait_and_the_latest_wins() -> None:
         until(solver, lambda live: live.steps > 0 and sleepy.asked > 0)
         before = solver.live.steps
         for number in range(2, 200):
-            solver.ask(problem(number, TO_COIL if number % 2 else TO_BENT, controller=sleepy))
+            solver.ask(problem(number, to_coil() if number % 2 else to_bent(), controller=sleepy))
         assert solver.live.steps - before <= 2  # nothing was waited for: no time for the steps of 200
         live = until(solver, lambda live: live.number == 199)
         assert live.verdict.target is not None
-        assert abs(live.verdict.target.curve.length - COIL.length) < 1e-6  # type: ignore[union-attr]
+        assert abs(live.verdict.target.curve.length - coil().length) < 1e-6  # type: ignore[union-attr]
         solver.ask(problem(200))
         until(solver, arrived(200))
 
@@ -115,29 +132,30 @@ def test_whoever_asks_does_not_wait_and_the_latest_wins() -> None:
 def test_what_cannot_be_taken_keeps_the_arm_where_it_was() -> None:
     with started(problem(1)) as solver:
         there = until(solver, arrived(1))
-        solver.ask(problem(2, SHORT))
+        solver.ask(problem(2, short()))
         live = until(solver, lambda live: live.number == 2 and live.steps > there.steps + 2)
         assert live.verdict.target is None
         assert "too short" in live.verdict.reason
         assert live.target is not None
         assert np.allclose(live.state.points, there.state.points, atol=1e-6 * L)
-        solver.ask(problem(3, TO_COIL))
+        solver.ask(problem(3, to_coil()))
         until(solver, arrived(3))
 
 
+@pytest.mark.soak
 def test_no_joint_is_too_fast_whatever_is_changed_on_the_way() -> None:
     ball = pp.Scene({"ball": pp.Sphere((0.5 * L, 0.5 * L, 0.5 * L), 0.05 * L)})
     changes: list[dict[str, object]] = [
-        {"keyframe": TO_COIL},
+        {"keyframe": to_coil()},
         {"controller": controller_named("lm")},
         {"scene": ball},
         {"limits": replace(LIMITS, acceleration=20.0)},
-        {"keyframe": Keyframe(STRAIGHT), "controller": controller_named("projection")},
+        {"keyframe": Keyframe(straight_line()), "controller": controller_named("projection")},
         {"controller": ConstrainedQP(), "scene": None},
     ]
     states: list[Live] = []
     with started(problem(1)) as solver:
-        now: dict[str, object] = {"keyframe": TO_BENT}
+        now: dict[str, object] = {"keyframe": to_bent()}
         for number, change in enumerate(changes, start=2):
             now.update(change)
             solver.ask(problem(number, **now))  # type: ignore[arg-type]
@@ -159,13 +177,13 @@ def test_no_joint_is_too_fast_whatever_is_changed_on_the_way() -> None:
 def test_speed_goes_on_where_a_new_scene_comes_in_between() -> None:
     most = 20.0
     slow = pp.Limits(step=None, dt=0.02, velocity=SPEED, acceleration=most)
-    solver = Solver(problem(1, TO_COIL, limits=slow), ARM.straight())
+    solver = Solver(problem(1, to_coil(), limits=slow), six_modules().straight())
     solver._take(solver._problem, new=True)
     places = [solver.live.state.positions]
     for step in range(40):
         if step % 5 == 4:
             ball = pp.Scene({"ball": pp.Sphere((2 * L, 0, 0.01 * step), 0.1)})
-            solver._take(problem(step + 2, TO_COIL, limits=slow, scene=ball))
+            solver._take(problem(step + 2, to_coil(), limits=slow, scene=ball))
         solver._step()
         places.append(solver.live.state.positions)
     speeds = np.diff(places, axis=0) / CYCLE
@@ -182,7 +200,7 @@ def test_at_once_is_at_once() -> None:
 def test_a_fault_in_a_controller_or_a_problem_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     with started(problem(1, controller=Broken())) as solver:
         live = until(solver, lambda live: live.steps > 2)
-        assert np.array_equal(live.state.q, ARM.straight())
+        assert np.array_equal(live.state.q, six_modules().straight())
         solver.ask(problem(2, limits=pp.Limits(dt=0.02, velocity=np.ones(3))))  # the arm has 12 joints
         live = until(solver, lambda live: live.number == 2)
         assert live.verdict.target is None
@@ -229,6 +247,7 @@ def test_no_thread_is_left() -> None:
     assert not {thread.name for thread in threading.enumerate()} - before
 
 
+@pytest.mark.soak
 def test_a_shape_that_is_known_is_not_worked_out_again(monkeypatch: pytest.MonkeyPatch) -> None:
     judged: list[Keyframe] = []
 
@@ -238,19 +257,19 @@ def test_a_shape_that_is_known_is_not_worked_out_again(monkeypatch: pytest.Monke
 
     monkeypatch.setattr("pinposture.editor.solver.judge", counted)
     with started(problem(1)) as solver:
-        for number, keyframe in enumerate((TO_COIL, TO_BENT, TO_COIL, TO_BENT), start=2):
+        for number, keyframe in enumerate((to_coil(), to_bent(), to_coil(), to_bent()), start=2):
             solver.ask(problem(number, keyframe))
             until(solver, arrived(number))
-        assert judged == [TO_BENT, TO_COIL]
-        passing = replace(TO_COIL, name="passing")
+        assert judged == [to_bent(), to_coil()]
+        passing = replace(to_coil(), name="passing")
         for number in (6, 7):  # what a hand only passed is not remembered
             solver.ask(problem(number, passing, shaping=True, passing=True))
             until(solver, arrived(number))
-            solver.ask(problem(number + 2, TO_BENT))
+            solver.ask(problem(number + 2, to_bent()))
             until(solver, lambda live, number=number: live.number == number + 2)
         assert judged[2:] == [passing, passing]
         for number in (11, 12):  # nor is there need to look again at what could not be
-            solver.ask(problem(number, SHORT))
+            solver.ask(problem(number, short()))
             until(solver, lambda live, number=number: live.number == number)
             assert "too short" in solver.live.verdict.reason
-        assert judged[4:] == [SHORT]
+        assert judged[4:] == [short()]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from played import ARM, LIMITS, Clock, by_hand, live_of, moved, short
+from played import LIMITS, Clock, by_hand, four_modules, live_of, moved, short
 
 from pinposture.editor.session import Session
 from pinposture.editor.solver import CYCLE
@@ -30,10 +30,10 @@ def test_the_trace_of_a_motion_is_what_it_records() -> None:
 
 
 def test_long_motions_keep_their_peaks() -> None:
-    rows = 3 * ROWS + 7
-    off = np.zeros((rows, ARM.n_modules, 3))
+    arm, rows = four_modules(), 3 * ROWS + 7
+    off = np.zeros((rows, arm.n_modules, 3))
     off[1234, 2, 0] = 0.5
-    trace = trace_of(by_hand(ARM, np.zeros((rows, ARM.nq)), off))
+    trace = trace_of(by_hand(arm, np.zeros((rows, arm.nq)), off))
     assert len(trace.time) <= ROWS
     assert trace.largest.max() == 0.5
     assert trace.time[0] == 0.0
@@ -42,13 +42,13 @@ def test_long_motions_keep_their_peaks() -> None:
 
 
 def test_the_arm_of_the_moment_is_kept_for_some_seconds() -> None:
-    session, clock = Session(short()), Clock()
+    arm, session, clock = four_modules(), Session(short()), Clock()
     recent, live = Recent(clock), live_of(session)
-    step = np.zeros(ARM.nv)
+    step = np.zeros(arm.nv)
     step[3] = 0.5 * 3.0 * CYCLE  # half of what it may
     for count in range(1, 900):
         q = live.state.q + (step if count > 600 else 0.0)
-        live = live._replace(steps=count, state=ARM.at(q), errors=np.full(ARM.n_modules, 0.001 * count))
+        live = live._replace(steps=count, state=arm.at(q), errors=np.full(arm.n_modules, 0.001 * count))
         recent.add(live, LIMITS)
         clock.now += 0.02
     trace = recent.trace

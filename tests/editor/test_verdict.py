@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from edited_tasks import ARM, BENT, STRAIGHT, L
+from edited_tasks import L, bent_spline, six_modules, straight_line
 
 import pinposture as pp
 from pinposture.editor.verdict import judge
@@ -15,20 +15,20 @@ MODULE = L / 6  # two links of 25 mm each
 
 
 def stiff_arm(most: float) -> pp.Arm:
-    """Six modules like those of `ARM`, whose joints turn by so much either way [rad]."""
+    """Six modules like those of `six_modules`, whose joints turn by so much either way [rad]."""
     joints = tuple(pp.JointSpec(axis, lower=-most, upper=most) for axis in "yz")
     return pp.Arm.from_modules([pp.ModuleTemplate("stiff", joints, (0.025, 0.025))] * 6)
 
 
 def test_a_straight_line_is_taken_without_a_word() -> None:
-    verdict = judge(ARM, Keyframe(STRAIGHT), pp.Scene(self_collision=True))
+    verdict = judge(six_modules(), Keyframe(straight_line()), pp.Scene(self_collision=True))
     assert verdict.target is not None
     assert (verdict.reason, verdict.notes, verdict.collision) == ("", (), False)
     assert np.allclose(verdict.target.points, [(k * MODULE, 0, 0) for k in range(1, 7)])
 
 
 def test_too_short() -> None:
-    verdict = judge(ARM, Keyframe(pp.Curve.line((0, 0, 0), (0.7 * L, 0, 0))), None)
+    verdict = judge(six_modules(), Keyframe(pp.Curve.line((0, 0, 0), (0.7 * L, 0, 0))), None)
     assert verdict.target is None
     # four modules of a sixth are placed; the fifth would end at 5/6, beyond 0.7
     assert "too short" in verdict.reason
@@ -37,7 +37,7 @@ def test_too_short() -> None:
 
 def test_bends_too_much() -> None:
     ring = pp.Curve.helix(0.2 * MODULE, 0.0, 12)
-    verdict = judge(ARM, Keyframe(ring, method="closest"), None)
+    verdict = judge(six_modules(), Keyframe(ring, method="closest"), None)
     assert verdict.target is None
     assert verdict.reason
 
@@ -62,15 +62,16 @@ def test_a_curve_that_leaves_the_base_the_other_way() -> None:
 
 
 def test_too_long_is_said_and_taken() -> None:
-    verdict = judge(ARM, Keyframe(pp.Curve.line((0, 0, 0), (1.5 * L, 0, 0)), trim=True), None)
+    verdict = judge(six_modules(), Keyframe(pp.Curve.line((0, 0, 0), (1.5 * L, 0, 0)), trim=True), None)
     assert verdict.target is not None
     assert len(verdict.notes) == 1
     assert verdict.notes[0].startswith("too long by 0.15 m: ")
-    assert judge(ARM, Keyframe(pp.Curve.line((0, 0, 0), (L + MODULE, 0, 0)), trim=True), None).notes == ()
+    whole = Keyframe(pp.Curve.line((0, 0, 0), (L + MODULE, 0, 0)), trim=True)
+    assert judge(six_modules(), whole, None).notes == ()
 
 
 def test_too_long_without_leave_to_trim_is_refused_without_a_wrong_number() -> None:
-    verdict = judge(ARM, Keyframe(pp.Curve.line((0, 0, 0), (1.5 * L, 0, 0)), name="third"), None)
+    verdict = judge(six_modules(), Keyframe(pp.Curve.line((0, 0, 0), (1.5 * L, 0, 0)), name="third"), None)
     assert verdict.target is None
     assert "0.45 m long, and the arm covers 0.3 m of it" in verdict.reason
     assert "keyframe" not in verdict.reason
@@ -80,7 +81,7 @@ def test_in_collision_by_how_much() -> None:
     # its middle is 1.5 radii beside the straight arm's axis
     ball = pp.Sphere((0.5 * L, 0.03, 0), 0.02)
     scene = pp.Scene({"ball": ball}, arm_radius=0.015)
-    verdict = judge(ARM, Keyframe(STRAIGHT), scene)
+    verdict = judge(six_modules(), Keyframe(straight_line()), scene)
     assert verdict.target is not None
     assert verdict.collision
     assert verdict.notes[0].startswith("in collision: ")
@@ -89,16 +90,16 @@ def test_in_collision_by_how_much() -> None:
 
 def test_nearer_than_the_margin() -> None:
     scene = pp.Scene({"ball": pp.Sphere((0.5 * L, 0.04, 0), 0.02)}, arm_radius=0.015, margin=0.01)
-    verdict = judge(ARM, Keyframe(STRAIGHT), scene)
+    verdict = judge(six_modules(), Keyframe(straight_line()), scene)
     assert verdict.collision
     assert verdict.notes[0].startswith("nearer than the margin: ")
     assert "is 0.005 m from ball" in verdict.notes[0]
     far = pp.Scene({"ball": pp.Sphere((0.5 * L, 0.04, 0), 0.02)}, arm_radius=0.005, margin=0.01)
-    assert not judge(ARM, Keyframe(STRAIGHT), far).collision
+    assert not judge(six_modules(), Keyframe(straight_line()), far).collision
 
 
 def test_an_obstacle_around_the_base() -> None:
-    verdict = judge(ARM, Keyframe(STRAIGHT), pp.Scene({"rock": pp.Sphere((0, 0, 0), 0.01)}))
+    verdict = judge(six_modules(), Keyframe(straight_line()), pp.Scene({"rock": pp.Sphere((0, 0, 0), 0.01)}))
     assert verdict.collision
     assert verdict.notes == ("in collision: rock stands where the base of the arm is",)
 
@@ -116,14 +117,14 @@ def test_joints_at_limits_are_named() -> None:
 
 
 def test_a_region_and_a_tip_are_part_of_it() -> None:
-    region = judge(ARM, Keyframe(BENT, trim=True, region=(1, 3)), None)
+    region = judge(six_modules(), Keyframe(bent_spline(), trim=True, region=(1, 3)), None)
     assert region.target is not None
     assert region.target.placed.tolist() == [False, True, True, True, False, False]
     away = pp.EndEffector(position=(0, 0, 3.0 * L), strict=True)
-    verdict = judge(ARM, Keyframe(STRAIGHT, tip=away), None)
+    verdict = judge(six_modules(), Keyframe(straight_line(), tip=away), None)
     assert verdict.target is None
     assert verdict.reason.startswith("its strict tip task is missed by")
-    none = judge(ARM, Keyframe(STRAIGHT, region=(2, 17)), None)
+    none = judge(six_modules(), Keyframe(straight_line(), region=(2, 17)), None)
     assert none.target is None
     assert "last" in none.reason
 
@@ -145,7 +146,7 @@ def test_an_arm_on_a_feed_and_one_elsewhere() -> None:
 
 @pytest.mark.parametrize("method", ["sequential", "smooth", "closest"])
 def test_each_method_takes_a_gentle_curve(method: str) -> None:
-    verdict = judge(ARM, Keyframe(BENT, trim=True, method=method), None)  # type: ignore[arg-type]
+    verdict = judge(six_modules(), Keyframe(bent_spline(), trim=True, method=method), None)  # type: ignore[arg-type]
     assert verdict.target is not None
     assert verdict.target.method == method
     assert float(verdict.target.residual.max()) < 0.1 * MODULE  # type: ignore[union-attr]

@@ -6,9 +6,10 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from kernels.chains import Problem, problem
+from sampling import examples, seeds
 
 from pinposture import kernels
 
@@ -42,7 +43,7 @@ def best_of_all(p: Problem, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
 
 
 @given(seed=SEEDS, power=st.integers(-4, 0))
-@settings(deadline=None, max_examples=30)
+@examples(30)
 def test_the_minimum_is_the_best_of_all_choices_of_sides(seed: int, power: int) -> None:
     rng = np.random.default_rng(seed)
     p = problem(rng, 2, 10.0**power)
@@ -84,7 +85,7 @@ def test_long_chains_at_their_bounds_meet_the_optimality_conditions(
     assert np.abs(slope[~(at_upper | at_lower)]).max(initial=0.0) < 1e-9
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", seeds(20))
 def test_boxes_that_end_where_the_minimum_is_or_have_no_room(seed: int) -> None:
     """Wanted values exactly at their bounds, and bounds one rounding apart: no circles, no numbers lost."""
     rng = np.random.default_rng(seed)
@@ -109,7 +110,7 @@ def test_boxes_that_end_where_the_minimum_is_or_have_no_room(seed: int) -> None:
     assert np.abs(slope[free]).max(initial=0.0) < 1e-9 * np.abs(hessian).max()
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", seeds(30))
 def test_circles_end_with_the_minimum(seed: int) -> None:
     """Narrow boxes around anywhere: most joints at a bound, which corrections alone do not sort out."""
     rng = np.random.default_rng(seed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -44,10 +45,65 @@ def test_importing_the_package_starts_no_compiler() -> None:
     assert found.stdout == "False\n"
 
 
-def test_machine_code_is_kept_until_any_kernel_changes() -> None:
+def test_machine_code_is_kept_until_its_sources_change() -> None:
     kept = kernels.sum_distances._cache._cache_file
-    assert kept._source_stamp == compiled._stamp()
+    assert kept._source_stamp == compiled.source_stamp(ROOM / "course.py")
     assert compiled.is_ready(kernels.sum_distances) or not kernels.sum_distances.signatures
+
+
+def test_a_stamp_is_that_of_a_file_and_of_what_it_imports(tmp_path: Path) -> None:
+    for path in ROOM.glob("*.py"):
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    changed = {}
+    before = stamps(tmp_path)
+    for name in ("spline", "pace"):
+        text = (tmp_path / f"{name}.py").read_text()
+        (tmp_path / f"{name}.py").write_text(text + "# changed\n")
+        changed[name] = {file for file, stamp in stamps(tmp_path).items() if stamp != before[file]}
+        (tmp_path / f"{name}.py").write_text(text)
+    assert changed["pace"] == {"pace"}
+    assert changed["spline"] >= {"spline", "walk", "nearest"}
+    assert not changed["spline"] & {"pace", "kinematics", "least_squares"}
+    assert stamps(tmp_path) == before == stamps(ROOM)  # contents count, not times or places
+
+
+def stamps(folder: Path) -> dict[str, str]:
+    """The stamp of every file of a folder, read anew."""
+    compiled.source_stamp.cache_clear()
+    compiled._sources.cache_clear()
+    return {path.stem: compiled.source_stamp(path) for path in folder.glob("*.py")}
+
+
+COMPILED_HERE = """
+import sys
+import numpy as np
+from numba.core import event
+
+class Count(event.Listener):
+    names = []
+    def on_start(self, event):
+        self.names.append(event.data["dispatcher"].py_func.__name__)
+    def on_end(self, event):
+        pass
+
+event.register("numba:compile", Count())
+from pinposture import kernels
+sys.stdin.read()
+kernels.sum_distances(np.zeros((2, 3)), np.ones((2, 3)), np.ones(2, dtype=bool))
+print(Count.names.count("sum_distances"))
+"""
+
+
+def test_processes_that_want_a_kernel_at_the_same_time_compile_it_once(tmp_path: Path) -> None:
+    line = [sys.executable, "-c", COMPILED_HERE]
+    there = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "env": there}
+    started = [subprocess.Popen(line, **pipes) for _ in range(3)]
+    for each in started:
+        each.stdin.close()
+    counts = [int(each.stdout.read()) for each in started]
+    assert [each.wait(60) for each in started] == [0, 0, 0]
+    assert sorted(counts) == [0, 0, 1]
 
 
 NOWHERE = """

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from kernels.chains import Problem, problem
+from sampling import examples
 
 import pinposture as pp
 from pinposture import kernels
@@ -40,7 +41,7 @@ def solved_precisely(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 @given(seed=SEEDS, modules=st.integers(1, 12), power=st.integers(-6, 1))
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_the_minimum_is_that_of_dense_least_squares(seed: int, modules: int, power: int) -> None:
     p = problem(np.random.default_rng(seed), modules, 10.0**power)
     hessian, gradient = p.dense()
@@ -88,7 +89,7 @@ def test_500_modules_meet_their_optimality_conditions() -> None:
 
 
 @given(seed=SEEDS, modules=st.integers(1, 10))
-@settings(deadline=None, max_examples=30)
+@examples(30)
 def test_motions_misses_and_stiffness_are_what_the_rows_say(seed: int, modules: int) -> None:
     rng = np.random.default_rng(seed)
     p = problem(rng, modules, 1.0)

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 import pinposture as pp
 from pinposture import kernels
@@ -17,7 +18,7 @@ from pinposture.control import active_set
 from pinposture.control.candidates import base_indices, best_set
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "control"))
-from chain_arms import ARMS, state_of
+from chain_arms import ARMS, arm_called, state_of
 
 kinds = st.sampled_from(sorted(ARMS))
 amplitudes = st.sampled_from([0.0, 1e-3, 0.03, 0.3, 3.0])
@@ -26,9 +27,9 @@ shares = st.sampled_from([0.0, 0.001, 0.05, 0.3])
 
 
 @given(kinds, st.integers(0, 10**6), amplitudes)
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_indices_are_those_of_the_singular_values(kind: str, seed: int, amplitude: float) -> None:
-    arm = ARMS[kind]
+    arm = arm_called(kind)
     state = state_of(arm, seed, amplitude)
     indices = state.manipulability()
     assert not np.tril(indices).any()
@@ -41,22 +42,22 @@ def test_indices_are_those_of_the_singular_values(kind: str, seed: int, amplitud
 
 
 @given(kinds, st.integers(0, 10**6), amplitudes, shares)
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_indices_to_the_base_are_the_same_and_decide_the_same(
     kind: str, seed: int, amplitude: float, threshold: float
 ) -> None:
-    state = state_of(ARMS[kind], seed, amplitude)
+    state = state_of(arm_called(kind), seed, amplitude)
     found, expected = base_indices(state.arm, screws_of(state), threshold), state.manipulability()[0, 1:]
     np.testing.assert_allclose(found**2, expected**2, rtol=0, atol=NEARLY)
     np.testing.assert_array_equal(found > threshold, expected > threshold)
 
 
 @given(kinds, st.integers(0, 10**6), amplitudes, shares, shares, st.sampled_from(["any", "equal", "few"]))
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_the_search_finds_the_set_that_all_indices_give(
     kind: str, seed: int, amplitude: float, absolute: float, relative: float, errors: str
 ) -> None:
-    arm, rng = ARMS[kind], np.random.default_rng(seed)
+    arm, rng = arm_called(kind), np.random.default_rng(seed)
     state = state_of(arm, seed, amplitude)
     distances = {
         "any": rng.uniform(0.0, 1.0, arm.n_modules),

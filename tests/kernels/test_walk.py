@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from reference_walk import walk
+from sampling import examples
 
 import pinposture as pp
 from pinposture import kernels
@@ -19,15 +22,20 @@ MIXED = [
     for name, lengths in (("RyRz", (0.03, 0.02)), ("RzRy", (0.02, 0.02)), ("RyRz", (0.025, 0.035)))
 ] * 3
 ARMS = {
-    "equal": pp.Arm.from_template("RyRz", 10),
-    "longer last": pp.Arm.from_template("RzRy", 8, (0.01, 0.04), base_placement=STANDS),
-    "longer first": pp.Arm.from_template("RyRz", 8, (0.04, 0.01)),
-    "mixed": pp.Arm.from_modules(MIXED),
-    "narrow": pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.3, 0.4)] * 8),
-    "one side": pp.Arm.from_modules([pp.template("RyRz").with_limits(1.7, 3.0)] * 4),
-    "planar": pp.Arm.from_template("Rz", 12, base_placement=STANDS),
-    "planar pairs": pp.Arm.from_template("RzRz", 6),
+    "equal": lambda: pp.Arm.from_template("RyRz", 10),
+    "longer last": lambda: pp.Arm.from_template("RzRy", 8, (0.01, 0.04), base_placement=STANDS),
+    "longer first": lambda: pp.Arm.from_template("RyRz", 8, (0.04, 0.01)),
+    "mixed": lambda: pp.Arm.from_modules(MIXED),
+    "narrow": lambda: pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.3, 0.4)] * 8),
+    "one side": lambda: pp.Arm.from_modules([pp.template("RyRz").with_limits(1.7, 3.0)] * 4),
+    "planar": lambda: pp.Arm.from_template("Rz", 12, base_placement=STANDS),
+    "planar pairs": lambda: pp.Arm.from_template("RzRz", 6),
 }
+
+
+@cache
+def arm_called(name: str) -> pp.Arm:
+    return ARMS[name]()
 
 
 def both(arm: pp.Arm, curve: pp.Curve, samples: int, parameter: float = 0.0) -> int:
@@ -43,7 +51,9 @@ def both(arm: pp.Arm, curve: pp.Curve, samples: int, parameter: float = 0.0) -> 
     expected = walk(arm, units, shapes, curve, samples, parameter, start)
     assert stopped == expected.stopped
     # Modules that multiply angles by l1 / l2 multiply rounding too.
-    np.testing.assert_allclose(positions, expected.positions, atol=1e-6)
+    # A link that is folded back is turned by half a turn, either way.
+    apart = np.angle(np.exp(1j * (positions - expected.positions)))
+    np.testing.assert_allclose(apart, 0.0, atol=1e-6)
     ends = np.zeros(arm.n_modules)
     placed = len(units) if stopped < 0 else stopped
     ends[units[:placed, 2]] = expected.parameters[:placed]
@@ -64,7 +74,7 @@ def laid(arm: pp.Arm, points: np.ndarray, degree: int) -> pp.Curve:
         raise
 
 
-@settings(deadline=None, max_examples=40)
+@examples(40)
 @given(
     st.sampled_from(sorted(ARMS)),
     st.integers(0, 10**6),
@@ -83,12 +93,13 @@ def test_all_places_are_those_of_the_algorithm(
     points[2:] += wild * rng.normal(size=(6, 3))
     if name.startswith("planar"):
         points[:, 2] = 0.0
-    both(ARMS[name], laid(ARMS[name], points, degree), samples)
+    arm = arm_called(name)
+    both(arm, laid(arm, points, degree), samples)
 
 
 def test_both_endings_are_met_by_every_arm() -> None:
-    for name, arm in ARMS.items():
-        endings = set()
+    for name in ARMS:
+        arm, endings = arm_called(name), set()
         for length, wild in ((1.4, 0.0), (1.4, 0.02), (1.4, 0.3), (0.8, 0.0)):
             points = np.zeros((6, 3))
             points[:, 0] = length * np.arange(6) / 5
@@ -100,7 +111,7 @@ def test_both_endings_are_met_by_every_arm() -> None:
 @pytest.mark.parametrize("beside", [0.0, 0.01, 0.03, 0.2])
 def test_a_walk_may_begin_beside_the_curve(beside: float) -> None:
     """Also so far beside that the first module does not reach it."""
-    arm = ARMS["equal"]
+    arm = arm_called("equal")
     curve = pp.Curve.spline([(-0.4, beside, 0), (0, beside, 0), (0.4, beside + 0.05, 0.02), (0.9, beside, 0)])
     parameter = float(curve.nearest(arm.chain.base).parameter)
     assert (both(arm, curve, 500, parameter) < 0) == (beside < 0.02)
@@ -114,7 +125,7 @@ def test_any_number_of_samples_will_do(samples: int) -> None:
 
 
 def test_curves_that_end_at_the_base_or_at_the_tip() -> None:
-    arm = ARMS["equal"]
+    arm = arm_called("equal")
     assert both(arm, pp.Curve.line((0, 0, 0), (arm.length, 0, 0)), 2000) == -1
     assert both(arm, pp.Curve.line((0, 0, 0), (0.999 * arm.length, 0, 0)), 2000) == 9
     assert both(arm, pp.Curve.line((-1, 0, 0), (0, 0, 0)), 50, 1.0) == 0

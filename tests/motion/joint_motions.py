@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from arm.describing import LINK, X, Y, Z, arm_text
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck
 from hypothesis import strategies as st
+from sampling import examples
 
 import pinposture as pp
 from pinposture.motion.joint_trajectory import JointTrajectory
 
-ARM = pp.Arm.from_urdf(
-    arm_text(
-        [("continuous", Y, LINK), ("prismatic", X, LINK), ("continuous", Z, LINK), ("revolute", Y, LINK)]
-    )
-)
 TABLES = ("time", "positions", "velocities", "accelerations")
-FILES = settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+FILES = examples(40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 NUMBER = st.floats(-1e300, 1e300)
 NAME = st.text(st.characters(exclude_categories=("C", "Z"), include_characters=" "), min_size=1).filter(
@@ -28,6 +25,15 @@ NAME = st.text(st.characters(exclude_categories=("C", "Z"), include_characters="
 
 POSITIONS = np.array([[0.0, 1.0], [0.1, 1.0], [0.4, 0.5], [0.5, 0.5]])
 MOMENTS = np.arange(4) + 0.5
+
+
+@cache
+def arm() -> pp.Arm:
+    return pp.Arm.from_urdf(
+        arm_text(
+            [("continuous", Y, LINK), ("prismatic", X, LINK), ("continuous", Z, LINK), ("revolute", Y, LINK)]
+        )
+    )
 
 
 @st.composite
@@ -48,10 +54,10 @@ def motions(draw: st.DrawFn, least_step: float = 0.0) -> JointTrajectory:
 
 def of_arm(seed: int, rows: int = 6, dt: float = 0.1) -> JointTrajectory:
     rng = np.random.default_rng(seed)
-    q = [ARM.random(rng)]
+    q = [arm().random(rng)]
     for _ in range(rows - 1):
-        q.append(ARM.integrate(q[-1], rng.uniform(-3.0, 3.0, 4) * [1.0, 0.01, 1.0, 0.1]))
-    return JointTrajectory.from_configurations(ARM, q, dt)
+        q.append(arm().integrate(q[-1], rng.uniform(-3.0, 3.0, 4) * [1.0, 0.01, 1.0, 0.1]))
+    return JointTrajectory.from_configurations(arm(), q, dt)
 
 
 def assert_same(one: JointTrajectory, other: JointTrajectory, tables: tuple[str, ...] = TABLES) -> None:

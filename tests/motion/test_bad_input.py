@@ -7,14 +7,23 @@ import json
 import numpy as np
 import pinocchio as pin
 import pytest
+from arms import template_arm
 
 import pinposture as pp
 from pinposture.errors import FileError, InvalidValue
 
-ARM = pp.Arm.from_template("RyRz", 4)
-GOAL = pp.Target.from_configuration(ARM, np.full(8, 0.2))
-POINTS = np.array(GOAL.points)
+POINTS = np.outer([0.05, 0.1, 0.15, 0.2], [1.0, 0.0, 0.0])  # of the straight arm
 LOST = np.where(np.arange(4)[:, None] == 2, np.nan, POINTS)
+
+
+@pytest.fixture(scope="session")
+def arm() -> pp.Arm:
+    return template_arm("RyRz", 4)
+
+
+@pytest.fixture(scope="session")
+def goal(arm: pp.Arm) -> pp.Target:
+    return pp.Target.from_configuration(arm, np.full(8, 0.2))
 
 
 @pytest.mark.parametrize(
@@ -33,8 +42,8 @@ LOST = np.where(np.arange(4)[:, None] == 2, np.nan, POINTS)
         ({"max_steps": True}, "max_steps"),
     ],
 )
-def test_what_cannot_be_run_is_refused(change: dict, message: str) -> None:
-    arguments = {"arm": ARM, "target": GOAL, "q0": np.zeros(8)} | change
+def test_what_cannot_be_run_is_refused(arm: pp.Arm, goal: pp.Target, change: dict, message: str) -> None:
+    arguments = {"arm": arm, "target": goal, "q0": np.zeros(8)} | change
     with pytest.raises(InvalidValue, match=message):
         pp.track(**arguments)
 
@@ -49,10 +58,10 @@ def test_limits_that_are_no_numbers_are_refused(parameters: dict) -> None:
         pp.Limits(**parameters)
 
 
-def test_numbers_of_numpy_are_numbers(tmp_path) -> None:
+def test_numbers_of_numpy_are_numbers(arm: pp.Arm, goal: pp.Target, tmp_path) -> None:
     limits = pp.Limits(step=np.float32(0.1), dt=np.float32(0.5), position_margin=np.float32(0.01))
     method = pp.Selection(gain=np.int64(1), null_gain=np.float32(0.5))
-    run = pp.track(ARM, GOAL, np.full(8, 0.1), method, limits, max_steps=np.int64(3))
+    run = pp.track(arm, goal, np.full(8, 0.1), method, limits, max_steps=np.int64(3))
     again = pp.Trajectory.load(run.save(tmp_path / "run.npz"))
     assert again.limits == limits
     assert hash(again.limits) == hash(limits)
@@ -63,11 +72,11 @@ def test_numbers_of_numpy_are_numbers(tmp_path) -> None:
     "placement",
     [2.0 * np.eye(4), np.diag([1.0, 1.0, -1.0, 1.0]), np.full((4, 4), np.nan), np.eye(3), "x"],
 )
-def test_a_base_that_is_not_placed_rigidly_is_refused(placement: object) -> None:
+def test_a_base_that_is_not_placed_rigidly_is_refused(arm: pp.Arm, placement: object) -> None:
     with pytest.raises(InvalidValue, match="base_placement"):
         pp.Arm.from_template("RyRz", 2, base_placement=placement)
     with pytest.raises(InvalidValue, match="base_placement"):
-        pp.Arm.from_model(ARM.model, ARM.control_points, base_placement=placement)
+        pp.Arm.from_model(arm.model, arm.control_points, base_placement=placement)
 
 
 def test_a_base_may_be_placed_by_a_matrix() -> None:
@@ -83,8 +92,8 @@ def test_a_model_must_be_one() -> None:
         pp.Arm.from_model(None, ["tip"])
 
 
-def test_damaged_runs_are_file_errors(tmp_path) -> None:
-    run = pp.track(ARM, GOAL, np.zeros(8), max_steps=3)
+def test_damaged_runs_are_file_errors(arm: pp.Arm, goal: pp.Target, tmp_path) -> None:
+    run = pp.track(arm, goal, np.zeros(8), max_steps=3)
     path = run.save(tmp_path / "run.npz")
     content = bytearray(path.read_bytes())
     rng = np.random.default_rng(0)

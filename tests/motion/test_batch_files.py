@@ -9,30 +9,44 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from arms import template_arm
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 import pinposture as pp
 from pinposture.errors import FileError
 from pinposture.study import smooth_configuration
 from pinposture.thesis.curves import HELIX, LINE
 
-ARM = pp.Arm.from_template("RyRz", 4)
-RNG = np.random.default_rng(2)
-STARTS = [smooth_configuration(ARM, RNG, 0.5) for _ in range(4)]
-TARGETS = [
-    pp.resolve_targets(ARM, HELIX),
-    pp.Target.from_configuration(ARM, STARTS[0]),
-    pp.Target.from_points(ARM, ARM.at(STARTS[1]).points, [1, 0, 0.5, 1]),
-    pp.resolve_targets(ARM, LINE),
-]
-SCENE = pp.Scene({"ball": pp.Sphere((0.1, 0.0, 0.35), 0.02)})
 LIMITS = pp.Limits(step=None, velocity=np.full(8, 1.5), dt=0.05, acceleration=30.0, position_margin=0.01)
 
 
+@pytest.fixture(scope="session")
+def arm() -> pp.Arm:
+    return template_arm("RyRz", 4)
+
+
 @pytest.fixture(scope="module")
-def batch() -> pp.Batch:
-    return pp.track_many(ARM, TARGETS, STARTS, "qp", LIMITS, SCENE, max_steps=12)
+def starts(arm: pp.Arm) -> list[np.ndarray]:
+    rng = np.random.default_rng(2)
+    return [smooth_configuration(arm, rng, 0.5) for _ in range(4)]
+
+
+@pytest.fixture(scope="module")
+def targets(arm: pp.Arm, starts: list[np.ndarray]) -> list[pp.Target]:
+    return [
+        pp.resolve_targets(arm, HELIX),
+        pp.Target.from_configuration(arm, starts[0]),
+        pp.Target.from_points(arm, arm.at(starts[1]).points, [1, 0, 0.5, 1]),
+        pp.resolve_targets(arm, LINE),
+    ]
+
+
+@pytest.fixture(scope="module")
+def batch(arm: pp.Arm, targets: list[pp.Target], starts: list[np.ndarray]) -> pp.Batch:
+    scene = pp.Scene({"ball": pp.Sphere((0.1, 0.0, 0.35), 0.02)})
+    return pp.track_many(arm, targets, starts, "qp", LIMITS, scene, max_steps=12)
 
 
 @pytest.fixture(scope="module")
@@ -52,14 +66,14 @@ def assert_equal(one: object, other: object) -> None:
 
 
 @pytest.mark.parametrize("keep", ["motions", "ends"])
-def test_a_file_gives_everything_back(batch: pp.Batch, keep: str, tmp_path: Path) -> None:
+def test_a_file_gives_everything_back(arm: pp.Arm, batch: pp.Batch, keep: str, tmp_path: Path) -> None:
     batch = batch if keep == "motions" else replace(batch, motions=None)
     path = batch.save(tmp_path / "deep" / "many")
     assert path == tmp_path / "deep" / "many.npz"
     assert list(path.parent.iterdir()) == [path]
     loaded = pp.Batch.load(path)
     assert_equal(loaded, batch)
-    assert loaded.arm.urdf == ARM.urdf
+    assert loaded.arm.urdf == arm.urdf
     for one, other in zip(loaded.targets, batch.targets, strict=True):
         assert_equal(one, other)
         assert (one.curve is None) == (other.curve is None)
@@ -74,8 +88,10 @@ def test_a_file_gives_everything_back(batch: pp.Batch, keep: str, tmp_path: Path
             np.testing.assert_allclose(one.points, other.points, rtol=0.0, atol=1e-15)
 
 
-def test_one_target_of_all_stays_one(tmp_path: Path) -> None:
-    batch = pp.track_many(ARM, TARGETS[0], STARTS, max_steps=2)
+def test_one_target_of_all_stays_one(
+    arm: pp.Arm, targets: list[pp.Target], starts: list[np.ndarray], tmp_path: Path
+) -> None:
+    batch = pp.track_many(arm, targets[0], starts, max_steps=2)
     loaded = pp.Batch.load(batch.save(tmp_path / "batch.npz"))
     assert len(loaded.targets) == 1
     assert_equal(loaded, batch)
@@ -156,7 +172,7 @@ def test_files_that_are_no_batches_are_named(batch: pp.Batch, tmp_path: Path) ->
         pp.Trajectory.load(batch.save(tmp_path / "batch.npz"))
 
 
-@settings(deadline=None, max_examples=40)
+@examples(40)
 @given(data=st.data())
 def test_damaged_bytes_are_noticed_or_do_no_harm(
     data: st.DataObject, batch: pp.Batch, content: bytes, tmp_path_factory: pytest.TempPathFactory

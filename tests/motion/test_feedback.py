@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from arms import template_arm
 from scipy.linalg import expm
 
 import pinposture as pp
@@ -12,10 +13,18 @@ from pinposture.motion import Tracker
 from pinposture.motion.feedback import FARTHEST, Feedback
 from pinposture.target import Target
 
-ARM = pp.Arm.from_template("RyRz", 4)
-ONE = pp.Arm.from_template("Rz", 1)
 LAG, DT = 0.05, 1e-3
 FREE = pp.Limits(step=None, velocity=1e5, dt=DT)
+
+
+@pytest.fixture(scope="session")
+def arm() -> pp.Arm:
+    return template_arm("RyRz", 4)
+
+
+@pytest.fixture(scope="session")
+def one() -> pp.Arm:
+    return template_arm("Rz", 1)
 
 
 def response(period: float, target: float, sag: float, seconds: float) -> np.ndarray:
@@ -42,9 +51,11 @@ def driven(tracker: Tracker, q: np.ndarray, sag: np.ndarray | float, steps: int)
 
 @pytest.mark.parametrize("controller", ["joint", "qp"])
 @pytest.mark.parametrize("ratio", [1.0, 4.0, 10.0])
-def test_the_loop_is_the_one_of_the_characteristic_polynomial(controller: str, ratio: float) -> None:
-    tracker = Tracker(ONE, controller, FREE, feedback=ratio * LAG)
-    tracker.update(Target.from_configuration(ONE, np.array([0.1])))
+def test_the_loop_is_the_one_of_the_characteristic_polynomial(
+    one: pp.Arm, controller: str, ratio: float
+) -> None:
+    tracker = Tracker(one, controller, FREE, feedback=ratio * LAG)
+    tracker.update(Target.from_configuration(one, np.array([0.1])))
     steps = 1000
     found = driven(tracker, np.zeros(1), 0.02, steps)[:, 0]
     theory = response(ratio * LAG, 0.1, 0.02, steps * DT)[:steps]
@@ -60,15 +71,17 @@ def test_the_loop_is_the_one_of_the_characteristic_polynomial(controller: str, r
 
 @pytest.mark.parametrize("controller", ["qp", "joint"])
 @pytest.mark.parametrize("seed", range(2))
-def test_an_arm_that_sags_and_lags_takes_the_posture_all_the_same(seed: int, controller: str) -> None:
+def test_an_arm_that_sags_and_lags_takes_the_posture_all_the_same(
+    arm: pp.Arm, seed: int, controller: str
+) -> None:
     rng = np.random.default_rng(seed)
     limits = pp.Limits(step=None, velocity=2.0, dt=0.01, acceleration=10.0)
-    wanted, sag = rng.uniform(-1, 1, ARM.nv), 0.03 * rng.normal(size=ARM.nv)
+    wanted, sag = rng.uniform(-1, 1, arm.nv), 0.03 * rng.normal(size=arm.nv)
     ends = {}
     for feedback in (0.25, np.inf):
-        tracker = Tracker(ARM, controller, limits, feedback=feedback)
-        tracker.update(Target.from_configuration(ARM, wanted))
-        path = driven(tracker, rng.uniform(-1, 1, ARM.nv), sag, 500)
+        tracker = Tracker(arm, controller, limits, feedback=feedback)
+        tracker.update(Target.from_configuration(arm, wanted))
+        path = driven(tracker, rng.uniform(-1, 1, arm.nv), sag, 500)
         ends[feedback] = np.abs(path[-1] - wanted).max()
         if controller == "joint":  # the way of "qp" is direct for points, and need not be for joints
             beyond = (path - wanted) * np.sign(wanted - path[0])
@@ -87,16 +100,16 @@ def test_a_sag_that_would_need_a_command_beyond_the_limits_is_made_good_as_far_a
     np.testing.assert_allclose(path[-1], 0.45, atol=1e-5)
 
 
-def test_without_a_known_configuration_points_are_shifted_by_as_much() -> None:
+def test_without_a_known_configuration_points_are_shifted_by_as_much(arm: pp.Arm) -> None:
     limits = pp.Limits(step=None, velocity=2.0, dt=0.01, acceleration=10.0)
     rng = np.random.default_rng(5)
-    wanted, sag = rng.uniform(-0.8, 0.8, ARM.nv), 0.02 * rng.normal(size=ARM.nv)
-    points = ARM.at(wanted).points
-    tracker = Tracker(ARM, "qp", limits)
-    tracker.update(Target.from_points(ARM, points))
+    wanted, sag = rng.uniform(-0.8, 0.8, arm.nv), 0.02 * rng.normal(size=arm.nv)
+    points = arm.at(wanted).points
+    tracker = Tracker(arm, "qp", limits)
+    tracker.update(Target.from_points(arm, points))
     path = driven(tracker, wanted + 0.2, sag, 900)
-    off = np.linalg.norm(ARM.at(path[-1]).points - points, axis=1).mean()
-    assert off < 1e-3 * ARM.length and tracker.report.mean_error == pytest.approx(off, abs=1e-6)
+    off = np.linalg.norm(arm.at(path[-1]).points - points, axis=1).mean()
+    assert off < 1e-3 * arm.length and tracker.report.mean_error == pytest.approx(off, abs=1e-6)
 
 
 def longer(arm: pp.Arm, factor: float) -> pp.Arm:
@@ -124,41 +137,42 @@ def test_points_seen_from_outside_make_good_what_the_model_has_wrong(interface: 
     assert off[True] < 0.15 * off[False] and off[False] > 2e-3 * real.length
 
 
-def test_points_that_are_not_seen_or_cannot_be_count_for_nothing() -> None:
-    q = np.linspace(-0.3, 0.3, ARM.nv)
-    right = ARM.at(q).points
-    feedback = Feedback(ARM, 0.25, 0.3, 0.5)
+def test_points_that_are_not_seen_or_cannot_be_count_for_nothing(arm: pp.Arm) -> None:
+    q = np.linspace(-0.3, 0.3, arm.nv)
+    right = arm.at(q).points
+    feedback = Feedback(arm, 0.25, 0.3, 0.5)
     feedback.take(q, right, 0.01)
-    for spoilt in (np.nan, np.inf, -np.inf, 1e300, FARTHEST * ARM.length * 1.01):
+    for spoilt in (np.nan, np.inf, -np.inf, 1e300, FARTHEST * arm.length * 1.01):
         points = right.copy()
         points[2, 1] += spoilt
         feedback.take(q, points, 0.01)
         np.testing.assert_allclose(feedback.points, right, atol=1e-12)
-    target = Target.from_configuration(ARM, q)
+    target = Target.from_configuration(arm, q)
     assert feedback.shifted(target) is target
 
 
-def test_estimates_follow_with_their_time_constant() -> None:
-    q, off = np.zeros(ARM.nv), 0.01
-    feedback = Feedback(ARM, 0.5, 0.3, 0.5)
+def test_estimates_follow_with_their_time_constant(arm: pp.Arm) -> None:
+    q, off = np.zeros(arm.nv), 0.01
+    feedback = Feedback(arm, 0.5, 0.3, 0.5)
     feedback.take(q, None, 0.02)
-    feedback.moved(np.zeros(ARM.nv))
-    target = Target.from_configuration(ARM, 0.2 * np.ones(ARM.nv))
+    feedback.moved(np.zeros(arm.nv))
+    target = Target.from_configuration(arm, 0.2 * np.ones(arm.nv))
     for _ in range(30):
         feedback.take(q + off, None, 0.02)
-        feedback.moved(np.zeros(ARM.nv))
+        feedback.moved(np.zeros(arm.nv))
     shifted = feedback.shifted(target)
     np.testing.assert_allclose(shifted.q, 0.2 - off * (1.0 - np.exp(-30 * 0.02 / 0.5)), rtol=1e-9)
-    np.testing.assert_allclose(shifted.points, ARM.at(shifted.q).points, atol=1e-12)
+    np.testing.assert_allclose(shifted.points, arm.at(shifted.q).points, atol=1e-12)
     assert feedback.shifted(target) is shifted  # nothing has changed: the same target, so that ways stay
 
 
 def far_off(feedback: Feedback, moving: bool, cycles: int) -> int | None:
     """After how many cycles an arm that is measured elsewhere is taken to be there; None if it is not."""
-    feedback.take(np.zeros(ARM.nv), None, 0.01)
-    far = np.full(ARM.nv, 1.0)
+    nv = feedback.arm.nv
+    feedback.take(np.zeros(nv), None, 0.01)
+    far = np.full(nv, 1.0)
     for cycle in range(cycles):
-        feedback.moved(np.full(ARM.nv, 1e-6 if moving else 0.0))
+        feedback.moved(np.full(nv, 1e-6 if moving else 0.0))
         seen = feedback.take(far, None, 0.01)
         if feedback.anew:
             np.testing.assert_array_equal(seen.state.q, far)
@@ -170,21 +184,21 @@ def far_off(feedback: Feedback, moving: bool, cycles: int) -> int | None:
     return None
 
 
-def test_what_is_far_off_is_believed_only_when_repeated_by_an_arm_at_rest() -> None:
-    assert far_off(Feedback(ARM, 0.25, 0.3, 0.5), False, 200) == pytest.approx(50, abs=1)
-    assert far_off(Feedback(ARM, 0.25, 0.3, 0.5), True, 200) is None
-    assert far_off(Feedback(ARM, 0.25, 0.3, np.inf), False, 200) is None
-    assert far_off(Feedback(ARM, 0.25, 1.1, 0.5), False, 0) is None
+def test_what_is_far_off_is_believed_only_when_repeated_by_an_arm_at_rest(arm: pp.Arm) -> None:
+    assert far_off(Feedback(arm, 0.25, 0.3, 0.5), False, 200) == pytest.approx(50, abs=1)
+    assert far_off(Feedback(arm, 0.25, 0.3, 0.5), True, 200) is None
+    assert far_off(Feedback(arm, 0.25, 0.3, np.inf), False, 200) is None
+    assert far_off(Feedback(arm, 0.25, 1.1, 0.5), False, 0) is None
 
 
-def test_wrong_shapes_are_faults_of_the_program() -> None:
-    feedback = Feedback(ARM, 0.25, 0.3, 0.5)
+def test_wrong_shapes_are_faults_of_the_program(arm: pp.Arm) -> None:
+    feedback = Feedback(arm, 0.25, 0.3, 0.5)
     with pytest.raises(InvalidValue, match="q_measured"):
-        feedback.take(np.zeros(ARM.nq + 1), None, 0.01)
+        feedback.take(np.zeros(arm.nq + 1), None, 0.01)
     with pytest.raises(InvalidValue, match="q_measured"):
         feedback.take("here", None, 0.01)
     with pytest.raises(InvalidValue, match="points"):
-        feedback.take(None, np.zeros((ARM.n_modules, 2)), 0.01)
-    for bad in (None, np.full(ARM.nq, np.nan)):
+        feedback.take(None, np.zeros((arm.n_modules, 2)), 0.01)
+    for bad in (None, np.full(arm.nq, np.nan)):
         seen = feedback.take(bad, None, 0.01)
         assert seen.state is None and seen.reason and seen.disagreement is None

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from motion.joint_motions import ARM, FILES, TABLES, assert_same, motions, of_arm
+from motion.joint_motions import FILES, TABLES, arm, assert_same, motions, of_arm
 
 import pinposture as pp
 from pinposture.errors import FileError, InvalidValue
@@ -40,7 +40,7 @@ def test_arrays_come_back_to_the_last_bit(tmp_path: Path, motion: JointTrajector
     assert again.name == motion.name
 
 
-@settings(FILES, max_examples=20)
+@FILES
 @given(st.integers(0, 10**6), st.permutations(range(4)), st.sampled_from([".npz", ".csv", ".json"]))
 def test_motions_of_an_arm_come_back_whatever_the_order_of_its_joints(
     tmp_path: Path, seed: int, order: list[int], suffix: str
@@ -51,11 +51,11 @@ def test_motions_of_an_arm_come_back_whatever_the_order_of_its_joints(
         motion.time,
         *(getattr(motion, name)[:, order] for name in TABLES[1:]),
     )
-    again = JointTrajectory.load(mixed.save(tmp_path / f"motion{suffix}"), ARM)
+    again = JointTrajectory.load(mixed.save(tmp_path / f"motion{suffix}"), arm())
     assert again.units == ("rad", "m", "rad", "rad")
     assert_same(again, motion, TABLES[1:])
     np.testing.assert_allclose(again.time, motion.time, atol=1e-9)
-    np.testing.assert_array_equal(again.configurations(ARM), motion.configurations(ARM))
+    np.testing.assert_array_equal(again.configurations(arm()), motion.configurations(arm()))
 
 
 def test_arrays_are_read_without_this_library(tmp_path: Path) -> None:

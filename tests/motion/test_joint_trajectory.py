@@ -8,21 +8,31 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arm.describing import LINK, X, Y, Z, arm_text
-from hypothesis import given, settings
+from arms import template_arm
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
+from sampling import examples
 
 import pinposture as pp
 from pinposture.errors import InvalidValue
 from pinposture.motion.joint_trajectory import JointTrajectory
 
-HINGES = pp.Arm.from_template("RyRz", 2)
-MIXED = pp.Arm.from_urdf(
-    arm_text(
-        [("continuous", Y, LINK), ("prismatic", X, LINK), ("continuous", Z, LINK), ("revolute", Y, LINK)]
+MOVES = examples(40)
+
+
+@pytest.fixture(scope="session")
+def hinges() -> pp.Arm:
+    return template_arm("RyRz", 2)
+
+
+@pytest.fixture(scope="session")
+def varied() -> pp.Arm:
+    return pp.Arm.from_urdf(
+        arm_text(
+            [("continuous", Y, LINK), ("prismatic", X, LINK), ("continuous", Z, LINK), ("revolute", Y, LINK)]
+        )
     )
-)
-MOVES = settings(deadline=None, max_examples=40)
 
 
 def with_gripper(joint: pin.JointModel) -> pp.Arm:
@@ -86,10 +96,10 @@ def test_rows_keep_the_limits_that_steps_keep(pushes: list[float], dt: float) ->
     np.testing.assert_allclose(found.peaks.accelerations, expected, rtol=1e-9, atol=1e-9 / dt**2)
 
 
-def test_limits_of_a_controller_hold_on_what_is_exported() -> None:
+def test_limits_of_a_controller_hold_on_what_is_exported(hinges: pp.Arm) -> None:
     limits = pp.Limits(step=None, velocity=0.8, acceleration=2.0, dt=0.02)
-    target = pp.Target.from_configuration(HINGES, [0.5, -0.3, 0.4, 0.2])
-    run = pp.track(HINGES, target, HINGES.neutral(), limits=limits, max_steps=120)
+    target = pp.Target.from_configuration(hinges, [0.5, -0.3, 0.4, 0.2])
+    run = pp.track(hinges, target, hinges.neutral(), limits=limits, max_steps=120)
     found = JointTrajectory.from_run(run)
     assert found.time[-1] == pytest.approx(0.02 * run.steps)
     assert np.abs(found.velocities).max() <= 0.8 + 1e-9
@@ -108,8 +118,8 @@ def test_a_motion_begins_and_ends_at_rest_and_says_so_to_the_last_bit() -> None:
     np.testing.assert_allclose(found.velocities[1:-1, 0], 1.0)
 
 
-def test_one_row_is_a_motion_that_stands_still() -> None:
-    found = JointTrajectory.from_configurations(HINGES, [HINGES.neutral()], 0.1)
+def test_one_row_is_a_motion_that_stands_still(hinges: pp.Arm) -> None:
+    found = JointTrajectory.from_configurations(hinges, [hinges.neutral()], 0.1)
     assert (found.duration, found.time.tolist()) == (0.0, [0.0])
     assert not found.velocities.any()
     assert not found.peaks.speeds.any()
@@ -118,11 +128,11 @@ def test_one_row_is_a_motion_that_stands_still() -> None:
 
 
 @pytest.mark.parametrize("turn", [1.9, -2.7])
-def test_a_continuous_joint_that_turned_twice_ends_at_4_pi(turn: float) -> None:
+def test_a_continuous_joint_that_turned_twice_ends_at_4_pi(varied: pp.Arm, turn: float) -> None:
     dq = np.array([np.sign(turn) * 4 * np.pi, 0.02, 0.0, 0.3])
     count = int(np.ceil(4 * np.pi / abs(turn)))
-    q = [MIXED.configuration(dq * k / count) for k in range(count + 1)]
-    found = JointTrajectory.from_configurations(MIXED, q, 0.1)
+    q = [varied.configuration(dq * k / count) for k in range(count + 1)]
+    found = JointTrajectory.from_configurations(varied, q, 0.1)
     assert found.units == ("rad", "m", "rad", "rad")
     np.testing.assert_allclose(found.positions[-1], dq, atol=1e-12)
     np.testing.assert_allclose(found.positions, np.outer(np.linspace(0, 1, count + 1), dq), atol=1e-12)
@@ -131,28 +141,28 @@ def test_a_continuous_joint_that_turned_twice_ends_at_4_pi(turn: float) -> None:
 
 @MOVES
 @given(st.integers(0, 10**6), st.integers(1, 12))
-def test_motions_on_the_manifold_come_back(seed: int, rows: int) -> None:
+def test_motions_on_the_manifold_come_back(varied: pp.Arm, seed: int, rows: int) -> None:
     """Steps are those of `Arm.difference`, and configurations those that were there."""
     rng = np.random.default_rng(seed)
-    q = [MIXED.random(rng)]
+    q = [varied.random(rng)]
     for _ in range(rows - 1):
-        q.append(MIXED.integrate(q[-1], rng.uniform(-3.0, 3.0, 4) * [1.0, 0.01, 1.0, 0.1]))
-    found = JointTrajectory.from_configurations(MIXED, q, 0.1)
+        q.append(varied.integrate(q[-1], rng.uniform(-3.0, 3.0, 4) * [1.0, 0.01, 1.0, 0.1]))
+    found = JointTrajectory.from_configurations(varied, q, 0.1)
     for k in range(1, rows):
         step = found.positions[k] - found.positions[k - 1]
-        np.testing.assert_allclose(step, MIXED.difference(q[k - 1], q[k]), atol=1e-12)
-    again = found.configurations(MIXED)
+        np.testing.assert_allclose(step, varied.difference(q[k - 1], q[k]), atol=1e-12)
+    again = found.configurations(varied)
     np.testing.assert_allclose(again, q, atol=1e-14)
 
 
-def test_positions_of_hinges_and_slides_are_the_numbers_of_q() -> None:
+def test_positions_of_hinges_and_slides_are_the_numbers_of_q(hinges: pp.Arm, varied: pp.Arm) -> None:
     rng = np.random.default_rng(3)
-    q = np.array([HINGES.random(rng) for _ in range(20)])
-    found = JointTrajectory.from_configurations(HINGES, q, np.sort(rng.uniform(0, 1, 20)))
+    q = np.array([hinges.random(rng) for _ in range(20)])
+    found = JointTrajectory.from_configurations(hinges, q, np.sort(rng.uniform(0, 1, 20)))
     np.testing.assert_array_equal(found.positions, q)
-    np.testing.assert_array_equal(found.configurations(HINGES), q)
-    rows = np.array([MIXED.random(rng) for _ in range(20)])
-    mixed = JointTrajectory.from_configurations(MIXED, rows, 1.0)
+    np.testing.assert_array_equal(found.configurations(hinges), q)
+    rows = np.array([varied.random(rng) for _ in range(20)])
+    mixed = JointTrajectory.from_configurations(varied, rows, 1.0)
     np.testing.assert_array_equal(mixed.positions[:, 1], rows[:, 2])
     np.testing.assert_array_equal(mixed.positions[:, 3], rows[:, 5])
 
@@ -185,10 +195,10 @@ def test_a_joint_whose_name_would_stand_for_several_numbers_is_refused() -> None
 
 @MOVES
 @given(st.permutations(range(4)), st.integers(0, 10**6))
-def test_joints_are_matched_by_name(order: list[int], seed: int) -> None:
+def test_joints_are_matched_by_name(varied: pp.Arm, order: list[int], seed: int) -> None:
     rng = np.random.default_rng(seed)
-    q = [MIXED.random(rng) for _ in range(5)]
-    plain = JointTrajectory.from_configurations(MIXED, q, 0.1)
+    q = [varied.random(rng) for _ in range(5)]
+    plain = JointTrajectory.from_configurations(varied, q, 0.1)
     mixed = JointTrajectory(
         [plain.joint_names[k] for k in order],
         plain.time,
@@ -196,20 +206,20 @@ def test_joints_are_matched_by_name(order: list[int], seed: int) -> None:
         plain.velocities[:, order],
         plain.accelerations[:, order],
     )
-    matched = mixed.matched(MIXED)
+    matched = mixed.matched(varied)
     assert (matched.joint_names, matched.units) == (plain.joint_names, plain.units)
     for name in ("time", "positions", "velocities", "accelerations"):
         np.testing.assert_array_equal(getattr(matched, name), getattr(plain, name))
-    np.testing.assert_allclose(mixed.configurations(MIXED), q, atol=1e-14)
+    np.testing.assert_allclose(mixed.configurations(varied), q, atol=1e-14)
 
 
-def test_joints_that_do_not_fit_are_named() -> None:
+def test_joints_that_do_not_fit_are_named(hinges: pp.Arm) -> None:
     found = JointTrajectory.from_positions(["m01_j1_y", "m01_j2_z", "gripper"], np.zeros((2, 3)), 0.1)
     with pytest.raises(InvalidValue, match="missing: 'm02_j1_y', 'm02_j2_z'; unknown: 'gripper'"):
-        found.configurations(HINGES)
-    slides = JointTrajectory.from_positions(HINGES.joint_names, np.zeros((2, 4)), 0.1, ["rad", "m", "", ""])
+        found.configurations(hinges)
+    slides = JointTrajectory.from_positions(hinges.joint_names, np.zeros((2, 4)), 0.1, ["rad", "m", "", ""])
     with pytest.raises(InvalidValue, match="unit of joint 'm01_j2_z' is 'm'; allowed: 'rad'"):
-        slides.matched(HINGES)
+        slides.matched(hinges)
 
 
 @MOVES
@@ -270,8 +280,11 @@ def test_between_rows_a_cubic_exceeds_limits_by_no_more_than_the_page_says() -> 
 @pytest.mark.parametrize(
     ("known", "given_", "expected"), [(0.02, None, 0.02), (None, 0.5, 0.5), (0.02, 0.02, 0.02)]
 )
-def test_steps_of_a_run_take_what_its_limits_say_or_what_is_given(known, given_, expected) -> None:
-    assert JointTrajectory.from_run(short_run(known), given_).time.tolist() == [0.0, expected, 2 * expected]
+def test_steps_of_a_run_take_what_its_limits_say_or_what_is_given(
+    hinges: pp.Arm, known, given_, expected
+) -> None:
+    found = JointTrajectory.from_run(short_run(hinges, known), given_)
+    assert found.time.tolist() == [0.0, expected, 2 * expected]
 
 
 @pytest.mark.parametrize(
@@ -284,14 +297,16 @@ def test_steps_of_a_run_take_what_its_limits_say_or_what_is_given(known, given_,
         (0.02, float("nan"), "dt is nan"),
     ],
 )
-def test_a_duration_that_is_missing_or_contradicts_is_refused(known, given_, message: str) -> None:
+def test_a_duration_that_is_missing_or_contradicts_is_refused(
+    hinges: pp.Arm, known, given_, message: str
+) -> None:
     with pytest.raises(InvalidValue, match=message):
-        JointTrajectory.from_run(short_run(known), given_)
+        JointTrajectory.from_run(short_run(hinges, known), given_)
 
 
-def short_run(dt: float | None) -> pp.Trajectory:
-    target = pp.Target.from_configuration(HINGES, np.full(4, 0.5))
-    return pp.track(HINGES, target, HINGES.neutral(), limits=pp.Limits(dt=dt), max_steps=2)
+def short_run(hinges: pp.Arm, dt: float | None) -> pp.Trajectory:
+    target = pp.Target.from_configuration(hinges, np.full(4, 0.5))
+    return pp.track(hinges, target, hinges.neutral(), limits=pp.Limits(dt=dt), max_steps=2)
 
 
 PLAIN = {
@@ -348,15 +363,17 @@ def test_what_is_no_motion_is_refused(change: dict, message: str) -> None:
         ([[0, 0, 0, 0], [0, 1e10, 0, 0], [0, 0, 0, 0]], 1e-300, r"velocities\[1, 1\]"),
     ],
 )
-def test_configurations_that_are_none_are_refused(q: object, time: object, message: str) -> None:
+def test_configurations_that_are_none_are_refused(
+    hinges: pp.Arm, q: object, time: object, message: str
+) -> None:
     with pytest.raises(InvalidValue, match=message):
-        JointTrajectory.from_configurations(HINGES, q, time)
+        JointTrajectory.from_configurations(hinges, q, time)
 
 
-def test_a_continuous_joint_needs_a_rotation() -> None:
-    q = np.array([MIXED.neutral(), np.zeros(MIXED.nq)])
+def test_a_continuous_joint_needs_a_rotation(varied: pp.Arm) -> None:
+    q = np.array([varied.neutral(), np.zeros(varied.nq)])
     with pytest.raises(InvalidValue, match=r"q\[1\]"):
-        JointTrajectory.from_configurations(MIXED, q, 0.1)
+        JointTrajectory.from_configurations(varied, q, 0.1)
 
 
 @pytest.mark.parametrize("positions", [[[0.0], [0.0, 1.0]], 3.0, []])

@@ -9,26 +9,32 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from arms import template_arm
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 import pinposture as pp
 from pinposture.errors import FileError
 from pinposture.motion.motion import Motion
 from pinposture.task import Mark, Reference, perform
 
-ARM = pp.Arm.from_template("RyRz", 4)
 LIMITS = pp.Limits(step=None, velocity=np.full(8, 1.5), dt=0.05, acceleration=30.0, position_margin=0.01)
 
 
-def motion_of(controller: str = "qp", scene: pp.Scene | None = None, stop: int | None = None) -> Motion:
+@pytest.fixture(scope="session")
+def arm() -> pp.Arm:
+    return template_arm("RyRz", 4)
+
+
+def motion_of(arm: pp.Arm, controller: str = "qp", ball: bool = False, stop: int | None = None) -> Motion:
     s = np.linspace(0.0, 1.0, 31)[:, None]
-    offsets = s**3 * (10.0 - 15.0 * s + 6.0 * s**2) * np.linspace(0.2, -0.5, ARM.nv)
+    offsets = s**3 * (10.0 - 15.0 * s + 6.0 * s**2) * np.linspace(0.2, -0.5, arm.nv)
     weights = np.ones((31, 4))
     weights[10:20, 1] = 0.0
-    q = np.full(ARM.nv, 0.1)
+    q = np.full(arm.nv, 0.1)
     marks = tuple(
-        Mark(name, row, pp.Target.from_configuration(ARM, q + offsets[row]))
+        Mark(name, row, pp.Target.from_configuration(arm, q + offsets[row]))
         for name, row in (("first, with ä", 0), ("middle", 15), ("last", 30))
     )
     told: list[float] = []
@@ -37,13 +43,14 @@ def motion_of(controller: str = "qp", scene: pp.Scene | None = None, stop: int |
         told.append(time)
         return len(told) == stop
 
-    reference = Reference(ARM, 0.04, q, offsets, weights, marks)
+    scene = pp.Scene({"ball": pp.Sphere((0.1, 0.0, 0.35), 0.02)}) if ball else None
+    reference = Reference(arm, 0.04, q, offsets, weights, marks)
     return perform(reference, controller, LIMITS, scene, q0=q + 0.05, progress=progress)
 
 
 @pytest.fixture(scope="module")
-def motion() -> Motion:
-    return motion_of()
+def motion(arm: pp.Arm) -> Motion:
+    return motion_of(arm)
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +88,7 @@ def assert_equal(one: Motion, other: Motion) -> None:
 
 KINDS = {
     "followed": {},
-    "in a scene": {"scene": pp.Scene({"ball": pp.Sphere((0.1, 0.0, 0.35), 0.02)})},
+    "in a scene": {"ball": True},
     "stopped": {"stop": 14},
     "before it set out": {"stop": 1},
     "another controller": {"controller": "joint"},
@@ -89,8 +96,8 @@ KINDS = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_file_gives_everything_back(kind: str, tmp_path: Path) -> None:
-    motion = motion_of(**KINDS[kind])
+def test_a_file_gives_everything_back(arm: pp.Arm, kind: str, tmp_path: Path) -> None:
+    motion = motion_of(arm, **KINDS[kind])
     path = motion.save(tmp_path / "deep" / "done")
     assert path == tmp_path / "deep" / "done.npz" and list(path.parent.iterdir()) == [path]
     loaded = Motion.load(path)
@@ -111,11 +118,11 @@ def test_its_arrays_are_not_to_be_written_to(motion: Motion, tmp_path: Path) -> 
                 array[0] = 0
 
 
-def test_files_of_other_kinds_name_who_reads_them(motion: Motion, tmp_path: Path) -> None:
-    target = pp.Target.from_configuration(ARM, np.full(8, 0.2))
+def test_files_of_other_kinds_name_who_reads_them(arm: pp.Arm, motion: Motion, tmp_path: Path) -> None:
+    target = pp.Target.from_configuration(arm, np.full(8, 0.2))
     whole = motion.save(tmp_path / "motion")
     run = motion.run.save(tmp_path / "run")
-    batch = pp.track_many(ARM, [target], [ARM.neutral()], "qp", LIMITS, max_steps=3).save(tmp_path / "batch")
+    batch = pp.track_many(arm, [target], [arm.neutral()], "qp", LIMITS, max_steps=3).save(tmp_path / "batch")
     for path, reader in ((run, "Trajectory.load"), (batch, "Batch.load")):
         with pytest.raises(FileError, match=reader):
             Motion.load(path)
@@ -176,7 +183,7 @@ def test_a_file_without_a_cycle_is_refused(content: bytes, tmp_path: Path) -> No
 
 
 @given(data=st.data())
-@settings(deadline=None, max_examples=30)
+@examples(30)
 def test_a_damaged_file_is_refused_or_whole(
     data: st.DataObject, content: bytes, motion: Motion, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from motion.joint_motions import FILES, MOMENTS, POSITIONS, TABLES, assert_same, motions, of_arm, written
 from scipy.interpolate import BPoly
 
@@ -84,7 +84,7 @@ def strict_json(text: str) -> object:
     return json.loads(text, parse_constant=refuse)
 
 
-@settings(FILES, max_examples=20)
+@FILES
 @given(motions(least_step=1e-6))
 def test_messages_have_the_fields_and_types_of_their_definition(
     tmp_path: Path, motion: JointTrajectory
@@ -263,3 +263,13 @@ def test_messages_that_no_controller_would_take_are_refused_by_name(
     assert caught.value.path == path
     assert reason in caught.value.reason
     assert "\n" not in str(caught.value)
+
+
+def test_a_message_with_all_its_rates_needs_none_worked_out(tmp_path: Path) -> None:
+    """Differences of these positions have no finite value."""
+    zeros = np.zeros((4, 1))
+    time = np.array([0.0, 1.0, 2.0, 2.000001])
+    motion = JointTrajectory(("a",), time, np.array([[0.0], [0.0], [0.0], [2e299]]), zeros, zeros)
+    again = JointTrajectory.load(motion.save(tmp_path / "motion.json"))
+    np.testing.assert_array_equal(again.positions, motion.positions)
+    np.testing.assert_array_equal(again.velocities, zeros)

@@ -8,28 +8,32 @@ import weakref
 
 import numpy as np
 import pytest
+from arms import template_arm
 
 import pinposture as pp
 from pinposture.errors import FileError, InvalidValue, UnknownName
 from pinposture.thesis.curves import HELIX, LINE
 
-ARM = pp.Arm.from_template("RyRz", 20)
-SHORT = pp.Arm.from_template("RyRz", 3)
 START = 0.4 * np.sin(np.arange(40))
 
 
+@pytest.fixture(scope="session")
+def arm() -> pp.Arm:
+    return template_arm("RyRz", 20)
+
+
 @pytest.fixture(scope="module")
-def run() -> pp.Trajectory:
-    target = pp.resolve_targets(ARM, HELIX, roll=0.4)
-    return pp.track(ARM, target, START, "projection", max_steps=40)
+def run(arm: pp.Arm) -> pp.Trajectory:
+    target = pp.resolve_targets(arm, HELIX, roll=0.4)
+    return pp.track(arm, target, START, "projection", max_steps=40)
 
 
-def test_a_run_records_what_happened(run: pp.Trajectory) -> None:
+def test_a_run_records_what_happened(arm: pp.Arm, run: pp.Trajectory) -> None:
     assert run.q.shape == (run.steps + 1, 40)
     assert run.point_errors.shape == run.points.shape[:2] == (run.steps + 1, 20)
     assert len(run.active_sets) == len(run.index) == len(run.sigma_min) == run.steps
     for step in (0, run.steps // 2, run.steps):
-        points = ARM.at(run.q[step]).points
+        points = arm.at(run.q[step]).points
         np.testing.assert_array_equal(run.points[step], points)
         errors = np.linalg.norm(points - run.target.points, axis=1)
         np.testing.assert_allclose(run.point_errors[step], errors, atol=1e-14)
@@ -39,61 +43,61 @@ def test_a_run_records_what_happened(run: pp.Trajectory) -> None:
     assert np.all((run.scale < 1.0) <= (largest > 0.1 - 1e-9))
 
 
-def test_close_targets_converge() -> None:
-    near = ARM.configuration(START + 0.01 * np.cos(np.arange(40)))
+def test_close_targets_converge(arm: pp.Arm) -> None:
+    near = arm.configuration(START + 0.01 * np.cos(np.arange(40)))
     for name in ("selection", "projection"):
-        run = pp.track(ARM, pp.Target.from_configuration(ARM, near), START, name, max_steps=200)
+        run = pp.track(arm, pp.Target.from_configuration(arm, near), START, name, max_steps=200)
         if name == "projection":
             assert run.converged
             assert run.point_errors[-1].mean() <= 1e-6
         assert run.posture_error[-1] < 0.3 * run.posture_error[0]
 
 
-def test_a_run_that_begins_at_the_target_takes_no_step() -> None:
-    run = pp.track(ARM, pp.Target.from_configuration(ARM, START), START)
+def test_a_run_that_begins_at_the_target_takes_no_step(arm: pp.Arm) -> None:
+    run = pp.track(arm, pp.Target.from_configuration(arm, START), START)
     assert (run.status, run.steps) == ("converged", 0)
     assert run.active.shape == (0, 20)
     assert run.clipped.shape == (0, 40)
 
 
-def test_every_other_ending_says_why() -> None:
-    helix = pp.resolve_targets(ARM, HELIX)
-    stuck = pp.track(ARM, helix, ARM.straight(), "selection")
+def test_every_other_ending_says_why(arm: pp.Arm) -> None:
+    helix = pp.resolve_targets(arm, HELIX)
+    stuck = pp.track(arm, helix, arm.straight(), "selection")
     assert stuck.status == "no_control_points"
     assert stuck.steps == 0
     assert "singular" in stuck.reason
-    short = pp.track(ARM, helix, START, "projection", max_steps=3)
+    short = pp.track(arm, helix, START, "projection", max_steps=3)
     assert short.status == "max_steps"
     assert short.steps == 3
     assert "above the tolerance" in short.reason
-    unreachable = pp.Target.from_points(ARM, helix.points + [0.0, 5.0, 0.0])
-    stalled = pp.track(ARM, unreachable, START, "projection", max_steps=2000)
+    unreachable = pp.Target.from_points(arm, helix.points + [0.0, 5.0, 0.0])
+    stalled = pp.track(arm, unreachable, START, "projection", max_steps=2000)
     assert stalled.status in ("stalled", "no_control_points")
     assert "no progress" in stalled.reason
     seen = []
     stopped = pp.track(
-        ARM, helix, START, "projection", callback=lambda k, state, step: seen.append((k, state.q)) or k == 5
+        arm, helix, START, "projection", callback=lambda k, state, step: seen.append((k, state.q)) or k == 5
     )
     assert (stopped.status, stopped.steps) == ("stopped", 5)
     assert [k for k, _ in seen] == [1, 2, 3, 4, 5]
     np.testing.assert_array_equal(seen[-1][1], stopped.q[-1])
 
 
-def test_the_same_run_twice_is_the_same_run(run: pp.Trajectory) -> None:
-    again = pp.track(ARM, run.target, START, "projection", max_steps=40)
+def test_the_same_run_twice_is_the_same_run(arm: pp.Arm, run: pp.Trajectory) -> None:
+    again = pp.track(arm, run.target, START, "projection", max_steps=40)
     np.testing.assert_array_equal(again.q, run.q)
 
 
 def test_the_library_logs_and_prints_nothing(
-    capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+    arm: pp.Arm, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
     with caplog.at_level(logging.INFO, "pinposture"):
-        pp.track(ARM, pp.Target.from_configuration(ARM, START), START)
+        pp.track(arm, pp.Target.from_configuration(arm, START), START)
     assert capsys.readouterr() == ("", "")
     assert "converged after 0 steps" in caplog.text
 
 
-def test_a_file_gives_everything_back(run: pp.Trajectory, tmp_path: object) -> None:
+def test_a_file_gives_everything_back(arm: pp.Arm, run: pp.Trajectory, tmp_path: object) -> None:
     path = run.save(tmp_path / "deep" / "run")
     assert path.name == "run.npz"
     assert [file.name for file in path.parent.iterdir()] == ["run.npz"]
@@ -104,7 +108,7 @@ def test_a_file_gives_everything_back(run: pp.Trajectory, tmp_path: object) -> N
         np.testing.assert_array_equal(getattr(loaded, name), getattr(run, name))
     assert (loaded.status, loaded.reason, loaded.controller) == (run.status, run.reason, run.controller)
     assert loaded.limits == run.limits
-    assert loaded.arm.urdf == ARM.urdf
+    assert loaded.arm.urdf == arm.urdf
     again, once = (each.target.curve.resample(50) for each in (loaded, run))
     np.testing.assert_allclose(again, once, atol=1e-15)  # its length is measured anew
     repeated = pp.track(loaded.arm, loaded.target, loaded.q[0], "projection", loaded.limits, max_steps=40)
@@ -132,48 +136,48 @@ def test_files_that_are_no_runs_are_named(tmp_path: object, run: pp.Trajectory) 
         run.save(blocked / "run.npz")
 
 
-def test_a_target_without_any_point_is_refused() -> None:
-    nothing = pp.resolve_targets(ARM, pp.Curve.line((0, 0, 0), (0.01, 0, 0)), incomplete="partial")
+def test_a_target_without_any_point_is_refused(arm: pp.Arm) -> None:
+    nothing = pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (0.01, 0, 0)), incomplete="partial")
     with pytest.raises(InvalidValue, match=r"target\.weights.*at least one"):
-        pp.track(ARM, nothing, START)
+        pp.track(arm, nothing, START)
 
 
 @pytest.mark.parametrize(
     ("change", "kind", "message"),
     [
-        ({"q0": np.zeros(39)}, InvalidValue, r"q0 \(shape\)"),
-        ({"q0": np.full(40, np.nan)}, InvalidValue, r"q0\[0\] is nan"),
-        ({"controller": "simplex"}, UnknownName, "selection, projection, switching"),
-        ({"max_steps": 0}, InvalidValue, "max_steps"),
-        ({"tolerance": -1.0}, InvalidValue, "tolerance"),
+        (lambda: {"q0": np.zeros(39)}, InvalidValue, r"q0 \(shape\)"),
+        (lambda: {"q0": np.full(40, np.nan)}, InvalidValue, r"q0\[0\] is nan"),
+        (lambda: {"controller": "simplex"}, UnknownName, "selection, projection, switching"),
+        (lambda: {"max_steps": 0}, InvalidValue, "max_steps"),
+        (lambda: {"tolerance": -1.0}, InvalidValue, "tolerance"),
         (
-            {"target": pp.Target.from_configuration(pp.Arm.from_template("RyRz", 3), np.zeros(6))},
+            lambda: {"target": pp.Target.from_configuration(template_arm("RyRz", 3), np.zeros(6))},
             InvalidValue,
             "target",
         ),
     ],
 )
-def test_bad_arguments_are_named(change: dict, kind: type, message: str) -> None:
-    arguments = {"arm": ARM, "target": pp.Target.from_configuration(ARM, START), "q0": START} | change
+def test_bad_arguments_are_named(arm: pp.Arm, change: object, kind: type, message: str) -> None:
+    arguments = {"arm": arm, "target": pp.Target.from_configuration(arm, START), "q0": START} | change()
     with pytest.raises(kind, match=message):
         pp.track(**arguments)
 
 
-def test_partial_targets_are_tracked_by_the_points_that_have_one() -> None:
-    target = pp.resolve_targets(ARM, pp.Curve.line((0, 0, 0), (0.52, 0, 0)), incomplete="partial")
-    run = pp.track(ARM, target, START, "projection", max_steps=100)
+def test_partial_targets_are_tracked_by_the_points_that_have_one(arm: pp.Arm) -> None:
+    target = pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (0.52, 0, 0)), incomplete="partial")
+    run = pp.track(arm, target, START, "projection", max_steps=100)
     assert not run.point_errors[:, 10:].any()
     assert run.posture_error[-1] < 0.5 * run.posture_error[0]
     assert LINE.length > 1.0
 
 
-def test_a_run_that_does_not_get_there_for_want_of_a_configuration_says_so() -> None:
-    known = pp.resolve_targets(ARM, HELIX)
-    bare = pp.Target.from_points(ARM, known.points)
-    run = pp.track(ARM, bare, START, "selection", max_steps=3)
+def test_a_run_that_does_not_get_there_for_want_of_a_configuration_says_so(arm: pp.Arm) -> None:
+    known = pp.resolve_targets(arm, HELIX)
+    bare = pp.Target.from_points(arm, known.points)
+    run = pp.track(arm, bare, START, "selection", max_steps=3)
     assert "fit_points" in run.reason
-    assert "fit_points" not in pp.track(ARM, known, START, "selection", max_steps=3).reason
-    assert pp.track(ARM, pp.fit_points(ARM, known.points), START).converged
+    assert "fit_points" not in pp.track(arm, known, START, "selection", max_steps=3).reason
+    assert pp.track(arm, pp.fit_points(arm, known.points), START).converged
 
 
 def test_nothing_keeps_an_arm_alive_after_it_was_used() -> None:

@@ -7,6 +7,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from arms import template_arm
 
 import pinposture as pp
 from pinposture.errors import InvalidValue, PostureError, UnknownName
@@ -14,8 +15,12 @@ from pinposture.motion import Tracker
 from pinposture.study import smooth_configuration
 from pinposture.target import Target
 
-ARM = pp.Arm.from_template("RyRz", 6)
 LIMITS = pp.Limits(step=None, velocity=2.0, dt=0.02, acceleration=10.0)
+
+
+@pytest.fixture(scope="session")
+def arm() -> pp.Arm:
+    return template_arm("RyRz", 6)
 
 
 def run(tracker: Tracker, q: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
@@ -30,60 +35,60 @@ def run(tracker: Tracker, q: np.ndarray, steps: int) -> tuple[np.ndarray, np.nda
 
 @pytest.mark.parametrize("controller", ["qp", "joint", "lm", "switching"])
 @pytest.mark.parametrize("interface", ["position", "velocity"])
-def test_the_arm_comes_to_its_target_and_rests(controller: str, interface: str) -> None:
+def test_the_arm_comes_to_its_target_and_rests(arm: pp.Arm, controller: str, interface: str) -> None:
     rng = np.random.default_rng(1)
-    start, goal = (smooth_configuration(ARM, rng, 0.6) for _ in range(2))
-    tracker = Tracker(ARM, controller, LIMITS, interface=interface)
-    tracker.update(Target.from_configuration(ARM, goal))
+    start, goal = (smooth_configuration(arm, rng, 0.6) for _ in range(2))
+    tracker = Tracker(arm, controller, LIMITS, interface=interface)
+    tracker.update(Target.from_configuration(arm, goal))
     path, moved = run(tracker, start, 400)
-    assert np.linalg.norm(ARM.at(path[-1]).points - ARM.at(goal).points, axis=1).mean() < 1e-6 * ARM.length
+    assert np.linalg.norm(arm.at(path[-1]).points - arm.at(goal).points, axis=1).mean() < 1e-6 * arm.length
     assert tracker.report.status == "arrived" and tracker.report.reason == ""
-    assert tracker.report.mean_error < 1e-6 * ARM.length and tracker.report.target_age == pytest.approx(8.0)
+    assert tracker.report.mean_error < 1e-6 * arm.length and tracker.report.target_age == pytest.approx(8.0)
     np.testing.assert_allclose(tracker.command, path[-1], atol=1e-12)
-    rest = np.zeros((1, ARM.nv))
+    rest = np.zeros((1, arm.nv))
     assert np.abs(np.diff(np.concatenate([rest, moved, rest]), axis=0)).max() <= 10.0 * 0.02**2 + 1e-9
     assert np.abs(moved).max() <= 2.0 * 0.02 + 1e-9
     assert np.abs(moved[-1]).max() < 1e-12
 
 
-def test_it_goes_the_way_that_a_run_goes() -> None:
+def test_it_goes_the_way_that_a_run_goes(arm: pp.Arm) -> None:
     rng = np.random.default_rng(2)
-    start, goal = (smooth_configuration(ARM, rng, 0.8) for _ in range(2))
-    target = Target.from_configuration(ARM, goal)
-    motion = pp.track(ARM, target, start, limits=LIMITS)
-    tracker = Tracker(ARM, "qp", LIMITS)
+    start, goal = (smooth_configuration(arm, rng, 0.8) for _ in range(2))
+    target = Target.from_configuration(arm, goal)
+    motion = pp.track(arm, target, start, limits=LIMITS)
+    tracker = Tracker(arm, "qp", LIMITS)
     tracker.update(target)
     path, _ = run(tracker, start, motion.steps)
     np.testing.assert_allclose(path, motion.q, atol=1e-9)
 
 
-def test_before_anything_is_known() -> None:
-    tracker = Tracker(ARM, "qp", LIMITS)
+def test_before_anything_is_known(arm: pp.Arm) -> None:
+    tracker = Tracker(arm, "qp", LIMITS)
     assert tracker.report.status == "holding" and tracker.report.reason and tracker.target is None
     with pytest.raises(InvalidValue, match="command"):
         _ = tracker.command
     assert not np.any(tracker.step(None)) and tracker.report.reason == "no measurement"
-    tracker.update(Target.from_configuration(ARM, np.full(ARM.nv, 0.1)))
+    tracker.update(Target.from_configuration(arm, np.full(arm.nv, 0.1)))
     assert not np.any(tracker.step(None)) and tracker.report.mean_error is None
     with pytest.raises(InvalidValue, match="command"):
         _ = tracker.command
-    assert np.any(tracker.step(ARM.neutral())) and tracker.report.status == "moving"
+    assert np.any(tracker.step(arm.neutral())) and tracker.report.status == "moving"
 
 
-def test_without_a_target_it_stands() -> None:
-    tracker = Tracker(ARM, "qp", LIMITS)
+def test_without_a_target_it_stands(arm: pp.Arm) -> None:
+    tracker = Tracker(arm, "qp", LIMITS)
     for _ in range(5):
-        assert not np.any(tracker.step(ARM.neutral()))
+        assert not np.any(tracker.step(arm.neutral()))
     report = tracker.report
     assert report.status == "holding" and "no target" in report.reason
     assert report.mean_error is None and report.target_age is None and report.disagreement == 0.0
 
 
-def test_a_target_that_does_not_fit_is_refused_and_the_one_before_stays() -> None:
-    tracker = Tracker(ARM, "qp", LIMITS)
-    good = Target.from_configuration(ARM, np.full(ARM.nv, 0.2))
+def test_a_target_that_does_not_fit_is_refused_and_the_one_before_stays(arm: pp.Arm) -> None:
+    tracker = Tracker(arm, "qp", LIMITS)
+    good = Target.from_configuration(arm, np.full(arm.nv, 0.2))
     tracker.update(good)
-    tracker.step(ARM.neutral())
+    tracker.step(arm.neutral())
     other = pp.Arm.from_template("RyRz", 3)
     spoilt = np.array(good.points)
     spoilt[1, 0] = np.nan
@@ -91,7 +96,7 @@ def test_a_target_that_does_not_fit_is_refused_and_the_one_before_stays() -> Non
         Target.from_configuration(other, other.neutral()),
         Target(spoilt, np.ones(6)),
         Target(good.points, np.zeros(6)),
-        Target(good.points, np.ones(6), q=np.full(ARM.nq, np.inf)),
+        Target(good.points, np.ones(6), q=np.full(arm.nq, np.inf)),
         good.points,
         None,
     ):
@@ -102,112 +107,112 @@ def test_a_target_that_does_not_fit_is_refused_and_the_one_before_stays() -> Non
     assert tracker.report.target_age == pytest.approx(0.04)
 
 
-def test_a_target_that_the_controller_cannot_work_with_brakes_the_arm_and_says_why() -> None:
-    tracker = Tracker(ARM, "joint", LIMITS)
-    tracker.update(Target.from_configuration(ARM, np.full(ARM.nv, 0.8)))
-    path, moved = run(tracker, ARM.neutral(), 8)
+def test_a_target_that_the_controller_cannot_work_with_brakes_the_arm_and_says_why(arm: pp.Arm) -> None:
+    tracker = Tracker(arm, "joint", LIMITS)
+    tracker.update(Target.from_configuration(arm, np.full(arm.nv, 0.8)))
+    path, moved = run(tracker, arm.neutral(), 8)
     assert np.abs(moved[-1]).max() > 0.02
-    tracker.update(Target.from_points(ARM, 1.1 * ARM.at(np.full(ARM.nv, 0.5)).points))  # not to be had
+    tracker.update(Target.from_points(arm, 1.1 * arm.at(np.full(arm.nv, 0.5)).points))  # not to be had
     path, braking = run(tracker, path[-1], 12)
     assert tracker.report.status == "holding" and "target.q" in tracker.report.reason
     assert not np.any(braking[-1])
     assert np.abs(np.diff(np.concatenate([moved[-1:], braking]), axis=0)).max() <= 10.0 * 0.02**2 + 1e-12
-    tracker.update(Target.from_configuration(ARM, np.full(ARM.nv, 0.5)))
+    tracker.update(Target.from_configuration(arm, np.full(arm.nv, 0.5)))
     run(tracker, path[-1], 1)
     assert tracker.report.status == "moving"
 
 
-def test_so_does_a_controller_that_works_in_a_thread_of_its_own() -> None:
-    tracker = Tracker(ARM, "joint", LIMITS, deadline=5.0)
-    tracker.update(Target.from_points(ARM, 1.1 * ARM.at(np.full(ARM.nv, 0.5)).points))  # not to be had
-    run(tracker, ARM.neutral(), 3)
+def test_so_does_a_controller_that_works_in_a_thread_of_its_own(arm: pp.Arm) -> None:
+    tracker = Tracker(arm, "joint", LIMITS, deadline=5.0)
+    tracker.update(Target.from_points(arm, 1.1 * arm.at(np.full(arm.nv, 0.5)).points))  # not to be had
+    run(tracker, arm.neutral(), 3)
     assert "target.q" in tracker.report.reason
-    tracker.update(Target.from_configuration(ARM, np.full(ARM.nv, 0.5)))
-    run(tracker, ARM.neutral(), 1)
+    tracker.update(Target.from_configuration(arm, np.full(arm.nv, 0.5)))
+    run(tracker, arm.neutral(), 1)
     assert tracker.report.status == "moving"
 
 
-def test_faults_of_the_program_are_raised() -> None:
-    tracker = Tracker(ARM, "qp", LIMITS)
-    q = ARM.neutral()
-    for bad in (np.zeros(ARM.nq - 1), np.zeros((2, ARM.nq)), "here"):
+def test_faults_of_the_program_are_raised(arm: pp.Arm) -> None:
+    tracker = Tracker(arm, "qp", LIMITS)
+    q = arm.neutral()
+    for bad in (np.zeros(arm.nq - 1), np.zeros((2, arm.nq)), "here"):
         with pytest.raises(InvalidValue, match="q_measured"):
             tracker.step(bad)
     for dt in (0.0, -0.01, np.nan, np.inf, "soon"):
         with pytest.raises(InvalidValue, match="dt"):
             tracker.step(q, dt)
     with pytest.raises(InvalidValue, match="points"):
-        tracker.step(q, points=np.zeros((ARM.n_modules + 1, 3)))
+        tracker.step(q, points=np.zeros((arm.n_modules + 1, 3)))
     with pytest.raises(InvalidValue, match="q_measured"):
-        tracker.restart(np.full(ARM.nq, np.nan))
+        tracker.restart(np.full(arm.nq, np.nan))
 
 
-def test_what_it_is_made_with_is_checked() -> None:
+def test_what_it_is_made_with_is_checked(arm: pp.Arm) -> None:
     for limits in (None, pp.Limits(), "fast"):
         with pytest.raises(InvalidValue, match="dt"):
-            Tracker(ARM, "qp", limits)
+            Tracker(arm, "qp", limits)
     for name in ("feedback", "disagreement", "patience", "timeout", "deadline"):
         for value in (0.0, -1.0, np.nan):
             with pytest.raises(InvalidValue, match=name):
-                Tracker(ARM, "qp", LIMITS, **{name: value})
+                Tracker(arm, "qp", LIMITS, **{name: value})
     with pytest.raises(UnknownName, match="torque"):
-        Tracker(ARM, "qp", LIMITS, interface="torque")
+        Tracker(arm, "qp", LIMITS, interface="torque")
     with pytest.raises(UnknownName):
-        Tracker(ARM, "best", LIMITS)
+        Tracker(arm, "best", LIMITS)
     with pytest.raises(PostureError):
-        Tracker(ARM, "qp", pp.Limits(step=np.ones(3), dt=0.01))
+        Tracker(arm, "qp", pp.Limits(step=np.ones(3), dt=0.01))
 
 
-def singular_goals() -> dict[str, np.ndarray]:
-    folded, straight = ARM.straight(), ARM.straight()
+def singular_goals(arm: pp.Arm) -> dict[str, np.ndarray]:
+    folded, straight = arm.straight(), arm.straight()
     folded[4] = np.pi - 1e-3
-    near = straight + 1e-7 * np.random.default_rng(3).normal(size=ARM.nv)
+    near = straight + 1e-7 * np.random.default_rng(3).normal(size=arm.nv)
     return {"straight": straight, "folded": folded, "nearly straight": near, "bent to limits": straight + 3.1}
 
 
-@pytest.mark.parametrize("name", singular_goals())
+@pytest.mark.parametrize("name", ["straight", "folded", "nearly straight", "bent to limits"])
 @pytest.mark.parametrize("known", [True, False])
-def test_singular_postures_are_taken_or_given_up_at_rest(name: str, known: bool) -> None:
-    goal = singular_goals()[name]
-    target = Target.from_configuration(ARM, goal)
-    target = target if known else Target.from_points(ARM, target.points)
-    tracker = Tracker(ARM, "qp", LIMITS)
+def test_singular_postures_are_taken_or_given_up_at_rest(arm: pp.Arm, name: str, known: bool) -> None:
+    goal = singular_goals(arm)[name]
+    target = Target.from_configuration(arm, goal)
+    target = target if known else Target.from_points(arm, target.points)
+    tracker = Tracker(arm, "qp", LIMITS)
     tracker.update(target)
-    path, moved = run(tracker, smooth_configuration(ARM, np.random.default_rng(4), 0.5), 500)
+    path, moved = run(tracker, smooth_configuration(arm, np.random.default_rng(4), 0.5), 500)
     assert np.all(np.isfinite(path)) and np.abs(path).max() <= np.pi + 1e-9
     assert not np.any(moved[-1]) and tracker.report.status in ("arrived", "stuck")
     if known:
         assert tracker.report.status == "arrived"
-        np.testing.assert_allclose(ARM.at(path[-1]).points, target.points, atol=1e-6)
+        np.testing.assert_allclose(arm.at(path[-1]).points, target.points, atol=1e-6)
     # And on from there: no posture is a trap.
-    tracker.update(Target.from_configuration(ARM, 0.3 * np.ones(ARM.nv)))
+    tracker.update(Target.from_configuration(arm, 0.3 * np.ones(arm.nv)))
     path, _ = run(tracker, path[-1], 500)
     assert tracker.report.status == "arrived"
 
 
 @pytest.mark.parametrize("factor", [1.05, 1.3, 5.0])
-def test_what_is_out_of_reach_ends_stuck_and_at_rest(factor: float) -> None:
-    points = factor * ARM.at(smooth_configuration(ARM, np.random.default_rng(6), 0.4)).points
-    tracker = Tracker(ARM, "qp", LIMITS)
-    tracker.update(Target.from_points(ARM, points))
-    path, moved = run(tracker, 0.1 * np.ones(ARM.nv), 500)
+def test_what_is_out_of_reach_ends_stuck_and_at_rest(arm: pp.Arm, factor: float) -> None:
+    points = factor * arm.at(smooth_configuration(arm, np.random.default_rng(6), 0.4)).points
+    tracker = Tracker(arm, "qp", LIMITS)
+    tracker.update(Target.from_points(arm, points))
+    path, moved = run(tracker, 0.1 * np.ones(arm.nv), 500)
     assert tracker.report.status == "stuck" and tracker.report.reason
     assert not np.any(moved[-1])
-    off = np.linalg.norm(ARM.at(path[-1]).points - points, axis=1).mean()
+    off = np.linalg.norm(arm.at(path[-1]).points - points, axis=1).mean()
     assert tracker.report.mean_error == pytest.approx(off, rel=1e-9) and off > 1e-3
 
 
-def test_a_target_that_moves_slowly_is_kept() -> None:
+def test_a_target_that_moves_slowly_is_kept(arm: pp.Arm) -> None:
     rng = np.random.default_rng(7)
-    one, two = (smooth_configuration(ARM, rng, 0.6) for _ in range(2))
-    tracker, q, off = Tracker(ARM, "qp", LIMITS), one, []
+    one, two = (smooth_configuration(arm, rng, 0.6) for _ in range(2))
+    tracker, q, off = Tracker(arm, "qp", LIMITS), one, []
     for k in range(400):
         wanted = np.cos(0.01 * k) * one + np.sin(0.01 * k) * two
-        tracker.update(Target.from_configuration(ARM, wanted))
-        q = ARM.integrate(q, tracker.step(q))
-        off.append(np.linalg.norm(ARM.at(q).points - ARM.at(wanted).points, axis=1).mean())
+        tracker.update(Target.from_configuration(arm, wanted))
+        q = arm.integrate(q, tracker.step(q))
+        off.append(np.linalg.norm(arm.at(q).points - arm.at(wanted).points, axis=1).mean())
     # At most what the target moves on in some cycles.
-    assert max(off[50:]) < 0.1 * ARM.length / ARM.n_modules
+    assert max(off[50:]) < 0.1 * arm.length / arm.n_modules
 
 
 def test_a_new_target_ahead_does_not_stop_the_arm() -> None:
@@ -222,29 +227,30 @@ def test_a_new_target_ahead_does_not_stop_the_arm() -> None:
     assert min(speeds[15:55]) > 1.6
 
 
-def test_a_restart_on_the_move_goes_on_at_that_speed():
+def test_a_restart_on_the_move_goes_on_at_that_speed(arm):
     limits = pp.Limits(step=None, dt=0.02, acceleration=5.0)
-    tracker = Tracker(ARM, limits=limits, feedback=float("inf"))
+    tracker = Tracker(arm, limits=limits, feedback=float("inf"))
     rng = np.random.default_rng(0)
-    target = pp.Target.from_configuration(ARM, smooth_configuration(ARM, rng, 0.5))
-    tracker.restart(ARM.neutral())
+    target = pp.Target.from_configuration(arm, smooth_configuration(arm, rng, 0.5))
+    tracker.restart(arm.neutral())
     tracker.update(target)
     for _ in range(8):
         dq = tracker.step(tracker.command)
     assert np.abs(dq).max() > 2.0 * limits.acceleration * limits.dt**2
-    other = Tracker(ARM, limits=limits, feedback=float("inf"))
+    other = Tracker(arm, limits=limits, feedback=float("inf"))
     other.restart(tracker.command, dq)
     other.update(target)
     most = limits.acceleration * limits.dt**2 * (1.0 + 1e-9)
     assert np.abs(other.step(other.command) - dq).max() <= most
-    still = Tracker(ARM, limits=limits, feedback=float("inf"))
+    still = Tracker(arm, limits=limits, feedback=float("inf"))
     still.restart(tracker.command)
     still.update(target)
     assert np.abs(still.step(still.command)).max() <= most  # from rest it cannot be that fast
     with pytest.raises(InvalidValue, match="dq"):
-        other.restart(tracker.command, np.full(ARM.nv, np.nan))
+        other.restart(tracker.command, np.full(arm.nv, np.nan))
 
 
+@pytest.mark.soak
 def test_memory_does_not_grow() -> None:
     arm = pp.Arm.from_template("RyRz", 3)
     rng = np.random.default_rng(8)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 import pinposture as pp
 from pinposture.motion import Tracker
@@ -16,16 +19,24 @@ SLIDING = pp.ModuleTemplate("slide", (pp.JointSpec("y"), pp.JointSpec("z"), SLID
 ENDLESS = pp.ModuleTemplate(
     "endless", (pp.JointSpec("z", type="continuous"), pp.JointSpec("y")), (0.05, 0.05)
 )
-ARMS = [
-    pp.Arm.from_template("RyRz", 3),
-    pp.Arm.from_template("Rz", 5),
-    pp.Arm.from_modules([SLIDING] * 2),
-    pp.Arm.from_modules([ENDLESS] * 2),
-    pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.6, 0.8)] * 3),
-]
-ARM = ARMS[0]
 LIMITS = pp.Limits(step=None, velocity=2.0, dt=0.02, acceleration=10.0)
 ROUNDING = 1e-9
+
+
+@cache
+def arms() -> list[pp.Arm]:
+    return [
+        pp.Arm.from_template("RyRz", 3),
+        pp.Arm.from_template("Rz", 5),
+        pp.Arm.from_modules([SLIDING] * 2),
+        pp.Arm.from_modules([ENDLESS] * 2),
+        pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.6, 0.8)] * 3),
+    ]
+
+
+@pytest.fixture(scope="session")
+def arm() -> pp.Arm:
+    return arms()[0]
 
 
 class Laboratory:
@@ -33,7 +44,7 @@ class Laboratory:
 
     def __init__(self, seed: int, controller: str, interface: str, irregular: bool) -> None:
         rng = self.rng = np.random.default_rng(seed)
-        self.arm = arm = ARMS[rng.integers(len(ARMS))]
+        self.arm = arm = arms()[rng.integers(len(arms()))]
         self.dt = dt = float(rng.choice([0.002, 0.01, 0.05]))
         acceleration = None if rng.random() < 0.3 else float(rng.choice([2.0, 10.0, 50.0])) * arm.joint_units
         velocity = float(rng.choice([0.5, 2.0, 5.0])) * arm.joint_units
@@ -151,7 +162,7 @@ def test_whatever_happens_outputs_keep_their_limits(controller: str, interface: 
 
 
 @given(st.integers(10, 100_000))
-@settings(deadline=None, max_examples=12)
+@examples(12)
 def test_whatever_happens_to_the_best_of_them(seed: int) -> None:
     laboratory = Laboratory(seed, "qp", ["position", "velocity"][seed % 2], seed % 3 == 0)
     for _ in range(80):
@@ -160,8 +171,9 @@ def test_whatever_happens_to_the_best_of_them(seed: int) -> None:
 
 def moving(tracker: Tracker, steps: int = 10) -> np.ndarray:
     """Bring an arm into motion; its last step."""
-    tracker.update(Target.from_configuration(ARM, np.linspace(0.5, 1.5, ARM.nv)))
-    dq = tracker.step(ARM.neutral())
+    arm = tracker.arm
+    tracker.update(Target.from_configuration(arm, np.linspace(0.5, 1.5, arm.nv)))
+    dq = tracker.step(arm.neutral())
     for _ in range(steps):
         dq = tracker.step(tracker.command)
     assert np.abs(dq).max() > 0.015 and tracker.report.status == "moving"
@@ -178,9 +190,11 @@ FAULTS = {
 
 @pytest.mark.parametrize("acceleration", [10.0, None])
 @pytest.mark.parametrize("fault", FAULTS)
-def test_it_brakes_in_the_fewest_cycles_and_says_why(fault: str, acceleration: float | None) -> None:
+def test_it_brakes_in_the_fewest_cycles_and_says_why(
+    arm: pp.Arm, fault: str, acceleration: float | None
+) -> None:
     limits = pp.Limits(step=None, velocity=2.0, dt=0.02, acceleration=acceleration)
-    tracker = Tracker(ARM, "qp", limits, patience=np.inf)
+    tracker = Tracker(arm, "qp", limits, patience=np.inf)
     before = moving(tracker)
     spoil, reason = FAULTS[fault]
     brake = np.inf if acceleration is None else acceleration * 0.02**2
@@ -194,8 +208,8 @@ def test_it_brakes_in_the_fewest_cycles_and_says_why(fault: str, acceleration: f
     assert np.any(tracker.step(tracker.command)) and tracker.report.status == "moving"
 
 
-def test_a_target_that_is_too_old_counts_no_more() -> None:
-    tracker = Tracker(ARM, "qp", LIMITS, timeout=0.3)
+def test_a_target_that_is_too_old_counts_no_more(arm: pp.Arm) -> None:
+    tracker = Tracker(arm, "qp", LIMITS, timeout=0.3)
     moving(tracker)
     statuses = []
     for _ in range(20):
@@ -209,15 +223,15 @@ def test_a_target_that_is_too_old_counts_no_more() -> None:
     assert tracker.report.status == "moving" and tracker.report.target_age == pytest.approx(0.02)
 
 
-def test_a_single_outlier_changes_nothing_afterwards() -> None:
+def test_a_single_outlier_changes_nothing_afterwards(arm: pp.Arm) -> None:
     ends = {}
     for outlier in (False, True):
-        tracker = Tracker(ARM, "qp", LIMITS)
-        target = Target.from_configuration(ARM, np.linspace(-0.4, 0.4, ARM.nv))
+        tracker = Tracker(arm, "qp", LIMITS)
+        target = Target.from_configuration(arm, np.linspace(-0.4, 0.4, arm.nv))
         tracker.update(target)
-        q = ARM.neutral()
+        q = arm.neutral()
         for k in range(300):
-            measured = np.full(ARM.nv, 1.5) if outlier and k == 12 else q
+            measured = np.full(arm.nv, 1.5) if outlier and k == 12 else q
             tracker.step(measured)
             q = tracker.command
         ends[outlier] = q
@@ -225,8 +239,8 @@ def test_a_single_outlier_changes_nothing_afterwards() -> None:
     np.testing.assert_allclose(ends[True], ends[False], atol=1e-9)
 
 
-def test_an_arm_found_elsewhere_is_believed_once_it_rests_and_goes_on_from_there() -> None:
-    tracker = Tracker(ARM, "qp", LIMITS, patience=0.3)
+def test_an_arm_found_elsewhere_is_believed_once_it_rests_and_goes_on_from_there(arm: pp.Arm) -> None:
+    tracker = Tracker(arm, "qp", LIMITS, patience=0.3)
     moving(tracker)
     found = tracker.command + 0.6
     moved, cycles = [], 0
@@ -245,30 +259,30 @@ def test_an_arm_found_elsewhere_is_believed_once_it_rests_and_goes_on_from_there
     assert tracker.report.status == "arrived"
 
 
-def test_measurements_that_disagree_with_each_other_are_never_believed() -> None:
-    tracker = Tracker(ARM, "qp", LIMITS, patience=0.1)
+def test_measurements_that_disagree_with_each_other_are_never_believed(arm: pp.Arm) -> None:
+    tracker = Tracker(arm, "qp", LIMITS, patience=0.1)
     moving(tracker)
     rng = np.random.default_rng(1)
     for _ in range(60):
-        tracker.step(tracker.command + rng.choice([-1.0, 1.0]) * (1.0 + rng.random(ARM.nv)))
+        tracker.step(tracker.command + rng.choice([-1.0, 1.0]) * (1.0 + rng.random(arm.nv)))
         assert tracker.report.status == "holding" and tracker.report.disagreement >= 1.0
     at_rest = tracker.command
     tracker.step(at_rest)
     assert tracker.report.status == "moving"
 
 
-def test_restart_begins_where_it_is_told_from_rest() -> None:
-    tracker = Tracker(ARM, "qp", LIMITS)
+def test_restart_begins_where_it_is_told_from_rest(arm: pp.Arm) -> None:
+    tracker = Tracker(arm, "qp", LIMITS)
     moving(tracker)
-    tracker.restart(np.full(ARM.nv, -0.7))
-    np.testing.assert_array_equal(tracker.command, np.full(ARM.nv, -0.7))
-    dq = tracker.step(np.full(ARM.nv, -0.7))
+    tracker.restart(np.full(arm.nv, -0.7))
+    np.testing.assert_array_equal(tracker.command, np.full(arm.nv, -0.7))
+    dq = tracker.step(np.full(arm.nv, -0.7))
     assert np.abs(dq).max() <= 10.0 * 0.02**2 + 1e-12 and tracker.report.status == "moving"
 
 
 @pytest.mark.parametrize("dt", [0.002, 0.01, 0.05, 10.0])
-def test_late_cycles_make_up_for_nothing_and_short_ones_move_less(dt: float) -> None:
-    tracker = Tracker(ARM, "qp", LIMITS)
+def test_late_cycles_make_up_for_nothing_and_short_ones_move_less(arm: pp.Arm, dt: float) -> None:
+    tracker = Tracker(arm, "qp", LIMITS)
     before = moving(tracker)
     dq = tracker.step(tracker.command, dt)
     cycle = min(dt, 0.02)
@@ -278,7 +292,7 @@ def test_late_cycles_make_up_for_nothing_and_short_ones_move_less(dt: float) -> 
 
 
 def test_an_arm_that_was_measured_outside_its_limits_comes_back() -> None:
-    arm = ARMS[-1]
+    arm = arms()[-1]
     tracker = Tracker(arm, "qp", LIMITS)
     q = arm.configuration(np.full(arm.nv, 0.75))
     q[2] = 0.95

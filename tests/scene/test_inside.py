@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 from pinposture.scene import Box, Capsule, Cylinder, HalfSpace, Scene, Sphere
 from pinposture.scene.inside import obstacles_around
@@ -42,7 +43,7 @@ def depth(name: str, p: np.ndarray) -> float:
     return min(0.4 - float(np.linalg.norm(p - a - along * (b - a) / length)), along, length - along)
 
 
-@settings(deadline=None, max_examples=40)
+@examples(40)
 @given(point=st.tuples(COORDINATE, COORDINATE, COORDINATE))
 def test_a_point_is_inside_where_the_equation_of_the_solid_says_so(point: tuple[float, float, float]) -> None:
     found = obstacles_around(Scene(KINDS), point)

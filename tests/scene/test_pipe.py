@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from sampling import cases
 
 from pinposture.arm import Arm
 from pinposture.curve import Curve
@@ -14,16 +15,16 @@ from pinposture.scene.pipe import Bend, pipe, pipe_axis, pipe_walls
 RADIUS = 0.045
 QUARTER = np.pi / 2
 AXES = {
-    "straight": Curve.line((0, 0, 0), (0.3, 0.2, 0.1)),
-    "two bends": pipe_axis((0.1, 0.1, 0.05), [(0.25, QUARTER), (0.25, QUARTER, QUARTER)]),
-    "tight": pipe_axis((0.02, 0.02), [(0.08, 2.0, 0.3)]),
-    "helix": Curve.helix(0.1, 0.2, 1.5),
+    "straight": lambda: Curve.line((0, 0, 0), (0.3, 0.2, 0.1)),
+    "two bends": lambda: pipe_axis((0.1, 0.1, 0.05), [(0.25, QUARTER), (0.25, QUARTER, QUARTER)]),
+    "tight": lambda: pipe_axis((0.02, 0.02), [(0.08, 2.0, 0.3)]),
+    "helix": lambda: Curve.helix(0.1, 0.2, 1.5),
 }
 
 
-@pytest.fixture(params=AXES.values(), ids=AXES, scope="module")
+@pytest.fixture(params=AXES, scope="module")
 def axis(request):
-    return request.param
+    return AXES[request.param]()
 
 
 def distances(walls, points):
@@ -57,7 +58,7 @@ def test_walls_are_a_radius_away(axis, sides):
     assert found.max() < 1.01 * RADIUS
 
 
-@pytest.mark.parametrize("sides", [6, 7])
+@pytest.mark.parametrize("sides", cases([7, 6], quick=1))
 def test_no_ray_gets_out(axis, sides):
     walls = pipe_walls(axis, RADIUS, sides)
     rng = np.random.default_rng(0)
@@ -70,8 +71,8 @@ def test_no_ray_gets_out(axis, sides):
 
 
 def test_a_straight_run_is_one_ring_and_bends_are_few():
-    assert len(pipe_walls(AXES["straight"], RADIUS, 6)) == 6
-    names = list(pipe_walls(AXES["two bends"], RADIUS, 6))
+    assert len(pipe_walls(AXES["straight"](), RADIUS, 6)) == 6
+    names = list(pipe_walls(AXES["two bends"](), RADIUS, 6))
     assert len(names) <= 150
     assert names[:2] == ["pipe 1.1", "pipe 1.2"]
 
@@ -100,16 +101,17 @@ def test_an_arm_in_its_pipe_is_as_far_from_the_walls_as_radii_say():
     assert Scene.from_dict(alone.to_dict()) == alone
 
 
-LINE = Curve.line((0, 0, 0), (1, 0, 0))
+def unit_line():
+    return Curve.line((0, 0, 0), (1, 0, 0))
 
 
 @pytest.mark.parametrize(
     ("make", "words"),
     [
         (lambda: pipe("line", 0.1), "path is 'line'; allowed: a Curve"),
-        (lambda: pipe(LINE, 0.0), "radius is 0.0"),
-        (lambda: pipe(LINE, 0.1, sides=5), "sides is 5"),
-        (lambda: pipe(LINE, 0.1, thickness=-1.0), "thickness is -1.0"),
+        (lambda: pipe(unit_line(), 0.0), "radius is 0.0"),
+        (lambda: pipe(unit_line(), 0.1, sides=5), "sides is 5"),
+        (lambda: pipe(unit_line(), 0.1, thickness=-1.0), "thickness is -1.0"),
         (
             lambda: pipe(Curve.helix(0.1, 0.0, 0.5), 0.095),
             "at most 0.09 m, where the axis bends with a radius",

@@ -7,15 +7,20 @@ import warnings
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 from pinposture.errors import InvalidValue, PostureWarning
 from pinposture.scene import Scan
 from pinposture.scene.scan_arrays import MOST
 
-POINTS = np.random.default_rng(0).normal(size=(20, 3))
 FACES = np.arange(18).reshape(6, 3)
+
+
+@pytest.fixture
+def cloud():
+    return np.random.default_rng(0).normal(size=(20, 3))
 
 
 def grid(count=40):
@@ -29,33 +34,33 @@ def grid(count=40):
     return Scan(points, np.concatenate([lower, upper]), colors, "wave")
 
 
-def test_a_scan_holds_what_it_was_given_and_no_more_than_that():
-    given_points = POINTS.copy()
-    scan = Scan(given_points, FACES, (POINTS > 0) * 255, "room")
+def test_a_scan_holds_what_it_was_given_and_no_more_than_that(cloud):
+    given_points = cloud.copy()
+    scan = Scan(given_points, FACES, (cloud > 0) * 255, "room")
     given_points[:] = 0.0
-    np.testing.assert_array_equal(scan.points, POINTS)
+    np.testing.assert_array_equal(scan.points, cloud)
     np.testing.assert_array_equal(scan.faces, FACES)
-    np.testing.assert_array_equal(scan.colors, np.where(POINTS > 0, 255, 0))
+    np.testing.assert_array_equal(scan.colors, np.where(cloud > 0, 255, 0))
     assert (scan.points.dtype, scan.faces.dtype, scan.colors.dtype) == (np.float64, np.int32, np.uint8)
     assert (scan.name, scan.path, scan.dropped) == ("room", None, 0)
     for array in (scan.points, scan.faces, scan.colors):
         with pytest.raises(ValueError, match="read-only"):
             array[0, 0] = 1
     assert repr(scan) == "Scan('room', 20 points, 6 triangles)"
-    assert Scan(POINTS).faces is None and Scan(POINTS).colors is None
+    assert Scan(cloud).faces is None and Scan(cloud).colors is None
 
 
-def test_points_that_are_not_finite_are_left_out_with_their_triangles_and_colors():
-    points = POINTS.copy()
+def test_points_that_are_not_finite_are_left_out_with_their_triangles_and_colors(cloud):
+    points = cloud.copy()
     points[4, 1], points[7, 0], points[19] = np.nan, np.inf, -np.inf
     colors = np.arange(60, dtype=np.uint8).reshape(20, 3)
     scan = Scan(points, FACES, colors)
     assert scan.dropped == 3 and len(scan.points) == 17
     kept = [k for k in range(20) if k not in (4, 7, 19)]
-    np.testing.assert_array_equal(scan.points, POINTS[kept])
+    np.testing.assert_array_equal(scan.points, cloud[kept])
     np.testing.assert_array_equal(scan.colors, colors[kept])
     left = [face for face in FACES if not {4, 7, 19} & set(face)]
-    np.testing.assert_array_equal(scan.points[scan.faces], POINTS[np.array(left)])
+    np.testing.assert_array_equal(scan.points[scan.faces], cloud[np.array(left)])
     assert "3 dropped" in repr(scan)
 
 
@@ -85,29 +90,29 @@ def test_points_that_are_not_finite_are_left_out_with_their_triangles_and_colors
         ({"name": 3}, "name"),
     ],
 )
-def test_what_is_no_scan_is_refused_by_name(values, name):
+def test_what_is_no_scan_is_refused_by_name(cloud, values, name):
     with pytest.raises(InvalidValue, match=name):
-        Scan(**{"points": POINTS, **values})
+        Scan(**{"points": cloud, **values})
 
 
-def test_colors_are_whole_numbers_or_shares():
+def test_colors_are_whole_numbers_or_shares(cloud):
     shares = np.linspace(0, 1, 60).reshape(20, 3)
-    np.testing.assert_array_equal(Scan(POINTS, colors=shares).colors, np.round(shares * 255))
-    assert Scan(POINTS, colors=np.ones((20, 3), dtype=int)).colors.max() == 1
+    np.testing.assert_array_equal(Scan(cloud, colors=shares).colors, np.round(shares * 255))
+    assert Scan(cloud, colors=np.ones((20, 3), dtype=int)).colors.max() == 1
 
 
-def test_a_scan_that_is_too_wide_is_warned_of_once_and_not_when_it_is_thinned():
+def test_a_scan_that_is_too_wide_is_warned_of_once_and_not_when_it_is_thinned(cloud):
     with pytest.warns(PostureWarning, match=r"wide.*scale=0.001"):
-        scan = Scan(POINTS * 100)
+        scan = Scan(cloud * 100)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         scan.thinned(3)
         pickle.loads(pickle.dumps(scan))
-        Scan(POINTS)
+        Scan(cloud)
 
 
-def test_a_scan_pickles():
-    points = POINTS.copy()
+def test_a_scan_pickles(cloud):
+    points = cloud.copy()
     points[18] = np.nan
     scan = Scan(points, FACES, colors=np.zeros((20, 3), dtype=np.uint8), name="a")
     assert scan.tree is scan.tree
@@ -119,7 +124,7 @@ def test_a_scan_pickles():
         again.points[0] = 0.0
 
 
-@settings(deadline=None, max_examples=40)
+@examples(40)
 @given(st.integers(1, 3000), st.integers(1, 3000), st.integers(0, 3), st.integers(0, 2**31))
 def test_thinning_keeps_no_more_than_asked_and_some_of_the_points(number, count, kind, seed):
     rng = np.random.default_rng(seed)

@@ -6,8 +6,9 @@ from functools import partial
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 from scene.scans_by_hand import hull_distance
 
 from pinposture.scene.deepest import deepest_points
@@ -22,7 +23,7 @@ def on_line(point, a, b):
     return np.linalg.norm(a + along * way - point) < 1e-9
 
 
-@settings(deadline=None, max_examples=300)
+@examples(300)
 @given(places, places, places, places, places)
 def test_lines_and_triangles_that_cross_touch_are_parallel_or_have_no_extent(a, b, u, v, w):
     found = closest_to_triangles(a[None], b[None], np.array([[u, v, w]]))

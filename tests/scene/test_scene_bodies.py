@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-import trimesh
 from scene.arms_with_bodies import PLACED, described, geometry, modelled, planar, sliding, spatial
 
 import pinposture as pp
@@ -153,6 +152,8 @@ MESH = '<mesh filename="{}" scale="0.001 0.001 -0.002"/>'
 
 
 def test_meshes_become_hulls_and_missing_ones_capsules(tmp_path):
+    import trimesh
+
     trimesh.creation.box((100, 40, 20)).export(tmp_path / "there.stl")
     (tmp_path / "broken.stl").write_text("solid nothing")
     links = [geometry(MESH.format(name), "0.1 0 0") for name in ("there.stl", "gone.stl", "broken.stl")]

@@ -10,8 +10,9 @@ import weakref
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 from scene.arms_with_bodies import ARMS, around, described, geometry, modelled, planar, sliding, spatial
 
 import pinposture as pp
@@ -43,7 +44,7 @@ def test_nothing_near_is_missed(name):
             assert closest.pair == everything.pair
 
 
-@settings(deadline=None, max_examples=25)
+@examples(25)
 @given(st.integers(0, 10_000))
 def test_every_bound_is_at_most_the_distance(seed):
     rng = np.random.default_rng(seed)

@@ -6,8 +6,9 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 from scene.arms_with_bodies import single
 from scene.solids_by_hand import separation
 
@@ -115,7 +116,7 @@ def test_the_closed_forms_agree_with_coal():
 coordinates = st.lists(st.sampled_from([-1.0, 0.0, 1.0, 0.5, 1e-8]), min_size=3, max_size=3).map(np.array)
 
 
-@settings(deadline=None, max_examples=40)
+@examples(40)
 @given(coordinates, coordinates, coordinates, coordinates)
 def test_lines_that_are_parallel_cross_or_are_points(a, b, c, d):
     near = closest_points(a, b, c, d)

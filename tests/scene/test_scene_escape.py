@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 from pinposture.scene.escape import escape_direction
 
@@ -49,7 +50,7 @@ def test_in_a_plane_it_is_the_shortest_way_out_within_it(first, second, expected
 places = st.lists(st.sampled_from([-1.0, 0.0, 1e-9, 0.3, 2.0]), min_size=6, max_size=6)
 
 
-@settings(deadline=None, max_examples=40)
+@examples(40)
 @given(places, places, st.booleans())
 def test_there_is_always_one(first, second, planar):
     plane = PLANE if planar else SPACE

@@ -6,7 +6,6 @@ import json
 
 import numpy as np
 import pytest
-import trimesh
 
 from pinposture.errors import FileError
 from pinposture.scene import Box, HalfSpace, Mesh, Scene, Sphere
@@ -39,6 +38,8 @@ rotation = [0, 0, 1.5]
 
 @pytest.fixture
 def folder(tmp_path):
+    import trimesh
+
     (tmp_path / "parts").mkdir()
     trimesh.creation.box((100, 200, 300)).export(tmp_path / "parts" / "part.stl")
     return tmp_path
@@ -153,6 +154,8 @@ def test_a_scene_is_saved_as_json_alone_and_whole_or_not_at_all(tmp_path):
 
 
 def test_meshes_are_read_in_every_format(tmp_path):
+    import trimesh
+
     box = trimesh.creation.box((1, 2, 3))
     for suffix in ("stl", "obj", "ply"):
         box.export(tmp_path / f"box.{suffix}")

@@ -8,8 +8,9 @@ import pickle
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 import pinposture as pp
 from pinposture.errors import InvalidValue, PostureError, UnknownName
@@ -146,7 +147,7 @@ anything = st.recursive(
 )
 
 
-@settings(deadline=None, max_examples=40)
+@examples(40)
 @given(st.sampled_from(sorted(KINDS)), st.data())
 def test_no_description_breaks_in_another_way_than_by_name(kind, data):
     described = KINDS[kind].to_dict()

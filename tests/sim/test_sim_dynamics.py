@@ -7,7 +7,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.signal import TransferFunction, lsim
 from simple_arms import (
     INERTIA,
     MASS,
@@ -124,6 +123,8 @@ def test_a_motion_is_followed_as_closely_as_theory_has_it(follows):
 
 
 def test_the_error_on_the_way_is_that_of_a_damped_spring_pushed_by_the_acceleration():
+    from scipy.signal import TransferFunction, lsim
+
     omega, dt = 20.0 * np.pi, 0.01
     rows = quintic([0.0], [1.2], 1.5, dt)
     ended = sim.simulate(pendulum(), rows, gravity=False, dt=dt)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
-from pinposture.sim.inertias import STAND_IN_MASS, Body, settled, together
+from pinposture.sim.inertias import ROUNDING, SMALLEST_RADIUS, STAND_IN_MASS, Body, settled, together
 
 SEEDS = st.integers(0, 10_000)
 
@@ -26,7 +27,7 @@ def is_solid(body: Body) -> bool:
     return bool(x > 0.0 and x + y >= z * (1.0 - 1e-9))
 
 
-@settings(deadline=None, max_examples=30)
+@examples(30)
 @given(SEEDS)
 def test_bodies_that_are_fixed_to_each_other_add_up_as_in_pinocchio(seed):
     rng = np.random.default_rng(seed)
@@ -41,7 +42,7 @@ def test_bodies_that_are_fixed_to_each_other_add_up_as_in_pinocchio(seed):
     np.testing.assert_allclose(found.inertia, total.inertia, atol=1e-11)
 
 
-@settings(deadline=None, max_examples=30)
+@examples(30)
 @given(SEEDS)
 def test_a_solid_stays_as_it_is(seed):
     body = cloud(np.random.default_rng(seed))
@@ -50,7 +51,7 @@ def test_a_solid_stays_as_it_is(seed):
     assert kept is body
 
 
-@settings(deadline=None, max_examples=40)
+@examples(40)
 @given(SEEDS)
 def test_whatever_the_numbers_what_comes_out_is_a_solid(seed):
     rng = np.random.default_rng(seed)
@@ -59,7 +60,9 @@ def test_whatever_the_numbers_what_comes_out_is_a_solid(seed):
     repaired, changed = settled(body)
     assert is_solid(repaired)
     assert repaired.mass == body.mass
-    assert changed or np.allclose(repaired.inertia, body.inertia, rtol=1e-2)
+    # What is changed without a word is rounding, or less than what a ball of the smallest radius has.
+    allowed = 2.0 * (body.mass * SMALLEST_RADIUS**2 / 5.0 + ROUNDING * np.abs(body.inertia).sum())
+    assert changed or np.abs(repaired.inertia - body.inertia).max() <= allowed
 
 
 def test_points_and_nothing_at_all_get_a_size():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
+from functools import cache
 from pathlib import Path
 
 import mujoco
@@ -27,11 +28,18 @@ SLIDER = pp.ModuleTemplate(
     (0.03, 0.05, 0.02),
 )
 ARMS = {
-    "RyRz": pp.Arm.from_template("RyRz", 20),
-    "planar": pp.Arm.from_template("RzRzRz", 15),
-    "mixed": pp.Arm.from_modules([SLIDER] * 4, base_placement=PLACED),
-    "placed": pp.Arm.from_template("RzRy", 6, base_placement=PLACED),
+    "RyRz": lambda: pp.Arm.from_template("RyRz", 20),
+    "planar": lambda: pp.Arm.from_template("RzRzRz", 15),
+    "mixed": lambda: pp.Arm.from_modules([SLIDER] * 4, base_placement=PLACED),
+    "placed": lambda: pp.Arm.from_template("RzRy", 6, base_placement=PLACED),
 }
+
+
+@cache
+def arm_named(name: str) -> pp.Arm:
+    return ARMS[name]()
+
+
 ROBOTS = next(
     folder
     for path in Path(pin.__file__).resolve().parents
@@ -60,7 +68,7 @@ def forces(physics: sim.Physics, positions: np.ndarray, speeds: np.ndarray) -> n
 
 @pytest.mark.parametrize("name", ARMS)
 def test_masses_and_forces_are_those_of_pinocchio(name):
-    arm, rng = ARMS[name], np.random.default_rng(1)
+    arm, rng = arm_named(name), np.random.default_rng(1)
     physics = sim.physics_of(arm)
     data = arm.model.createData()
     for _ in range(3):
@@ -81,7 +89,7 @@ def test_masses_and_forces_are_those_of_pinocchio(name):
 
 
 def test_mujoco_reading_the_file_by_itself_finds_the_same_masses():
-    arm = ARMS["RyRz"]
+    arm = arm_named("RyRz")
     own = mujoco.MjSpec.from_string(arm.urdf).compile()
     data, positions = mujoco.MjData(own), arm.positions(arm.random(np.random.default_rng(2)))
     order = [own.joint(name).dofadr[0] for name in arm.joint_names]
@@ -108,14 +116,14 @@ def test_robots_of_others_have_the_masses_that_pinocchio_finds(name):
 
 
 def test_an_arm_whose_description_is_another_one_is_refused():
-    arm, other = ARMS["placed"], pp.Arm.from_template("RzRy", 6, link_lengths=(0.025, 0.0251))
+    arm, other = arm_named("placed"), pp.Arm.from_template("RzRy", 6, link_lengths=(0.025, 0.0251))
     mixed = pp.Arm(arm.model, arm.control_points, arm.base_placement, other.urdf)
     with pytest.raises(URDFError, match=r"control point 'module_06'.* is 0\.000\d+ m elsewhere for MuJoCo"):
         sim.physics_of(mixed)
 
 
 def test_an_arm_without_a_description_is_refused():
-    arm = ARMS["placed"]
+    arm = arm_named("placed")
     bare = pp.Arm.from_model(arm.model, arm.control_points)
     with pytest.raises(InvalidValue, match=r"Arm\.from_model has no description to simulate"):
         sim.physics_of(bare)

@@ -6,8 +6,9 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 from scipy.linalg import eigh
 from simple_arms import INERTIA, mass_matrix, pendulum
 
@@ -71,7 +72,7 @@ def test_values_that_make_no_servo_are_refused(options):
         sim.Servos(**options)
 
 
-@settings(deadline=None, max_examples=40)
+@examples(40)
 @given(st.integers(0, 10_000))
 def test_torques_within_limits_are_the_one_case_of_all_that_fits(seed):
     rng = np.random.default_rng(seed)

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import io
 import json
+from functools import cache
 
 import numpy as np
 import pytest
+from arms import template_arm
+from sampling import cases
 from simple_arms import inertial, joint, link, quiet, quintic, robot
 
 import pinposture as pp
@@ -15,23 +18,36 @@ from pinposture.errors import FileError, InvalidValue, PostureWarning
 from pinposture.motion import JointTrajectory
 from pinposture.view.simulation import plot_simulation
 
-ARM = pp.Arm.from_template("RyRz", 4)
 DT = 0.02
-ROWS = quintic(np.zeros(ARM.nv), np.linspace(-0.4, 0.5, ARM.nv), 0.6, DT)
-RUN = pp.track(
-    ARM,
-    pp.Target.from_configuration(ARM, ROWS[-1]),
-    ARM.neutral(),
-    limits=pp.Limits(dt=DT, acceleration=10.0),
-)
-OPEN = sim.simulate(ARM, ROWS, dt=DT)
-CLOSED = sim.simulate_closed(
-    ARM, pp.motion.Tracker(ARM, limits=RUN.limits), RUN.target, ARM.neutral(), 0.5, DT
-)
+ROWS = quintic(np.zeros(8), np.linspace(-0.4, 0.5, 8), 0.6, DT)
+
+
+def four_modules() -> pp.Arm:
+    return template_arm("RyRz", 4)
+
+
+@cache
+def some_run() -> pp.Trajectory:
+    arm = four_modules()
+    target = pp.Target.from_configuration(arm, ROWS[-1])
+    return pp.track(arm, target, arm.neutral(), limits=pp.Limits(dt=DT, acceleration=10.0))
+
+
+@cache
+def open_loop() -> sim.Simulation:
+    return sim.simulate(four_modules(), ROWS, dt=DT)
+
+
+@cache
+def closed_loop() -> sim.Simulation:
+    arm, run = four_modules(), some_run()
+    tracker = pp.motion.Tracker(arm, limits=run.limits)
+    return sim.simulate_closed(arm, tracker, run.target, arm.neutral(), 0.5, DT)
 
 
 def test_motions_of_every_kind_come_to_the_same_set_points():
-    trajectory = JointTrajectory.from_run(RUN)
+    run = some_run()
+    trajectory = JointTrajectory.from_run(run)
     shuffled = JointTrajectory(
         trajectory.joint_names[::-1],
         trajectory.time,
@@ -40,19 +56,20 @@ def test_motions_of_every_kind_come_to_the_same_set_points():
             for table in (trajectory.positions, trajectory.velocities, trajectory.accelerations)
         ),
     )
-    for motion, dt in ((RUN, None), (RUN, DT), (RUN.q, DT), (trajectory, None), (shuffled, None)):
-        found = sim.set_points(ARM, motion, dt)
-        np.testing.assert_allclose(found.positions, RUN.q, atol=1e-12)
+    for motion, dt in ((run, None), (run, DT), (run.q, DT), (trajectory, None), (shuffled, None)):
+        found = sim.set_points(four_modules(), motion, dt)
+        np.testing.assert_allclose(found.positions, run.q, atol=1e-12)
         assert found.dt == pytest.approx(DT)
 
 
 def test_a_joint_trajectory_is_sampled_anew_where_its_rows_are_uneven_or_a_cycle_is_given():
-    even = JointTrajectory.from_configurations(ARM, ROWS, DT)
-    uneven = JointTrajectory.from_configurations(ARM, ROWS, even.time * (1.0 + 0.1 * even.time))
-    found = sim.set_points(ARM, uneven)
+    arm = four_modules()
+    even = JointTrajectory.from_configurations(arm, ROWS, DT)
+    uneven = JointTrajectory.from_configurations(arm, ROWS, even.time * (1.0 + 0.1 * even.time))
+    found = sim.set_points(arm, uneven)
     times = np.minimum(np.arange(len(found.positions)) * found.dt, uneven.time[-1])
     np.testing.assert_allclose(found.positions, uneven.at(times), atol=1e-12)
-    finer = sim.set_points(ARM, even, DT / 2.0)
+    finer = sim.set_points(arm, even, DT / 2.0)
     np.testing.assert_allclose(finer.positions[::2], ROWS, atol=1e-12)
 
 
@@ -60,31 +77,34 @@ def test_a_joint_trajectory_is_sampled_anew_where_its_rows_are_uneven_or_a_cycle
     ("motion", "dt", "name"),
     [
         (ROWS, None, "dt"),
-        (RUN, 0.03, "dt"),
+        (some_run, 0.03, "dt"),
         (ROWS[:1], DT, "rows"),
         (ROWS[:, :3], DT, "q"),
-        (JointTrajectory.from_positions(["elbow"], [[0.0], [1.0]], DT), None, "joint_names"),
+        (lambda: JointTrajectory.from_positions(["elbow"], [[0.0], [1.0]], DT), None, "joint_names"),
         ("fast", DT, "q"),
         (np.where(ROWS > 0.4, np.nan, ROWS), DT, "q"),
     ],
 )
 def test_a_motion_that_is_not_one_of_the_arm_is_refused(motion, dt, name):
+    motion = motion() if callable(motion) else motion
     with pytest.raises(InvalidValue, match=name):
-        sim.simulate(ARM, motion, dt=dt)
+        sim.simulate(four_modules(), motion, dt=dt)
 
 
 def test_targets_after_a_motion_are_its_postures():
-    at = sim.set_points(ARM, ROWS, DT).targets(ARM)
+    arm = four_modules()
+    at = sim.set_points(arm, ROWS, DT).targets(arm)
     np.testing.assert_allclose(at(5 * DT).q, ROWS[5])
     np.testing.assert_allclose(at(9.0).q, ROWS[-1])
 
 
 def test_errors_are_distances_between_what_was_sent_and_what_was_taken():
-    for ended in (OPEN, CLOSED):
+    arm, opened, closed = four_modules(), open_loop(), closed_loop()
+    for ended in (opened, closed):
         off = np.abs(ended.q - ended.commanded)
         np.testing.assert_allclose(ended.joint_error, off, atol=1e-12)
-        sent = np.array([ARM.at(q).points for q in ended.commanded])
-        taken = np.array([ARM.at(q).points for q in ended.q])
+        sent = np.array([arm.at(q).points for q in ended.commanded])
+        taken = np.array([arm.at(q).points for q in ended.q])
         distances = np.linalg.norm(sent - taken, axis=2)
         np.testing.assert_allclose(ended.point_errors, distances, atol=1e-12)
         np.testing.assert_allclose(ended.posture_error, distances.sum(axis=1), atol=1e-12)
@@ -93,22 +113,23 @@ def test_errors_are_distances_between_what_was_sent_and_what_was_taken():
         assert told["turning_joints"]["rms"] == pytest.approx(np.sqrt((off**2).mean()))
         assert told["mean_point_error"]["end"] == pytest.approx(distances[-1].mean())
         assert told["largest_point_error"]["value"] == pytest.approx(distances.max())
-    np.testing.assert_allclose(OPEN.commanded[0], ROWS[0])
-    np.testing.assert_allclose(OPEN.commanded[-1], ROWS[-1], atol=1e-12)
-    assert OPEN.time[-1] == pytest.approx(0.6 + DT + 0.5)
-    assert OPEN.target_errors is None
-    to_target = np.linalg.norm(CLOSED.points - RUN.target.points, axis=2)
-    np.testing.assert_allclose(CLOSED.target_errors, to_target, atol=1e-12)
+    np.testing.assert_allclose(opened.commanded[0], ROWS[0])
+    np.testing.assert_allclose(opened.commanded[-1], ROWS[-1], atol=1e-12)
+    assert opened.time[-1] == pytest.approx(0.6 + DT + 0.5)
+    assert opened.target_errors is None
+    to_target = np.linalg.norm(closed.points - some_run().target.points, axis=2)
+    np.testing.assert_allclose(closed.target_errors, to_target, atol=1e-12)
 
 
 def test_progress_is_told_to_the_end():
     seen = []
-    sim.simulate(ARM, ROWS, dt=DT, hold=0.0, progress=lambda *counts: seen.append(counts))
+    sim.simulate(four_modules(), ROWS, dt=DT, hold=0.0, progress=lambda *counts: seen.append(counts))
     assert seen == [(k, len(ROWS)) for k in range(1, len(ROWS) + 1)]
 
 
-@pytest.mark.parametrize("ended", [OPEN, CLOSED], ids=["open", "closed"])
-def test_a_file_gives_it_back(ended, tmp_path):
+@pytest.mark.parametrize("make", [open_loop, closed_loop], ids=["open", "closed"])
+def test_a_file_gives_it_back(make, tmp_path):
+    ended = make()
     path = ended.save(tmp_path / "new" / "sim")
     back = sim.Simulation.load(path)
     assert path.suffix == ".npz"
@@ -117,22 +138,23 @@ def test_a_file_gives_it_back(ended, tmp_path):
             np.testing.assert_array_equal(getattr(back, name), value)
         elif name != "arm":
             assert getattr(back, name) == value
-    assert back.arm.joint_names == ARM.joint_names
+    assert back.arm.joint_names == four_modules().joint_names
     assert back.summary() == ended.summary()
     with pytest.raises(ValueError, match="read-only"):
         back.q[0, 0] = 1.0
 
 
 def test_files_of_other_kinds_and_damaged_ones_are_refused(tmp_path):
-    run = RUN.save(tmp_path / "run.npz")
+    opened = open_loop()
+    run = some_run().save(tmp_path / "run.npz")
     with pytest.raises(FileError, match="holds a run, not a simulation of it"):
         sim.Simulation.load(run)
-    path = OPEN.save(tmp_path / "sim.npz")
+    path = opened.save(tmp_path / "sim.npz")
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2])
     with pytest.raises(FileError, match="is not a saved simulation"):
         sim.Simulation.load(path)
-    with np.load(OPEN.save(tmp_path / "sim.npz")) as stored:
+    with np.load(opened.save(tmp_path / "sim.npz")) as stored:
         arrays = dict(stored)
     arrays["torques"] = arrays["torques"][1:]
     np.savez(path, **arrays)
@@ -142,7 +164,7 @@ def test_files_of_other_kinds_and_damaged_ones_are_refused(tmp_path):
 
 @pytest.mark.parametrize("limits", [True, False])
 def test_a_summary_is_json(limits):
-    ended = sim.simulate(ARM, ROWS, sim.Servos(torque_limits=limits), dt=DT, hold=0.0)
+    ended = sim.simulate(four_modules(), ROWS, sim.Servos(torque_limits=limits), dt=DT, hold=0.0)
     told = json.loads(json.dumps(ended.summary(), allow_nan=False))
     assert told["largest_torque"]["limit"] == (100.0 if limits else None)
     assert told["largest_torque"]["value"] == pytest.approx(
@@ -173,21 +195,23 @@ def test_slides_and_turns_are_told_apart():
 
 def run_away() -> sim.Simulation:
     with pytest.warns(PostureWarning, match="5000 Hz"):
-        return sim.simulate(ARM, ROWS, sim.Servos(frequency=5000.0), dt=DT)
+        return sim.simulate(four_modules(), ROWS, sim.Servos(frequency=5000.0), dt=DT)
 
 
 CASES = {
-    "open": lambda: OPEN,
-    "closed": lambda: CLOSED,
+    "open": open_loop,
+    "closed": closed_loop,
     "unstable": run_away,
-    "weak": lambda: sim.simulate(ARM, ROWS, sim.Servos(torque_limits=0.01), dt=DT),
-    "no limits": lambda: sim.simulate(ARM, ROWS, sim.Servos(torque_limits=False), gravity=False, dt=DT),
+    "weak": lambda: sim.simulate(four_modules(), ROWS, sim.Servos(torque_limits=0.01), dt=DT),
+    "no limits": lambda: sim.simulate(
+        four_modules(), ROWS, sim.Servos(torque_limits=False), gravity=False, dt=DT
+    ),
     "slides": lambda: sim.simulate(sliding_arm(), [sliding_arm().neutral()] * 2, dt=DT),
 }
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", cases(CASES, quick=2))
 def test_figures_show_the_data(case):
     ended = CASES[case]()
     figure = plot_simulation(ended)

@@ -34,6 +34,7 @@ def test_arms_are_a_metre_long_behind_a_feed(name):
     assert arm.chain.length - MODULE == pytest.approx(1.0)
 
 
+@pytest.mark.studies
 def test_every_arm_shape_method_and_bending_has_a_row(found):
     asked = [(each.arm, each.shape, each.method, each.bending) for each in found]
     kinds = [("ryrz", shape, method) for shape in SHAPES for method in ("closest", "sequential")]
@@ -42,6 +43,7 @@ def test_every_arm_shape_method_and_bending_has_a_row(found):
     assert not any(each.refused for each in found)
 
 
+@pytest.mark.studies
 def test_hinges_on_the_path_are_a_sagitta_off(found):
     for each in found:
         radius = MODULE / each.bending
@@ -56,6 +58,7 @@ def test_hinges_on_the_path_are_a_sagitta_off(found):
             assert each.body > 0.99 * each.sagitta
 
 
+@pytest.mark.studies
 def test_the_whole_arm_is_closer_where_it_is_placed_as_a_whole(found):
     bodies = {(each.shape, each.method, each.bending): each.body for each in found if each.arm == "ryrz"}
     for shape in SHAPES:
@@ -79,6 +82,7 @@ def test_progress_counts_and_wrong_names_are_refused():
         bent_path("knot", 1.0)
 
 
+@pytest.mark.studies
 def test_the_picture_has_a_line_for_each_arm_and_method(found):
     figure = draw_leader(found)
     arc, helix = figure.axes

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from arms import template_arm
 
 import pinposture as pp
 from pinposture.control.baselines import LevenbergMarquardt, PseudoInverse
@@ -11,37 +12,44 @@ from pinposture.errors import InvalidValue, UnknownName
 from pinposture.study import MethodResult, compare_methods, smooth_configuration
 from pinposture.study.methods import DISTANCES
 
-ARM = pp.Arm.from_template("RyRz", 6)
 NAMES = ("joint", "pinv", "lm", "selection", "extended")
 
 
+@pytest.fixture(scope="session")
+def arm() -> pp.Arm:
+    return template_arm("RyRz", 6)
+
+
 @pytest.fixture(scope="module")
-def results() -> dict[str, MethodResult]:
+def results(arm: pp.Arm) -> dict[str, MethodResult]:
     arrived: list[MethodResult] = []
-    found = compare_methods(ARM, NAMES, range(3), max_steps=60, progress=arrived.append)
+    found = compare_methods(arm, NAMES, range(3), max_steps=60, progress=arrived.append)
     assert arrived == found
     assert [result.controller for result in found] == list(NAMES)
     return {result.controller: result for result in found}
 
 
-def test_results_do_not_depend_on_the_number_of_processes(results: dict[str, MethodResult]) -> None:
-    again = compare_methods(ARM, ["lm", PseudoInverse()], (0, 1, 2), max_steps=60, jobs=2)
+@pytest.mark.process
+def test_results_do_not_depend_on_the_number_of_processes(
+    arm: pp.Arm, results: dict[str, MethodResult]
+) -> None:
+    again = compare_methods(arm, ["lm", PseudoInverse()], (0, 1, 2), max_steps=60, jobs=2)
     assert again == [results["lm"], results["pinv"]]
 
 
-def test_errors_are_those_of_runs_made_by_hand(results: dict[str, MethodResult]) -> None:
+def test_errors_are_those_of_runs_made_by_hand(arm: pp.Arm, results: dict[str, MethodResult]) -> None:
     posture, tip, reached, apart = [], [], [], []
     for seed in range(3):
         rng = np.random.default_rng(seed)
-        start = smooth_configuration(ARM, rng, rng.uniform(0.2, 1.0))
-        goal = smooth_configuration(ARM, rng, rng.uniform(0.2, 1.0))
-        there, home = (pp.Target.from_configuration(ARM, q) for q in (goal, start))
-        run = pp.track(ARM, there, start, LevenbergMarquardt(), max_steps=60)
-        distance = np.linalg.norm(ARM.at(run.q[-1]).points - ARM.at(goal).points, axis=1) / 0.3
+        start = smooth_configuration(arm, rng, rng.uniform(0.2, 1.0))
+        goal = smooth_configuration(arm, rng, rng.uniform(0.2, 1.0))
+        there, home = (pp.Target.from_configuration(arm, q) for q in (goal, start))
+        run = pp.track(arm, there, start, LevenbergMarquardt(), max_steps=60)
+        distance = np.linalg.norm(arm.at(run.q[-1]).points - arm.at(goal).points, axis=1) / 0.3
         posture.append(distance.sum())
         tip.append(distance[-1])
         reached.append(distance.mean() < 1e-3)
-        back = pp.track(ARM, home, run.q[-1], "lm", max_steps=60)
+        back = pp.track(arm, home, run.q[-1], "lm", max_steps=60)
         apart.append(np.abs(back.q[-1] - start).max())
     result = results["lm"]
     assert result.runs == 3
@@ -69,12 +77,12 @@ def test_what_each_method_is_known_for(results: dict[str, MethodResult]) -> None
         assert np.all(np.isfinite(result[1:6] + result.peaks))
 
 
-def test_peaks_are_per_arm_length_of_mean_point_error() -> None:
+def test_peaks_are_per_arm_length_of_mean_point_error(arm: pp.Arm) -> None:
     rng = np.random.default_rng(5)
-    smooth_configuration(ARM, rng, rng.uniform(0.2, 1.0))  # the start is drawn first
-    goal = smooth_configuration(ARM, rng, rng.uniform(0.2, 1.0))
-    lines = np.linalg.norm(ARM.at(goal).points - ARM.at(ARM.straight()).points, axis=1)
-    result = compare_methods(ARM, ["joint"], [5], max_steps=1)[0]
+    smooth_configuration(arm, rng, rng.uniform(0.2, 1.0))  # the start is drawn first
+    goal = smooth_configuration(arm, rng, rng.uniform(0.2, 1.0))
+    lines = np.linalg.norm(arm.at(goal).points - arm.at(arm.straight()).points, axis=1)
+    result = compare_methods(arm, ["joint"], [5], max_steps=1)[0]
     assert result.peaks[-1] == pytest.approx(np.abs(goal).max() / (lines.mean() / 0.3), rel=1e-4)
 
 
@@ -88,10 +96,10 @@ def test_an_arm_with_slides_and_a_planar_one() -> None:
             assert all(peak > 0.0 for peak in result.peaks)
 
 
-def test_bad_input_is_named() -> None:
+def test_bad_input_is_named(arm: pp.Arm) -> None:
     with pytest.raises(InvalidValue, match="seeds"):
-        compare_methods(ARM, ["lm"], [])
+        compare_methods(arm, ["lm"], [])
     with pytest.raises(InvalidValue, match="controllers"):
-        compare_methods(ARM, [], [0])
+        compare_methods(arm, [], [0])
     with pytest.raises(UnknownName, match="augmented"):
-        compare_methods(ARM, ["augmentd"], [0])
+        compare_methods(arm, ["augmentd"], [0])

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import pytest
+from arms import template_arm
 from joblib import delayed
 
-import pinposture as pp
 from pinposture.errors import InvalidValue
 from pinposture.motion.processes import in_order
 from pinposture.study import compare_methods, study, survey_arms
 from pinposture.thesis.scenarios import SPATIAL_SCENARIOS
-
-ARM = pp.Arm.from_template("RyRz", 3)
 
 
 @pytest.mark.parametrize("jobs", [1, 2, -1])
@@ -21,10 +19,11 @@ def test_results_are_in_the_order_of_the_calls(jobs: int) -> None:
 
 @pytest.mark.parametrize("jobs", [0, -2, True, 1.5, "2"])
 def test_a_number_of_processes_that_is_none_is_refused(jobs: object, tmp_path) -> None:
-    (tmp_path / "arm.urdf").write_text(ARM.urdf)
+    arm = template_arm("RyRz", 3)
+    (tmp_path / "arm.urdf").write_text(arm.urdf)
     calls = (
-        lambda: study(ARM, SPATIAL_SCENARIOS[:1], ["joint"], [0], jobs=jobs),
-        lambda: compare_methods(ARM, ["joint"], [0], jobs=jobs),
+        lambda: study(arm, SPATIAL_SCENARIOS[:1], ["joint"], [0], jobs=jobs),
+        lambda: compare_methods(arm, ["joint"], [0], jobs=jobs),
         lambda: survey_arms(tmp_path, jobs=jobs),
     )
     for call in calls:

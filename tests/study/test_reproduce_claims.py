@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 from study.handmade import one
 
 from pinposture.study.reproduce import evaluate, postures
@@ -42,7 +43,7 @@ def test_a_single_exception_refutes_what_is_said_of_every_case():
 
 
 @given(truths=st.lists(st.booleans()))
-@settings(deadline=None, max_examples=30)
+@examples(30)
 def test_shares_count(truths):
     found = share(truths)
     assert (found.true, found.cases) == (truths.count(True), len(truths))

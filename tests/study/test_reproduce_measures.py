@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from arms import template_arm
 from study.handmade import made
 
 import pinposture as pp
@@ -11,14 +12,19 @@ from pinposture.control import controller_named
 from pinposture.study.reproduce import measures
 from pinposture.study.reproduce.runs import Batch, measure, run_one, thesis_arm
 
-FLAT = pp.Arm.from_template("Rz", modules=3, link_lengths=(0.1,))
-SPATIAL = pp.Arm.from_template("RyRz", modules=4)
+
+def flat():
+    return template_arm("Rz", 3, (0.1,))
+
+
+def spatial():
+    return template_arm("RyRz", 4)
 
 
 def test_separation_is_the_largest_distance_and_a_run_that_ended_waits():
-    run = made(FLAT, [[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]])
+    run = made(flat(), [[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]])
     assert measures.separation(run, run) == 0.0
-    other = made(FLAT, [[0, 0, 0], [0.1, 0, 0]])
+    other = made(flat(), [[0, 0, 0], [0.1, 0, 0]])
     # The tip is 0.3 m from the base, which is the length: a turn by 0.1 rad moves it by a chord.
     assert measures.separation(run, other) == pytest.approx(2 * np.sin(0.05))
     assert measures.separation(other, run) == pytest.approx(2 * np.sin(0.05))
@@ -40,7 +46,7 @@ def test_changes_of_the_active_set_are_shares_of_what_either_holds():
 
 
 def test_nearness_is_the_smallest_singular_value_and_zero_for_the_straight_arm():
-    for arm in (FLAT, SPATIAL):
+    for arm in (flat(), spatial()):
         assert measures.nearness(arm.at(arm.straight())) == pytest.approx(0.0, abs=1e-9)
         q = np.random.default_rng(2).uniform(-1, 1, arm.nv)
         jacobian = arm.at(q).jacobians[-1][: arm.dimension]
@@ -58,9 +64,9 @@ def test_nearness_of_two_links_in_closed_form():
     assert measures.nearness(arm.at([0.3, bend])) == pytest.approx(np.sqrt(least) / 2)
 
 
-@pytest.mark.parametrize("arm", [FLAT, SPATIAL])
-def test_error_slopes_are_the_derivatives_of_the_errors(arm):
-    rng = np.random.default_rng(4)
+@pytest.mark.parametrize("make", [flat, spatial])
+def test_error_slopes_are_the_derivatives_of_the_errors(make):
+    arm, rng = make(), np.random.default_rng(4)
     q, dq = rng.uniform(-1, 1, arm.nv), rng.normal(size=arm.nv)
     goals = rng.normal(size=(arm.n_modules, 3)) * arm.length
     placed = np.arange(arm.n_modules) != 1
@@ -80,7 +86,7 @@ def test_rising_errors_are_counted_and_those_of_active_points_apart():
     errors = [[3.0, 1.0, 1.0], [2.0, 1.5, 1.0], [2.1, 1.7, 1.0], [2.1, 1.6, 0.5]]
     active = [[1, 1, 0], [0, 1, 1], [1, 0, 0]]
     q = np.zeros((4, 3))
-    run = made(FLAT, q, active=active, point_errors=np.array(errors))
+    run = made(flat(), q, active=active, point_errors=np.array(errors))
     found = measures.descent(run, measures.states_before_steps(run))
     assert (found.steps, found.rose, found.points_rose) == (3, 1, 3)
     assert (found.active, found.active_rose) == (5, 2)
@@ -105,19 +111,19 @@ def test_steps_uphill_are_told_by_their_first_direction_alone():
 
 def test_matrices_of_less_than_full_rank_are_counted_and_empty_ones_are_not():
     q = np.zeros((4, 3))
-    run = made(FLAT, q, sigma_min=np.array([0.0, 0.0, 1e-3]), rows=np.array([4, 0, 4]))
+    run = made(flat(), q, sigma_min=np.array([0.0, 0.0, 1e-3]), rows=np.array([4, 0, 4]))
     assert measures.deficient_steps(run) == 1
 
 
 @pytest.mark.parametrize("controller", ["selection", "projection"])
 def test_what_was_asked_is_what_would_be_done_without_a_limit(controller):
-    rng = np.random.default_rng(5)
-    q = rng.uniform(-0.3, 0.3, SPATIAL.nv)
-    target = pp.Target.from_configuration(SPATIAL, q + rng.uniform(-0.05, 0.05, SPATIAL.nv))
-    run = pp.track(SPATIAL, target, q, controller, pp.Limits(step=1e-3), max_steps=4)
+    arm, rng = spatial(), np.random.default_rng(5)
+    q = rng.uniform(-0.3, 0.3, arm.nv)
+    target = pp.Target.from_configuration(arm, q + rng.uniform(-0.05, 0.05, arm.nv))
+    run = pp.track(arm, target, q, controller, pp.Limits(step=1e-3), max_steps=4)
     steps = measures.per_step(run, measures.states_before_steps(run))
     for k in range(run.steps):
-        free = controller_named(controller).step(SPATIAL.at(run.q[k]), target, pp.Limits(step=None))
+        free = controller_named(controller).step(arm.at(run.q[k]), target, pp.Limits(step=None))
         assert not free.diagnostics.clipped.any()
         assert steps.asked[k] == pytest.approx(np.abs(free.dq).max(), rel=1e-6)
 

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from arms import template_arm
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
-import pinposture as pp
 from pinposture.control import candidate_sets
 from pinposture.study.reproduce import postures
 from pinposture.study.reproduce.runs import thesis_arm
 
-ARM = pp.Arm.from_template("RyRz", modules=6)
+
+@pytest.fixture(scope="session")
+def arm():
+    return template_arm("RyRz", 6)
 
 
 @given(values=st.lists(st.floats(0, 1), min_size=1, max_size=8), threshold=st.floats(0, 1))
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_carrying_over_means_no_failure_after_a_success(values, threshold):
     clears = [value > threshold for value in values]
     expected = not any(a and not b for i, a in enumerate(clears) for b in clears[i + 1 :])
@@ -24,10 +28,10 @@ def test_carrying_over_means_no_failure_after_a_success(values, threshold):
 
 
 @given(seed=st.integers(0, 10_000))
-@settings(deadline=None, max_examples=30)
-def test_random_sets_are_candidate_sets_that_cannot_go_on(seed):
+@examples(30)
+def test_random_sets_are_candidate_sets_that_cannot_go_on(arm, seed):
     rng = np.random.default_rng(seed)
-    indices = ARM.at(rng.uniform(-0.6, 0.6, ARM.nv)).manipulability()
+    indices = arm.at(rng.uniform(-0.6, 0.6, arm.nv)).manipulability()
     allowed = set(candidate_sets(indices, 0.01, 0.01))
     drawn = tuple(k - 1 for k in postures.random_set(indices, 0.01, rng))
     if not allowed:
@@ -45,8 +49,8 @@ def test_full_rank_of_known_matrices():
     assert not postures.has_full_rank(np.ones((3, 2)))
 
 
-def test_stacked_jacobians_have_the_columns_that_move_something():
-    state = ARM.at(np.full(ARM.nv, 0.2))
+def test_stacked_jacobians_have_the_columns_that_move_something(arm):
+    state = arm.at(np.full(arm.nv, 0.2))
     matrix = postures.stacked(state, [1, 3])
     assert matrix.shape == (6, 8)
     np.testing.assert_array_equal(matrix[:3], state.jacobians[1][:, :8])

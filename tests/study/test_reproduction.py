@@ -57,6 +57,7 @@ def test_numbers_of_a_figure_are_those_of_its_runs():
     assert done.results["figures"][0]["runs"][0]["by_projection"] is None
 
 
+@pytest.mark.reproduction
 def test_files_are_named_after_the_thesis_and_written_whole(tmp_path):
     done = reproduce(["6.3", "6.11"], tmp_path / "new", max_steps=2)
     names = ["figure-6.03.png", "figure-6.11.png", "results.json"]
@@ -66,6 +67,7 @@ def test_files_are_named_after_the_thesis_and_written_whole(tmp_path):
     assert json.loads(done.files[2].read_text()) == done.results
 
 
+@pytest.mark.reproduction
 def test_every_claim_gets_a_verdict_and_a_place_in_the_file(judged):
     done, directory, _ = judged
     results = json.loads((directory / "results.json").read_text())
@@ -107,6 +109,7 @@ def test_every_claim_gets_a_verdict_and_a_place_in_the_file(judged):
     assert runs["from-straight", "selection"]["endings"] == {"no_control_points": 1}
 
 
+@pytest.mark.reproduction
 def test_the_table_of_claims_tells_the_same(judged):
     done, directory, _ = judged
     text = (directory / "claims.md").read_text()
@@ -118,6 +121,7 @@ def test_the_table_of_claims_tells_the_same(judged):
     assert all(line.endswith("|") for line in lines)
 
 
+@pytest.mark.reproduction
 def test_a_later_call_for_figures_leaves_the_claims_where_they_are(tmp_path):
     reproduce(["6.7", "claims"], tmp_path, seeds=1, max_steps=3)
     before = json.loads((tmp_path / "results.json").read_text())
@@ -133,12 +137,14 @@ def test_a_later_call_for_figures_leaves_the_claims_where_they_are(tmp_path):
     ]
 
 
+@pytest.mark.reproduction
 def test_progress_counts_every_run_once(judged):
     _, _, heard = judged
     assert [done for done, _ in heard] == sorted(done for done, _ in heard)
     assert heard[-1][0] == heard[-1][1] == {total for _, total in heard}.pop()
 
 
+@pytest.mark.reproduction
 def test_results_do_not_depend_on_the_number_of_processes(judged):
     again = reproduce(["claims"], None, seeds=1, max_steps=5, jobs=2)
     assert again.results == judged[0].results

@@ -14,13 +14,13 @@ from pinposture.study import ArmSurvey, gentle_curve, survey_arms
 
 BEND = 0.5
 HINGES = (pp.JointSpec("z", lower=-BEND, upper=BEND), pp.JointSpec("y", lower=-BEND, upper=BEND))
-ARM = pp.Arm.from_modules([pp.ModuleTemplate("m", joints=HINGES, link_lengths=(0.04, 0.05))] * 5)
 SEED = 4
 
 
 @pytest.fixture
 def directory(tmp_path: Path) -> Path:
-    (tmp_path / "arm.urdf").write_text(ARM.urdf)
+    arm = pp.Arm.from_modules([pp.ModuleTemplate("m", joints=HINGES, link_lengths=(0.04, 0.05))] * 5)
+    (tmp_path / "arm.urdf").write_text(arm.urdf)
     return tmp_path
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from arms import template_arm
 
 import pinposture as pp
 from pinposture.control.controller import Diagnostics, Step
@@ -13,12 +14,20 @@ from pinposture.errors import InvalidValue, UnknownName
 from pinposture.study import Subject
 from pinposture.study.cycles import CLOSE, cycle_drift, study_cycles
 
-ARM = pp.Arm.from_template("RyRz", 3)
-SUBJECT = Subject("small", ARM, ("random",))
+
+@pytest.fixture(scope="session")
+def arm() -> pp.Arm:
+    return template_arm("RyRz", 3)
 
 
-def postures(seed: int = 0, arm: pp.Arm = ARM) -> tuple[list[pp.Target], np.ndarray]:
-    q = np.random.default_rng(seed).uniform(-0.4, 0.4, (3, arm.nv))
+@pytest.fixture(scope="session")
+def subject(arm: pp.Arm) -> Subject:
+    return Subject("small", arm, ("random",))
+
+
+def postures() -> tuple[list[pp.Target], np.ndarray]:
+    arm = template_arm("RyRz", 3)
+    q = np.random.default_rng(0).uniform(-0.4, 0.4, (3, arm.nv))
     return [pp.Target.from_configuration(arm, each) for each in q], q[-1]
 
 
@@ -51,34 +60,37 @@ def test_drift_is_how_far_the_worst_joint_is_from_where_it_began() -> None:
     assert went.error <= CLOSE
 
 
-def test_known_configurations_do_not_drift_and_points_do_not_where_they_settle_the_joints() -> None:
+def test_known_configurations_do_not_drift_and_points_do_not_where_they_settle_the_joints(
+    arm: pp.Arm,
+) -> None:
     targets, start = postures()
-    known = cycle_drift(ARM, targets, start, 2)
+    known = cycle_drift(arm, targets, start, 2)
     assert known.error <= CLOSE
     assert max(known.drift) < 1e-7
-    points = [pp.Target.from_points(ARM, target.points) for target in targets]
-    unknown = cycle_drift(ARM, points, start, 2)
+    points = [pp.Target.from_points(arm, target.points) for target in targets]
+    unknown = cycle_drift(arm, points, start, 2)
     assert unknown.error <= CLOSE
     assert max(unknown.drift) < 1e-6
 
 
-def test_a_posture_that_is_not_reached_shows_in_the_error() -> None:
+def test_a_posture_that_is_not_reached_shows_in_the_error(arm: pp.Arm) -> None:
     targets, start = postures()
-    far = pp.Target.from_points(ARM, 2.0 * targets[0].points)
-    went = cycle_drift(ARM, [far, targets[-1]], start, 1)
+    far = pp.Target.from_points(arm, 2.0 * targets[0].points)
+    went = cycle_drift(arm, [far, targets[-1]], start, 1)
     assert went.error > 0.1
     assert went.drift[0] < 1e-7
 
 
-def test_cycles_depend_on_their_seed_alone() -> None:
-    found = study_cycles([SUBJECT], cycles=2, rounds=2, jobs=2)
+@pytest.mark.studies
+def test_cycles_depend_on_their_seed_alone(subject: Subject) -> None:
+    found = study_cycles([subject], cycles=2, rounds=2, jobs=2)
     assert [(each.arm, each.target, each.seed) for each in found] == [
         ("small", target, seed) for target in ("configuration", "points") for seed in (0, 1)
     ]
     assert all(len(each.drift) == 2 and each.steps > 0 for each in found)
     counted: list[tuple[int, int]] = []
     alone = study_cycles(
-        [SUBJECT],
+        [subject],
         ["points"],
         cycles=1,
         rounds=2,
@@ -89,12 +101,12 @@ def test_cycles_depend_on_their_seed_alone() -> None:
     assert counted == [(1, 1)]
 
 
-def test_wrong_input_is_named() -> None:
+def test_wrong_input_is_named(arm: pp.Arm, subject: Subject) -> None:
     targets, start = postures()
     for arguments, message in (
-        ((ARM, [], start), "targets is"),
-        ((ARM, targets, start[:3]), "q0"),
-        ((ARM, targets, start, 0), "rounds is 0"),
+        ((arm, [], start), "targets is"),
+        ((arm, targets, start[:3]), "q0"),
+        ((arm, targets, start, 0), "rounds is 0"),
     ):
         with pytest.raises(InvalidValue, match=message):
             cycle_drift(*arguments)
@@ -105,6 +117,6 @@ def test_wrong_input_is_named() -> None:
         ({"first_seed": -1}, "first_seed is -1"),
     ):
         with pytest.raises(InvalidValue, match=message):
-            study_cycles(**{"subjects": [SUBJECT], **options})
+            study_cycles(**{"subjects": [subject], **options})
     with pytest.raises(UnknownName, match="configuration, points"):
-        study_cycles([SUBJECT], ["curve"])
+        study_cycles([subject], ["curve"])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -10,12 +12,21 @@ from pinposture.errors import InvalidValue, UnknownName
 from pinposture.study import Family, Subject, built_subject, draw_case, loaded_subject
 from pinposture.study.families import STARTS
 
-SUBJECTS = {name: built_subject(name) for name in ("ryrz20", "planar45")}
-STIFF = pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.3, 0.2)] * 5)
+NAMES = ("ryrz20", "planar45")
+
+
+@cache
+def subject_named(name):
+    return built_subject(name)
+
+
+@pytest.fixture(scope="session")
+def stiff():
+    return pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.3, 0.2)] * 5)
 
 
 def test_the_arms_are_those_of_the_thesis_and_the_planar_one_has_a_point_at_every_second_joint():
-    spatial, planar = SUBJECTS["ryrz20"].arm, SUBJECTS["planar45"].arm
+    spatial, planar = subject_named("ryrz20").arm, subject_named("planar45").arm
     assert (spatial.nv, spatial.n_modules, spatial.dimension) == (40, 20, 3)
     assert (planar.nv, planar.n_modules, planar.dimension) == (45, 23, 2)
     assert planar.length == pytest.approx(6.75)
@@ -24,18 +35,18 @@ def test_the_arms_are_those_of_the_thesis_and_the_planar_one_has_a_point_at_ever
         built_subject("planar46")
 
 
-def test_families_are_all_pairs_but_the_one_where_nothing_moves():
-    assert len(SUBJECTS["ryrz20"].families) == 5 * 4 - 1
-    assert len(SUBJECTS["planar45"].families) == 5 * 3 - 1
-    for subject in SUBJECTS.values():
+def test_families_are_all_pairs_but_the_one_where_nothing_moves(stiff):
+    assert len(subject_named("ryrz20").families) == 5 * 4 - 1
+    assert len(subject_named("planar45").families) == 5 * 3 - 1
+    for subject in map(subject_named, NAMES):
         assert len(set(subject.families)) == len(subject.families)
         assert ("straight", "line") not in subject.families
-    assert len(loaded_subject(STIFF).families) == 10
+    assert len(loaded_subject(stiff).families) == 10
 
 
-@pytest.mark.parametrize("name", SUBJECTS)
+@pytest.mark.parametrize("name", NAMES)
 def test_every_case_is_within_the_limits_can_be_reached_and_is_the_same_again(name):
-    subject, twin = SUBJECTS[name], built_subject(name)
+    subject, twin = subject_named(name), built_subject(name)
     for family in subject.families:
         start, target = draw_case(subject, family, 7)
         again, same = draw_case(twin, family, 7)
@@ -50,9 +61,9 @@ def test_every_case_is_within_the_limits_can_be_reached_and_is_the_same_again(na
         assert (family.start == "straight") == np.array_equal(start, other)
 
 
-@pytest.mark.parametrize("name", SUBJECTS)
+@pytest.mark.parametrize("name", NAMES)
 def test_a_seed_has_one_start_for_all_targets_and_one_target_for_all_starts(name):
-    subject = SUBJECTS[name]
+    subject = subject_named(name)
     starts, targets = {}, {}
     for family in subject.families:
         start, target = draw_case(subject, family, 3)
@@ -65,7 +76,7 @@ def test_a_seed_has_one_start_for_all_targets_and_one_target_for_all_starts(name
 
 
 def test_starts_have_the_size_that_their_names_say():
-    subject = SUBJECTS["ryrz20"]
+    subject = subject_named("ryrz20")
     drawn = {
         start: np.array([draw_case(subject, Family(start, "random"), seed)[0] for seed in range(10)])
         for start in STARTS
@@ -78,9 +89,9 @@ def test_starts_have_the_size_that_their_names_say():
     assert np.all(drawn["straight"] == 0.0)
 
 
-@pytest.mark.parametrize("name", SUBJECTS)
+@pytest.mark.parametrize("name", NAMES)
 def test_a_fold_lies_on_the_line_of_the_straight_arm_which_no_joint_brings_closer(name):
-    subject = SUBJECTS[name]
+    subject = subject_named(name)
     arm, joints = subject.arm, []
     for seed in range(24):
         start, target = draw_case(subject, Family("straight", "folded"), seed)
@@ -98,14 +109,14 @@ def test_a_fold_lies_on_the_line_of_the_straight_arm_which_no_joint_brings_close
     assert len(set(joints)) > 3
 
 
-def test_a_loaded_arm_keeps_its_limits():
-    subject = loaded_subject(STIFF)
+def test_a_loaded_arm_keeps_its_limits(stiff):
+    subject = loaded_subject(stiff)
     assert subject.targets == ("gentle", "random")
     for family in subject.families:
         start, target = draw_case(subject, family, 1)
-        assert STIFF.within_limits(start)
-        assert STIFF.within_limits(target.q)
-        np.testing.assert_allclose(STIFF.at(target.q).points, target.points, atol=1e-12)
+        assert stiff.within_limits(start)
+        assert stiff.within_limits(target.q)
+        np.testing.assert_allclose(stiff.at(target.q).points, target.points, atol=1e-12)
     harsh, _ = draw_case(subject, Family("uniform-1.5", "random"), 1)
     assert np.isin(harsh, (-0.3, 0.2)).sum() > 5
 
@@ -120,11 +131,11 @@ def test_slides_are_drawn_in_their_unit():
     assert off[~arm.slides].max() > 1e-4
 
 
-def test_what_there_is_not_is_refused():
-    subject = SUBJECTS["planar45"]
+def test_what_there_is_not_is_refused(stiff):
+    subject = subject_named("planar45")
     with pytest.raises(UnknownName, match="helix"):
         draw_case(subject, Family("smooth", "helix"), 0)
     with pytest.raises(UnknownName, match="sideways"):
         draw_case(subject, Family("sideways", "line"), 0)
     with pytest.raises(InvalidValue, match="turns by pi"):
-        draw_case(Subject("stiff", STIFF, ("folded",)), Family("smooth", "folded"), 0)
+        draw_case(Subject("stiff", stiff, ("folded",)), Family("smooth", "folded"), 0)

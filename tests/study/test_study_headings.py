@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
+from sampling import seeds
 
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.study import (
@@ -18,12 +21,27 @@ from pinposture.study.cases import curve_along
 from pinposture.study.headings import BINS, HEADING, bin_of, draw_pair
 from pinposture.target import resolve_targets
 
-PLANAR, SPATIAL = built_subject("planar45"), built_subject("ryrz20")
+NAMES = ("planar45", "ryrz20")
+
+
+@cache
+def subject_named(name):
+    return built_subject(name)
 
 
 @pytest.fixture(scope="module")
-def records():
-    return study_headings([PLANAR, SPATIAL], ("lm", "joint"), pairs=14)
+def subjects():
+    return [subject_named(name) for name in NAMES]
+
+
+@pytest.fixture(scope="module")
+def planar():
+    return subject_named("planar45")
+
+
+@pytest.fixture(scope="module")
+def records(subjects):
+    return study_headings(subjects, ("lm", "joint"), pairs=14)
 
 
 @pytest.mark.parametrize(
@@ -35,9 +53,9 @@ def test_bins_begin_at_their_lower_edge(turn, name):
     assert bin_of(turn) == name
 
 
-@pytest.mark.parametrize("subject", [PLANAR, SPATIAL], ids=lambda subject: subject.name)
-def test_pairs_fill_every_bin(subject):
-    turns = []
+@pytest.mark.parametrize("name", NAMES)
+def test_pairs_fill_every_bin(planar, name):
+    subject, turns = subject_named(name), []
     for seed in range(150):
         start, goal = draw_pair(subject.arm, seed)
         turns.append(largest_turn(subject.arm, start, goal))
@@ -45,9 +63,10 @@ def test_pairs_fill_every_bin(subject):
         assert subject.arm.within_limits(goal)
     counts = [sum(bin_of(turn) == name for turn in turns) for name in BINS]
     assert min(counts) >= 4
-    assert max(turns[0], largest_turn(PLANAR.arm, *draw_pair(PLANAR.arm, 0))) <= 2 * HEADING
+    assert max(turns[0], largest_turn(planar.arm, *draw_pair(planar.arm, 0))) <= 2 * HEADING
 
 
+@pytest.mark.studies
 def test_joint_interpolation_knows_the_way_round_and_least_squares_does_not(records):
     bins = {(each.arm, each.controller, each.bin): each for each in by_heading(records)}
     assert len(bins) == 2 * 2 * 5
@@ -61,29 +80,31 @@ def test_joint_interpolation_knows_the_way_round_and_least_squares_does_not(reco
     assert sum(each.runs for each in bins.values()) == len(records)
 
 
-def test_records_say_what_they_are_and_do_not_depend_on_the_number_of_processes(records):
+@pytest.mark.studies
+def test_records_say_what_they_are_and_do_not_depend_on_the_number_of_processes(subjects, records):
     assert {(record.start, record.target) for record in records} == {("bent", "configuration")}
     assert [record.seed for record in records[:4]] == [0, 0, 1, 1]
-    again = study_headings([PLANAR, SPATIAL], ["joint"], pairs=5, first_seed=3, jobs=2)
+    again = study_headings(subjects, ["joint"], pairs=5, first_seed=3, jobs=2)
     expected = [*records[7:17:2], *records[28 + 7 : 28 + 17 : 2]]
     assert [each._replace(seconds=0.0) for each in again] == [each._replace(seconds=0.0) for each in expected]
 
 
-@pytest.mark.parametrize("subject", [PLANAR, SPATIAL], ids=lambda subject: subject.name)
-def test_a_curve_through_the_points_keeps_the_way_round(subject):
-    for seed in range(12):
+@pytest.mark.parametrize("name", NAMES)
+def test_a_curve_through_the_points_keeps_the_way_round(name):
+    subject = subject_named(name)
+    for seed in seeds(12):
         _, goal = draw_pair(subject.arm, seed)
         target = resolve_targets(subject.arm, curve_along(subject.arm, goal), placement="as_is")
         assert largest_turn(subject.arm, goal, target.q) < np.pi / 2
 
 
-def test_targets_on_a_curve_are_reached_where_it_puts_them():
-    (record,) = study_headings([PLANAR], ["joint"], pairs=1, knowledge="curve")
-    start, goal = draw_pair(PLANAR.arm, 0)
-    target = resolve_targets(PLANAR.arm, curve_along(PLANAR.arm, goal), placement="as_is")
+def test_targets_on_a_curve_are_reached_where_it_puts_them(planar):
+    (record,) = study_headings([planar], ["joint"], pairs=1, knowledge="curve")
+    start, goal = draw_pair(planar.arm, 0)
+    target = resolve_targets(planar.arm, curve_along(planar.arm, goal), placement="as_is")
     assert (record.target, record.arrived) == ("curve", True)
-    assert record.turn == largest_turn(PLANAR.arm, start, target.q)
-    assert record.turn != largest_turn(PLANAR.arm, start, goal)
+    assert record.turn == largest_turn(planar.arm, start, target.q)
+    assert record.turn != largest_turn(planar.arm, start, goal)
 
 
 def one(turn, error=0.0, violation=0.0, stride=1.0, path=1.2) -> Record:
@@ -108,6 +129,7 @@ def test_who_leaves_the_limits_has_not_reached():
     assert (top.runs, top.reached, top.path, top.steps) == (0, 0, None, None)
 
 
+@pytest.mark.studies
 def test_the_picture_shows_the_shares(records):
     figure = draw_headings(records)
     assert len(figure.axes) == 4
@@ -122,12 +144,12 @@ def test_the_picture_shows_the_shares(records):
         draw_headings([one(None)])
 
 
-def test_what_makes_no_study_is_refused():
+def test_what_makes_no_study_is_refused(planar):
     with pytest.raises(InvalidValue, match="pairs"):
-        study_headings([PLANAR], ["joint"], pairs=0)
+        study_headings([planar], ["joint"], pairs=0)
     with pytest.raises(InvalidValue, match="first_seed"):
-        study_headings([PLANAR], ["joint"], pairs=1, first_seed=-1)
+        study_headings([planar], ["joint"], pairs=1, first_seed=-1)
     with pytest.raises(InvalidValue, match="subjects"):
         study_headings([], ["joint"], pairs=1)
     with pytest.raises(UnknownName, match="configuration, curve"):
-        study_headings([PLANAR], ["joint"], pairs=1, knowledge="points")
+        study_headings([planar], ["joint"], pairs=1, knowledge="points")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from arms import template_arm
 from joblib import parallel_config
 
-import pinposture as pp
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.study import (
     Record,
@@ -19,9 +19,17 @@ from pinposture.study import (
 from pinposture.study.postures import CONTROLLERS
 from pinposture.study.table import GROUPS, Spread
 
-SMALL = Subject("small", pp.Arm.from_template("RyRz", 4), ("random", "folded"))
-FLAT = Subject("flat", pp.Arm.from_template("RzRz", 4), ("random",))
 NAMES = ("joint", "lm")
+
+
+@pytest.fixture(scope="session")
+def small():
+    return Subject("small", template_arm("RyRz", 4), ("random", "folded"))
+
+
+@pytest.fixture(scope="session")
+def flat():
+    return Subject("flat", template_arm("RzRz", 4), ("random",))
 
 
 def untimed(records):
@@ -29,40 +37,40 @@ def untimed(records):
 
 
 @pytest.fixture(scope="module")
-def records():
+def records(small, flat):
     arrived = []
-    found = study_postures([SMALL, FLAT], NAMES, cases=12, progress=lambda *at: arrived.append(at))
+    found = study_postures([small, flat], NAMES, cases=12, progress=lambda *at: arrived.append(at))
     assert arrived == [(k, 24) for k in range(1, 25)]
     return found
 
 
-def test_every_family_has_its_turn_and_every_controller_the_same_cases(records):
+def test_every_family_has_its_turn_and_every_controller_the_same_cases(small, flat, records):
     assert len(records) == 2 * 12 * 2
     assert [record.controller for record in records] == list(NAMES) * 24
     cases = [record[:4] for record in records]
     assert cases[::2] == cases[1::2]
-    expected = [("small", *SMALL.families[k % 10], k // 10) for k in range(12)]
-    expected += [("flat", *FLAT.families[k % 5], k // 5) for k in range(12)]
+    expected = [("small", *small.families[k % 10], k // 10) for k in range(12)]
+    expected += [("flat", *flat.families[k % 5], k // 5) for k in range(12)]
     assert cases[::2] == expected
     for first, second in zip(records[::2], records[1::2], strict=True):
         assert first.turn == second.turn
 
 
-def test_results_do_not_depend_on_the_number_of_processes(records):
-    again = study_postures([SMALL, FLAT], NAMES, cases=12, jobs=2)
+def test_results_do_not_depend_on_the_number_of_processes(small, flat, records):
+    again = study_postures([small, flat], NAMES, cases=12, jobs=2)
     assert untimed(again) == untimed(records)
 
 
-def test_backends_of_joblib_apply(records):
+def test_backends_of_joblib_apply(small, records):
     with parallel_config(backend="threading"):
-        again = study_postures([SMALL], NAMES, cases=3, jobs=2)
+        again = study_postures([small], NAMES, cases=3, jobs=2)
     assert untimed(again) == untimed(records[:6])
 
 
-def test_a_shorter_study_with_other_controllers_has_the_same_cases(records):
-    shorter = study_postures([SMALL], ["lm"], cases=7)
+def test_a_shorter_study_with_other_controllers_has_the_same_cases(small, records):
+    shorter = study_postures([small], ["lm"], cases=7)
     assert untimed(shorter) == untimed(records[1:14:2])
-    later = study_postures([SMALL], ["lm"], cases=2, first_seed=1)
+    later = study_postures([small], ["lm"], cases=2, first_seed=1)
     assert untimed(later) == untimed([records[21], records[23]])
 
 
@@ -93,11 +101,11 @@ def test_the_default_is_a_thousand_cases_with_the_controllers_of_interest(monkey
         ({"jobs": 0}, "jobs"),
     ],
 )
-def test_what_makes_no_study_is_refused(change, message):
+def test_what_makes_no_study_is_refused(small, change, message):
     with pytest.raises(InvalidValue, match=message):
-        study_postures(**{"subjects": [SMALL], "controllers": NAMES, "cases": 1, **change})
+        study_postures(**{"subjects": [small], "controllers": NAMES, "cases": 1, **change})
     with pytest.raises(UnknownName, match="simplex"):
-        study_postures([SMALL], ["simplex"], 1)
+        study_postures([small], ["simplex"], 1)
 
 
 def one(start="smooth", target="random", controller="lm", error=0.0, steps=10, **fields) -> Record:

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from arms import template_arm
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 from study.handmade import made
 
 import pinposture as pp
@@ -15,15 +17,19 @@ from pinposture.errors import FileError, InvalidValue
 from pinposture.study import Case, Record, Subject, keep_study, read_records, record_run, write_records
 from pinposture.study.record import run_case
 
-ARM = pp.Arm.from_template("Rz", 3)
 CASE = Case("arm", "smooth", "random", 5)
 
 
-def test_rises_are_counted_beyond_rounding_and_escapes_apart():
+@pytest.fixture(scope="session")
+def arm():
+    return template_arm("Rz", 3)
+
+
+def test_rises_are_counted_beyond_rounding_and_escapes_apart(arm):
     errors = np.array([2.0, 3.0, 1.0, 1.0 + 1e-9, 1.5, 0.3])
     escape = np.array([False, True, False, True, False])
     shares = np.array([0.2, 0.3, 0.5])  # of the three control points
-    run = made(ARM, np.zeros((6, 3)), point_errors=np.outer(errors, shares), escape=escape)
+    run = made(arm, np.zeros((6, 3)), point_errors=np.outer(errors, shares), escape=escape)
     found = record_run(run, CASE, "qp", seconds=0.5)
     assert found[:5] == (*CASE, "qp")
     assert (found.status, found.reason, found.steps) == ("max_steps", "made by hand", 5)
@@ -34,10 +40,10 @@ def test_rises_are_counted_beyond_rounding_and_escapes_apart():
     assert found.seconds == pytest.approx(0.1)
 
 
-def test_the_mean_is_over_points_that_have_a_target():
-    target = pp.Target.from_points(ARM, np.zeros((3, 3)), [1.0, 0.0, 1.0])
+def test_the_mean_is_over_points_that_have_a_target(arm):
+    target = pp.Target.from_points(arm, np.zeros((3, 3)), [1.0, 0.0, 1.0])
     errors = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.2]])
-    run = made(ARM, np.zeros((2, 3)), point_errors=errors, target=np.zeros((3, 3)))
+    run = made(arm, np.zeros((2, 3)), point_errors=errors, target=np.zeros((3, 3)))
     run = pp.Trajectory(**{**vars(run), "target": target})
     found = record_run(run, CASE, "lm")
     assert found.error == pytest.approx(0.15 / 0.45)
@@ -45,14 +51,14 @@ def test_the_mean_is_over_points_that_have_a_target():
     assert found.turn is None
 
 
-def test_points_on_an_arc_go_that_much_farther_than_straight():
+def test_points_on_an_arc_go_that_much_farther_than_straight(arm):
     q = np.zeros((4, 3))
     q[:, 0] = np.linspace(0.0, np.pi / 2, 4)  # a quarter turn about the base in three steps
-    found = record_run(made(ARM, q), CASE, "joint")
+    found = record_run(made(arm, q), CASE, "joint")
     assert found.path == pytest.approx(3 * 2.0 * np.sin(np.pi / 12) / np.sqrt(2.0))
     assert found.stride == pytest.approx(np.pi / 6 / 0.1)
     assert not found.lawful
-    there_and_back = record_run(made(ARM, [*q, *q[::-1]]), CASE, "joint")
+    there_and_back = record_run(made(arm, [*q, *q[::-1]]), CASE, "joint")
     assert there_and_back.path == 1.0  # nobody could say how long the direct way was
 
 
@@ -79,9 +85,9 @@ def test_slides_are_measured_in_their_unit_and_steps_against_the_limit_of_each_j
     assert free.stride == 0.0
 
 
-def test_the_turn_is_that_between_start_and_target():
-    target = pp.Target.from_configuration(ARM, [1.0, 1.0, -0.5])
-    run = made(ARM, np.array([[0.0, -0.5, 0.0], [0.1, 0.0, 0.0]]))
+def test_the_turn_is_that_between_start_and_target(arm):
+    target = pp.Target.from_configuration(arm, [1.0, 1.0, -0.5])
+    run = made(arm, np.array([[0.0, -0.5, 0.0], [0.1, 0.0, 0.0]]))
     run = pp.Trajectory(**{**vars(run), "target": target})
     assert record_run(run, CASE, "joint").turn == pytest.approx(2.5)
 
@@ -90,14 +96,14 @@ def test_the_turn_is_that_between_start_and_target():
     ("error", "arrived", "near"),
     [(0.0, True, True), (1e-6, True, True), (1.01e-6, False, True), (1e-3, False, False)],
 )
-def test_when_a_run_is_there(error, arrived, near):
-    run = made(ARM, np.zeros((2, 3)), point_errors=np.full((2, 3), error * ARM.length))
+def test_when_a_run_is_there(arm, error, arrived, near):
+    run = made(arm, np.zeros((2, 3)), point_errors=np.full((2, 3), error * arm.length))
     found = record_run(run, CASE, "joint")
     assert (found.arrived, found.near) == (arrived, near)
 
 
-def test_a_run_without_steps():
-    found = record_run(made(ARM, np.zeros((1, 3))), CASE, "joint", seconds=0.1)
+def test_a_run_without_steps(arm):
+    found = record_run(made(arm, np.zeros((1, 3))), CASE, "joint", seconds=0.1)
     assert (found.steps, found.rising, found.escaping, found.stride) == (0, 0.0, 0.0, 0.0)
     assert (found.peak, found.path, found.seconds) == (1.0, 1.0, 0.1)
 
@@ -139,7 +145,7 @@ records = st.builds(
 )
 
 
-@settings(deadline=None, max_examples=40)
+@examples(40)
 @given(st.lists(records, max_size=3))
 def test_a_table_of_runs_reads_back_as_it_was_written(tmp_path_factory, runs):
     path = tmp_path_factory.mktemp("records") / "cases.csv"
@@ -147,11 +153,11 @@ def test_a_table_of_runs_reads_back_as_it_was_written(tmp_path_factory, runs):
     assert read_records(path) == runs
 
 
-def test_a_table_that_is_none_names_what_is_wrong(tmp_path):
+def test_a_table_that_is_none_names_what_is_wrong(arm, tmp_path):
     path = tmp_path / "cases.csv"
     with pytest.raises(FileError, match="No such file"):
         read_records(path)
-    run = record_run(made(ARM, np.zeros((2, 3))), CASE, "joint")
+    run = record_run(made(arm, np.zeros((2, 3))), CASE, "joint")
     write_records([run, run], path)
     whole = path.read_text()
     lines = whole.splitlines()
@@ -171,10 +177,10 @@ def test_a_table_that_is_none_names_what_is_wrong(tmp_path):
         read_records(path)
 
 
-def test_a_study_is_kept_whole(tmp_path):
+def test_a_study_is_kept_whole(arm, tmp_path):
     from matplotlib.figure import Figure
 
-    run = record_run(made(ARM, np.zeros((2, 3))), CASE, "joint")
+    run = record_run(made(arm, np.zeros((2, 3))), CASE, "joint")
     files = keep_study(tmp_path / "new" / "out", [run], {"cases": 1}, {"a.png": Figure()})
     assert sorted(file.name for file in files) == ["a.png", "cases.csv", "summary.json"]
     assert sorted((tmp_path / "new" / "out").iterdir()) == sorted(files)

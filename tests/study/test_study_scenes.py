@@ -7,6 +7,7 @@ import json
 
 import numpy as np
 import pytest
+from arms import template_arm
 from study.handmade import made
 
 import pinposture as pp
@@ -20,8 +21,8 @@ from pinposture.study.situations import SITUATIONS, Situation, draw_situation, s
 
 NAMES = tuple(SITUATIONS)
 QUICK = tuple(name for name in NAMES if name not in ("narrow", "pipe"))  # these take long
-SMALL = pp.Arm.from_template("Rz", 2)
-LENGTH = SMALL.length / 2.0
+LENGTH = 0.15
+"""Of a link of the small planar arm [m]."""
 RADIUS = 0.01
 
 
@@ -41,7 +42,7 @@ def measured(angles: list[float], height: float, **more: object) -> SceneRun:
     """A run of the stretched arm through headings of its first joint, under a ceiling."""
     q = np.column_stack([angles, np.zeros(len(angles))])
     which = {name: bool(more.pop(name)) for name in ("start_clear", "goal_clear") if name in more}
-    return record_scene_run(made(SMALL, q, **more), ceiling(height, **which), 3, 4, 0.5)
+    return record_scene_run(made(template_arm("Rz", 2), q, **more), ceiling(height, **which), 3, 4, 0.5)
 
 
 def gap(angle: float, height: float) -> float:
@@ -91,7 +92,7 @@ def test_paths_escapes_and_errors_of_a_run_made_by_hand() -> None:
     found = measured(quarter, 1.0, escape=escape, point_errors=errors, reason="one\nline")
     assert found.path == pytest.approx(3 * 2.0 * np.sin(np.pi / 12) / np.sqrt(2.0))
     assert found.escaping == pytest.approx(1 / 3)
-    assert found.error == pytest.approx(0.05 / SMALL.length)
+    assert found.error == pytest.approx(0.05 / (2.0 * LENGTH))
     assert (found.reason, found.reached, found.explained) == ("one line", False, False)
 
 
@@ -106,7 +107,7 @@ def test_paths_escapes_and_errors_of_a_run_made_by_hand() -> None:
     ],
 )
 def test_a_run_does_as_it_should_or_says_why(error: float, reason: str, reachable: bool, right: bool) -> None:
-    errors = np.full((2, 2), error * SMALL.length)
+    errors = np.full((2, 2), error * 2.0 * LENGTH)
     found = measured([0.0, 0.1], 1.0, point_errors=errors, reason=reason, goal_clear=reachable)
     assert found.kept
     assert found.as_it_should is right
@@ -191,6 +192,7 @@ def runs() -> list[SceneRun]:
     return study_scenes(QUICK, seeds=1, first_seed=8)  # the quickest
 
 
+@pytest.mark.studies
 def test_each_scene_keeps_the_margin_and_ends_where_it_should(runs: list[SceneRun]) -> None:
     assert [run.scene for run in runs] == list(QUICK)
     for run in runs:
@@ -205,6 +207,7 @@ def test_each_scene_keeps_the_margin_and_ends_where_it_should(runs: list[SceneRu
     assert [name for name, run in by_name.items() if not run.reachable] == ["inside"]
 
 
+@pytest.mark.process
 def test_processes_and_company_make_no_difference() -> None:
     both = study_scenes(("inside", "coil"), seeds=2, jobs=2)
     seen: list[tuple[int, int]] = []
@@ -214,6 +217,7 @@ def test_processes_and_company_make_no_difference() -> None:
     assert seen == [(1, 1)]
 
 
+@pytest.mark.studies
 def test_rows_and_files_hold_what_the_runs_say(runs: list[SceneRun], tmp_path: object) -> None:
     first = runs[0]._replace(scene="x", seed=0, steps=10, path=1.0, refused=2, reachable=True, error=0.0)
     first = first._replace(loss=0.0, closest=0.03, margin=0.01, end=0.03, escaping=0.1, seconds=1.0)

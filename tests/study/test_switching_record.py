@@ -5,25 +5,34 @@ from __future__ import annotations
 import importlib.util
 import json
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 from pinposture.thesis.scenarios import FAMILIES
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-RECORD = json.loads((BENCHMARKS / "results/switching.json").read_text())
 REPEATED = ("ryrz20: smooth -> helix", "ryrz20: straight -> helix", "planar45: smooth -> line")
 
-SPEC = importlib.util.spec_from_file_location("switching_benchmark", BENCHMARKS / "switching.py")
-benchmark = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(benchmark)
+
+@pytest.fixture(scope="module")
+def record() -> dict:
+    return json.loads((BENCHMARKS / "results/switching.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def benchmark() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("switching_benchmark", BENCHMARKS / "switching.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 @pytest.mark.parametrize("name", REPEATED)
-def test_the_recorded_figures_are_reached_again(name: str) -> None:
+def test_the_recorded_figures_are_reached_again(benchmark: ModuleType, record: dict, name: str) -> None:
     scenario = next(each for each in FAMILIES if each.name == name)
     found = benchmark.summary([benchmark.ends(scenario, seed, False) for seed in range(benchmark.SUBSET)])
-    recorded = RECORD["families"][name]["subset"]
+    recorded = record["families"][name]["subset"]
     assert found["cases"] == recorded["cases"]
     assert found["arrived"]["switching"] == recorded["arrived"]["switching"] == 1.0
     assert found["worst_excess"] < 1.0
@@ -31,8 +40,8 @@ def test_the_recorded_figures_are_reached_again(name: str) -> None:
     assert found["median_steps"]["switching"] <= 1.5 * recorded["median_steps"]["switching"] + 10
 
 
-def test_the_record_covers_every_family_and_keeps_what_is_promised() -> None:
-    smooth = {scenario.name: RECORD["families"][scenario.name]["all"] for scenario in FAMILIES}
+def test_the_record_covers_every_family_and_keeps_what_is_promised(record: dict) -> None:
+    smooth = {scenario.name: record["families"][scenario.name]["all"] for scenario in FAMILIES}
     assert len(smooth) >= 13
     for found in smooth.values():
         assert found["cases"] >= 200
@@ -40,5 +49,5 @@ def test_the_record_covers_every_family_and_keeps_what_is_promised() -> None:
         assert found["worst_excess"] <= 1.0
 
 
-def test_switching_takes_few_turns() -> None:
-    assert max(found["all"]["most_switches"] for found in RECORD["families"].values()) <= 20
+def test_switching_takes_few_turns(record: dict) -> None:
+    assert max(found["all"]["most_switches"] for found in record["families"].values()) <= 20

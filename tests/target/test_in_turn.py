@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from sampling import seeds
 
 import pinposture as pp
 from pinposture.target.in_turn import exact_positions
@@ -17,7 +18,7 @@ ARMS = {
 
 
 @pytest.mark.parametrize("name", ARMS)
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", seeds(5))
 def test_points_of_any_posture_are_taken_again(name: str, seed: int) -> None:
     """Joints anywhere within +-pi: on the inner half of the torus as well, where branches differ."""
     template, modules, lengths = ARMS[name]

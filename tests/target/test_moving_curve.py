@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from arms import template_arm
 
 import pinposture as pp
 from pinposture.target.modules import arm_units
@@ -19,17 +20,11 @@ def swaying(time: float, planar: bool = False) -> pp.Curve:
 
 
 @pytest.mark.parametrize(
-    "arm",
-    [
-        pp.Arm.from_template("RyRz", 20),
-        pp.Arm.from_template("RyRz", 16, (0.02, 0.035)),
-        pp.Arm.from_template("Rz", 20, (0.05,)),
-    ],
-    ids=repr,
+    "described", [("RyRz", 20), ("RyRz", 16, (0.02, 0.035)), ("Rz", 20, (0.05,))], ids=repr
 )
 @pytest.mark.parametrize("placement", ["as_is", "align"])
-def test_the_target_follows_without_jumps(arm: pp.Arm, placement: str) -> None:
-    step = 1e-4
+def test_the_target_follows_without_jumps(described: tuple, placement: str) -> None:
+    arm, step = template_arm(*described), 1e-4
     for time in np.linspace(0.0, 6.0, 12):
         one, two = (
             pp.resolve_targets(arm, swaying(t, arm.dimension == 2), placement=placement)

@@ -6,13 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from arms import template_arm
 
 import pinposture as pp
 from pinposture.control import CONTROLLERS, Controller
 from pinposture.errors import InvalidValue
 
-SPATIAL = pp.Arm.from_template("RyRz", 10)
-PLANAR = pp.Arm.from_template("Rz", 24)
 THESIS = [
     pp.Selection(score="error"),
     pp.Selection(score="geometric"),
@@ -20,6 +19,16 @@ THESIS = [
     pp.Projection(),
     pp.Projection(coupling="local"),
 ]
+
+
+@pytest.fixture(scope="session")
+def spatial() -> pp.Arm:
+    return template_arm("RyRz", 10)
+
+
+@pytest.fixture(scope="session")
+def planar() -> pp.Arm:
+    return template_arm("Rz", 24)
 
 
 def bent(arm: pp.Arm, seed: int) -> np.ndarray:
@@ -31,9 +40,9 @@ def regions(arm: pp.Arm) -> list[tuple[int, int]]:
     return [(0, m // 2), (2, m - 3), (m // 2, m - 1), (m - 1, m - 1)]
 
 
-def test_a_region_is_a_copy_with_weight_only_inside() -> None:
+def test_a_region_is_a_copy_with_weight_only_inside(planar: pp.Arm) -> None:
     weights = np.tile([2.0, 0.0, 1.0], 8)
-    whole = replace(pp.Target.from_configuration(PLANAR, bent(PLANAR, 0)), weights=weights)
+    whole = replace(pp.Target.from_configuration(planar, bent(planar, 0)), weights=weights)
     part = whole.region(3, np.int64(9))
     np.testing.assert_array_equal(part.weights[3:10], weights[3:10])
     assert not part.weights[:3].any()
@@ -45,9 +54,9 @@ def test_a_region_is_a_copy_with_weight_only_inside() -> None:
     np.testing.assert_array_equal(whole.region(0, 23).weights, weights)
 
 
-def test_a_region_of_a_partial_target_has_the_points_with_a_place() -> None:
+def test_a_region_of_a_partial_target_has_the_points_with_a_place(spatial: pp.Arm) -> None:
     curve = pp.Curve.line((0, 0, 0), (0.31, 0, 0))
-    partial = pp.resolve_targets(SPATIAL, curve, incomplete="partial")
+    partial = pp.resolve_targets(spatial, curve, incomplete="partial")
     assert np.flatnonzero(partial.placed).tolist() == [0, 1, 2, 3, 4, 5]
     part = partial.region(4, 8)
     assert np.flatnonzero(part.placed).tolist() == [4, 5]
@@ -68,14 +77,17 @@ def test_a_region_of_a_partial_target_has_the_points_with_a_place() -> None:
         (0, "tip", "last is 'tip'"),
     ],
 )
-def test_what_is_no_region_is_named(first: int, last: int, message: str) -> None:
+def test_what_is_no_region_is_named(planar: pp.Arm, first: int, last: int, message: str) -> None:
     with pytest.raises(InvalidValue, match=message):
-        pp.Target.from_configuration(PLANAR, bent(PLANAR, 0)).region(first, last)
+        pp.Target.from_configuration(planar, bent(planar, 0)).region(first, last)
 
 
-@pytest.mark.parametrize("arm", [SPATIAL, PLANAR], ids=["spatial", "planar"])
+@pytest.mark.parametrize("name", ["spatial", "planar"])
 @pytest.mark.parametrize("controller", THESIS, ids=str)
-def test_a_run_uses_and_counts_the_region_only(arm: pp.Arm, controller: Controller) -> None:
+def test_a_run_uses_and_counts_the_region_only(
+    request: pytest.FixtureRequest, name: str, controller: Controller
+) -> None:
+    arm = request.getfixturevalue(name)
     start, whole = bent(arm, 1), pp.Target.from_configuration(arm, bent(arm, 2))
     for first, last in regions(arm):
         target = whole.region(first, last)
@@ -96,30 +108,32 @@ def test_a_run_uses_and_counts_the_region_only(arm: pp.Arm, controller: Controll
 
 
 @pytest.mark.parametrize(("first", "last"), [(1, 20), (5, 14), (10, 23), (7, 7)])
-def test_the_tree_of_sections_begins_where_the_region_does(first: int, last: int) -> None:
-    target = pp.Target.from_configuration(PLANAR, bent(PLANAR, 2)).region(first, last)
+def test_the_tree_of_sections_begins_where_the_region_does(planar: pp.Arm, first: int, last: int) -> None:
+    target = pp.Target.from_configuration(planar, bent(planar, 2)).region(first, last)
     for score in ("thesis", "geometric", "auto"):
-        active = pp.Selection(score=score).step(PLANAR.at(bent(PLANAR, 1)), target).active
+        active = pp.Selection(score=score).step(planar.at(bent(planar, 1)), target).active
         assert active[0] == first
         assert last - 1 <= active[-1] <= last
         assert set(np.diff(active)) <= {2, 3}
-    from_base = pp.Target.from_configuration(PLANAR, bent(PLANAR, 2)).region(0, last)
-    assert pp.Selection().step(PLANAR.at(bent(PLANAR, 1)), from_base).active[0] in (1, 2)
+    from_base = pp.Target.from_configuration(planar, bent(planar, 2)).region(0, last)
+    assert pp.Selection().step(planar.at(bent(planar, 1)), from_base).active[0] in (1, 2)
 
 
-def test_a_region_that_is_reached_counts_as_converged_while_the_rest_is_elsewhere() -> None:
-    start = bent(PLANAR, 1)
+def test_a_region_that_is_reached_counts_as_converged_while_the_rest_is_elsewhere(planar: pp.Arm) -> None:
+    start = bent(planar, 1)
     there = start.copy()
     there[20:] += 0.5  # the same posture up to control point 19
-    run = pp.track(PLANAR, pp.Target.from_configuration(PLANAR, there).region(4, 19), start)
+    run = pp.track(planar, pp.Target.from_configuration(planar, there).region(4, 19), start)
     assert run.converged
     assert run.steps == 0
-    assert not pp.track(PLANAR, pp.Target.from_configuration(PLANAR, there), start, max_steps=1).converged
+    assert not pp.track(planar, pp.Target.from_configuration(planar, there), start, max_steps=1).converged
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)
-def test_no_controller_looks_at_the_targets_of_free_points(name: str) -> None:
-    for arm in (SPATIAL, PLANAR):
+def test_no_controller_looks_at_the_targets_of_free_points(
+    planar: pp.Arm, spatial: pp.Arm, name: str
+) -> None:
+    for arm in (spatial, planar):
         whole = pp.Target.from_configuration(arm, bent(arm, 2))
         elsewhere = whole.points.copy()
         elsewhere[[0, 1, -2, -1]] += 10.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
+from arms import template_arm
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -21,7 +22,16 @@ from pinposture.errors import (
 from pinposture.thesis.curves import HELIX, LINE
 
 PLACEMENT = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -2.0, 0.7]))
-ARM = pp.Arm.from_template("RyRz", 20)
+
+
+@pytest.fixture(scope="session")
+def arm() -> pp.Arm:
+    return template_arm("RyRz", 20)
+
+
+@pytest.fixture(scope="session")
+def planar_turned() -> pp.Arm:
+    return pp.Arm.from_template("Rz", 45, base_placement=PLACEMENT)
 
 
 def assert_consistent(arm: pp.Arm, target: pp.Target, tolerance: float) -> None:
@@ -48,47 +58,46 @@ def test_the_helix_is_taken_wherever_the_arm_stands(
     np.testing.assert_allclose(target.curve.tangent(0.0), PLACEMENT.rotation[:, 0], atol=1e-9)
 
 
-def test_the_line_is_the_straight_arm() -> None:
-    target = pp.resolve_targets(ARM, LINE)
+def test_the_line_is_the_straight_arm(arm: pp.Arm) -> None:
+    target = pp.resolve_targets(arm, LINE)
     np.testing.assert_allclose(target.q, 0.0, atol=1e-9)
     np.testing.assert_allclose(target.parameters, np.linspace(0.05, 1.0, 20), atol=1e-9)
 
 
-def test_a_line_as_long_as_the_arm_is_long_enough() -> None:
-    target = pp.resolve_targets(ARM, pp.Curve.line((0, 0, 0), (1.0, 0, 0)))
+def test_a_line_as_long_as_the_arm_is_long_enough(arm: pp.Arm) -> None:
+    target = pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (1.0, 0, 0)))
     assert np.all(target.placed)
     with pytest.raises(CurveEndsEarly, match="module 20"):
-        pp.resolve_targets(ARM, pp.Curve.line((0, 0, 0), (0.999, 0, 0)))
+        pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (0.999, 0, 0)))
 
 
-def test_the_residual_falls_with_the_number_of_samples() -> None:
-    coarse, fine = (pp.resolve_targets(ARM, HELIX, samples=n).residual.max() for n in (200, 2000))
+def test_the_residual_falls_with_the_number_of_samples(arm: pp.Arm) -> None:
+    coarse, fine = (pp.resolve_targets(arm, HELIX, samples=n).residual.max() for n in (200, 2000))
     assert fine < coarse / 50  # a chord cuts the curve off by the square of its length
 
 
-def test_a_smooth_posture_of_the_arm_itself_is_found_again() -> None:
+def test_a_smooth_posture_of_the_arm_itself_is_found_again(arm: pp.Arm) -> None:
     # The curve through the links of a known posture, tangent to the first link.
     rng = np.random.default_rng(4)
     q = 0.25 * rng.uniform(-1, 1, 40)
-    points = np.vstack([np.zeros(3), ARM.at(q).points])
-    target = pp.resolve_targets(ARM, pp.Curve.points(np.vstack([points, 2 * points[-1] - points[-2]])))
-    assert_consistent(ARM, target, 1e-5)
+    points = np.vstack([np.zeros(3), arm.at(q).points])
+    target = pp.resolve_targets(arm, pp.Curve.points(np.vstack([points, 2 * points[-1] - points[-2]])))
+    assert_consistent(arm, target, 1e-5)
 
 
 @given(st.integers(0, 10**6))
-def test_random_gentle_splines_resolve_for_planar_and_spatial_arms(seed: int) -> None:
+def test_random_gentle_splines_resolve_for_planar_and_spatial_arms(
+    arm: pp.Arm, planar_turned: pp.Arm, seed: int
+) -> None:
     rng = np.random.default_rng(seed)
     steps = np.column_stack([np.full(9, 0.2), rng.uniform(-0.06, 0.06, (9, 2))])
     points = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
-    assert_consistent(ARM, pp.resolve_targets(ARM, pp.Curve.spline(points)), 1e-5)
+    assert_consistent(arm, pp.resolve_targets(arm, pp.Curve.spline(points)), 1e-5)
     flat = pp.Curve.spline(points * [4.5, 4.5, 0.0])
-    for arm in (pp.Arm.from_template("Rz", 45), pp.Arm.from_template("RzRz", 22), PLANAR_TURNED):
-        placement = "align" if arm is not PLANAR_TURNED else "as_is"
-        moved = flat if arm is not PLANAR_TURNED else flat.moved(PLACEMENT.rotation, PLACEMENT.translation)
-        assert_consistent(arm, pp.resolve_targets(arm, moved, placement=placement), 1e-5)
-
-
-PLANAR_TURNED = pp.Arm.from_template("Rz", 45, base_placement=PLACEMENT)
+    for planar in (template_arm("Rz", 45), template_arm("RzRz", 22), planar_turned):
+        placement = "align" if planar is not planar_turned else "as_is"
+        moved = flat if planar is not planar_turned else flat.moved(PLACEMENT.rotation, PLACEMENT.translation)
+        assert_consistent(planar, pp.resolve_targets(planar, moved, placement=placement), 1e-5)
 
 
 def test_mixed_arms_resolve_through_the_same_walk() -> None:
@@ -112,36 +121,36 @@ def test_a_module_longer_before_its_second_hinge_zigzags_and_is_placed_smoothly(
     assert np.abs(target.q).max() < 0.9
 
 
-def test_placements_mean_what_they_say() -> None:
+def test_placements_mean_what_they_say(arm: pp.Arm) -> None:
     curve = LINE.moved(np.eye(3), [0.0, 0.3, 0.0])
-    translated = pp.resolve_targets(ARM, curve, placement="translate")
+    translated = pp.resolve_targets(arm, curve, placement="translate")
     np.testing.assert_allclose(translated.points[-1], [1.0, 0, 0], atol=1e-9)
     tilted = pp.Curve.line((0, 0, 0), (0.8, 0.0, 0.8))
-    kept = pp.resolve_targets(ARM, tilted, placement="translate")
+    kept = pp.resolve_targets(arm, tilted, placement="translate")
     np.testing.assert_allclose(kept.points[-1], np.array([1, 0, 1]) / np.sqrt(2), atol=1e-9)
-    turned = pp.resolve_targets(ARM, tilted)
+    turned = pp.resolve_targets(arm, tilted)
     np.testing.assert_allclose(turned.points[-1], [1.0, 0, 0], atol=1e-9)
-    backward = pp.resolve_targets(ARM, pp.Curve.line((0, 0, 0), (-1.1, 0, 0)))
+    backward = pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (-1.1, 0, 0)))
     np.testing.assert_allclose(backward.points[-1], [1.0, 0, 0], atol=1e-9)
     with pytest.raises(CurveLeavesTooSharply, match=r"passes 0\.3 m from the base"):
-        pp.resolve_targets(ARM, curve, placement="as_is")
+        pp.resolve_targets(arm, curve, placement="as_is")
 
 
-def test_a_curve_that_passes_near_the_base_is_joined_on_the_way() -> None:
+def test_a_curve_that_passes_near_the_base_is_joined_on_the_way(arm: pp.Arm) -> None:
     curve = pp.Curve.line((-0.5, 0.01, 0.0), (1.2, 0.01, 0.0))
-    target = pp.resolve_targets(ARM, curve, placement="as_is", method="sequential")
+    target = pp.resolve_targets(arm, curve, placement="as_is", method="sequential")
     np.testing.assert_allclose(target.points[:, 1], 0.01, atol=1e-9)
     assert 0.5 < target.parameters[0] < 0.56
 
 
-def test_curves_that_do_not_fit_are_named() -> None:
+def test_curves_that_do_not_fit_are_named(arm: pp.Arm) -> None:
     with pytest.raises(CurveEndsEarly, match=r"module 7.*lengthen the curve") as early:
-        pp.resolve_targets(ARM, pp.Curve.line((0, 0, 0), (0.31, 0, 0)))
+        pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (0.31, 0, 0)))
     assert early.value.module == 7
     assert early.value.parameter == pytest.approx(0.3)
     sideways = pp.Curve.line((0, 0, 0), (0.0, 1.5, 0.0))
     with pytest.raises(CurveLeavesTooSharply, match="90 degrees off its axis"):
-        pp.resolve_targets(ARM, sideways, placement="as_is", method="sequential")
+        pp.resolve_targets(arm, sideways, placement="as_is", method="sequential")
     limited = pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.3, 0.3)] * 20)
     with pytest.raises(CurveBendsTooMuch, match="joint limits"):
         pp.resolve_targets(limited, HELIX)
@@ -150,13 +159,13 @@ def test_curves_that_do_not_fit_are_named() -> None:
         pp.resolve_targets(planar, pp.Curve.helix(radius=0.4, pitch=0.5, turns=3))
 
 
-def test_a_partial_target_says_which_points_have_no_place() -> None:
-    target = pp.resolve_targets(ARM, pp.Curve.line((0, 0, 0), (0.31, 0, 0)), incomplete="partial")
+def test_a_partial_target_says_which_points_have_no_place(arm: pp.Arm) -> None:
+    target = pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (0.31, 0, 0)), incomplete="partial")
     assert target.placed.tolist() == [True] * 6 + [False] * 14
     assert "module 7" in target.incomplete
     assert np.all(np.isfinite(target.points))
-    np.testing.assert_allclose(ARM.at(target.q).points, target.points, atol=1e-12)
-    whole = pp.resolve_targets(ARM, LINE, incomplete="partial")
+    np.testing.assert_allclose(arm.at(target.q).points, target.points, atol=1e-12)
+    whole = pp.resolve_targets(arm, LINE, incomplete="partial")
     assert whole.incomplete == ""
 
 
@@ -196,25 +205,25 @@ def test_modules_without_a_solver_are_named() -> None:
         ({"roll": float("nan")}, InvalidValue, "finite angle"),
     ],
 )
-def test_bad_arguments_are_named(arguments: dict, kind: type, message: str) -> None:
+def test_bad_arguments_are_named(arm: pp.Arm, arguments: dict, kind: type, message: str) -> None:
     with pytest.raises(kind, match=message):
-        pp.resolve_targets(ARM, LINE, **arguments)
+        pp.resolve_targets(arm, LINE, **arguments)
 
 
-def test_what_is_no_arm_or_no_curve_is_named() -> None:
+def test_what_is_no_arm_or_no_curve_is_named(arm: pp.Arm) -> None:
     with pytest.raises(InvalidValue, match=r"arm is Curve.*allowed: an Arm"):
-        pp.resolve_targets(LINE, ARM)
+        pp.resolve_targets(LINE, arm)
     with pytest.raises(InvalidValue, match="curve is 'line'; allowed: a Curve"):
-        pp.resolve_targets(ARM, "line")
+        pp.resolve_targets(arm, "line")
 
 
-def test_targets_from_points_and_configurations() -> None:
-    q = ARM.random(np.random.default_rng(1))
-    taken = pp.Target.from_configuration(ARM, q)
-    np.testing.assert_array_equal(taken.points, ARM.at(q).points)
+def test_targets_from_points_and_configurations(arm: pp.Arm) -> None:
+    q = arm.random(np.random.default_rng(1))
+    taken = pp.Target.from_configuration(arm, q)
+    np.testing.assert_array_equal(taken.points, arm.at(q).points)
     some = np.zeros(20)
     some[[4, 19]] = 1.0
-    assert pp.Target.from_points(ARM, taken.points, some).placed.sum() == 2
+    assert pp.Target.from_points(arm, taken.points, some).placed.sum() == 2
     for points, weights, message in (
         (np.zeros((19, 3)), None, r"\(20, 3\)"),
         (np.full((20, 3), np.nan), None, r"points\[0, 0\] is nan"),
@@ -222,4 +231,4 @@ def test_targets_from_points_and_configurations() -> None:
         (np.zeros((20, 3)), -np.ones(20), ">= 0"),
     ):
         with pytest.raises(InvalidValue, match=message):
-            pp.Target.from_points(ARM, points, weights)
+            pp.Target.from_points(arm, points, weights)

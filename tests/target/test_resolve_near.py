@@ -4,31 +4,35 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from arms import template_arm
 
 import pinposture as pp
 from pinposture.errors import InvalidValue, TargetError
 from pinposture.target.resolve import STIFFNESS
 
-ARM = pp.Arm.from_template("RyRz", 12)
-SHAPE = ARM.length * np.array([[0, 0, 0], [0.2, 0, 0.05], [0.4, 0.1, 0.1], [0.7, 0.2, 0.1], [1.2, 0.1, 0.0]])
+SHAPE = np.array([[0, 0, 0], [0.2, 0, 0.05], [0.4, 0.1, 0.1], [0.7, 0.2, 0.1], [1.2, 0.1, 0.0]])
+
+
+def arm() -> pp.Arm:
+    return template_arm("RyRz", 12)
 
 
 def turned(k: int) -> pp.Curve:
     """The curve with its first handle on a circle, so that it leaves the base at an angle."""
-    points = SHAPE.copy()
-    points[1] += 0.08 * ARM.length * np.array([0.0, np.sin(k / 10), 1.0 - np.cos(k / 10)])
+    points = arm().length * SHAPE
+    points[1] += 0.08 * arm().length * np.array([0.0, np.sin(k / 10), 1.0 - np.cos(k / 10)])
     return pp.Curve.spline(points)
 
 
 def cost(target: pp.Target, q: np.ndarray, parameters: np.ndarray, method: str) -> float:
     """What least squares minimise, written down anew: squared distances, and a little for bending."""
-    away = ARM.at(q).points - target.curve.at(parameters)
-    weight = STIFFNESS[method] * float(np.median(ARM.chain.module_lengths))
-    return float((away**2).sum() + weight**2 * (ARM.positions(q) ** 2).sum()) / ARM.length**2
+    away = arm().at(q).points - target.curve.at(parameters)
+    weight = STIFFNESS[method] * float(np.median(arm().chain.module_lengths))
+    return float((away**2).sum() + weight**2 * (arm().positions(q) ** 2).sum()) / arm().length ** 2
 
 
 def resolved(curve: pp.Curve, **given) -> pp.Target:
-    return pp.resolve_targets(ARM, curve, placement="as_is", method="smooth", **given)
+    return pp.resolve_targets(arm(), curve, placement="as_is", method="smooth", **given)
 
 
 def test_following_a_curve_is_as_good_as_beginning_anew():
@@ -39,7 +43,7 @@ def test_following_a_curve_is_as_good_as_beginning_anew():
         costs = [cost(each, each.q, each.parameters, "smooth") for each in (near, anew)]
         assert costs[0] <= costs[1] * (1.0 + 1e-3) + 1e-12
         assert near.method == "smooth"
-        assert np.all(near.residual < 0.1 * ARM.length / ARM.n_modules)
+        assert np.all(near.residual < 0.1 * arm().length / arm().n_modules)
 
 
 def test_it_is_an_optimum_within_the_limits():
@@ -48,18 +52,18 @@ def test_it_is_an_optimum_within_the_limits():
     rng = np.random.default_rng(0)
     for size in (1e-2, 1e-3, 1e-4):
         for _ in range(200):
-            dq, ds = size * rng.normal(size=ARM.nv), size * ARM.length * rng.normal(size=ARM.n_modules)
+            dq, ds = size * rng.normal(size=arm().nv), size * arm().length * rng.normal(size=arm().n_modules)
             parameters = np.clip(near.parameters + ds, 0.0, near.curve.length)
-            assert cost(near, ARM.integrate(near.q, dq), parameters, "smooth") >= best * (1.0 - 1e-6)
-    assert np.all(ARM.positions(near.q) >= ARM.limits.lower)
-    assert np.all(ARM.positions(near.q) <= ARM.limits.upper)
+            assert cost(near, arm().integrate(near.q, dq), parameters, "smooth") >= best * (1.0 - 1e-6)
+    assert np.all(arm().positions(near.q) >= arm().limits.lower)
+    assert np.all(arm().positions(near.q) <= arm().limits.upper)
 
 
 def test_algorithm_1_goes_first_and_needs_nothing_near():
-    curve = pp.Curve.helix(0.3 * ARM.length, 0.2 * ARM.length, 1)
-    alone = pp.resolve_targets(ARM, curve)
+    curve = pp.Curve.helix(0.3 * arm().length, 0.2 * arm().length, 1)
+    alone = pp.resolve_targets(arm(), curve)
     assert alone.method == "sequential"
-    near = pp.resolve_targets(ARM, curve, near=resolved(turned(3)))
+    near = pp.resolve_targets(arm(), curve, near=resolved(turned(3)))
     assert np.array_equal(near.q, alone.q)
 
 
@@ -72,7 +76,7 @@ def test_what_is_too_far_is_refused_and_not_looked_for():
 
 
 def test_a_target_that_cannot_be_begun_from_is_refused():
-    bare = pp.Target.from_points(ARM, ARM.at(ARM.straight()).points)
+    bare = pp.Target.from_points(arm(), arm().at(arm().straight()).points)
     with pytest.raises(InvalidValue, match="near"):
         resolved(turned(0), near=bare)
     other = pp.Arm.from_template("RyRz", 3)

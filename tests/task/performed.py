@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -19,11 +20,16 @@ ENDLESS = pp.ModuleTemplate(
     "endless", (pp.JointSpec("z", type="continuous"), pp.JointSpec("y")), (0.05, 0.05)
 )
 ARMS = {
-    "spatial": pp.Arm.from_template("RyRz", 5),
-    "planar": pp.Arm.from_template("Rz", 7),
-    "sliding": pp.Arm.from_modules([SLIDING] * 3),
-    "endless": pp.Arm.from_modules([ENDLESS] * 4),
+    "spatial": lambda: pp.Arm.from_template("RyRz", 5),
+    "planar": lambda: pp.Arm.from_template("Rz", 7),
+    "sliding": lambda: pp.Arm.from_modules([SLIDING] * 3),
+    "endless": lambda: pp.Arm.from_modules([ENDLESS] * 4),
 }
+
+
+@cache
+def arm_named(name: str) -> pp.Arm:
+    return ARMS[name]()
 
 
 def quintic(rows: int) -> np.ndarray:

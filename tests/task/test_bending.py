@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from arms import template_arm
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from sampling import examples
 from scipy.interpolate import BSpline, CubicHermiteSpline
 from task.keyed_arms import S_CURVE, coil
 
@@ -14,40 +18,46 @@ import pinposture as pp
 from pinposture.target.placement import lay
 from pinposture.task.bending import Beginning, Bending
 
-ARM = pp.Arm.from_template("RyRz", modules=20)
-PLANAR = pp.Arm.from_template("RzRz", modules=6)
-BENDING = Bending(ARM, 1.2)
-HELIX = pp.Curve.helix(0.06, 0.15, 4, handedness="left")
 CURVES = {
-    "line": pp.Curve.line((0, 0, 0), (2, 0, 0)),
-    "helix": HELIX,
-    "coil": coil(1.0),
-    "spline": pp.Curve.spline(S_CURVE),
+    "line": lambda: pp.Curve.line((0, 0, 0), (2, 0, 0)),
+    "helix": lambda: pp.Curve.helix(0.06, 0.15, 4, handedness="left"),
+    "coil": lambda: coil(1.0),
+    "spline": lambda: pp.Curve.spline(S_CURVE),
 }
 
 
-def vector(curve: pp.Curve, arm: pp.Arm = ARM, bending: Bending = BENDING, roll: float = 0.3) -> np.ndarray:
-    return bending.vector(Beginning(lay(arm, curve, "align", roll), 0.0))
+def spatial() -> pp.Arm:
+    return template_arm("RyRz", 20)
 
 
-def turns(of: np.ndarray, bending: Bending = BENDING) -> np.ndarray:
-    return of[6 : 6 + 2 * bending.cells].reshape(-1, 2)
+@cache
+def bendings() -> Bending:
+    """Curves at that arm."""
+    return Bending(spatial(), 1.2)
+
+
+def vector(curve: pp.Curve, roll: float = 0.3) -> np.ndarray:
+    return bendings().vector(Beginning(lay(spatial(), curve, "align", roll), 0.0))
+
+
+def turns(of: np.ndarray) -> np.ndarray:
+    return of[6 : 6 + 2 * bendings().cells].reshape(-1, 2)
 
 
 @pytest.mark.parametrize("name", CURVES)
 def test_a_curve_comes_back_out_of_its_vector(name: str) -> None:
-    placed = lay(ARM, CURVES[name], "align", 0.3)
-    back = BENDING.curves(vector(CURVES[name])[None])[0]
-    s = np.linspace(0, min(1.2, placed.length - BENDING.cell), 777)  # it ends within a cell
+    placed = lay(spatial(), CURVES[name](), "align", 0.3)
+    back = bendings().curves(vector(CURVES[name]())[None])[0]
+    s = np.linspace(0, min(1.2, placed.length - bendings().cell), 777)  # it ends within a cell
     assert np.abs(back.at(s) - placed.at(s)).max() < 1e-8
     assert np.abs(back.tangent(s) - placed.tangent(s)).max() < 1e-5
 
 
 @pytest.mark.parametrize("name", CURVES)
 def test_arcs_alone_miss_next_to_nothing(name: str) -> None:
-    alone = vector(CURVES[name])
-    alone[6 + 2 * BENDING.cells :] = 0.0
-    placed, back = lay(ARM, CURVES[name], "align", 0.3), BENDING.curves(alone[None])[0]
+    alone = vector(CURVES[name]())
+    alone[6 + 2 * bendings().cells :] = 0.0
+    placed, back = lay(spatial(), CURVES[name](), "align", 0.3), bendings().curves(alone[None])[0]
     s = np.linspace(0, min(1.2, placed.length), 777)
     assert np.abs(back.at(s) - placed.at(s)).max() < 2e-4
 
@@ -56,27 +66,27 @@ def test_the_bending_of_a_helix_has_its_curvature_and_turns_by_its_torsion() -> 
     # In a frame without twist the bending is curvature times exp(i torsion s) (Bishop, 1975).
     radius, rise = 0.06, 0.15 / (2 * np.pi)
     curvature, torsion = radius / (radius**2 + rise**2), -rise / (radius**2 + rise**2)
-    bent = turns(vector(HELIX)) @ (1.0, 1.0j)
-    assert np.allclose(np.abs(bent), curvature * BENDING.cell, rtol=1e-3)
+    bent = turns(vector(CURVES["helix"]())) @ (1.0, 1.0j)
+    assert np.allclose(np.abs(bent), curvature * bendings().cell, rtol=1e-3)
     phase = np.diff(np.unwrap(np.angle(bent)))
-    assert np.allclose(phase, torsion * BENDING.cell, rtol=1e-3)
+    assert np.allclose(phase, torsion * bendings().cell, rtol=1e-3)
 
 
 @pytest.mark.parametrize("share", (0.0, 0.25, 0.5, 1.0))
 def test_between_two_arcs_lies_the_arc_of_the_mean_curvature(share: float) -> None:
     first, last = (vector(pp.Curve.helix(r, 0, 1, axis=(0, 0, 1)), roll=0.0) for r in (1.0, 0.25))
-    curve = BENDING.curves(((1 - share) * first + share * last)[None])[0]
+    curve = bendings().curves(((1 - share) * first + share * last)[None])[0]
     kappa, s = (1 - share) * 1.0 + share * 4.0, np.linspace(0, 1.2, 50)
     # In the plane of the two, from the base of the arm along x.
-    points = curve.at(s) - ARM.chain.base
+    points = curve.at(s) - spatial().chain.base
     along, across = points[:, 0], np.linalg.norm(points[:, 1:], axis=1)
     assert np.allclose(along, np.sin(kappa * s) / kappa, atol=1e-8)
     assert np.allclose(across, (1 - np.cos(kappa * s)) / kappa, atol=1e-8)
 
 
 def test_beyond_its_end_a_curve_goes_straight_on() -> None:
-    short = lay(ARM, pp.Curve.spline(0.5 * S_CURVE), "align", 0.0)
-    back = BENDING.curves(BENDING.vector(Beginning(short, 0.0))[None])[0]
+    short = lay(spatial(), pp.Curve.spline(0.5 * S_CURVE), "align", 0.0)
+    back = bendings().curves(bendings().vector(Beginning(short, 0.0))[None])[0]
     s = np.array([0.02, 0.2, 0.4])
     end, direction = short.end, short.tangent(short.length)
     assert np.allclose(back.at(short.length + s), end + s[:, None] * direction, atol=1e-5)
@@ -84,28 +94,27 @@ def test_beyond_its_end_a_curve_goes_straight_on() -> None:
 
 def test_a_curve_may_begin_beside_the_base_and_before_it() -> None:
     curve = pp.Curve.spline(S_CURVE + (-0.2, 0.003, 0.0))
-    begun = Beginning(curve, float(curve.nearest(ARM.chain.base)[0]))
-    back = BENDING.curves(BENDING.vector(begun)[None])[0]
+    begun = Beginning(curve, float(curve.nearest(spatial().chain.base)[0]))
+    back = bendings().curves(bendings().vector(begun)[None])[0]
     s = np.linspace(0, 1.0, 99)
     assert np.abs(back.at(s) - curve.at(begun.parameter + s)).max() < 1e-7
 
 
 def test_curves_of_a_planar_arm_stay_in_its_plane() -> None:
-    bending = Bending(PLANAR, 1.2 * PLANAR.length)
-    ring, bow = (
-        vector(pp.Curve.helix(r * PLANAR.length, 0, 1, axis=(1, 2, 3)), PLANAR, bending, 0.0)
-        for r in (0.3, 0.9)
-    )
+    arm = pp.Arm.from_template("RzRz", modules=6)
+    bending = Bending(arm, 1.2 * arm.length)
+    laid = (lay(arm, pp.Curve.helix(r * arm.length, 0, 1, axis=(1, 2, 3)), "align", 0.0) for r in (0.3, 0.9))
+    ring, bow = (bending.vector(Beginning(curve, 0.0)) for curve in laid)
     curve = bending.curves((0.4 * ring + 0.6 * bow)[None])[0]
-    normal = np.cross(*PLANAR.plane)
-    assert np.abs((curve.points - PLANAR.chain.base) @ normal).max() < 1e-9 * PLANAR.length
+    normal = np.cross(*arm.plane)
+    assert np.abs((curve.points - arm.chain.base) @ normal).max() < 1e-9 * arm.length
 
 
 @pytest.mark.parametrize("sign", (1.0, -1.0))
 def test_directions_go_on_the_way_round_that_they_were_going(sign: float) -> None:
     def out(angle: float, before: np.ndarray | None) -> np.ndarray:
         line = pp.Curve.line((0, 0, 0), (np.cos(angle), np.sin(angle), 0))
-        return BENDING.vector(Beginning(line, 0.0), before)
+        return bendings().vector(Beginning(line, 0.0), before)
 
     before = None
     for angle in sign * np.array([1.0, 2.5, np.pi, 4.0, 6.0, 8.0]):
@@ -118,18 +127,18 @@ def test_directions_go_on_the_way_round_that_they_were_going(sign: float) -> Non
     arrays(float, (2, 4, 3), elements=st.floats(-0.25, 0.25)),
     st.floats(0.0, 1.0),
 )
-@settings(deadline=None, max_examples=25)
+@examples(25)
 def test_lengths_are_kept_between_any_two_curves(noise: np.ndarray, share: float) -> None:
     even = np.linspace((0.3, 0, 0), (1.5, 0, 0), 4)
     first, last = (vector(pp.Curve.spline(np.vstack([[0, 0, 0], even + n]))) for n in noise)
-    curve = BENDING.curves(((1 - share) * first + share * last)[None])[0]
+    curve = bendings().curves(((1 - share) * first + share * last)[None])[0]
     places = curve.at(np.linspace(0, curve.length, 20_000))
     length = np.linalg.norm(np.diff(places, axis=0), axis=1).sum()
     assert length == pytest.approx(curve.length, rel=1e-4)
 
 
 def test_the_cubics_are_those_of_scipy_and_of_their_own_b_spline() -> None:
-    curve = BENDING.curves(vector(CURVES["spline"])[None])[0]
+    curve = bendings().curves(vector(CURVES["spline"]())[None])[0]
     theirs = CubicHermiteSpline(curve.s, curve.points, curve.tangents)
     s = np.sort(np.random.default_rng(0).uniform(0, curve.length, 200))
     assert np.allclose(curve.at(s), theirs(s), atol=1e-14)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 import pickle
+from collections.abc import Callable
 from typing import Any
 
 import pytest
+from arms import template_arm
 from task.keyed_arms import coil, snake, straight
 
 import pinposture as pp
@@ -21,9 +23,11 @@ from pinposture.errors import (
 )
 from pinposture.task.keyframes import Keyframe, keyframe_reference
 
-ARM = pp.Arm.from_template("RyRz", modules=20)
 J = pp.JointSpec
-START = Keyframe(straight(1.0))
+
+
+def start() -> Keyframe:
+    return Keyframe(straight(1.0))
 
 
 @pytest.mark.parametrize(
@@ -54,33 +58,36 @@ def test_values_of_a_keyframe(options: dict[str, Any], kind: type[PostureError],
 
 
 @pytest.mark.parametrize(
-    ("keyframes", "options", "kind", "message"),
+    ("make", "options", "kind", "message"),
     (
-        ([START], {}, InvalidValue, "keyframes is .*; allowed: two or more"),
-        ([START, straight(1.0)], {}, InvalidValue, "keyframes is"),
-        ([START, START], {}, TaskError, "keyframe 2: it has neither a time nor a duration"),
-        ([START, START], {"interval": 0.0}, InvalidValue, "interval is 0.0"),
-        ([START, START], {"continuity": "jerk"}, UnknownName, "no continuity is called 'jerk'"),
+        (lambda: [start()], {}, InvalidValue, "keyframes is .*; allowed: two or more"),
+        (lambda: [start(), straight(1.0)], {}, InvalidValue, "keyframes is"),
+        (lambda: [start(), start()], {}, TaskError, "keyframe 2: it has neither a time nor a duration"),
+        (lambda: [start(), start()], {"interval": 0.0}, InvalidValue, "interval is 0.0"),
+        (lambda: [start(), start()], {"continuity": "jerk"}, UnknownName, "no continuity is called 'jerk'"),
         (
-            [START, Keyframe(straight(1.0), duration=1.0, region=(0, 20), name="b")],
+            lambda: [start(), Keyframe(straight(1.0), duration=1.0, region=(0, 20), name="b")],
             {},
             TaskError,
             r"keyframe 2 'b': its region is \(0, 20\); the arm has control points 0 to 19",
         ),
         (
-            [START, Keyframe(coil(1.0), duration=1.0, name="coil")],
+            lambda: [start(), Keyframe(coil(1.0), duration=1.0, name="coil")],
             {},
             TaskError,
             r"keyframe 2 'coil': the curve is 1\.145 m long, and the arm covers .* m of it; .* trim",
         ),
         (
-            [START, Keyframe(straight(1.0), duration=1.0, tip=pp.EndEffector((2, 0, 0), strict=True))],
+            lambda: [
+                start(),
+                Keyframe(straight(1.0), duration=1.0, tip=pp.EndEffector((2, 0, 0), strict=True)),
+            ],
             {},
             TaskError,
             r"^keyframe 2: its strict tip task is missed by 1 m at least",
         ),
         (
-            [START, Keyframe(straight(1.0), duration=1.0, tip=pp.EndEffector((1, 0, 0), point=33))],
+            lambda: [start(), Keyframe(straight(1.0), duration=1.0, tip=pp.EndEffector((1, 0, 0), point=33))],
             {},
             InvalidValue,
             "keyframe 2: point is 33",
@@ -88,22 +95,27 @@ def test_values_of_a_keyframe(options: dict[str, Any], kind: type[PostureError],
     ),
 )
 def test_motions(
-    keyframes: list[Any], options: dict[str, Any], kind: type[PostureError], message: str
+    make: Callable[[], list[Any]], options: dict[str, Any], kind: type[PostureError], message: str
 ) -> None:
+    arm, keyframes = template_arm("RyRz", 20), make()
     with pytest.raises(kind, match=message):
-        keyframe_reference(ARM, keyframes, **{"interval": 0.02, **options})
+        keyframe_reference(arm, keyframes, **{"interval": 0.02, **options})
 
 
 @pytest.mark.parametrize(
-    ("arm", "curve", "kind"),
+    ("make", "kind"),
     (
-        (ARM, straight(0.8), CurveEndsEarly),
-        (snake(J("y", lower=-0.1, upper=0.1), J("z")), pp.Curve.helix(0.1, 0, 1), CurveBendsTooMuch),
+        (lambda: (template_arm("RyRz", 20), straight(0.8)), CurveEndsEarly),
+        (
+            lambda: (snake(J("y", lower=-0.1, upper=0.1), J("z")), pp.Curve.helix(0.1, 0, 1)),
+            CurveBendsTooMuch,
+        ),
     ),
 )
 def test_curves_that_cannot_be_taken_keep_the_kind_of_their_error(
-    arm: pp.Arm, curve: pp.Curve, kind: type[TargetError]
+    make: Callable[[], tuple[pp.Arm, pp.Curve]], kind: type[TargetError]
 ) -> None:
+    arm, curve = make()
     with pytest.raises(kind) as alone:
         pp.resolve_targets(arm, curve, samples=200_000)
     keyframes = [Keyframe(straight(arm.length)), Keyframe(curve, duration=1.0, name="bad", trim=True)]

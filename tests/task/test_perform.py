@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from arms import template_arm
+from hypothesis import given
 from hypothesis import strategies as st
 from performed import (
     ARMS,
+    arm_named,
     check_clock,
     check_motion,
     drawn,
@@ -18,6 +20,7 @@ from performed import (
     random_reference,
     reference_through,
 )
+from sampling import examples
 
 import pinposture as pp
 from pinposture.control.constrained.course import Course
@@ -40,7 +43,7 @@ def limits_of(arm: pp.Arm, **given: object) -> pp.Limits:
 @pytest.mark.parametrize("acceleration", [None, 15.0])
 @pytest.mark.parametrize("name", ARMS)
 def test_a_feasible_reference_is_followed_exactly_and_in_time(name: str, acceleration: float | None) -> None:
-    arm = ARMS[name]
+    arm = arm_named(name)
     reference = random_reference(arm, 1, seconds=6.0, rows=301)
     limits = limits_of(arm, acceleration=acceleration)
     motion = perform(reference, "qp", limits)
@@ -57,7 +60,7 @@ def test_a_feasible_reference_is_followed_exactly_and_in_time(name: str, acceler
 
 @pytest.mark.parametrize("name", ARMS)
 def test_a_reference_ten_times_too_fast_is_slowed(name: str) -> None:
-    arm = ARMS[name]
+    arm = arm_named(name)
     reference = random_reference(arm, 2, seconds=0.15, rows=60)
     limits = limits_of(arm)
     motion = perform(reference, "qp", limits)
@@ -80,10 +83,10 @@ def test_a_reference_ten_times_too_fast_is_slowed(name: str) -> None:
 
 
 @given(st.integers(0, 10_000))
-@settings(deadline=None, max_examples=20)
+@examples(20)
 def test_limits_hold_for_any_reference_and_any_cycle(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    arm = list(ARMS.values())[rng.integers(len(ARMS))]
+    arm = arm_named(list(ARMS)[rng.integers(len(ARMS))])
     stops = [drawn(arm, rng, rng.choice([0.1, 0.5, 0.95])) for _ in range(rng.integers(2, 4))]
     weights = (rng.random(arm.n_modules) < 0.7).astype(float)
     weights[-1] = 1.0
@@ -105,7 +108,7 @@ def test_limits_hold_for_any_reference_and_any_cycle(seed: int) -> None:
 
 @pytest.mark.parametrize("dt", [0.002, 0.05])
 def test_rows_may_be_far_apart_or_close_compared_to_cycles(dt: float) -> None:
-    arm = ARMS["spatial"]
+    arm = arm_named("spatial")
     for rows in (5, 400):
         limits = limits_of(arm, dt=dt, velocity=1.0)
         motion = perform(random_reference(arm, 3, stops=2, seconds=2.0, rows=rows), "qp", limits)
@@ -116,7 +119,7 @@ def test_rows_may_be_far_apart_or_close_compared_to_cycles(dt: float) -> None:
 @pytest.mark.parametrize("name", ARMS)
 @pytest.mark.parametrize("dt", [0.005, 0.05])
 def test_an_arm_that_is_elsewhere_comes_to_the_first_posture_first(name: str, dt: float) -> None:
-    arm = ARMS[name]
+    arm = arm_named(name)
     reference = random_reference(arm, 4, seconds=3.0)
     limits = limits_of(arm, dt=dt, velocity=1.0)
     q0 = drawn(arm, np.random.default_rng(5))
@@ -136,7 +139,7 @@ def test_an_arm_that_is_elsewhere_comes_to_the_first_posture_first(name: str, dt
 
 def test_coming_to_the_first_posture_slowly_uses_up_no_patience_for_the_rest() -> None:
     # At a tenth of a degree per cycle that takes thousands of cycles, the motion itself few.
-    arm = ARMS["planar"]
+    arm = arm_named("planar")
     start = arm.configuration(np.full(arm.nv, 0.8))
     reference = reference_through(arm, [start, arm.configuration(np.full(arm.nv, 0.81))], 0.05, 11)
     motion = perform(
@@ -146,7 +149,7 @@ def test_coming_to_the_first_posture_slowly_uses_up_no_patience_for_the_rest() -
 
 
 def test_another_limit_in_force_gives_another_time() -> None:
-    arm = ARMS["spatial"]
+    arm = arm_named("spatial")
     reference = random_reference(arm, 6, seconds=0.5)
     given = [
         pp.Limits(step=None, velocity=2.0, dt=0.02, acceleration=20.0),
@@ -200,21 +203,25 @@ def test_joints_that_move_nothing_stand_still() -> None:
     assert motion.converged and not motion.detours
 
 
-TURNING = pp.Arm.from_template("Rz", 4)
-BALL = pp.Scene({"ball": pp.Sphere((0.36, 0.3, 0.0), 0.024)}, arm_radius=0.006)
 SWING = pp.Limits(step=None, velocity=1.5, dt=0.05, acceleration=8.0)
 
 
 def swing(seconds: float = 6.0) -> Reference:
     """A straight planar arm that turns from one side of a ball to the other, then bends."""
     ends = [[0.0] * 4, [1.3, 0.0, 0.0, 0.0], [1.3, 0.1, 0.1, 0.1]]
-    return reference_through(TURNING, [TURNING.configuration(end) for end in ends], seconds, 121)
+    arm = template_arm("Rz", 4)
+    return reference_through(arm, [arm.configuration(end) for end in ends], seconds, 121)
+
+
+def ball() -> pp.Scene:
+    """In its way."""
+    return pp.Scene({"ball": pp.Sphere((0.36, 0.3, 0.0), 0.024)}, arm_radius=0.006)
 
 
 def test_an_obstacle_in_the_way_is_gone_round() -> None:
-    reference = swing()
-    motion = perform(reference, "qp", SWING, BALL)
-    assert motion.run.clearance.min() > 0.0 and motion.run.scene is BALL
+    reference, scene = swing(), ball()
+    motion = perform(reference, "qp", SWING, scene)
+    assert motion.run.clearance.min() > 0.0 and motion.run.scene is scene
     check_motion(motion, SWING)
     assert motion.converged and len(motion.detours) == 1
     assert "left the way" in motion.detours[0] and "stop 1" in motion.detours[0]
@@ -227,7 +234,7 @@ def test_an_obstacle_in_the_way_is_gone_round() -> None:
 
 
 def test_a_detour_that_is_early_waits_for_its_time() -> None:
-    motion = perform(swing(24.0), "qp", replace(SWING, dt=0.15), BALL)
+    motion = perform(swing(24.0), "qp", replace(SWING, dt=0.15), ball())
     check_motion(motion, motion.run.limits)
     assert motion.converged and len(motion.detours) == 1
     # Before it leaves the way it waits a little; by its own way it is there long before the time.
@@ -250,7 +257,7 @@ def test_a_target_inside_an_obstacle_ends_honestly() -> None:
 @pytest.mark.parametrize("controller", ["qp", "joint"])
 @pytest.mark.parametrize("calls", [1, 7, 60])
 def test_progress_is_told_and_can_stop_the_motion(controller: str, calls: int) -> None:
-    arm = ARMS["spatial"]
+    arm = arm_named("spatial")
     reference, limits = random_reference(arm, 8), limits_of(arm)
     told: list[tuple[float, float]] = []
 
@@ -271,7 +278,7 @@ def test_progress_is_told_and_can_stop_the_motion(controller: str, calls: int) -
 
 
 def test_a_motion_stopped_before_it_sets_out_passed_nothing() -> None:
-    arm = ARMS["spatial"]
+    arm = arm_named("spatial")
     reference, limits = random_reference(arm, 9), limits_of(arm)
     q0 = drawn(arm, np.random.default_rng(1))
     motion = perform(reference, "qp", limits, q0=q0, progress=lambda *_: True)
@@ -282,7 +289,7 @@ def test_a_motion_stopped_before_it_sets_out_passed_nothing() -> None:
 
 
 def test_limits_of_none_and_a_progress_that_returns_nothing() -> None:
-    arm = ARMS["planar"]
+    arm = arm_named("planar")
     told: list[float] = []
     motion = perform(random_reference(arm, 10), progress=lambda time, of: told.append(time))
     assert motion.converged and len(told) == motion.steps and motion.dt == 0.02
@@ -290,7 +297,7 @@ def test_limits_of_none_and_a_progress_that_returns_nothing() -> None:
 
 
 def test_bad_input_is_named() -> None:
-    arm = ARMS["planar"]
+    arm = arm_named("planar")
     reference = random_reference(arm, 11)
     for limits in (pp.Limits(), "fast"):
         with pytest.raises(InvalidValue, match="dt"):
@@ -308,7 +315,7 @@ def test_bad_input_is_named() -> None:
 
 
 def test_references_that_make_no_sense_are_refused() -> None:
-    arm = ARMS["planar"]
+    arm = arm_named("planar")
     rows, m = np.zeros((4, arm.nv)), arm.n_modules
     good = Reference(arm, 0.1, arm.neutral(), rows, np.ones((4, m)))
     assert good.rows == 4 and good.duration == pytest.approx(0.3)
@@ -324,7 +331,7 @@ def test_references_that_make_no_sense_are_refused() -> None:
 
 
 def test_a_reference_that_rests_takes_its_time() -> None:
-    arm = ARMS["spatial"]
+    arm = arm_named("spatial")
     q = drawn(arm, np.random.default_rng(12))
     reference = Reference(arm, 0.05, q, np.zeros((21, arm.nv)), np.ones((21, arm.n_modules)))
     motion = perform(reference, "qp", limits_of(arm))
@@ -334,7 +341,7 @@ def test_a_reference_that_rests_takes_its_time() -> None:
 
 def test_the_course_of_a_motion_is_the_given_one_to_its_end() -> None:
     # What the controller remembers last is the way of the reference, gone to its end.
-    arm, seen = ARMS["spatial"], []
+    arm, seen = arm_named("spatial"), []
 
     class Watched(pp.ConstrainedQP):
         def step(self, *given: object, **named: object) -> object:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from performed import ARMS, check_motion, drawn, quintic, random_reference, reference_through
+from performed import ARMS, arm_named, check_motion, drawn, quintic, random_reference, reference_through
 
 import pinposture as pp
 from pinposture.control import CONTROLLERS
@@ -30,7 +30,7 @@ def test_every_controller_is_here() -> None:
 @pytest.mark.parametrize("name", ARMS)
 @pytest.mark.parametrize("controller", KNOWN)
 def test_limits_hold_and_the_report_is_honest(controller: str, name: str, acceleration: float | None) -> None:
-    arm = ARMS[name]
+    arm = arm_named(name)
     plans = ((2, 0.2),) if controller == "selection" else ((1, 1.5), (2, 0.2))  # it takes long to settle
     for seed, seconds in plans:
         reference, limits = random_reference(arm, seed, 2, seconds, share=0.3), limits_of(arm, acceleration)
@@ -50,7 +50,7 @@ def test_limits_hold_and_the_report_is_honest(controller: str, name: str, accele
 
 @pytest.mark.parametrize("controller", EXACT)
 def test_what_is_slow_enough_is_followed_closely(controller: str) -> None:
-    arm = ARMS["spatial"]
+    arm = arm_named("spatial")
     reference, limits = random_reference(arm, 3, 3, 4.0, share=0.2), limits_of(arm)
     motion = perform(reference, controller, limits)
     assert motion.converged and motion.slowing == pytest.approx(1.0, abs=1e-9)
@@ -60,7 +60,7 @@ def test_what_is_slow_enough_is_followed_closely(controller: str) -> None:
 @pytest.mark.parametrize("controller", KNOWN[1:])
 def test_time_waits_for_an_arm_that_falls_behind(controller: str) -> None:
     # Joints half as fast as the plan asks: the clock slows down, and the arm is never far behind.
-    arm = ARMS["spatial"]
+    arm = arm_named("spatial")
     reference = random_reference(arm, 4, 2, 1.0, share=0.3)
     fastest = np.abs(np.diff(reference.offsets, axis=0)).max() / reference.interval
     motion = perform(reference, controller, pp.Limits(step=None, velocity=0.5 * fastest, dt=0.02))
@@ -70,7 +70,7 @@ def test_time_waits_for_an_arm_that_falls_behind(controller: str) -> None:
 
 
 def test_a_faster_plan_takes_no_longer() -> None:
-    arm = ARMS["planar"]
+    arm = arm_named("planar")
     rng = np.random.default_rng(5)
     stops = [drawn(arm, rng) for _ in range(2)]
     for controller in ("qp", "joint"):
@@ -84,7 +84,7 @@ def test_a_faster_plan_takes_no_longer() -> None:
 
 @pytest.mark.parametrize("controller", KNOWN)
 def test_an_arm_that_is_elsewhere(controller: str) -> None:
-    arm = ARMS["spatial"]
+    arm = arm_named("spatial")
     rng = np.random.default_rng(6)
     reference = random_reference(arm, 6, 2, 2.0, share=0.2)
     q0 = reference.start + 0.2 * rng.normal(size=arm.nv)
@@ -116,7 +116,7 @@ def test_what_cannot_be_done_is_given_up_and_said(controller: str) -> None:
 
 
 def test_a_scene_is_watched_by_controllers_that_do_not_keep_clear() -> None:
-    arm = ARMS["planar"]
+    arm = arm_named("planar")
     scene = pp.Scene({"far": pp.Sphere((9.0, 0.0, 0.0), 0.1)})
     with pytest.warns(PostureWarning, match="joint"):
         motion = perform(random_reference(arm, 7), "joint", limits_of(arm), scene)
@@ -124,7 +124,7 @@ def test_a_scene_is_watched_by_controllers_that_do_not_keep_clear() -> None:
 
 
 def test_weights_leave_points_free() -> None:
-    arm = ARMS["spatial"]
+    arm = arm_named("spatial")
     weights = np.array([0.0, 0.0, 1.0, 0.0, 1.0])
     rng = np.random.default_rng(8)
     stops = [drawn(arm, rng, 0.2) for _ in range(2)]
@@ -139,7 +139,7 @@ def test_weights_leave_points_free() -> None:
 
 
 def test_weights_may_change_on_the_way() -> None:
-    arm = ARMS["spatial"]
+    arm = arm_named("spatial")
     rng = np.random.default_rng(9)
     stops = [drawn(arm, rng, 0.2) for _ in range(2)]
     given = reference_through(arm, stops, 2.0, 51)

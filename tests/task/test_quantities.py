@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 from pinposture.task.reading.quantities import UNITS, read_quantity
 
@@ -36,7 +37,7 @@ def test_each_unit_is_what_it_is_defined_to_be(kind: str, unit: str) -> None:
     assert read_quantity(f"-2.5e2{unit}", kind) == pytest.approx(-250 * IN_SI[kind][unit], rel=1e-15)
 
 
-@settings(deadline=None, max_examples=40)
+@examples(40)
 @given(number=NUMBERS, pair=st.sampled_from(PAIRS), gap=st.sampled_from(["", " ", "  ", "\t"]))
 def test_any_number_with_any_unit_comes_back(number: float, pair: tuple[str, str], gap: str) -> None:
     kind, unit = pair
@@ -87,7 +88,7 @@ def test_what_is_beyond_numbers_is_refused(value: object) -> None:
         read_quantity(value, "length")
 
 
-@settings(deadline=None, max_examples=40)
+@examples(40)
 @given(value=st.text(max_size=12))
 def test_any_text_is_a_finite_number_or_refused(value: str) -> None:
     try:

@@ -6,12 +6,14 @@ import os
 import shutil
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from arms import template_arm
 from task.same_tasks import assert_same
 from task_texts import LEADER, VALID
 
@@ -26,14 +28,26 @@ else:
     import tomli as tomllib
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "tasks"
-ARM = pp.Arm.from_template("RyRz", modules=6)
-LINE = pp.Curve.line((0, 0, 0), (0.3, 0, 0))
-BOW = pp.Curve.spline([(0, 0, 0), (0.1, 0, 0), (0.2, 0.05, 0), (0.3, 0.1, 0.1)])
+
+
+def six_modules() -> pp.Arm:
+    return template_arm("RyRz", 6)
+
+
+@cache
+def line() -> pp.Curve:
+    return pp.Curve.line((0, 0, 0), (0.3, 0, 0))
+
+
+@cache
+def bow() -> pp.Curve:
+    return pp.Curve.spline([(0, 0, 0), (0.1, 0, 0), (0.2, 0.05, 0), (0.3, 0.1, 0.1)])
 
 
 def task_of(*more: pp.Keyframe, **options: Any) -> pp.Task:
-    keyframes = (pp.Keyframe(LINE), *(more or (pp.Keyframe(LINE, time=1.0),)))
-    return pp.Task(**{"arm": ARM, "motion": keyframes, "limits": pp.Limits(step=None, dt=0.02), **options})
+    keyframes = (pp.Keyframe(line()), *(more or (pp.Keyframe(line(), time=1.0),)))
+    given = {"arm": six_modules(), "motion": keyframes, "limits": pp.Limits(step=None, dt=0.02)}
+    return pp.Task(**{**given, **options})
 
 
 def written(task: pp.Task, path: Path) -> dict[str, Any]:
@@ -118,7 +132,7 @@ def test_a_leader_comes_back(tmp_path: Path) -> None:
     path = {"type": "spline", "control_points": points}
     assert said["leader"] == {"path": path, "speed": 0.05, "depth": 0.1, "and_back": True, "pipe": 0.045}
     assert said["arm"] == {"template": "RyRz", "modules": 4, "feed": {"stroke": 0.3}}
-    made = pp.Task(task.arm, Leader(BOW, 0.1, method="sequential", placement="as_is"), task.limits)
+    made = pp.Task(task.arm, Leader(bow(), 0.1, method="sequential", placement="as_is"), task.limits)
     said = written(made, tmp_path / "made.toml")
     assert said["leader"]["method"] == "sequential"
     assert "continuity" not in said
@@ -126,11 +140,11 @@ def test_a_leader_comes_back(tmp_path: Path) -> None:
 
 def test_curves_are_written_as_what_they_are(tmp_path: Path) -> None:
     many = pp.Curve.helix(0.1, 0.08, 1.0)
-    bent = pp.Curve([0, 0, 0, 0, 0.3, 1, 1, 1, 1], [*BOW.coefficients, (0.4, 0.2, 0.2)], 3)
-    close = pp.Curve(BOW.knots, [(0, 0, 0), (0.1, 0, 0), (0.1, 0, 0), (0.3, 0, 0)], 3)
+    bent = pp.Curve([0, 0, 0, 0, 0.3, 1, 1, 1, 1], [*bow().coefficients, (0.4, 0.2, 0.2)], 3)
+    close = pp.Curve(bow().knots, [(0, 0, 0), (0.1, 0, 0), (0.1, 0, 0), (0.3, 0, 0)], 3)
     flat = pp.Curve.spline([(0, 0, 0), (0.1, 0, 0), (0.2, 0.1, 0)], degree=1)
     known = {many: {"type": "helix", "radius": 0.1, "pitch": 0.08, "turns": 1}}
-    curves = (LINE, BOW, flat, bent, close, many, pp.Curve.helix(0.06, 0.15, 0.5))
+    curves = (line(), bow(), flat, bent, close, many, pp.Curve.helix(0.06, 0.15, 0.5))
     frames = [pp.Keyframe(curve, duration=1.0) for curve in curves]
     said = written(task_of(*frames, described=known), tmp_path / "task.toml")["keyframes"][1:]
     assert [each["curve"]["type"] for each in said] == [
@@ -142,7 +156,7 @@ def test_curves_are_written_as_what_they_are(tmp_path: Path) -> None:
         "helix",
         "bspline",
     ]
-    assert said[1]["curve"] == {"type": "spline", "control_points": BOW.coefficients.tolist()}
+    assert said[1]["curve"] == {"type": "spline", "control_points": bow().coefficients.tolist()}
     assert said[2]["curve"]["degree"] == 1
     assert len(said[6]["curve"]["coefficients"]) > 100
 
@@ -180,7 +194,7 @@ def test_tips_in_all_their_ways(tmp_path: Path) -> None:
         pp.EndEffector(pose=pin.SE3(np.eye(3), pose.translation), point=-2, strict=True, length=0.05),
         pp.EndEffector((0.1, 0, 0.2), point="module_03"),
     ]
-    frames = [pp.Keyframe(BOW, duration=1.0, tip=tip, region=(1, 4)) for tip in tips]
+    frames = [pp.Keyframe(bow(), duration=1.0, tip=tip, region=(1, 4)) for tip in tips]
     said = written(task_of(*frames), tmp_path / "task.toml")["keyframes"][1:]
     assert [each["region"] for each in said] == 4 * [[2, 5]]
     place = [0.1, 0, 0.2]
@@ -257,9 +271,9 @@ def test_scenes_by_file_and_by_obstacle(tmp_path: Path) -> None:
 
 def test_starts_and_controllers(tmp_path: Path) -> None:
     path = tmp_path / "task.toml"
-    q = ARM.random(np.random.default_rng(1))
+    q = six_modules().random(np.random.default_rng(1))
     assert written(task_of(start=q), path)["start"] == {"joints": q.tolist()}
-    assert written(task_of(start=ARM.straight()), path)["start"] == {"posture": "straight"}
+    assert written(task_of(start=six_modules().straight()), path)["start"] == {"posture": "straight"}
     planar = pp.Arm.from_urdf(
         pp.Arm.from_template("Rz", 3).urdf.replace('rpy="0.0 0.0 0.0"', 'rpy="0 0 0.5"')
     )
@@ -301,7 +315,7 @@ def test_scans_are_named_relative_to_the_file(tmp_path: Path) -> None:
     ],
 )
 def test_names(tmp_path: Path, name: str, said: str | None) -> None:
-    task = task_of(pp.Keyframe(BOW, time=1.0, name=name), name=name)
+    task = task_of(pp.Keyframe(bow(), time=1.0, name=name), name=name)
     assert written(task, tmp_path / "task.toml").get("name") == said
     assert_same(pp.Task.load(task.save(tmp_path / "task.json")), task)
 
@@ -370,6 +384,7 @@ task.edited(name="changed").save(sys.argv[1])
 """
 
 
+@pytest.mark.process
 def test_a_process_that_is_killed_leaves_the_old_file_whole(tmp_path: Path) -> None:
     path = tmp_path / "task.toml"
     path.write_text(VALID)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import pytest
 from arm.awkward import SILENT, WARNED
 from arm.describing import LINK, Y, Z, arm_text, links, moving, pairs
 from arm.test_example_robots import LOADED, ROBOTS
+from arms import template_arm
 from task.same_tasks import assert_same_arms
 
 import pinposture as pp
@@ -24,7 +26,10 @@ else:
     import tomli as tomllib
 
 AWAKE = [(name, *case[:2]) for cases in (WARNED, SILENT) for name, case in cases.items()]
-SIX = pp.Arm.from_template("RyRz", modules=6)
+
+
+def six_modules() -> pp.Arm:
+    return template_arm("RyRz", 6)
 
 
 def arm_of(source: Any, **arguments: Any) -> pp.Arm:
@@ -49,25 +54,28 @@ def saved(arm: pp.Arm, path: Path, **more: Any) -> tuple[pp.Arm, dict[str, Any]]
 
 
 @pytest.mark.parametrize(
-    ("arm", "table"),
+    ("make", "table"),
     [
-        (SIX, {"template": "RyRz", "modules": 6}),
-        (pp.Arm.from_template("Rz", 1), {"template": "Rz", "modules": 1}),
+        (six_modules, {"template": "RyRz", "modules": 6}),
+        (lambda: pp.Arm.from_template("Rz", 1), {"template": "Rz", "modules": 1}),
         (
-            pp.Arm.from_template("RzRzRz", 2, (0.1, 1 / 3, 0)),
+            lambda: pp.Arm.from_template("RzRzRz", 2, (0.1, 1 / 3, 0)),
             {"template": "RzRzRz", "modules": 2, "link_lengths": [0.1, 1 / 3, 0]},
         ),
         (
-            pp.Arm.from_template("RzRy", 2, base_placement=pin.SE3(np.eye(3), np.array([0, 0, 0.5]))),
+            lambda: pp.Arm.from_template("RzRy", 2, base_placement=pin.SE3(np.eye(3), np.array([0, 0, 0.5]))),
             {"template": "RzRy", "modules": 2, "placement": {"position": [0, 0, 0.5]}},
         ),
         (
-            SIX.with_sliding_unit(0.2),
+            lambda: six_modules().with_sliding_unit(0.2),
             {"template": "RyRz", "modules": 6, "sliding_unit": 0.2},
         ),
     ],
 )
-def test_an_arm_of_a_template_is_written_as_one(tmp_path: Path, arm: pp.Arm, table: dict[str, Any]) -> None:
+def test_an_arm_of_a_template_is_written_as_one(
+    tmp_path: Path, make: Callable[[], pp.Arm], table: dict[str, Any]
+) -> None:
+    arm = make()
     again, written = saved(arm, tmp_path / "task.toml")
     assert written == table
     assert_same_arms(again, arm)
@@ -153,10 +161,11 @@ def test_a_file_that_the_caller_knows_is_named(tmp_path: Path) -> None:
 def test_a_description_that_does_not_hold_is_told_and_not_written(
     tmp_path: Path, table: object, why: str
 ) -> None:
+    arm = six_modules()
     with pytest.warns(PostureWarning, match=rf"task\.toml: arm was .*{why}.*; it is written out"):
-        again, written = saved(SIX, tmp_path / "task.toml", described={SIX: table})
+        again, written = saved(arm, tmp_path / "task.toml", described={arm: table})
     assert written == {"template": "RyRz", "modules": 6}
-    assert_same_arms(again, SIX)
+    assert_same_arms(again, arm)
 
 
 def test_a_file_that_changed_after_it_was_read_is_not_named(tmp_path: Path) -> None:

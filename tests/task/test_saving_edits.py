@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Callable
 from dataclasses import FrozenInstanceError, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from arms import template_arm
 from task.same_tasks import assert_same
 from task_texts import VALID
 
@@ -16,11 +19,24 @@ import pinposture as pp
 from pinposture.errors import FileError, InvalidValue, PostureError, TaskError, UnknownName
 from pinposture.task.leader import Leader
 
-ARM = pp.Arm.from_template("RyRz", modules=6)
-LINE = pp.Curve.line((0, 0, 0), (0.3, 0, 0))
-FRAMES = (pp.Keyframe(LINE), pp.Keyframe(LINE, time=1.0, name="b"))
 LIMITS = pp.Limits(step=None, dt=0.02)
-PATH = Leader(LINE, 0.1)
+
+
+def six_modules() -> pp.Arm:
+    return template_arm("RyRz", 6)
+
+
+@cache
+def line() -> pp.Curve:
+    return pp.Curve.line((0, 0, 0), (0.3, 0, 0))
+
+
+def frames() -> tuple[pp.Keyframe, ...]:
+    return pp.Keyframe(line()), pp.Keyframe(line(), time=1.0, name="b")
+
+
+def leader(**changes: Any) -> Leader:
+    return Leader(line(), 0.1)._replace(**changes)
 
 
 def test_an_edited_task_tells_of_no_lines(tmp_path: Path) -> None:
@@ -61,8 +77,8 @@ def test_an_edit_changes_nothing_else(tmp_path: Path) -> None:
 def test_attributes_are_settled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     given: Any = {"formats": ["csv", "npz", "csv"], "scans": ["b/../c.ply"], "controller": "lm"}
-    task = pp.Task(ARM, list(FRAMES), LIMITS, start=[0.0] * 12, **given)  # type: ignore[arg-type]
-    assert task.motion == FRAMES
+    task = pp.Task(six_modules(), list(frames()), LIMITS, start=[0.0] * 12, **given)  # type: ignore[arg-type]
+    assert task.motion == frames()
     assert task.formats == ("npz", "csv")
     assert task.scans == (tmp_path.resolve() / "c.ply",)
     assert task.controller.name == "lm"
@@ -74,27 +90,33 @@ def test_attributes_are_settled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     ("changes", "kind", "message"),
     [
         ({"arm": "RyRz"}, InvalidValue, "arm is 'RyRz'; allowed: an Arm"),
-        ({"motion": FRAMES[:1]}, InvalidValue, r"keyframes is .*; allowed: two or more of Keyframe"),
-        ({"motion": ()}, InvalidValue, "keyframes is"),
-        ({"motion": (*FRAMES, LINE)}, InvalidValue, "keyframes is"),
-        ({"motion": LINE}, InvalidValue, "keyframes is"),
         (
-            {"motion": (FRAMES[0], replace(FRAMES[1], region=(1, 6)))},
+            lambda: {"motion": frames()[:1]},
+            InvalidValue,
+            r"keyframes is .*; allowed: two or more of Keyframe",
+        ),
+        ({"motion": ()}, InvalidValue, "keyframes is"),
+        (lambda: {"motion": (*frames(), line())}, InvalidValue, "keyframes is"),
+        (lambda: {"motion": line()}, InvalidValue, "keyframes is"),
+        (
+            lambda: {"motion": (frames()[0], replace(frames()[1], region=(1, 6)))},
             TaskError,
             r"^keyframe 2 'b': its region is \(1, 6\); the arm has control points 0 to 5",
         ),
         (
-            {"motion": (FRAMES[0], replace(FRAMES[1], tip=pp.EndEffector((0, 0, 1), point=6)))},
+            lambda: {"motion": (frames()[0], replace(frames()[1], tip=pp.EndEffector((0, 0, 1), point=6)))},
             InvalidValue,
             "^keyframe 2 'b': point is 6; allowed:",
         ),
         (
-            {"motion": (FRAMES[0], replace(FRAMES[1], tip=pp.EndEffector((0, 0, 1), point="tipp")))},
+            lambda: {
+                "motion": (frames()[0], replace(frames()[1], tip=pp.EndEffector((0, 0, 1), point="tipp")))
+            },
             UnknownName,
             "^keyframe 2 'b': .*'tipp'",
         ),
         (
-            {"scene": pp.Scene({"rock": pp.Sphere((0, 0, 0.01), 0.1)})},
+            lambda: {"scene": pp.Scene({"rock": pp.Sphere((0, 0, 0.01), 0.1)})},
             TaskError,
             r"^obstacle 'rock': it stands where the base of the arm is, at \(0, 0, 0\) m; move it",
         ),
@@ -117,29 +139,34 @@ def test_attributes_are_settled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         ({"scans": ("a\0.ply",)}, InvalidValue, "scans is"),
         ({"described": {"arm": {}}}, InvalidValue, "described is .*; allowed: a mapping from an arm"),
         ({"described": []}, InvalidValue, "described is"),
-        ({"motion": PATH, "continuity": "acceleration"}, InvalidValue, "continuity is 'acceleration'"),
-        ({"motion": PATH._replace(path="line")}, InvalidValue, "path is 'line'; allowed: a Curve"),
-        ({"motion": PATH._replace(speed=0.0)}, InvalidValue, "speed is 0.0"),
-        ({"motion": PATH._replace(depth=-1.0)}, InvalidValue, "depth is -1.0"),
-        ({"motion": PATH._replace(pipe=1e-6)}, InvalidValue, "pipe is 1e-06; allowed: 0.0003 m or more"),
-        ({"motion": PATH._replace(method="best")}, UnknownName, "no method is called 'best'"),
-        ({"motion": PATH._replace(placement="translate")}, UnknownName, "no placement is called"),
-        ({"motion": PATH._replace(and_back=1)}, InvalidValue, "and_back is 1"),
         (
-            {"motion": PATH._replace(path=pp.Curve.line((0, 0, 0), (400, 0, 0)))},
+            lambda: {"motion": leader(), "continuity": "acceleration"},
+            InvalidValue,
+            "continuity is 'acceleration'",
+        ),
+        (lambda: {"motion": leader(path="line")}, InvalidValue, "path is 'line'; allowed: a Curve"),
+        (lambda: {"motion": leader(speed=0.0)}, InvalidValue, "speed is 0.0"),
+        (lambda: {"motion": leader(depth=-1.0)}, InvalidValue, "depth is -1.0"),
+        (lambda: {"motion": leader(pipe=1e-6)}, InvalidValue, "pipe is 1e-06; allowed: 0.0003 m or more"),
+        (lambda: {"motion": leader(method="best")}, UnknownName, "no method is called 'best'"),
+        (lambda: {"motion": leader(placement="translate")}, UnknownName, "no placement is called"),
+        (lambda: {"motion": leader(and_back=1)}, InvalidValue, "and_back is 1"),
+        (
+            lambda: {"motion": leader(path=pp.Curve.line((0, 0, 0), (400, 0, 0)))},
             InvalidValue,
             "length of the path .* is 400.0; allowed: 300 m, 1000 times the arm",
         ),
     ],
 )
 def test_a_task_in_python_is_checked_as_a_file_is(
-    changes: dict[str, Any], kind: type[PostureError], message: str
+    changes: dict[str, Any] | Callable[[], dict[str, Any]], kind: type[PostureError], message: str
 ) -> None:
-    task = pp.Task(ARM, FRAMES, LIMITS)
+    given = changes() if callable(changes) else changes
+    task = pp.Task(six_modules(), frames(), LIMITS)
     with pytest.raises(kind, match=message):
-        task.edited(**changes)
+        task.edited(**given)
     with pytest.raises(kind, match=message):
-        pp.Task(**{"arm": ARM, "motion": FRAMES, "limits": LIMITS, **changes})
+        pp.Task(**{"arm": six_modules(), "motion": frames(), "limits": LIMITS, **given})
 
 
 @pytest.mark.parametrize(
@@ -193,4 +220,4 @@ def test_what_files_may_say_besides_is_checked(tmp_path: Path, old: str, new: st
 def test_a_name_that_no_file_can_have_is_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / "circle.toml").symlink_to(tmp_path / "circle.toml")
     with pytest.raises(FileError, match="cannot be written"):
-        pp.Task(ARM, FRAMES, LIMITS).save(tmp_path / name)
+        pp.Task(six_modules(), frames(), LIMITS).save(tmp_path / name)

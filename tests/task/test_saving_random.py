@@ -2,32 +2,38 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
+from sampling import examples
 from task.same_tasks import assert_same
 
 import pinposture as pp
 from pinposture.errors import PostureError
 from pinposture.task.leader import Leader
 
-RYRZ = pp.Arm.from_template("RyRz", modules=6)
-PLANAR = pp.Arm.from_template("RzRz", modules=3, link_lengths=(0.1, 1 / 3))
-TURNED = pp.Arm.from_template(
-    "RzRy", 4, base_placement=pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.2, 2.9), np.array([0.1, -1 / 3, 1e-7]))
-)
+PLACED = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.2, 2.9), np.array([0.1, -1 / 3, 1e-7]))
 FEED = pp.ModuleTemplate("Feed", (pp.JointSpec("x", "prismatic", 0.0, 0.3, velocity=0.1),), (0.05,))
-FED = pp.Arm.from_modules([FEED, *[pp.template("RyRz")] * 4])
-ENDLESS = pp.Arm.from_modules(
-    [pp.ModuleTemplate("Turns", (pp.JointSpec("y", "continuous"), pp.JointSpec("z")), (0.05, 0.05))] * 3,
-    name="endless",
-)
-ARMS = {"ryrz": RYRZ, "planar": PLANAR, "turned": TURNED, "fed": FED, "endless": ENDLESS}
+TURNS = pp.ModuleTemplate("Turns", (pp.JointSpec("y", "continuous"), pp.JointSpec("z")), (0.05, 0.05))
+ARMS = {
+    "ryrz": lambda: pp.Arm.from_template("RyRz", modules=6),
+    "planar": lambda: pp.Arm.from_template("RzRz", modules=3, link_lengths=(0.1, 1 / 3)),
+    "turned": lambda: pp.Arm.from_template("RzRy", 4, base_placement=PLACED),
+    "fed": lambda: pp.Arm.from_modules([FEED, *[pp.template("RyRz")] * 4]),
+    "endless": lambda: pp.Arm.from_modules([TURNS] * 3, name="endless"),
+}
+
+
+@cache
+def arm_named(name: str) -> pp.Arm:
+    return ARMS[name]()
+
 
 NAMES = st.text(st.characters(exclude_categories=["Cs"]), max_size=8) | st.sampled_from(
     ['a "b"', "c:\\d", "line\nbreak", "größe", "腕", "'", "\x7f\x01", "# no comment"]
@@ -145,7 +151,7 @@ CONTROLLERS = st.sampled_from(["qp", "selection", "projection", "switching", "jo
 
 @st.composite
 def tasks(draw: Any) -> pp.Task:
-    arm = ARMS[draw(st.sampled_from(sorted(ARMS)))]
+    arm = arm_named(draw(st.sampled_from(sorted(ARMS))))
     leading = draw(st.booleans())
     if leading:
         motion: Any = Leader(
@@ -181,18 +187,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("saved")
 
 
-@settings(
-    deadline=None,
-    max_examples=50,
-    suppress_health_check=[
-        HealthCheck.too_slow,
-        HealthCheck.data_too_large,
-    ],
-)
+@examples(50, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 @given(task=tasks(), suffix=st.sampled_from([".toml", ".json"]))
 def test_a_task_that_was_saved_loads_equal(folder: Path, task: pp.Task, suffix: str) -> None:
     # A name for each arm, so that there is room for its URDF file.
-    arm = next(name for name, each in ARMS.items() if each is task.arm)
+    arm = next(name for name in ARMS if arm_named(name) is task.arm)
     path = task.save(folder / f"{arm}{suffix}")
     loaded = pp.Task.load(path)
     assert_same(loaded, task)

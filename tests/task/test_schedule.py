@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from sampling import examples
 from task.keyed_arms import straight
 
 from pinposture.errors import TaskError
 from pinposture.task.keyframe import Keyframe
 from pinposture.task.schedule import CONTINUITIES, Stretch, interpolate, schedule
-
-LINE = straight(1.0)
 
 
 def stretch(*rows: int) -> Stretch:
@@ -21,7 +20,8 @@ def stretch(*rows: int) -> Stretch:
 
 
 def frames(*options: dict) -> tuple[Keyframe, ...]:
-    return tuple(Keyframe(LINE, **each) for each in options)
+    line = straight(1.0)
+    return tuple(Keyframe(line, **each) for each in options)
 
 
 def test_times_and_durations_are_rounded_to_whole_cycles() -> None:
@@ -41,18 +41,19 @@ def test_times_and_durations_are_rounded_to_whole_cycles() -> None:
 @pytest.mark.parametrize(
     ("given", "message"),
     (
-        (frames({"time": 1.0}, {"time": 2.0}), "keyframe 1: it is at 1 s; the first keyframe is at 0"),
-        (frames({}, {}), "keyframe 2: it has neither a time nor a duration"),
-        (frames({}, {"time": 2.0}, {"time": 2.0, "name": "b"}), "keyframe 3 'b': it is at 2 s, but"),
-        (frames({}, {"time": 2.0, "hold": 1.0}, {"time": 2.5}), "keyframe 2 is left at 3 s; times have to"),
-        (frames({}, {"duration": 0.0}), "keyframe 2: it is at 0 s, but keyframe 1 is at 0 s"),
-        (frames({}, {"duration": 0.01}), "keyframe 2: it is in the same control cycle as keyframe 1"),
-        (frames({}, {"time": 1e9}), "keyframe 2: it ends at 1e[+]09 s; with cycles of 0.1 s, 100000 s"),
+        (({"time": 1.0}, {"time": 2.0}), "keyframe 1: it is at 1 s; the first keyframe is at 0"),
+        (({}, {}), "keyframe 2: it has neither a time nor a duration"),
+        (({}, {"time": 2.0}, {"time": 2.0, "name": "b"}), "keyframe 3 'b': it is at 2 s, but"),
+        (({}, {"time": 2.0, "hold": 1.0}, {"time": 2.5}), "keyframe 2 is left at 3 s; times have to"),
+        (({}, {"duration": 0.0}), "keyframe 2: it is at 0 s, but keyframe 1 is at 0 s"),
+        (({}, {"duration": 0.01}), "keyframe 2: it is in the same control cycle as keyframe 1"),
+        (({}, {"time": 1e9}), "keyframe 2: it ends at 1e[+]09 s; with cycles of 0.1 s, 100000 s"),
     ),
 )
-def test_times_that_are_none_name_the_keyframe(given: tuple[Keyframe, ...], message: str) -> None:
+def test_times_that_are_none_name_the_keyframe(given: tuple[dict, ...], message: str) -> None:
+    keyframes = frames(*given)
     with pytest.raises(TaskError, match=message):
-        schedule(given, 0.1)
+        schedule(keyframes, 0.1)
 
 
 def test_from_rest_to_rest_the_polynomials_are_known() -> None:
@@ -67,7 +68,7 @@ def test_from_rest_to_rest_the_polynomials_are_known() -> None:
 
 @pytest.mark.parametrize("continuity", CONTINUITIES)
 @given(arrays(float, (5, 3), elements=st.floats(-2, 2)), st.lists(st.integers(3, 40), min_size=4, max_size=4))
-@settings(deadline=None, max_examples=25)
+@examples(25)
 def test_it_is_as_continuous_as_it_says(continuity: str, values: np.ndarray, gaps: list[int]) -> None:
     at = stretch(*np.cumsum([2, *gaps]).tolist())
     h = 1e-4 * min(gaps)
@@ -91,7 +92,7 @@ def test_it_is_as_continuous_as_it_says(continuity: str, values: np.ndarray, gap
 
 
 @given(arrays(float, (6, 4), elements=st.floats(-2, 2)))
-@settings(deadline=None, max_examples=25)
+@examples(25)
 def test_continuous_velocity_does_not_overshoot(values: np.ndarray) -> None:
     at = stretch(0, 10, 25, 30, 60, 80)
     found = interpolate(at, values, "velocity", np.arange(81))

@@ -6,8 +6,9 @@ import json
 import sys
 from typing import Any
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 from pinposture.task.reading.lines import lines_of_toml
 
@@ -114,7 +115,7 @@ VALUES = st.recursive(
 )
 
 
-@settings(deadline=None, max_examples=40)
+@examples(40)
 @given(
     tables=st.lists(
         st.tuples(st.booleans(), st.lists(st.tuples(st.text(max_size=3), VALUES), max_size=3)), max_size=5

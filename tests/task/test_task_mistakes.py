@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from mistakes import IN_A_LEADER, IN_A_TASK, LEADER_SEARCHED, SEARCHED
+from sampling import examples
 from task_texts import LEADER, VALID, Mistake, mistakes
 
 import pinposture as pp
@@ -187,11 +188,7 @@ def mutated(draw: Any, task: dict[str, Any]) -> dict[str, Any]:
     return task
 
 
-@settings(
-    deadline=None,
-    max_examples=150,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-)
+@examples(150, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(data=st.data())
 def test_whatever_is_changed_there_is_a_task_or_one_line(folder: Path, data: st.DataObject) -> None:
     base = data.draw(st.sampled_from([SMALL, LED]))

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-import yourdfpy
 
 from pinposture.arm.description import read_description
 from pinposture.arm.urdf import DENSITY
@@ -77,6 +76,8 @@ def test_joints_axes_limits_and_links_are_as_stated(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_pinocchio_and_yourdfpy_agree_on_joints_limits_and_the_tip(name):
+    import yourdfpy
+
     model, data = load(name)
     other = yourdfpy.URDF.load(str(path_of(name)), build_collision_scene_graph=False, load_meshes=False)
     assert other.actuated_joint_names == list(model.names)[1:]
@@ -182,6 +183,7 @@ def test_the_command_says_what_it_wrote(tmp_path, monkeypatch):
     assert "is a file" in err.getvalue()
 
 
+@pytest.mark.process
 def test_the_command_runs_as_a_module(tmp_path):
     command = [sys.executable, "-m", "pinposture.thesis.arms", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, cwd=DIRECTORY.parent, check=False)

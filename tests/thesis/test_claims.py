@@ -7,23 +7,30 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from arms import template_arm
 
 import pinposture as pp
 from pinposture.study import Outcome, case, smooth_configuration, study
 from pinposture.thesis.scenarios import SPATIAL_SCENARIOS
 
+pytestmark = pytest.mark.reproduction
+
 RECORD = json.loads((Path(__file__).parents[2] / "benchmarks/results/thesis_claims.json").read_text())
 SCENARIOS = {scenario.name: scenario for scenario in SPATIAL_SCENARIOS}
 PAIRS = [(entry["scenario"], entry["controller"]) for entry in RECORD["results"]]
-ARM = pp.Arm.from_template("RyRz", 20)
+
+
+@pytest.fixture(scope="session")
+def arm() -> pp.Arm:
+    return template_arm("RyRz", 20)
 
 
 @pytest.fixture(scope="module", params=PAIRS, ids="-".join)
-def repeated(request: pytest.FixtureRequest) -> tuple[dict, list[Outcome]]:
+def repeated(arm: pp.Arm, request: pytest.FixtureRequest) -> tuple[dict, list[Outcome]]:
     """The recorded figures of one scenario and controller, and the same ten seeds run again."""
     name, controller = request.param
     entry = RECORD["results"][PAIRS.index(request.param)]
-    outcomes = study(ARM, [SCENARIOS[name]], [controller], range(10), max_steps=RECORD["steps"])
+    outcomes = study(arm, [SCENARIOS[name]], [controller], range(10), max_steps=RECORD["steps"])
     return entry, outcomes
 
 
@@ -36,9 +43,9 @@ def test_the_recorded_figures_are_reached_again(repeated: tuple[dict, list[Outco
     assert np.all(ratio <= 1.5)
 
 
-def test_selection_runs_out_of_control_points_near_the_line_and_says_so() -> None:
-    start, target = case(ARM, SCENARIOS["line"], 0)
-    run = pp.track(ARM, target, start, "selection", max_steps=RECORD["steps"])
+def test_selection_runs_out_of_control_points_near_the_line_and_says_so(arm: pp.Arm) -> None:
+    start, target = case(arm, SCENARIOS["line"], 0)
+    run = pp.track(arm, target, start, "selection", max_steps=RECORD["steps"])
     assert run.status == "no_control_points"
     assert "singular" in run.reason
     counts = run.active.sum(axis=1)
@@ -58,16 +65,16 @@ def test_the_record_covers_a_hundred_seeds_and_what_the_thesis_says() -> None:
     assert figures["helix", "projection"]["halved"] >= 0.9
 
 
-def test_outcomes_do_not_depend_on_the_number_of_processes() -> None:
-    arguments = (ARM, [SCENARIOS["helix"]], ["selection"], range(3))
+def test_outcomes_do_not_depend_on_the_number_of_processes(arm: pp.Arm) -> None:
+    arguments = (arm, [SCENARIOS["helix"]], ["selection"], range(3))
     seen: list[Outcome] = []
     assert study(*arguments, max_steps=20, jobs=2, progress=seen.append) == study(*arguments, max_steps=20)
     assert len(seen) == 3
 
 
-def test_smooth_configurations_have_their_amplitude_and_stay_within_limits() -> None:
+def test_smooth_configurations_have_their_amplitude_and_stay_within_limits(arm: pp.Arm) -> None:
     for amplitude in (0.2, 1.0):
-        q = smooth_configuration(ARM, np.random.default_rng(1), amplitude)
+        q = smooth_configuration(arm, np.random.default_rng(1), amplitude)
         assert np.abs(q).max() == pytest.approx(amplitude)
     narrow = pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.3, 0.3)] * 5)
     assert narrow.within_limits(smooth_configuration(narrow, np.random.default_rng(1), 2.0))

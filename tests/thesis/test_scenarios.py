@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples, seeds
 
 import pinposture as pp
 from pinposture.errors import InvalidValue
@@ -15,12 +16,14 @@ from pinposture.study.reproduce.runs import thesis_arm
 from pinposture.thesis.arms import ARMS
 from pinposture.thesis.scenarios import FAMILIES, SCENARIOS, SPATIAL_SCENARIOS, STARTS, family
 
-PLANAR = thesis_arm("planar45")
+
+def planar():
+    return thesis_arm("planar45")
 
 
 def headings(q):
     """Angle of each link from the base axis, from where its ends are."""
-    points = np.vstack([np.zeros(3), PLANAR.at(q).points])
+    points = np.vstack([np.zeros(3), planar().at(q).points])
     links = np.diff(points, axis=0)
     return np.unwrap(np.arctan2(links[:, 1], links[:, 0]))
 
@@ -43,11 +46,11 @@ def test_every_scenario_has_a_case_that_its_seed_settles(scenario):
 
 
 @given(seed=st.integers(0, 10_000), heading=st.floats(0.01, 3.0))
-@settings(deadline=None, max_examples=30)
+@examples(30)
 def test_bent_configurations_turn_their_links_as_far_as_was_said(seed, heading):
-    q = bent_configuration(PLANAR, np.random.default_rng(seed), heading)
+    q = bent_configuration(planar(), np.random.default_rng(seed), heading)
     assert np.abs(headings(q)).max() == pytest.approx(heading, rel=1e-6)
-    smooth = smooth_configuration(PLANAR, np.random.default_rng(seed), 1.0)
+    smooth = smooth_configuration(planar(), np.random.default_rng(seed), 1.0)
     np.testing.assert_allclose(q / np.abs(q).max(), smooth / np.abs(smooth).max(), atol=1e-12)
 
 
@@ -56,19 +59,19 @@ def test_only_planar_arms_are_bent_and_only_by_a_number():
         bent_configuration(thesis_arm("ryrz20"), np.random.default_rng(0), 1.0)
     for heading in (-0.1, np.nan):
         with pytest.raises(InvalidValue, match="heading"):
-            bent_configuration(PLANAR, np.random.default_rng(0), heading)
-    assert not bent_configuration(PLANAR, np.random.default_rng(0), 0.0).any()
+            bent_configuration(planar(), np.random.default_rng(0), heading)
+    assert not bent_configuration(planar(), np.random.default_rng(0), 0.0).any()
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", seeds(4))
 def test_planar_targets_are_curves_as_bent_as_was_said(seed):
     for name, (low, high) in (("planar-random", HEADINGS), ("planar-near-line", SLIGHT_HEADINGS)):
-        start, target = case(PLANAR, SCENARIOS[name], seed)
+        start, target = case(planar(), SCENARIOS[name], seed)
         assert HEADINGS[0] <= np.abs(headings(start)).max() <= HEADINGS[1]
         assert 0.999 * low <= np.abs(headings(target.q)).max() <= 1.001 * high
-        assert target.residual.max() < 1e-6 * PLANAR.length
+        assert target.residual.max() < 1e-6 * planar().length
         np.testing.assert_allclose(target.curve.start, 0.0, atol=1e-12)
-        assert target.curve.length > PLANAR.length
+        assert target.curve.length > planar().length
 
 
 @pytest.mark.parametrize("name", ["opposite", "planar-opposite"])

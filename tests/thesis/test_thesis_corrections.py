@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from analytic import enumeration, planar, ryrz, torus
-from hypothesis import given, settings
+from arms import template_arm
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples, seeds
 
 import pinposture as pp
 from pinposture.control import candidate_sets
@@ -14,16 +16,20 @@ from pinposture.control.controller import task_errors
 from pinposture.study import smooth_configuration
 from pinposture.thesis.curves import LINE
 
-ARM = pp.Arm.from_template("RyRz", 10)
 SEEDS = st.integers(0, 10**6)
 
 
+@pytest.fixture(scope="session")
+def arm() -> pp.Arm:
+    return template_arm("RyRz", 10)
+
+
 @given(SEEDS)
-@settings(deadline=None, max_examples=20)
-def test_4_2_needs_the_derivative_of_the_orientations(seed: int) -> None:
-    state = ARM.at(ARM.random(np.random.default_rng(seed)))
+@examples(20)
+def test_4_2_needs_the_derivative_of_the_orientations(arm: pp.Arm, seed: int) -> None:
+    state = arm.at(arm.random(np.random.default_rng(seed)))
     q = state.q
-    for k in range(1, ARM.n_modules):
+    for k in range(1, arm.n_modules):
         local = ryrz.fk(q[2 * k : 2 * k + 2], 0.025, 0.025)
         derivatives = [ryrz.derivative(k, u, q, 0.025, 0.025) for u in range(2 * k)]
         put_right = np.array([dp + dE @ local for dp, dE in derivatives]).T
@@ -32,17 +38,17 @@ def test_4_2_needs_the_derivative_of_the_orientations(seed: int) -> None:
         assert np.abs(printed - put_right).max() > 0.1 * np.abs(local).max()
 
 
-def test_the_signs_and_the_sum_of_4_7_as_printed_lead_nowhere() -> None:
+def test_the_signs_and_the_sum_of_4_7_as_printed_lead_nowhere(arm: pp.Arm) -> None:
     active = [2, 5, 8]
-    for seed in range(200):
+    for seed in seeds(200):
         rng = np.random.default_rng(seed)
-        state, c = ARM.at(rng.uniform(-1.2, 1.2, 20)), ARM.at(rng.uniform(-1.2, 1.2, 20)).points
+        state, c = arm.at(rng.uniform(-1.2, 1.2, 20)), arm.at(rng.uniform(-1.2, 1.2, 20)).points
         J = np.vstack(state.jacobians[active])
         null = np.eye(20) - np.linalg.pinv(J) @ J
         terms = np.array([-state.jacobians[k].T @ (state.points[k] - c[k]) for k in range(10)])
 
         def errors(dq: np.ndarray, state: pp.ArmState = state, c: np.ndarray = c) -> np.ndarray:
-            return np.linalg.norm(ARM.at(state.q + 1e-7 * dq / np.linalg.norm(dq)).points - c, axis=1)
+            return np.linalg.norm(arm.at(state.q + 1e-7 * dq / np.linalg.norm(dq)).points - c, axis=1)
 
         along = np.linalg.pinv(J) @ (state.points - c)[active].ravel()
         assert errors(along)[active].sum() > errors(-along)[active].sum()
@@ -52,7 +58,7 @@ def test_the_signs_and_the_sum_of_4_7_as_printed_lead_nowhere() -> None:
 
 
 @given(SEEDS, st.integers(1, 4), st.integers(1, 3))
-@settings(deadline=None, max_examples=20)
+@examples(20)
 def test_projected_jacobians_are_those_of_5_6_and_not_of_the_shapes_of_5_4(seed: int, n: int, r: int) -> None:
     J = np.random.default_rng(seed).normal(size=(3, n + 1))
     U, sigma, Vt = np.linalg.svd(J)
@@ -84,7 +90,7 @@ def test_5_9_as_printed_does_not_do_what_5_10_asks() -> None:
 
 
 @given(SEEDS)
-@settings(deadline=None, max_examples=15)
+@examples(15)
 def test_6_4_and_6_7_hold_with_their_limits_put_right(seed: int) -> None:
     rng, (l1, l2), m = np.random.default_rng(seed), (0.03, 0.02), 5
     arm = pp.Arm.from_template("RyRz", m, (l1, l2))
@@ -109,7 +115,7 @@ def test_6_4_and_6_7_hold_with_their_limits_put_right(seed: int) -> None:
 
 
 @given(SEEDS, st.sampled_from([(0.025, 0.025), (0.03, 0.02), (1.0, 2.0)]))
-@settings(deadline=None, max_examples=25)
+@examples(25)
 def test_6_13_and_6_15_put_right_are_the_torus_along_a_segment(
     seed: int, lengths: tuple[float, float]
 ) -> None:
@@ -145,7 +151,7 @@ def test_algorithm_1_needs_what_lies_ahead_and_not_a_single_positive_root() -> N
 
 
 @given(SEEDS)
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_in_a_plane_the_rank_carries_over_to_later_points(seed: int) -> None:
     rng = np.random.default_rng(seed)
     q, links = rng.choice([0.0, np.pi, -np.pi, np.pi / 2, 0.7], 7), rng.choice([0.5, 1.0], 7)
@@ -153,10 +159,10 @@ def test_in_a_plane_the_rank_carries_over_to_later_points(seed: int) -> None:
     assert ranks == sorted(ranks)
 
 
-def test_candidate_sets_have_block_triangular_matrices_of_full_rank() -> None:
+def test_candidate_sets_have_block_triangular_matrices_of_full_rank(arm: pp.Arm) -> None:
     rng, seen = np.random.default_rng(0), 0
     for _ in range(10):
-        state = ARM.at(rng.uniform(-1.2, 1.2, 20))
+        state = arm.at(rng.uniform(-1.2, 1.2, 20))
         sets = list(candidate_sets(state.manipulability(), 1e-3, 1e-3))
         for points in (sets[i] for i in rng.integers(0, len(sets), 10)):
             matrix = np.vstack(state.jacobians[list(points)])
@@ -173,7 +179,7 @@ def test_candidate_sets_have_block_triangular_matrices_of_full_rank() -> None:
 
 
 def test_two_joint_modules_in_space_never_give_neighbours() -> None:
-    for seed in range(20):
+    for seed in seeds(20):
         q = np.random.default_rng(seed).uniform(-1.0, 1.0, 6)
         w = enumeration.index_matrix(lambda s, i, q=q: ryrz.section_jacobian(i, s, q, 0.025, 0.025), 3)
         assert enumeration.candidate_sets(w, 1e-3, 1e-3) == [(2,), (3,)]

@@ -6,11 +6,17 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+from arms import template_arm
 
 import pinposture as pp
 
-SPATIAL = pp.Arm.from_template("RyRz", modules=6)
-PLANAR = pp.Arm.from_template("Rz", modules=5, link_lengths=(0.1,))
+
+def spatial() -> pp.Arm:
+    return template_arm("RyRz", 6)
+
+
+def planar() -> pp.Arm:
+    return template_arm("Rz", 5, (0.1,))
 
 
 def gram(arm: pp.Arm, q: np.ndarray, point: int) -> np.ndarray:

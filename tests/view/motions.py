@@ -5,17 +5,27 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from arms import template_arm
 
 import pinposture as pp
 from pinposture.motion.motion import Motion, Passed
 
-ARM = pp.Arm.from_template("RyRz", modules=5)
 LIMITS = pp.Limits(step=None, dt=0.05, velocity=2.0, acceleration=30.0)
+
+
+def five_modules() -> pp.Arm:
+    """The arm of the motions."""
+    return template_arm("RyRz", 5)
+
+
+def around_a_ball() -> pp.Scene:
+    """A scene for it."""
+    return pp.Scene({"ball": pp.Sphere((0.1, 0.3, 0.2), 0.05)})
 
 
 def some_motion(
     steps: int = 60,
-    arm: pp.Arm = ARM,
+    arm: pp.Arm | None = None,
     limits: pp.Limits = LIMITS,
     scene: pp.Scene | None = None,
     planned: float | None = None,
@@ -28,7 +38,7 @@ def some_motion(
     Its targets are `off` [m] beside the control points in every row. Its clock runs evenly, so that it takes
     `planned`; named places are at equal distances.
     """
-    dt = limits.dt
+    arm, dt = arm or five_modules(), limits.dt
     rng = np.random.default_rng(0)
     begin, over, end = (rng.uniform(-0.4, 0.4, arm.nv) for _ in range(3))
     t = np.linspace(0.0, 1.0, steps + 1)[:, None]

@@ -42,4 +42,3 @@ SOLIDS = {
         0.1 * 0.2 * 0.3 / 6,
     ),
 }
-SCENE = pp.Scene({name: obstacle for name, (obstacle, *_) in SOLIDS.items()})

@@ -10,9 +10,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from arms import template_arm
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
-from view.motions import ARM, LIMITS, some_motion
+from sampling import cases
+from view.motions import LIMITS, around_a_ball, five_modules, some_motion
 
 import pinposture as pp
 from pinposture.errors import InvalidValue
@@ -20,9 +22,11 @@ from pinposture.motion.motion import Motion
 from pinposture.view.body import backbone
 from pinposture.view.motion import plot_places
 
-PLANAR = pp.Arm.from_template("Rz", modules=5, link_lengths=(0.1,))
-BALL = pp.Scene({"ball": pp.Sphere((0.1, 0.3, 0.2), 0.05)})
 RATES = "largest of all joints\n[share of limit]"
+
+
+def planar() -> pp.Arm:
+    return template_arm("Rz", 5, (0.1,))
 
 
 def draw(figure: Figure) -> None:
@@ -67,10 +71,10 @@ def test_a_motion_as_planned_has_errors_and_rates_over_time_and_nothing_to_say_o
 
 
 def test_joint_rates_are_those_of_the_joint_nearest_to_its_limit():
-    fast = np.linspace(1.0, 4.0, ARM.nv)
+    fast = np.linspace(1.0, 4.0, 10)
     motion = some_motion(limits=pp.Limits(step=None, dt=0.05, velocity=fast, acceleration=30.0))
     drawn = lines(panel(pp.plot(motion), RATES))
-    speeds, changes, before = [], [], np.zeros(ARM.nv)
+    speeds, changes, before = [], [], np.zeros(10)
     for a, b in zip(motion.q[:-1], motion.q[1:], strict=True):
         now = (b - a) / 0.05
         speeds.append(max(abs(now) / fast))
@@ -84,7 +88,7 @@ def test_joint_rates_are_those_of_the_joint_nearest_to_its_limit():
 
 
 def test_what_has_no_limit_is_left_out():
-    fast = np.full(ARM.nv, 2.0)
+    fast = np.full(10, 2.0)
     fast[0] = np.inf  # the others still have one
     drawn = lines(panel(pp.plot(some_motion(limits=pp.Limits(step=None, dt=0.05, velocity=fast))), RATES))
     assert "acceleration" not in drawn
@@ -126,6 +130,7 @@ def test_places_are_marked_in_every_panel_and_named_above_the_first():
     assert not names_above(figure.axes[2])
 
 
+@pytest.mark.pictures
 @pytest.mark.parametrize("count", [3, 8, 12, 40])
 def test_names_do_not_run_into_each_other(count):
     motion = some_motion(names=tuple(f"the place of number {k}" for k in range(count)))
@@ -144,7 +149,8 @@ def test_names_do_not_run_into_each_other(count):
 
 
 def test_words_above_the_figure_keep_clear_of_each_other():
-    figure = pp.plot(replace(some_motion(scene=BALL, set_out=10), detours=("at 1 s it went round",)))
+    motion = some_motion(scene=around_a_ball(), set_out=10)
+    figure = pp.plot(replace(motion, detours=("at 1 s it went round",)))
     draw(figure)
     heading, legend = figure.texts[0], figure.axes[0].get_legend()
     assert heading.get_window_extent().y0 > legend.get_window_extent().y1
@@ -160,7 +166,7 @@ def test_the_posture_of_each_place_is_drawn_in_its_colour_and_told_with_its_time
     ax = figure.axes[0]
     words = [text.get_text() for text in ax.get_legend().get_texts()]
     for place in motion.passed:
-        line = backbone(ARM, motion.q[place.row])
+        line = backbone(five_modules(), motion.q[place.row])
         assert any(np.array_equal(spatial(each), line) for each in ax.get_lines())
         assert f"{place.name}, {motion.time[place.row]:.3g} s" in words
     assert "initial posture" in words
@@ -180,7 +186,7 @@ def test_postures_that_look_alike_are_drawn_once_and_have_both_names():
 
 
 def test_in_a_scene_there_is_clearance_over_time_and_the_obstacle():
-    motion = some_motion(scene=BALL)
+    motion = some_motion(scene=around_a_ball())
     figure = pp.plot(motion)
     ax = panel(figure, "clearance [m]")
     np.testing.assert_array_equal(ax.get_lines()[0].get_data(), [motion.time, motion.run.clearance])
@@ -214,11 +220,13 @@ def test_an_error_of_rounding_is_none_to_speak_of():
     draw(figure)
 
 
-@pytest.mark.parametrize("case", ["planar", "no step", "one step", "no place", "one place", "lost"])
+@pytest.mark.parametrize(
+    "case", cases(["planar", "no step", "one step", "no place", "one place", "lost"], quick=2)
+)
 def test_unusual_motions_are_drawn_too(case):
     names = {"no place": (), "no step": ("here",), "one place": ("there",)}.get(case, ("a", "$b$", "c"))
     steps = {"no step": 0, "one step": 1}.get(case, 30)
-    motion = some_motion(steps, PLANAR if case == "planar" else ARM, names=names)
+    motion = some_motion(steps, planar() if case == "planar" else None, names=names)
     if case == "lost":
         late = [place._replace(reached=None, row=None, mean_error=None) for place in motion.passed[1:]]
         motion = replace(
@@ -240,7 +248,7 @@ def test_unusual_motions_are_drawn_too(case):
 def test_plain_axes_do_for_planar_arms_only():
     with pytest.raises(InvalidValue, match="projection"):
         plot_places(some_motion(), Figure().add_subplot())
-    plot_places(some_motion(arm=PLANAR), Figure().add_subplot())
+    plot_places(some_motion(arm=planar()), Figure().add_subplot())
 
 
 def test_limits_of_the_step_count_as_limits_of_speed():

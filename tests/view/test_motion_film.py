@@ -7,10 +7,11 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 from scipy.spatial.transform import Rotation
-from view.motions import ARM, some_motion
+from view.motions import five_modules, some_motion
 
 import pinposture as pp
 from pinposture.motion.motion import Motion, Passed
@@ -36,7 +37,7 @@ def track_of(listed, path, name):
     fps=st.floats(1.0, 60.0),
     most=st.integers(2, 300),
 )
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_each_configuration_is_seen_when_it_was(steps, dt, fps, most):
     motion = known_motion(steps, dt)
     shown = film(motion, fps, most)
@@ -73,23 +74,23 @@ def test_only_what_takes_longer_than_a_minute_is_shown_faster(seconds, pace):
 
 
 def test_bodies_are_where_they_were_in_the_rows_that_are_shown():
-    motion = known_motion()
+    arm, motion = five_modules(), known_motion()
     shown = film(motion, 7.0, 1200)
     assert 2 < len(shown.rows) < 60
-    poses = body_poses(ARM, motion.q[shown.rows])
-    for u in range(ARM.nv):
-        position = track_of(tracks(ARM, shown), f"/pinposture/arm/body_{u + 1:03d}", "position")
+    poses = body_poses(arm, motion.q[shown.rows])
+    for u in range(arm.nv):
+        position = track_of(tracks(arm, shown), f"/pinposture/arm/body_{u + 1:03d}", "position")
         np.testing.assert_allclose(position.values[1:-1], poses[:, u, :3, 3], atol=1e-12)
 
 
 def test_hoops_are_where_the_targets_of_the_moment_are_and_play_along_with_the_arm():
-    motion = known_motion()
+    arm, motion = five_modules(), known_motion()
     shown = film(motion, 20.0, 1200)
     listed = moving_target_tracks(motion, shown)
-    for k in range(ARM.n_modules):
+    for k in range(arm.n_modules):
         position = track_of(listed, f"/pinposture/target/hoop_{k + 1:03d}", "position")
         np.testing.assert_array_equal(position.values[1:-1], motion.targets[shown.rows, k])
-    ends = {(each.times[0], each.times[-1]) for each in [*listed, *tracks(ARM, shown)]}
+    ends = {(each.times[0], each.times[-1]) for each in [*listed, *tracks(arm, shown)]}
     assert ends == {(0.0, shown.end)}
     assert {each.name for each in listed} == {"position", "quaternion"}
 
@@ -100,7 +101,7 @@ def test_everything_that_moves_was_drawn_where_it_starts():
     drawn = {command["path"] for command in commands if command["type"] == "set_object"}
     assert {each.path for each in moving_target_tracks(motion, film(motion, 20.0, 1200))} == drawn
     placed = {c["path"]: np.reshape(c["matrix"], (4, 4)).T for c in commands if c["type"] == "set_transform"}
-    for k in range(ARM.n_modules):
+    for k in range(5):
         matrix = placed[f"/pinposture/target/hoop_{k + 1:03d}"]
         np.testing.assert_allclose(matrix[:3, 3], motion.targets[0, k])
         np.testing.assert_allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-12)
@@ -122,14 +123,14 @@ def test_hoops_of_points_without_a_target_are_not_seen():
 
 
 @given(seed=st.integers(0, 10_000))
-@settings(deadline=None, max_examples=20)
+@examples(20)
 def test_a_hoop_stands_across_the_line_through_the_targets(seed):
-    rng = np.random.default_rng(seed)
-    targets = np.cumsum(rng.normal(size=(4, ARM.n_modules, 3)), axis=0)
-    turns = hoop_turns(ARM, targets, np.ones(targets.shape[:2], dtype=bool))
+    arm, rng = five_modules(), np.random.default_rng(seed)
+    targets = np.cumsum(rng.normal(size=(4, arm.n_modules, 3)), axis=0)
+    turns = hoop_turns(arm, targets, np.ones(targets.shape[:2], dtype=bool))
     for row, points in enumerate(targets):
-        line = np.vstack([ARM.chain.base, points])
-        for k in range(ARM.n_modules):
+        line = np.vstack([arm.chain.base, points])
+        for k in range(arm.n_modules):
             legs = [line[k + 1] - line[k]]
             if k + 2 < len(line):
                 legs.append(line[k + 2] - line[k + 1])
@@ -141,25 +142,27 @@ def test_a_hoop_stands_across_the_line_through_the_targets(seed):
 
 
 def test_hoops_turn_no_more_than_the_line_does():
+    arm = five_modules()
     angles = np.linspace(0.0, np.pi / 2, 30)
     ways = np.stack([np.cos(angles), np.sin(angles), np.zeros(30)], axis=1)
-    targets = ARM.chain.base + ways[:, None] * np.arange(1, 6)[None, :, None]
-    turns = Rotation.from_quat(hoop_turns(ARM, targets, np.ones((30, 5), dtype=bool))[:, 3])
+    targets = arm.chain.base + ways[:, None] * np.arange(1, 6)[None, :, None]
+    turns = Rotation.from_quat(hoop_turns(arm, targets, np.ones((30, 5), dtype=bool))[:, 3])
     steps = (turns[1:] * turns[:-1].inv()).magnitude()
     np.testing.assert_allclose(steps, np.diff(angles), atol=1e-9)
 
 
 @pytest.mark.parametrize("case", ["reversed", "at one place", "nowhere"])
 def test_lines_without_a_direction_still_have_hoops_that_can_be_drawn(case):
-    targets = np.tile(ARM.chain.base + np.arange(1.0, 6.0)[:, None] * [1.0, 0.0, 0.0], (3, 1, 1))
+    arm = five_modules()
+    targets = np.tile(arm.chain.base + np.arange(1.0, 6.0)[:, None] * [1.0, 0.0, 0.0], (3, 1, 1))
     asked = np.ones((3, 5), dtype=bool)
     if case == "reversed":
         targets[1:, :, 0] *= -1.0
     elif case == "at one place":
-        targets[:] = ARM.chain.base
+        targets[:] = arm.chain.base
     else:
         asked[1] = False
-    turns = hoop_turns(ARM, targets, asked)
+    turns = hoop_turns(arm, targets, asked)
     np.testing.assert_allclose(np.linalg.norm(turns, axis=2), 1.0, atol=1e-12)
     if case == "reversed":
         normals = Rotation.from_quat(turns.reshape(-1, 4)).as_matrix()[:, :, 2].reshape(3, 5, 3)

@@ -7,16 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from arms import template_arm
 from view.listening import held
-from view.motions import ARM, some_motion
+from view.motions import around_a_ball, five_modules, some_motion
 from view.test_view_html import Page
 
 import pinposture as pp
 from pinposture.errors import InvalidValue
 from pinposture.view import palette
 from pinposture.view.animation import REST_AFTER, REST_BEFORE
-
-BALL = pp.Scene({"ball": pp.Sphere((0.1, 0.3, 0.2), 0.05)})
 
 
 def page_of(motion, tmp_path, **options) -> Page:
@@ -34,7 +33,7 @@ def clips(commands) -> dict:
 
 def test_the_page_plays_as_long_as_the_motion_took(tmp_path):
     motion = some_motion()
-    text = pp.save_html(ARM, motion, tmp_path / "motion").read_text(encoding="utf-8")
+    text = pp.save_html(five_modules(), motion, tmp_path / "motion").read_text(encoding="utf-8")
     page = Page(text)
     assert f'max="{REST_BEFORE + 3.0 + REST_AFTER}"' in text
     times = page.constant("run")["times"]
@@ -57,7 +56,7 @@ def test_a_motion_of_minutes_is_played_faster_and_the_page_says_so(tmp_path):
 
 
 def test_the_caption_tells_time_place_error_and_clearance(tmp_path):
-    motion = some_motion(scene=BALL, planned=1.25, set_out=10)
+    motion = some_motion(scene=around_a_ball(), planned=1.25, set_out=10)
     texts = page_of(motion, tmp_path).constant("run")["texts"]
     near = motion.run.clearance
     assert texts[4] == (
@@ -76,7 +75,7 @@ def test_targets_of_the_moment_and_of_places_are_drawn_in_colours_that_the_legen
     page = page_of(motion, tmp_path)
     drawn = {c["path"]: c["object"] for c in page.commands if c["type"] == "set_object"}
     moved = clips(page.commands)
-    for k in range(ARM.n_modules):
+    for k in range(5):
         path = f"/pinposture/target/hoop_{k + 1:03d}"
         assert path in drawn
         position = np.frombuffer(moved[path][0]["values"].data, "<f4").reshape(-1, 3)
@@ -87,7 +86,7 @@ def test_targets_of_the_moment_and_of_places_are_drawn_in_colours_that_the_legen
         color = f"#{shape['materials'][0]['color']:06X}"
         assert f'style="background: {color}"></span>{place.name}' in text
         packed = shape["geometries"][0]["data"]["attributes"]["position"]["array"]
-        rings = np.frombuffer(packed.data, "<f4").reshape(ARM.n_modules + 1, -1, 3)
+        rings = np.frombuffer(packed.data, "<f4").reshape(6, -1, 3)
         np.testing.assert_allclose(rings.mean(axis=1)[1:], motion.targets[place.row], atol=1e-6)
     assert "/pinposture/target/points" not in drawn
 
@@ -100,7 +99,7 @@ def test_a_target_that_is_asked_for_stays_where_it_is(tmp_path):
 
 
 def test_ellipsoids_and_obstacles_are_shown_as_of_runs(tmp_path):
-    page = page_of(some_motion(scene=BALL), tmp_path, ellipsoids=(-1,))
+    page = page_of(some_motion(scene=around_a_ball()), tmp_path, ellipsoids=(-1,))
     drawn = {c["path"] for c in page.commands if c["type"] == "set_object"}
     assert "/pinposture/obstacles/obstacle_001" in drawn
     assert "/pinposture/ellipsoids/point_005" in clips(page.commands)
@@ -131,7 +130,7 @@ def test_names_cannot_break_the_page(tmp_path):
 
 @pytest.mark.parametrize("case", ["no step", "planar", "no place", "no target"])
 def test_unusual_motions_are_written_too(tmp_path, case):
-    arm = pp.Arm.from_template("Rz", modules=5, link_lengths=(0.1,)) if case == "planar" else ARM
+    arm = template_arm("Rz", 5, (0.1,)) if case == "planar" else None
     names = () if case in ("no place", "no step") else ("a",)
     motion = some_motion(0 if case == "no step" else 10, arm, names=names)
     if case == "no target":
@@ -155,8 +154,8 @@ def test_a_motion_of_another_arm_is_refused(tmp_path):
 
 
 def test_the_viewer_plays_a_motion_with_its_targets(running):
-    motion = some_motion(scene=BALL)
-    with pp.view(ARM, motion, url=running.address) as viewer:
+    motion = some_motion(scene=around_a_ball())
+    with pp.view(five_modules(), motion, url=running.address) as viewer:
         commands = held(running.address)
         drawn = {c["path"] for c in commands if c["type"] == "set_object"}
         assert "/pinposture/obstacles/obstacle_001" in drawn

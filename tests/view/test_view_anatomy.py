@@ -7,6 +7,7 @@ import io
 import numpy as np
 import pinocchio as pin
 import pytest
+from arms import template_arm
 from matplotlib.figure import Figure
 
 import pinposture as pp
@@ -14,9 +15,18 @@ from pinposture.errors import InvalidValue
 from pinposture.view import palette
 from pinposture.view.anatomy import anatomy
 
-SPATIAL = pp.Arm.from_template("RyRz", modules=6)
-PLANAR = pp.Arm.from_template("Rz", modules=5, link_lengths=(0.1,))
-RNG = np.random.default_rng(3)
+
+def spatial() -> pp.Arm:
+    return template_arm("RyRz", 6)
+
+
+def planar() -> pp.Arm:
+    return template_arm("Rz", 5, (0.1,))
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(3)
 
 
 def sliding(axes: list[str], kinds: list[str]) -> pp.Arm:
@@ -50,10 +60,17 @@ def pixels(figure: Figure) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "arm", [SPATIAL, PLANAR, sliding(["0 0 1", "0 1 0", "1 0 0"], ["revolute", "prismatic", "revolute"])]
+    "make",
+    [
+        spatial,
+        planar,
+        lambda: sliding(["0 0 1", "0 1 0", "1 0 0"], ["revolute", "prismatic", "revolute"]),
+    ],
+    ids=["spatial", "planar", "sliding"],
 )
-def test_the_parts_are_where_pinocchio_has_them(arm):
-    q = arm.random(RNG)
+def test_the_parts_are_where_pinocchio_has_them(rng, make):
+    arm = make()
+    q = arm.random(rng)
     parts = anatomy(arm, q)
     model, data = arm.model, arm.model.createData()
     pin.forwardKinematics(model, data, q)
@@ -65,31 +82,34 @@ def test_the_parts_are_where_pinocchio_has_them(arm):
     np.testing.assert_allclose(parts.points, arm.at(q).points, atol=1e-12)
 
 
-def test_modules_join_end_to_end_from_base_to_tip():
-    parts = anatomy(SPATIAL, SPATIAL.random(RNG))
-    np.testing.assert_array_equal(parts.modules[0][0], SPATIAL.chain.base)
+def test_modules_join_end_to_end_from_base_to_tip(rng):
+    arm = spatial()
+    parts = anatomy(arm, arm.random(rng))
+    np.testing.assert_array_equal(parts.modules[0][0], arm.chain.base)
     for before, after in zip(parts.modules, parts.modules[1:], strict=False):
         np.testing.assert_array_equal(before[-1], after[0])
     for line, point in zip(parts.modules, parts.points, strict=True):
         np.testing.assert_array_equal(line[-1], point)
 
 
-def test_control_points_base_and_tip_are_marked_where_they_are():
-    q = SPATIAL.random(RNG)
-    figure, points = pp.plot_arm(SPATIAL, q), SPATIAL.at(q).points
+def test_control_points_base_and_tip_are_marked_where_they_are(rng):
+    arm = spatial()
+    q = arm.random(rng)
+    figure, points = pp.plot_arm(arm, q), arm.at(q).points
     np.testing.assert_allclose(flat_points(figure, "control points"), points[:-1], atol=1e-12)
     np.testing.assert_allclose(flat_points(figure, "tip"), points[-1:], atol=1e-12)
-    np.testing.assert_allclose(flat_points(figure, "base"), SPATIAL.chain.base[None], atol=1e-12)
+    np.testing.assert_allclose(flat_points(figure, "base"), arm.chain.base[None], atol=1e-12)
 
 
 def test_modules_take_turns_in_two_shades():
-    figure = pp.plot_arm(SPATIAL)
+    figure = pp.plot_arm(spatial())
     shades = [line.get_color() for line in figure.axes[0].get_lines() if line.get_color() in palette.MODULES]
     assert shades[:6] == list(palette.MODULES) * 3
 
 
-@pytest.mark.parametrize("arm", [SPATIAL, PLANAR])
-def test_every_control_point_has_its_number_beside_it_and_beside_no_other(arm):
+@pytest.mark.parametrize("make", [spatial, planar])
+def test_every_control_point_has_its_number_beside_it_and_beside_no_other(make):
+    arm = make()
     figure = pp.plot_arm(arm)
     written = numbers(figure)
     points = np.vstack([flat_points(figure, "control points"), flat_points(figure, "tip")])
@@ -110,22 +130,23 @@ def test_numbers_that_would_lie_upon_each_other_are_left_out_but_never_the_last(
     assert 40 < len(written) < 100
 
 
-def test_a_bar_lies_along_each_axis_about_its_joint():
-    q = SPATIAL.random(RNG)
-    bars = flat_points(pp.plot_arm(SPATIAL, q), "axis of a joint that turns")
-    parts = anatomy(SPATIAL, q)
-    ends = bars.reshape(SPATIAL.nv, 3, 3)  # both ends, and a gap
+def test_a_bar_lies_along_each_axis_about_its_joint(rng):
+    arm = spatial()
+    q = arm.random(rng)
+    bars = flat_points(pp.plot_arm(arm, q), "axis of a joint that turns")
+    parts = anatomy(arm, q)
+    ends = bars.reshape(arm.nv, 3, 3)  # both ends, and a gap
     np.testing.assert_allclose(ends[:, :2].mean(axis=1), parts.joints, atol=1e-12)
     along = ends[:, 1] - ends[:, 0]
     lengths = np.linalg.norm(along, axis=1)
     np.testing.assert_allclose(along / lengths[:, None], parts.axes, atol=1e-9)
     np.testing.assert_allclose(lengths, lengths[0])
-    assert 0.02 * SPATIAL.length < lengths[0] < 0.1 * SPATIAL.length
+    assert 0.02 * arm.length < lengths[0] < 0.1 * arm.length
 
 
 def test_a_planar_arm_is_drawn_in_its_plane_with_rings_for_axes_seen_from_the_end():
     turned = pin.SE3(pin.utils.rotate("x", np.pi / 2), np.array([0.0, 0.3, 0.0]))
-    arm = pp.Arm.from_urdf(PLANAR.urdf, base_placement=turned)
+    arm = pp.Arm.from_urdf(planar().urdf, base_placement=turned)
     figure = pp.plot_arm(arm, arm.configuration([0.3, 0.2, -0.5, 0.1, 0.4]))
     (ax,) = figure.axes
     assert ax.name == "rectilinear"
@@ -159,16 +180,18 @@ def test_in_a_plane_an_axis_that_lies_in_it_is_a_bar_and_no_ring():
 
 def test_an_arm_of_one_module_and_one_that_stands_are_drawn(recwarn):
     standing = pp.Arm.from_urdf(
-        PLANAR.urdf, base_placement=pin.SE3(pin.utils.rotate("z", np.pi / 2), np.zeros(3))
+        planar().urdf, base_placement=pin.SE3(pin.utils.rotate("z", np.pi / 2), np.zeros(3))
     )
     for arm in (pp.Arm.from_template("RyRz", modules=1), pp.Arm.from_template("Rz", modules=1), standing):
         assert len(np.unique(pixels(pp.plot_arm(arm)).reshape(-1, 4), axis=0)) > 20
     assert [str(warning.message) for warning in recwarn] == []
 
 
-@pytest.mark.parametrize("arm", [SPATIAL, pp.Arm.from_template("RyRz", modules=20), PLANAR])
-def test_the_arm_fills_the_width_and_stays_clear_of_title_and_legend(arm):
-    picture = pixels(pp.plot_arm(arm))[:, :, :3]
+@pytest.mark.parametrize(
+    "make", [spatial, lambda: template_arm("RyRz", 20), planar], ids=["spatial", "long", "planar"]
+)
+def test_the_arm_fills_the_width_and_stays_clear_of_title_and_legend(make):
+    picture = pixels(pp.plot_arm(make()))[:, :, :3]
     shades = [np.round(255 * np.array(palette.rgb(shade))) for shade in palette.MODULES]
     body = np.any([np.abs(picture - shade).max(axis=2) < 3 for shade in shades], axis=0)
     legend = 35
@@ -178,14 +201,15 @@ def test_the_arm_fills_the_width_and_stays_clear_of_title_and_legend(arm):
     assert rows.max() < len(body) - 60
 
 
-def test_the_title_tells_of_the_arm_and_of_the_neutral_configuration_only_there():
-    title = pp.plot_arm(SPATIAL).get_suptitle()
+def test_the_title_tells_of_the_arm_and_of_the_neutral_configuration_only_there(rng):
+    arm = spatial()
+    title = pp.plot_arm(arm).get_suptitle()
     for fact in ("RyRz_6", "spatial", "6 modules", "12 DOF", "0.3 m", "neutral"):
         assert fact in title
-    assert "neutral" not in pp.plot_arm(SPATIAL, SPATIAL.random(RNG)).get_suptitle()
+    assert "neutral" not in pp.plot_arm(arm, arm.random(rng)).get_suptitle()
 
 
 @pytest.mark.parametrize("q", [np.zeros(3), np.full(12, np.nan)])
 def test_a_configuration_that_is_none_is_refused(q):
     with pytest.raises(InvalidValue):
-        pp.plot_arm(SPATIAL, q)
+        pp.plot_arm(spatial(), q)

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 import umsgpack
+from arms import template_arm
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -19,20 +20,23 @@ from pinposture.view.animation import film, tracks
 from pinposture.view.body import body_poses
 from pinposture.view.commands import animate, pack
 
-ARM = Arm.from_template("RyRz", modules=4)
+
+def four_modules() -> Arm:
+    return template_arm("RyRz", 4)
 
 
 @cache
 def some_run(steps: int = 25) -> Trajectory:
     """A run whose active sets are known, so that colours can be told from them."""
+    arm = four_modules()
     rng = np.random.default_rng(0)
-    start = ARM.configuration(rng.uniform(-0.5, 0.5, ARM.nv))
-    goal = ARM.configuration(rng.uniform(-0.5, 0.5, ARM.nv))
-    run = track(ARM, Target.from_configuration(ARM, goal), start, "projection", max_steps=2)
+    start = arm.configuration(rng.uniform(-0.5, 0.5, arm.nv))
+    goal = arm.configuration(rng.uniform(-0.5, 0.5, arm.nv))
+    run = track(arm, Target.from_configuration(arm, goal), start, "projection", max_steps=2)
     rows = np.linspace(0.0, 1.0, steps + 1)[:, None]
     q = (1.0 - rows) * start + rows * goal
     active = rng.random((steps, 4)) < 0.5
-    points = np.array([ARM.at(row).points for row in q])
+    points = np.array([arm.at(row).points for row in q])
     return replace(run, q=q, points=points, active=active)
 
 
@@ -68,11 +72,11 @@ def test_a_motion_lasts_as_long_as_its_steps_but_at_least_two_seconds(steps, fps
 
 
 def test_bodies_are_where_they_were_in_the_run():
-    run = some_run()
+    arm, run = four_modules(), some_run()
     shown = film(run, 20.0, 240)
-    listed = tracks(ARM, shown)
-    poses = body_poses(ARM, run.q)
-    for u in range(ARM.nv):
+    listed = tracks(arm, shown)
+    poses = body_poses(arm, run.q)
+    for u in range(arm.nv):
         path = f"/pinposture/arm/body_{u + 1:03d}"
         position, turn = values_at(listed, path, "position"), values_at(listed, path, "quaternion")
         np.testing.assert_array_equal(position.times[1:-1], shown.times)
@@ -87,7 +91,7 @@ def test_bodies_are_where_they_were_in_the_run():
 def test_control_points_are_coloured_and_large_while_they_are_active():
     run = some_run()
     shown = film(run, 20.0, 240)
-    listed = tracks(ARM, shown)
+    listed = tracks(four_modules(), shown)
     active = np.vstack([run.active, run.active[-1:]])
     for k in range(4):
         path = f"/pinposture/arm/body_{2 * k + 2:03d}/point"
@@ -105,21 +109,23 @@ def test_control_points_are_coloured_and_large_while_they_are_active():
 
 def test_all_tracks_begin_and_end_together_so_that_they_stay_in_step_when_repeated():
     shown = film(some_run(), 20.0, 240)
-    assert {(item.times[0], item.times[-1]) for item in tracks(ARM, shown)} == {(0.0, shown.end)}
-    assert all(np.all(np.diff(item.times) > 0.0) for item in tracks(ARM, shown))
+    listed = tracks(four_modules(), shown)
+    assert {(item.times[0], item.times[-1]) for item in listed} == {(0.0, shown.end)}
+    assert all(np.all(np.diff(item.times) > 0.0) for item in listed)
 
 
 def test_a_film_with_skipped_steps_shows_the_active_set_of_the_configuration_shown():
     run = some_run(50)
     shown = film(run, 20.0, 12)
-    color = values_at(tracks(ARM, shown), "/pinposture/arm/body_004/point/<object>", "material.color")
+    listed = tracks(four_modules(), shown)
+    color = values_at(listed, "/pinposture/arm/body_004/point/<object>", "material.color")
     on = np.all(value_while(color, shown.times) == palette.rgb(palette.ACTIVE), axis=1)
     np.testing.assert_array_equal(on, run.active[np.minimum(shown.rows, 49), 1])
 
 
 def test_packed_tracks_hold_their_numbers_as_flat_single_precision_floats():
     shown = film(some_run(), 20.0, 240)
-    listed = tracks(ARM, shown)
+    listed = tracks(four_modules(), shown)
     command = umsgpack.unpackb(pack(animate(listed, shown.fps)))
     assert command["options"] == {"play": True, "repetitions": np.inf}
     clips = {item["path"]: item["clip"] for item in command["animations"]}

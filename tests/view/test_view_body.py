@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -41,11 +43,16 @@ def branching_model() -> pin.Model:
 
 
 ARMS = {
-    "RyRz": Arm.from_template("RyRz", modules=5, base_placement=TILTED),
-    "planar": Arm.from_template("Rz", modules=4),
-    "sliding": Arm.from_modules([SLIDING] * 3, base_placement=TILTED),
-    "model": Arm.from_model(branching_model(), ["middle", "tip"], base_placement=TILTED),
+    "RyRz": lambda: Arm.from_template("RyRz", modules=5, base_placement=TILTED),
+    "planar": lambda: Arm.from_template("Rz", modules=4),
+    "sliding": lambda: Arm.from_modules([SLIDING] * 3, base_placement=TILTED),
+    "model": lambda: Arm.from_model(branching_model(), ["middle", "tip"], base_placement=TILTED),
 }
+
+
+@cache
+def arm_named(name: str) -> Arm:
+    return ARMS[name]()
 
 
 def pinocchio_poses(arm: Arm, q: np.ndarray) -> np.ndarray:
@@ -57,7 +64,7 @@ def pinocchio_poses(arm: Arm, q: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("name", ARMS)
 @given(seed=st.integers(0, 10**6))
 def test_bodies_move_as_pinocchios_joints_do(name, seed):
-    arm = ARMS[name]
+    arm = arm_named(name)
     q = arm.random(np.random.default_rng(seed))
     expected, neutral = pinocchio_poses(arm, q), pinocchio_poses(arm, arm.neutral())
     poses = body_poses(arm, q)
@@ -69,7 +76,7 @@ def test_bodies_move_as_pinocchios_joints_do(name, seed):
 
 @pytest.mark.parametrize("name", ARMS)
 def test_control_points_are_fixed_to_their_bodies(name):
-    arm = ARMS[name]
+    arm = arm_named(name)
     q = arm.random(np.random.default_rng(0))
     carried = [
         (pose @ np.append(body.point, 1.0))[:3]
@@ -81,7 +88,7 @@ def test_control_points_are_fixed_to_their_bodies(name):
 
 @pytest.mark.parametrize("name", ARMS)
 def test_backbone_runs_from_the_base_through_every_control_point_to_the_tip(name):
-    arm = ARMS[name]
+    arm = arm_named(name)
     q = arm.random(np.random.default_rng(1))
     line, points = backbone(arm, q), arm.at(q).points
     np.testing.assert_allclose(line[0], arm.chain.base, atol=1e-12)
@@ -93,13 +100,13 @@ def test_backbone_runs_from_the_base_through_every_control_point_to_the_tip(name
 
 @pytest.mark.parametrize("name", ["RyRz", "planar"])
 def test_backbone_keeps_the_length_of_an_arm_that_only_turns(name):
-    arm = ARMS[name]
+    arm = arm_named(name)
     line = backbone(arm, arm.random(np.random.default_rng(2)))
     assert np.linalg.norm(np.diff(line, axis=0), axis=1).sum() == pytest.approx(arm.length, abs=1e-12)
 
 
 def test_several_configurations_at_once_are_as_one_by_one():
-    arm = ARMS["sliding"]
+    arm = arm_named("sliding")
     rng = np.random.default_rng(4)
     rows = np.array([arm.random(rng) for _ in range(7)])
     together = body_poses(arm, rows)
@@ -109,13 +116,13 @@ def test_several_configurations_at_once_are_as_one_by_one():
 
 
 def test_modules_of_bodies_follow_the_joints_of_the_arm():
-    arm = ARMS["sliding"]
+    arm = arm_named("sliding")
     assert [body.module for body in bodies(arm)] == [0, 0, 0, 1, 1, 1, 2, 2, 2]
     assert [body.joint for body in bodies(arm)] == [name for module in arm.module_joints for name in module]
 
 
 def test_only_joints_that_slide_reach_back_along_their_axis():
-    arm = ARMS["sliding"]
+    arm = arm_named("sliding")
     reach = [np.linalg.norm(body.slide) for body in bodies(arm)]
     np.testing.assert_allclose(reach, [0.0, 0.1, 0.0] * 3, atol=1e-12)
 
@@ -131,4 +138,4 @@ def test_a_slide_without_a_limit_has_no_rod():
 @pytest.mark.parametrize("q", [np.zeros(3), np.full(10, np.nan)])
 def test_configurations_that_do_not_fit_are_refused(q):
     with pytest.raises(InvalidValue):
-        body_poses(ARMS["RyRz"], q)
+        body_poses(arm_named("RyRz"), q)

@@ -4,24 +4,29 @@ from __future__ import annotations
 
 import io
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
+from arms import template_arm
 from matplotlib.figure import Figure
 
 import pinposture as pp
 from pinposture.view import palette, plot_clearance
 from pinposture.view.clearance import mark_escapes, mark_relaxed
 
-ARM = pp.Arm.from_template("RyRz", modules=4, link_lengths=(0.1, 0.1))
-SCENE = pp.Scene({"ball": pp.Sphere((0.4, 0.3, 0.0), 0.05)}, margin=0.02)
-TARGET = pp.Target.from_configuration(ARM, np.full(ARM.nv, 0.3))
-FREE = pp.track(ARM, TARGET, np.zeros(ARM.nv), "projection", max_steps=12)
+
+@cache
+def free_run() -> pp.Trajectory:
+    arm = template_arm("RyRz", 4, (0.1, 0.1))
+    target = pp.Target.from_configuration(arm, np.full(arm.nv, 0.3))
+    return pp.track(arm, target, np.zeros(arm.nv), "projection", max_steps=12)
 
 
 def in_scene(clearance=None, **fields) -> pp.Trajectory:
-    clearance = np.linspace(0.1, 0.03, FREE.steps + 1) if clearance is None else np.asarray(clearance)
-    return replace(FREE, scene=SCENE, clearance=clearance, **fields)
+    free, scene = free_run(), pp.Scene({"ball": pp.Sphere((0.4, 0.3, 0.0), 0.05)}, margin=0.02)
+    clearance = np.linspace(0.1, 0.03, free.steps + 1) if clearance is None else np.asarray(clearance)
+    return replace(free, scene=scene, clearance=clearance, **fields)
 
 
 def labels(figure: Figure) -> list[str]:
@@ -37,13 +42,14 @@ def panel():
 
 
 def test_the_clearance_panel_shows_every_step_the_margin_and_the_least_value():
-    distances = np.full(FREE.steps + 1, 0.08)
+    free = free_run()
+    distances = np.full(free.steps + 1, 0.08)
     distances[5] = 0.0213
     ax = panel()
     plot_clearance(in_scene(distances), ax)
     line, margin, *_ = ax.get_lines()
     np.testing.assert_array_equal(line.get_ydata(), distances)
-    np.testing.assert_array_equal(line.get_xdata(), np.arange(FREE.steps + 1))
+    np.testing.assert_array_equal(line.get_xdata(), np.arange(free.steps + 1))
     np.testing.assert_array_equal(margin.get_ydata(), [0.02, 0.02])
     assert entries(ax) == ["margin to keep, 0.02 m"]
     (text,) = ax.texts
@@ -56,7 +62,7 @@ def test_the_clearance_panel_shows_every_step_the_margin_and_the_least_value():
     "values", [[0.1, -0.04], [-0.1, -0.2], [0.0, 0.1], [3.0, 1e-4], [np.inf, 0.1], [0.1, np.inf]]
 )
 def test_whatever_the_distances_are_they_are_inside_of_the_panel(values):
-    distances = np.resize(values, FREE.steps + 1)
+    distances = np.resize(values, free_run().steps + 1)
     ax = panel()
     plot_clearance(in_scene(distances), ax)
     low, high = ax.get_ylim()
@@ -67,12 +73,13 @@ def test_whatever_the_distances_are_they_are_inside_of_the_panel(values):
 
 
 def test_only_a_run_in_a_scene_has_a_clearance_panel():
+    free = free_run()
     assert "clearance [m]" in labels(pp.plot(in_scene()))
-    assert "clearance [m]" not in labels(pp.plot(FREE))
-    alone = in_scene(np.full(FREE.steps + 1, np.inf))
+    assert "clearance [m]" not in labels(pp.plot(free))
+    alone = in_scene(np.full(free.steps + 1, np.inf))
     assert "clearance [m]" not in labels(pp.plot(alone))
-    assert "clearance [m]" in labels(pp.plot_comparison({"a": in_scene(), "b": FREE}))
-    assert "clearance [m]" not in labels(pp.plot_comparison({"a": FREE, "b": FREE}))
+    assert "clearance [m]" in labels(pp.plot_comparison({"a": in_scene(), "b": free}))
+    assert "clearance [m]" not in labels(pp.plot_comparison({"a": free, "b": free}))
 
 
 def test_a_comparison_names_the_margin_once():
@@ -83,7 +90,7 @@ def test_a_comparison_names_the_margin_once():
 
 
 def test_escape_steps_are_shaded_from_where_they_begin_to_where_they_lead():
-    escape = np.zeros(FREE.steps, dtype=bool)
+    escape = np.zeros(free_run().steps, dtype=bool)
     escape[[1, 2, 4]] = True
     ax = panel()
     mark_escapes(in_scene(escape=escape), ax)
@@ -95,7 +102,7 @@ def test_escape_steps_are_shaded_from_where_they_begin_to_where_they_lead():
 
 
 def test_steps_in_which_something_gave_way_are_marked_and_quoted():
-    relaxed = np.full(FREE.steps, "", dtype="<U200")
+    relaxed = np.full(free_run().steps, "", dtype="<U200")
     relaxed[[1, 4]] = "margin of 20 mm, m1 to $ball: 3 mm; and much more that a legend has no room for"
     ax = pp.plot(in_scene(relaxed=relaxed)).axes[1]
     (words,) = entries(ax)
@@ -108,19 +115,21 @@ def test_steps_in_which_something_gave_way_are_marked_and_quoted():
 
 
 def test_a_run_without_either_has_no_marks_and_no_legend():
+    free = free_run()
     ax = panel()
-    mark_escapes(FREE, ax)
-    mark_relaxed(FREE, ax)
+    mark_escapes(free, ax)
+    mark_relaxed(free, ax)
     assert len(ax.collections) == len(ax.get_lines()) == 0
-    assert pp.plot(FREE).axes[1].get_legend() is None
+    assert pp.plot(free).axes[1].get_legend() is None
 
 
 def test_what_a_controller_does_not_have_is_left_out():
-    run = pp.track(ARM, TARGET, np.zeros(ARM.nv), "qp", max_steps=5)
+    free = free_run()
+    run = pp.track(free.arm, free.target, free.q[0], "qp", max_steps=5)
     assert not run.sigma_max.any()
     assert labels(pp.plot(run))[1:3] == ["posture error [m]", "point errors [m]"]
     assert not any("sigma" in label or "active" in label for label in labels(pp.plot(run)))
-    kept = labels(pp.plot(FREE))
+    kept = labels(pp.plot(free))
     assert "active control points" in kept
     assert any("sigma" in label for label in kept)
 
@@ -133,6 +142,6 @@ def test_postures_on_the_way_are_drawn_and_named_where_there_is_something_to_get
     drawn, named = pale(in_scene())
     assert 1 < len(drawn) <= 8
     assert named.count("postures on the way") == 1
-    drawn, named = pale(FREE)
+    drawn, named = pale(free_run())
     assert drawn == []
     assert "postures on the way" not in named

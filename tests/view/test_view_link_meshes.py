@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import umsgpack
+from sampling import seeds
 
 from pinposture import Arm, Target, save_html, track
 from pinposture.errors import FileError, PostureWarning
@@ -86,7 +87,7 @@ def turned(axis, angle) -> pin.SE3:
     return pin.SE3(pin.AngleAxis(angle, np.array(axis)).toRotationMatrix(), np.zeros(3))
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", seeds(5))
 def test_meshes_are_where_the_description_puts_them(robot, seed):
     arm = robot()
     q = arm.random(np.random.default_rng(seed))

@@ -11,10 +11,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import umsgpack
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 from scipy.spatial.transform import Rotation
-from view.ellipsoid_shapes import PLANAR, SPATIAL, gram, levels, some_run
+from view.ellipsoid_shapes import gram, levels, planar, some_run, spatial
 from view.listening import held
 
 import pinposture as pp
@@ -24,7 +25,10 @@ from pinposture.view.animation import film
 from pinposture.view.ellipsoids import KEY, drawn_length
 from pinposture.view.moving_ellipsoids import Balls, ball_commands, ball_ends, ball_tracks, balls, carried_on
 
-RNG = np.random.default_rng(12)
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(12)
 
 
 def vertices(command: dict) -> np.ndarray:
@@ -36,10 +40,11 @@ def by_kind(commands: list[dict], kind: str) -> dict[str, dict]:
     return {c["path"]: c for c in commands if c["type"] == kind and "/ellipsoids/" in c["path"]}
 
 
-@pytest.mark.parametrize("arm", [SPATIAL, PLANAR])
-def test_the_ball_that_is_drawn_has_the_surface_of_the_ellipsoid(arm):
-    q = arm.configuration(RNG.uniform(0.6, 1.0, arm.nv))
-    chosen = (2, 5) if arm is SPATIAL else (2, 4)
+@pytest.mark.parametrize("make", [spatial, planar])
+def test_the_ball_that_is_drawn_has_the_surface_of_the_ellipsoid(rng, make):
+    arm = make()
+    q = arm.configuration(rng.uniform(0.6, 1.0, arm.nv))
+    chosen = (2, 5) if make is spatial else (2, 4)
     commands = ball_commands(balls(arm, chosen, q[None]))
     scale = drawn_length(arm, chosen)
     for point, color in zip(chosen, arm.at(q).ellipsoids(chosen), strict=True):
@@ -48,7 +53,7 @@ def test_the_ball_that_is_drawn_has_the_surface_of_the_ellipsoid(arm):
         matrix = np.reshape(placing["matrix"], (4, 4)).T
         surface = vertices(drawing) @ matrix[:3, :3].T + matrix[:3, 3]
         inside = levels(surface, arm, q, point, scale)
-        if arm is SPATIAL:
+        if make is spatial:
             np.testing.assert_allclose(inside, 1.0, atol=1e-4)
         else:
             assert inside.max() == pytest.approx(1.0, abs=1e-4)
@@ -60,8 +65,9 @@ def test_the_ball_that_is_drawn_has_the_surface_of_the_ellipsoid(arm):
 
 
 def test_a_flat_ellipsoid_is_a_plate_and_no_degenerate_surface():
-    shown = balls(SPATIAL, (0, 5), SPATIAL.neutral()[None])
-    assert shown.radii.min() > 0.0005 * SPATIAL.length
+    arm = spatial()
+    shown = balls(arm, (0, 5), arm.neutral()[None])
+    assert shown.radii.min() > 0.0005 * arm.length
     assert shown.radii[0, 1].min() < 0.05 * shown.radii[0, 1].max()
     np.testing.assert_allclose(np.abs(shown.frames[0, 1, 2]), [1.0, 0.0, 0.0], atol=1e-12)
     assert np.all(np.linalg.det(shown.frames) > 0.0)
@@ -73,8 +79,9 @@ def track_of(listed, point: int, name: str):
     return found
 
 
-@pytest.mark.parametrize("arm", [SPATIAL, PLANAR])
-def test_tracks_carry_the_ellipsoid_of_every_configuration(arm):
+@pytest.mark.parametrize("make", [spatial, planar])
+def test_tracks_carry_the_ellipsoid_of_every_configuration(make):
+    arm = make()
     run, point = some_run(arm), arm.n_modules - 1
     shown = film(run, 20.0, 240)
     listed = ball_tracks(balls(arm, (point,), run.q[shown.rows]), shown)
@@ -98,8 +105,9 @@ def test_tracks_carry_the_ellipsoid_of_every_configuration(arm):
         np.testing.assert_array_equal(item.values[[0, -1]], item.values[[1, -2]])
 
 
-@pytest.mark.parametrize("arm", [SPATIAL, PLANAR])
-def test_axes_do_not_jump_from_one_frame_to_the_next(arm):
+@pytest.mark.parametrize("make", [spatial, planar])
+def test_axes_do_not_jump_from_one_frame_to_the_next(make):
+    arm = make()
     run, chosen = some_run(arm, 400), tuple(range(1, arm.n_modules))
     shown = film(run, 20.0, 500)
     moving = balls(arm, chosen, run.q[shown.rows])
@@ -128,7 +136,7 @@ def test_axes_keep_their_names_where_radii_pass_each_other():
 
 
 @given(seed=st.integers(0, 10**6))
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_axes_in_whatever_order_and_sign_are_carried_on_as_they_were(seed):
     rng = np.random.default_rng(seed)
     frame, radii = Rotation.random(random_state=seed).as_matrix(), rng.uniform(0.1, 1.0, 3)
@@ -143,7 +151,7 @@ def test_axes_in_whatever_order_and_sign_are_carried_on_as_they_were(seed):
 
 
 def test_quaternions_do_not_jump_while_an_ellipsoid_turns_round_twice():
-    run = some_run(SPATIAL)
+    run = some_run(spatial())
     shown = film(run, 20.0, 240)
     count = len(shown.rows)
     for axis in np.vstack([np.eye(3), [0.6, 0.0, 0.8], [-0.48, 0.6, 0.64]]):
@@ -156,13 +164,12 @@ def test_quaternions_do_not_jump_while_an_ellipsoid_turns_round_twice():
 
 
 def test_the_camera_steps_back_so_that_they_are_in_the_picture(tmp_path):
-    straight = replace(
-        some_run(SPATIAL), q=np.zeros((41, 12)), points=np.tile(SPATIAL.chain.points, (41, 1, 1))
-    )
-    at_rest = replace(straight, target=pp.Target.from_configuration(SPATIAL, np.zeros(12)))
+    arm = spatial()
+    straight = replace(some_run(arm), q=np.zeros((41, 12)), points=np.tile(arm.chain.points, (41, 1, 1)))
+    at_rest = replace(straight, target=pp.Target.from_configuration(arm, np.zeros(12)))
     far = []
     for chosen in ([], [5]):
-        path = pp.save_html(SPATIAL, at_rest, tmp_path / "run.html", ellipsoids=chosen)
+        path = pp.save_html(arm, at_rest, tmp_path / "run.html", ellipsoids=chosen)
         commands = page_commands(path.read_text(encoding="utf-8"))
         (place,) = [
             c["value"] for c in commands if c["path"].startswith("/Cameras") and c["property"] == "position"
@@ -171,12 +178,13 @@ def test_the_camera_steps_back_so_that_they_are_in_the_picture(tmp_path):
     assert far[1] > 1.02 * far[0]
 
 
-def test_the_ends_of_the_axes_are_what_the_camera_must_see():
-    q = SPATIAL.configuration(RNG.uniform(-1.0, 1.0, SPATIAL.nv))
-    ends = ball_ends(balls(SPATIAL, (5,), q[None]))
-    np.testing.assert_allclose(levels(ends, SPATIAL, q, 5, drawn_length(SPATIAL, [5])), 1.0, atol=1e-4)
-    np.testing.assert_allclose(ends.mean(axis=0), SPATIAL.at(q).points[5], atol=1e-12)
-    assert ball_ends(balls(SPATIAL, (), q[None])).shape == (0, 3)
+def test_the_ends_of_the_axes_are_what_the_camera_must_see(rng):
+    arm = spatial()
+    q = arm.configuration(rng.uniform(-1.0, 1.0, arm.nv))
+    ends = ball_ends(balls(arm, (5,), q[None]))
+    np.testing.assert_allclose(levels(ends, arm, q, 5, drawn_length(arm, [5])), 1.0, atol=1e-4)
+    np.testing.assert_allclose(ends.mean(axis=0), arm.at(q).points[5], atol=1e-12)
+    assert ball_ends(balls(arm, (), q[None])).shape == (0, 3)
 
 
 def page_commands(text: str) -> list[dict]:
@@ -185,8 +193,9 @@ def page_commands(text: str) -> list[dict]:
 
 
 def test_the_page_holds_the_ellipsoids_their_tracks_and_a_legend(tmp_path):
-    run = some_run(SPATIAL)
-    path = pp.save_html(SPATIAL, run, tmp_path / "run.html", ellipsoids=["module_03", -1])
+    arm = spatial()
+    run = some_run(arm)
+    path = pp.save_html(arm, run, tmp_path / "run.html", ellipsoids=["module_03", -1])
     text = path.read_text(encoding="utf-8")
     commands = page_commands(text)
     paths = {f"/pinposture/ellipsoids/point_00{k}" for k in (3, 6)}
@@ -196,40 +205,43 @@ def test_the_page_holds_the_ellipsoids_their_tracks_and_a_legend(tmp_path):
     for path in paths:
         assert [track["name"] for track in clips[path]] == [".position", ".quaternion", ".scale"]
         assert [track["name"] for track in clips[f"{path}/<object>"]] == [".material.color"]
-    assert f"1 m/rad drawn as {drawn_length(SPATIAL, [2, 5]):g} m" in text
+    assert f"1 m/rad drawn as {drawn_length(arm, [2, 5]):g} m" in text
     assert all(f"index {meaning}" in text and color in text for color, meaning in KEY.items())
 
 
 def test_without_ellipsoids_the_page_is_what_it_was(tmp_path):
-    run = some_run(SPATIAL)
-    plain = pp.save_html(SPATIAL, run, tmp_path / "a.html")
-    none = pp.save_html(SPATIAL, run, tmp_path / "b.html", ellipsoids=[])
+    arm = spatial()
+    run = some_run(arm)
+    plain = pp.save_html(arm, run, tmp_path / "a.html")
+    none = pp.save_html(arm, run, tmp_path / "b.html", ellipsoids=[])
     assert plain.read_bytes() == none.read_bytes()
     assert "m/rad drawn as" not in plain.read_text(encoding="utf-8")
     assert by_kind(page_commands(plain.read_text(encoding="utf-8")), "set_object") == {}
 
 
-def test_the_live_viewer_shows_them_wherever_the_arm_goes_and_keeps_nothing_of_before(running):
-    with pp.view(SPATIAL, url=running.address, ellipsoids=[5]) as viewer:
+def test_the_live_viewer_shows_them_wherever_the_arm_goes_and_keeps_nothing_of_before(rng, running):
+    arm = spatial()
+    with pp.view(arm, url=running.address, ellipsoids=[5]) as viewer:
         at_first = len(held(running.address))
-        scale = drawn_length(SPATIAL, [5])
+        scale = drawn_length(arm, [5])
         for _ in range(3):
-            q = SPATIAL.configuration(RNG.uniform(-1.0, 1.0, SPATIAL.nv))
+            q = arm.configuration(rng.uniform(-1.0, 1.0, arm.nv))
             viewer.show(q)
             commands = held(running.address)
             (drawing,) = by_kind(commands, "set_object").values()
             (placing,) = by_kind(commands, "set_transform").values()
             matrix = np.reshape(placing["matrix"], (4, 4)).T
             surface = vertices(drawing) @ matrix[:3, :3].T + matrix[:3, 3]
-            np.testing.assert_allclose(levels(surface, SPATIAL, q, 5, scale), 1.0, atol=1e-4)
-            index = SPATIAL.at(q).manipulability()[0, 6]
+            np.testing.assert_allclose(levels(surface, arm, q, 5, scale), 1.0, atol=1e-4)
+            index = arm.at(q).manipulability()[0, 6]
             assert f"#{drawing['object']['materials'][0]['color']:06X}" == palette.index_color(index)
             assert len(commands) == at_first
 
 
 def test_the_live_viewer_plays_them_and_stops_when_told_to_show(running):
-    run = some_run(SPATIAL)
-    with pp.view(SPATIAL, run, url=running.address, ellipsoids=[0, 5]) as viewer:
+    arm = spatial()
+    run = some_run(arm)
+    with pp.view(arm, run, url=running.address, ellipsoids=[0, 5]) as viewer:
         assert viewer.ellipsoids == (0, 5)
         (animation,) = [c for c in held(running.address) if c["type"] == "set_animation"]
         moved = {item["path"] for item in animation["animations"]}
@@ -243,10 +255,11 @@ def test_the_live_viewer_plays_them_and_stops_when_told_to_show(running):
     ("points", "kind"), [([6], InvalidValue), ("tip", UnknownName), ([1, 1], InvalidValue)]
 )
 def test_points_that_there_are_not_are_refused_everywhere(points, kind, tmp_path, running):
+    arm = spatial()
     with pytest.raises(kind):
-        pp.plot_arm(SPATIAL, ellipsoids=points)
+        pp.plot_arm(arm, ellipsoids=points)
     with pytest.raises(kind):
-        pp.save_html(SPATIAL, some_run(SPATIAL), tmp_path / "run.html", ellipsoids=points)
+        pp.save_html(arm, some_run(arm), tmp_path / "run.html", ellipsoids=points)
     with pytest.raises(kind):
-        pp.view(SPATIAL, url=running.address, ellipsoids=points)
+        pp.view(arm, url=running.address, ellipsoids=points)
     assert list(tmp_path.iterdir()) == []

@@ -11,12 +11,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import umsgpack
-from hypothesis import given, settings
+from arms import template_arm
+from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from sampling import examples
 from view.listening import held
-from view.obstacle_scenes import SCENE, SOLIDS
+from view.obstacle_scenes import SOLIDS
 
 import pinposture as pp
 from pinposture.view import palette, plot_postures
@@ -24,11 +26,20 @@ from pinposture.view.convex import box_corners, cut, facets, hidden, section, wi
 from pinposture.view.obstacles import shown_obstacles
 from pinposture.view.solids import SIDES, surface
 
-ARM = pp.Arm.from_template("RyRz", modules=5, link_lengths=(0.1, 0.1))
-PLANAR = pp.Arm.from_template("Rz", modules=5, link_lengths=(0.1,))
 STAGE = box_corners(np.array([0.0, -0.4, -0.3]), np.array([0.8, 0.4, 0.5]))
 FLOOR = pp.HalfSpace((0.0, 0.0, -0.45), (0, 0, 1))
 SAGITTA = 1.0 - np.cos(np.pi / SIDES)  # how far a side of a polygon is inside of its circle
+
+
+@pytest.fixture(scope="session")
+def arm() -> pp.Arm:
+    return template_arm("RyRz", 5, (0.1, 0.1))
+
+
+@pytest.fixture
+def scene() -> pp.Scene:
+    """With an obstacle of every kind."""
+    return pp.Scene({name: obstacle for name, (obstacle, *_) in SOLIDS.items()})
 
 
 def still(arm: pp.Arm, scene: pp.Scene | None, angle: float = 0.1) -> pp.Trajectory:
@@ -82,32 +93,32 @@ def test_a_surface_is_closed_faces_outwards_and_holds_the_volume(name):
     assert np.all(np.einsum("ti,ti->t", normals, centers - middle) > 0.0)
 
 
-def test_the_browser_is_told_of_every_kind_of_obstacle(running):
-    with pp.view(ARM, scene=SCENE, url=running.address):
+def test_the_browser_is_told_of_every_kind_of_obstacle(scene, arm, running):
+    with pp.view(arm, scene=scene, url=running.address):
         check_all(drawn_in(held(running.address)))
-    with pp.view(ARM, still(ARM, SCENE), url=running.address) as viewer:
+    with pp.view(arm, still(arm, scene), url=running.address) as viewer:
         check_all(drawn_in(held(running.address)))
-        assert viewer.scene is SCENE
-    with pp.view(ARM, url=running.address):
+        assert viewer.scene is scene
+    with pp.view(arm, url=running.address):
         assert drawn_in(held(running.address)) == []
 
 
-def test_the_page_holds_every_kind_of_obstacle_and_says_how_near_they_are(tmp_path):
-    path = pp.save_html(ARM, still(ARM, SCENE), tmp_path / "run.html")
+def test_the_page_holds_every_kind_of_obstacle_and_says_how_near_they_are(scene, arm, tmp_path):
+    path = pp.save_html(arm, still(arm, scene), tmp_path / "run.html")
     check_all(drawn_in(page_commands(path)))
     text = path.read_text(encoding="utf-8")
     assert "</span>obstacle" in text
     assert ", clearance 0.1 m" in text
-    plain = pp.save_html(ARM, still(ARM, None), tmp_path / "plain.html")
+    plain = pp.save_html(arm, still(arm, None), tmp_path / "plain.html")
     assert drawn_in(page_commands(plain)) == []
     assert not re.search("obstacle<|clearance 0", plain.read_text(encoding="utf-8"))
 
 
 @pytest.mark.parametrize("name", SOLIDS)
-def test_a_figure_in_space_shows_an_obstacle_where_it_is(name):
+def test_a_figure_in_space_shows_an_obstacle_where_it_is(arm, name):
     obstacle, low, high, _ = SOLIDS[name]
     ax = Figure().add_subplot(projection="3d")
-    plot_postures(still(ARM, pp.Scene({name: obstacle})), ax)
+    plot_postures(still(arm, pp.Scene({name: obstacle})), ax)
     ax.figure.savefig(io.BytesIO(), dpi=20)
     (faces,) = (each for each in ax.collections if isinstance(each, Poly3DCollection))
     flat = np.vstack([path.vertices for path in faces.get_paths()])
@@ -145,7 +156,7 @@ def defining_points(obstacle) -> tuple[np.ndarray, float]:
 def test_a_planar_arm_sees_the_section_of_an_obstacle_and_the_outline_of_one_aside():
     scene = pp.Scene({"ball": pp.Sphere((0.2, 0.15, 0.03), 0.05), "aside": pp.Sphere((0.3, -0.2, 0.1), 0.05)})
     ax = Figure().add_subplot()
-    plot_postures(still(PLANAR, scene), ax)
+    plot_postures(still(template_arm("Rz", 5, (0.1,)), scene), ax)
     cross, aside = (patch.get_path().vertices for patch in ax.patches)
     reach = np.linalg.norm(cross - (0.2, 0.15), axis=1)
     np.testing.assert_allclose(reach, np.sqrt(0.05**2 - 0.03**2), rtol=0.02)
@@ -172,16 +183,16 @@ def test_a_half_space_is_a_patch_under_its_plane_that_fits_the_picture():
     assert volume(*slope.surface) > 0.0
 
 
-def test_a_half_space_that_ends_far_away_is_not_shown():
+def test_a_half_space_that_ends_far_away_is_not_shown(arm):
     below = pp.Scene({"floor": pp.HalfSpace((0.0, 0.0, -5.0), (0, 0, 1))})
     assert shown_obstacles(below, STAGE) == []
-    run = still(ARM, below)
+    run = still(arm, below)
     assert "obstacle" not in [text.get_text() for text in pp.plot(run).axes[0].get_legend().get_texts()]
 
 
-def test_half_spaces_reach_the_browser(running):
+def test_half_spaces_reach_the_browser(arm, running):
     scene = pp.Scene({"wall": pp.HalfSpace((0.6, 0, 0), (-1, 0, 0))})
-    with pp.view(ARM, scene=scene, url=running.address):
+    with pp.view(arm, scene=scene, url=running.address):
         ((vertices, _),) = drawn_in(held(running.address))
     assert vertices[:, 0].min() == pytest.approx(0.6)
     assert np.all(np.ptp(vertices, axis=0)[1:] > 0.3)
@@ -197,13 +208,13 @@ HUGE = {
 
 
 @pytest.mark.parametrize("name", HUGE)
-def test_nothing_huge_or_far_away_makes_the_arm_a_dot(name):
+def test_nothing_huge_or_far_away_makes_the_arm_a_dot(arm, name):
     ax = Figure().add_subplot(projection="3d")
-    run = still(ARM, pp.Scene({name: HUGE[name]}))
+    run = still(arm, pp.Scene({name: HUGE[name]}))
     plot_postures(run, ax)
     ax.figure.savefig(io.BytesIO(), dpi=20)
     limits = np.array([ax.get_xlim(), ax.get_ylim(), ax.get_zlim()])
-    assert np.ptp(limits, axis=1).max() < 2.2 * ARM.length
+    assert np.ptp(limits, axis=1).max() < 2.2 * arm.length
     for each in ax.collections:
         corners = np.vstack([path.vertices for path in each.get_paths()])
         assert np.all(np.isfinite(corners))
@@ -211,9 +222,9 @@ def test_nothing_huge_or_far_away_makes_the_arm_a_dot(name):
     assert far == (name == "far")
 
 
-def test_the_camera_looks_at_what_is_near_and_stays_near_beside_what_is_huge(tmp_path):
+def test_the_camera_looks_at_what_is_near_and_stays_near_beside_what_is_huge(arm, tmp_path):
     def camera(scene: pp.Scene | None) -> tuple[float, np.ndarray]:
-        commands = page_commands(pp.save_html(ARM, still(ARM, scene), tmp_path / "run.html"))
+        commands = page_commands(pp.save_html(arm, still(arm, scene), tmp_path / "run.html"))
         (place,) = (each["value"] for each in commands if each.get("property") == "position")
         (shift,) = (each["matrix"] for each in commands if each["path"] == "/pinposture")
         return float(np.linalg.norm(place)), -np.array(shift[12:15])
@@ -222,23 +233,23 @@ def test_the_camera_looks_at_what_is_near_and_stays_near_beside_what_is_huge(tmp
     far, same = camera(pp.Scene({"far": HUGE["far"]}))
     assert far == alone
     np.testing.assert_array_equal(middle, same)
-    run = still(ARM, None)
+    run = still(arm, None)
     lowest = min(run.points[..., 2].min(), run.target.points[:, 2].min(), 0.0)
     _, beside = camera(pp.Scene({"near": pp.Sphere((0.5, 0.0, 0.4), 0.06)}))
     assert beside[2] == pytest.approx((lowest + 0.46) / 2.0, abs=1e-3)
     assert camera(pp.Scene({"huge": HUGE["block"], "post": HUGE["post"]}))[0] < 3.0 * alone
 
 
-def test_lines_behind_an_obstacle_are_veiled_and_others_are_not():
+def test_lines_behind_an_obstacle_are_veiled_and_others_are_not(arm):
     def veiled(place) -> bool:
         ax = Figure().add_subplot(projection="3d")
-        run = still(ARM, pp.Scene({"ball": pp.Sphere(place, 0.05)}))
+        run = still(arm, pp.Scene({"ball": pp.Sphere(place, 0.05)}))
         plot_postures(run, ax)
         color = palette.mixed(palette.START, palette.OBSTACLE, 0.6)
         return any(line.get_color() == color for line in ax.get_lines())
 
     ax = Figure().add_subplot(projection="3d")
-    plot_postures(still(ARM, pp.Scene({"ball": pp.Sphere((0.1, 0.1, 0.0), 0.05)})), ax)
+    plot_postures(still(arm, pp.Scene({"ball": pp.Sphere((0.1, 0.1, 0.0), 0.05)})), ax)
     elevation, azimuth = np.radians([ax.elev, ax.azim])
     eye = np.array(
         [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
@@ -248,19 +259,19 @@ def test_lines_behind_an_obstacle_are_veiled_and_others_are_not():
     assert not veiled(middle - 0.1 * eye)
 
 
-def test_the_picture_of_an_arm_and_a_comparison_show_the_scene_once():
-    figure = pp.plot_arm(ARM, scene=SCENE)
+def test_the_picture_of_an_arm_and_a_comparison_show_the_scene_once(scene, arm):
+    figure = pp.plot_arm(arm, scene=scene)
     assert sum(isinstance(each, Poly3DCollection) for each in figure.axes[0].collections) == 1
-    run = still(ARM, SCENE)
+    run = still(arm, scene)
     postures = pp.plot_comparison({"a": run, "b": run}).axes[0]
     labels = [text.get_text() for text in postures.get_legend().get_texts()]
     assert sum(label.startswith("obstacles") for label in labels) == 1
     figure.savefig(io.BytesIO(), dpi=20)
 
 
-def test_without_a_scene_a_figure_is_what_it_was():
+def test_without_a_scene_a_figure_is_what_it_was(arm):
     ax = Figure().add_subplot(projection="3d")
-    plot_postures(still(ARM, None), ax)
+    plot_postures(still(arm, None), ax)
     assert len(ax.collections) == 0
     assert ax.computed_zorder
     labels = [text.get_text() for text in ax.get_legend().get_texts()]
@@ -270,7 +281,7 @@ def test_without_a_scene_a_figure_is_what_it_was():
 CLOUDS = st.integers(0, 10**6).map(lambda seed: np.random.default_rng(seed).normal(size=(9, 3)))
 
 
-@settings(deadline=None, max_examples=30)
+@examples(30)
 @given(points=CLOUDS, seed=st.integers(0, 10**6))
 def test_cutting_keeps_what_is_below_the_plane_and_nothing_else(points, seed):
     rng = np.random.default_rng(seed)
@@ -293,7 +304,7 @@ def is_inside(point: np.ndarray, corners: np.ndarray) -> bool:
     return nnls(system, np.append(point, 1.0))[1] < 1e-7
 
 
-@settings(deadline=None, max_examples=15)
+@examples(15)
 @given(points=CLOUDS, seed=st.integers(0, 10**6))
 def test_what_a_solid_hides_is_behind_it(points, seed):
     rng = np.random.default_rng(seed)

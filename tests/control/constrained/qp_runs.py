@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -15,13 +16,18 @@ SLIDING = pp.ModuleTemplate(
     "slides", (pp.JointSpec("y"), SLIDE, pp.JointSpec("z", type="continuous")), (0.03,) * 3
 )
 ARMS = {
-    "planar": pp.Arm.from_template("Rz", 7),
-    "short": pp.Arm.from_modules([pp.template("Rz").with_limits(-1.5, 1.5)] * 3),
-    "spatial": pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.8, 0.6)] * 4),
-    "sliding": pp.Arm.from_modules([SLIDING] * 3),
+    "planar": lambda: pp.Arm.from_template("Rz", 7),
+    "short": lambda: pp.Arm.from_modules([pp.template("Rz").with_limits(-1.5, 1.5)] * 3),
+    "spatial": lambda: pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.8, 0.6)] * 4),
+    "sliding": lambda: pp.Arm.from_modules([SLIDING] * 3),
 }
 KINDS = ("known", "points", "far", "region", "tip")
 ALLOWED = 1e-9
+
+
+@cache
+def arm_called(name: str) -> pp.Arm:
+    return ARMS[name]()
 
 
 class Case(NamedTuple):
@@ -68,7 +74,7 @@ def target_of(arm: pp.Arm, goal: np.ndarray, kind: str, rng: np.random.Generator
 
 
 def drawn(seed: int, name: str, kind: str, limits: pp.Limits | None = None) -> Case:
-    rng, arm = np.random.default_rng(seed), ARMS[name]
+    rng, arm = np.random.default_rng(seed), arm_called(name)
     limits = drawn_limits(rng) if limits is None else limits
     start, goal = (within(arm, limits, rng) for _ in range(2))
     return Case(arm, start, target_of(arm, goal, kind, rng), limits)

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from qp_runs import ARMS, check_limits, within
+from qp_runs import arm_called, check_limits, within
 
 import pinposture as pp
 
@@ -34,7 +34,7 @@ def corners(arm: pp.Arm, known: bool, seed: int = 0) -> list[pp.Target]:
 
 @pytest.mark.parametrize("name", ["planar", "spatial", "sliding"])
 def test_a_cycle_of_known_configurations_does_not_drift(name: str) -> None:
-    arm = ARMS[name]
+    arm = arm_called(name)
     ends = cycled(arm, corners(arm, known=True), 1e-12)
     drift = np.abs(np.diff([arm.positions(q) for q in ends], axis=0)) / arm.joint_units
     assert drift.max() < 1e-9
@@ -42,14 +42,14 @@ def test_a_cycle_of_known_configurations_does_not_drift(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["planar", "spatial"])
 def test_a_cycle_of_postures_does_not_drift_where_points_settle_the_joints(name: str) -> None:
-    arm = ARMS[name]
+    arm = arm_called(name)
     ends = cycled(arm, corners(arm, known=False), 1e-10)
     assert np.abs(np.diff(ends[1:], axis=0)).max() < 1e-6
 
 
 def test_tips_of_a_redundant_arm_drift_less_in_every_round() -> None:
     """Nothing settles the other joints, and no configuration is remembered: they find their place."""
-    arm = ARMS["planar"]
+    arm = arm_called("planar")
     targets = [target.region(6, 6) for target in corners(arm, known=False)]
     ends = cycled(arm, targets, 1e-10)
     drift = np.abs(np.diff(ends, axis=0)).max(axis=1)
@@ -60,7 +60,7 @@ def test_tips_of_a_redundant_arm_drift_less_in_every_round() -> None:
 @pytest.mark.parametrize(("name", "acceleration"), [("planar", None), ("spatial", None), ("spatial", 5.0)])
 def test_what_it_remembers_outlives_a_change_of_target(name: str, acceleration: float | None) -> None:
     """The target changes in mid-motion, twice, and once back to what it was; limits hold all the way."""
-    arm = ARMS[name]
+    arm = arm_called(name)
     limits = pp.Limits(step=0.1, dt=0.1, velocity=1.0, acceleration=acceleration)
     controller = pp.ConstrainedQP()
     one, two, three = corners(arm, known=True, seed=3)[:3]
@@ -79,7 +79,7 @@ def test_what_it_remembers_outlives_a_change_of_target(name: str, acceleration: 
 
 
 def test_an_equal_target_does_not_make_it_plan_again() -> None:
-    arm, controller = ARMS["spatial"], pp.ConstrainedQP()
+    arm, controller = arm_called("spatial"), pp.ConstrainedQP()
     goal = within(arm, pp.Limits(), np.random.default_rng(1))
     q, memory, paths = arm.straight(), None, []
     for _ in range(5):
@@ -92,7 +92,7 @@ def test_an_equal_target_does_not_make_it_plan_again() -> None:
 
 
 def test_memory_of_another_arm_or_controller_is_no_memory() -> None:
-    arm, other = ARMS["spatial"], ARMS["planar"]
+    arm, other = arm_called("spatial"), arm_called("planar")
     target = pp.Target.from_configuration(arm, within(arm, pp.Limits(), np.random.default_rng(1)))
     foreign = pp.ConstrainedQP().step(
         other.at(other.straight()), pp.Target.from_configuration(other, np.full(7, 0.3))

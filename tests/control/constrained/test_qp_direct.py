@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from arms import template_arm
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 from scipy.integrate import solve_bvp
 from scipy.optimize import minimize
 
@@ -15,9 +17,13 @@ from pinposture.control.constrained.path import JointPath
 from pinposture.control.constrained.posture import Linear, Posture
 
 LINKS = np.array([0.6, 0.4])
-TWO = pp.Arm.from_modules([pp.ModuleTemplate("Rz", (pp.JointSpec("z"),), (length,)) for length in LINKS])
 MU = 0.1
 ENDS = [((-0.9, 1.4), (1.0, -0.8)), ((0.0, 0.2), (2.5, -0.4)), ((1.2, -1.0), (-1.9, 2.2))]
+
+
+@pytest.fixture(scope="session")
+def two() -> pp.Arm:
+    return pp.Arm.from_modules([pp.ModuleTemplate("Rz", (pp.JointSpec("z"),), (length,)) for length in LINKS])
 
 
 def posture_of(arm: pp.Arm, goal: np.ndarray) -> Posture:
@@ -56,9 +62,9 @@ def two_link_energy(inner: np.ndarray, start: np.ndarray, goal: np.ndarray) -> f
 
 
 @pytest.mark.parametrize("ends", ENDS[:2])
-def test_two_links_no_waypoint_can_be_moved_for_the_better(ends: tuple) -> None:
+def test_two_links_no_waypoint_can_be_moved_for_the_better(two: pp.Arm, ends: tuple) -> None:
     start, goal = map(np.array, ends)
-    path = way(TWO, start, goal)
+    path = way(two, start, goal)
     pieces = len(path.offsets) - 1
     assert pieces >= 24
     found = (start + path.offsets)[1:-1].ravel()
@@ -109,9 +115,9 @@ def geodesic(start: np.ndarray, goal: np.ndarray, guess: np.ndarray) -> np.ndarr
 
 
 @pytest.mark.parametrize("ends", ENDS)
-def test_two_links_follow_the_geodesic_of_their_metric(ends: tuple) -> None:
+def test_two_links_follow_the_geodesic_of_their_metric(two: pp.Arm, ends: tuple) -> None:
     start, goal = map(np.array, ends)
-    found = start + way(TWO, start, goal).offsets
+    found = start + way(two, start, goal).offsets
     exact = geodesic(start, goal, found)
     assert exact is not None
     from_line = start + np.linspace(0.0, 1.0, len(found))[:, None] * (goal - start)
@@ -123,7 +129,7 @@ def test_two_links_follow_the_geodesic_of_their_metric(ends: tuple) -> None:
 
 
 @given(seed=st.integers(0, 2**32 - 1), name=st.sampled_from(["Rz", "RyRz"]))
-@settings(deadline=None, max_examples=15)
+@examples(15)
 def test_it_is_never_longer_than_joint_interpolation_and_stays_within_limits(seed: int, name: str) -> None:
     rng = np.random.default_rng(seed)
     arm = pp.Arm.from_modules([pp.template(name).with_limits(-1.0, 0.7)] * 5)
@@ -147,8 +153,9 @@ def test_joint_interpolation_stays_where_it_is_direct() -> None:
     assert swept(arm, path) <= STRAIGHT
 
 
-@pytest.mark.parametrize("arm", [pp.Arm.from_template("Rz", 12), pp.Arm.from_template("RyRz", 10)])
-def test_an_exact_fold_is_not_turned_over_like_a_stick(arm: pp.Arm) -> None:
+@pytest.mark.parametrize(("template", "modules"), [("Rz", 12), ("RyRz", 10)])
+def test_an_exact_fold_is_not_turned_over_like_a_stick(template: str, modules: int) -> None:
+    arm = template_arm(template, modules)
     goal = np.zeros(arm.nv)
     goal[arm.nv // arm.n_modules - 1] = np.pi  # the first joint about z
     mu = 0.2 * arm.length / np.sqrt(arm.n_modules)
@@ -158,10 +165,10 @@ def test_an_exact_fold_is_not_turned_over_like_a_stick(arm: pp.Arm) -> None:
     assert swept(arm, path) < 1.2
 
 
-def test_a_turn_of_more_than_half_a_circle_is_taken_the_way_that_the_goal_means() -> None:
+def test_a_turn_of_more_than_half_a_circle_is_taken_the_way_that_the_goal_means(two: pp.Arm) -> None:
     """From three quarters one way to three quarters the other: back all the way, not through pi."""
     start, goal = np.array([-2.4, 0.1]), np.array([2.4, -0.1])
-    path = way(TWO, start, goal)
+    path = way(two, start, goal)
     np.testing.assert_allclose(path.offsets[-1], goal - start, atol=1e-12)
     assert np.all(np.abs(start + path.offsets) <= np.pi + 1e-12)
 
@@ -182,15 +189,15 @@ def disc(center: np.ndarray, radius: float, weight: float) -> object:
     return penalty
 
 
-def test_penalties_bend_the_way_around_an_obstacle() -> None:
+def test_penalties_bend_the_way_around_an_obstacle(two: pp.Arm) -> None:
     start, goal = np.array([-0.8, 0.3]), np.array([0.8, -0.3])
-    free = way(TWO, start, goal)
-    middle = TWO.at(start + free.offsets[len(free.offsets) // 2]).points[1]
+    free = way(two, start, goal)
+    middle = two.at(start + free.offsets[len(free.offsets) // 2]).points[1]
     radius = 0.12
-    path = way(TWO, start, goal, penalty=disc(middle * 1.05, radius, 100.0), sway=2)
+    path = way(two, start, goal, penalty=disc(middle * 1.05, radius, 100.0), sway=2)
 
     def nearest(offsets: np.ndarray) -> float:
-        points = np.array([TWO.at(start + offset).points for offset in offsets[1:-1]])
+        points = np.array([two.at(start + offset).points for offset in offsets[1:-1]])
         return float(np.linalg.norm(points - middle * 1.05, axis=2).min())
 
     assert nearest(free.offsets) < 0.7 * radius

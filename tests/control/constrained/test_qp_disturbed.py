@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from arms import template_arm
 
 import pinposture as pp
 from pinposture.control import Memory
 from pinposture.errors import InvalidValue
 
-PLANAR = pp.Arm.from_template("Rz", 10)
+
+@pytest.fixture(scope="session")
+def planar() -> pp.Arm:
+    return template_arm("Rz", 10)
 
 
 def goes_on(controllers, state, target, memory=None, limits=None):
@@ -19,7 +23,7 @@ def goes_on(controllers, state, target, memory=None, limits=None):
         if step.diagnostics.reason:
             break
         memory = step.memory
-        state = PLANAR.at(PLANAR.integrate(state.q, step.dq))
+        state = state.arm.at(state.arm.integrate(state.q, step.dq))
     return state, memory
 
 
@@ -28,31 +32,31 @@ def error(state, target):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_an_arm_that_was_pushed_away_after_it_arrived_comes_back(seed: int) -> None:
+def test_an_arm_that_was_pushed_away_after_it_arrived_comes_back(planar: pp.Arm, seed: int) -> None:
     rng = np.random.default_rng(seed)
     goal, qp = rng.uniform(-1, 1, 10), pp.ConstrainedQP()
-    target = pp.Target.from_configuration(PLANAR, goal)
-    _, memory = goes_on([qp], PLANAR.at(goal), target)
-    pushed = PLANAR.at(np.clip(goal + 2.0 * rng.uniform(-1, 1, 10), -3, 3))
+    target = pp.Target.from_configuration(planar, goal)
+    _, memory = goes_on([qp], planar.at(goal), target)
+    pushed = planar.at(np.clip(goal + 2.0 * rng.uniform(-1, 1, 10), -3, 3))
     state, _ = goes_on([qp] * 150, pushed, target, memory)
     assert error(state, target) < 1e-6
 
 
-def test_a_task_that_is_replaced_on_the_way_does_not_lose_the_way() -> None:
+def test_a_task_that_is_replaced_on_the_way_does_not_lose_the_way(planar: pp.Arm) -> None:
     start, goal = np.random.default_rng(1).uniform(-2, 2, (2, 10))
-    target = pp.Target.from_configuration(PLANAR, goal)
+    target = pp.Target.from_configuration(planar, goal)
     tasks = [pp.JointPosture(q=goal, weight=weight) for weight in (1e-3, 2e-3)]
     first, later = (pp.ConstrainedQP(tasks=(task,)) for task in tasks)
-    state, _ = goes_on([first] * 3 + [later] * 200, PLANAR.at(start), target)
+    state, _ = goes_on([first] * 3 + [later] * 200, planar.at(start), target)
     assert error(state, target) < 1e-6
 
 
 @pytest.mark.parametrize("position", [6.0, 30.0])
-def test_a_start_far_outside_the_limits_comes_back_and_then_arrives(position: float) -> None:
-    target = pp.Target.from_configuration(PLANAR, np.full(10, 0.1))
+def test_a_start_far_outside_the_limits_comes_back_and_then_arrives(planar: pp.Arm, position: float) -> None:
+    target = pp.Target.from_configuration(planar, np.full(10, 0.1))
     start = np.zeros(10)
     start[3] = position
-    run = pp.track(PLANAR, target, start, max_steps=600)
+    run = pp.track(planar, target, start, max_steps=600)
     assert run.converged
     outside = np.abs(run.q[:, 3]) > np.pi
     steps = np.diff(run.q[:, 3])
@@ -72,11 +76,11 @@ def test_a_blocked_goal_is_a_stall_with_a_limit_of_acceleration_too() -> None:
     assert run.clearance.min() >= scene.margin - 1e-9
 
 
-def test_what_is_no_state_no_target_and_no_memory_is_refused_by_name() -> None:
-    state, qp = PLANAR.at(PLANAR.neutral()), pp.ConstrainedQP()
-    target = pp.Target.from_configuration(PLANAR, PLANAR.neutral())
+def test_what_is_no_state_no_target_and_no_memory_is_refused_by_name(planar: pp.Arm) -> None:
+    state, qp = planar.at(planar.neutral()), pp.ConstrainedQP()
+    target = pp.Target.from_configuration(planar, planar.neutral())
     with pytest.raises(InvalidValue, match=r"state is .* an ArmState"):
-        qp.step(PLANAR.neutral(), target)
+        qp.step(planar.neutral(), target)
     with pytest.raises(InvalidValue, match=r"memory is .*step.memory"):
         qp.step(state, target, memory=qp.step(state, target))
     with pytest.raises(InvalidValue, match=r"target is .* a Target"):

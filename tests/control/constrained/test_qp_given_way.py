@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from arms import template_arm
+from sampling import seeds
 
 import pinposture as pp
 from pinposture.control import Memory
@@ -12,8 +14,13 @@ from pinposture.control.constrained.path import JointPath
 from pinposture.study import smooth_configuration
 from pinposture.target import Target
 
-ARM = pp.Arm.from_template("RyRz", 5)
-ONE = pp.Arm.from_template("Rz", 1)
+
+def arm() -> pp.Arm:
+    return template_arm("RyRz", 5)
+
+
+def one() -> pp.Arm:
+    return template_arm("Rz", 1)
 
 
 def quintic(rows: int) -> np.ndarray:
@@ -74,7 +81,7 @@ class Ride:
 def test_the_arm_keeps_to_the_curve_however_far_apart_rows_are(rows: int, acceleration: float | None) -> None:
     # Between rows far apart the curve is farther from the straight line than a step is long.
     limits = pp.Limits(step=None, velocity=1.0, dt=0.004, acceleration=acceleration)
-    ride = Ride(smooth_path(ARM, 1, rows), limits, most=(rows - 1) * 0.004 / 4.0).to_the_end()
+    ride = Ride(smooth_path(arm(), 1, rows), limits, most=(rows - 1) * 0.004 / 4.0).to_the_end()
     assert ride.off_the_way().max() < 1e-12
     assert np.abs(np.diff(ride.q, axis=0)).max() <= 0.004 * (1.0 + 1e-9)
     if acceleration is not None:
@@ -82,26 +89,28 @@ def test_the_arm_keeps_to_the_curve_however_far_apart_rows_are(rows: int, accele
 
 
 def test_time_is_kept_where_limits_allow_it() -> None:
-    ride = Ride(smooth_path(ARM, 2, 80), pp.Limits(step=None, velocity=9.0, dt=0.02, acceleration=100.0), 0.5)
+    ride = Ride(
+        smooth_path(arm(), 2, 80), pp.Limits(step=None, velocity=9.0, dt=0.02, acceleration=100.0), 0.5
+    )
     ride.to_the_end()
     np.testing.assert_allclose([course.place for course in ride.courses], 0.5 * np.arange(1, 159), atol=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", seeds(8))
 @pytest.mark.parametrize("given", [True, False])
 def test_no_joint_goes_beyond_the_end(seed: int, given: bool) -> None:
     rng = np.random.default_rng(seed)
     way, dt = float(rng.uniform(0.1, 2.0)), 0.05
     limits = pp.Limits(step=None, velocity=1.0, dt=dt, acceleration=float(10 ** rng.uniform(-0.3, 1.3)))
-    path = JointPath(ONE, ONE.neutral(), way * np.linspace(0.0, 1.0, 41)[:, None])
+    path = JointPath(one(), one().neutral(), way * np.linspace(0.0, 1.0, 41)[:, None])
     ride = Ride(path, limits, most=1.3)
     if not given:  # a way of its own to the same place
         ride.memory = None
     for _ in range(400):
         place = path.end if not given or (ride.courses and ride.courses[-1].place >= path.end) else 0.0
-        step = ride.controller.step(ONE.at(ride.q[-1]), ride.target(place), limits, ride.memory)
+        step = ride.controller.step(one().at(ride.q[-1]), ride.target(place), limits, ride.memory)
         ride.memory = step.memory
-        ride.q.append(ONE.integrate(ride.q[-1], step.dq))
+        ride.q.append(one().integrate(ride.q[-1], step.dq))
         ride.courses.append(step.memory.own)
     assert np.max(ride.q) <= way + 1e-9
     assert ride.q[-1][0] == pytest.approx(way, abs=1e-9)
@@ -109,25 +118,25 @@ def test_no_joint_goes_beyond_the_end(seed: int, given: bool) -> None:
 
 
 def test_an_arm_that_is_pushed_leaves_the_way() -> None:
-    ride = Ride(smooth_path(ARM, 3, 50), pp.Limits(step=None, velocity=1.0, dt=0.02, acceleration=5.0), 0.5)
+    ride = Ride(smooth_path(arm(), 3, 50), pp.Limits(step=None, velocity=1.0, dt=0.02, acceleration=5.0), 0.5)
     assert all(ride.step().given for _ in range(20))
-    ride.q[-1] = ARM.integrate(ride.q[-1], 0.005 * np.ones(ARM.nv))
+    ride.q[-1] = arm().integrate(ride.q[-1], 0.005 * np.ones(arm().nv))
     assert ride.step().given  # a little is made good on the way
     for _ in range(30):
         ride.step()
     assert ride.off_the_way()[-1] < 1e-9
-    ride.q[-1] = ARM.integrate(ride.q[-1], 0.2 * np.ones(ARM.nv))
+    ride.q[-1] = arm().integrate(ride.q[-1], 0.2 * np.ones(arm().nv))
     assert not ride.step().given
 
 
 def test_what_is_behind_is_waited_for() -> None:
     # Two joints are held back by as much as they move in a step: the place may not run ahead of them.
-    ride = Ride(smooth_path(ARM, 4, 50), pp.Limits(step=None, velocity=1.0, dt=0.02), 0.5)
+    ride = Ride(smooth_path(arm(), 4, 50), pp.Limits(step=None, velocity=1.0, dt=0.02), 0.5)
     for _ in range(30):
         ride.step()
     for _ in range(4):
         place = ride.courses[-1].place
-        back = np.zeros(ARM.nv)
+        back = np.zeros(arm().nv)
         back[[2, 5]] = np.diff(ride.q[-2:], axis=0)[0, [2, 5]]
         ride.q[-1] = ride.q[-1] - back
         assert ride.step().given
@@ -136,11 +145,11 @@ def test_what_is_behind_is_waited_for() -> None:
 
 
 def test_limits_that_change_change_the_pace_and_nothing_else() -> None:
-    path = smooth_path(ARM, 5, 40)
+    path = smooth_path(arm(), 5, 40)
     ride = Ride(path, pp.Limits(step=None, velocity=2.0, dt=0.02, acceleration=20.0), 0.4)
     for _ in range(10):
         course = ride.step()
-    tight = pp.Limits(step=None, velocity=0.2, dt=0.02, acceleration=2.0).for_arm(ARM)
+    tight = pp.Limits(step=None, velocity=0.2, dt=0.02, acceleration=2.0).for_arm(arm())
     other = course.within(tight)
     assert other.path is course.path and other.place == course.place and other.most == course.most
     assert np.all(other.pace.top <= course.pace.top + 1e-12) and other.pace.top[20] < course.pace.top[20]
@@ -148,34 +157,34 @@ def test_limits_that_change_change_the_pace_and_nothing_else() -> None:
 
 @pytest.mark.parametrize("speed", [0.0, 0.005, -0.01])
 def test_an_arm_that_moves_along_a_new_way_is_taken_to_be_under_way(speed: float) -> None:
-    path = JointPath(ONE, ONE.neutral(), np.linspace(0.0, 1.0, 51)[:, None])
-    bounds = pp.Limits(step=None, velocity=1.0, dt=0.02, acceleration=1.0).for_arm(ONE)
+    path = JointPath(one(), one().neutral(), np.linspace(0.0, 1.0, 51)[:, None])
+    bounds = pp.Limits(step=None, velocity=1.0, dt=0.02, acceleration=1.0).for_arm(one())
     ride = Ride(path, pp.Limits(step=None, velocity=1.0, dt=0.02, acceleration=1.0), 1.0)
     course = Course(ride.memory.own.posture, path, bounds).within(bounds)
     # Rows are 0.02 rad apart.
     assert course.under_way(np.array([speed])).speed == pytest.approx(max(speed, 0.0) / 0.02)
     assert course.under_way(None) is course
-    free = course.within(pp.Limits(step=0.1).for_arm(ONE))
+    free = course.within(pp.Limits(step=0.1).for_arm(one()))
     assert free.pace is None and free.under_way(np.array([speed])) is free
 
 
 def test_an_arm_on_its_way_is_not_stopped_by_a_new_target_ahead() -> None:
     limits = pp.Limits(step=None, velocity=1.0, dt=0.02, acceleration=5.0)
-    controller, q, memory, steps = pp.ConstrainedQP(), ONE.neutral(), None, []
+    controller, q, memory, steps = pp.ConstrainedQP(), one().neutral(), None, []
     for k in range(80):
         # From step 30 on the arm is sent farther, by a target that is another way.
-        target = Target.from_configuration(ONE, np.array([0.8 if k < 30 else 2.0]))
-        step = controller.step(ONE.at(q), target, limits, memory)
-        memory, q = step.memory, ONE.integrate(q, step.dq)
+        target = Target.from_configuration(one(), np.array([0.8 if k < 30 else 2.0]))
+        step = controller.step(one().at(q), target, limits, memory)
+        memory, q = step.memory, one().integrate(q, step.dq)
         steps.append(float(step.dq[0]))
     assert steps[29] > 0.9 * 0.019 and min(steps[30:80]) > 0.9 * 0.019
 
 
 def test_a_way_begins_with_what_it_was_given() -> None:
-    path = smooth_path(ARM, 6, 30)
+    path = smooth_path(arm(), 6, 30)
     limits = pp.Limits(step=None, velocity=1.0, dt=0.02)
     memory = pp.ConstrainedQP().along(
-        ARM.at(path.start), path, Target.from_configuration(ARM, path.start), limits, 0.3
+        arm().at(path.start), path, Target.from_configuration(arm(), path.start), limits, 0.3
     )
     assert isinstance(memory, Memory) and not np.any(memory.dq)
     course = memory.own

@@ -6,6 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from arms import template_arm
+from sampling import seeds
 
 import pinposture as pp
 from pinposture.control import Memory
@@ -14,14 +16,17 @@ from pinposture.control.constrained.course import Course
 from pinposture.study import smooth_configuration
 from pinposture.target import Target
 
-ARM = pp.Arm.from_template("RyRz", 8)
 LIMITS = pp.Limits(step=0.04)
+
+
+def arm() -> pp.Arm:
+    return template_arm("RyRz", 8)
 
 
 def postures(seed: int, steps: int, speed: float) -> list[np.ndarray]:
     """Configurations of a target that goes round."""
     rng = np.random.default_rng(seed)
-    one, two = (smooth_configuration(ARM, rng, 0.8) for _ in range(2))
+    one, two = (smooth_configuration(arm(), rng, 0.8) for _ in range(2))
     return [np.cos(speed * k) * one + np.sin(speed * k) * two for k in range(steps)]
 
 
@@ -29,8 +34,8 @@ def followed(targets: list[Target], q: np.ndarray) -> tuple[np.ndarray, list[Cou
     """Configurations of an arm that takes one step towards each target, and the courses that it was on."""
     controller, memory, configurations, courses = pp.ConstrainedQP(), None, [q], []
     for target in targets:
-        step = controller.step(ARM.at(q), target, LIMITS, memory)
-        q, memory = ARM.integrate(q, step.dq), step.memory
+        step = controller.step(arm().at(q), target, LIMITS, memory)
+        q, memory = arm().integrate(q, step.dq), step.memory
         configurations.append(q)
         courses.append(memory.own)
     return np.array(configurations), courses
@@ -39,16 +44,16 @@ def followed(targets: list[Target], q: np.ndarray) -> tuple[np.ndarray, list[Cou
 @pytest.mark.parametrize("known", [True, False])
 def test_a_target_that_moves_slowly_is_caught_and_kept(known: bool) -> None:
     wanted = postures(0, 250, 0.01)
-    targets = [Target.from_configuration(ARM, q) for q in wanted]
+    targets = [Target.from_configuration(arm(), q) for q in wanted]
     if not known:
-        targets = [Target.from_points(ARM, target.points) for target in targets]
-    q, courses = followed(targets, smooth_configuration(ARM, np.random.default_rng(9), 0.8))
+        targets = [Target.from_points(arm(), target.points) for target in targets]
+    q, courses = followed(targets, smooth_configuration(arm(), np.random.default_rng(9), 0.8))
     assert np.abs(np.diff(q, axis=0)).max() <= 0.04 + 1e-12
     off = [
-        np.linalg.norm(ARM.at(a).points - t.points, axis=1).mean()
+        np.linalg.norm(arm().at(a).points - t.points, axis=1).mean()
         for a, t in zip(q[1:], targets, strict=True)
     ]
-    assert max(off[100:]) < 1e-6 * ARM.length
+    assert max(off[100:]) < 1e-6 * arm().length
     # On the way to it the way was bent far more often than it was planned.
     lengths = [len(course.path.offsets) for course in courses]
     bent = sum(a.path.start is b.path.start for a, b in pairwise(courses))
@@ -57,8 +62,8 @@ def test_a_target_that_moves_slowly_is_caught_and_kept(known: bool) -> None:
 
 def test_a_way_that_is_bent_ends_where_the_target_is_and_begins_where_the_arm_was() -> None:
     wanted = postures(1, 2, 0.02)
-    first, second = (Target.from_configuration(ARM, q) for q in wanted)
-    start = smooth_configuration(ARM, np.random.default_rng(3), 0.8)
+    first, second = (Target.from_configuration(arm(), q) for q in wanted)
+    start = smooth_configuration(arm(), np.random.default_rng(3), 0.8)
     _, (before, after) = followed([first, second], start)
     assert after.path.start is before.path.start and after.bent is not None
     np.testing.assert_allclose(after.path.configuration(after.path.end), wanted[1], atol=1e-12)
@@ -68,9 +73,9 @@ def test_a_way_that_is_bent_ends_where_the_target_is_and_begins_where_the_arm_wa
 
 def test_a_target_that_jumps_gets_a_way_of_its_own() -> None:
     rng = np.random.default_rng(4)
-    one, two = (smooth_configuration(ARM, rng, 1.0) for _ in range(2))
-    targets = [Target.from_configuration(ARM, q) for q in (one, two)]
-    _, (before, after) = followed(targets, ARM.neutral())
+    one, two = (smooth_configuration(arm(), rng, 1.0) for _ in range(2))
+    targets = [Target.from_configuration(arm(), q) for q in (one, two)]
+    _, (before, after) = followed(targets, arm().neutral())
     assert after.path.start is not before.path.start and after.bent is None
     np.testing.assert_allclose(after.path.configuration(after.path.end), two, atol=1e-12)
 
@@ -82,23 +87,23 @@ def test_points_that_cannot_be_had_do_not_start_the_search_anew_in_each_step(
     original = goal.near_configuration
     monkeypatch.setattr(goal, "near_configuration", lambda *given: asked.append(1) or original(*given))
     rng = np.random.default_rng(5)
-    points = ARM.at(postures(2, 1, 0.0)[0]).points
-    targets = [Target.from_points(ARM, points + 1e-3 * rng.normal(size=points.shape)) for _ in range(150)]
-    q, _ = followed(targets, ARM.neutral())
+    points = arm().at(postures(2, 1, 0.0)[0]).points
+    targets = [Target.from_points(arm(), points + 1e-3 * rng.normal(size=points.shape)) for _ in range(150)]
+    q, _ = followed(targets, arm().neutral())
     assert len(asked) < 15  # noise now and then is twice as bad as before
-    assert np.linalg.norm(ARM.at(q[-1]).points - points, axis=1).mean() < 3e-3
+    assert np.linalg.norm(arm().at(q[-1]).points - points, axis=1).mean() < 3e-3
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", seeds(12))
 def test_points_that_can_be_had_are_found_after_points_that_could_not(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    one, two = (smooth_configuration(ARM, rng, 1.2) for _ in range(2))
-    beyond = Target.from_points(ARM, 1.3 * ARM.at(one).points)
-    within = Target.from_points(ARM, ARM.at(two).points)
-    _, courses = followed([beyond] * 3 + [within], ARM.neutral())
+    one, two = (smooth_configuration(arm(), rng, 1.2) for _ in range(2))
+    beyond = Target.from_points(arm(), 1.3 * arm().at(one).points)
+    within = Target.from_points(arm(), arm().at(two).points)
+    _, courses = followed([beyond] * 3 + [within], arm().neutral())
     path = courses[-1].path
-    end = ARM.at(path.configuration(path.end)).points
-    assert np.linalg.norm(end - within.points, axis=1).mean() < 1e-6 * ARM.length
+    end = arm().at(path.configuration(path.end)).points
+    assert np.linalg.norm(end - within.points, axis=1).mean() < 1e-6 * arm().length
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -106,18 +111,18 @@ def test_the_usual_step_in_one_call_is_that_of_the_long_way_round(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rng = np.random.default_rng(seed)
-    start, end = (smooth_configuration(ARM, rng, 1.0) for _ in range(2))
-    target, controller = Target.from_configuration(ARM, end), pp.ConstrainedQP()
+    start, end = (smooth_configuration(arm(), rng, 1.0) for _ in range(2))
+    target, controller = Target.from_configuration(arm(), end), pp.ConstrainedQP()
     q, memory, quick, taken = start, None, constrained_qp.get_on, 0
     for _ in range(40):
-        state = ARM.at(q)
+        state = arm().at(q)
         step = controller.step(state, target, LIMITS, memory)
         if step.diagnostics.reason:
             break
         monkeypatch.setattr(constrained_qp, "get_on", lambda *_: None)
         slow = controller.step(state, target, LIMITS, memory)
         monkeypatch.setattr(constrained_qp, "get_on", quick)
-        taken += memory is not None and quick(memory.own, state, LIMITS.for_arm(ARM)) is not None
+        taken += memory is not None and quick(memory.own, state, LIMITS.for_arm(arm())) is not None
         np.testing.assert_allclose(step.dq, slow.dq, atol=1e-14)
         assert step.active == slow.active
         for ours, theirs in zip(step.diagnostics, slow.diagnostics, strict=True):
@@ -125,15 +130,15 @@ def test_the_usual_step_in_one_call_is_that_of_the_long_way_round(
         for ours, theirs in zip(step.memory.own, slow.memory.own, strict=True):
             if isinstance(ours, (float, int, bool)):
                 assert ours == pytest.approx(theirs, abs=1e-12)
-        q, memory = ARM.integrate(q, step.dq), step.memory
+        q, memory = arm().integrate(q, step.dq), step.memory
     assert taken > 5
 
 
 def test_an_arm_that_was_pushed_aside_begins_anew() -> None:
-    target = Target.from_configuration(ARM, postures(6, 1, 0.0)[0])
-    controller, q = pp.ConstrainedQP(), ARM.neutral()
-    first = controller.step(ARM.at(q), target, LIMITS)
-    pushed = ARM.integrate(q, first.dq)
+    target = Target.from_configuration(arm(), postures(6, 1, 0.0)[0])
+    controller, q = pp.ConstrainedQP(), arm().neutral()
+    first = controller.step(arm().at(q), target, LIMITS)
+    pushed = arm().integrate(q, first.dq)
     pushed[3] += 0.2
-    again = controller.step(ARM.at(pushed), target, LIMITS, Memory(first.dq, first.memory.own))
+    again = controller.step(arm().at(pushed), target, LIMITS, Memory(first.dq, first.memory.own))
     np.testing.assert_array_equal(again.memory.own.path.start, pushed)

@@ -6,8 +6,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples, seeds
 
 import pinposture as pp
 from pinposture.control.constrained.pace import Pace
@@ -66,7 +67,7 @@ def fewest_steps(distance: float, bound: float, brake: float) -> int:
         count += 1
 
 
-@pytest.mark.parametrize("seed", range(25))
+@pytest.mark.parametrize("seed", seeds(25))
 @pytest.mark.parametrize("timed", [True, False])
 def test_the_motion_keeps_speed_and_acceleration_from_rest_to_rest(seed: int, timed: bool) -> None:
     rng = np.random.default_rng(seed)
@@ -83,7 +84,7 @@ def test_the_motion_keeps_speed_and_acceleration_from_rest_to_rest(seed: int, ti
 
 
 @given(st.floats(0.01, 3.0), st.floats(0.003, 0.3), st.floats(0.03, 2.0), st.integers(2, 200), st.booleans())
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_a_straight_way_takes_little_longer_than_it_must(
     distance: float, bound: float, share: float, rows: int, timed: bool
 ) -> None:
@@ -102,7 +103,7 @@ def test_a_straight_way_takes_little_longer_than_it_must(
     assert len(places) - 1 <= 1.3 * theory + 4.0
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", seeds(10))
 def test_tighter_limits_are_never_faster(seed: int) -> None:
     rng = np.random.default_rng(seed)
     path = smooth_way(rng, 120, 3)
@@ -161,7 +162,7 @@ def test_a_way_that_goes_nowhere_ends_all_the_same() -> None:
 @pytest.mark.parametrize("most", [np.inf, 0.7])
 def test_the_last_step_can_be_stopped_from_at_once(most: float) -> None:
     # Ways that end steeply: the pace has to come down to what one step can brake.
-    for seed in range(20):
+    for seed in seeds(20):
         rng = np.random.default_rng(seed)
         path = way(np.linspace(0.0, rng.uniform(0.1, 2.0), 30)[:, None])
         brake = 10 ** rng.uniform(-3.5, -1.5)

@@ -4,24 +4,30 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from control.task_arms import ARMS
-from hypothesis import given, settings
+from arms import template_arm
+from control.task_arms import ARMS, arm_called
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples, seeds
 
 import pinposture as pp
 from pinposture.control.constrained.path import JointPath, Stride
 
 SEEDS = st.integers(0, 2**32 - 1)
-ARM = pp.Arm.from_template("Rz", 4)
 FINE = 4000
 
 
-def drawn(rng: np.random.Generator, arm: pp.Arm = ARM, size: float = 1.0) -> JointPath:
+def planar() -> pp.Arm:
+    return template_arm("Rz", 4)
+
+
+def drawn(rng: np.random.Generator, arm: pp.Arm | None = None, size: float = 1.0) -> JointPath:
     """A polyline with long and short pieces, some of which do not move, and some joints that do not."""
+    arm = planar() if arm is None else arm
     pieces = size * rng.normal(size=(int(rng.integers(1, 7)), arm.nv))
     pieces *= 10.0 ** rng.uniform(-1.0, 0.0, (len(pieces), 1)) * (rng.random((len(pieces), arm.nv)) > 0.2)
     offsets = np.vstack([np.zeros(arm.nv), pieces.cumsum(axis=0)])
-    start = arm.random(rng) if arm is not ARM else rng.uniform(-1.0, 1.0, arm.nv)
+    start = arm.random(rng) if arm is not planar() else rng.uniform(-1.0, 1.0, arm.nv)
     return JointPath(arm, start, offsets)
 
 
@@ -40,13 +46,13 @@ def ahead_of(path: JointPath, offset: np.ndarray, place: float, bound: np.ndarra
 
 
 @given(seed=SEEDS)
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_ahead_is_the_farthest_place_without_a_gap(seed: int) -> None:
     rng = np.random.default_rng(seed)
     path = drawn(rng)
     place = float(rng.uniform(0.0, path.end))
-    bound = 10.0 ** rng.uniform(-2.0, 0.5, ARM.nv)
-    offset = sampled(path, np.array([place]))[0] + rng.uniform(-0.9, 0.9, ARM.nv) * bound * (seed % 2)
+    bound = 10.0 ** rng.uniform(-2.0, 0.5, planar().nv)
+    offset = sampled(path, np.array([place]))[0] + rng.uniform(-0.9, 0.9, planar().nv) * bound * (seed % 2)
     ahead = ahead_of(path, offset, place, bound)
     places = np.linspace(place, path.end, FINE)
     within = np.all(np.abs(sampled(path, places) - offset) <= bound * (1.0 + 1e-9), axis=1)
@@ -67,18 +73,18 @@ def test_ahead_is_the_farthest_place_without_a_gap(seed: int) -> None:
 )
 def test_an_arm_that_is_off_the_path_waits_at_its_place(side: float) -> None:
     """On either side: joint 0 is out of reach of the path, on which only joint 1 moves."""
-    path = JointPath(ARM, np.zeros(4), np.array([[0.0, 0, 0, 0], [0.0, 0.05, 0, 0], [0.0, 0.1, 0, 0]]))
+    path = JointPath(planar(), np.zeros(4), np.array([[0.0, 0, 0, 0], [0.0, 0.05, 0, 0], [0.0, 0.1, 0, 0]]))
     ahead = ahead_of(path, np.array([0.5 * side, 0.0, 0.0, 0.0]), 0.2, np.full(4, 0.1))
     assert ahead.place == 0.2 and not ahead.inside
     np.testing.assert_allclose(ahead.dq, [-0.5 * side, 0.01, 0.0, 0.0], atol=1e-12)
 
 
 def test_stepping_ahead_again_and_again_ends_at_the_end() -> None:
-    for seed in range(20):
+    for seed in seeds(20):
         path = drawn(np.random.default_rng(seed))
-        bound = np.full(ARM.nv, 0.07)
+        bound = np.full(planar().nv, 0.07)
         pieces = np.abs(np.diff(path.offsets, axis=0)).max(axis=1).sum() / 0.07
-        place, offset, steps = 0.0, np.zeros(ARM.nv), 0
+        place, offset, steps = 0.0, np.zeros(planar().nv), 0
         while place < path.end:
             ahead = ahead_of(path, offset, place, bound)
             assert ahead.inside and ahead.left == pytest.approx(np.abs(path.offsets[-1] - offset).max())
@@ -89,8 +95,8 @@ def test_stepping_ahead_again_and_again_ends_at_the_end() -> None:
 
 
 def test_places_and_configurations_belong_together_on_every_arm() -> None:
-    for name, arm in ARMS.items():
-        rng = np.random.default_rng(len(name))
+    for name in ARMS:
+        arm, rng = arm_called(name), np.random.default_rng(len(name))
         path = drawn(rng, arm, 0.05)
         before = None
         for place in np.linspace(0.0, path.end, 23):

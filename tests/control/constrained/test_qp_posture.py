@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from control.task_arms import ARMS, STATES, derivative, state_of, target_of
+from control.task_arms import ARMS, STATES, arm_called, derivative, state_of, target_of
 
 import pinposture as pp
 from pinposture.control.constrained.posture import Posture
@@ -40,7 +40,7 @@ def errors_by_hand(state: pp.ArmState, target: pp.Target, chord: float) -> np.nd
 @pytest.mark.parametrize("name, seed", STATES)
 @pytest.mark.parametrize("chord", [0.0, 0.7])
 def test_errors_and_their_derivative(name: str, seed: int | None, chord: float) -> None:
-    state, arm = state_of(name, seed), ARMS[name]
+    state, arm = state_of(name, seed), arm_called(name)
     target = apart(arm, 3, weighed(arm))
     posture = Posture(arm, target, (), chord)
     linear = posture.rows(state)
@@ -54,7 +54,7 @@ def test_errors_and_their_derivative(name: str, seed: int | None, chord: float) 
 
 @pytest.mark.parametrize("name", ["spatial", "planar", "mixed", "scara"])
 def test_rows_of_tasks_follow_with_their_weights(name: str) -> None:
-    state, arm = state_of(name, 1), ARMS[name]
+    state, arm = state_of(name, 1), arm_called(name)
     tip = EndEffector(position=state.points[-1] + 0.01 * arm.plane[0], weight=9.0)
     rest = JointPosture(q=arm.neutral(), weight=0.04)
     posture, target = Posture(arm, apart(arm, 1), (tip, rest)), apart(arm, 1)
@@ -69,7 +69,7 @@ def test_rows_of_tasks_follow_with_their_weights(name: str) -> None:
 
 
 def test_strict_tasks_are_listed_by_themselves() -> None:
-    state, arm = state_of("spatial", 1), ARMS["spatial"]
+    state, arm = state_of("spatial", 1), arm_called("spatial")
     first = EndEffector(position=np.ones(3), weight=1.0, strict=True)
     posture = Posture(arm, apart(arm, 1), (JointPosture(q=arm.neutral()), first))
     strict = posture.task_rows(state, strict=True)
@@ -84,7 +84,7 @@ def test_strict_tasks_are_listed_by_themselves() -> None:
 
 @pytest.mark.parametrize("name", ARMS)
 def test_a_step_and_its_displacement_are_the_same_thing(name: str) -> None:
-    arm, state = ARMS[name], state_of(name, 0)
+    arm, state = arm_called(name), state_of(name, 0)
     posture = Posture(arm, target_of(arm))
     x = np.random.default_rng(0).normal(size=len(posture.columns))
     dq = posture.displacement(x)

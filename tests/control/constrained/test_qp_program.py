@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples, seeds
 from scipy.optimize import linprog, lsq_linear, minimize, nnls
 
 from pinposture.control.constrained import program
@@ -47,7 +48,7 @@ def unexplained(problem: Problem, x: np.ndarray, rows: Rows | None, equations: n
 
 
 @given(seed=SEEDS, n=st.integers(1, 30))
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_a_box_gives_what_bounded_least_squares_gives(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
     matrix, right = least_squares(rng, n)
@@ -61,7 +62,7 @@ def test_a_box_gives_what_bounded_least_squares_gives(seed: int, n: int) -> None
 
 
 @given(seed=SEEDS, n=st.integers(2, 25), fixed=st.booleans(), joined=st.booleans())
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_rows_and_equations_obey_the_optimality_conditions(
     seed: int, n: int, fixed: bool, joined: bool
 ) -> None:
@@ -93,7 +94,7 @@ def test_rows_and_equations_obey_the_optimality_conditions(
 
 
 @given(seed=SEEDS, n=st.integers(2, 10))
-@settings(deadline=None, max_examples=40)
+@examples(40)
 def test_rows_that_cannot_all_hold_give_way_and_the_box_does_not(seed: int, n: int) -> None:
     """One row that asks for too much is violated by exactly what no step in the box can do."""
     rng = np.random.default_rng(seed)
@@ -131,7 +132,7 @@ def contradicting(seed: int) -> tuple[Problem, Rows, float]:
 
 
 def test_rows_that_contradict_each_other_are_violated_as_little_as_possible() -> None:
-    for seed in range(40):
+    for seed in seeds(40):
         problem, rows, least = contradicting(seed)
         found = solve(*problem, rows)
         assert found.x is not None

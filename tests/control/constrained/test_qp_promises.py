@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from qp_runs import ARMS, KINDS, check_limits, drawn, steps_of
+from qp_runs import ARMS, KINDS, arm_called, check_limits, drawn, steps_of
+from sampling import examples
 
 import pinposture as pp
 from pinposture.control.constrained import program
@@ -17,7 +18,7 @@ NAMES = st.sampled_from(sorted(ARMS))
 
 
 @given(seed=SEEDS, name=NAMES, kind=st.sampled_from(KINDS))
-@settings(deadline=None, max_examples=20)
+@examples(20)
 def test_limits_hold_and_errors_rise_only_in_escapes(seed: int, name: str, kind: str) -> None:
     case = drawn(seed, name, kind)
     run = case.track(max_steps=60)
@@ -40,11 +41,11 @@ def most_steps(case: object, first: pp.ArmState) -> float:
 
 
 @given(seed=SEEDS, name=NAMES, size=st.sampled_from([0.05, 0.1, 0.3]), margin=st.sampled_from([0.0, 0.02]))
-@settings(deadline=None, max_examples=10)
+@examples(10)
 def test_a_known_configuration_is_reached_in_the_steps_that_its_way_takes(
     seed: int, name: str, size: float, margin: float
 ) -> None:
-    arm = ARMS[name]
+    arm = arm_called(name)
     case = drawn(seed, name, "known", pp.Limits(step=size * arm.joint_units, position_margin=margin))
     bound = int(np.ceil(most_steps(case, arm.at(case.start)))) + 1
     run = case.track(max_steps=bound, tolerance=1e-9 * arm.length)
@@ -54,7 +55,7 @@ def test_a_known_configuration_is_reached_in_the_steps_that_its_way_takes(
 
 
 @given(seed=SEEDS, name=NAMES)
-@settings(deadline=None, max_examples=15)
+@examples(15)
 def test_the_way_is_no_longer_than_a_bound_known_beforehand(seed: int, name: str) -> None:
     """mu |way of the joints| <= length of joint interpolation in the metric J^T J + mu^2 I, by its energy."""
     case = drawn(seed, name, "known", pp.Limits())
@@ -80,7 +81,7 @@ def test_the_same_call_gives_the_same_bits(name: str, kind: str) -> None:
 @pytest.mark.parametrize("name", ARMS)
 def test_an_acceleration_limit_does_not_keep_it_from_a_known_configuration(name: str) -> None:
     """Where a joint comes to full speed within ten steps."""
-    arm, limits = ARMS[name], pp.Limits(step=None, dt=0.1, velocity=1.0, acceleration=1.0)
+    arm, limits = arm_called(name), pp.Limits(step=None, dt=0.1, velocity=1.0, acceleration=1.0)
     for seed in range(2):
         case = drawn(seed, name, "known", limits)
         run = case.track(max_steps=1500)

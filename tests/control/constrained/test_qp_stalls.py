@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from qp_runs import ARMS, check_limits
+from qp_runs import arm_called, check_limits
 from scipy.optimize import least_squares, minimize
 
 import pinposture as pp
@@ -40,7 +40,7 @@ def test_joints_that_only_accelerate_are_not_said_to_be_at_their_limits() -> Non
 
 def test_points_out_of_reach_end_at_the_best_posture_with_a_reason() -> None:
     for name in ("planar", "spatial"):
-        arm = ARMS[name]
+        arm = arm_called(name)
         points = 1.5 * arm.at(arm.configuration(np.full(arm.nv, 0.1))).points
         target = pp.Target.from_points(arm, points)
         run = pp.track(arm, target, arm.straight(), "qp", max_steps=1000)
@@ -84,7 +84,7 @@ def test_an_obstacle_beside_the_target_does_not() -> None:
 
 def test_a_strict_end_effector_gets_what_it_would_get_alone() -> None:
     """Out of reach: the tip ends as near as with nothing else to do, whatever the points ask for."""
-    arm = ARMS["short"]
+    arm = arm_called("short")
     place = np.array([1.3 * arm.length, 0.4 * arm.length, 0.0])
     posture = pp.Target.from_points(arm, arm.at(np.array([-1.0, 0.8, 0.9])).points)
     tip = pp.Target.from_points(arm, np.tile(place, (3, 1)), np.array([0.0, 0.0, 1.0]))
@@ -99,7 +99,7 @@ def test_a_strict_end_effector_gets_what_it_would_get_alone() -> None:
 
 
 def test_a_strict_end_effector_in_reach_is_met_while_the_points_do_what_is_left() -> None:
-    arm = ARMS["planar"]
+    arm = arm_called("planar")
     start = np.full(7, 0.2)
     held = EndEffector.held(arm.at(start), "position", strict=True)
     posture = pp.Target.from_points(arm, arm.at(np.full(7, -0.1)).points)

@@ -19,6 +19,8 @@ from pinposture.editor.autosave import autosave_path
 from pinposture.editor.edits import keyframes_of
 from pinposture.editor.first_task import first_task
 
+pytestmark = pytest.mark.browser
+
 Edit, Look = Callable[..., Editor], Callable[..., Window]
 
 

@@ -17,6 +17,8 @@ import pinposture as pp
 from pinposture.editor import Editor
 from pinposture.editor.edits import keyframes_of, times_of
 
+pytestmark = pytest.mark.browser
+
 Edit, Look = Callable[..., Editor], Callable[..., Window]
 
 

@@ -20,6 +20,8 @@ from pinposture.editor.autosave import autosave_path
 from pinposture.editor.edits import keyframes_of
 from pinposture.editor.shape import Shape
 
+pytestmark = pytest.mark.browser
+
 
 def end(task: pp.Task) -> np.ndarray:
     """The second control point of the last keyframe."""

@@ -19,6 +19,8 @@ from pinposture.editor import Editor
 from pinposture.editor.obstacle_edits import obstacles_of
 from pinposture.editor.obstacle_handles import Measures, grips
 
+pytestmark = pytest.mark.browser
+
 Edit, Look = Callable[..., Editor], Callable[..., Window]
 
 

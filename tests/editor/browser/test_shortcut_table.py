@@ -13,6 +13,8 @@ pytest.importorskip("viser", reason="viser is not installed")
 
 from pinposture.editor.page.shortcuts import shortcuts
 
+pytestmark = pytest.mark.browser
+
 PAGE = Path(__file__).parents[3] / "docs" / "editor.md"
 NAMES = {
     "cmd/ctrl": "Ctrl",

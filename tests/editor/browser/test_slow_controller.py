@@ -20,6 +20,8 @@ import pinposture as pp
 from pinposture.control import ConstrainedQP
 from pinposture.editor import Editor
 
+pytestmark = pytest.mark.browser
+
 Edit, Look = Callable[..., Editor], Callable[..., Window]
 
 
