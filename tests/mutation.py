@@ -16,6 +16,7 @@ import ast
 import json
 import os
 import re
+import resource
 import shutil
 import signal
 import subprocess
@@ -46,6 +47,9 @@ COPIED = (
 )
 FIRST = {"kernels": ("kernels", "control", "target"), "target": ("target", "kernels")}
 """Folders of tests that see a fault in a package soonest; else the folder of its name."""
+
+MEMORY = 8 << 30
+"""Address space of each test process: an endless loop that fills a list ends, too [bytes]."""
 
 FAILED = re.compile("(FAILED|ERROR) ")
 NO_BROWSER = "--ignore=tests/editor/browser"
@@ -218,7 +222,14 @@ class Copy:
         seen = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
         seen |= {"PYTHONPATH": str(self._folder), "OPENBLAS_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
-        child = subprocess.Popen(command, cwd=self._folder, env=seen, start_new_session=True, **pipes)
+        child = subprocess.Popen(
+            command,
+            cwd=self._folder,
+            env=seen,
+            start_new_session=True,
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY)),
+            **pipes,
+        )
         try:
             out, _ = child.communicate(timeout=self._timeout)
         except subprocess.TimeoutExpired:
@@ -290,7 +301,7 @@ def main() -> None:
     parser.add_argument("--package", choices=PACKAGES, action="append", help="of these alone")
     parser.add_argument("--count", type=int, default=10, help="faults in each package (10)")
     parser.add_argument("--seed", type=int, default=0, help="which faults (0)")
-    parser.add_argument("--timeout", type=float, default=900.0, help="seconds for one run of tests (900)")
+    parser.add_argument("--timeout", type=float, default=600.0, help="seconds for one run of tests (600)")
     parser.add_argument(
         "--save", type=Path, default=ROOT / "out" / "mutation.json", help="where to keep them"
     )
