@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -79,3 +79,15 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def built_early(pytestconfig: pytest.Config) -> list[str]:
     """Classes of arms and curves that were built while the tests were collected."""
     return pytestconfig.stash[BUILT_EARLY]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_kernel_was_compiled_twice() -> Iterator[None]:
+    """Whatever the tests did, kernels got the arguments that they are annotated with, and no others."""
+    yield
+    if "pinposture.kernels.compiled" in sys.modules:
+        from pinposture import kernels
+        from pinposture.kernels.compiled import arguments_of
+
+        for kernel in (getattr(kernels, name) for name in kernels.NAMES):
+            assert set(kernel.signatures) <= {arguments_of(kernel)}, kernel.py_func.__name__

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array
-from pinposture.kernels.compiled import compiled
+from pinposture.kernels.arrays import Array1, Array2, Array3
+from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.spline import span_at, value
 
 DEPTH = 48  # halvings of a span, enough for a speed that nearly vanishes
@@ -14,8 +14,10 @@ NEWTON = 60  # steps at most, and how small they get, next to the bracket
 CLOSE = 1e-10
 
 
-@compiled
-def expand(t: Array, table: Array, degree: int, low: float, high: float, work: Array, taylor: Array) -> None:
+@subkernel
+def expand(
+    t: Array1, table: Array3, degree: int, low: float, high: float, work: Array2, taylor: Array2
+) -> None:
     """Expand the velocity about the middle of a piece of one knot span.
 
     Args:
@@ -37,8 +39,8 @@ def expand(t: Array, table: Array, degree: int, low: float, high: float, work: A
         scale *= half / (p + 1)
 
 
-@compiled
-def speed(taylor: Array, degree: int, x: float) -> float:
+@subkernel
+def speed(taylor: Array2, degree: int, x: float) -> float:
     """Speed at x of an expanded velocity."""
     a, b, c = taylor[degree - 1, 0], taylor[degree - 1, 1], taylor[degree - 1, 2]
     for p in range(degree - 2, -1, -1):
@@ -47,7 +49,7 @@ def speed(taylor: Array, degree: int, x: float) -> float:
 
 
 @compiled
-def expand_spans(t: Array, table: Array, degree: int, breaks: Array) -> Array:
+def expand_spans(t: Array1, table: Array3, degree: int, breaks: Array1) -> Array3:
     """Expand the velocity about the middle of every knot span, see `expand`, (k, degree, 3)."""
     work, taylors = np.empty((6, 3)), np.empty((len(breaks) - 1, degree, 3))
     for i in range(len(taylors)):
@@ -55,8 +57,8 @@ def expand_spans(t: Array, table: Array, degree: int, breaks: Array) -> Array:
     return taylors
 
 
-@compiled
-def legendre(taylor: Array, degree: int, rule: Array, speeds: Array, piece: Array) -> None:
+@subkernel
+def legendre(taylor: Array2, degree: int, rule: Array2, speeds: Array1, piece: Array1) -> None:
     """Expand the speed on a piece in Legendre polynomials.
 
     Args:
@@ -84,15 +86,15 @@ def legendre(taylor: Array, degree: int, rule: Array, speeds: Array, piece: Arra
 
 @compiled
 def measure_length(
-    t: Array,
-    table: Array,
+    t: Array1,
+    table: Array3,
     degree: int,
-    breaks: Array,
-    taylors: Array,
-    rule: Array,
+    breaks: Array1,
+    taylors: Array3,
+    rule: Array2,
     tail: float,
     rounding: float,
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array1, Array1, Array2]:
     """Integrate the speed: a polynomial on each of many short pieces of the knot spans.
 
     Pieces are halved until the Legendre series of the speed, sampled at Gauss nodes, has died out.
@@ -162,8 +164,8 @@ def measure_length(
     return edges, lengths, series
 
 
-@compiled
-def piece_at(table: Array, x: float) -> int:
+@subkernel
+def piece_at(table: Array1, x: float) -> int:
     """Which interval of an increasing table holds x; the first or last one if it is outside."""
     low, high = 0, len(table) - 1
     while high - low > 1:
@@ -175,8 +177,8 @@ def piece_at(table: Array, x: float) -> int:
     return low
 
 
-@compiled
-def length_at(edges: Array, lengths: Array, series: Array, u: float) -> float:
+@subkernel
+def length_at(edges: Array1, lengths: Array1, series: Array2, u: float) -> float:
     """Arc length from the start to the parameter u."""
     i = piece_at(edges, u)
     x = (2.0 * u - edges[i] - edges[i + 1]) / (edges[i + 1] - edges[i])
@@ -187,8 +189,8 @@ def length_at(edges: Array, lengths: Array, series: Array, u: float) -> float:
     return float(min(max(lengths[i] + s, 0.0), lengths[-1]))
 
 
-@compiled
-def parameter_at(edges: Array, lengths: Array, series: Array, s: float) -> float:
+@subkernel
+def parameter_at(edges: Array1, lengths: Array1, series: Array2, s: float) -> float:
     """Parameter at the arc length s, by Newton's method that cannot leave its bracket."""
     i = piece_at(lengths, s)
     row, local = series[i], s - lengths[i]
@@ -216,7 +218,7 @@ def parameter_at(edges: Array, lengths: Array, series: Array, s: float) -> float
 
 
 @compiled
-def parameters_at(edges: Array, lengths: Array, series: Array, s: Array) -> Array:
+def parameters_at(edges: Array1, lengths: Array1, series: Array2, s: Array1) -> Array1:
     """Parameters (n,) at arc lengths s (n,)."""
     out = np.empty(len(s))
     for i in range(len(s)):

@@ -6,14 +6,24 @@ that what is not shared by several kernels stays a plain argument.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Whole = NDArray[np.int64]
-Flags = NDArray[np.bool_]
+Array1 = Annotated[NDArray[np.float64], 1]
+Array2 = Annotated[NDArray[np.float64], 2]
+Array3 = Annotated[NDArray[np.float64], 3]
+Array4 = Annotated[NDArray[np.float64], 4]
+Ints1 = Annotated[NDArray[np.int64], 1]
+Ints2 = Annotated[NDArray[np.int64], 2]
+Flags1 = Annotated[NDArray[np.bool_], 1]
+Flags2 = Annotated[NDArray[np.bool_], 2]
+Bytes1 = Annotated[NDArray[np.int8], 1]
+"""Contiguous arrays and how many dimensions they have: `kernels.compiled` compiles for these."""
+
+Three = tuple[float, float, float]
+Four = tuple[float, float, float, float]
 
 
 class Chain(NamedTuple):
@@ -29,13 +39,13 @@ class Chain(NamedTuple):
         turns: orientation of each control point there, (m, 3, 3).
     """
 
-    slides: Flags
-    columns: Whole
-    fixed: Array
-    axes: Array
-    ends: Whole
-    offsets: Array
-    turns: Array
+    slides: Flags1
+    columns: Ints1
+    fixed: Array2
+    axes: Array2
+    ends: Ints1
+    offsets: Array2
+    turns: Array3
 
 
 class Springs(NamedTuple):
@@ -49,11 +59,11 @@ class Springs(NamedTuple):
         chords: weights C of the chords to the point before, (p,).
     """
 
-    screws: Array
-    ends: Whole
-    points: Array
-    weights: Array
-    chords: Array
+    screws: Array2
+    ends: Ints1
+    points: Array2
+    weights: Array1
+    chords: Array1
 
 
 class Screws(NamedTuple):
@@ -66,9 +76,9 @@ class Screws(NamedTuple):
         points: the control points, (m, 3) [m].
     """
 
-    screws: Array
-    ends: Whole
-    points: Array
+    screws: Array2
+    ends: Ints1
+    points: Array2
 
 
 FULL, RELATIVE, LOCAL = 0, 1, 2
@@ -85,9 +95,9 @@ class Rows(NamedTuple):
         coupling: FULL, RELATIVE or LOCAL.
     """
 
-    stations: Whole
-    ranks: Whole
-    directions: Array
+    stations: Ints1
+    ranks: Ints1
+    directions: Array3
     coupling: int
 
 
@@ -100,5 +110,5 @@ class Factors(NamedTuple):
         gains: K, (p, 6, 3).
     """
 
-    triangles: Array
-    gains: Array
+    triangles: Array3
+    gains: Array3

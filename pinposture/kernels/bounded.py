@@ -10,13 +10,10 @@ iterations, however many joints are at their bounds, and the guess that it leads
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pinposture.kernels.arrays import Array, Springs
-from pinposture.kernels.compiled import compiled
+from pinposture.kernels.arrays import Array1, Array2, Bytes1, Springs
+from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.least_squares import answered, factored, slope_of
-
-Sides = NDArray[np.int8]
 
 ROUNDS, ITERATIONS = 6, 40
 """The most corrections of a guess, and the most iterations of the interior point method."""
@@ -34,13 +31,13 @@ BACK = 0.995
 @compiled
 def minimise_in_box(
     springs: Springs,
-    errors: Array,
-    damping: Array,
-    centre: Array,
-    lower: Array,
-    upper: Array,
-    sides: Sides,
-    x: Array,
+    errors: Array2,
+    damping: Array1,
+    centre: Array1,
+    lower: Array1,
+    upper: Array1,
+    sides: Bytes1,
+    x: Array1,
 ) -> int:
     """Minimise the sum of `kernels.least_squares` within a box.
 
@@ -107,14 +104,14 @@ def minimise_in_box(
     return solved
 
 
-@compiled
+@subkernel
 def _thin(lower: float, upper: float) -> bool:
     """Whether there is no room between two bounds."""
     return upper - lower <= TINY
 
 
-@compiled
-def _cut(x: Array, lower: Array, upper: Array) -> None:
+@subkernel
+def _cut(x: Array1, lower: Array1, upper: Array1) -> None:
     """Bring x into the box; no motion, where it is no number."""
     for u in range(len(x)):
         if np.isnan(x[u]):
@@ -122,17 +119,17 @@ def _cut(x: Array, lower: Array, upper: Array) -> None:
         x[u] = min(max(x[u], lower[u]), upper[u])
 
 
-@compiled
+@subkernel
 def _inner(
     springs: Springs,
-    errors: Array,
-    damping: Array,
-    centre: Array,
-    lower: Array,
-    upper: Array,
-    sides: Sides,
-    x: Array,
-    gains: Array,
+    errors: Array2,
+    damping: Array1,
+    centre: Array1,
+    lower: Array1,
+    upper: Array1,
+    sides: Bytes1,
+    x: Array1,
+    gains: Array2,
 ) -> int:
     """An interior point method: fills x with a point near the minimum, and `sides` with a guess."""
     n, m = len(springs.screws), len(springs.ends)
@@ -237,7 +234,7 @@ def _inner(
     return iterations
 
 
-@compiled
+@subkernel
 def _product(multiplier: float, room: float) -> float:
     """Complementarity of one side; none where there is no bound."""
     return multiplier * room if np.isfinite(room) else 0.0

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array, Whole
+from pinposture.kernels.arrays import Array1, Array2, Array3, Array4, Ints1
 from pinposture.kernels.compiled import compiled
 
 
 @compiled
 def above_boxes(
-    ends: Array,
-    lines: Whole,
-    centers: Array,
-    axes: Array,
-    halves: Array,
-    quarters: Array,
-    lower: Array,
+    ends: Array4,
+    lines: Ints1,
+    centers: Array2,
+    axes: Array3,
+    halves: Array2,
+    quarters: Array1,
+    lower: Array2,
 ) -> None:
     """Bound the distance of lines from boxes: that of both ends and the middle, less a quarter of the line.
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pinposture.kernels.arrays import Array, Whole
-from pinposture.kernels.compiled import compiled
+from pinposture.kernels.arrays import Array1, Array2, Flags1, Ints1
+from pinposture.kernels.compiled import compiled, subkernel
 
 MOST = 1e60
 """Number of braking steps that counts as any number: a joint without position limits has that many."""
@@ -15,7 +14,7 @@ SHORT, OUTSIDE = 1, 2
 """What `step_box` returns, added up: limits that cannot be kept; a joint of the chain outside its limits."""
 
 
-@compiled
+@subkernel
 def _farthest(room: float, brake: float) -> float:
     """The largest step towards a place at which a joint can still stop; g in `control.braking`."""
     distance = abs(room)
@@ -24,7 +23,7 @@ def _farthest(room: float, brake: float) -> float:
 
 
 @compiled
-def stoppable_steps(rooms: Array, brake: Array, filled: Array) -> None:
+def stoppable_steps(rooms: Array2, brake: Array1, filled: Array2) -> None:
     """`_farthest` for each room, (r, nv), with brakes (nv,); fills (r, nv)."""
     for i in range(len(rooms)):
         for u in range(len(brake)):
@@ -33,15 +32,15 @@ def stoppable_steps(rooms: Array, brake: Array, filled: Array) -> None:
 
 @compiled
 def step_box(
-    positions: Array,
-    edges: Array,
-    bound: Array,
-    brake: Array,
-    previous: Array,
+    positions: Array1,
+    edges: Array2,
+    bound: Array1,
+    brake: Array1,
+    previous: Array1,
     rounding: float,
-    columns: Whole,
-    leaning: Array,
-    limits: Array,
+    columns: Ints1,
+    leaning: Array1,
+    limits: Array2,
 ) -> int:
     """The steps that each joint may take; see `Limits.box`.
 
@@ -85,14 +84,14 @@ def step_box(
 
 @compiled
 def shorten_step(
-    dq: Array,
-    positions: Array,
-    edges: Array,
-    bound: Array,
-    brake: Array,
-    previous: Array,
-    cut: Array,
-    clipped: NDArray[np.bool_],
+    dq: Array1,
+    positions: Array1,
+    edges: Array2,
+    bound: Array1,
+    brake: Array1,
+    previous: Array1,
+    cut: Array1,
+    clipped: Flags1,
 ) -> float:
     """Shorten a step until it meets the step limit, then cut it; see `Limits.apply`.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array, Flags, Whole
+from pinposture.kernels.arrays import Array1, Array2, Flags2, Ints1
 from pinposture.kernels.compiled import compiled
 
 
@@ -12,12 +12,12 @@ from pinposture.kernels.compiled import compiled
 def best_branch(
     root: int,
     leaf: int,
-    strides: Whole,
-    stable: Flags,
-    logs: Array,
-    bonus: Array,
+    strides: Ints1,
+    stable: Flags2,
+    logs: Array2,
+    bonus: Array1,
     mean: bool,
-    path: Whole,
+    path: Ints1,
 ) -> tuple[int, float]:
     """The branch with the largest score: a bonus for the edges left, and their indices.
 

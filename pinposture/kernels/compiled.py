@@ -1,9 +1,10 @@
 """Functions that are compiled for the machine they run on: when, where the result is kept, how it is told.
 
-Numba compiles a kernel when it is first called with arguments of its kind, and keeps the machine code beside
-the source, or in the user's cache where it may not write there, or in NUMBA_CACHE_DIR. That happens once for
-an installation and user; to have it done ahead: `pinposture compile`. Processes that want the same kernel at
-the same time compile it once: one does, the others wait and load the result.
+A kernel is compiled once for an installation and user, for the arguments that its annotations name. Numba
+keeps the machine code beside the source, or in the user's cache where it may not write there, or in
+NUMBA_CACHE_DIR. It happens when a kernel is first called, or ahead of that by `load` and by
+`pinposture compile`. Processes that want the same kernel at the same time compile it once: one does, the
+others wait and load the result.
 """
 
 from __future__ import annotations
@@ -11,15 +12,19 @@ from __future__ import annotations
 import hashlib
 import logging
 import re
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
+from inspect import signature
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import numba
-from numba.core import event
+import numpy as np
+from numba.core import event, types
 from numba.core.compiler_lock import global_compiler_lock
+from numba.core.sigutils import normalize_signature
 
 try:
     import fcntl
@@ -33,7 +38,10 @@ logger = logging.getLogger(__name__)
 OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 """What numba is told: kernels are called from Python and by each other, never from C."""
 
-_NEWS = "compiling, once for an installation and user: a minute in all; `pinposture compile` does it now"
+_NEWS = "compiling kernels, once for an installation and user; `pinposture compile` does all of it now"
+
+_RECENT = 3600.0
+"""How long other processes keep quiet after one has told the news [s]."""
 
 _IMPORT = re.compile(r"^from pinposture\.kernels\.(\w+) import", re.MULTILINE)
 
@@ -41,10 +49,20 @@ _IMPORT = re.compile(r"^from pinposture\.kernels\.(\w+) import", re.MULTILINE)
 def compiled(function: Function) -> Function:
     """Compile a function that works on arrays and numbers alone; it runs without holding the GIL.
 
-    Divisions by zero give inf or NaN, as in NumPy. Arrays have to be C-contiguous and of the same kind each
-    time: read-only ones are another kind to the compiler, which would have to work again.
+    Divisions by zero give inf or NaN, as in NumPy. Arrays have to be C-contiguous, may be written to, and
+    have the type and the number of dimensions that the annotations name: any other kind would be compiled for
+    anew.
     """
-    made: Any = numba.njit(**OPTIONS)(function)
+    return _made(function, {})
+
+
+def subkernel(function: Function) -> Function:
+    """Compile a function that other kernels call, and Python never."""
+    return _made(function, {"no_cpython_wrapper": True})
+
+
+def _made(function: Function, options: dict[str, Any]) -> Function:
+    made: Any = numba.njit(**OPTIONS, **options)(function)
     try:
         made.enable_caching()
     except RuntimeError:
@@ -58,6 +76,34 @@ def compiled(function: Function) -> Function:
     return cast(Function, made)
 
 
+def load(kernel: Any) -> None:
+    """Compile a kernel for the arguments that it is annotated with, or load it from where it is kept."""
+    if not kernel.signatures:
+        kernel.compile(arguments_of(kernel))
+
+
+def arguments_of(kernel: Any) -> tuple[types.Type, ...]:
+    """What numba calls the arguments that a kernel is annotated with."""
+    hints = get_type_hints(kernel.py_func, include_extras=True)
+    return tuple(_type_of(hints[name]) for name in signature(kernel.py_func).parameters)
+
+
+def _type_of(hint: Any) -> types.Type:
+    """What numba calls the arguments that an annotation stands for."""
+    if hint in _SCALARS:
+        return _SCALARS[hint]
+    if get_origin(hint) is Annotated:  # an array of `kernels.arrays`
+        array, dimensions = get_args(hint)
+        ((element,),) = (get_args(each) for each in get_args(array)[1:])
+        return types.Array(numba.from_dtype(np.dtype(element)), dimensions, "C")
+    named = hint if hasattr(hint, "_fields") else None
+    fields = get_type_hints(hint, include_extras=True).values() if named else get_args(hint)
+    return types.BaseTuple.from_types([_type_of(each) for each in fields], named)  # type: ignore[no-untyped-call]
+
+
+_SCALARS = {float: types.float64, int: types.int64, bool: types.boolean}
+
+
 def _one_at_a_time(compile_kernel: Callable[..., Any], lock: Path) -> Callable[..., Any]:
     """Let one process compile a kernel; the others wait, and find it where it is kept.
 
@@ -66,8 +112,11 @@ def _one_at_a_time(compile_kernel: Callable[..., Any], lock: Path) -> Callable[.
     """
 
     def compile_once(signature: Any) -> Any:
+        arguments, _ = normalize_signature(signature)  # type: ignore[no-untyped-call]
+        # A constant is a number like others, not a type of its own.
+        arguments = tuple(types.unliteral(each) for each in arguments)  # type: ignore[no-untyped-call]
         with global_compiler_lock, _locked(lock):
-            return compile_kernel(signature)
+            return compile_kernel(arguments)
 
     return compile_once
 
@@ -127,21 +176,35 @@ def _sources(file: Path) -> frozenset[Path]:
 
 
 class _Announcement(event.Listener):
-    """Says once that there is something to wait for."""
+    """Says that there is something to wait for: once, however many processes of a user wait for it."""
 
     def __init__(self) -> None:
         self._told = False
 
     def on_start(self, event: event.Event) -> None:
         """A kernel is about to be compiled; it was not found where they are kept."""
-        dispatcher = (event.data or {}).get("dispatcher")
+        dispatcher: Any = (event.data or {}).get("dispatcher")
         ours = getattr(getattr(dispatcher, "py_func", None), "__module__", "").startswith("pinposture.")
         if ours and not self._told:
             self._told = True
-            logger.warning(_NEWS)
+            if _kept(dispatcher) is None or _is_news(Path(dispatcher._cache.cache_path)):
+                logger.warning(_NEWS)
 
     def on_end(self, event: event.Event) -> None:
         """It is compiled."""
+
+
+def _is_news(folder: Path) -> bool:
+    """Whether no process has told it lately, by a file beside the kernels; this one counts from now on."""
+    note = folder / "compiling.note"
+    try:
+        if time.time() - note.stat().st_mtime < _RECENT:
+            return False
+    except OSError:
+        pass  # there is none yet
+    with suppress(OSError):
+        note.touch()
+    return True
 
 
 event.register("numba:compile", _Announcement())  # type: ignore[no-untyped-call]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array, Chain, Flags, Whole
+from pinposture.kernels.arrays import Array1, Array2, Chain, Flags1, Ints1
 from pinposture.kernels.braking import step_box
 from pinposture.kernels.compiled import compiled
 from pinposture.kernels.kinematics import placements
@@ -14,7 +14,7 @@ ROUNDING = 1e-12
 
 
 @compiled
-def joint_distance(one: Array, other: Array, endless: Flags, columns: Whole, units: Array) -> float:
+def joint_distance(one: Array1, other: Array1, endless: Flags1, columns: Ints1, units: Array1) -> float:
     """The largest difference of joint positions (nv,), of those in `columns`, in units of each (n,)."""
     most = 0.0
     for i in range(len(columns)):
@@ -27,7 +27,7 @@ def joint_distance(one: Array, other: Array, endless: Flags, columns: Whole, uni
 
 
 @compiled
-def position_excess(positions: Array, edges: Array, columns: Whole) -> float:
+def position_excess(positions: Array1, edges: Array2, columns: Ints1) -> float:
     """By how much joints are outside their position limits, (2, nv), at most; 0 if none is."""
     most = 0.0
     for i in range(len(columns)):
@@ -38,16 +38,16 @@ def position_excess(positions: Array, edges: Array, columns: Whole) -> float:
 
 @compiled
 def step_along(
-    offsets: Array,
-    start: Array,
-    positions: Array,
-    endless: Flags,
-    columns: Whole,
-    units: Array,
+    offsets: Array2,
+    start: Array1,
+    positions: Array1,
+    endless: Flags1,
+    columns: Ints1,
+    units: Array1,
     place: float,
-    limits: Array,
+    limits: Array2,
     most: float,
-    dq: Array,
+    dq: Array1,
 ) -> tuple[float, float, bool]:
     """The step to the farthest place on a way that can be reached without leaving a gap.
 
@@ -110,16 +110,16 @@ def step_along(
 @compiled
 def look_ahead(
     chain: Chain,
-    positions: Array,
-    units: Array,
-    limits: Array,
-    edges: Array,
-    points: Array,
-    targets: Array,
-    placed: Flags,
-    dq: Array,
-    reached: Array,
-    at_limit: Flags,
+    positions: Array1,
+    units: Array1,
+    limits: Array2,
+    edges: Array2,
+    points: Array2,
+    targets: Array2,
+    placed: Flags1,
+    dq: Array1,
+    reached: Array1,
+    at_limit: Flags1,
 ) -> tuple[float, float]:
     """Cut a step at its limits, and look where it leads.
 
@@ -156,7 +156,7 @@ def look_ahead(
 
 
 @compiled
-def sum_distances(points: Array, targets: Array, placed: Flags) -> float:
+def sum_distances(points: Array2, targets: Array2, placed: Flags1) -> float:
     """Sum of the distances of points (m, 3) from their targets (m, 3), of those that have one (m,)."""
     total = 0.0
     for k in range(len(points)):
@@ -169,26 +169,26 @@ def sum_distances(points: Array, targets: Array, placed: Flags) -> float:
 @compiled
 def advance(
     chain: Chain,
-    endless: Flags,
-    units: Array,
-    leaning: Array,
-    edges: Array,
-    bound: Array,
-    positions: Array,
-    points: Array,
-    offsets: Array,
-    start: Array,
+    endless: Flags1,
+    units: Array1,
+    leaning: Array1,
+    edges: Array2,
+    bound: Array1,
+    positions: Array1,
+    points: Array2,
+    offsets: Array2,
+    start: Array1,
     place: float,
-    expected: Array,
+    expected: Array1,
     disturbed: float,
     arrived: float,
     rounding: float,
     most: float,
-    targets: Array,
-    placed: Flags,
-    dq: Array,
-    reached: Array,
-    at_limit: Flags,
+    targets: Array2,
+    placed: Flags1,
+    dq: Array1,
+    reached: Array1,
+    at_limit: Flags1,
 ) -> tuple[bool, float, float, float]:
     """`step_box`, `joint_distance`, `step_along` and `look_ahead` in one call: the usual step.
 

@@ -15,8 +15,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import FULL, LOCAL, RELATIVE, Array, Factors, Rows, Screws
-from pinposture.kernels.compiled import compiled
+from pinposture.kernels.arrays import FULL, LOCAL, RELATIVE, Array1, Array2, Factors, Rows, Screws
+from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.rows import joints_along, motions_along
 
 NOTHING = 1e-60
@@ -87,19 +87,19 @@ def eliminated(
                 left[0, c], left[1, c], left[2, c] = 0.0, 0.0, 0.0
 
 
-@compiled
+@subkernel
 def _enter(
-    A: Array,
+    A: Array2,
     column: int,
-    E: Array,
+    E: Array2,
     v0: float,
     v1: float,
     v2: float,
     w0: float,
     w1: float,
     w2: float,
-    to: Array,
-    since: Array,
+    to: Array1,
+    since: Array1,
 ) -> None:
     """Take (v, w) to another point, and write it along the directions."""
     r0, r1, r2 = to[0] - since[0], to[1] - since[1], to[2] - since[2]
@@ -109,8 +109,8 @@ def _enter(
     A[3, column], A[4, column], A[5, column] = w0, w1, w2
 
 
-@compiled
-def _leave(A: Array, column: int, E: Array, to: Array, place: int, there: bool) -> None:
+@subkernel
+def _leave(A: Array2, column: int, E: Array2, to: Array2, place: int, there: bool) -> None:
     """The way back from the directions to (v, w); zero if there is no such column."""
     for i in range(3):
         to[i, place] = (
@@ -119,8 +119,8 @@ def _leave(A: Array, column: int, E: Array, to: Array, place: int, there: bool) 
         to[3 + i, place] = A[3 + i, column] if there else 0.0
 
 
-@compiled
-def _reflect(A: Array, row: int, pivot: int, width: int) -> None:
+@subkernel
+def _reflect(A: Array2, row: int, pivot: int, width: int) -> None:
     """Householder reflection of the columns from the pivot on, after which the row ends there."""
     head, tail = A[row, pivot], 0.0
     for c in range(pivot + 1, width):
@@ -144,13 +144,13 @@ def _reflect(A: Array, row: int, pivot: int, width: int) -> None:
         A[row, c] = 0.0
 
 
-@compiled
+@subkernel
 def down_stations(
-    points: Array,
+    points: Array2,
     rows: Rows,
     factors: Factors,
     solve: bool,
-    values: Array,
+    values: Array2,
 ) -> None:
     """Multiply by L, or solve with it: the pass from the base to the tip.
 
@@ -189,13 +189,13 @@ def down_stations(
         v0, v1, v2, w0, w1, w2 = p0, p1, p2, p3, p4, p5
 
 
-@compiled
+@subkernel
 def up_stations(
-    points: Array,
+    points: Array2,
     rows: Rows,
     factors: Factors,
     solve: bool,
-    values: Array,
+    values: Array2,
 ) -> None:
     """Multiply by the transpose of L, or solve with it: the pass from the tip to the base.
 
@@ -245,8 +245,8 @@ def least_change(
     screws: Screws,
     rows: Rows,
     factors: Factors,
-    values: Array,
-    x: Array,
+    values: Array2,
+    x: Array1,
 ) -> None:
     """Change the motions of the joints as little as possible so that each row has its value.
 

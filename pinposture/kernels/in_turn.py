@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array, Whole
+from pinposture.kernels.arrays import Array1, Array2, Ints2
 from pinposture.kernels.compiled import compiled
 from pinposture.kernels.units import base_frame, seen, solutions, turned, within
 
 
 @compiled
 def take_points(
-    units: Whole,
-    shapes: Array,
-    lower: Array,
-    upper: Array,
-    base: Array,
-    points: Array,
+    units: Ints2,
+    shapes: Array2,
+    lower: Array1,
+    upper: Array1,
+    base: Array1,
+    points: Array2,
     tries: int,
-    positions: Array,
+    positions: Array1,
 ) -> bool:
     """Find joint positions that put the end of every module at its point.
 

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array, Chain
+from pinposture.kernels.arrays import Array1, Array2, Array3, Chain
 from pinposture.kernels.compiled import compiled
 
 
 @compiled
 def placements(
     chain: Chain,
-    positions: Array,
-    joint_axes: Array,
-    joint_origins: Array,
-    points: Array,
-    rotations: Array,
+    positions: Array1,
+    joint_axes: Array2,
+    joint_origins: Array2,
+    points: Array2,
+    rotations: Array3,
 ) -> None:
     """Forward kinematics, one joint after the other.
 
@@ -97,7 +97,9 @@ def placements(
 
 
 @compiled
-def jacobians(chain: Chain, joint_axes: Array, joint_origins: Array, points: Array, filled: Array) -> None:
+def jacobians(
+    chain: Chain, joint_axes: Array2, joint_origins: Array2, points: Array2, filled: Array3
+) -> None:
     """Position Jacobians of all control points: d p_k / d q_u = a_u x (p_k - o_u), or a_u where it slides.
 
     Args:

@@ -19,16 +19,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array, Flags, Springs
-from pinposture.kernels.compiled import compiled
+from pinposture.kernels.arrays import Array1, Array2, Flags1, Springs
+from pinposture.kernels.compiled import subkernel
 
 
-@compiled
+@subkernel
 def factored(
     springs: Springs,
-    damping: Array,
-    held: Flags,
-    gains: Array,
+    damping: Array1,
+    held: Flags1,
+    gains: Array2,
 ) -> None:
     """What farther joints can do about a state: the pass from the tip to the base, without right-hand sides.
 
@@ -99,8 +99,8 @@ def factored(
             _before(P, turned, points[k], points[k - 1])
 
 
-@compiled
-def _before(P: Array, turned: Array, point: Array, previous: Array) -> None:
+@subkernel
+def _before(P: Array2, turned: Array2, point: Array1, previous: Array1) -> None:
     """What (v, displacement, w) cost, as a function of (v, w) at the point before: displacement = w x r."""
     r0, r1, r2 = point[0] - previous[0], point[1] - previous[1], point[2] - previous[2]
     for i in range(9):  # P (w x r) for the three units of w
@@ -119,15 +119,15 @@ def _before(P: Array, turned: Array, point: Array, previous: Array) -> None:
             P[6 + j, 6 + i] = P[6 + i, 6 + j]
 
 
-@compiled
+@subkernel
 def answered(
     springs: Springs,
-    errors: Array,
-    damping: Array,
-    centre: Array,
-    held: Flags,
-    gains: Array,
-    x: Array,
+    errors: Array2,
+    damping: Array1,
+    centre: Array1,
+    held: Flags1,
+    gains: Array2,
+    x: Array1,
 ) -> None:
     """The motions for one right-hand side, after `factored` with all else the same.
 
@@ -195,15 +195,15 @@ def answered(
         v0, v1, v2 = v0 + d0, v1 + d1, v2 + d2
 
 
-@compiled
+@subkernel
 def slope_of(
     springs: Springs,
-    errors: Array,
-    damping: Array,
-    centre: Array,
-    x: Array,
-    slope: Array,
-    missed: Array,
+    errors: Array2,
+    damping: Array1,
+    centre: Array1,
+    x: Array1,
+    slope: Array1,
+    missed: Array2,
 ) -> float:
     """Half the sum at x, and half its gradient, which `slope` is filled with; `missed` is scratch, (m, 6)."""
     b, ends, points, weights, chords = springs

@@ -8,11 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array
-from pinposture.kernels.compiled import compiled
-
-Three = tuple[float, float, float]
-Four = tuple[float, float, float, float]
+from pinposture.kernels.arrays import Array1, Array2, Four, Three
+from pinposture.kernels.compiled import compiled, subkernel
 
 FIRST, LAST = 1e-9, 1.0 + 1e-9
 """Where on a segment a crossing may be: ahead of its start, and rounding beyond its end."""
@@ -39,7 +36,7 @@ def circle_forward(link: float, q0: float) -> tuple[float, ...]:
 
 
 @compiled
-def torus_inverse(l1: float, l2: float, sense: float, x: float, y: float, z: float, out: Array) -> int:
+def torus_inverse(l1: float, l2: float, sense: float, x: float, y: float, z: float, out: Array2) -> int:
     """Angles that put the end at a point, the branch that faces it first.
 
     Args:
@@ -71,7 +68,7 @@ def torus_inverse(l1: float, l2: float, sense: float, x: float, y: float, z: flo
 
 
 @compiled
-def circle_inverse(link: float, x: float, y: float, z: float, out: Array) -> int:
+def circle_inverse(link: float, x: float, y: float, z: float, out: Array2) -> int:
     """The angle that puts the end at a point, into out[0, 0]; returns how many there are, 0 or 1."""
     q0 = np.arctan2(-z, x)
     end = circle_forward(link, q0)
@@ -85,20 +82,20 @@ def torus_faces(l1: float, l2: float, x: float, y: float, z: float) -> bool:
     return x * x + y * y + z * z > (l1 * l1 + l2 * l2) * (1.0 - 1e-12)
 
 
-@compiled
+@subkernel
 def torus_clearance(l1: float, l2: float, x: float, y: float, z: float) -> float:
     """A distance from a point within which there is no point of the torus."""
     radius = np.hypot(x, z)
     return float(min(abs(np.hypot(radius - l1, y) - l2), abs(np.hypot(radius + l1, y) - l2)))
 
 
-@compiled
+@subkernel
 def quartic(c: Four, c4: float, t: float) -> float:
     """Value at t of the polynomial of coefficients c, constant first, and c4."""
     return (((c4 * t + c[3]) * t + c[2]) * t + c[1]) * t + c[0]
 
 
-@compiled
+@subkernel
 def bracketed(c: Four, c4: float, low: float, high: float) -> float:
     """The root of a quartic between two places where its sign differs, by Newton's method and bisection."""
     rising = quartic(c, c4, high) > 0.0
@@ -120,8 +117,8 @@ def bracketed(c: Four, c4: float, low: float, high: float) -> float:
     return t
 
 
-@compiled
-def roots_between(c: Four, c4: float, places: Array, count: int, out: Array) -> int:
+@subkernel
+def roots_between(c: Four, c4: float, places: Array1, count: int, out: Array1) -> int:
     """Roots of a quartic that has one or none between neighbouring places.
 
     Args:
@@ -150,8 +147,8 @@ def roots_between(c: Four, c4: float, places: Array, count: int, out: Array) -> 
     return found
 
 
-@compiled
-def quartic_roots(c: Four, c4: float, out: Array) -> int:
+@subkernel
+def quartic_roots(c: Four, c4: float, out: Array1) -> int:
     """Roots from `FIRST` to `LAST`, increasing, into out (4,); returns how many there are.
 
     Between its extrema a polynomial has one root or none; they are roots of the derivative, and found in the
@@ -177,7 +174,7 @@ def quartic_roots(c: Four, c4: float, out: Array) -> int:
 
 
 @compiled
-def torus_crossings(l1: float, l2: float, a: Three, b: Three, out: Array) -> int:
+def torus_crossings(l1: float, l2: float, a: Three, b: Three, out: Array1) -> int:
     """Where on the segment from a to b the torus is crossed, (6.13)-(6.15) put right.
 
     Args:
@@ -214,7 +211,7 @@ def torus_crossings(l1: float, l2: float, a: Three, b: Three, out: Array) -> int
 
 
 @compiled
-def circle_crossings(link: float, a: Three, b: Three, out: Array) -> int:
+def circle_crossings(link: float, a: Three, b: Three, out: Array1) -> int:
     """Where on the segment from a to b the sphere around the base is crossed; as `torus_crossings`."""
     ax, ay, az = a
     dx, dy, dz = b[0] - ax, b[1] - ay, b[2] - az

@@ -5,20 +5,20 @@ from __future__ import annotations
 import numpy as np
 
 from pinposture.kernels.arclength import CLOSE, NEWTON, length_at
-from pinposture.kernels.arrays import Array
-from pinposture.kernels.compiled import compiled
+from pinposture.kernels.arrays import Array1, Array2, Array3
+from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.spline import span_at, value
 
 
-@compiled
-def distance_at(t: Array, table: Array, degree: int, u: float, p: Array, work: Array) -> float:
+@subkernel
+def distance_at(t: Array1, table: Array3, degree: int, u: float, p: Array1, work: Array2) -> float:
     """Distance from the point p (3,) to the place at u."""
     x, y, z = value(t, table, degree, 0, span_at(t, degree, u), u, work)
     return float(np.sqrt((x - p[0]) ** 2 + (y - p[1]) ** 2 + (z - p[2]) ** 2))
 
 
-@compiled
-def slopes(t: Array, table: Array, degree: int, u: float, p: Array, work: Array) -> tuple[float, float]:
+@subkernel
+def slopes(t: Array1, table: Array3, degree: int, u: float, p: Array1, work: Array2) -> tuple[float, float]:
     """Half the first and second derivatives by u of the squared distance from p (3,)."""
     span = span_at(t, degree, u)
     x, y, z = value(t, table, degree, 0, span, u, work)
@@ -31,9 +31,9 @@ def slopes(t: Array, table: Array, degree: int, u: float, p: Array, work: Array)
     return x * a + y * b + z * c, second
 
 
-@compiled
+@subkernel
 def nearest_within(
-    t: Array, table: Array, degree: int, low: float, high: float, p: Array, work: Array
+    t: Array1, table: Array3, degree: int, low: float, high: float, p: Array1, work: Array2
 ) -> tuple[float, float]:
     """Parameter of the place nearest to p (3,) within a short piece, and the distance."""
     best, distance = low, distance_at(t, table, degree, low, p, work)
@@ -64,15 +64,15 @@ def nearest_within(
 
 @compiled
 def nearest_places(
-    t: Array,
-    table: Array,
+    t: Array1,
+    table: Array3,
     degree: int,
-    edges: Array,
-    lengths: Array,
-    series: Array,
+    edges: Array1,
+    lengths: Array1,
+    series: Array2,
     pieces: int,
-    points: Array,
-) -> Array:
+    points: Array2,
+) -> Array2:
     """Find the nearest places to points; of several equally near, one of them.
 
     The curve is cut into pieces. If the middle of a piece is at a distance d, and its ends at most r away

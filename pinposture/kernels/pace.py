@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array
-from pinposture.kernels.compiled import compiled
+from pinposture.kernels.arrays import Array1, Array2
+from pinposture.kernels.compiled import compiled, subkernel
 
 PASSED = 10  # waypoints that a step passes, at most, where limits hold it back
 
 
-@compiled
-def _gain(slope: Array, bend: Array, brake: Array, planned: float, curved: float, pace: float) -> float:
+@subkernel
+def _gain(slope: Array1, bend: Array1, brake: Array1, planned: float, curved: float, pace: float) -> float:
     """The most that the pace may change from one step to the next at a waypoint."""
     most = np.inf
     for joint in range(len(slope)):
@@ -21,8 +21,8 @@ def _gain(slope: Array, bend: Array, brake: Array, planned: float, curved: float
     return most
 
 
-@compiled
-def _around(values: Array, reach: int, least: float, wide: Array) -> None:
+@subkernel
+def _around(values: Array2, reach: int, least: float, wide: Array2) -> None:
     """The largest of each absolute value and its neighbours along the way, or the least that counts."""
     for i in range(len(values)):
         first, last = max(i - reach, 0), min(i + reach + 1, len(values))
@@ -33,8 +33,8 @@ def _around(values: Array, reach: int, least: float, wide: Array) -> None:
             wide[i, joint] = most
 
 
-@compiled
-def _differences(values: Array, slopes: Array) -> None:
+@subkernel
+def _differences(values: Array2, slopes: Array2) -> None:
     """How rows change from one to the next: in the middle of both neighbours, at the ends to the one."""
     last = len(values) - 1
     for i in range(len(values)):
@@ -43,19 +43,19 @@ def _differences(values: Array, slopes: Array) -> None:
             slopes[i, joint] = (values[high, joint] - values[low, joint]) / (high - low)
 
 
-@compiled
+@subkernel
 def _fastest(
-    slope: Array,
-    bend: Array,
-    bound: Array,
-    brake: Array,
+    slope: Array2,
+    bend: Array2,
+    bound: Array1,
+    brake: Array1,
     begin: float,
     most: float,
     speed: float,
     planned: float,
     curved: float,
-    cap: Array,
-    top: Array,
+    cap: Array1,
+    top: Array1,
 ) -> None:
     """The pace of `find_pace`, from how steep and how bent the way is."""
     count, joints = slope.shape
@@ -83,19 +83,19 @@ def _fastest(
 
 @compiled
 def find_pace(
-    offsets: Array,
-    bound: Array,
-    brake: Array,
+    offsets: Array2,
+    bound: Array1,
+    brake: Array1,
     begin: float,
     most: float,
     speed: float,
     planned: float,
     curved: float,
     small: float,
-    slope: Array,
-    bend: Array,
-    cap: Array,
-    top: Array,
+    slope: Array2,
+    bend: Array2,
+    cap: Array1,
+    top: Array1,
 ) -> None:
     """The fastest pace at each waypoint that still meets all slower places ahead, and the end.
 
@@ -135,15 +135,15 @@ def find_pace(
         reach = passed
 
 
-@compiled
+@subkernel
 def _fastest_at(
     place: float,
     pace: float,
-    slope: Array,
-    bend: Array,
-    cap: Array,
-    top: Array,
-    brake: Array,
+    slope: Array2,
+    bend: Array2,
+    cap: Array1,
+    top: Array1,
+    brake: Array1,
     planned: float,
     curved: float,
 ) -> float:
@@ -163,11 +163,11 @@ def _fastest_at(
 def next_pace(
     place: float,
     pace: float,
-    slope: Array,
-    bend: Array,
-    cap: Array,
-    top: Array,
-    brake: Array,
+    slope: Array2,
+    bend: Array2,
+    cap: Array1,
+    top: Array1,
+    brake: Array1,
     planned: float,
     curved: float,
 ) -> float:

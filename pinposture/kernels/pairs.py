@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array, Flags, Whole
-from pinposture.kernels.compiled import compiled
+from pinposture.kernels.arrays import Array1, Array2, Flags1, Ints1
+from pinposture.kernels.compiled import compiled, subkernel
 
 Gram = tuple[float, float, float, float, float, float]
 
@@ -21,9 +21,9 @@ ROUNDING = 1e-14
 """Rounding of the determinant of a Gram matrix of trace 1, at most."""
 
 
-@compiled
+@subkernel
 def _with_module(
-    gram: Gram, b: Array, ends: Whole, points: Array, plane: Array, module: int, point: int
+    gram: Gram, b: Array2, ends: Ints1, points: Array2, plane: Array2, module: int, point: int
 ) -> Gram:
     """A Gram matrix (xx, xy, xz, yy, yz, zz) of the motion of a point, with one more module."""
     xx, xy, xz, yy, yz, zz = gram
@@ -44,13 +44,13 @@ def _with_module(
     return xx, xy, xz, yy, yz, zz
 
 
-@compiled
+@subkernel
 def _determinant(gram: Gram) -> float:
     xx, xy, xz, yy, yz, zz = gram
     return xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
 
 
-@compiled
+@subkernel
 def _index(gram: Gram, dimension: int) -> float:
     """Product of the singular values over the power of the largest, (4.3) and (4.4)."""
     xx, xy, xz, yy, yz, zz = gram
@@ -73,7 +73,7 @@ def _index(gram: Gram, dimension: int) -> float:
     return min(np.sqrt(max(determinant, 0.0)), 1.0)
 
 
-@compiled
+@subkernel
 def _clears(gram: Gram, dimension: int, threshold: float) -> bool:
     """Whether the index exceeds a threshold; the largest eigenvalue is only found where it decides."""
     trace = gram[0] + gram[3] + gram[5]
@@ -86,8 +86,8 @@ def _clears(gram: Gram, dimension: int, threshold: float) -> bool:
     return _index(gram, dimension) > threshold
 
 
-@compiled
-def _section(b: Array, ends: Whole, points: Array, plane: Array, start: int, end: int) -> float:
+@subkernel
+def _section(b: Array2, ends: Ints1, points: Array2, plane: Array2, start: int, end: int) -> float:
     """Index of point `end` - 1 relative to `start` - 1; 0 is the base."""
     gram = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for module in range(end - 1, start - 1, -1):
@@ -96,7 +96,7 @@ def _section(b: Array, ends: Whole, points: Array, plane: Array, start: int, end
 
 
 @compiled
-def all_indices(b: Array, ends: Whole, points: Array, plane: Array, filled: Array) -> None:
+def all_indices(b: Array2, ends: Ints1, points: Array2, plane: Array2, filled: Array2) -> None:
     """Indices of all sections.
 
     Args:
@@ -115,7 +115,9 @@ def all_indices(b: Array, ends: Whole, points: Array, plane: Array, filled: Arra
 
 
 @compiled
-def base_indices(b: Array, ends: Whole, points: Array, plane: Array, threshold: float, filled: Array) -> None:
+def base_indices(
+    b: Array2, ends: Ints1, points: Array2, plane: Array2, threshold: float, filled: Array1
+) -> None:
     """Indices of all points relative to the base, in one pass.
 
     The Gram matrix of motion and turning goes along the chain from point to point. What rounding that adds
@@ -169,7 +171,9 @@ def base_indices(b: Array, ends: Whole, points: Array, plane: Array, threshold: 
 
 
 @compiled
-def stride_indices(b: Array, ends: Whole, points: Array, plane: Array, strides: Whole, filled: Array) -> None:
+def stride_indices(
+    b: Array2, ends: Ints1, points: Array2, plane: Array2, strides: Ints1, filled: Array2
+) -> None:
     """Indices of the sections of some numbers of modules.
 
     Args:
@@ -188,14 +192,14 @@ def stride_indices(b: Array, ends: Whole, points: Array, plane: Array, strides: 
 
 @compiled
 def best_path(
-    b: Array,
-    ends: Whole,
-    points: Array,
-    plane: Array,
-    usable: Flags,
-    errors: Array,
+    b: Array2,
+    ends: Ints1,
+    points: Array2,
+    plane: Array2,
+    usable: Flags1,
+    errors: Array1,
     relative: float,
-    path: Whole,
+    path: Ints1,
 ) -> int:
     """The control set with the largest sum of errors: the longest path whose edges all clear the condition.
 
@@ -255,7 +259,9 @@ def best_path(
 
 
 @compiled
-def weakest_index(b: Array, ends: Whole, points: Array, plane: Array, active: Whole, base: Array) -> float:
+def weakest_index(
+    b: Array2, ends: Ints1, points: Array2, plane: Array2, active: Ints1, base: Array1
+) -> float:
     """Smallest index of the points of a control set, relative to the base and to the point before.
 
     Args:

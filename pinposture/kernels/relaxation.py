@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array, Chain, Springs, Whole
+from pinposture.kernels.arrays import Array1, Array2, Chain, Ints1, Springs
 from pinposture.kernels.bounded import minimise_in_box
-from pinposture.kernels.compiled import compiled
+from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.kinematics import placements
 from pinposture.kernels.springs import find_screws
 
@@ -29,16 +29,16 @@ waits for the next pass."""
 @compiled
 def relax_waypoints(
     chain: Chain,
-    which: Whole,
-    own_ends: Whole,
-    units: Array,
-    start: Array,
-    lower: Array,
-    upper: Array,
+    which: Ints1,
+    own_ends: Ints1,
+    units: Array1,
+    start: Array1,
+    lower: Array1,
+    upper: Array1,
     weight: float,
     rounds: int,
     settled: float,
-    x: Array,
+    x: Array2,
 ) -> float:
     """Relax the waypoints between two ends.
 
@@ -125,10 +125,10 @@ def relax_waypoints(
 @compiled
 def measure_ways(
     chain: Chain,
-    which: Whole,
-    units: Array,
-    start: Array,
-    x: Array,
+    which: Ints1,
+    units: Array1,
+    start: Array1,
+    x: Array2,
     looks: int,
 ) -> tuple[float, float]:
     """How far all control points travel on a way, and how far apart its ends are.
@@ -161,16 +161,18 @@ def measure_ways(
     return path, direct
 
 
-@compiled
-def _displaced(start: Array, columns: Whole, which: Whole, units: Array, x: Array, positions: Array) -> None:
+@subkernel
+def _displaced(
+    start: Array1, columns: Ints1, which: Ints1, units: Array1, x: Array1, positions: Array1
+) -> None:
     """Joint positions after a displacement."""
     for u in range(len(which)):
         j = columns[which[u]]
         positions[j] = start[j] + x[u] * units[u]
 
 
-@compiled
-def _motion(one: Array, other: Array, x: Array, y: Array, weight: float) -> float:
+@subkernel
+def _motion(one: Array2, other: Array2, x: Array1, y: Array1, weight: float) -> float:
     """Energy of the motion between two neighbours."""
     points, joints = 0.0, 0.0
     for k in range(len(one)):
@@ -181,8 +183,8 @@ def _motion(one: Array, other: Array, x: Array, y: Array, weight: float) -> floa
     return points + weight * joints
 
 
-@compiled
-def _between(one: Array, other: Array) -> float:
+@subkernel
+def _between(one: Array2, other: Array2) -> float:
     """Sum of the distances between points."""
     total = 0.0
     for k in range(len(one)):

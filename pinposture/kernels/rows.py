@@ -13,7 +13,7 @@ depends on the coupling:
 
 from __future__ import annotations
 
-from pinposture.kernels.arrays import FULL, LOCAL, Array, Rows, Screws
+from pinposture.kernels.arrays import FULL, LOCAL, Array1, Array2, Rows, Screws
 from pinposture.kernels.compiled import compiled
 
 
@@ -21,8 +21,8 @@ from pinposture.kernels.compiled import compiled
 def motions_along(
     screws: Screws,
     rows: Rows,
-    x: Array,
-    values: Array,
+    x: Array1,
+    values: Array2,
 ) -> None:
     """The matrix times a vector: how the joints move the stations along the directions.
 
@@ -61,8 +61,8 @@ def motions_along(
 def joints_along(
     screws: Screws,
     rows: Rows,
-    values: Array,
-    x: Array,
+    values: Array2,
+    x: Array1,
 ) -> None:
     """The transposed matrix times a vector: what forces along the directions do to the joints.
 

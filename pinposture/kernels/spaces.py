@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array, Whole
-from pinposture.kernels.compiled import compiled
+from pinposture.kernels.arrays import Array1, Array2, Array3, Ints1
+from pinposture.kernels.compiled import compiled, subkernel
 
 SWEEPS = 40
 """The most rounds of rotations; three vectors take about five."""
@@ -16,14 +16,14 @@ ANGLE = 1e-15
 
 @compiled
 def module_spaces(
-    b: Array,
-    ends: Whole,
-    points: Array,
-    plane: Array,
-    stations: Whole,
-    thresholds: Array,
-    directions: Array,
-    ranks: Whole,
+    b: Array2,
+    ends: Ints1,
+    points: Array2,
+    plane: Array2,
+    stations: Ints1,
+    thresholds: Array1,
+    directions: Array3,
+    ranks: Ints1,
 ) -> float:
     """Left singular vectors, above a threshold, of the Jacobian of each section by its own joints alone.
 
@@ -89,16 +89,16 @@ def module_spaces(
     return smallest
 
 
-@compiled
-def _product(vectors: Array, i: int, j: int, length: int) -> float:
+@subkernel
+def _product(vectors: Array2, i: int, j: int, length: int) -> float:
     total = 0.0
     for c in range(length):
         total += vectors[i, c] * vectors[j, c]
     return total
 
 
-@compiled
-def _orthogonalise(vectors: Array, turns: Array, size: int, length: int) -> None:
+@subkernel
+def _orthogonalise(vectors: Array2, turns: Array2, size: int, length: int) -> None:
     """Turn up to three vectors among themselves until they are at right angles; the turns are kept."""
     for i in range(size):
         for j in range(size):
@@ -127,8 +127,8 @@ def _orthogonalise(vectors: Array, turns: Array, size: int, length: int) -> None
             return
 
 
-@compiled
-def _complete(directions: Array, rank: int) -> None:
+@subkernel
+def _complete(directions: Array2, rank: int) -> None:
     """Straighten the first directions by what rounding left, and add others at right angles to them."""
     for i in range(3):
         e = directions[i]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array, Factors, Rows
-from pinposture.kernels.compiled import compiled
+from pinposture.kernels.arrays import Array1, Array2, Factors, Rows
+from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.elimination import down_stations, up_stations
 
 LARGEST_BASIS = 400
@@ -16,7 +16,7 @@ RESTARTS = 20
 
 
 @compiled
-def inverse_norm(points: Array, rows: Rows, factors: Factors) -> float:
+def inverse_norm(points: Array2, rows: Rows, factors: Factors) -> float:
     """Frobenius norm of the pseudo-inverse of a FULL matrix.
 
     The smallest singular value is at least its inverse, and at most sqrt(rows) times that. It is the mean
@@ -75,8 +75,8 @@ def inverse_norm(points: Array, rows: Rows, factors: Factors) -> float:
     return float(np.sqrt(total))
 
 
-@compiled
-def _share(R: Array, T: Array, C: Array, rank: int) -> float:
+@subkernel
+def _share(R: Array2, T: Array2, C: Array2, rank: int) -> float:
     """Mean square of R^-1 (white noise - T times a state of covariance C)."""
     S = np.zeros((3, 3))
     for a in range(rank):
@@ -104,12 +104,12 @@ def _share(R: Array, T: Array, C: Array, rank: int) -> float:
 
 @compiled
 def extreme_value(
-    points: Array,
+    points: Array2,
     rows: Rows,
     factors: Factors,
     smallest: bool,
     tolerance: float,
-    vector: Array,
+    vector: Array2,
 ) -> float:
     """The smallest or largest singular value and its left singular vector: Lanczos on J J^T or its inverse.
 
@@ -179,8 +179,8 @@ def extreme_value(
     return float(1.0 / np.sqrt(best)) if smallest else float(np.sqrt(best))
 
 
-@compiled
-def _top(diagonal: Array, beside: Array, size: int, vector: Array) -> float:
+@subkernel
+def _top(diagonal: Array1, beside: Array1, size: int, vector: Array1) -> float:
     """Largest eigenvalue of a tridiagonal matrix, by bisection, and its vector, by inverse iteration."""
     low, high = diagonal[0], diagonal[0]
     for i in range(size):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array
-from pinposture.kernels.compiled import compiled
+from pinposture.kernels.arrays import Array1, Array2, Array3
+from pinposture.kernels.compiled import compiled, subkernel
 
 
 @compiled
-def spline_coefficients(t: Array, c: Array, degree: int) -> Array:
+def spline_coefficients(t: Array1, c: Array2, degree: int) -> Array3:
     """Coefficients of a B-spline and of all its derivatives, which are B-splines on the same knots.
 
     Args:
@@ -34,8 +34,8 @@ def spline_coefficients(t: Array, c: Array, degree: int) -> Array:
     return table
 
 
-@compiled
-def span_at(t: Array, degree: int, u: float) -> int:
+@subkernel
+def span_at(t: Array1, degree: int, u: float) -> int:
     """The knot span that holds u; at a knot the one that follows, at the end the last one."""
     low, high = degree, len(t) - degree - 1
     while high - low > 1:
@@ -49,9 +49,9 @@ def span_at(t: Array, degree: int, u: float) -> int:
     return low
 
 
-@compiled
+@subkernel
 def value(
-    t: Array, table: Array, degree: int, order: int, span: int, u: float, work: Array
+    t: Array1, table: Array3, degree: int, order: int, span: int, u: float, work: Array2
 ) -> tuple[float, float, float]:
     """A derivative of the spline at u, by de Boor's recursion.
 
@@ -87,7 +87,7 @@ def value(
 
 
 @compiled
-def spline_values(t: Array, table: Array, degree: int, order: int, u: Array) -> Array:
+def spline_values(t: Array1, table: Array3, degree: int, order: int, u: Array1) -> Array2:
     """A derivative of the spline, (n, 3), at parameters u (n,); zero if its order is above the degree."""
     out = np.zeros((len(u), 3))
     if order <= degree:

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array, Flags, Springs, Whole
+from pinposture.kernels.arrays import Array1, Array2, Flags1, Ints1, Springs
 from pinposture.kernels.compiled import compiled
 
 
 @compiled
 def find_screws(
-    which: Whole,
-    slides: Flags,
-    units: Array,
-    axes: Array,
-    origins: Array,
-    ends: Whole,
-    points: Array,
-    filled: Array,
+    which: Ints1,
+    slides: Flags1,
+    units: Array1,
+    axes: Array2,
+    origins: Array2,
+    ends: Ints1,
+    points: Array2,
+    filled: Array2,
 ) -> None:
     """How each joint moves the first point that it carries, and turns it.
 
@@ -52,7 +52,7 @@ def find_screws(
 
 
 @compiled
-def move_points(b: Array, ends: Whole, points: Array, x: Array, filled: Array) -> None:
+def move_points(b: Array2, ends: Ints1, points: Array2, x: Array1, filled: Array2) -> None:
     """How motions x of the joints move the points: fills v, (m, 3)."""
     v0, v1, v2, w0, w1, w2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(len(ends)):
@@ -69,7 +69,7 @@ def move_points(b: Array, ends: Whole, points: Array, x: Array, filled: Array) -
 
 @compiled
 def measure_misses(
-    points: Array, targets: Array, weights: Array, chords: Array, normal: Array, errors: Array
+    points: Array2, targets: Array2, weights: Array1, chords: Array1, normal: Array1, errors: Array2
 ) -> float:
     """Errors of points, and the weighted sum of their squares and of those of their chords.
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from pinposture.kernels.arclength import CLOSE, NEWTON, speed
-from pinposture.kernels.arrays import Array
-from pinposture.kernels.compiled import compiled
+from pinposture.kernels.arrays import Array1, Array2, Array3
+from pinposture.kernels.compiled import compiled, subkernel
 
 SAMPLES = 9  # places in a span where the speed is looked at
 STILL = 1e-6  # of the largest speed in its span: a speed that vanishes
 
 
-@compiled
-def half_square_slope(taylor: Array, degree: int, x: float) -> tuple[float, float]:
+@subkernel
+def half_square_slope(taylor: Array2, degree: int, x: float) -> tuple[float, float]:
     """First derivative by x of half the squared speed of an expanded velocity, and the second one."""
     value, slope = 0.0, 0.0
     for axis in range(3):
@@ -27,8 +27,8 @@ def half_square_slope(taylor: Array, degree: int, x: float) -> tuple[float, floa
     return value, slope
 
 
-@compiled
-def slowest(taylor: Array, degree: int, low: float, high: float) -> float:
+@subkernel
+def slowest(taylor: Array2, degree: int, low: float, high: float) -> float:
     """The x between two others where an expanded velocity is least, if its slope says so there; else NaN."""
     falls, rises = half_square_slope(taylor, degree, low)[0], half_square_slope(taylor, degree, high)[0]
     if not (falls < 0.0 and rises > 0.0):
@@ -48,7 +48,7 @@ def slowest(taylor: Array, degree: int, low: float, high: float) -> float:
 
 
 @compiled
-def find_standstill(taylors: Array, breaks: Array) -> float:
+def find_standstill(taylors: Array3, breaks: Array1) -> float:
     """Find a parameter at which the curve stands still.
 
     Args:

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from pinposture.kernels.arrays import Array
-from pinposture.kernels.compiled import compiled
+from pinposture.kernels.arrays import Array1, Array2, Three
+from pinposture.kernels.compiled import subkernel
 from pinposture.kernels.modules import circle_forward, circle_inverse, torus_forward, torus_inverse
-
-Three = tuple[float, float, float]
 
 ROUNDING = 1e-9
 """Slack for positions, relative to the reach of a module, and for joint limits [rad]."""
 
 
-@compiled
-def solutions(dof: int, shape: Array, x: float, y: float, z: float, out: Array) -> int:
+@subkernel
+def solutions(dof: int, shape: Array1, x: float, y: float, z: float, out: Array2) -> int:
     """Joint positions that put the end of a module at a point of its frame, into out (2, 2); how many."""
     if dof == 1:
         return circle_inverse(shape[0], x, y, z, out)
     return torus_inverse(shape[0], shape[1], shape[2], x, y, z, out)
 
 
-@compiled
-def within(dof: int, q: Array, first: int, lower: Array, upper: Array) -> bool:
+@subkernel
+def within(dof: int, q: Array1, first: int, lower: Array1, upper: Array1) -> bool:
     """True if joint positions q are within the limits, but for rounding; they are put right."""
     for j in range(dof):
         if not lower[first + j] - ROUNDING <= q[j] <= upper[first + j] + ROUNDING:
@@ -31,8 +29,8 @@ def within(dof: int, q: Array, first: int, lower: Array, upper: Array) -> bool:
     return True
 
 
-@compiled
-def turned(dof: int, shape: Array, q: Array, frame: Array, next_turn: Array) -> None:
+@subkernel
+def turned(dof: int, shape: Array1, q: Array1, frame: Array2, next_turn: Array2) -> None:
     """How the module after this one is turned, world frame, into next_turn (3, 3).
 
     Args:
@@ -55,16 +53,16 @@ def turned(dof: int, shape: Array, q: Array, frame: Array, next_turn: Array) -> 
             next_turn[i, j] = a * shape[3 + 3 * j] + b * shape[4 + 3 * j] + c * shape[5 + 3 * j]
 
 
-@compiled
-def base_frame(turn: Array, shape: Array, frame: Array) -> None:
+@subkernel
+def base_frame(turn: Array2, shape: Array1, frame: Array2) -> None:
     """Axes of the base of a module in the world, into frame (3, 3)."""
     for i in range(3):
         for j in range(3):
             frame[i, j] = turn[i, 0] * shape[3 + j] + turn[i, 1] * shape[6 + j] + turn[i, 2] * shape[9 + j]
 
 
-@compiled
-def seen(frame: Array, x: float, y: float, z: float) -> Three:
+@subkernel
+def seen(frame: Array2, x: float, y: float, z: float) -> Three:
     """A vector of the world in a frame (3, 3)."""
     return (
         frame[0, 0] * x + frame[1, 0] * y + frame[2, 0] * z,

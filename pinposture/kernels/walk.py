@@ -5,17 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from pinposture.kernels.arclength import parameter_at
-from pinposture.kernels.arrays import Array, Whole
-from pinposture.kernels.compiled import compiled
+from pinposture.kernels.arrays import Array1, Array2, Array3, Ints1, Ints2, Three
+from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.modules import circle_crossings, torus_clearance, torus_crossings, torus_faces
 from pinposture.kernels.spline import span_at, value
 from pinposture.kernels.units import ROUNDING, base_frame, seen, solutions, turned, within
 
-Three = tuple[float, float, float]
 
-
-@compiled
-def clearance(dof: int, shape: Array, a: Three) -> float:
+@subkernel
+def clearance(dof: int, shape: Array1, a: Three) -> float:
     """A distance from a point of the base frame within which nothing is crossed, nor is it out of reach."""
     away = np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
     if dof == 1:
@@ -23,18 +21,18 @@ def clearance(dof: int, shape: Array, a: Three) -> float:
     return float(min(shape[0] + shape[1] - away, torus_clearance(shape[0], shape[1], a[0], a[1], a[2])))
 
 
-@compiled
+@subkernel
 def search_segment(
     dof: int,
-    shape: Array,
+    shape: Array1,
     joint: int,
-    lower: Array,
-    upper: Array,
+    lower: Array1,
+    upper: Array1,
     a: Three,
     b: Three,
-    roots: Array,
-    qs: Array,
-    choice: Array,
+    roots: Array1,
+    qs: Array2,
+    choice: Array1,
 ) -> tuple[int, int]:
     """Look for a place for the end of a module on a segment.
 
@@ -78,20 +76,20 @@ def search_segment(
 
 @compiled
 def walk_along(
-    t: Array,
-    table: Array,
+    t: Array1,
+    table: Array3,
     degree: int,
-    edges: Array,
-    lengths: Array,
-    series: Array,
+    edges: Array1,
+    lengths: Array1,
+    series: Array2,
     samples: int,
-    units: Whole,
-    shapes: Array,
-    lower: Array,
-    upper: Array,
-    state: Array,
-    positions: Array,
-    parameters: Array,
+    units: Ints2,
+    shapes: Array2,
+    lower: Array1,
+    upper: Array1,
+    state: Array1,
+    positions: Array1,
+    parameters: Array1,
 ) -> int:
     """Place modules until one has no place.
 
@@ -179,7 +177,7 @@ def walk_along(
 
 
 @compiled
-def neighbours(q: Array, starts: Whole) -> tuple[float, float]:
+def neighbours(q: Array1, starts: Ints1) -> tuple[float, float]:
     """How far each module bends as the one before it does, where both have as many joints.
 
     Args:

@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pinposture import kernels
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.checks import finite_vector
 from pinposture.control import Controller, Limits, Step, controller_named
@@ -81,6 +82,9 @@ class Tracker:
     arm stays behind. Drives that take velocities are sent dq / dt; each step then begins where the arm was
     measured.
 
+    To make one loads all compiled kernels, so that no cycle has to wait for that: half a second for the first
+    one in a process, and about a minute where they are not compiled yet (`pinposture compile`).
+
     Attributes:
         arm: the arm.
         limits: what a step may not exceed; `dt` is the usual duration of a cycle.
@@ -139,6 +143,7 @@ class Tracker:
         self._memory: Memory | None = None
         self._dt = usual
         self.report = Report("holding", "no step was taken yet", None, None, None)
+        kernels.load()
 
     @property
     def command(self) -> Array:
