@@ -54,7 +54,7 @@ bench: $(VENV)/base.stamp
 
 clean:
 	rm -rf $(VENV) out build dist
-	rm -f pinposture/kernels/__pycache__/*.nb[ci]
+	rm -f $(addprefix pinposture/kernels/__pycache__/,*.nb[ci] *.lock *.note)
 
 $(VENV)/bin/python:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "pinposture needs Python 3.10 or newer")'
