@@ -143,10 +143,24 @@ def _moving_joints(
             raise URDFError(description.source, element, reason)
         moving.append(joint)
     if not moving:
-        stuck = [joint.name for joint in chain if joint.type != "fixed" and not joint.moves]
-        why = f"; limits leave one position to: {', '.join(map(repr, stuck[:8]))}" if stuck else ""
-        raise URDFError(description.source, f"chain from {base!r} to {tip!r}", f"has no moving joint{why}")
+        raise URDFError(description.source, f"chain from {base!r} to {tip!r}", _why_still(chain, locked))
     return moving
+
+
+def _why_still(chain: Sequence[JointDescription], locked: Mapping[str, float]) -> str:
+    """Why no joint of a chain moves, in words."""
+    other = [joint.name for joint in chain if joint.type in ("floating", "planar")]
+    held = {
+        "limits leave one position to": [j.name for j in chain if j.type != "fixed" and not j.moves],
+        "locked= holds": [joint.name for joint in chain if joint.name in locked],
+        f"floating and planar joints are none of them ({', '.join(CHAIN_JOINTS)})": other,
+    }
+    said = [
+        f"; {why}: {', '.join(map(repr, names[:8]))}{', ...' * (len(names) > 8)}"
+        for why, names in held.items()
+        if names
+    ]
+    return f"has no {'joint that can move an arm' if other else 'moving joint'}{''.join(said)}"
 
 
 def _set_limits(model: pin.Model, moving: Sequence[JointDescription]) -> None:

@@ -80,7 +80,14 @@ REFUSED = {
         arm_text([("revolute", Y, LINK)]),
         {"locked": {"j1": 0.0}, "tip": "tip"},
         URDFError,
-        "has no moving joint",
+        "has no moving joint; locked= holds: 'j1'",
+    ),
+    "nothing but floating joints": (
+        arm_text([("floating", Y, LINK, "")] * 9),
+        {"tip": "tip"},
+        URDFError,
+        "has no joint that can move an arm; floating and planar joints are none of them (revolute, "
+        "continuous, prismatic): 'j1', 'j2'",
     ),
     "modules do not divide": (
         arm_text(pairs(2)),
