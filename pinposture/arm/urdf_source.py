@@ -87,6 +87,7 @@ def parse_xml(text: str, source: str) -> ET.Element:
         builder.end(tag)
 
     parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.CharacterDataHandler = builder.data
     try:
         parser.Parse(body, True)
     except expat.ExpatError as error:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
@@ -12,7 +12,9 @@ from urllib.parse import unquote, urlsplit
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture.errors import FileError
+from pinposture.arm.urdf_source import parse_xml
+from pinposture.errors import FileError, PostureError
+from pinposture.storage import read_text
 
 FORMATS = (".stl", ".obj", ".dae", ".ply")
 """Endings of the files that are read."""
@@ -36,19 +38,19 @@ def find_mesh(filename: str, package_dirs: Sequence[str] = ()) -> Path:
     Args:
         filename: "package://name/rest", "file:///...", or a path; relative paths start at `package_dirs`.
         package_dirs: folders to look in, those that hold packages, are packages, or lie in packages. Packages
-            are looked for in the folders of the environment variable ROS_PACKAGE_PATH as well.
+            are looked for in the folders of the environment variable ROS_PACKAGE_PATH as well. A package has
+            the name of its folder, or that in its package.xml.
 
     Raises:
         FileError: there is no such file.
     """
     folders = [Path(folder) for folder in package_dirs]
+    candidates: Iterable[Path]
     if filename.startswith("package://"):
         name, _, rest = filename.removeprefix("package://").partition("/")
         ros = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
         folders += [Path(folder) for folder in ros if folder]
-        candidates = [folder / name / rest for folder in folders]
-        for folder in folders:
-            candidates += [at / rest for at in (folder, *folder.parents) if at.name == name]
+        candidates = (package / rest for package in _packages(name, folders))
     elif filename.startswith("file://"):
         candidates = [Path(unquote(urlsplit(filename).path))]
     else:
@@ -88,6 +90,31 @@ def read_mesh(path: Path) -> Triangles:
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
         raise FileError(path, "has triangles with corners that it does not hold")
     return mesh
+
+
+def _packages(name: str, folders: Sequence[Path]) -> Iterator[Path]:
+    """The folders that may be a package: those that are called so, then those whose package.xml says so."""
+    yield from (folder / name for folder in folders)
+    for folder in folders:
+        yield from (at for at in (folder, *folder.parents) if at.name == name)
+    for folder in folders:
+        try:
+            below = sorted(at for at in folder.iterdir() if at.is_dir())
+        except (OSError, ValueError):
+            below = []
+        yield from (at for at in (folder, *folder.parents, *below) if _named_inside(at) == name)
+
+
+def _named_inside(folder: Path) -> str:
+    """The name that the package.xml in a folder gives; empty if there is none, or none that can be read."""
+    file = folder / "package.xml"
+    if not _is_file(file):
+        return ""
+    try:
+        name = parse_xml(read_text(file), str(file)).findtext("name")
+    except PostureError:
+        return ""
+    return (name or "").strip()
 
 
 def _is_file(path: Path) -> bool:

@@ -17,7 +17,7 @@ from pinposture.errors import FileError, InvalidValue, PostureWarning
 from pinposture.scene.checks import LARGEST, SMALLEST, is_count
 from pinposture.scene.scan_arrays import checked_colors, checked_faces, checked_points
 from pinposture.scene.scan_files import read_scan
-from pinposture.scene.scan_thinning import representatives
+from pinposture.scene.scan_thinning import between_cubes, representatives
 from pinposture.scene.scan_tree import ScanTree
 
 if TYPE_CHECKING:
@@ -146,10 +146,7 @@ class Scan:
         kept, cubes = representatives(self.points, int(count))
         faces: NDArray[np.int32] | None = None
         if self.faces is not None:
-            faces = cubes[self.faces].astype(np.int32)
-            apart = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
-            _, first = np.unique(np.sort(faces[apart], axis=1), axis=0, return_index=True)
-            faces = faces[apart][np.sort(first)]
+            faces = between_cubes(self.faces, cubes).astype(np.int32)
             if not len(faces):
                 raise InvalidValue(
                     "count", count, "more points; with so few no triangle of the surface is left"

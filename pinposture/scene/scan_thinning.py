@@ -45,6 +45,19 @@ def representatives(points: Array, count: int) -> tuple[NDArray[np.intp], NDArra
     return best
 
 
+def between_cubes(faces: NDArray[np.integer], cubes: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Triangles from cube to cube; those within one or two, and those that are there already, are left out.
+
+    Args:
+        faces: triangles as indices of points, (t, 3).
+        cubes: which cube each point is in, (n,), as from `representatives`.
+    """
+    moved = cubes[faces]
+    moved = moved[(moved != np.roll(moved, 1, axis=1)).all(axis=1)]
+    _, first = np.unique(np.sort(moved, axis=1), axis=0, return_index=True)
+    return np.asarray(moved[np.sort(first)])
+
+
 def _in_cubes(
     points: Array, low: Array, width: float, cells: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -6,7 +6,7 @@ Only drawing asks for them: where a mesh is missing or cannot be read, a body ke
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from pinposture.arm import Arm
 from pinposture.arm.urdf_source import parse_xml
 from pinposture.errors import FileError, PostureWarning
 from pinposture.scene.mesh_files import find_mesh, read_mesh
+from pinposture.scene.scan_thinning import between_cubes, representatives
 from pinposture.view.mesh import Mesh, merge
 
 Array = NDArray[np.float64]
@@ -59,8 +60,9 @@ class BodyMeshes(NamedTuple):
 def body_meshes(arm: Arm, most_triangles: int = MOST_TRIANGLES) -> BodyMeshes:
     """Read the visual meshes of an arm, merged to one surface for each body.
 
-    A `PostureWarning`, one for all, names the files that are missing or cannot be read, and those that are
-    left out because there are too many triangles: whole bodies, those with most triangles first.
+    Bodies with most triangles are drawn coarser where there are too many in all for a browser to turn them
+    smoothly. A `PostureWarning`, one for all, names their files, and those that are missing or cannot be
+    read.
 
     Args:
         arm: the arm; one that was not loaded from a description has no meshes.
@@ -90,13 +92,18 @@ def body_meshes(arm: Arm, most_triangles: int = MOST_TRIANGLES) -> BodyMeshes:
                 files.setdefault(owner, []).append(name)
         except FileError as error:
             faults[name] = error.reason
-    for owner in _largest(parts, most_triangles):
-        del parts[owner]
-        reason = f"is left out, all meshes together having more than {most_triangles} triangles"
-        faults.update(dict.fromkeys(files[owner], reason))
+    merged = {owner: merge(listed) for owner, listed in parts.items()}
+    total = sum(len(mesh.faces) for mesh in merged.values())
+    most = _most_of_a_body([len(mesh.faces) for mesh in merged.values()], most_triangles)
+    many = f"all meshes together having {total} triangles, more than {most_triangles}"
+    for owner in [owner for owner, mesh in merged.items() if len(mesh.faces) > most]:
+        thinned = _thinned(merged.pop(owner), most)
+        if thinned is not None:
+            merged[owner] = thinned
+        how = "is left out" if thinned is None else f"is drawn with {len(thinned.faces)} triangles"
+        faults.update(dict.fromkeys(files[owner], f"{how}, {many}"))
     if faults:
         warnings.warn(_described(faults), PostureWarning, stacklevel=2)
-    merged = {owner: merge(listed) for owner, listed in parts.items()}
     return BodyMeshes(merged.get(len(joints)), tuple(merged.get(u) for u in range(len(joints))))
 
 
@@ -144,22 +151,33 @@ def _links(arm: Arm) -> dict[str, tuple[int, pin.SE3]]:
     }
 
 
-def _largest(parts: Mapping[int, Sequence[Mesh]], most_triangles: int) -> Iterator[int]:
-    """The bodies to leave out, largest first, until the others have few enough triangles."""
-    counts = {owner: sum(len(mesh.faces) for mesh in listed) for owner, listed in parts.items()}
-    total = sum(counts.values())
-    for owner in sorted(counts, key=lambda owner: -counts[owner]):
-        if total <= most_triangles:
-            return
-        total -= counts[owner]
-        yield owner
+def _most_of_a_body(counts: Sequence[int], most_triangles: int) -> int:
+    """How many triangles a body may have, so that all together have few enough."""
+    left, bodies = most_triangles, len(counts)
+    for count in sorted(counts):
+        if count * bodies > left:
+            return left // bodies
+        left, bodies = left - count, bodies - 1
+    return most_triangles
+
+
+def _thinned(mesh: Mesh, most: int) -> Mesh | None:
+    """The mesh with at most so many triangles, close corners made one; None if no triangle would be left."""
+    points = min(most, len(mesh.vertices) - 1)
+    while points > 2:
+        kept, cubes = representatives(mesh.vertices, points)
+        faces = between_cubes(mesh.faces, cubes)
+        if 0 < len(faces) <= most:
+            return Mesh(mesh.vertices[kept], faces)
+        points //= 2
+    return None
 
 
 def _described(faults: Mapping[str, str]) -> str:
     named = [f"{name} {reason}" for name, reason in list(faults.items())[:_LISTED]]
     if len(faults) > _LISTED:
         named.append(f"and {len(faults) - _LISTED} more")
-    return f"links are drawn without meshes that are not to be had: {'; '.join(named)}"
+    return f"links are not drawn as their meshes have them: {'; '.join(named)}"
 
 
 def _three(text: str) -> Array:

@@ -11,8 +11,10 @@ import warnings
 import numpy as np
 import pinocchio as pin
 import pytest
+import trimesh
 import umsgpack
 from sampling import seeds
+from scipy.spatial import cKDTree
 
 from pinposture import Arm, Target, save_html, track
 from pinposture.errors import FileError, PostureWarning
@@ -174,14 +176,31 @@ def test_collada_without_its_reader_says_what_to_install(tmp_path, monkeypatch):
         read_mesh(tmp_path / "a.dae")
 
 
-def test_the_largest_bodies_are_left_out_when_there_are_too_many_triangles(robot):
+def test_the_largest_bodies_are_drawn_coarser_when_there_are_too_many_triangles(robot):
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=2.0)  # 20480 triangles
+    arm = robot(urdf(lower=UPPER))
+    ball.export(find_mesh("../meshes/wedge.obj", arm.package_dirs))
+    whole = body_meshes(arm)
+    assert [len(mesh.faces) for mesh in whole.bodies] == [4, 20484]
+    with pytest.warns(PostureWarning, match=r"wedge\.obj is drawn with \d+ triangles, all meshes") as caught:
+        meshes = body_meshes(arm, 5000)
+    assert len(caught) == 1
+    assert "having 20492 triangles, more than 5000" in str(caught[0].message)
+    assert len(meshes.base.faces) == len(meshes.bodies[0].faces) == 4
+    coarse = meshes.bodies[1]
+    assert 1000 < len(coarse.faces) <= 4992
+    # Its corners are corners of the whole one, and no corner of that is farther off than a few triangles.
+    gaps, _ = cKDTree(coarse.vertices).query(whole.bodies[1].vertices)
+    assert gaps.max() < 0.05
+    assert cKDTree(whole.bodies[1].vertices).query(coarse.vertices)[0].max() == 0.0
+
+
+def test_a_body_of_which_nothing_would_be_left_is_left_out(robot):
     arm = robot(urdf(lower=UPPER))
     assert [len(mesh.faces) for mesh in body_meshes(arm, 16).bodies] == [4, 8]
-    with pytest.warns(PostureWarning, match=r"wedge\.obj is left out") as caught:
-        meshes = body_meshes(arm, 15)
-    assert len(caught) == 1
-    assert meshes.bodies[1] is None
-    assert len(meshes.base.faces) == len(meshes.bodies[0].faces) == 4
+    with pytest.warns(PostureWarning, match=r"is left out, all meshes together having 16 triangles"):
+        meshes = body_meshes(arm, 6)
+    assert meshes.bodies == (None, None)
 
 
 def test_files_are_found_by_every_kind_of_name(tmp_path, monkeypatch):
@@ -201,6 +220,27 @@ def test_files_are_found_by_every_kind_of_name(tmp_path, monkeypatch):
         with pytest.raises(FileError):
             find_mesh(missing, [str(tmp_path)])
     monkeypatch.setenv("ROS_PACKAGE_PATH", f"/nowhere:{packages}")
+    assert find_mesh(name) == file
+
+
+def test_a_package_has_the_name_that_its_description_gives(tmp_path, monkeypatch):
+    monkeypatch.delenv("ROS_PACKAGE_PATH", raising=False)
+    folder = tmp_path / "sources" / "robot-2.1"
+    (folder / "urdf").mkdir(parents=True)
+    file = folder / "a.stl"
+    file.write_bytes(b"")
+    name = "package://robot_description/a.stl"
+    inside = folder / "package.xml"
+    for text in ("", "<package", "<package/>", "<package><name>other</name></package>"):
+        inside.write_text(text)
+        with pytest.raises(FileError, match="is not there"):
+            find_mesh(name, [str(tmp_path / "sources"), str(folder)])
+    inside.write_text(
+        '<?xml version="1.0"?>\n<package format="3">\n  <name>\n robot_description </name>\n</package>\n'
+    )
+    for given in (tmp_path / "sources", folder, folder / "urdf"):
+        assert find_mesh(name, [str(given)]) == file
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "sources"))
     assert find_mesh(name) == file
 
 
