@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture.arm.adequacy import Adequacy, CurveShape, adequacy
 from pinposture.arm.blueprint import Blueprint
 from pinposture.arm.chain import Chain, frame_ids, read_chain
+from pinposture.arm.checks import check_joint_positions, finite_vector
 from pinposture.arm.kinematics import Kinematics
 from pinposture.arm.report import LoadReport
 from pinposture.arm.segmentation import Segmentation
@@ -136,6 +137,34 @@ class Arm(Blueprint):
         slides = np.zeros(self.nv, dtype=np.bool_)
         slides[self.columns[~self.chain.revolute]] = True
         return slides
+
+    def checked_start(self, q: ArrayLike, name: str = "q") -> Array:
+        """A configuration that somebody gave to start from, or to go to; see `checked`.
+
+        A `PostureWarning` tells of joints outside of their limits.
+
+        Args:
+            q: configuration, (nq,).
+            name: what to call it in the error.
+
+        Returns:
+            Copy of q, (nq,).
+
+        Raises:
+            InvalidValue: as `checked`; or joints are so far outside that degrees may have been meant.
+        """
+        checked = self.checked(q, name)
+        self.check_positions(self.difference(self.origin, checked), name)
+        return checked
+
+    def check_positions(self, positions: ArrayLike, name: str = "positions") -> None:
+        """Look whether joint positions (nv,) [rad or m] are within the limits, as `checked_start` does.
+
+        Raises:
+            InvalidValue: not (nv,) finite numbers, or so far outside that degrees may have been meant.
+        """
+        given = finite_vector(name, positions, self.nv)
+        check_joint_positions(name, given, self.limits, self.slides, self.joint_names)
 
     def random(self, rng: np.random.Generator) -> Array:
         """A configuration drawn uniformly within the limits, (nq,).

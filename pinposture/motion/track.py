@@ -68,7 +68,7 @@ def track(
     tolerance = 1e-6 * arm.length if tolerance is None else tolerance
     require_positive("tolerance", tolerance)
 
-    drive = Drive(arm, arm.checked(q0, "q0"), target, controller, limits, scene)
+    drive = Drive(arm, arm.checked_start(q0, "q0"), target, controller, limits, scene)
     status, reason = drive.until_there(target, tolerance, max_steps, callback)
     if status in ("stalled", "max_steps") and target.q is None and not isinstance(controller, ConstrainedQP):
         reason += "; the target knows no configuration, with which Switching finds the way: see fit_points"

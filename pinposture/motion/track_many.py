@@ -187,8 +187,8 @@ def _starts(arm: Arm, starts: ArrayLike) -> list[Array]:
     except TypeError:
         raise InvalidValue("starts", starts, f"({arm.nq},) numbers, or a sequence of such") from None
     if listed and all(is_number(value) for value in listed):
-        return [arm.checked(listed, "starts")]
-    return [arm.checked(start, f"starts[{k}]") for k, start in enumerate(listed)]
+        return [arm.checked_start(listed, "starts")]
+    return [arm.checked_start(start, f"starts[{k}]") for k, start in enumerate(listed)]
 
 
 def _count(targets: int, starts: int) -> int:

@@ -120,8 +120,12 @@ class Target:
 
     @classmethod
     def from_configuration(cls, arm: Arm, q: ArrayLike) -> Target:
-        """Take the posture that the arm has at a configuration q, (nq,)."""
-        state = arm.at(q)
+        """Take the posture that the arm has at a configuration q, (nq,).
+
+        Raises:
+            InvalidValue: as `Arm.checked_start`.
+        """
+        state = arm.at(arm.checked_start(q))
         return cls(state.points, np.ones(arm.n_modules), q=state.q)
 
 

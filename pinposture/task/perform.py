@@ -89,7 +89,7 @@ def perform(
     dt = cycle_of(limits)
     tolerance = 1e-6 * arm.length if tolerance is None else tolerance
     require_positive("tolerance", tolerance)
-    start = reference.start if q0 is None else arm.checked(q0, "q0")
+    start = reference.start if q0 is None else arm.checked_start(q0, "q0")
     guide = Guide(reference, limits)
     if guide.steps > LONGEST:
         allowed = f"limits under which it takes at most {LONGEST:g} cycles, or a plan that asks for less"

@@ -99,7 +99,7 @@ class Task:
         self._settle("formats", tuple(each for each in FORMATS if each in formats))
         self._settle("described", dict(self.described))
         if self.start is not None:
-            start = self.arm.checked(self.start, "start")
+            start = self.arm.checked_start(self.start, "start")
             start.flags.writeable = False
             self._settle("start", start)
 

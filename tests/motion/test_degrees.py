@@ -1,0 +1,94 @@
+"""Degrees do not pass as radians: what cannot be meant is refused, what is outside the limits is said."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+from arms import template_arm
+
+import pinposture as pp
+from pinposture.errors import InvalidValue
+
+BENT = np.array([10.0, -25.0, 30.0, 15.0, -40.0, 20.0, 35.0, -5.0])  # degrees
+
+
+@pytest.fixture(scope="module")
+def arm() -> pp.Arm:
+    """8 joints, each within +-pi."""
+    return template_arm("RyRz", 4)
+
+
+@pytest.fixture(scope="module")
+def endless() -> pp.Arm:
+    """8 joints without limits, each one number."""
+    text = template_arm("RyRz", 4).urdf.replace('lower="-3.141592653589793" upper="3.141592653589793"', "")
+    with pytest.warns(pp.PostureWarning, match="taken as unlimited"):
+        return pp.Arm.from_urdf(text, modules=2)
+
+
+def ways_in(arm: pp.Arm, q: object) -> list:
+    """Everything that takes a start or a goal."""
+    goal = pp.Target.from_configuration(arm, arm.neutral())
+    limits = pp.Limits(dt=0.1)
+    tracker = pp.Tracker(arm, limits=limits)
+    reference = pp.keyframe_reference(
+        arm, [pp.Keyframe(pp.Curve.line((0, 0, 0), (0.2, 0, 0)), time=k) for k in range(2)], 0.1
+    )
+    return [
+        lambda: pp.track(arm, goal, q, max_steps=1),
+        lambda: pp.track_many(arm, goal, [arm.neutral(), q], max_steps=1),
+        lambda: pp.track_many(arm, goal, q, max_steps=1),
+        lambda: pp.perform(reference, q0=q, limits=limits, progress=lambda *_: True),
+        lambda: pp.Target.from_configuration(arm, q),
+        lambda: tracker.restart(q),
+    ]
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_degrees_are_asked_after_and_the_same_in_radians_passes(arm: pp.Arm, number: int) -> None:
+    with pytest.raises(InvalidValue, match=r"is it in degrees\? np\.deg2rad") as caught:
+        ways_in(arm, BENT)[number]()
+    assert "is -40.0; allowed: -3.142 to 3.142 rad, the limits of joint 'm03_j1_y'" in str(caught.value)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", pp.PostureWarning)
+        ways_in(arm, np.deg2rad(BENT))[number]()
+
+
+def test_small_angles_in_degrees_are_told_by_their_number(arm: pp.Arm) -> None:
+    # None is outside by a turn, but five of eight are.
+    with pytest.raises(InvalidValue, match=r"and 4 more joints are outside of theirs; is it in degrees\?"):
+        pp.Target.from_configuration(arm, [4.0, -5.0, 6.0, 5.0, -4.0, 1.0, 2.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("beyond", "outcome"), [(1e-6, None), (1e-3, "warns"), (6.2, "warns"), (6.4, "raises")]
+)
+def test_one_joint_outside_is_said_and_refused_beyond_a_turn(arm: pp.Arm, beyond: float, outcome) -> None:
+    q = np.zeros(8)
+    q[5] = np.pi + beyond
+    if outcome == "raises":
+        with pytest.raises(InvalidValue, match=r"q\[5\] is 9\.5"):
+            pp.Target.from_configuration(arm, q)
+        return
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        pp.Target.from_configuration(arm, q)
+    assert [each.category for each in told] == ([pp.PostureWarning] if outcome else [])
+    assert all("a joint outside of the limits; joint 'm03_j2_z' is at" in str(each.message) for each in told)
+
+
+def test_joints_without_limits_may_be_wound_but_it_is_asked(endless: pp.Arm) -> None:
+    with pytest.warns(pp.PostureWarning, match=r"5 joints without limits are wound .* is it in degrees\?"):
+        pp.Target.from_configuration(endless, [30.0, 45.0, -90.0, 60.0, -30.0, 0.0, 1.0, 2.0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", pp.PostureWarning)
+        pp.Target.from_configuration(endless, [20.0] * 8)  # three turns
+
+
+def test_a_slide_that_is_outside_is_said_in_metres() -> None:
+    slide = pp.ModuleTemplate("Px", (pp.JointSpec("x", "prismatic", 0.0, 0.5),), (0.1,), 0.01)
+    arm = pp.Arm.from_modules([slide, pp.template("RyRz")])
+    with pytest.warns(pp.PostureWarning, match=r"'m01_j1_x' is at 20, allowed 0 to 0\.5 m"):
+        pp.Target.from_configuration(arm, [20.0, 0.0, 0.0])
