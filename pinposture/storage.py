@@ -62,6 +62,22 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode())
 
 
+def with_suffix(path: Path, *allowed: str) -> Path:
+    """The path of a file that is to be written: with the first of these endings if it has none.
+
+    Raises:
+        FileError: it has another ending, or no name at all.
+    """
+    if not path.name:
+        raise FileError(path, "is a directory; allowed: the name of a file")
+    if not path.suffix:
+        return path.with_name(path.name + allowed[0])
+    if path.suffix.lower() not in allowed:
+        listed = ", ".join(allowed)
+        raise FileError(path, f"the name ends in {path.suffix!r}; allowed: {listed}, or no ending")
+    return path
+
+
 def check_writable(directory: Path) -> None:
     """Refuse a directory in which no file can be made, before work is done that would be lost.
 

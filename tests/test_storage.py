@@ -5,9 +5,12 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import pinposture as pp
 from pinposture.errors import FileError
+from pinposture.sim import Simulation, simulate
 from pinposture.storage import check_writable, write_bytes, write_text
 
 
@@ -58,3 +61,26 @@ def test_what_cannot_be_written_is_named(tmp_path: Path) -> None:
             write_bytes(path, b"")
     check_writable(tmp_path / "not" / "yet")
     assert not (tmp_path / "not").exists()
+
+
+@pytest.mark.parametrize("kind", [pp.Trajectory, pp.Motion, pp.Batch, Simulation])
+@pytest.mark.parametrize("name", ["x.h5", "x.txt", "x.npz.bak", "x.5"])
+def test_no_ending_but_its_own_is_taken_or_lengthened(kind: type, name: str, tmp_path: Path) -> None:
+    arm = pp.Arm.from_template("RyRz", 1)
+    goal = pp.Target.from_configuration(arm, [0.1, 0.1])
+    run = pp.track(arm, goal, arm.neutral(), "joint", pp.Limits(dt=0.1))
+    made = {
+        pp.Trajectory: lambda: run,
+        pp.Motion: lambda: pp.Motion(
+            run, run.points, run.point_errors >= 0.0, 0.1 * np.arange(run.steps + 1.0), 0, 0.1 * run.steps
+        ),
+        pp.Batch: lambda: pp.track_many(arm, goal, arm.neutral(), "joint"),
+        Simulation: lambda: simulate(arm, run),
+    }[kind]()
+    with pytest.raises(FileError, match=rf"the name ends in '\{Path(name).suffix}'; allowed: \.npz, or no"):
+        made.save(tmp_path / name)
+    with pytest.raises(FileError, match=r"allowed: \.html, \.htm, or no ending"):
+        pp.save_html(arm, run, tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+    assert made.save(tmp_path / "x") == tmp_path / "x.npz"
+    assert made.save(tmp_path / "y.NPZ") == tmp_path / "y.NPZ"

@@ -13,7 +13,7 @@ import numpy as np
 
 from pinposture.control import Limits
 from pinposture.errors import FileError
-from pinposture.storage import write_bytes
+from pinposture.storage import with_suffix, write_bytes
 
 Made = TypeVar("Made")
 
@@ -39,8 +39,12 @@ class Kind(NamedTuple):
 def write_archive(
     path: Path, kind: Kind, limits: Limits, about: dict[str, Any], arrays: dict[str, Any]
 ) -> Path:
-    """Write a file at once or not at all; `.npz` is added where it is missing. Returns its path."""
-    path = path if path.suffix == ".npz" else path.with_name(path.name + ".npz")
+    """Write a file at once or not at all; `.npz` is added to a name without ending. Returns its path.
+
+    Raises:
+        FileError: the name has another ending, or the file cannot be written.
+    """
+    path = with_suffix(path, ".npz")
     told = {name: getattr(limits, name) for name in _LIMITS_ARRAYS}
     packed = {f"limits_{name}": value for name, value in told.items() if value is not None}
     described = {

@@ -14,7 +14,7 @@ from pinposture.arm import Arm, ControlPoints
 from pinposture.arm.ellipsoid import chosen_points
 from pinposture.errors import FileError
 from pinposture.motion import Motion, Trajectory
-from pinposture.storage import write_text
+from pinposture.storage import with_suffix, write_text
 from pinposture.target import Target
 from pinposture.view import palette
 from pinposture.view.animation import Film, film
@@ -49,7 +49,7 @@ def save_html(
     Args:
         arm: the arm.
         run: the run, or the motion in time, to show.
-        path: the file; ".html" is added if it has no such ending.
+        path: the file; ".html" is added to a name without ending.
         target: a target to show, which stays where it is; that of a run if None.
         fps: configurations shown per second; fewer if the run is so short that it would last under 2 s.
         max_frames: number of configurations shown at most; of longer runs some are skipped. None: 240 of a
@@ -61,12 +61,11 @@ def save_html(
         The path written.
 
     Raises:
-        FileError: the file cannot be written.
+        FileError: the name has another ending, or the file cannot be written.
         InvalidValue: a run of another arm, `fps` or `max_frames`, or no choice of control points.
         UnknownName: a name that no control point has.
     """
-    path = Path(path)
-    path = path if path.suffix.lower() in (".html", ".htm") else path.with_name(f"{path.name}.html")
+    path = with_suffix(Path(path), ".html", ".htm")
     target = run.target if target is None and isinstance(run, Trajectory) else target
     require_fitting(arm, run, target)
     points = chosen_points(arm.control_points, ellipsoids)
