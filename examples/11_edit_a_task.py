@@ -34,7 +34,7 @@ editor.post(lambda session: session.reshape(lambda arm, shape: shape.moved(arm, 
 wait_for(lambda: editor.session.history.undoable == "end moved aside")
 
 # The arm follows within its limits, in real time.
-wait_for(lambda: editor.live.number == editor.session.number and editor.live.status == "arrived")
+wait_for(lambda: editor.live.number == editor.session.number and editor.live.status == "converged")
 print(f"taken, mean error {1e3 * editor.live.mean_error:.1f} mm")
 
 # What the arm cannot take changes nothing, and says why: here the curve would turn back at its base.

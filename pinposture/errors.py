@@ -158,6 +158,19 @@ class TaskError(PostureError, ValueError):
         super().__init__(f"{where}: {reason}")
 
 
+class MotionError(PostureError, ValueError):
+    """A motion that is not to be handed to a robot as it is.
+
+    Attributes:
+        faults: what speaks against it, in words.
+    """
+
+    def __init__(self, faults: Iterable[str]) -> None:
+        self.faults = tuple(faults)
+        advice = "force=True (--force) hands it on all the same"
+        super().__init__(f"the motion is not fit for a robot: {'; '.join(self.faults)}; {advice}")
+
+
 class ViewerError(PostureError, ConnectionError):
     """A viewer that cannot be started or reached.
 

@@ -1,34 +1,16 @@
-"""The smallest distance that an arm had from what it was to keep clear of."""
+"""The smallest distance that an arm had from what it was to keep clear of, in words."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from pinposture.motion import Trajectory
-
-
-def closest(run: Trajectory) -> dict[str, Any] | None:
-    """The smallest distance of a run, where the arm stood still between two steps; None without a scene."""
-    if run.scene is None:
-        return None
-    after = int(run.clearance.argmin())
-    least = run.scene.around(run.arm).minimum(run.q[after])
-    return {
-        "smallest": least.distance,
-        "final": float(run.clearance[-1]),
-        "pair": None if least.pair is None else list(least.pair),
-        "after_steps": after,
-        "margin": run.scene.margin,
-    }
+from typing import Any
 
 
 def closest_in_words(clearance: Mapping[str, Any], dt: float | None = None) -> str:
     """A smallest distance as a person reads it.
 
     Args:
-        clearance: what `closest` returned.
+        clearance: what `pinposture.motion.ending.closest` returned.
         dt: how long a step takes [s]; None to count steps.
     """
     if clearance["pair"] is None:

@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pinposture.cli.inputs import BaseOption, ModulesOption, TipOption, read_arm, read_modules
+from pinposture.cli.inputs import (
+    BaseOption,
+    LockedOption,
+    ModulesOption,
+    PackageDirOption,
+    TipOption,
+    read_arm,
+    read_locked,
+    read_modules,
+    refuse_given,
+)
 from pinposture.cli.output import print_note
 from pinposture.errors import FileError, InvalidValue, UnknownName
 
@@ -47,6 +57,8 @@ def run(
     base: BaseOption = None,
     tip: TipOption = None,
     modules: ModulesOption = None,
+    locked: LockedOption = None,
+    package_dir: PackageDirOption = None,
     save_as: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="The task file of what is new; else it is named after the arm."),
@@ -81,7 +93,7 @@ def run(
     from pinposture.editor import Editor
     from pinposture.editor.autosave import autosave_path
 
-    task, path = read_task(source, base, tip, modules, save_as)
+    task, path = read_task(source, base, tip, modules, save_as, locked, package_dir)
     editor = Editor(task, path, host, port, joint_states)
     try:
         for name in ENDING:
@@ -103,7 +115,13 @@ def run(
 
 
 def read_task(
-    source: str, base: str | None, tip: str | None, modules: str | None, save_as: Path | None
+    source: str,
+    base: str | None,
+    tip: str | None,
+    modules: str | None,
+    save_as: Path | None,
+    locked: list[str] | None = None,
+    package_dir: list[Path] | None = None,
 ) -> tuple[Task, Path]:
     """The task to edit, and its file, which need not be there yet.
 
@@ -115,9 +133,9 @@ def read_task(
 
     suffix = Path(source).suffix.lower()
     if suffix in SUFFIXES:
-        for name, value in (("--base", base), ("--tip", tip), ("--modules", modules), ("--save-as", save_as)):
-            if value is not None:
-                raise InvalidValue(name, str(value), "nothing: the task file says it")
+        told: dict[str, object] = {"--base": base, "--tip": tip, "--modules": modules, "--locked": locked}
+        told |= {"--package-dir": package_dir, "--save-as": save_as}
+        refuse_given(told, "nothing: the task file says it")
         path = Path(source).absolute()
         # What was never saved, or whose file is gone, goes on from what was kept.
         left = None if version_of(path) else recover(path)
@@ -126,11 +144,17 @@ def read_task(
 
     described: dict[str, object] | None
     if suffix in (".urdf", ".xml", ".xacro") or version_of(Path(source)):
-        arm, name = read_arm(source, base, tip, modules), Path(source).stem
-        asked = {"base": base, "tip": tip, "split": None if modules is None else read_modules(modules)}
+        arm, name = read_arm(source, base, tip, modules, locked, package_dir), Path(source).stem
+        asked: dict[str, object] = {
+            "base": base,
+            "tip": tip,
+            "split": None if modules is None else read_modules(modules),
+            "locked": read_locked(locked) or None,
+            "package_dirs": [folder.absolute() for folder in package_dir or ()] or None,
+        }
         described = {"urdf": Path(source).absolute()} | {k: v for k, v in asked.items() if v is not None}
     else:
-        (arm, name), described = _templated(source, base, tip, modules), None
+        (arm, name), described = _templated(source, base, tip, modules, locked, package_dir), None
     path = (Path(f"{name}.toml") if save_as is None else save_as).absolute()
     if path.suffix.lower() not in SUFFIXES:
         raise FileError(path, f"the name ends in {path.suffix!r}; allowed: {', '.join(SUFFIXES)}")
@@ -141,7 +165,14 @@ def read_task(
     return first_task(arm, name, described), path
 
 
-def _templated(source: str, base: str | None, tip: str | None, modules: str | None) -> tuple[Arm, str]:
+def _templated(
+    source: str,
+    base: str | None,
+    tip: str | None,
+    modules: str | None,
+    locked: list[str] | None,
+    package_dir: list[Path] | None,
+) -> tuple[Arm, str]:
     """An arm of a template, and what to call it."""
     from pinposture.arm import Arm
     from pinposture.arm.template import TEMPLATES
@@ -149,9 +180,13 @@ def _templated(source: str, base: str | None, tip: str | None, modules: str | No
 
     if source not in TEMPLATES:
         raise UnknownName("task file, robot description or template", source, TEMPLATES)
-    for name, value in (("--base", base), ("--tip", tip)):
-        if value is not None:
-            raise InvalidValue(name, value, "nothing: a template has no links yet")
+    asked: dict[str, object] = {
+        "--base": base,
+        "--tip": tip,
+        "--locked": locked,
+        "--package-dir": package_dir,
+    }
+    refuse_given(asked, "nothing: a template has no links yet")
     try:
         count = MODULES if modules is None else int(modules)
     except ValueError:

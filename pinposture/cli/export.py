@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pinposture.cli.inputs import JsonOption
-from pinposture.cli.output import print_facts, print_json, print_note
+from pinposture.cli.output import print_facts, print_json, print_note, print_warning
 from pinposture.cli.results import MOTION, RUN, find_kept, load_kept
 from pinposture.errors import FileError
 
 if TYPE_CHECKING:
+    from pinposture.motion import Motion, Trajectory
     from pinposture.motion.joint_trajectory import JointTrajectory
 
 EXAMPLES = (
@@ -44,6 +45,10 @@ def run(
         float | None,
         typer.Option(help="Duration of a step in seconds; needed if the run was made without one."),
     ] = None,
+    force: Annotated[
+        bool,
+        typer.Option("--force", help="Write it even if it did not get there, or was not clear on the way."),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Write a motion as positions, velocities and accelerations of the joints in time.
@@ -52,7 +57,9 @@ def run(
     .csv file has a column for each, with units. A .npz file holds the arrays to the last bit. Joints have the
     names that the URDF gives them; continuous ones have angles without jumps.
 
-    The summary tells the largest speed and acceleration from step to step, from rest and to rest.
+    A motion that did not get where it was to, or on which something was inside of another, is refused unless
+    --force is given. The summary tells the largest speed and acceleration from step to step, from rest and to
+    rest.
     """
     from pinposture.motion.joint_files import check_format
     from pinposture.storage import check_writable
@@ -64,25 +71,28 @@ def run(
         print_note(which)
     if output.exists() and output.samefile(source):
         raise FileError(output, "is the run itself; allowed: another file")
-    trajectory = _joint_trajectory(source, dt)
+    kept = load_kept(source)
+    trajectory = _joint_trajectory(kept, dt, force)
     trajectory.save(output)
+    for fault in kept.faults:
+        print_warning(f"exported all the same: {fault}")
     if as_json:
-        print_json({"run": str(source), **_summary(trajectory), "file": str(output)})
+        summary = {"verdict": kept.verdict, "faults": list(kept.faults), **_summary(trajectory)}
+        print_json({"run": str(source), **summary, "file": str(output)})
     else:
         print_facts(_in_words(trajectory))
     print_note(f"wrote {output}")
 
 
-def _joint_trajectory(source: Path, dt: float | None) -> JointTrajectory:
+def _joint_trajectory(moved: Trajectory | Motion, dt: float | None, force: bool) -> JointTrajectory:
     """The joint trajectory of a saved motion, which knows its time, or of a saved run."""
     from pinposture.motion import Motion
     from pinposture.motion.joint_checks import step_duration
 
-    moved = load_kept(source)
     if isinstance(moved, Motion):
         step_duration(dt, moved.dt)  # refuses another
-        return moved.joint_trajectory()
-    return moved.joint_trajectory(dt)
+        return moved.joint_trajectory(force)
+    return moved.joint_trajectory(dt, force)
 
 
 def _summary(trajectory: JointTrajectory) -> dict[str, Any]:

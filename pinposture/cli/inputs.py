@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -51,6 +52,33 @@ ModulesOption = Annotated[
         rich_help_panel=ARM,
     ),
 ]
+LockedOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--locked",
+        metavar="NAME=VALUE",
+        help="Hold a joint still, at a position in rad or metres, or with a unit: elbow=0.5, elbow=30deg. "
+        "May be repeated.",
+        rich_help_panel=ARM,
+    ),
+]
+PackageDirOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--package-dir",
+        metavar="DIR",
+        help="Folder to look for meshes in: a package, or one that holds packages. May be repeated.",
+        rich_help_panel=ARM,
+    ),
+]
+DegreesOption = Annotated[
+    bool,
+    typer.Option(
+        "--degrees",
+        help="Joint positions that are given are in degrees, where joints turn; else in rad.",
+        rich_help_panel=MOTION,
+    ),
+]
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print one JSON object on stdout instead.", rich_help_panel=OUTPUT)
 ]
@@ -60,12 +88,19 @@ JobsOption = Annotated[
 ]
 
 
-def read_arm(urdf: str, base: str | None, tip: str | None, modules: str | None) -> Arm:
+def read_arm(
+    urdf: str,
+    base: str | None,
+    tip: str | None,
+    modules: str | None,
+    locked: list[str] | None,
+    package_dirs: list[Path] | None,
+) -> Arm:
     """Load an arm as `Arm.from_urdf` does; "-" reads the URDF from stdin.
 
     Raises:
-        PostureError: as `Arm.from_urdf`; the name of a template; or nothing between two of the commas of
-            `modules`.
+        PostureError: as `Arm.from_urdf` and `read_locked`; the name of a template; or nothing between two of
+            the commas of `modules`.
     """
     from pinposture.arm import TEMPLATES, Arm
 
@@ -77,7 +112,42 @@ def read_arm(urdf: str, base: str | None, tip: str | None, modules: str | None) 
         source = sys.stdin.read()
         if not source.lstrip("\ufeff \t\r\n").startswith("<"):
             raise FileError("stdin", "holds no URDF; allowed: XML text, which begins with '<'")
-    return Arm.from_urdf(source, base, tip, None if modules is None else read_modules(modules))
+    sizes = None if modules is None else read_modules(modules)
+    return Arm.from_urdf(source, base, tip, sizes, read_locked(locked), package_dirs)
+
+
+def refuse_given(options: Mapping[str, object], allowed: str) -> None:
+    """Refuse options that do not go with another argument.
+
+    Raises:
+        InvalidValue: one of them was given.
+    """
+    for name, value in options.items():
+        if value is not None and value != []:
+            raise InvalidValue(name, value if isinstance(value, str) else f"{value}", allowed)
+
+
+def read_locked(given: list[str] | None) -> dict[str, float]:
+    """The joints that are held still, and where [rad or m].
+
+    Raises:
+        InvalidValue: not a name, "=" and a position; or a joint that is named twice.
+    """
+    from pinposture.task.reading.quantities import read_quantity
+
+    locked: dict[str, float] = {}
+    for text in given or ():
+        name, _, value = (part.strip() for part in text.rpartition("="))
+        if not name:
+            raise InvalidValue("--locked", text, "NAME=VALUE, such as elbow=0.5 or elbow=30deg")
+        if name in locked:
+            raise InvalidValue("--locked", text, f"one position of joint {name!r}")
+        numbers = _parsed(value)
+        try:
+            locked[name] = read_quantity(value if numbers is None else numbers[0], "angle", "length")
+        except ValueError as error:
+            raise InvalidValue("--locked", text, f"NAME=VALUE; the value {error}") from None
+    return locked
 
 
 def read_curve(name: str) -> Curve:
@@ -97,13 +167,14 @@ def read_curve(name: str) -> Curve:
     return Curve.load(name)
 
 
-def read_start(arm: Arm, text: str, seed: int) -> NDArray[np.float64]:
+def read_start(arm: Arm, text: str, seed: int, degrees: bool) -> NDArray[np.float64]:
     """The configuration to start from.
 
     Args:
         arm: the arm.
         text: "straight", "smooth", "random", numbers separated by commas, or the path of a file of numbers.
         seed: what to draw the smooth and the random one from.
+        degrees: whether numbers are in degrees, where joints turn.
 
     Returns:
         Configuration (nq,).
@@ -111,7 +182,8 @@ def read_start(arm: Arm, text: str, seed: int) -> NDArray[np.float64]:
     Raises:
         UnknownName: not one of the names, no numbers, and no file.
         FileError: a file that holds no numbers.
-        InvalidValue: as many numbers as the arm cannot use, or not finite; a seed below 0.
+        InvalidValue: as many numbers as the arm cannot use, not finite, or far outside of its limits; a seed
+            below 0; degrees that are not numbers.
     """
     import numpy as np
 
@@ -119,6 +191,8 @@ def read_start(arm: Arm, text: str, seed: int) -> NDArray[np.float64]:
 
     if seed < 0:
         raise InvalidValue("--seed", seed, "a whole number of at least 0")
+    if degrees and text in STARTS:
+        raise InvalidValue("--degrees", degrees, f"only where numbers are given; the start is {text!r}")
     rng = np.random.default_rng(seed)
     if text == "straight":
         return arm.straight()
@@ -130,10 +204,34 @@ def read_start(arm: Arm, text: str, seed: int) -> NDArray[np.float64]:
     if values is None:
         allowed = (*STARTS, *(f"a {suffix} file" for suffix in _READERS), "numbers separated by commas")
         raise UnknownName("start", text, allowed)
-    # A continuous joint takes two entries of q, but whoever writes numbers down may think of one angle.
+    return as_configuration(arm, values, "start", degrees)
+
+
+def as_configuration(arm: Arm, values: list[float], name: str, degrees: bool) -> NDArray[np.float64]:
+    """The configuration that numbers stand for.
+
+    A continuous joint takes two entries of a configuration, but whoever writes numbers down may think of one
+    angle, which is taken as well.
+
+    Args:
+        arm: the arm.
+        values: a configuration (nq,), or joint positions (nv,) [rad or m].
+        name: what to call them in an error.
+        degrees: whether they are joint positions in degrees, where joints turn.
+
+    Raises:
+        InvalidValue: as many as the arm cannot use, not finite, or far outside of its limits.
+    """
+    import numpy as np
+
+    if degrees and len(values) != arm.nv:
+        raise InvalidValue(f"{name} (numbers)", len(values), f"{arm.nv} with --degrees, one for each joint")
+    if degrees:
+        values = np.where(arm.slides, values, np.deg2rad(values)).tolist()
     if len(values) == arm.nv != arm.nq:
+        arm.check_positions(values, name)
         return arm.configuration(values)
-    return arm.checked(values, "start")
+    return arm.checked_start(values, name)
 
 
 def read_numbers(name: str, text: str) -> list[float]:

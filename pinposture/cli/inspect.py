@@ -12,7 +12,9 @@ from pinposture.cli.inputs import (
     OUTPUT,
     BaseOption,
     JsonOption,
+    LockedOption,
     ModulesOption,
+    PackageDirOption,
     TipOption,
     UrdfArgument,
     read_arm,
@@ -49,6 +51,8 @@ def run(
     base: BaseOption = None,
     tip: TipOption = None,
     modules: ModulesOption = None,
+    locked: LockedOption = None,
+    package_dir: PackageDirOption = None,
     scene: SceneOption = None,
     self_collision: SelfCollisionOption = False,
     plot: Annotated[
@@ -83,7 +87,7 @@ def run(
     the help of track.
     """
     surroundings = read_scene(scene, self_collision)
-    arm = read_arm(urdf, base, tip, modules)
+    arm = read_arm(urdf, base, tip, modules, locked, package_dir)
     points = () if ellipsoids is None else read_points("--ellipsoids", ellipsoids, arm)
     about = describe(arm, points or (-1,))
     around = None if surroundings is None else describe_scene(surroundings, arm)

@@ -15,10 +15,14 @@ from pinposture.cli.inputs import (
     STARTS,
     TARGET,
     BaseOption,
+    DegreesOption,
     JsonOption,
+    LockedOption,
     ModulesOption,
+    PackageDirOption,
     TipOption,
     UrdfArgument,
+    as_configuration,
     read_arm,
     read_start,
 )
@@ -30,7 +34,7 @@ from pinposture.cli.limits import (
     VelocityOption,
     read_limits,
 )
-from pinposture.cli.output import print_facts, print_json, print_note
+from pinposture.cli.output import end_with, print_facts, print_json, print_note
 from pinposture.cli.progress import count_progress
 from pinposture.cli.surroundings import SceneOption, SelfCollisionOption, read_scene
 from pinposture.cli.targets import (
@@ -49,6 +53,9 @@ if TYPE_CHECKING:
 
     from pinposture.arm import Arm
 
+BATCH = "batch.npz"
+"""File of a directory that holds all runs."""
+
 EXAMPLES = (
     "pinposture many arm.urdf --curve helix --count 5",
     "pinposture many arm.urdf --curve helix --starts random --count 5 --json",
@@ -63,6 +70,8 @@ def run(
     base: BaseOption = None,
     tip: TipOption = None,
     modules: ModulesOption = None,
+    locked: LockedOption = None,
+    package_dir: PackageDirOption = None,
     curve: Annotated[
         list[str],
         typer.Option(
@@ -87,6 +96,7 @@ def run(
             rich_help_panel=MOTION,
         ),
     ] = "smooth",
+    degrees: DegreesOption = False,
     count: Annotated[
         int | None,
         typer.Option(
@@ -128,8 +138,8 @@ def run(
         typer.Option(
             "--output",
             "-o",
-            metavar="FILE",
-            help="Leave all runs in this .npz file; else nothing is kept.",
+            metavar="DIR",
+            help=f"Leave all runs here, in {BATCH}; else nothing is kept.",
             rich_help_panel=OUTPUT,
         ),
     ] = None,
@@ -140,22 +150,15 @@ def run(
         ),
     ] = False,
     as_json: JsonOption = False,
-    require_convergence: Annotated[
-        bool,
-        typer.Option(
-            "--require-convergence",
-            help="Exit with code 1 unless the arm gets there in every run.",
-            rich_help_panel=OUTPUT,
-        ),
-    ] = False,
 ) -> None:
     """Drive an arm from many starts to the shape of a curve, or to several, and say how it went.
 
     There is a run for each start; several curves need as many starts, or one. Every run is the one that track
     makes of that start and curve, whatever the number of processes. Runs are counted from 0.
 
-    The file holds every run: Batch.load of the Python package reads it, as NumPy does. The exit code is 0
-    whether or not the arm got there, 2 if it could not start.
+    With -o all runs are kept in a directory, in batch.npz: Batch.load of the Python package reads it, as
+    NumPy does. The exit code is 0 if the arm got there in every run and was clear of everything, 1 if not, 2
+    if it could not start.
     """
     from pinposture.motion import track_many
     from pinposture.storage import check_writable
@@ -163,11 +166,13 @@ def run(
     check_controller(controller, {"--haste": haste})
     limits = read_limits(step_limit, velocity, acceleration, dt, position_margin)
     surroundings = read_scene(scene, self_collision)
-    arm = read_arm(urdf, base, tip, modules)
-    configurations = _read_starts(arm, starts, count, seed)
+    arm = read_arm(urdf, base, tip, modules, locked, package_dir)
+    configurations = _read_starts(arm, starts, count, seed, degrees)
     targets = [read_target(arm, each, placement, roll, method, partial, region) for each in curve]
     if output is not None:
-        check_writable(output.parent)
+        if output.suffix.lower() == ".npz":
+            raise InvalidValue("--output", str(output), f"a directory, in which {BATCH} is left")
+        check_writable(output)
     with count_progress("run") as progress:
         batch = track_many(
             arm,
@@ -182,7 +187,7 @@ def run(
             keep="ends" if ends_only or output is None else "motions",
             progress=progress,
         )
-    file = None if output is None else str(batch.save(output))
+    file = None if output is None else str(batch.save(output / BATCH))
     if as_json:
         asked = {"urdf": urdf, "curves": curve, "starts": starts, "seed": seed}
         print_json({**asked, "scene": None if scene is None else str(scene), **batch.to_dict(), "file": file})
@@ -190,11 +195,12 @@ def run(
         print_facts(batch.in_words())
     if file is not None:
         print_note(f"wrote {file}")
-    if require_convergence and not batch.converged.all():
-        raise typer.Exit(1)
+    end_with(batch.faults)
 
 
-def _read_starts(arm: Arm, text: str, count: int | None, seed: int) -> list[NDArray[np.float64]]:
+def _read_starts(
+    arm: Arm, text: str, count: int | None, seed: int, degrees: bool
+) -> list[NDArray[np.float64]]:
     """The configurations to start from.
 
     Args:
@@ -202,6 +208,7 @@ def _read_starts(arm: Arm, text: str, count: int | None, seed: int) -> list[NDAr
         text: a name, of which `count` are drawn, or the path of a file with a row for each.
         count: number of them to draw; None for 10, or for a file.
         seed: what to draw the first from.
+        degrees: whether numbers are in degrees, where joints turn.
 
     Raises:
         UnknownName: neither a name nor a file.
@@ -211,17 +218,13 @@ def _read_starts(arm: Arm, text: str, count: int | None, seed: int) -> list[NDAr
     if text in STARTS:
         if count is not None and count < 1:
             raise InvalidValue("--count", count, "a whole number of at least 1")
-        return [read_start(arm, text, seed + k) for k in range(10 if count is None else count)]
+        return [read_start(arm, text, seed + k, degrees) for k in range(10 if count is None else count)]
     if Path(text).suffix.lower() not in (".csv", ".npy"):
         raise UnknownName("kind of starts", text, (*STARTS, "a .csv file", "a .npy file"))
     if count is not None:
         raise InvalidValue("--count", count, "nothing where --starts names a file")
     rows = _read_rows(Path(text))
-    # A continuous joint takes two entries of q, but whoever writes numbers down may think of one angle.
-    angles = all(len(row) == arm.nv != arm.nq for row in rows)
-    return [
-        arm.configuration(row) if angles else arm.checked(row, f"start {k}") for k, row in enumerate(rows)
-    ]
+    return [as_configuration(arm, row, f"start {k}", degrees) for k, row in enumerate(rows)]
 
 
 def _read_rows(path: Path) -> list[list[float]]:

@@ -12,7 +12,9 @@ from pinposture.cli.inputs import (
     BaseOption,
     JobsOption,
     JsonOption,
+    LockedOption,
     ModulesOption,
+    PackageDirOption,
     TipOption,
     read_arm,
 )
@@ -38,6 +40,8 @@ def run(
     base: BaseOption = None,
     tip: TipOption = None,
     modules: ModulesOption = None,
+    locked: LockedOption = None,
+    package_dir: PackageDirOption = None,
     controllers: Annotated[
         str | None,
         typer.Option(metavar="NAME,...", help="Methods to compare; else all there are.", rich_help_panel=ARM),
@@ -71,7 +75,7 @@ def run(
 
         arm = Arm.from_modules(SPATIAL, name="ryrz20")
     else:
-        arm = read_arm(urdf, base, tip, modules)
+        arm = read_arm(urdf, base, tip, modules, locked, package_dir)
     results = compare_methods(
         arm, names, range(seeds), steps, jobs, lambda result: print_note(f"{result.controller}: done")
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from pinposture.cli.closest import closest, closest_in_words
+from pinposture.cli.closest import closest_in_words
 
 if TYPE_CHECKING:
     from pinposture.motion import Motion
@@ -20,6 +20,7 @@ def summarize_motion(motion: Motion) -> dict[str, Any]:
     Errors are those along the plan, from setting out to the end. A posture error is the sum of the distances
     of the control points from their targets, a mean error their mean.
     """
+    from pinposture.motion.ending import closest
     from pinposture.motion.rates import limit_shares
 
     run, begun = motion.run, motion.set_out
@@ -27,9 +28,11 @@ def summarize_motion(motion: Motion) -> dict[str, Any]:
     speeds, accelerations = limit_shares(motion)
     worst = begun + int(errors.argmax())
     return {
+        "verdict": motion.verdict,
         "status": run.status,
         "converged": run.converged,
         "reason": run.reason,
+        "faults": list(motion.faults),
         "steps": run.steps,
         "dt": motion.dt,
         "time": float(motion.time[-1]),
@@ -58,10 +61,9 @@ def summarize_motion(motion: Motion) -> dict[str, Any]:
 
 
 def motion_in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
-    """A summary as a person reads it; the status with the colour in which to print it."""
+    """A summary as a person reads it; the verdict with the colour in which to print it."""
     words: dict[str, str | tuple[str, str]] = {
-        "status": (summary["status"], "green" if summary["converged"] else "yellow"),
-        "reason": str(summary["reason"]),
+        "verdict": verdict_in_colour(summary),
         "duration": _duration(summary),
     }
     for name, kind in (("speed", "largest_speed"), ("acceleration", "largest_acceleration")):
@@ -85,6 +87,11 @@ def motion_in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, st
     if summary["detours"]:
         words["not as planned"] = "\n".join(summary["detours"])
     return words
+
+
+def verdict_in_colour(summary: Mapping[str, Any]) -> tuple[str, str]:
+    """What to think of a motion, with the colour in which to print it."""
+    return str(summary["verdict"]), "yellow" if summary["faults"] else "green"
 
 
 def _duration(summary: Mapping[str, Any]) -> str:

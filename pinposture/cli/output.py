@@ -95,6 +95,12 @@ def print_error(text: str) -> None:
     _print_line("error: ", "bold red", text)
 
 
+def end_with(faults: Sequence[str]) -> None:
+    """End the command with code 1 if something did not go as it should: it did what it could, and no more."""
+    if faults:
+        raise typer.Exit(1)
+
+
 @contextmanager
 def warnings_as_notes() -> Iterator[None]:
     """Print every `PostureWarning` as a note on stderr, whatever the filters say; others as Python does."""

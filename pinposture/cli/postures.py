@@ -13,9 +13,12 @@ from pinposture.cli.inputs import (
     BaseOption,
     JobsOption,
     JsonOption,
+    LockedOption,
     ModulesOption,
+    PackageDirOption,
     TipOption,
     read_arm,
+    refuse_given,
 )
 from pinposture.cli.output import print_json, print_note, print_table
 from pinposture.cli.progress import count_progress
@@ -57,6 +60,8 @@ def run(
     base: BaseOption = None,
     tip: TipOption = None,
     modules: ModulesOption = None,
+    locked: LockedOption = None,
+    package_dir: PackageDirOption = None,
     controllers: ControllersOption = None,
     cases: Annotated[
         int, typer.Option(metavar="N", help="Number of cases for each arm.", rich_help_panel=MOTION)
@@ -89,14 +94,13 @@ def run(
 
     check_output(output)
     if urdf is None:
-        for option, value in (("--base", base), ("--tip", tip), ("--modules", modules)):
-            if value is not None:
-                raise InvalidValue(option, value, "only together with --urdf")
+        told: dict[str, object] = {"--base": base, "--tip": tip, "--modules": modules, "--locked": locked}
+        refuse_given({**told, "--package-dir": package_dir}, "only together with --urdf")
         subjects = built_subjects(arms)
     elif arms is not None:
         raise InvalidValue("--arms", arms, "nothing where --urdf names the arm")
     else:
-        subjects = [loaded_subject(read_arm(urdf, base, tip, modules))]
+        subjects = [loaded_subject(read_arm(urdf, base, tip, modules, locked, package_dir))]
     names = CONTROLLERS if controllers is None else split_names("--controllers", controllers)
     with count_progress("case") as progress:
         records = study_postures(subjects, names, cases, seed0, jobs, progress)

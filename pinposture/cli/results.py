@@ -8,8 +8,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pinposture.cli.closest import closest, closest_in_words
-from pinposture.cli.motion_summary import motion_in_words, summarize_motion
+from pinposture.cli.closest import closest_in_words
+from pinposture.cli.motion_summary import motion_in_words, summarize_motion, verdict_in_colour
+from pinposture.cli.output import print_warning
 from pinposture.errors import FileError
 
 if TYPE_CHECKING:
@@ -44,6 +45,9 @@ MOTION = "motion.npz"
 FORMATS = ("npz", "csv", "json", "png", "html")
 """What a motion can be kept as: all of it, its joints as a table and for ROS, its plot, its animation."""
 
+FOR_ROBOTS = ("csv", "json")
+"""Those of them that are handed to a robot."""
+
 WORDY = 200
 """Characters after which it is enough of what gave way in a step."""
 
@@ -62,12 +66,20 @@ def keep(motion: Trajectory, directory: Path) -> None:
 def keep_motion(motion: Motion, directory: Path, formats: Sequence[str] = FORMATS) -> dict[str, str]:
     """Write a motion in time into a directory, in some of `FORMATS`.
 
+    What is for robots is left out if the motion has faults; it is said on stderr.
+
     Returns:
         The path of the file of each format, in the order in which they were written.
 
     Raises:
         FileError: one of them cannot be written.
     """
+    held_back = [kind for kind in formats if motion.faults and kind in FOR_ROBOTS]
+    if held_back:
+        named = " and ".join(f"motion.{kind}" for kind in held_back)
+        advice = f"pinposture export {directory} --force writes one all the same"
+        print_warning(f"no {named} for a robot: {'; '.join(motion.faults)}; {advice}")
+        formats = [kind for kind in formats if kind not in held_back]
     stem = directory / MOTION
     files = {kind: stem.with_suffix(f".{kind}") for kind in reversed(FORMATS) if kind in formats}
     for kind, path in files.items():  # that with everything last: where it is, the others are
@@ -163,14 +175,17 @@ def summarize(motion: Trajectory) -> dict[str, Any]:
     """A run in numbers that JSON can hold; lengths in metres."""
     import numpy as np
 
+    from pinposture.motion.ending import closest
     from pinposture.study import outcome
 
     result, target = outcome(motion, "", "", 0), motion.target
     off = None if target.residual is None else float(target.residual[target.placed].max())
     return {
+        "verdict": motion.verdict,
         "status": motion.status,
         "converged": motion.converged,
         "reason": motion.reason,
+        "faults": list(motion.faults),
         "steps": result.steps,
         "start_error": result.start_error,
         "final_error": result.final_error,
@@ -196,12 +211,11 @@ def summarize(motion: Trajectory) -> dict[str, Any]:
 
 
 def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
-    """A summary as a person reads it; the status with the colour in which to print it."""
+    """A summary as a person reads it; the verdict with the colour in which to print it."""
     first, last, mean = (summary[key] for key in ("start_error", "final_error", "mean_error"))
     off, length = summary["largest_residual"], summary["arm_length"]
     words: dict[str, str | tuple[str, str]] = {
-        "status": (summary["status"], "green" if summary["converged"] else "yellow"),
-        "reason": str(summary["reason"]),
+        "verdict": verdict_in_colour(summary),
         "steps": str(summary["steps"]),
         "placed by": f"{summary['placed_by']} placement, at most {off:.2g} m off the curve, "
         f"{off / length:.2g} of the arm length",

@@ -12,7 +12,7 @@ import typer
 
 from pinposture.cli.folder import Folder
 from pinposture.cli.inputs import OUTPUT, JsonOption
-from pinposture.cli.output import print_facts, print_json, print_note, print_table
+from pinposture.cli.output import end_with, print_facts, print_json, print_note, print_table
 from pinposture.cli.progress import count_progress
 from pinposture.cli.results import keep_motion, motion_in_words, summarize_motion
 from pinposture.cli.view import show
@@ -54,14 +54,6 @@ def run(
     view: Annotated[
         bool, typer.Option("--view", help="Show the motion in the browser at last.", rich_help_panel=OUTPUT)
     ] = False,
-    require_convergence: Annotated[
-        bool,
-        typer.Option(
-            "--require-convergence",
-            help="Exit with code 1 if the arm does not take the last posture.",
-            rich_help_panel=OUTPUT,
-        ),
-    ] = False,
 ) -> None:
     """Do what a task file says: take postures at their times, or follow the leader.
 
@@ -70,7 +62,8 @@ def run(
     the file; a mistake in it is named with its line.
 
     With -o the motion is kept in a directory. Each file appears there whole or not at all, and status.json
-    says whether all are there. The exit code is 0 whether or not the arm got there, 2 if it could not start.
+    says whether all are there. The exit code is 0 if the arm got there and was clear of everything, 1 if not,
+    2 if it could not start; what is for a robot (.csv, .json) is kept only if it is 0.
     """
     from pinposture.task import Task
 
@@ -98,8 +91,7 @@ def run(
         print_note(f"wrote {each}")
     if view:
         show(motion, True, print_note)
-    if require_convergence and not motion.converged:
-        raise typer.Exit(1)
+    end_with(motion.faults)
 
 
 def _print_check(file: Path, task: Task, reference: Reference, as_json: bool) -> None:

@@ -8,24 +8,31 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pinposture.cli.closest import closest_in_words
 from pinposture.cli.inputs import (
     ARM,
     MOTION,
     BaseOption,
     JsonOption,
+    LockedOption,
     ModulesOption,
+    PackageDirOption,
     TipOption,
     read_arm,
+    refuse_given,
 )
-from pinposture.cli.output import print_facts, print_json, print_note, print_warning
+from pinposture.cli.motion_summary import verdict_in_colour
+from pinposture.cli.output import end_with, print_facts, print_json, print_note, print_warning
 from pinposture.cli.progress import count_progress
 from pinposture.cli.results import MOTION as MOTION_FILE
 from pinposture.cli.results import RUN, find_kept, load_kept, write_picture
+from pinposture.cli.surroundings import SceneOption, read_scene
 from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:
     from pinposture.arm import Arm
     from pinposture.motion import JointTrajectory, Motion, Trajectory
+    from pinposture.scene import Scene
     from pinposture.sim import Servos, Simulation
 
 EXAMPLES = (
@@ -57,6 +64,8 @@ def run(
     base: BaseOption = None,
     tip: TipOption = None,
     modules: ModulesOption = None,
+    locked: LockedOption = None,
+    package_dir: PackageDirOption = None,
     closed: Annotated[
         bool,
         typer.Option(
@@ -96,6 +105,14 @@ def run(
         float,
         typer.Option(metavar="S", help="Seconds to go on for after the motion.", rich_help_panel=MOTION),
     ] = 2.0,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            help="Mean point error at which the arm is there at the end, in metres; else 1 % of its length.",
+            rich_help_panel=MOTION,
+        ),
+    ] = None,
+    scene: SceneOption = None,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -111,8 +128,9 @@ def run(
     joints and of the posture are distances from where the servos were sent; in closed loop those from the
     target are told as well.
 
-    Links collide with nothing. Effort limits of the description hold; those of our templates are
-    placeholders. The exit code is 0 even if the arm did badly, 2 if it could not start.
+    Links collide with nothing; how near they came to the scene is told. Effort limits of the description
+    hold; those of our templates are placeholders. The exit code is 0 if the arm is where it should be at the
+    end and was clear of the scene, 1 if not, 2 if it could not start.
     """
     from pinposture.control.checks import require_positive
     from pinposture.sim import Servos
@@ -122,11 +140,14 @@ def run(
     load_mujoco()  # says at once if there is none
     require_positive("hold", hold, zero=True)
     servos = Servos(frequency=frequency, torque_limits=not no_torque_limits)
-    arm, motion = _read(path, urdf, base, tip, modules)
+    surroundings = read_scene(scene, False)
+    arm, motion = _read(path, urdf, base, tip, modules, locked, package_dir)
     if output is not None:
         check_writable(output)
     with count_progress("cycle") as progress:
-        simulation = _simulate(arm, motion, servos, closed, not no_gravity, dt, hold, progress)
+        simulation = _simulate(
+            arm, motion, servos, closed, not no_gravity, dt, hold, surroundings, tolerance, progress
+        )
     if output is not None:
         keep(simulation, output)
     files = {} if output is None else {kind: str(output / name) for kind, name in FILES.items()}
@@ -139,6 +160,7 @@ def run(
         print_warning(_saturated(summary))
     for file in files.values():
         print_note(f"wrote {file}")
+    end_with(simulation.faults)
 
 
 def keep(simulation: Simulation, directory: Path) -> None:
@@ -154,7 +176,13 @@ def keep(simulation: Simulation, directory: Path) -> None:
 
 
 def _read(
-    path: Path, urdf: str | None, base: str | None, tip: str | None, modules: str | None
+    path: Path,
+    urdf: str | None,
+    base: str | None,
+    tip: str | None,
+    modules: str | None,
+    locked: list[str] | None,
+    package_dir: list[Path] | None,
 ) -> tuple[Arm, Trajectory | Motion | JointTrajectory]:
     """The arm and its motion."""
     from pinposture.motion import JointTrajectory
@@ -167,14 +195,14 @@ def _read(
     archive = archive_format(file) if file.suffix.lower() == ".npz" else ""
     exported = file.suffix.lower() in (".csv", ".json") or archive == JOINTS
     if not exported:
-        for option, value in {"--urdf": urdf, "--base": base, "--tip": tip, "--modules": modules}.items():
-            if value is not None:
-                raise InvalidValue(option, value, "nothing; a saved run holds its arm")
+        told: dict[str, object] = {"--urdf": urdf, "--base": base, "--tip": tip, "--modules": modules}
+        told |= {"--locked": locked, "--package-dir": package_dir}
+        refuse_given(told, "nothing; a saved run holds its arm")
         kept = load_kept(file)
         return kept.arm, kept
     if urdf is None:
         raise InvalidValue("--urdf", None, f"the description of the arm, which {file} does not hold")
-    arm = read_arm(urdf, base, tip, modules)
+    arm = read_arm(urdf, base, tip, modules, locked, package_dir)
     return arm, JointTrajectory.load(file, arm)
 
 
@@ -186,6 +214,8 @@ def _simulate(
     gravity: bool,
     dt: float | None,
     hold: float,
+    scene: Scene | None,
+    tolerance: float | None,
     progress: Any,
 ) -> Simulation:
     from pinposture.control import Limits
@@ -193,14 +223,14 @@ def _simulate(
     from pinposture.sim import set_points, simulate, simulate_closed
 
     if not closed:
-        return simulate(arm, motion, servos, gravity, dt, hold, progress)
+        return simulate(arm, motion, servos, gravity, dt, hold, progress, scene, tolerance)
     asked = set_points(arm, motion, dt)
     kept = motion.run if isinstance(motion, Motion) else motion
     # A run has one target; a motion in time has one for each moment.
     targets = motion.target if isinstance(motion, Trajectory) else asked.targets(arm)
-    limits, scene = Limits(dt=asked.dt), None
+    limits = Limits(dt=asked.dt)
     if isinstance(kept, Trajectory):
-        limits, scene = replace(kept.limits, dt=asked.dt), kept.scene
+        limits, scene = replace(kept.limits, dt=asked.dt), kept.scene if scene is None else scene
     if isinstance(
         motion, Motion
     ):  # it is within its limits, and whoever follows it has no need to brake early
@@ -209,17 +239,25 @@ def _simulate(
     start = arm.configuration(asked.positions[0])
     tracker = Tracker(arm, limits=limits, scene=scene)
     return simulate_closed(
-        arm, tracker, targets, start, duration, asked.dt, servos, gravity, progress=progress
+        arm,
+        tracker,
+        targets,
+        start,
+        duration,
+        asked.dt,
+        servos,
+        gravity,
+        progress=progress,
+        scene=scene,
+        tolerance=tolerance,
     )
 
 
 def in_words(summary: dict[str, Any]) -> dict[str, str | tuple[str, str]]:
-    """A summary as a person reads it; the status with the colour in which to print it."""
+    """A summary as a person reads it; the verdict with the colour in which to print it."""
     length = summary["arm_length"]
-    finished = summary["status"] == "finished"
     words: dict[str, str | tuple[str, str]] = {
-        "status": (summary["status"], "green" if finished else "red"),
-        "reason": str(summary["reason"]),
+        "verdict": verdict_in_colour(summary),
         "simulated": f"{summary['loop']} loop, {'gravity' if any(summary['gravity']) else 'no gravity'}, "
         f"{summary['cycles']} cycles of {summary['dt']:.4g} s, physics steps of {summary['timestep']:.3g} s",
     }
@@ -239,6 +277,8 @@ def in_words(summary: dict[str, Any]) -> dict[str, str | tuple[str, str]]:
     )
     if summary["target_error"] is not None:
         words["target"] = f"{summary['target_error']['end']:.3g} m off for each point at the end"
+    if summary["clearance"] is not None:
+        words["clearance"] = closest_in_words(summary["clearance"], summary["dt"])
     torque = summary["largest_torque"]
     limit = "no limit" if torque["limit"] is None else f"limit {torque['limit']:.4g}"
     words["torque"] = f"at most {abs(torque['value']):.4g} N m or N ({torque['joint']}, {limit})"

@@ -12,8 +12,11 @@ from pinposture.cli.inputs import (
     MOTION,
     OUTPUT,
     BaseOption,
+    DegreesOption,
     JsonOption,
+    LockedOption,
     ModulesOption,
+    PackageDirOption,
     TipOption,
     UrdfArgument,
     read_arm,
@@ -27,7 +30,7 @@ from pinposture.cli.limits import (
     VelocityOption,
     read_limits,
 )
-from pinposture.cli.output import print_facts, print_json, print_note, step_progress
+from pinposture.cli.output import end_with, print_facts, print_json, print_note, step_progress
 from pinposture.cli.results import FILES, in_words, keep, summarize
 from pinposture.cli.surroundings import SceneOption, SelfCollisionOption, read_scene
 from pinposture.cli.targets import (
@@ -71,6 +74,8 @@ def run(
     base: BaseOption = None,
     tip: TipOption = None,
     modules: ModulesOption = None,
+    locked: LockedOption = None,
+    package_dir: PackageDirOption = None,
     curve: CurveOption,
     placement: PlacementOption = "align",
     roll: RollOption = 0.0,
@@ -87,6 +92,7 @@ def run(
             rich_help_panel=MOTION,
         ),
     ] = "smooth",
+    degrees: DegreesOption = False,
     seed: Annotated[
         int, typer.Option(help="What a smooth or random start is drawn from.", rich_help_panel=MOTION)
     ] = 0,
@@ -126,14 +132,6 @@ def run(
     view: Annotated[
         bool, typer.Option("--view", help="Show the motion in the browser at last.", rich_help_panel=OUTPUT)
     ] = False,
-    require_convergence: Annotated[
-        bool,
-        typer.Option(
-            "--require-convergence",
-            help="Exit with code 1 if the arm does not get there.",
-            rich_help_panel=OUTPUT,
-        ),
-    ] = False,
 ) -> None:
     """Drive an arm to the shape of a curve, and say how it went.
 
@@ -150,7 +148,8 @@ def run(
     geometry) as well. Lengths in metres, in the world.
 
     With -o the run is kept in a directory: run.npz holds everything, run.png plots it, run.html plays it in
-    any browser. The exit code is 0 whether or not the arm got there, 2 if it could not start.
+    any browser. The exit code is 0 if the arm got there and was clear of everything, 1 if not, 2 if it could
+    not start.
     """
     from pinposture.motion import track
     from pinposture.storage import check_writable
@@ -161,8 +160,8 @@ def run(
     )
     limits = read_limits(step_limit, velocity, acceleration, dt, position_margin)
     surroundings = read_scene(scene, self_collision)
-    arm = read_arm(urdf, base, tip, modules)
-    q0 = read_start(arm, start, seed)
+    arm = read_arm(urdf, base, tip, modules, locked, package_dir)
+    q0 = read_start(arm, start, seed, degrees)
     task = read_tip(arm.at(q0), tip_position, tip_pose, hold_tip, tip_weight, strict_tip)
     chosen = build_controller(controller, haste, task)
     target = read_target(arm, curve, placement, roll, method, partial, region)
@@ -194,5 +193,4 @@ def run(
         print_note(f"wrote {file}")
     if view:
         show(motion, True, print_note)
-    if require_convergence and not motion.converged:
-        raise typer.Exit(1)
+    end_with(motion.faults)

@@ -51,6 +51,7 @@ def exported(motion: Motion, kind: str, stem: str) -> Export:
 
     Raises:
         UnknownName: no such kind.
+        MotionError: joints of a motion that is not fit for a robot; `pinposture export --force` writes them.
         FileError: it cannot be made.
         InvalidValue: times that the format cannot hold.
     """

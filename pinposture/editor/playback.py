@@ -224,7 +224,7 @@ class Playback:
             errors=errors_of(state, target),
             active=active,
             at_limit=at_limit(state, step, motion.run.limits.for_arm(motion.arm).bound),
-            status="moving" if self.time < self.lasting else "arrived",
+            status="moving" if self.time < self.lasting else "converged",
             reason="",
             steps=-1 - round(1e6 * self.time),  # another number for each moment, and none of the arm's own
         )

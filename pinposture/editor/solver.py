@@ -34,7 +34,7 @@ PATIENCE = 0.25
 IDLE = 0.25
 """How often it looks around while the arm is at rest and nothing is asked [s]."""
 
-RESTING = ("arrived", "stuck")
+RESTING = ("converged", "stalled")
 MOVING = ("controller", "limits", "scene")
 """What of a problem has to do with how the arm moves, and not with where to."""
 

@@ -122,6 +122,24 @@ class Batch:
         """Which runs brought the mean point error within the tolerance, (count,)."""
         return np.asarray(self.status == "converged")
 
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """What went wrong in some of the runs, in words; empty if nothing did."""
+        away, inside = np.flatnonzero(~self.converged), np.flatnonzero(self.clearance < 0.0)
+        found = []
+        if len(away):
+            found.append(f"{len(away)} of {len(self)} runs did not get there")
+        if len(inside):
+            deepest = int(self.clearance.argmin())
+            depth = f"{-1e3 * self.clearance[deepest]:.3g} mm in run {deepest}"
+            found.append(f"in {len(inside)} runs something was inside of another, at most {depth}")
+        return tuple(found)
+
+    @property
+    def verdict(self) -> str:
+        """What to think of it, in one line."""
+        return "; ".join(self.faults) or f"got there in all {len(self)} runs"
+
     def to_dict(self) -> dict[str, Any]:
         """The batch in numbers that JSON can hold, without the configurations; lengths in metres."""
         runs = [
@@ -138,6 +156,7 @@ class Batch:
             for k in range(len(self))
         ]
         return {
+            "verdict": self.verdict,
             "count": len(self),
             "statuses": dict(Counter(self.status.tolist()).most_common()),
             "controller": self.controller,
@@ -152,6 +171,7 @@ class Batch:
         """What came of it, as a person reads it: names, and what there is to say."""
         ends = ", ".join(f"{n} {status}" for status, n in Counter(self.status.tolist()).most_common())
         words = {
+            "verdict": self.verdict,
             "runs": f"{len(self)}: {ends}",
             "steps": _spread(self.steps, ".0f"),
             "mean error": f"{_spread(self.mean_error, '.2g')} m for each point, "
@@ -180,13 +200,13 @@ class Batch:
         """Write the batch to one `.npz` file, all or nothing; it embeds the arm and the curves.
 
         Args:
-            path: the file; ".npz" is added if it has no such ending.
+            path: the file; ".npz" is added to a name without ending.
 
         Returns:
             The path written.
 
         Raises:
-            FileError: the file cannot be written.
+            FileError: the name has another ending, or the file cannot be written.
         """
         from pinposture.motion.batch_files import save_batch
 

@@ -10,6 +10,7 @@ from pinposture.control import Limits
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue
 from pinposture.motion.archive import Kind, read_archive, write_archive
+from pinposture.motion.ending import ENDINGS
 from pinposture.motion.trajectory import Trajectory
 from pinposture.scene import Scene
 from pinposture.target import Target
@@ -80,6 +81,8 @@ def unpack_run(about: dict[str, Any], arrays: dict[str, Any], limits: Limits) ->
     target: dict[str, Any] = {name: arrays.get(f"target_{name}") for name in _TARGET_ARRAYS}
     arm = Arm.from_dict(about["arm"])
     _check_run(arm, arrays)
+    if about["status"] not in ENDINGS:
+        raise InvalidValue("status", about["status"], ", ".join(ENDINGS))
     return Trajectory(
         arm=arm,
         target=Target(**target, curve=curve, method=about["method"], incomplete=about["incomplete"]),

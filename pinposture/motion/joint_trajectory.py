@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture.arm import Arm
 from pinposture.control.checks import require_positive
 from pinposture.errors import InvalidValue
+from pinposture.motion.ending import require_sound
 from pinposture.motion.joint_checks import (
     SAME,
     check_names,
@@ -124,17 +125,21 @@ class JointTrajectory:
         return cls.from_positions(arm.joint_names, unwound(arm, q), time, units, str(arm.model.name))
 
     @classmethod
-    def from_run(cls, run: Trajectory, dt: float | None = None) -> JointTrajectory:
+    def from_run(cls, run: Trajectory, dt: float | None = None, force: bool = False) -> JointTrajectory:
         """The motion of a run, whose steps all take the same time.
 
         Args:
             run: the run.
             dt: duration of a step [s]; needed if the limits of the run have none, else theirs.
+            force: True to have it in spite of the `faults` of the run.
 
         Raises:
+            MotionError: the run has faults.
             InvalidValue: no duration, not a positive one, or another than that of the limits.
         """
-        return cls.from_configurations(run.arm, run.q, step_duration(dt, run.limits.dt))
+        step = step_duration(dt, run.limits.dt)
+        require_sound(run, force)
+        return cls.from_configurations(run.arm, run.q, step)
 
     @property
     def duration(self) -> float:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.control.limits import cycle_of
+from pinposture.motion.ending import require_sound
 from pinposture.motion.joint_trajectory import JointTrajectory
 from pinposture.motion.trajectory import Trajectory
 
@@ -99,6 +100,16 @@ class Motion:
         """True if the arm took the last posture."""
         return self.run.converged
 
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Why it should not be handed to a robot, in words; empty if nothing speaks against it."""
+        return self.run.faults
+
+    @property
+    def verdict(self) -> str:
+        """What to think of it, in one line."""
+        return self.run.verdict
+
     @cached_property
     def time(self) -> Array:
         """When the arm was at each configuration, (steps + 1,) [s]."""
@@ -134,12 +145,19 @@ class Motion:
         rest = np.zeros((1, self.arm.nv))
         return np.diff(np.concatenate([rest, self.velocities, rest]), axis=0) / self.dt
 
-    def joint_trajectory(self) -> JointTrajectory:
+    def joint_trajectory(self, force: bool = False) -> JointTrajectory:
         """The motion as joint positions, speeds and accelerations in time, ready to be exported.
 
         The arm stands still for one more cycle before and after it: players of such files fit splines to the
         rows, and would otherwise start and stop harder than the limits allow.
+
+        Args:
+            force: True to have it in spite of its `faults`.
+
+        Raises:
+            MotionError: it has faults.
         """
+        require_sound(self.run, force)
         rows = np.concatenate([self.q[:1], self.q, self.q[-1:]])
         return JointTrajectory.from_configurations(self.arm, rows, self.dt)
 
@@ -147,13 +165,13 @@ class Motion:
         """Write the motion to one `.npz` file, all or nothing; it embeds the arm.
 
         Args:
-            path: the file; ".npz" is added if it has no such ending.
+            path: the file; ".npz" is added to a name without ending.
 
         Returns:
             The path written.
 
         Raises:
-            FileError: the file cannot be written.
+            FileError: the name has another ending, or the file cannot be written.
         """
         from pinposture.motion.motion_files import save_motion
 

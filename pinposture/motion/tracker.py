@@ -45,9 +45,9 @@ class Report(NamedTuple):
     """What happened in a cycle.
 
     Attributes:
-        status: "moving", "arrived" (the posture is taken), "stuck" (the controller has no step that leads
+        status: "moving", "converged" (the posture is taken), "stalled" (the controller has no step that leads
             closer) or "holding" (braking, or at rest, because something is missing or wrong).
-        reason: why it is stuck or holding, in words; else empty.
+        reason: why it is stalled or holding, in words; else empty.
         mean_error: mean distance of the control points from their targets at the beginning of the cycle, by
             the last measurement that could be used [m]; None before there is a target and a measurement.
         disagreement: largest difference between measured and expected joint positions, in `Arm.joint_units`;
@@ -183,7 +183,7 @@ class Tracker:
             InvalidValue: not a configuration, or not a displacement.
         """
         moved = None if dq is None else finite_vector("dq", dq, self.arm.nv)
-        self._feedback.begin(self.arm.checked(q_measured, "q_measured"), moved is not None)
+        self._feedback.begin(self.arm.checked_start(q_measured, "q_measured"), moved is not None)
         self._memory, self._dt = None if moved is None else Memory(moved), self._usual
 
     def step(
@@ -255,11 +255,11 @@ class Tracker:
         return self.arm.at(self.arm.neutral())
 
     def _reported(self, seen: Seen, step: Step | None, reason: str, aim: Target | None, dq: Array) -> Report:
-        status = "moving" if not reason else "stuck" if step is not None else "holding"
+        status = "moving" if not reason else "stalled" if step is not None else "holding"
         still = bool(np.all(np.abs(dq) <= STILL * self.arm.joint_units))
         if aim is not None and seen.state is not None and still:
             there = _mean_distance(seen.state.points, aim) <= ARRIVED * self.arm.length
-            status, reason = ("arrived", "") if there else (status, reason)
+            status, reason = ("converged", "") if there else (status, reason)
         given, points = self._given, self._feedback.points
         error = None if given is None or points is None else _mean_distance(points, given)
         age = None if given is None else self._age

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm
 from pinposture.control import Limits
 from pinposture.control.sweep import sweep
+from pinposture.motion.ending import faults, verdict
 from pinposture.scene import Scene
 from pinposture.target import Target
 
@@ -47,7 +48,8 @@ class Trajectory:
         target: the target posture.
         controller: the controller and its parameters, in words.
         limits: what a step could not exceed.
-        status: "converged", "stalled", "no_control_points", "max_steps" or "stopped".
+        status: how it ended: "converged", "stalled", "no_control_points", "max_steps" or "stopped"; see
+            `pinposture.motion.ending`.
         reason: why the run ended, in words.
         q: configurations, (steps + 1, nq).
         points: control points, (steps + 1, m, 3) [m], world frame.
@@ -108,6 +110,16 @@ class Trajectory:
         return self.status == "converged"
 
     @cached_property
+    def faults(self) -> tuple[str, ...]:
+        """Why it should not be handed to a robot, in words; empty if nothing speaks against it."""
+        return faults(self)
+
+    @property
+    def verdict(self) -> str:
+        """What to think of it, in one line."""
+        return verdict(self)
+
+    @cached_property
     def posture_error(self) -> Array:
         """Sum of the distances of the control points from their targets, (steps + 1,) [m]."""
         return np.asarray(self.point_errors.sum(axis=1))
@@ -128,30 +140,32 @@ class Trajectory:
         changes = np.flatnonzero(self.switched != "")
         return tuple(Switch(int(k), str(self.method[k]), str(self.switched[k])) for k in changes)
 
-    def joint_trajectory(self, dt: float | None = None) -> JointTrajectory:
+    def joint_trajectory(self, dt: float | None = None, force: bool = False) -> JointTrajectory:
         """The run as joint positions, speeds and accelerations in time, ready to be exported.
 
         Args:
             dt: duration of a step [s]; that of the limits if None.
+            force: True to have it in spite of its `faults`.
 
         Raises:
+            MotionError: it has faults.
             InvalidValue: the limits know of no time and none is given, or they know of another.
         """
         from pinposture.motion.joint_trajectory import JointTrajectory
 
-        return JointTrajectory.from_run(self, dt)
+        return JointTrajectory.from_run(self, dt, force)
 
     def save(self, path: str | Path) -> Path:
         """Write the run to one `.npz` file, all or nothing; it embeds the arm and the curve.
 
         Args:
-            path: the file; ".npz" is added if it has no such ending.
+            path: the file; ".npz" is added to a name without ending.
 
         Returns:
             The path written.
 
         Raises:
-            FileError: the file cannot be written.
+            FileError: the name has another ending, or the file cannot be written.
         """
         from pinposture.motion.files import save_trajectory
 

@@ -9,6 +9,7 @@ from pinposture.arm import Arm
 from pinposture.control import Limits
 from pinposture.errors import InvalidValue
 from pinposture.motion.archive import Kind, read_archive, write_archive
+from pinposture.scene import Scene
 from pinposture.sim.servos import Servos
 from pinposture.sim.simulation import Simulation
 
@@ -16,7 +17,7 @@ _ADVICE = {
     "pinposture-run": "holds a run, not a simulation of it; simulate it with: pinposture simulate FILE",
     "pinposture-motion": "holds a motion, not a simulation of it; simulate it with: pinposture simulate FILE",
 }
-KIND = Kind("pinposture-simulation", 1, "simulation", _ADVICE)
+KIND = Kind("pinposture-simulation", 2, "simulation", _ADVICE)
 
 _ARRAYS = (
     "gravity",
@@ -27,6 +28,7 @@ _ARRAYS = (
     "torques",
     "torque_limits",
     "saturated",
+    "clearance",
     "targets",
     "weights",
 )
@@ -41,6 +43,7 @@ def save_simulation(simulation: Simulation, path: Path) -> Path:
     about["arm"] = simulation.arm.to_dict()
     about["servos"] = vars(simulation.servos)
     about["warnings"] = list(simulation.warnings)
+    about["scene"] = None if simulation.scene is None else simulation.scene.to_dict()
     return write_archive(path, KIND, Limits(step=None, dt=simulation.dt), about, arrays)
 
 
@@ -61,6 +64,7 @@ def _unpacked(about: dict[str, Any], arrays: dict[str, Any], limits: Limits) -> 
         "torques": (rows, arm.nv),
         "torque_limits": (arm.nv,),
         "saturated": (arm.nv,),
+        "clearance": (rows,),
         "targets": (rows, m, 3),
         "weights": (rows, m),
     }
@@ -73,6 +77,7 @@ def _unpacked(about: dict[str, Any], arrays: dict[str, Any], limits: Limits) -> 
         servos=Servos(**about["servos"]),
         dt=limits.dt,
         warnings=tuple(about["warnings"]),
+        scene=None if about["scene"] is None else Scene.from_dict(about["scene"]),
         **{name: arrays.get(name) for name in _ARRAYS},  # type: ignore[arg-type]
         **{name: about[name] for name in _WORDS},
     )

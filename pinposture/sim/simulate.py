@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture.arm import Arm
 from pinposture.control.checks import require_positive
 from pinposture.errors import InvalidValue
+from pinposture.motion import Motion, Trajectory
+from pinposture.scene import Scene
 from pinposture.sim.physics import physics_of
 from pinposture.sim.plant import Plant
 from pinposture.sim.recording import Recording
@@ -47,6 +49,8 @@ def simulate(
     dt: float | None = None,
     hold: float = 0.5,
     progress: Progress | None = None,
+    scene: Scene | None = None,
+    tolerance: float | None = None,
 ) -> Simulation:
     """Send a motion to the servos of an arm and see what the arm makes of it (open loop).
 
@@ -61,9 +65,13 @@ def simulate(
         dt: duration of a cycle [s], where the motion does not say.
         hold: how long the last set-point is held at least [s].
         progress: called after each cycle.
+        scene: what the distances of the arm are recorded from; that of a run or a motion if None.
+        tolerance: mean distance of the control points from the last posture of the motion at which the arm is
+            there at the end [m]; 1 % of the arm length if None.
 
     Returns:
-        What the arm did. It ends early, with status "unstable", where the arm runs away.
+        What the arm did. Its status is "converged" where the arm is there at the end, "missed" where it is
+        not. It ends early, with status "unstable", where the arm runs away.
 
     Raises:
         InvalidValue: an arm or a motion that cannot be simulated, or not with the other.
@@ -71,6 +79,10 @@ def simulate(
         URDFError: MuJoCo cannot use the description of the arm.
     """
     require_positive("hold", hold, zero=True)
+    if tolerance is not None:
+        require_positive("tolerance", tolerance)
+    if scene is None and isinstance(motion, Trajectory | Motion):
+        scene = (motion.run if isinstance(motion, Motion) else motion).scene
     asked = set_points(arm, motion, dt)
     still = np.repeat(asked.positions[-1:], 1 + int(np.ceil(hold / asked.dt - 1e-9)), axis=0)
     rows = np.concatenate([asked.positions, still])
@@ -80,7 +92,7 @@ def simulate(
             break
         if progress is not None:
             progress(number, len(rows) - 1)
-    return recording.simulation("open")
+    return recording.simulation("open", scene, tolerance)
 
 
 def simulate_closed(
@@ -94,6 +106,8 @@ def simulate_closed(
     gravity: bool | ArrayLike = True,
     sensing: Sensing | None = None,
     progress: Progress | None = None,
+    scene: Scene | None = None,
+    tolerance: float | None = None,
 ) -> Simulation:
     """Let a controller drive an arm that it measures in each cycle (closed loop).
 
@@ -111,9 +125,12 @@ def simulate_closed(
         gravity: whether there is gravity, or its acceleration (3,) [m/s^2] in the world.
         sensing: how joint positions are measured; perfectly if None.
         progress: called after each cycle.
+        scene: what the distances of the arm are recorded from; nothing if None.
+        tolerance: mean distance of the control points from the last target at which the arm is there at the
+            end [m]; 1 % of the arm length if None.
 
     Returns:
-        What the arm did. It ends early, with status "unstable", where the arm runs away.
+        What the arm did; the status as for `simulate`.
 
     Raises:
         InvalidValue: an arm that cannot be simulated; a start, a duration or a command that is none.
@@ -122,7 +139,9 @@ def simulate_closed(
     """
     require_positive("duration", duration)
     require_positive("dt", dt)
-    start = arm.checked(q0, "q0")
+    if tolerance is not None:
+        require_positive("tolerance", tolerance)
+    start = arm.checked_start(q0, "q0")
     at = (lambda _: targets) if isinstance(targets, Target) else targets
     if not callable(at):
         raise InvalidValue("targets", targets, "a Target, or a function of the time [s] that gives one")
@@ -144,4 +163,4 @@ def simulate_closed(
             break
         if progress is not None:
             progress(done, cycles)
-    return recording.simulation("closed", arrived / done)
+    return recording.simulation("closed", scene, tolerance, arrived / done)

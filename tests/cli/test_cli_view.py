@@ -75,7 +75,7 @@ def test_files_are_written_instead_of_showing(command, run_directory, asked, tmp
 
 
 def test_track_shows_the_run_at_last_and_keeps_stdout_for_the_summary(command, arm_file, asked):
-    options = ("--steps", 2, "--view", "--json", "--require-convergence")
+    options = ("--steps", 2, "--view", "--json")
     result = command("track", arm_file, "--curve", "helix", *options)
     assert json.loads(result.out)["steps"] == 2
     assert ADDRESS in result.err

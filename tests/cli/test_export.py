@@ -17,11 +17,12 @@ from pinposture.motion.motion import Motion
 
 @pytest.fixture(scope="module")
 def timed_run(run_directory: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of 6 steps of 0.02 s, with a limit of speed."""
+    """A run of 11 steps of 0.02 s, with a limit of speed, that gets there."""
     arm = pp.Trajectory.load(run_directory / "run.npz").arm
-    target = pp.Target.from_configuration(arm, np.full(arm.nv, 0.3))
+    target = pp.Target.from_configuration(arm, np.full(arm.nv, 0.17))
     limits = pp.Limits(step=None, velocity=1.5, dt=0.02)
-    run = pp.track(arm, target, arm.neutral(), limits=limits, max_steps=6)
+    run = pp.track(arm, target, arm.neutral(), limits=limits)
+    assert (run.status, run.steps) == ("converged", 11)
     return run.save(tmp_path_factory.mktemp("timed") / "run.npz")
 
 
@@ -29,8 +30,9 @@ def timed_run(run_directory: Path, tmp_path_factory: pytest.TempPathFactory) -> 
 @pytest.mark.parametrize("name", [".", "run.npz"])
 def test_a_run_is_written_in_the_format_of_the_name(command, run_directory, tmp_path, name, suffix) -> None:
     file = tmp_path / "new" / f"motion.{suffix}"
-    result = command("export", run_directory / name, "--dt", 0.05, "-o", file)
-    assert (result.code, result.err) == (0, f"wrote {file}\n")
+    result = command("export", run_directory / name, "--dt", 0.05, "--force", "-o", file)
+    assert result.code == 0
+    assert result.err.splitlines()[1:] == [f"wrote {file}"]
     assert "12 joints, 21 points, 1 s" in result.out
     run = pp.Trajectory.load(run_directory / "run.npz")
     found = JointTrajectory.load(file, run.arm)
@@ -45,7 +47,7 @@ def test_the_duration_of_the_limits_needs_no_telling(command, timed_run, tmp_pat
     assert file.read_bytes() == (tmp_path / "same.csv").read_bytes()
     with file.open(newline="") as lines:
         times = [row["time [s]"] for row in csv.DictReader(lines)]
-    assert [float(time) for time in times] == [0.02 * k for k in range(7)]
+    assert [float(time) for time in times] == [0.02 * k for k in range(12)]
 
 
 def test_the_summary_tells_what_the_motion_asks_of_the_joints(command, timed_run, tmp_path) -> None:
@@ -57,13 +59,15 @@ def test_the_summary_tells_what_the_motion_asks_of_the_joints(command, timed_run
     changes = np.diff(np.pad(steps, ((1, 1), (0, 0))), axis=0)
     assert summary.pop("largest_speed") == {"rad/s": pytest.approx(np.abs(steps).max() / 0.02)}
     assert summary.pop("largest_acceleration") == {"rad/s^2": pytest.approx(np.abs(changes).max() / 0.02**2)}
-    assert summary.pop("duration") == pytest.approx(0.12)
+    assert summary.pop("duration") == pytest.approx(0.22)
+    assert summary.pop("verdict").startswith("got there (converged): ")
     assert summary == {
         "run": str(timed_run),
+        "faults": [],
         "robot": "RyRz_6",
         "joints": list(run.arm.joint_names),
         "units": ["rad"] * 12,
-        "points": 7,
+        "points": 12,
         "file": str(file),
     }
     assert result.err == f"wrote {file}\n"
@@ -75,14 +79,14 @@ def test_of_a_motion_and_a_run_in_one_directory_the_motion_is_taken(
     run = pp.Trajectory.load(timed_run)
     rows, m = run.point_errors.shape
     there = np.tile(run.target.points, (rows, 1, 1))
-    motion = Motion(run, there, np.ones((rows, m), dtype=bool), 0.02 * np.arange(rows), 0, 0.12)
+    motion = Motion(run, there, np.ones((rows, m), dtype=bool), 0.02 * np.arange(rows), 0, 0.22)
     shutil.copy(run_directory / "run.npz", tmp_path)
     # A file of that name that holds something else does not count.
     JointTrajectory.from_run(run).save(tmp_path / "motion.npz")
-    asked = ("export", tmp_path, "--dt", 0.02, "-o", tmp_path / "a.csv", "--json")
+    asked = ("export", tmp_path, "--dt", 0.02, "-o", tmp_path / "a.csv", "--json", "--force")
     assert json.loads(command(*asked).out)["points"] == 21
     motion.save(tmp_path / "motion.npz")
-    assert json.loads(command(*asked).out)["points"] == 9  # it stands still before and after
+    assert json.loads(command(*asked).out)["points"] == 14  # it stands still before and after
     assert command("export", tmp_path / "motion.npz", "-o", tmp_path / "b.csv").code == 0
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
     refused = command("export", tmp_path, "--dt", 0.05, "-o", tmp_path / "c.csv")
@@ -93,7 +97,7 @@ def test_an_old_file_is_replaced(command, timed_run, tmp_path) -> None:
     file = tmp_path / "motion.json"
     file.write_text("old")
     assert command("export", timed_run, "-o", file).code == 0
-    assert len(json.loads(file.read_text())["points"]) == 7
+    assert len(json.loads(file.read_text())["points"]) == 12
 
 
 @pytest.mark.parametrize(
@@ -105,7 +109,8 @@ def test_an_old_file_is_replaced(command, timed_run, tmp_path) -> None:
         (("-o", "motion.json", "--dt", "x"), "--dt"),
         (("-o", "motion.txt", "--dt", "0.1"), "allowed: .npz, .csv, .json"),
         (("-o", "motion", "--dt", "0.1"), "allowed: .npz, .csv, .json"),
-        (("-o", "motion.json", "--dt", "1e9"), "in a message of ROS 2"),
+        (("-o", "motion.json", "--dt", "1e9", "--force"), "in a message of ROS 2"),
+        (("-o", "motion.json", "--dt", "0.1"), "the motion is not fit for a robot: it ran out of steps: "),
         (("--dt", "0.1"), "-o"),
     ],
 )

@@ -47,7 +47,7 @@ def test_json_holds_the_summary_and_nothing_is_kept_unasked(command, timed_run, 
     monkeypatch.chdir(tmp_path)
     result = command("simulate", timed_run, "--no-gravity", "--frequency", 20, "--hold", 0, "--json")
     told = json.loads(result.out)
-    assert (told["status"], told["gravity"], told["files"]) == ("finished", [0.0, 0.0, 0.0], {})
+    assert (told["status"], told["gravity"], told["files"]) == ("converged", [0.0, 0.0, 0.0], {})
     assert told["servos"]["frequency"] == 20.0
     assert told["mean_point_error"]["end"] < 1e-3
     assert list(tmp_path.iterdir()) == []
@@ -63,7 +63,7 @@ def test_exported_joints_are_simulated_with_the_arm_that_is_named(
     for loop in loops:
         result = command("simulate", file, "--urdf", arm_file, "--hold", 0.1, "--json", *loop)
         told = json.loads(result.out)
-        assert (told["status"], told["dt"]) == ("finished", pytest.approx(0.02))
+        assert (told["status"], told["dt"]) == ("converged", pytest.approx(0.02))
 
 
 def test_servos_at_their_limits_are_mentioned(command, timed_run, tmp_path, arm_file):
@@ -71,8 +71,12 @@ def test_servos_at_their_limits_are_mentioned(command, timed_run, tmp_path, arm_
     weak.write_text(arm_file.read_text().replace('effort="100.0"', 'effort="0.01"'))
     file = tmp_path / "joints.csv"
     JointTrajectory.from_run(pp.Trajectory.load(timed_run / "run.npz")).save(file)
-    result = command("simulate", file, "--urdf", weak, "--hold", 0.1)
+    result = command("simulate", file, "--urdf", weak, "--hold", 1)
+    assert result.code == 1  # the arm hangs down
+    assert result.out.startswith("verdict")
+    assert "did not get there (missed): mean point error " in result.out.splitlines()[0]
     assert "servos were at their limit, up to" in result.err
+    assert command("simulate", file, "--urdf", weak, "--hold", 1, "--tolerance", 1).code == 0
     free = command("simulate", file, "--urdf", weak, "--hold", 0.1, "--no-torque-limits")
     assert "no limit" in free.out
     assert free.err == ""

@@ -176,7 +176,7 @@ def test_a_summary_in_words_tells_what_a_person_asks_for():
     passed = (*motion.passed, Passed("late", 1.25, None, None, None))
     motion = replace(motion, passed=passed, detours=("at 1 s it went round", "and again"))
     words = motion_in_words(summarize_motion(motion))
-    assert words["status"] == ("converged", "green")
+    assert words["verdict"] == (f"got there (converged): {motion.run.reason}", "green")
     assert words["duration"] == (
         "2.5 s, 2 times as long as the 1.25 s planned; before that 0.5 s to come to the first posture"
     )
@@ -204,7 +204,7 @@ def test_a_motion_that_did_not_get_to_its_end_says_how_far_it_came():
     motion = some_motion()
     motion = replace(motion, clock=0.5 * motion.clock, run=replace(motion.run, status="stalled"))
     words = motion_in_words(summarize_motion(motion))
-    assert words["status"] == ("stalled", "yellow")
+    assert words["verdict"] == (f"did not get there (stalled): {motion.run.reason}", "yellow")
     assert words["duration"] == "3 s, for 1.5 of the 3 s of the plan"
 
 

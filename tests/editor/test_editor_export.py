@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from played import four_modules, moved
 
 from pinposture.editor.exports import KINDS, exported
-from pinposture.errors import UnknownName
+from pinposture.errors import MotionError, UnknownName
 from pinposture.motion import JointTrajectory, Motion
 
 
@@ -66,3 +67,11 @@ def test_names_of_files_are_plain(stem: str, name: str) -> None:
 def test_other_kinds_are_refused() -> None:
     with pytest.raises(UnknownName, match="kind of export"):
         exported(moved(), "gif", "walk")
+
+
+def test_joints_of_a_motion_that_did_not_get_there_are_refused() -> None:
+    lost = replace(moved(), run=replace(moved().run, status="stalled", reason="something stood in the way"))
+    for kind in ("CSV", "ROS JSON"):
+        with pytest.raises(MotionError, match="it stalled: something stood in the way"):
+            exported(lost, kind, "walk")
+    assert "does not end as it should" in exported(lost, "npz", "walk").told

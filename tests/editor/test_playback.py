@@ -231,7 +231,7 @@ def test_the_arm_that_is_seen_is_that_of_the_moment() -> None:
     clock.now += 0.01
     assert playback.seen(live).steps != seen.steps
     clock.now += 1000.0
-    assert playback.seen(live).status == "arrived"
+    assert playback.seen(live).status == "converged"
 
 
 def test_joints_at_their_speed_limit_are_seen(endless: pp.Arm) -> None:

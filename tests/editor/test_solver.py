@@ -165,7 +165,7 @@ def test_no_joint_is_too_fast_whatever_is_changed_on_the_way() -> None:
                 if not states or live.steps > states[-1].steps:
                     states.append(live)
                 time.sleep(0.002)
-                if live.status == "arrived":
+                if live.status == "converged":
                     break
         until(solver, arrived(len(changes) + 1))
     assert len(states) > 20

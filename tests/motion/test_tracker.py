@@ -42,7 +42,7 @@ def test_the_arm_comes_to_its_target_and_rests(arm: pp.Arm, controller: str, int
     tracker.update(Target.from_configuration(arm, goal))
     path, moved = run(tracker, start, 400)
     assert np.linalg.norm(arm.at(path[-1]).points - arm.at(goal).points, axis=1).mean() < 1e-6 * arm.length
-    assert tracker.report.status == "arrived" and tracker.report.reason == ""
+    assert tracker.report.status == "converged" and tracker.report.reason == ""
     assert tracker.report.mean_error < 1e-6 * arm.length and tracker.report.target_age == pytest.approx(8.0)
     np.testing.assert_allclose(tracker.command, path[-1], atol=1e-12)
     rest = np.zeros((1, arm.nv))
@@ -180,14 +180,14 @@ def test_singular_postures_are_taken_or_given_up_at_rest(arm: pp.Arm, name: str,
     tracker.update(target)
     path, moved = run(tracker, smooth_configuration(arm, np.random.default_rng(4), 0.5), 500)
     assert np.all(np.isfinite(path)) and np.abs(path).max() <= np.pi + 1e-9
-    assert not np.any(moved[-1]) and tracker.report.status in ("arrived", "stuck")
+    assert not np.any(moved[-1]) and tracker.report.status in ("converged", "stalled")
     if known:
-        assert tracker.report.status == "arrived"
+        assert tracker.report.status == "converged"
         np.testing.assert_allclose(arm.at(path[-1]).points, target.points, atol=1e-6)
     # And on from there: no posture is a trap.
     tracker.update(Target.from_configuration(arm, 0.3 * np.ones(arm.nv)))
     path, _ = run(tracker, path[-1], 500)
-    assert tracker.report.status == "arrived"
+    assert tracker.report.status == "converged"
 
 
 @pytest.mark.parametrize("factor", [1.05, 1.3, 5.0])
@@ -196,7 +196,7 @@ def test_what_is_out_of_reach_ends_stuck_and_at_rest(arm: pp.Arm, factor: float)
     tracker = Tracker(arm, "qp", LIMITS)
     tracker.update(Target.from_points(arm, points))
     path, moved = run(tracker, 0.1 * np.ones(arm.nv), 500)
-    assert tracker.report.status == "stuck" and tracker.report.reason
+    assert tracker.report.status == "stalled" and tracker.report.reason
     assert not np.any(moved[-1])
     off = np.linalg.norm(arm.at(path[-1]).points - points, axis=1).mean()
     assert tracker.report.mean_error == pytest.approx(off, rel=1e-9) and off > 1e-3

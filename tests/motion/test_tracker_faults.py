@@ -135,8 +135,8 @@ class Laboratory:
             change = np.abs(dq - self.before)
             assert np.all(change <= limits.acceleration * cycle**2 * (1.0 + 1e-7) + 1e-12)
         assert self.aimed or not np.any(dq)
-        assert report.status in ("moving", "arrived", "stuck", "holding")
-        assert bool(report.reason) == (report.status in ("stuck", "holding"))
+        assert report.status in ("moving", "converged", "stalled", "holding")
+        assert bool(report.reason) == (report.status in ("stalled", "holding"))
         if self.interface == "position" and not (anew or fresh):
             self.check_positions(dq)
 
@@ -235,7 +235,7 @@ def test_a_single_outlier_changes_nothing_afterwards(arm: pp.Arm) -> None:
             tracker.step(measured)
             q = tracker.command
         ends[outlier] = q
-        assert tracker.report.status == "arrived"
+        assert tracker.report.status == "converged"
     np.testing.assert_allclose(ends[True], ends[False], atol=1e-9)
 
 
@@ -256,7 +256,7 @@ def test_an_arm_found_elsewhere_is_believed_once_it_rests_and_goes_on_from_there
     for _ in range(300):
         tracker.step(q)
         q = tracker.command
-    assert tracker.report.status == "arrived"
+    assert tracker.report.status == "converged"
 
 
 def test_measurements_that_disagree_with_each_other_are_never_believed(arm: pp.Arm) -> None:
@@ -303,4 +303,4 @@ def test_an_arm_that_was_measured_outside_its_limits_comes_back() -> None:
         assert q[2] <= 0.95 + ROUNDING
         if k == 0:
             assert tracker.report.relaxed
-    assert tracker.report.status == "arrived"
+    assert tracker.report.status == "converged"

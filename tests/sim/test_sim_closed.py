@@ -72,7 +72,7 @@ def test_the_tracker_brings_the_arm_to_the_target(gravity):
     closed = run(tracker, duration=4.0, gravity=gravity)
     assert closed.finished
     assert closed.target_errors[-1].mean() < 1e-6 * arm.length
-    assert tracker.report.status == "arrived"
+    assert tracker.report.status == "converged"
 
 
 def test_the_tracker_copes_with_sensors_as_they_are():

@@ -266,6 +266,6 @@ def test_an_unstable_arm_is_given_up_and_told(limits, monkeypatch, tmp_path):
 @pytest.mark.filterwarnings("ignore::pinposture.errors.PostureWarning")
 def test_servos_are_stable_up_to_the_step_that_theory_has():
     arm = pp.Arm.from_template("RyRz", 6)
-    for share, status in ((0.9, "finished"), (1.15, "unstable")):
+    for share, status in ((0.9, "converged"), (1.15, "unstable")):
         servos = sim.Servos(frequency=share * 2.0 / (np.pi * 1e-3))
         assert sim.simulate(arm, still(arm), servos, dt=0.02, hold=1.0).status == status

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import io
 import json
+from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from arms import template_arm
 from sampling import cases
@@ -119,6 +122,53 @@ def test_errors_are_distances_between_what_was_sent_and_what_was_taken():
     assert opened.target_errors is None
     to_target = np.linalg.norm(closed.points - some_run().target.points, axis=2)
     np.testing.assert_allclose(closed.target_errors, to_target, atol=1e-12)
+
+
+def test_an_arm_that_falls_did_not_get_there():
+    weak = sim.simulate(four_modules(), ROWS, sim.Servos(torque_limits=1e-3), dt=DT, hold=1.0)
+    off = np.linalg.norm(weak.points[-1] - weak.commanded_points[-1], axis=1).mean()
+    assert off > 0.1 * four_modules().length  # the servos cannot bear its weight
+    assert (weak.status, weak.converged, weak.finished) == ("missed", False, True)
+    assert weak.reason == (
+        f"mean point error {off:.3g} m after {weak.time[-1]:.6g} s, above the tolerance of 0.002 m; "
+        f"{np.count_nonzero(weak.saturated)} of 8 servos were at their limit"
+    )
+    assert weak.verdict == f"did not get there (missed): {weak.reason}"
+    assert weak.faults == (f"it came to its end elsewhere: {weak.reason}",)
+    told = weak.summary()
+    assert (told["verdict"], told["converged"]) == (weak.verdict, False)
+    kept = sim.simulate(four_modules(), ROWS, sim.Servos(torque_limits=1e-3), dt=DT, hold=1.0, tolerance=1.0)
+    assert (kept.status, kept.faults) == ("converged", ())
+
+
+def test_distances_from_the_scene_are_those_of_the_simulated_arm():
+    arm, run = four_modules(), some_run()
+    ball = pp.Sphere((0.1, 0.02, -0.1), 0.02)
+    scene = pp.Scene({"ball": ball}, margin=0.001, arm_radius=0.004)
+    falls = sim.Servos(torque_limits=1e-3)
+    for simulated in (
+        sim.simulate(arm, replace(run, scene=scene), falls),
+        sim.simulate_closed(
+            arm, pp.Tracker(arm, limits=run.limits), run.target, arm.neutral(), 0.5, DT, falls, scene=scene
+        ),
+    ):
+        expected = []
+        for q in simulated.q:  # from each joint to the next, and to the tip, the arm is a bar of 4 mm
+            data = arm.model.createData()
+            pin.forwardKinematics(arm.model, data, q)
+            nodes = [data.oMi[k].translation for k in range(1, arm.model.njoints)] + [arm.at(q).points[-1]]
+            shares = np.linspace(0.0, 1.0, 2001)[:, None]
+            bars = np.concatenate([a + shares * (b - a) for a, b in pairwise(nodes)])
+            expected.append(np.linalg.norm(bars - ball.center, axis=1).min() - 0.02 - 0.004)
+        np.testing.assert_allclose(simulated.clearance, expected, atol=1e-5)
+        assert np.ptp(expected) > 0.01
+        told = simulated.summary()["clearance"]
+        assert told["smallest"] == pytest.approx(min(expected), abs=1e-5)
+        assert "ball" in told["pair"]
+        if min(expected) < 0.0:
+            assert "mm inside each other" in simulated.verdict
+    assert not np.any(np.isfinite(open_loop().clearance))
+    assert open_loop().summary()["clearance"] is None
 
 
 def test_progress_is_told_to_the_end():

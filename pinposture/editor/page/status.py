@@ -52,7 +52,7 @@ def _lines(session: Session, live: Live) -> str:
         kind, head, more = "warning", "In the way", verdict.notes[0]
     else:
         kind, head, more = "info", _doing(session, live) + _room(session), "; ".join(_notes(session, live))
-    if live.reason and live.status != "arrived" and kind == "info":
+    if live.reason and live.status != "converged" and kind == "info":
         kind, more = "warning", live.reason
     notice = session.notice
     said = ""
@@ -69,7 +69,7 @@ def _lines(session: Session, live: Live) -> str:
 
 
 def _doing(session: Session, live: Live) -> str:
-    words = {"arrived": "Taken", "moving": "On the way"}
+    words = {"converged": "Taken", "moving": "On the way"}
     doing = "Motion" if session.playback.q is not None else words.get(live.status, "Holding")
     millimetres = 1000.0 * live.mean_error
     return f"{doing}: mean error {millimetres if millimetres > ROUNDING else 0.0:.3g} mm"

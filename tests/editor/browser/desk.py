@@ -50,7 +50,7 @@ def arrived(editor: Editor) -> None:
         lambda: (
             session.proposal is None
             and editor.live.number == session.number
-            and editor.live.status == "arrived"
+            and editor.live.status == "converged"
         ),
         "the arm takes the shape",
     )

@@ -1,0 +1,101 @@
+"""Options that every verb which loads an arm has, and starts in degrees."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import pinposture as pp
+
+DEGREES = np.array([10.0, -25.0, 30.0, 15.0, -40.0, 20.0, 35.0, -5.0, 12.0, 0.0, 7.5, -60.0])
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_a_start_in_degrees_is_refused_with_the_option_that_takes_it(command, arm_file, tmp_path):
+    asked = ("track", arm_file, "--curve", "helix", "--steps", 1, "-o", tmp_path)
+    start = ",".join(map(str, DEGREES))
+    refused = command(*asked, "--start", start)
+    assert (refused.code, refused.out) == (2, "")
+    assert "is it in degrees?" in refused.err
+    assert "--degrees" in refused.err
+    np.savetxt(tmp_path / "q.csv", DEGREES)
+    for given in (start, tmp_path / "q.csv"):
+        assert command(*asked, "--start", given, "--degrees").code == 1
+        found = pp.Trajectory.load(tmp_path / "run.npz").q[0]
+        np.testing.assert_allclose(found, DEGREES * np.pi / 180.0, rtol=1e-15)
+    named = command(*asked, "--start", "smooth", "--degrees")
+    assert (named.code, "only where numbers are given" in named.err) == (2, True)
+
+
+def test_continuous_joints_in_degrees_are_angles(command, arm_file, tmp_path):
+    file = tmp_path / "arm.urdf"
+    file.write_text(arm_file.read_text().replace('type="revolute"', 'type="continuous"'))
+    asked = ("many", file, "--curve", "helix", "--steps", 1, "-o", tmp_path)
+    np.savetxt(tmp_path / "starts.csv", np.vstack([DEGREES, 3 * DEGREES]), delimiter=",")
+    assert command(*asked, "--starts", tmp_path / "starts.csv", "--degrees").code == 1
+    angles = np.concatenate([DEGREES, 3 * DEGREES]) * np.pi / 180.0
+    pairs = np.column_stack([np.cos(angles), np.sin(angles)]).ravel()
+    np.testing.assert_allclose(pp.Batch.load(tmp_path / "batch.npz").q_start.ravel(), pairs, atol=1e-15)
+    # Without the option they are many turns, which may be meant: it is asked.
+    turned = command(*asked, "--starts", tmp_path / "starts.csv")
+    assert turned.code == 1
+    assert "wound by more than 4 turns" in turned.err and "--degrees" in turned.err
+
+
+def test_joints_are_locked_where_it_is_said(command, arm_file):
+    given = ("--locked", "m01_j1_y=0.5", "--locked", "m02_j2_z=30deg")
+    found = json.loads(command("inspect", arm_file, *given, "--json").out)
+    assert found["dof"] == 10
+    assert set(found["held"]) == {"m01_j1_y", "m02_j2_z"}
+    expected = pp.Arm.from_urdf(arm_file, locked={"m01_j1_y": 0.5, "m02_j2_z": np.pi / 6})
+    tip = expected.at(expected.neutral()).points[-1]
+    np.testing.assert_allclose(found["control_points"][-1]["position"], tip, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        (("m01_j1_y",), "--locked is 'm01_j1_y'; allowed: NAME=VALUE"),
+        (("=0.5",), "NAME=VALUE"),
+        (("m01_j1_y=up",), "the value is 'up'"),
+        (("m01_j1_y=3 kg",), "'kg' is no unit"),
+        (("m01_j1_y=0", "m01_j1_y=1"), "one position of joint 'm01_j1_y'"),
+        (("nobody=0",), "'nobody'"),
+    ],
+)
+def test_locks_that_are_none_are_refused_in_one_line(command, arm_file, given, says):
+    result = command("inspect", arm_file, *(each for text in given for each in ("--locked", text)))
+    assert (result.code, result.out, result.err.count("\n")) == (2, "", 1)
+    assert says in result.err
+
+
+@pytest.mark.parametrize(
+    "verb", ["inspect", "track", "many", "simulate", "edit", "study methods", "study postures"]
+)
+def test_every_verb_that_loads_an_arm_has_the_options(command, verb):
+    text = command(*verb.split(), "--help", env={"COLUMNS": "200"}).out
+    assert "--locked" in text
+    assert "--package-dir" in text
+
+
+def test_meshes_are_looked_for_in_the_folders_that_are_given(command, arm_file, tmp_path):
+    import trimesh
+
+    (tmp_path / "somewhere" / "parts").mkdir(parents=True)
+    trimesh.creation.box((0.05, 0.02, 0.02)).export(tmp_path / "somewhere" / "parts" / "bar.stl")
+    (tmp_path / "somewhere" / "parts" / "package.xml").write_text(
+        '<?xml version="1.0"?>\n<package format="3"><name>snake_description</name></package>\n'
+    )
+    file = tmp_path / "arm.urdf"
+    mesh = '<geometry><mesh filename="package://snake_description/bar.stl"/></geometry>'
+    text = arm_file.read_text()
+    at = text.index("<collision>")
+    begin, end = text.index("<geometry>", at), text.index("</geometry>", at) + len("</geometry>")
+    file.write_text(text[:begin] + mesh + text[end:])
+    without = command("inspect", file, "--self-collision", "--json")
+    assert "snake_description/bar.stl: is not there" in without.err
+    for folder in (tmp_path / "somewhere", tmp_path / "somewhere" / "parts"):
+        found = command("inspect", file, "--self-collision", "--json", "--package-dir", folder)
+        assert (found.code, found.err) == (0, "")

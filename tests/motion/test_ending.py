@@ -1,0 +1,76 @@
+"""One vocabulary of endings, and one place that decides what may be handed to a robot."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from arms import template_arm
+
+import pinposture as pp
+from pinposture.errors import MotionError
+from pinposture.motion.ending import ENDINGS
+
+
+@pytest.fixture(scope="module")
+def arm() -> pp.Arm:
+    return template_arm("RyRz", 4)
+
+
+@pytest.fixture(scope="module")
+def goal(arm: pp.Arm) -> pp.Target:
+    return pp.Target.from_configuration(arm, np.full(8, 0.3))
+
+
+def swept(arm: pp.Arm, goal: pp.Target, steps: int, scene: pp.Scene | None = None) -> pp.Trajectory:
+    """A run by a controller that looks at no scene."""
+    return pp.track(arm, goal, arm.neutral(), "joint", pp.Limits(dt=0.1), scene, max_steps=steps)
+
+
+def test_a_run_that_stopped_early_is_exported_only_by_force(arm: pp.Arm, goal: pp.Target) -> None:
+    run = swept(arm, goal, 2)
+    assert run.faults == (f"it ran out of steps: {run.reason}",)
+    assert run.verdict == f"did not get there (max_steps): {run.reason}"
+    for export in (run.joint_trajectory, lambda **told: pp.JointTrajectory.from_run(run, **told)):
+        with pytest.raises(MotionError, match=r"it ran out of steps: mean point.*force=True") as caught:
+            export()
+        assert caught.value.faults == run.faults
+        assert len(export(force=True).time) == 3
+
+
+def test_a_run_that_gets_there_is_exported_as_it_is(arm: pp.Arm, goal: pp.Target) -> None:
+    run = swept(arm, goal, 50)
+    assert (run.faults, run.verdict) == ((), f"got there (converged): {run.reason}")
+    assert len(run.joint_trajectory().time) == run.steps + 1
+
+
+@pytest.mark.filterwarnings("ignore:.*does not keep clear:pinposture.errors.PostureWarning")
+def test_a_run_through_an_obstacle_is_no_good_although_it_gets_there(arm: pp.Arm, goal: pp.Target) -> None:
+    tips = np.array([arm.at(np.full(8, share)).points[-1] for share in np.linspace(0.0, 0.3, 50)])
+    ball = pp.Sphere(tuple(tips[25]), 0.035)  # where the tip passes half-way
+    run = swept(arm, goal, 50, pp.Scene({"ball": ball}, margin=0.0))
+    assert run.converged
+    assert np.linalg.norm(run.points[:, -1] - tips[25], axis=1).min() < 0.035
+    (fault,) = run.faults
+    assert "ball" in fault and f"mm inside each other after {run.clearance.argmin()} steps" in fault
+    assert run.verdict.startswith("got there (converged), but ")
+    with pytest.raises(MotionError, match="ball"):
+        run.joint_trajectory()
+    assert len(run.joint_trajectory(force=True).time) == run.steps + 1
+
+
+def test_a_batch_tells_whether_all_got_there(arm: pp.Arm, goal: pp.Target) -> None:
+    starts = [arm.neutral(), goal.q]
+    some = pp.track_many(arm, goal, starts, "joint", max_steps=2)
+    assert some.faults == ("1 of 2 runs did not get there",) == (some.verdict,)
+    every = pp.track_many(arm, goal, starts, "joint", max_steps=50)
+    assert (every.faults, every.verdict) == ((), "got there in all 2 runs")
+
+
+def test_every_way_to_end_is_in_the_vocabulary(arm: pp.Arm, goal: pp.Target) -> None:
+    found = {swept(arm, goal, steps).status for steps in (2, 50)}
+    found.add(pp.track(arm, goal, arm.neutral(), callback=lambda *_: True).status)
+    tracker = pp.Tracker(arm, limits=pp.Limits(dt=0.1))
+    tracker.update(goal)
+    tracker.step(goal.q)
+    found.add(tracker.report.status)
+    assert found == {"converged", "max_steps", "stopped"} < set(ENDINGS)
