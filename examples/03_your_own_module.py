@@ -27,7 +27,7 @@ curve = pp.Curve.helix(radius=0.15, pitch=0.4, turns=2)
 adequacy = arm.adequate(curve)
 print(f"curvature they follow: {adequacy.max_curvature:.1f} /m; of the curve: {adequacy.curvature:.1f} /m")
 
-target = pp.resolve_targets(arm, curve)
+target = pp.resolve_targets(arm, curve, placement="align")  # the helix begins beside its axis
 run = pp.track(arm, target, arm.straight())  # by the default controller, "qp", within the limits above
 print(run.status, "-", run.reason)
 pp.plot_arm(arm, run.q[-1]).savefig(out / "arm.png", dpi=100)

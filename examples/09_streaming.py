@@ -14,7 +14,7 @@ DT, LAG = 0.01, 0.05  # duration of a cycle, and the time in which the drives fo
 
 arm = pp.Arm.from_template("RyRz", modules=20)
 helix = pp.resolve_targets(arm, pp.Curve.helix(radius=0.06, pitch=0.15, turns=4))
-bow = pp.resolve_targets(arm, pp.Curve.helix(radius=0.4, pitch=0.0, turns=0.5))
+bow = pp.resolve_targets(arm, pp.Curve.helix(radius=0.4, pitch=0.0, turns=0.5), placement="align")
 limits = pp.Limits(step=None, dt=DT, velocity=2.0, acceleration=10.0)
 
 tracker = pp.Tracker(arm, limits=limits)

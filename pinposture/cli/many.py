@@ -80,7 +80,7 @@ def run(
             rich_help_panel=TARGET,
         ),
     ],
-    placement: PlacementOption = "align",
+    placement: PlacementOption = None,
     roll: RollOption = 0.0,
     method: MethodOption = "auto",
     partial: PartialOption = False,
@@ -168,7 +168,9 @@ def run(
     surroundings = read_scene(scene, self_collision)
     arm = read_arm(urdf, base, tip, modules, locked, package_dir)
     configurations = _read_starts(arm, starts, count, seed, degrees)
-    targets = [read_target(arm, each, placement, roll, method, partial, region) for each in curve]
+    targets = [
+        read_target(arm, each, placement, roll, method, partial, region, surroundings) for each in curve
+    ]
     if output is not None:
         if output.suffix.lower() == ".npz":
             raise InvalidValue("--output", str(output), f"a directory, in which {BATCH} is left")

@@ -44,7 +44,10 @@ def summarize_motion(motion: Motion) -> dict[str, Any]:
         "largest_speed": None if speeds is None else float(speeds.max(initial=0.0)),
         "largest_acceleration": None if accelerations is None else float(accelerations.max(initial=0.0)),
         "keyframes": [
-            {name: value for name, value in place._asdict().items() if name != "row"}
+            {
+                **{name: value for name, value in place._asdict().items() if name not in ("row", "moved")},
+                "moved": None if place.moved is None else place.moved._asdict(),
+            }
             for place in motion.passed
         ],
         "worst_posture_error": float(errors.max()),
@@ -110,6 +113,8 @@ def _duration(summary: Mapping[str, Any]) -> str:
 
 def _keyframes(places: list[dict[str, Any]]) -> str:
     """Named places, one a line, in columns."""
+    from pinposture.target.target import Moved
+
     width = max(len(place["name"]) for place in places)
     lines = []
     for place in places:
@@ -122,5 +127,7 @@ def _keyframes(places: list[dict[str, Any]]) -> str:
             line += f", at most {place['off_curve']:.2g} m off its curve"
         if place["tip_off"] is not None:
             line += f", tip {place['tip_off']:.2g} m off"
+        if place["moved"] is not None and Moved(**place["moved"]):
+            line += f", curve {Moved(**place['moved'])}"
         lines.append(line)
     return "\n".join(lines)

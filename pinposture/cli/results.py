@@ -207,12 +207,15 @@ def summarize(motion: Trajectory) -> dict[str, Any]:
         ],
         "clearance": closest(motion),
         "incomplete": target.incomplete,
+        "moved": None if target.moved is None else target.moved._asdict(),
     }
 
 
 def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
     """A summary as a person reads it; the verdict with the colour in which to print it."""
     first, last, mean = (summary[key] for key in ("start_error", "final_error", "mean_error"))
+    from pinposture.target.target import Moved
+
     off, length = summary["largest_residual"], summary["arm_length"]
     words: dict[str, str | tuple[str, str]] = {
         "verdict": verdict_in_colour(summary),
@@ -225,6 +228,9 @@ def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
         f"{summary['last_active_points']} at the last, of {summary['control_points']}",
         "paths": f"of control points {summary['path_excess']:.3g} times as long as straight ones",
     }
+    if summary["moved"] is not None and Moved(**summary["moved"]):
+        how = "; --placement as_is leaves it where it is drawn"
+        words["curve"] = f"{Moved(**summary['moved'])} to the base of the arm{how}"
     if summary["escape_share"]:
         words["escapes"] = (
             f"{100 * summary['escape_share']:.3g} % of the steps; the posture error may rise there"

@@ -96,13 +96,17 @@ def run(
 
 def _print_check(file: Path, task: Task, reference: Reference, as_json: bool) -> None:
     """Say what is planned, and how well the arm can do it."""
-    places = [place._asdict() for place in task.outlook(reference)]
+    found = task.outlook(reference)
+    places = [
+        {**each._asdict(), "moved": None if each.moved is None else each.moved._asdict()} for each in found
+    ]
     if as_json:
         print_json({"task": str(file), "keyframes": places, "planned": reference.duration})
         return
     print_facts({"duration": f"{reference.duration:.4g} s, if nothing slows it"})
-    headings = ("posture", "planned [s]", "off its curve [m]", "tip off [m]", "clearance [m]")
-    print_table(headings, [tuple(place.values()) for place in places])
+    headings = ("posture", "planned [s]", "off its curve [m]", "tip off [m]", "clearance [m]", "its curve is")
+    rows = [(*place[:-1], None if place.moved is None else str(place.moved)) for place in found]
+    print_table(headings, rows)
 
 
 @contextmanager

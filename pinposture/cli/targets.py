@@ -13,6 +13,7 @@ from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:
     from pinposture.arm import Arm
+    from pinposture.scene import Scene
     from pinposture.target import Target
 
 CurveOption = Annotated[
@@ -24,10 +25,11 @@ CurveOption = Annotated[
     ),
 ]
 PlacementOption = Annotated[
-    str,
+    str | None,
     typer.Option(
         metavar="NAME",
-        help="How the curve is laid: as_is, translate (to the base) or align (turned to the arm too).",
+        help="How the curve is laid: as_is, translate (to the base) or align (turned to the arm too); else "
+        "as_is among obstacles, and align without.",
         rich_help_panel=TARGET,
     ),
 ]
@@ -61,7 +63,14 @@ RegionOption = Annotated[
 
 
 def read_target(
-    arm: Arm, curve: str, placement: str, roll: float, method: str, partial: bool, region: str | None
+    arm: Arm,
+    curve: str,
+    placement: str | None,
+    roll: float,
+    method: str,
+    partial: bool,
+    region: str | None,
+    scene: Scene | None,
 ) -> Target:
     """Place the control points on a curve as these options ask; say on stderr if some have no place.
 
@@ -70,7 +79,9 @@ def read_target(
         InvalidValue: a curve on which not even the first module has a place.
     """
     from pinposture.target import resolve_targets
+    from pinposture.task.keyframe import usual_placement
 
+    placement = usual_placement(scene) if placement is None else placement
     target = resolve_targets(
         arm,
         read_curve(curve),

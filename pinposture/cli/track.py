@@ -77,7 +77,7 @@ def run(
     locked: LockedOption = None,
     package_dir: PackageDirOption = None,
     curve: CurveOption,
-    placement: PlacementOption = "align",
+    placement: PlacementOption = None,
     roll: RollOption = 0.0,
     method: MethodOption = "auto",
     partial: PartialOption = False,
@@ -164,7 +164,7 @@ def run(
     q0 = read_start(arm, start, seed, degrees)
     task = read_tip(arm.at(q0), tip_position, tip_pose, hold_tip, tip_weight, strict_tip)
     chosen = build_controller(controller, haste, task)
-    target = read_target(arm, curve, placement, roll, method, partial, region)
+    target = read_target(arm, curve, placement, roll, method, partial, region, surroundings)
     if output is not None:
         check_writable(output)  # now, so that nobody waits for a run that cannot be kept
     with step_progress(target, steps) as callback:

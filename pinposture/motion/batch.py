@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -164,6 +165,7 @@ class Batch:
             "control_points": self.arm.n_modules,
             "max_steps": self.max_steps,
             "tolerance": self.tolerance,
+            "moved": [None if each.moved is None else each.moved._asdict() for each in self.targets],
             "runs": runs,
         }
 
@@ -178,6 +180,10 @@ class Batch:
             f"{self.mean_error.max() / self.arm.length:.2g} of the arm length",
             "paths": f"of control points {_spread(self.sweep, '.3g')} times as long as straight ones",
         }
+        moved = [each.moved for each in self.targets if each.moved]
+        far = max(moved, key=attrgetter("distance"), default=None)
+        if far is not None:
+            words["curve"] = f"{far} to the base of the arm" + (" at most" if len(self.targets) > 1 else "")
         if self.scene is not None:
             words["clearance"] = f"{self.clearance.min():.4g} m where it is smallest, in run " + (
                 f"{int(self.clearance.argmin())}; the margin is {self.scene.margin:.4g} m"

@@ -18,6 +18,7 @@ from pinposture.errors import InvalidValue
 from pinposture.motion.archive import Kind, read_archive, write_archive
 from pinposture.motion.batch import Batch
 from pinposture.motion.batch_motions import STEP_ARRAYS, TEXT_ARRAYS, Motions
+from pinposture.motion.files import unpack_moved
 from pinposture.scene import Scene
 from pinposture.target import Target
 
@@ -103,6 +104,7 @@ def _pack_targets(targets: Sequence[Target]) -> tuple[dict[str, NDArray[Any]], d
         "curve": places,
         "method": [target.method for target in targets],
         "incomplete": [target.incomplete for target in targets],
+        "moved": [target.moved for target in targets],
     }
     return arrays, about
 
@@ -114,15 +116,17 @@ def _unpack_targets(arrays: dict[str, NDArray[Any]], about: dict[str, Any]) -> t
     for name in _TARGET_ARRAYS:
         rows = iter(arrays.get(f"target_{name}", ()))
         columns[name] = [next(rows) if known else None for known in arrays[f"has_{name}"]]
-    others = zip(about["curve"], about["method"], about["incomplete"], strict=True)
+    moved = map(unpack_moved, about.get("moved", [None] * len(about["curve"])))
+    others = zip(about["curve"], about["method"], about["incomplete"], moved, strict=True)
     return tuple(
         Target(
             **dict(zip(columns, values, strict=True)),
             curve=curves[curve],
             method=method,
             incomplete=incomplete,
+            moved=way,
         )
-        for values, (curve, method, incomplete) in zip(
+        for values, (curve, method, incomplete, way) in zip(
             zip(*columns.values(), strict=True), others, strict=True
         )
     )

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from pinposture.arm import Arm
+from pinposture.arm.checks import finite_vector
 from pinposture.control import Limits
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue
@@ -14,6 +15,7 @@ from pinposture.motion.ending import ENDINGS
 from pinposture.motion.trajectory import Trajectory
 from pinposture.scene import Scene
 from pinposture.target import Target
+from pinposture.target.target import Moved
 
 _ADVICE = {
     "pinposture-batch": "holds many runs; save one of them: pp.Batch.load(file)[0].save(...)",
@@ -58,6 +60,7 @@ def pack_run(run: Trajectory) -> tuple[dict[str, Any], dict[str, Any]]:
         "curve": None if run.target.curve is None else run.target.curve.to_dict(),
         "method": run.target.method,
         "incomplete": run.target.incomplete,
+        "moved": run.target.moved,
         "controller": run.controller,
         "scene": None if run.scene is None else run.scene.to_dict(),
         "status": run.status,
@@ -85,7 +88,13 @@ def unpack_run(about: dict[str, Any], arrays: dict[str, Any], limits: Limits) ->
         raise InvalidValue("status", about["status"], ", ".join(ENDINGS))
     return Trajectory(
         arm=arm,
-        target=Target(**target, curve=curve, method=about["method"], incomplete=about["incomplete"]),
+        target=Target(
+            **target,
+            curve=curve,
+            method=about["method"],
+            incomplete=about["incomplete"],
+            moved=unpack_moved(about.get("moved")),
+        ),
         limits=limits,
         scene=None if about["scene"] is None else Scene.from_dict(about["scene"]),
         controller=about["controller"],
@@ -93,6 +102,14 @@ def unpack_run(about: dict[str, Any], arrays: dict[str, Any], limits: Limits) ->
         reason=about["reason"],
         **{name: arrays[name] for name in _RUN_ARRAYS},
     )
+
+
+def unpack_moved(told: list[list[float]] | None) -> Moved | None:
+    """How a curve was moved, as JSON has it."""
+    if told is None:
+        return None
+    translation, rotation = (finite_vector("moved", each, 3).tolist() for each in told)
+    return Moved(tuple(translation), tuple(rotation))
 
 
 def _check_run(arm: Arm, arrays: dict[str, Any]) -> None:

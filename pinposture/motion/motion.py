@@ -15,6 +15,7 @@ from pinposture.control.limits import cycle_of
 from pinposture.motion.ending import require_sound
 from pinposture.motion.joint_trajectory import JointTrajectory
 from pinposture.motion.trajectory import Trajectory
+from pinposture.target.target import Moved
 
 Array = NDArray[np.float64]
 
@@ -32,6 +33,7 @@ class Passed(NamedTuple):
         off_curve: how far off the curve of this place the control points that follow it belong at most, where
             the arm cannot take the curve exactly [m]; None if there is no curve.
         tip_off: by how much the task of its tip is missed then [m]; None if there is none, or never.
+        moved: how the curve of this place was moved from where it was drawn; None if there is no curve.
     """
 
     name: str
@@ -41,6 +43,7 @@ class Passed(NamedTuple):
     mean_error: float | None
     off_curve: float | None = None
     tip_off: float | None = None
+    moved: Moved | None = None
 
 
 @dataclass(frozen=True, eq=False)

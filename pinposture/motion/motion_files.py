@@ -8,7 +8,7 @@ from typing import Any
 from pinposture.control import Limits
 from pinposture.errors import InvalidValue
 from pinposture.motion.archive import Kind, read_archive, write_archive
-from pinposture.motion.files import check_shapes, pack_run, unpack_run
+from pinposture.motion.files import check_shapes, pack_run, unpack_moved, unpack_run
 from pinposture.motion.motion import Motion, Passed
 
 _ADVICE = {
@@ -49,6 +49,9 @@ def _unpacked(about: dict[str, Any], arrays: dict[str, Any], limits: Limits) -> 
         **{name: arrays[f"motion_{name}"] for name in _ARRAYS},
         set_out=timed["set_out"],
         planned=timed["planned"],
-        passed=tuple(Passed(*place) for place in timed["passed"]),
+        passed=tuple(
+            Passed(*place[:7])._replace(moved=unpack_moved(place[7] if len(place) > 7 else None))
+            for place in timed["passed"]
+        ),
         detours=tuple(timed["detours"]),
     )

@@ -131,7 +131,7 @@ def _survey(path: Path, least_joints: int, seed: int) -> ArmSurvey | None:
         length=arm.length,
         notes=arm.warnings,
     )
-    target = resolve_targets(arm, gentle_curve(arm), incomplete="partial")
+    target = resolve_targets(arm, gentle_curve(arm), placement="align", incomplete="partial")
     curve = target.curve or gentle_curve(arm)
     distance = curve.nearest(target.points)[1]
     found = found._replace(

@@ -170,7 +170,7 @@ def _target(arm: Arm, scenario: Scenario, start: Array, roll: float, rng: np.ran
             return Target.from_configuration(arm, goal)
         return resolve_targets(arm, curve_along(arm, goal), placement="as_is")
     curve = TARGET_CURVES[scenario.arm, scenario.target]
-    return resolve_targets(arm, curve, roll=roll if arm.dimension == 3 else 0.0)
+    return resolve_targets(arm, curve, placement="align", roll=roll if arm.dimension == 3 else 0.0)
 
 
 def curve_along(arm: Arm, q: Array) -> Curve:

@@ -145,9 +145,9 @@ def _target(subject: Subject, kind: TargetKind, rng: np.random.Generator) -> Tar
         return Target.from_configuration(arm, arbitrary_configuration(arm, rng))
     if kind == "gentle":
         # The posture counts, not the curve: an arm of few joints stays a little off it.
-        placed = resolve_targets(arm, gentle_curve(arm), roll=roll, incomplete="partial")
+        placed = resolve_targets(arm, gentle_curve(arm), placement="align", roll=roll, incomplete="partial")
         return Target.from_configuration(arm, arm.neutral() if placed.q is None else placed.q)
-    return resolve_targets(arm, TARGET_CURVES[subject.name, kind], roll=roll)
+    return resolve_targets(arm, TARGET_CURVES[subject.name, kind], placement="align", roll=roll)
 
 
 def _folded(arm: Arm, rng: np.random.Generator) -> Target:

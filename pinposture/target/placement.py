@@ -7,11 +7,13 @@ from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.errors import TargetError
+from pinposture.target.target import Moved
 
 Array = NDArray[np.float64]
 
@@ -33,22 +35,34 @@ class Placement(NamedTuple):
     failure: TargetError | None
 
 
-def lay(arm: Arm, curve: Curve, placement: str, roll: float) -> Curve:
+def lay(arm: Arm, curve: Curve, placement: str | None, roll: float) -> Curve:
     """Move a curve to an arm; see `resolve_targets`.
 
     A plane curve for a planar arm is also rolled into the arm's plane, by the smaller angle.
     """
+    return laid(arm, curve, placement, roll)[0]
+
+
+def laid(arm: Arm, curve: Curve, placement: str | None, roll: float) -> tuple[Curve, Moved]:
+    """The curve moved to an arm, and how; as `lay`."""
     if placement == "as_is":
-        return curve
+        return curve, Moved((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     turn = np.eye(3)
-    if placement == "align":
+    if placement != "translate":
         axis = arm_axis(arm)
         turn = _least_rotation(curve.tangent(0.0), axis)
         if arm.dimension == 2 and curve.dimension == 2:
             turn = _into_plane(arm, curve, turn, axis) @ turn
         if roll != 0.0:
             turn = _rotation(axis, roll) @ turn
-    return curve.moved(turn, arm.chain.base - turn @ curve.start)
+    way = (arm.chain.base - curve.start).tolist()
+    moved = Moved((way[0], way[1], way[2]), _rotation_vector(turn))
+    return curve.moved(turn, arm.chain.base - turn @ curve.start), moved
+
+
+def _rotation_vector(turn: Array) -> tuple[float, float, float]:
+    x, y, z = pin.log3(turn).tolist()
+    return x, y, z
 
 
 def beginning(arm: Arm, curve: Curve) -> tuple[float, bool]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import warnings
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -15,14 +17,15 @@ from pinposture.errors import (
     CurveBendsTooMuch,
     CurveEndsEarly,
     InvalidValue,
+    PostureWarning,
     TargetError,
     UnknownName,
     UnsupportedModule,
 )
 from pinposture.target.fit import fit_curve
-from pinposture.target.placement import ROUNDING, Placement, beginning, lay
+from pinposture.target.placement import ROUNDING, Placement, beginning, laid
 from pinposture.target.refine import fit_near
-from pinposture.target.target import Target
+from pinposture.target.target import Moved, Target
 from pinposture.target.walk import place_in_turn
 
 Array = NDArray[np.float64]
@@ -35,6 +38,9 @@ STIFFNESS = {"smooth": 0.02, "closest": 1e-8}
 
 The closest placement has a trace of it: joints that move no control point need to be told something."""
 
+FAR = 0.1
+"""How far the start of a curve may be moved without a word, if nobody asked for it, in arm lengths."""
+
 OFF_CURVE = 0.1
 """How far off the curve a control point may be before it counts as having no place, in module lengths."""
 
@@ -43,7 +49,7 @@ def resolve_targets(
     arm: Arm,
     curve: Curve,
     samples: int = 2000,
-    placement: Literal["as_is", "translate", "align"] = "align",
+    placement: Literal["as_is", "translate", "align"] | None = None,
     roll: float = 0.0,
     incomplete: Literal["raise", "partial"] = "raise",
     method: Literal["auto", "sequential", "smooth", "closest"] = "auto",
@@ -63,7 +69,8 @@ def resolve_targets(
         samples: number of points at equal arc length that stand for the curve in sequential placement.
         placement: "as_is" uses the curve where it is; "translate" moves its start to the base of the
             arm; "align" also turns its first tangent to the arm's axis by the least rotation, and a plane
-            curve into the plane of a planar arm.
+            curve into the plane of a planar arm. None aligns, and a `PostureWarning` tells if the start was
+            moved by more than a tenth of the arm's length; `moved` of the target tells it in any case.
         roll: further turn of an aligned curve about the arm's axis [rad].
         incomplete: what to do when some module has no place: "raise" an error, or return a "partial"
             target that says why in `incomplete` and gives weight 0 to the points from there on.
@@ -74,7 +81,7 @@ def resolve_targets(
             of a second for 20 modules and seconds for 100.
 
     Returns:
-        The target, with `q`, `parameters`, `residual` and `method` filled in.
+        The target, with `q`, `parameters`, `residual`, `method` and `moved` filled in.
 
     Raises:
         CurveEndsEarly: the curve is over before the last module is placed.
@@ -90,7 +97,8 @@ def resolve_targets(
         raise InvalidValue("arm", arm, "an Arm")
     if not isinstance(curve, Curve):
         raise InvalidValue("curve", curve, "a Curve")
-    _require("placement", placement, PLACEMENTS)
+    if placement is not None:
+        _require("placement", placement, PLACEMENTS)
     _require("way to treat an incomplete target", incomplete, ("raise", "partial"))
     _require("method", method, METHODS)
     if isinstance(samples, bool) or not isinstance(samples, int) or samples < 2:
@@ -101,7 +109,9 @@ def resolve_targets(
         near.check(arm)
         if near.q is None or near.parameters is None:
             raise InvalidValue("near", near, "a target with q and parameters, as from `resolve_targets`")
-    placed = lay(arm, curve, placement, roll)
+    placed, moved = laid(arm, curve, placement, roll)
+    if placement is None and moved.distance > FAR * arm.length:
+        warnings.warn(far_moved(arm, "the curve", moved), PostureWarning, stacklevel=2)
     if method == "sequential":
         result = place_in_turn(arm, placed, samples)
     elif method == "auto":
@@ -110,7 +120,14 @@ def resolve_targets(
         result = _place_together(arm, placed, method, near)
     if result.failure is not None and incomplete == "raise":
         raise result.failure
-    return _target(arm, placed, result, method)
+    return replace(_target(arm, placed, result, method), moved=moved)
+
+
+def far_moved(arm: Arm, what: str, moved: Moved) -> str:
+    """What to say of a curve that was moved far without having been asked for."""
+    share = f"{moved.distance / arm.length:.2g} of the arm length"
+    advice = 'placement="as_is" leaves it where it is, "align" says that it may be moved'
+    return f"{what} was {moved} to the base of the arm, {share}; {advice}"
 
 
 def _require(kind: str, name: str, allowed: tuple[str, ...]) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import isfinite
+from math import hypot, isfinite
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +15,39 @@ from pinposture.curve import Curve
 from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
+
+ROUNDING = 1e-9
+"""How far a curve may be moved and still be where it was [m and rad]."""
+
+
+class Moved(NamedTuple):
+    """How a curve was moved to the arm from where it was drawn.
+
+    Attributes:
+        translation: of its start, (3,) [m], world frame.
+        rotation: about its start, as a rotation vector, (3,) [rad], world frame.
+    """
+
+    translation: tuple[float, float, float]
+    rotation: tuple[float, float, float]
+
+    @property
+    def distance(self) -> float:
+        """How far its start was moved [m]."""
+        return hypot(*self.translation)
+
+    @property
+    def angle(self) -> float:
+        """How far it was turned [rad]."""
+        return hypot(*self.rotation)
+
+    def __str__(self) -> str:
+        parts = (("moved", self.distance, "m"), ("turned", self.angle, "rad"))
+        said = [f"{how} by {much:.4g} {unit}" for how, much, unit in parts if much > ROUNDING]
+        return " and ".join(said) or "where it was drawn"
+
+    def __bool__(self) -> bool:
+        return max(self.distance, self.angle) > ROUNDING
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +64,7 @@ class Target:
         residual: distance of each point from the curve, or of the posture at `q` from measured points, (m,)
             [m], or None.
         method: how the points were found on the curve: "sequential", "smooth" or "closest"; or empty.
+        moved: how the curve was moved from where it was drawn; None if there is none, or that is not known.
         incomplete: why some control points have no place on the curve; empty if all have one. Those
             have weight 0, and their `points` continue straight on from the last that was placed.
     """
@@ -42,6 +77,7 @@ class Target:
     residual: Array | None = None
     method: str = ""
     incomplete: str = ""
+    moved: Moved | None = None
 
     def __post_init__(self) -> None:
         for name in ("points", "weights", "q", "parameters", "residual"):

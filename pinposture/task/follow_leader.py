@@ -181,5 +181,5 @@ def _mark(laid: Passage, begin: Array, name: str, offsets: Array) -> Mark:
     """The last row, with a name."""
     arm = laid.fed.arm
     q = arm.integrate(begin, offsets[-1])
-    target = Target(arm.at(q).points, np.ones(arm.n_modules), q=q, curve=laid.path)
+    target = Target(arm.at(q).points, np.ones(arm.n_modules), q=q, curve=laid.path, moved=laid.moved)
     return Mark(name, len(offsets) - 1, target)

@@ -13,6 +13,7 @@ from pinposture.control.checks import is_whole
 from pinposture.control.tasks import EndEffector
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, PostureError, TaskError, UnknownName
+from pinposture.scene import Scene
 from pinposture.target.resolve import METHODS, PLACEMENTS
 
 
@@ -28,7 +29,7 @@ class Keyframe:
         hold: how long to stay there [s]. A keyframe with a hold is taken at rest, and so are the first and
             the last one; the others are passed through.
         name: what to call it; empty to call it by its number.
-        placement: as for `resolve_targets`.
+        placement: as for `resolve_targets`; None for what `usual_placement` says.
         roll: as for `resolve_targets` [rad].
         method: as for `resolve_targets`.
         tip: the task of one control point, usually the tip, while the arm takes the posture; None if there is
@@ -48,7 +49,7 @@ class Keyframe:
     duration: float | None = None
     hold: float = 0.0
     name: str = ""
-    placement: Literal["as_is", "translate", "align"] = "align"
+    placement: Literal["as_is", "translate", "align"] | None = None
     roll: float = 0.0
     method: Literal["auto", "sequential", "smooth", "closest"] = "auto"
     tip: EndEffector | None = None
@@ -76,7 +77,7 @@ class Keyframe:
             ("placement", self.placement, PLACEMENTS),
             ("method", self.method, METHODS),
         ):
-            if value not in allowed:
+            if value not in allowed and not (kind == "placement" and value is None):
                 raise UnknownName(kind, value, allowed)
         if self.tip is not None and not isinstance(self.tip, EndEffector):
             raise InvalidValue("tip", self.tip, "an EndEffector, or None")
@@ -89,6 +90,11 @@ class Keyframe:
             object.__setattr__(self, "region", (int(ends[0]), int(ends[1])))
         if not isinstance(self.trim, bool):
             raise InvalidValue("trim", self.trim, "True or False")
+
+
+def usual_placement(scene: Scene | None) -> Literal["as_is", "align"]:
+    """How curves are laid where nobody says: among obstacles they stay where they are drawn."""
+    return "as_is" if scene is not None and scene.obstacles else "align"
 
 
 def _require(name: str, value: object, allowed: str, least: float) -> None:

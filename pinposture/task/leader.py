@@ -24,7 +24,7 @@ class Leader(NamedTuple):
         path: where the tip goes.
         speed: largest speed of the feed [m/s].
         depth: how far to go in [m]; None: to the end.
-        placement: as for `follow_leader`.
+        placement: as for `follow_leader`; None for what `usual_placement` says of the scene.
         method: as for `follow_leader`.
         and_back: whether to come out again.
         pipe: radius of the pipe around the path, in which the arm has to stay [m]; None: there is none.
@@ -33,7 +33,7 @@ class Leader(NamedTuple):
     path: Curve
     speed: float
     depth: float | None = None
-    placement: Any = "align"
+    placement: Any = None
     method: Any = "closest"
     and_back: bool = False
     pipe: float | None = None
@@ -53,7 +53,7 @@ def check_leader(leader: Leader, arm: Arm) -> None:
         if getattr(leader, name) is not None:
             require_positive(name, getattr(leader, name))
     for name, allowed in (("placement", PLACEMENTS), ("method", tuple(METHODS))):
-        if getattr(leader, name) not in allowed:
+        if getattr(leader, name) not in allowed and not (name == "placement" and leader.placement is None):
             raise UnknownName(name, getattr(leader, name), allowed)
     if not isinstance(leader.and_back, bool):
         raise InvalidValue("and_back", leader.and_back, "True or False")

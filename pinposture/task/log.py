@@ -73,14 +73,15 @@ class Log:
         planned, begun = mark.row * self._reference.interval, self._begun
         there = np.flatnonzero(places[begun:] >= mark.row - ROUNDING)
         if begun is None or not len(there):
-            return Passed(mark.name, planned, None, None, None, off_curve(mark))
+            return Passed(mark.name, planned, None, None, None, off_curve(mark), moved=mark.target.moved)
         row = begun + int(there[0])
         if row > begun and mark.row - places[row - 1] < places[row] - mark.row:
             row -= 1
         placed = mark.target.placed
         off = np.linalg.norm((mark.target.points - points[row])[placed], axis=1)
         tip = None if mark.tip is None else tip_off(mark, self._reference.arm.at(q[row]))
-        return Passed(mark.name, planned, (row - begun) * dt, row, float(off.mean()), off_curve(mark), tip)
+        reached, error, moved = (row - begun) * dt, float(off.mean()), mark.target.moved
+        return Passed(mark.name, planned, reached, row, error, off_curve(mark), tip, moved)
 
 
 def off_curve(mark: Mark) -> float | None:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from pinposture.errors import PostureWarning, TaskError
 from pinposture.scene import Scene
 from pinposture.target import Target
+from pinposture.target.target import Moved
 from pinposture.task.log import off_curve, tip_off
 from pinposture.task.reference import Mark, Reference
 
@@ -21,6 +22,7 @@ class Outlook(NamedTuple):
         off_curve: how far off its curve control points belong at most [m]; None if there is no curve.
         tip_off: by how much the task of the tip is missed [m]; None if there is none.
         clearance: smallest distance to something [m], negative inside of it; None without a scene.
+        moved: how its curve was moved from where it was drawn; None if there is no curve.
     """
 
     name: str
@@ -28,6 +30,7 @@ class Outlook(NamedTuple):
     off_curve: float | None
     tip_off: float | None
     clearance: float | None
+    moved: Moved | None
 
 
 def outlook(reference: Reference, scene: Scene | None) -> list[Outlook]:
@@ -43,7 +46,8 @@ def outlook(reference: Reference, scene: Scene | None) -> list[Outlook]:
         q = reference.configuration(mark.row)
         room = None if clearance is None else clearance.minimum(q).distance
         tip = None if mark.tip is None else tip_off(mark, arm.at(q))
-        found.append(Outlook(mark.name, mark.row * reference.interval, off_curve(mark), tip, room))
+        planned, moved = mark.row * reference.interval, mark.target.moved
+        found.append(Outlook(mark.name, planned, off_curve(mark), tip, room, moved))
     return found
 
 

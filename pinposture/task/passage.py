@@ -11,7 +11,8 @@ from scipy.interpolate import BSpline
 from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, UnknownName
-from pinposture.target.placement import lay
+from pinposture.target.placement import laid as laid_at
+from pinposture.target.target import Moved
 from pinposture.task.feed import Fed, taken_apart
 
 Array = NDArray[np.float64]
@@ -37,12 +38,14 @@ class Passage:
     Attributes:
         fed: the arm.
         path: the path, where it lies in the world; it begins at the tip of the arm at the start.
+        moved: how the path was moved there from where it was drawn.
         way: the path, with the straight line from the first joint that bends before it and one after it.
     """
 
     fed: Fed
     path: Curve
     way: Curve
+    moved: Moved
 
     @property
     def deepest(self) -> float:
@@ -71,10 +74,12 @@ def passage(arm: Arm, path: Curve, placement: str = "align", start: ArrayLike | 
         raise UnknownName("placement", placement, PLACEMENTS)
     fed = taken_apart(arm, start)
     if placement == "align":
-        laid = lay(fed.body, path, "align", 0.0)
-        laid = laid.moved(np.eye(3), fed.tip - laid.start)
+        there, moved = laid_at(fed.body, path, "align", 0.0)
+        laid = there.moved(np.eye(3), fed.tip - there.start)
+        x, y, z = (fed.tip - path.start).tolist()
+        moved = moved._replace(translation=(x, y, z))
     else:
-        laid = path
+        laid, moved = laid_at(fed.body, path, "as_is", 0.0)
         gap = float(np.linalg.norm(path.start - fed.tip))
         angle = float(np.arccos(np.clip(path.tangent(0.0) @ fed.axis, -1.0, 1.0)))
         if gap > BESIDE * fed.length or angle > KINK:
@@ -84,7 +89,7 @@ def passage(arm: Arm, path: Curve, placement: str = "align", start: ArrayLike | 
             raise InvalidValue("start of the path", found, allowed)
     behind = led_in(laid, fed.axis, float((fed.tip - fed.body.chain.base) @ fed.axis))
     way = led_in(behind.reversed(), -laid.tangent(laid.length), ahead_of_feed(fed)).reversed()
-    return Passage(fed, laid, way)
+    return Passage(fed, laid, way, moved)
 
 
 def ahead_of_feed(fed: Fed) -> float:

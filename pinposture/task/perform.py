@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from math import ceil
 from typing import Literal
 
@@ -22,7 +23,7 @@ from pinposture.motion.track import in_scene
 from pinposture.scene import Scene
 from pinposture.target import Target
 from pinposture.task.guide import Guide
-from pinposture.task.keyframe import Keyframe
+from pinposture.task.keyframe import Keyframe, usual_placement
 from pinposture.task.keyframes import keyframe_reference
 from pinposture.task.log import Log
 from pinposture.task.reference import Reference
@@ -114,7 +115,8 @@ def move_through(
 
     Args:
         arm: the arm.
-        keyframes: the postures, in order.
+        keyframes: the postures, in order. Those that leave open how their curves are laid stay where they are
+            drawn if the scene has obstacles.
         controller: as for `track`.
         limits: what a step may not exceed, with `dt`; cycles of 20 ms and the speeds of the arm if None.
         scene: as for `track`.
@@ -128,6 +130,8 @@ def move_through(
         PostureError: as those two.
     """
     limits = Limits(step=None, dt=CYCLE) if limits is None else limits
+    if usual_placement(scene) == "as_is":
+        keyframes = [replace(each, placement=each.placement or "as_is") for each in keyframes]
     reference = keyframe_reference(arm, keyframes, cycle_of(limits), continuity)
     return perform(reference, controller, limits, scene, q0)
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
-from pinposture.errors import TargetError, TaskError
+from pinposture.errors import PostureWarning, TargetError, TaskError
 from pinposture.target import Target, resolve_targets
 from pinposture.target.placement import beginning
+from pinposture.target.resolve import FAR, far_moved
 from pinposture.task.bending import Beginning
 from pinposture.task.keyframe import Keyframe, naming, title
 from pinposture.task.settled_tip import settled_tip
@@ -81,7 +83,7 @@ def resolve_keyframe(arm: Arm, keyframe: Keyframe, near: Target | None = None) -
     target = resolve_targets(
         arm,
         keyframe.curve,
-        placement=keyframe.placement,
+        placement=keyframe.placement or "align",
         roll=keyframe.roll,
         method=keyframe.method,
         near=near,
@@ -100,7 +102,8 @@ def taken(arm: Arm, keyframe: Keyframe, target: Target, q: Array) -> Target:
     curve, points = target.curve, arm.at(q).points
     assert curve is not None
     parameters, distances = map(np.asarray, curve.nearest(points))
-    result = Target(points, np.ones(arm.n_modules), q, curve, parameters, distances, target.method)
+    weights, moved = np.ones(arm.n_modules), target.moved
+    result = Target(points, weights, q, curve, parameters, distances, target.method, moved=moved)
     return result if keyframe.region is None else result.region(*keyframe.region)
 
 
@@ -130,12 +133,16 @@ def resolve_keyframes(arm: Arm, keyframes: tuple[Keyframe, ...]) -> Keyed:
         resolved.append(Resolved(begun, target, arm.positions(target.q), target.method != method))
     for index, each in enumerate(resolved):
         _refuse_rest(arm, keyframes, index, each)
+        moved = each.target.moved
+        if keyframes[index].placement is None and moved is not None and moved.distance > FAR * arm.length:
+            what = f"{title(keyframes, index)}: its curve"
+            warnings.warn(far_moved(arm, what, moved), PostureWarning, stacklevel=3)
     longest = max(float(each.parameters[-1]) for each in resolved)
     return Keyed(tuple(resolved), method, MARGIN * max(longest, arm.length))
 
 
 def _target(arm: Arm, keyframe: Keyframe, method: str) -> Target:
-    given = {"placement": keyframe.placement, "roll": keyframe.roll, "method": method}
+    given = {"placement": keyframe.placement or "align", "roll": keyframe.roll, "method": method}
     return resolve_targets(arm, keyframe.curve, SAMPLES, **given)  # type: ignore[arg-type]
 
 

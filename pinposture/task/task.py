@@ -20,7 +20,7 @@ from pinposture.scene import Scene
 from pinposture.scene.pipe import pipe
 from pinposture.task.checks import FORMATS, check_task
 from pinposture.task.follow_leader import follow_leader
-from pinposture.task.keyframe import Keyframe
+from pinposture.task.keyframe import Keyframe, usual_placement
 from pinposture.task.keyframes import keyframe_reference
 from pinposture.task.leader import Leader
 from pinposture.task.outlook import Outlook, outlook, require_room
@@ -51,7 +51,8 @@ class Task:
 
     Attributes:
         arm: the arm.
-        motion: postures to take at their times, two or more, or the path to follow.
+        motion: postures to take at their times, two or more, or the path to follow. Where it leaves open how
+            curves are laid, they stay where they are drawn if the scene has obstacles; else they are aligned.
         limits: what a control cycle may not exceed, with `dt`.
         controller: what moves the arm; an instance, or its name.
         scene: what to keep clear of; None if nothing.
@@ -96,6 +97,7 @@ class Task:
                 raise InvalidValue("scans", self.scans, "paths of files")
         self._settle("scans", tuple(map(settled, scans)))
         check_task(self)
+        self._settle("motion", _placed(self.motion, usual_placement(self.scene)))
         self._settle("formats", tuple(each for each in FORMATS if each in formats))
         self._settle("described", dict(self.described))
         if self.start is not None:
@@ -238,6 +240,13 @@ class Task:
         line = self._document.line(("keyframes", int(number[1]) - 1) if number else ("keyframes",))
         text = str(error)
         return FileError(self._document.path, f"{'' if line is None else f'line {line}: '}{text}")
+
+
+def _placed(motion: tuple[Keyframe, ...] | Leader, usual: Any) -> tuple[Keyframe, ...] | Leader:
+    """The motion with all that it leaves open of where its curves are laid."""
+    if isinstance(motion, Leader):
+        return motion._replace(placement=usual) if motion.placement is None else motion
+    return tuple(each if each.placement else replace(each, placement=usual) for each in motion)
 
 
 def _listed(name: str, values: object, allowed: str) -> tuple[Any, ...]:

@@ -11,7 +11,7 @@ from pinposture.view.animation import Film
 from pinposture.view.clearance import has_clearance
 from pinposture.view.ellipsoids import KEY
 from pinposture.view.staging import Staged
-from pinposture.view.words import is_slowed
+from pinposture.view.words import is_slowed, moved_curves
 
 
 def texts(shown: Film) -> list[str]:
@@ -69,6 +69,9 @@ def legend(shown: Film, setting: Staged, target: bool, scale: str) -> str:
     lines = [_dots(entries)]
     if shown.motion is not None:
         lines.append(_in_time(shown, setting))
+    moved = moved_curves(shown.run if shown.motion is None else shown.motion)
+    if moved:
+        lines.append(html.escape(moved))
     if scale:
         listed = [(f"index {meaning}", color) for color, meaning in KEY.items()]
         lines.append(f"ellipsoids, {scale}: {_dots(listed)}")

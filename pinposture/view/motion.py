@@ -18,7 +18,7 @@ from pinposture.view.places import alike, shown_places
 from pinposture.view.postures import PosturePanel
 from pinposture.view.run_postures import BETWEEN, draw_way, evenly
 from pinposture.view.time_panels import mark_places, plot_clock, plot_error, plot_joint_rates
-from pinposture.view.words import controller_name, ending_in_time, is_slowed
+from pinposture.view.words import controller_name, ending_in_time, is_slowed, moved_curves
 
 FEW = 3
 """So many named places tell what the way was like; where there are fewer, postures in between are drawn."""
@@ -60,7 +60,7 @@ def plot_motion(motion: Motion) -> Figure:
     if len(motion.detours) > MOST_DETOURS:
         detours.append(f"and {len(motion.detours) - MOST_DETOURS} more")
     title(figure, [f"{controller_name(run)} {ending_in_time(motion)}: {run.reason}", *detours])
-    footnote(figure, run.controller)
+    footnote(figure, "; ".join(filter(None, [moved_curves(motion), run.controller])))
     figure.draw_without_rendering()  # the layout of a high legend settles in the second drawing only
     return figure
 

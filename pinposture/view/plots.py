@@ -22,7 +22,7 @@ from pinposture.view.panels import (
     plot_posture_error,
 )
 from pinposture.view.run_postures import draw_runs, plot_postures
-from pinposture.view.words import controller_name, ending
+from pinposture.view.words import controller_name, ending, moved_curves
 
 
 def plot(run: Trajectory | Motion) -> Figure:
@@ -66,7 +66,7 @@ def plot(run: Trajectory | Motion) -> Figure:
         mark_method(run, panels[-1])
         panels[-1].set_xlabel("step (red: steps by Projection)")
     title(figure, [f"{controller_name(run)} {ending(run)}: {run.reason}"])
-    footnote(figure, run.controller)
+    footnote(figure, "; ".join(filter(None, [moved_curves(run), run.controller])))
     return figure
 
 

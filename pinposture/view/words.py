@@ -5,6 +5,15 @@ from __future__ import annotations
 from pinposture.motion import Motion, Trajectory
 from pinposture.motion.ending import ENDINGS
 
+
+def moved_curves(run: Trajectory | Motion) -> str:
+    """How curves were moved from where they were drawn, in words; empty if none was."""
+    if isinstance(run, Motion):
+        told = [f"{place.name} {place.moved}" for place in run.passed if place.moved]
+        return f"curves: {', '.join(told)}" if told else ""
+    return f"curve {run.target.moved} to the base of the arm" if run.target.moved else ""
+
+
 SLOWED = 1.001
 """How many times as long as planned a motion takes that was slowed down."""
 

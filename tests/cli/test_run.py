@@ -127,8 +127,19 @@ def test_a_check_moves_and_writes_nothing(command, task, tmp_path, monkeypatch):
     assert data == {
         "task": str(task),
         "keyframes": [
-            {"name": name, "planned": when, "off_curve": near, "tip_off": None, "clearance": None}
-            for name, when, near in (("straight", 0.0, ANY), ("bowed", pytest.approx(1.0), ANY))
+            {
+                "name": name,
+                "planned": when,
+                "off_curve": ANY,
+                "tip_off": None,
+                "clearance": None,
+                "moved": {"translation": pytest.approx(way), "rotation": ANY},
+            }
+            # A helix begins beside its axis, this one at (0, 0, 0.1); it is taken from the base.
+            for name, when, way in (
+                ("straight", 0.0, [0.0, 0.0, 0.0]),
+                ("bowed", pytest.approx(1.0), [0.0, 0.0, -0.1]),
+            )
         ],
         "planned": pytest.approx(1.0),
     }

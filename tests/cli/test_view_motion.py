@@ -165,6 +165,7 @@ def test_a_summary_holds_the_numbers_of_the_motion_from_setting_out_on():
         "mean_error": 1e-3,
         "off_curve": None,
         "tip_off": None,
+        "moved": None,
     }
     closest = around_a_ball().around(five_modules()).minimum(motion.q[run.clearance.argmin()])
     assert summary["clearance"]["smallest"] == pytest.approx(closest.distance)

@@ -120,7 +120,7 @@ BOW -> :: keyframe 2: the key 'curve' is missing @ SECOND
 time = "1 s" + duration = 1 :: keyframe 2:  | time and duration | one of them @ SECOND
 "1 s" -> "-1 s" :: keyframe 2, time: is '-1 s'; allowed: a finite number >= 0
 hold = 0.1 -> hold = -0.1 :: keyframe 2, hold: is -0.1
-hold = 0.1 -> placement = "algn" :: keyframe 2, placement: is 'algn' | did you mean 'align'
+placement = "align" -> placement = "algn" :: keyframe 2, placement: is 'algn' | did you mean 'align'
 hold = 0.1 -> method = "best" :: keyframe 2, method: is 'best' | 'auto', 'sequential'
 BOW -> curve = "helx" :: keyframe 2, curve: is 'helx' | did you mean 'helix' | .csv
 BOW -> curve = 3 :: keyframe 2, curve: is 3; allowed: a name, a file, or a table

@@ -45,6 +45,7 @@ name = "bowed"
 time = "1 s"
 hold = 0.1
 curve = { type = "helix", radius = "10 cm", pitch = 0, turns = 0.6 }
+placement = "align"
 trim = true
 
 [output]

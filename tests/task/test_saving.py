@@ -111,6 +111,7 @@ name = "bowed"
 time = 1
 hold = 0.1
 curve = { type = "helix", radius = 0.1, pitch = 0, turns = 0.6 }
+placement = "align"
 trim = true
 
 [output]

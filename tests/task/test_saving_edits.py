@@ -78,7 +78,7 @@ def test_attributes_are_settled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.chdir(tmp_path)
     given: Any = {"formats": ["csv", "npz", "csv"], "scans": ["b/../c.ply"], "controller": "lm"}
     task = pp.Task(six_modules(), list(frames()), LIMITS, start=[0.0] * 12, **given)  # type: ignore[arg-type]
-    assert task.motion == frames()
+    assert task.motion == tuple(replace(each, placement="align") for each in frames())
     assert task.formats == ("npz", "csv")
     assert task.scans == (tmp_path.resolve() / "c.ply",)
     assert task.controller.name == "lm"

@@ -59,7 +59,7 @@ def test_json_and_toml_say_the_same(tmp_path: Path, text: str) -> None:
 def test_values_arrive_as_they_were_meant(tmp_path: Path) -> None:
     more = 'placement = "translate"\nroll = "90 deg"\nmethod = "closest"\nregion = [2, 6]\n'
     tip = 'position = ["10 cm", 0, 0.1], rotation = ["90 deg", 0, 0], point = 3, weight = 4, axis_only = true'
-    task = loaded(tmp_path, VALID.replace("hold = 0.1\n", f"hold = 0.1\n{more}tip = {{ {tip} }}\n"))
+    task = loaded(tmp_path, VALID.replace('placement = "align"\n', f"{more}tip = {{ {tip} }}\n"))
     arm, bowed = task.arm, task.motion[1]
     np.testing.assert_allclose(arm.chain.module_lengths, 0.05)
     np.testing.assert_allclose(arm.limits.lower, -170 * np.pi / 180)
@@ -85,8 +85,8 @@ def test_what_is_not_said_has_the_usual_value(tmp_path: Path) -> None:
     )
     task = loaded(tmp_path, text, "nothing said.toml")
     assert task.motion == (
-        pp.Keyframe(pp.Curve.line((0, 0, 0), (0.3, 0, 0))),
-        pp.Keyframe(pp.Curve.line((0, 0, 0), (0.3, 0, 0)), duration=1.0),
+        pp.Keyframe(pp.Curve.line((0, 0, 0), (0.3, 0, 0)), placement="align"),
+        pp.Keyframe(pp.Curve.line((0, 0, 0), (0.3, 0, 0)), duration=1.0, placement="align"),
     )
     assert task.limits == pp.Limits(step=None, dt=0.02)
     assert task.controller == pp.ConstrainedQP()

@@ -42,12 +42,12 @@ _QUANTITIES = {
 }
 
 
-def read_keyframes(tables: list[Table]) -> tuple[Keyframe, ...]:
-    """The keyframes, each checked by itself."""
-    return tuple(_keyframe(table) for table in tables)
+def read_keyframes(tables: list[Table], usual: str) -> tuple[Keyframe, ...]:
+    """The keyframes, each checked by itself; `usual` is how curves are laid where the file does not say."""
+    return tuple(_keyframe(table, usual) for table in tables)
 
 
-def _keyframe(table: Table) -> Keyframe:
+def _keyframe(table: Table, usual: str) -> Keyframe:
     table.only(*_KEYFRAME)
     region = table.value("region", None)
     if region is not None:
@@ -63,7 +63,7 @@ def _keyframe(table: Table) -> Keyframe:
         "time": table.quantity("time", "time", default=None),
         "duration": table.quantity("duration", "time", default=None),
         "hold": table.quantity("hold", "time", default=0.0),
-        "placement": table.text("placement", "align", PLACEMENTS),
+        "placement": table.text("placement", usual, PLACEMENTS),
         "roll": table.quantity("roll", "angle", default=0.0),
         "method": table.text("method", "auto", METHODS),
         "trim": table.flag("trim", False),
@@ -138,14 +138,14 @@ def read_curve(table: Table, key: str) -> Curve:
         return table.says(Curve.from_dict(plain), plain)
 
 
-def read_leader(table: Table) -> Leader:
-    """What the leader does."""
+def read_leader(table: Table, usual: str) -> Leader:
+    """What the leader does; `usual` is how its path is laid where the file does not say."""
     table.only(*_LEADER)
     return Leader(
         path=read_curve(table, "path"),
         speed=table.above_zero("speed", "speed"),
         depth=table.above_zero("depth", "length", default=None),
-        placement=table.text("placement", "align", ENTRIES),
+        placement=table.text("placement", usual, ENTRIES),
         method=table.text("method", "closest", tuple(WINDOWS)),
         and_back=table.flag("and_back", False),
         pipe=table.above_zero("pipe", "length", default=None),

@@ -7,6 +7,7 @@ from typing import Any
 
 from pinposture.arm import Arm
 from pinposture.task.checks import FORMATS, around_base, where_base_is
+from pinposture.task.keyframe import usual_placement
 from pinposture.task.leader import Leader
 from pinposture.task.reading.arms import read_arm
 from pinposture.task.reading.document import Document, Table
@@ -42,13 +43,16 @@ def read_task(document: Document, arm: Arm | None = None) -> dict[str, Any]:
                 raise root.fault(key, f"goes with kind = {other!r}; the kind is {kind!r}")
     root.only(*_COMMON, *_OWN[kind])
     arm = read_arm(root.table("arm")) if arm is None else arm
-    leader = kind == "follow_leader"
+    scene = read_surroundings(root.table("scene"), document.path.parent)
+    usual, motion = usual_placement(scene), None
+    if kind == "follow_leader":
+        motion = read_leader(root.table("leader"), usual)
     parts = {
         "arm": arm,
-        "motion": read_leader(root.table("leader")) if leader else read_keyframes(root.tables("keyframes")),
+        "motion": read_keyframes(root.tables("keyframes"), usual) if motion is None else motion,
         "limits": read_limits(root.table("limits"), arm),
         "controller": read_controller(root.table("controller")),
-        "scene": read_surroundings(root.table("scene"), document.path.parent),
+        "scene": scene,
         "start": read_start(root.table("start"), arm),
         "continuity": root.text("continuity", "velocity", CONTINUITIES),
         "formats": _formats(root.table("output")),

@@ -15,10 +15,9 @@ from pinposture.task.reading.motions import read_curve, read_tip
 from pinposture.task.writing.placements import roll_pitch_yaw
 from pinposture.task.writing.wording import Wording
 
-_USUAL: dict[str, Any] = {"trim": False, "placement": "align", "roll": 0.0, "method": "auto"}
+_USUAL: dict[str, Any] = {"trim": False, "roll": 0.0, "method": "auto"}
 _OF_A_LEADER: dict[str, Any] = {
     "depth": None,
-    "placement": "align",
     "method": "closest",
     "and_back": False,
     "pipe": None,
@@ -26,8 +25,8 @@ _OF_A_LEADER: dict[str, Any] = {
 _OF_A_TIP: dict[str, Any] = {"weight": 1.0, "strict": False, "axis_only": False, "length": None}
 
 
-def write_keyframe(keyframe: Keyframe, wording: Wording) -> dict[str, Any]:
-    """A table for a keyframe, without what is as usual."""
+def write_keyframe(keyframe: Keyframe, usual: str, wording: Wording) -> dict[str, Any]:
+    """A table for a keyframe, without what is as usual; `usual` is how its curve would be laid."""
     described: dict[str, Any] = {}
     if keyframe.name:
         described["name"] = keyframe.name
@@ -37,7 +36,7 @@ def write_keyframe(keyframe: Keyframe, wording: Wording) -> dict[str, Any]:
     if keyframe.hold:
         described["hold"] = keyframe.hold
     described["curve"] = write_curve(keyframe.curve, "curve", wording)
-    described |= _unusual(keyframe, _USUAL)
+    described |= _unusual(keyframe, {"placement": usual, **_USUAL})
     if keyframe.region is not None:
         described["region"] = [end + 1 for end in keyframe.region]
     if keyframe.tip is not None:
@@ -45,10 +44,10 @@ def write_keyframe(keyframe: Keyframe, wording: Wording) -> dict[str, Any]:
     return described
 
 
-def write_leader(leader: Leader, wording: Wording) -> dict[str, Any]:
-    """A table for what the leader does, without what is as usual."""
+def write_leader(leader: Leader, usual: str, wording: Wording) -> dict[str, Any]:
+    """A table for what the leader does, without what is as usual; `usual` is how its path would be laid."""
     described: dict[str, Any] = {"path": write_curve(leader.path, "path", wording), "speed": leader.speed}
-    return described | _unusual(leader, _OF_A_LEADER)
+    return described | _unusual(leader, {"placement": usual, **_OF_A_LEADER})
 
 
 def write_curve(curve: Curve, key: str, wording: Wording) -> Any:

@@ -12,6 +12,7 @@ import numpy as np
 from pinposture.errors import FileError, PostureError
 from pinposture.storage import check_writable, write_text
 from pinposture.task.checks import FORMATS
+from pinposture.task.keyframe import usual_placement
 from pinposture.task.leader import Leader
 from pinposture.task.paths import relative
 from pinposture.task.reading.content import check_format, content_of
@@ -95,10 +96,11 @@ def _contents(task: Task, arm: WrittenArm, wording: Wording) -> dict[str, Any]:
         contents["start"] = write_start(task.start, task.arm)
     if task.scene is not None:
         contents["scene"] = write_scene(task.scene, wording)
+    usual = usual_placement(task.scene)
     if isinstance(task.motion, Leader):
-        contents["leader"] = write_leader(task.motion, wording)
+        contents["leader"] = write_leader(task.motion, usual, wording)
     else:
-        contents["keyframes"] = [write_keyframe(each, wording) for each in task.motion]
+        contents["keyframes"] = [write_keyframe(each, usual, wording) for each in task.motion]
     if task.formats != FORMATS:
         contents["output"] = {"formats": list(task.formats)}
     if task.scans:
