@@ -30,6 +30,7 @@ def loading(text: str, **options: Any) -> Load:
 CHAIN: dict[str, Load] = {
     "several longest chains": loading(FORK),
     "no moving joint": loading(arm_text(LOCKED)),
+    "nothing but floating joints": loading(arm_text([("floating", Y, LINK, "")] * 2), tip="l2"),
     "a joint that mimics, on the chain": loading(
         robot(TWO + moving("k", "b", "c", axis=Z, more='<mimic joint="j"/>')), tip="c"
     ),
