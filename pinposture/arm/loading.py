@@ -137,8 +137,8 @@ def _moving_joints(
             raise URDFError(description.source, element, reason)
         if joint.follows is not None:
             reason = (
-                f"mimics joint {joint.follows.joint!r}, which a chain cannot follow; pass it in locked= or "
-                "remove <mimic>"
+                f"mimics joint {joint.follows.joint!r}, which a chain cannot follow; pass it in locked= "
+                "(--locked) or remove <mimic>"
             )
             raise URDFError(description.source, element, reason)
         moving.append(joint)

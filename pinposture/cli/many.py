@@ -36,6 +36,7 @@ from pinposture.cli.limits import (
 )
 from pinposture.cli.output import end_with, print_facts, print_json, print_note
 from pinposture.cli.progress import count_progress
+from pinposture.cli.results import BATCH
 from pinposture.cli.surroundings import SceneOption, SelfCollisionOption, read_scene
 from pinposture.cli.targets import (
     MethodOption,
@@ -52,9 +53,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pinposture.arm import Arm
-
-BATCH = "batch.npz"
-"""File of a directory that holds all runs."""
 
 EXAMPLES = (
     "pinposture many arm.urdf --curve helix --count 5",

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ANIMATION",
+    "BATCH",
     "FILES",
     "FORMATS",
     "MOTION",
@@ -40,6 +41,9 @@ __all__ = [
 
 RUN, PLOT, ANIMATION = "run.npz", "run.png", "run.html"
 FILES = {"run": RUN, "plot": PLOT, "animation": ANIMATION}
+
+BATCH = "batch.npz"
+"""File of a directory that holds all runs of a batch."""
 
 MOTION = "motion.npz"
 FORMATS = ("npz", "csv", "json", "png", "html")
@@ -107,8 +111,9 @@ def find_kept(path: Path) -> tuple[Path, str]:
         return path, ""
     found = [path / name for name in (MOTION, RUN) if _is_kept(path / name)]
     if not found:
-        if (path / RUN).exists():
-            return path / RUN, ""  # whoever reads it says what is wrong with it
+        for name in (RUN, BATCH):
+            if (path / name).exists():
+                return path / name, ""  # whoever reads it says what is wrong with it
         raise FileError(path / RUN, f"no such file, and no {MOTION} that holds a motion")
     newest, *others = sorted(found, key=lambda file: file.stat().st_mtime_ns, reverse=True)
     return newest, f"{newest.name}, which is newer than {others[0].name}" if others else ""

@@ -17,6 +17,7 @@ from pinposture.control import Limits
 from pinposture.control.checks import is_whole
 from pinposture.errors import InvalidValue
 from pinposture.motion.batch_motions import Motions
+from pinposture.motion.ending import ROUNDING
 from pinposture.motion.trajectory import Trajectory
 from pinposture.scene import Scene
 from pinposture.target import Target
@@ -126,7 +127,10 @@ class Batch:
     @property
     def faults(self) -> tuple[str, ...]:
         """What went wrong in some of the runs, in words; empty if nothing did."""
-        away, inside = np.flatnonzero(~self.converged), np.flatnonzero(self.clearance < 0.0)
+        away, inside = (
+            np.flatnonzero(~self.converged),
+            np.flatnonzero(self.clearance < -ROUNDING * self.arm.length),
+        )
         found = []
         if len(away):
             found.append(f"{len(away)} of {len(self)} runs did not get there")

@@ -40,6 +40,10 @@ controller found none that it may move. "max_steps": it ran out of steps, or cyc
 """
 
 
+ROUNDING = 1e-6
+"""How deep bodies may be inside each other and still only touch, in arm lengths: distances are rounded."""
+
+
 class Ended(Protocol):
     """What a motion is judged by; a `Trajectory` and a `Simulation` have it."""
 
@@ -79,7 +83,7 @@ def faults(motion: Ended) -> tuple[str, ...]:
 
 def _on_the_way(motion: Ended) -> tuple[str, ...]:
     """What is wrong with a motion before its end."""
-    if motion.scene is None or not motion.clearance.min() < 0.0:
+    if motion.scene is None or not motion.clearance.min() < -ROUNDING * motion.arm.length:
         return ()
     row = int(motion.clearance.argmin())
     least = motion.scene.around(motion.arm).minimum(motion.q[row])

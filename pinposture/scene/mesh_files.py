@@ -59,7 +59,7 @@ def find_mesh(filename: str, package_dirs: Sequence[str] = ()) -> Path:
     for candidate in candidates:
         if _is_file(candidate):
             return candidate
-    searched = ", ".join(map(str, folders)) or "no folder, for package_dirs is empty"
+    searched = ", ".join(map(str, folders)) or "no folder, for package_dirs (--package-dir) is empty"
     raise FileError(filename, f"is not there (looked in: {searched})")
 
 
