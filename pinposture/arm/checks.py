@@ -78,16 +78,17 @@ def check_joint_positions(
         InvalidValue: a joint that turns is outside of its limits by more than a turn, or many are: degrees.
     """
     beyond = np.maximum(limits.lower - positions, positions - limits.upper)
-    worst = int(np.argmax(np.where(slides, np.minimum(beyond, TURN), beyond)))
+    turning = np.where(slides, -np.inf, beyond)
     limited = ~slides & np.isfinite(np.minimum(-limits.lower, limits.upper))
     clearly = int(np.count_nonzero(limited & (beyond > CLEARLY)))
-    many = clearly >= max(LEAST, SHARE * np.count_nonzero(limited))
+    in_degrees = turning.max() > TURN or clearly >= max(LEAST, SHARE * np.count_nonzero(limited))
+    worst = int(np.argmax(turning if in_degrees else beyond))
     outside = np.flatnonzero(beyond > SLACK)
     if len(outside):
         unit = "m" if slides[worst] else "rad"
         allowed = f"{limits.lower[worst]:.4g} to {limits.upper[worst]:.4g} {unit}"
         which = f"joint {joints[worst]!r}"
-        if many or (beyond[worst] > TURN and not slides[worst]):
+        if in_degrees:
             more = f", and {len(outside) - 1} more joints are outside of theirs" if len(outside) > 1 else ""
             reason = f"{allowed}, the limits of {which}{more}; {_ADVICE}"
             raise InvalidValue(f"{name}[{worst}]", float(positions[worst]), reason)

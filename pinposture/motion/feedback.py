@@ -91,7 +91,10 @@ class Feedback:
         if measured is None:
             return Seen(self._state(), reason, None)
         if self.command is None:
-            self.begin(measured)
+            try:
+                self.begin(arm.checked_start(measured, "q_measured"))
+            except InvalidValue as error:
+                return Seen(self._state(), str(error), None)
         assert self.command is not None
         behind = arm.difference(self.command, measured)
         apart = np.abs(behind) / arm.joint_units

@@ -54,7 +54,8 @@ def track(
         that it may move), "max_steps" or "stopped" (by the callback); `reason` says it in words.
 
     Raises:
-        InvalidValue: q0, the target, max_steps or the tolerance do not fit.
+        InvalidValue: q0, the target, max_steps or the tolerance do not fit; or q0 or the configuration of the
+            target are so far outside of the limits that degrees may have been meant.
         UnknownName: no controller has that name.
     """
     controller, scene = in_scene(controller_named(controller), scene)
@@ -64,6 +65,8 @@ def track(
     if not isinstance(target, Target):
         raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
     target.check(arm)
+    if target.q is not None:
+        arm.checked_start(target.q, "target.q")
     require_whole("max_steps", max_steps, 1)
     tolerance = 1e-6 * arm.length if tolerance is None else tolerance
     require_positive("tolerance", tolerance)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -42,11 +43,12 @@ def ways_in(arm: pp.Arm, q: object) -> list:
         lambda: pp.track_many(arm, goal, q, max_steps=1),
         lambda: pp.perform(reference, q0=q, limits=limits, progress=lambda *_: True),
         lambda: pp.Target.from_configuration(arm, q),
+        lambda: pp.track(arm, replace(goal, q=q), arm.neutral(), max_steps=1),
         lambda: tracker.restart(q),
     ]
 
 
-@pytest.mark.parametrize("number", range(6))
+@pytest.mark.parametrize("number", range(7))
 def test_degrees_are_asked_after_and_the_same_in_radians_passes(arm: pp.Arm, number: int) -> None:
     with pytest.raises(InvalidValue, match=r"is it in degrees\? np\.deg2rad") as caught:
         ways_in(arm, BENT)[number]()
@@ -54,6 +56,17 @@ def test_degrees_are_asked_after_and_the_same_in_radians_passes(arm: pp.Arm, num
     with warnings.catch_warnings():
         warnings.simplefilter("error", pp.PostureWarning)
         ways_in(arm, np.deg2rad(BENT))[number]()
+
+
+def test_a_tracker_holds_where_its_first_measurement_is_in_degrees(arm: pp.Arm) -> None:
+    tracker = pp.Tracker(arm, limits=pp.Limits(dt=0.1))
+    tracker.update(pp.Target.from_configuration(arm, np.zeros(8)))
+    assert not np.any(tracker.step(BENT))
+    assert tracker.report.status == "holding"
+    assert "q_measured[4] is -40.0" in tracker.report.reason
+    assert "is it in degrees?" in tracker.report.reason
+    assert np.any(tracker.step(np.deg2rad(BENT)))
+    assert tracker.report.status == "moving"
 
 
 def test_small_angles_in_degrees_are_told_by_their_number(arm: pp.Arm) -> None:
