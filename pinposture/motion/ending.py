@@ -82,13 +82,14 @@ def faults(motion: Ended) -> tuple[str, ...]:
 
 
 def _on_the_way(motion: Ended) -> tuple[str, ...]:
-    """What is wrong with a motion before its end."""
-    if motion.scene is None or not motion.clearance.min() < -ROUNDING * motion.arm.length:
-        return ()
-    row = int(motion.clearance.argmin())
-    least = motion.scene.around(motion.arm).minimum(motion.q[row])
-    pair, when = " and ".join(least.pair or ()), f"after {row} steps" if row else "at the start"
-    return (f"{pair} are {-1e3 * motion.clearance[row]:.3g} mm inside each other {when}",)
+    """What is wrong with a motion before its end, each as a clause."""
+    found = []
+    if motion.scene is not None and motion.clearance.min() < -ROUNDING * motion.arm.length:
+        row = int(motion.clearance.argmin())
+        pair = " and ".join(motion.scene.around(motion.arm).minimum(motion.q[row]).pair or ())
+        when = f"after {row} steps" if row else "at the start"
+        found.append(f"{pair} are {-1e3 * motion.clearance[row]:.3g} mm inside each other {when}")
+    return tuple(found)
 
 
 def verdict(motion: Ended) -> str:
