@@ -44,7 +44,7 @@ class Client:
     """A browser without a picture."""
 
     def __init__(self, url: str) -> None:
-        address = url.replace("http", "ws")
+        address = url.replace("http", "ws", 1)
         self._socket: ClientConnection = connect(
             address, subprotocols=[f"viser-v{viser.__version__}"], compression=None, max_size=None
         )

@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import logging
-import socket
-
-import viser
 
 from pinposture.arm import Arm
 from pinposture.editor.files import Files
@@ -29,6 +25,7 @@ from pinposture.editor.page.player import Player
 from pinposture.editor.page.points import Points
 from pinposture.editor.page.scans import Scans
 from pinposture.editor.page.scene_tab import SceneTab
+from pinposture.editor.page.server import serve
 from pinposture.editor.page.shape_tab import ShapeTab
 from pinposture.editor.page.shortcuts import add_shortcuts
 from pinposture.editor.page.stage import set_stage
@@ -36,10 +33,7 @@ from pinposture.editor.page.status import Status
 from pinposture.editor.page.tour import offer_tour
 from pinposture.editor.session import Session
 from pinposture.editor.surroundings import Surroundings
-from pinposture.errors import ViewerError
 from pinposture.view import palette
-
-logger = logging.getLogger(__name__)
 
 WIDTH = 340
 """Width of the controls [pixels]."""
@@ -57,6 +51,9 @@ class Page:
         host: at which address to listen.
         port: at which port; another if it is taken.
 
+    Attributes:
+        url: where a browser on this machine finds it; whoever has it is let in.
+
     Raises:
         ViewerError: it cannot be served.
     """
@@ -72,7 +69,7 @@ class Page:
         port: int,
     ) -> None:
         self._post, self._files, self._surroundings, self._states = post, files, surroundings, states
-        self._server = _serve(host, port)
+        self._server, self.url = serve(host, port)
         self._server.gui.configure_theme(
             show_logo=False, show_share_button=False, brand_color=color(palette.START), dark_mode=False
         )
@@ -113,11 +110,6 @@ class Page:
             self._parts.append(ExportButtons(server, post))
         add_shortcuts(server, files, post)
 
-    @property
-    def url(self) -> str:
-        """Where a browser finds it."""
-        return f"http://{self._server.get_host()}:{self._server.get_port()}"
-
     def show(self, session: Session, live: Live) -> None:
         """Bring everything up to date; only what changed is sent."""
         if live.arm is not session.arm:
@@ -137,29 +129,3 @@ class Page:
         """End the service."""
         with contextlib.redirect_stdout(io.StringIO()):
             self._server.stop()
-
-
-def _check_address(host: str, port: int) -> None:
-    """Raise ViewerError for an address that is not to be had; the server's thread would die of it."""
-    if not 1 <= port <= 65535:
-        raise ViewerError("viser", f"port is {port}; allowed: a whole number from 1 to 65535")
-    try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
-        with socket.socket(family, kind, protocol) as probe:
-            probe.bind(address)
-    except (OSError, UnicodeError) as error:
-        allowed = "allowed: an address of this machine, such as 127.0.0.1; 0.0.0.0 for all that it has"
-        raise ViewerError("viser", f"cannot serve at {host!r} ({error}); {allowed}") from error
-
-
-def _serve(host: str, port: int) -> viser.ViserServer:
-    """The server, without what it would print."""
-    _check_address(host, port)
-    logging.getLogger("websockets.server").setLevel(logging.WARNING)
-    try:
-        with contextlib.redirect_stdout(io.StringIO()):
-            return viser.ViserServer(host=host, port=port, verbose=False)
-    except OSError as error:
-        raise ViewerError(
-            "viser", f"cannot serve at {host}, port {port}: {error.strerror or error}"
-        ) from error

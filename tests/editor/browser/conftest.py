@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 import pytest
 
@@ -78,7 +79,7 @@ def edit(
             return editors[-1]
 
         yield start
-    ports = [int(editor.url.rsplit(":", 1)[1]) for editor in editors]
+    ports = [urlsplit(editor.url).port or 0 for editor in editors]
     wait_until(lambda: all(map(is_free, ports)), "nobody listens any more")
     wait_until(lambda: not _threads(), "no thread of an editor is left")
 
