@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import webbrowser
 from pathlib import Path
@@ -34,6 +35,10 @@ EXAMPLES = (
     "pinposture edit arm.urdf --modules 2 --save-as dance.toml",
     "pinposture edit dance.toml --joint-states measured.jsonl --port 8090",
 )
+
+BLAS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+"""How many threads libraries of linear algebra start: one, if nothing else is said. Matrices are small here,
+and threads that wait for each other take the time that other parts of the editor need."""
 
 SUFFIXES = (".toml", ".json")
 """What the names of task files end in."""
@@ -71,6 +76,12 @@ def run(
             '{"name": [...], "position": [...]}, from a file that grows, a pipe, or - for stdin.',
         ),
     ] = None,
+    folder: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER", help="Where the page opens and saves files; else the folder of the task file."
+        ),
+    ] = None,
     host: Annotated[
         str, typer.Option(help="Address to listen at; 0.0.0.0 lets other machines in.")
     ] = "127.0.0.1",
@@ -88,19 +99,28 @@ def run(
     task file that is saved is what `pinposture run` performs. Changes are kept beside it all the time, and
     taken up again if the editor ends without saving.
 
-    Any number of browsers may look on and take part. It runs until Ctrl-C.
+    Any number of browsers may look on and take part: whoever has the address that is printed, with the secret
+    at its end. They open and save files in one folder only. It runs until Ctrl-C.
     """
+    for name in BLAS:  # numpy reads them when it is loaded, which is below
+        os.environ.setdefault(name, "1")
     from pinposture.editor import Editor
     from pinposture.editor.autosave import autosave_path
+    from pinposture.editor.page.server import is_loopback
 
-    task, path = read_task(source, base, tip, modules, save_as, locked, package_dir)
-    editor = Editor(task, path, host, port, joint_states)
+    task, path = read_task(source, base, tip, modules, save_as, folder, locked, package_dir)
+    editor = Editor(task, path, host, port, joint_states, folder)
     try:
         for name in ENDING:
             if hasattr(signal, name):
                 signal.signal(getattr(signal, name), signal.default_int_handler)
         editor.start()
         typer.echo(editor.url)
+        if not is_loopback(host):
+            print_note(
+                f"listening at {host} for other machines, unencrypted: anyone who has the address can edit, "
+                f"and open and save files in {editor.session.folder}"
+            )
         print_note("press Ctrl-C to end")
         if not no_browser:
             webbrowser.open(editor.url)
@@ -120,10 +140,11 @@ def read_task(
     tip: str | None,
     modules: str | None,
     save_as: Path | None,
+    folder: Path | None = None,
     locked: list[str] | None = None,
     package_dir: list[Path] | None = None,
 ) -> tuple[Task, Path]:
-    """The task to edit, and its file, which need not be there yet.
+    """The task to edit, and its file, which need not be there yet; a new one is in a folder, if one is given.
 
     Raises:
         PostureError: there is no such file or template; or as `Task.load` and `Arm.from_urdf`.
@@ -150,12 +171,12 @@ def read_task(
             "tip": tip,
             "split": None if modules is None else read_modules(modules),
             "locked": read_locked(locked) or None,
-            "package_dirs": [folder.absolute() for folder in package_dir or ()] or None,
+            "package_dirs": [each.absolute() for each in package_dir or ()] or None,
         }
         described = {"urdf": Path(source).absolute()} | {k: v for k, v in asked.items() if v is not None}
     else:
         (arm, name), described = _templated(source, base, tip, modules, locked, package_dir), None
-    path = (Path(f"{name}.toml") if save_as is None else save_as).absolute()
+    path = ((folder or Path()) / f"{name}.toml" if save_as is None else save_as).absolute()
     if path.suffix.lower() not in SUFFIXES:
         raise FileError(path, f"the name ends in {path.suffix!r}; allowed: {', '.join(SUFFIXES)}")
     if version_of(path):

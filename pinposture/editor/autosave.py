@@ -9,7 +9,7 @@ from threading import Condition, Thread
 from typing import NamedTuple
 
 from pinposture.editor.edits import keyframes_of
-from pinposture.errors import PostureError
+from pinposture.errors import FileError, PostureError
 from pinposture.task import Task
 
 logger = logging.getLogger(__name__)
@@ -156,6 +156,9 @@ class Autosave:
         complaint = f"somebody else writes {path.name}, too: is its task open twice?" if strange else ""
         try:
             if task is not None:
+                for each in (path, path.with_suffix(".urdf")):
+                    if each.is_symlink():  # which we never make; it would be written through
+                        raise FileError(each, "is a link; remove it")
                 task.save(path)
                 self._written[path] = version_of(path)
             elif not strange:

@@ -48,11 +48,13 @@ class Editor:
         host: at which address to listen.
         port: at which port; another if it is taken.
         joint_states: what tells where the arm is measured to be, as for `JointStates`; None if nothing does.
+        folder: where the page opens and saves files, and nowhere else; that of the task file if None, or
+            where we are without one.
 
     Raises:
         TaskError: a task without keyframes.
         ViewerError: the page cannot be served.
-        FileError: the joint states cannot be read.
+        FileError: the joint states cannot be read; no such folder, or a task file that is not in it.
     """
 
     def __init__(
@@ -62,8 +64,9 @@ class Editor:
         host: str = "127.0.0.1",
         port: int = 8080,
         joint_states: str | Path | None = None,
+        folder: Path | None = None,
     ) -> None:
-        self.session = Session(task, path)
+        self.session = Session(task, path, folder=folder)
         restore(self.session)
         self._inbox: deque[tuple[str, Request]] = deque()
         self._flooded, self._fault = False, ""
@@ -84,7 +87,7 @@ class Editor:
 
     @property
     def url(self) -> str:
-        """Where a browser finds it."""
+        """Where a browser on this machine finds it; whoever has it can edit."""
         return self.page.url
 
     @property

@@ -58,7 +58,7 @@ class Files:
         path = session.path if path is None else path
         if path is None:
             raise FileError("the task", "has no file yet; give it a name, such as task.toml")
-        path = _absolute(path)
+        path = path.absolute()
         there = version_of(path)
         if path != session.path and there is not None:
             raise FileError(
@@ -67,6 +67,9 @@ class Files:
         if there is not None and there != self._version:
             self._version = there
             raise FileError(path, "somebody else changed it; save again to replace that, or save elsewhere")
+        arm = path.with_suffix(".urdf")
+        if arm.is_symlink() and not arm.exists():  # the arm may be written there
+            raise FileError(arm, "is a link to nowhere; remove it, or save elsewhere")
         session.task.save(path)
         before, session.path, session.saved = session.path, path, session.task
         self._version = version_of(path)
@@ -76,12 +79,8 @@ class Files:
         session.say(f"saved as {path.name}")
 
     def open(self, session: Session, path: Path) -> None:
-        """Open another task file; the loop goes on meanwhile.
-
-        Raises:
-            FileError: a name that no file can have.
-        """
-        path = _absolute(path)
+        """Open another task file; the loop goes on meanwhile."""
+        path = path.absolute()
         session.say(f"opening {path.name} ...")
 
         def work() -> None:
@@ -172,13 +171,25 @@ def _kept_of(task: Task, there: Task, kept: Path) -> Task:
     return task.edited(arm=arm, described=described if told is None else described | {arm: told})
 
 
-def _absolute(path: Path) -> Path:
-    """A path from the root; as whoever types it means it.
+def within(folder: Path, name: str, start: Path | None = None) -> Path:
+    """The file that a name from the page means. The only way from what is typed to a path.
+
+    Args:
+        folder: where it has to be, or in folders in there.
+        name: the name, which may lead through folders.
+        start: the folder in there that the name counts from; `folder` itself if None.
 
     Raises:
-        FileError: somebody's home that there is not.
+        FileError: a name that leads, or might lead, out of the folder: from the root, from somebody's home,
+            by "..", or by a link; or one that no file can have.
     """
+    leads, path = Path(name), (folder if start is None else start) / name
+    outside = bool(leads.anchor) or name.startswith("~") or ".." in leads.parts
     try:
-        return path.expanduser().absolute()
-    except RuntimeError as error:
-        raise FileError(path, f"cannot be found ({error})") from None
+        outside = outside or not path.resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError, ValueError) as error:  # a null byte, links in a circle
+        raise FileError(name, f"cannot be found ({error})") from None
+    if outside:
+        allowed = "allowed: names in there, or another --folder at the start"
+        raise FileError(name, f"is not a file in {folder}; {allowed}")
+    return path

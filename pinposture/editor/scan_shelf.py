@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import tempfile
 from collections.abc import Callable
 from functools import partial
@@ -187,10 +188,14 @@ def _take_mesh(stem: str, mesh: Mesh, session: Session) -> None:
 def _free_path(folder: Path, name: str, content: bytes) -> Path:
     """Where to keep a file: under its name, or with a number if another file has that."""
     path, number = folder / name, 1
-    while path.exists() and not (path.is_file() and path.read_bytes() == content):
+    while os.path.lexists(path) and (path.is_symlink() or not _holds(path, content)):
         number += 1
         path = folder / f"{Path(name).stem}_{number}{Path(name).suffix}"
     return path.absolute()
+
+
+def _holds(path: Path, content: bytes) -> bool:
+    return path.is_file() and path.read_bytes() == content
 
 
 def _faces(scan: Scan) -> int:

@@ -15,7 +15,7 @@ from pinposture.editor.history import Done, History
 from pinposture.editor.live import Live, Problem
 from pinposture.editor.playback import Playback
 from pinposture.editor.shape import Shape
-from pinposture.errors import InvalidValue, PostureError
+from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.task import Keyframe, Task
 
 
@@ -67,24 +67,34 @@ class Session:
         number: rises with everything that the solver should know.
         saved: the task as it is in the file; None if it is in none.
         playback: what is shown of the motion of the task.
+        folder: where files are opened and saved, and nowhere else; see `within`.
 
     Args:
         task: the task.
         path: its file, if it has one.
         selected: the keyframe to begin with; the last if None.
+        folder: where files are opened and saved; that of the task file if None, or where we are without one.
 
     Raises:
+        FileError: no such folder, or a task file that is not in it.
         TaskError: a task that has no keyframes.
         InvalidValue: one to begin with that there is not.
     """
 
-    def __init__(self, task: Task, path: Path | None = None, selected: int | None = None) -> None:
+    def __init__(
+        self,
+        task: Task,
+        path: Path | None = None,
+        selected: int | None = None,
+        folder: Path | None = None,
+    ) -> None:
         count = len(keyframes_of(task))
         self.selected = count - 1 if selected is None else selected
         if not 0 <= self.selected < count:
             raise InvalidValue("selected", selected, f"a keyframe of the task, 0 to {count - 1}")
         self.history = History(task, self.selected)
         self.path = None if path is None else path.absolute()
+        self.folder = _folder_of(self.path) if folder is None else _checked(folder, self.path)
         self.handle: int | None = None
         self.obstacle: str | None = None
         self.proposal: Proposal | None = None
@@ -298,3 +308,16 @@ def _anew(shape: Shape) -> str:
         return ""
     count, off = len(shape.points), 1000.0 * shape.off
     return f"the curve is one of {count} control points now, within {off:.2g} mm of what it was"
+
+
+def _folder_of(path: Path | None) -> Path:
+    return Path.cwd() if path is None else path.parent
+
+
+def _checked(folder: Path, path: Path | None) -> Path:
+    """A folder, from the root; raises FileError if there is none, or a task file is not in it."""
+    if not folder.is_dir():
+        raise FileError(folder, "no such folder")
+    if path is not None and not path.parent.resolve().is_relative_to(folder.resolve()):
+        raise FileError(path, f"is not in the folder to edit in, {folder}")
+    return folder.absolute()

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import subprocess
 import sys
+from contextlib import contextmanager
+from pathlib import Path
 from urllib.request import urlopen
 
 import numpy as np
@@ -127,3 +130,67 @@ def test_it_serves_a_page_until_it_is_ended_and_leaves_nothing_behind(end, tmp_p
     assert (process.returncode, out, err.strip()) == (0, "", "")
     assert list(tmp_path.iterdir()) == []
     assert not autosave_path(tmp_path / "ryrz20.toml").exists()
+
+
+COUNT_THREADS = """
+import os, sys
+import pinposture.editor
+from pinposture.cli import main
+def count(*_):
+    import numpy.linalg, scipy.linalg
+    print(len(os.listdir("/proc/self/task")))
+    sys.exit()
+pinposture.editor.Editor = count
+sys.argv[1:] = ["edit", "--no-browser"]
+main()
+"""
+
+
+@pytest.mark.process
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="threads are counted as Linux lists them")
+def test_it_starts_no_threads_of_linear_algebra():
+    pytest.importorskip("viser", reason="viser is not installed")
+    own = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    counts = []
+    for env in (own, own | {"OPENBLAS_NUM_THREADS": "1"}, own | {"OPENBLAS_NUM_THREADS": "2"}):
+        counted = subprocess.run(
+            [sys.executable, "-c", COUNT_THREADS], env=env, capture_output=True, text=True, check=True
+        )
+        counts.append(int(counted.stdout))
+    assert counts[0] == counts[1]
+    if (os.cpu_count() or 1) > 1:  # who asks for more, gets them: one more each for numpy and scipy
+        assert counts[2] >= counts[0] + 2
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("host", ["0.0.0.0", "127.0.0.1"])
+def test_it_warns_where_other_machines_are_let_in(host, tmp_path):
+    pytest.importorskip("viser", reason="viser is not installed")
+    (tmp_path / "tasks").mkdir()
+    with edited(tmp_path, "--host", host, "--folder", "tasks") as (_, url, notes):
+        assert url.startswith("http://127.0.0.1:")
+        assert len(url.rsplit("/", 1)[1]) >= 40
+        with urlopen(url, timeout=20) as page:
+            assert page.status == 200
+    assert ("anyone who has the address can edit" in notes) == (host == "0.0.0.0")
+    assert (f"save files in {tmp_path / 'tasks'}" in notes) == (host == "0.0.0.0")
+
+
+@contextmanager
+def edited(folder, *options):
+    """The command at work in a folder, the address that it printed, what it said besides; ended at last."""
+    command = [sys.executable, "-m", "pinposture", "edit", "--no-browser", "--port", str(free_port())]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen([*command, *options], **pipes, cwd=folder)
+    try:
+        url, notes = process.stdout.readline().strip(), ""
+        while "Ctrl-C" not in notes:
+            notes += process.stderr.readline()
+        yield process, url, notes
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=30)
+
+
+def test_a_new_task_is_in_the_folder_that_is_given(tmp_path):
+    assert read_task("RyRz", None, None, "4", None, Path("sub"))[1] == tmp_path / "sub" / "ryrz4.toml"

@@ -16,7 +16,7 @@ from edited_tasks import six_modules, task
 import pinposture as pp
 from pinposture.editor import edits
 from pinposture.editor.autosave import Autosave, autosave_path, recover
-from pinposture.editor.files import Files, restore
+from pinposture.editor.files import Files, restore, within
 from pinposture.editor.session import Session
 from pinposture.errors import FileError
 from pinposture.task import Task
@@ -49,6 +49,13 @@ class Desk:
     @property
     def name(self) -> str:
         return name_in(self.session.task)
+
+
+def of_no_template() -> pp.Arm:
+    """An arm that is written beside a task."""
+    urdf = six_modules().urdf
+    assert urdf is not None
+    return pp.Arm.from_urdf(urdf.replace("RyRz_6", "snake"), modules=2)
 
 
 def name_in(task: Task) -> str:
@@ -230,8 +237,7 @@ def test_what_cannot_be_kept_is_told_and_tried_again(desk: Desk, path: Path) -> 
 
 
 def test_an_arm_that_is_kept_beside_the_task_goes_with_it(path: Path) -> None:
-    assert six_modules().urdf is not None
-    arm = pp.Arm.from_urdf(six_modules().urdf.replace("RyRz_6", "snake"), modules=2)  # of no template
+    arm = of_no_template()
     saved, kept = Autosave(), autosave_path(path)
     saved.keep(task(arm=arm), path)
     saved.finish()
@@ -256,8 +262,103 @@ def test_a_file_that_cannot_be_opened_is_told(desk: Desk, path: Path) -> None:
         (path.parent / "folder.toml").mkdir(exist_ok=True)
         desk.open(path.parent / name)
         assert desk.session.notice.text.startswith("not opened:")
-    with pytest.raises(FileError, match="cannot be found"):
-        desk.files.open(desk.session, Path("~nobody_of_this_name/x.toml"))
+
+
+SPELLED_OUTSIDE = (
+    "/etc/passwd",
+    "{root}/outside.toml",
+    "{root}/desk/own.toml",  # it would be inside, but no name from the root is taken
+    "~/new.toml",
+    "~",
+    "~nobody_of_this_name/x.toml",
+    "../outside.toml",
+    "..",
+    "sub/../own.toml",
+    "sub/../../outside.toml",
+)
+"""Names that lead out of the folder `desk`, or look as if they might."""
+
+LINKED_OUTSIDE = ("way/x.toml", "way/sub/x.toml", "link.toml", "to nothing.toml", "sub/far.toml")
+"""Names in it that links lead out of it."""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder, with links out of it and inside it."""
+    made, other = tmp_path / "desk", tmp_path / "other"
+    for each in (made / "sub", other):
+        each.mkdir(parents=True)
+    task().save(other / "foreign.toml")
+    (made / "way").symlink_to(other)
+    (made / "link.toml").symlink_to(other / "foreign.toml")
+    (made / "to nothing.toml").symlink_to(other / "nothing.toml")
+    (made / "sub" / "far.toml").symlink_to("../../other/foreign.toml")
+    (made / "near.toml").symlink_to("sub/near.toml")
+    (made / "circle.toml").symlink_to("circle.toml")
+    return made
+
+
+@pytest.mark.parametrize("name", (*SPELLED_OUTSIDE, *LINKED_OUTSIDE))
+def test_names_that_lead_out_of_the_folder_are_refused(name: str, folder: Path) -> None:
+    for start in (None, folder / "sub") if name in SPELLED_OUTSIDE else (None,):
+        with pytest.raises(FileError) as refused:
+            within(folder, name.format(root=folder.parent), start)
+        told = str(refused.value)
+        assert f"is not a file in {folder}; allowed: names in there, or another --folder at the start" in told
+
+
+@pytest.mark.parametrize("name", ["own.toml", "sub/a/b.toml", "a..b.toml", "near.toml", "höhle 1.toml"])
+def test_names_in_the_folder_are_taken(name: str, folder: Path) -> None:
+    assert within(folder, name) == folder / name
+    assert within(folder, "x.ply", folder / "sub") == folder / "sub" / "x.ply"
+    way = folder.parent / "desk by a link"
+    way.symlink_to(folder)
+    assert within(way, name) == way / name
+
+
+@pytest.mark.parametrize("name", ["x\0y.toml", "circle.toml/x.toml"])
+def test_names_that_no_file_can_have_are_refused(name: str, folder: Path) -> None:
+    try:
+        found = within(folder, name)
+    except FileError:
+        return
+    assert found.parent.parent == folder  # newer Pythons take a circle for a name like another
+
+
+def test_an_autosave_is_not_written_through_a_link(folder: Path) -> None:
+    path, prey = task().save(folder / "own.toml"), folder.parent / "prey"
+    prey.write_text("of somebody else")
+    autosave_path(path).symlink_to(prey)
+    saved = Autosave()
+    saved.keep(task().edited(name="mine"), path)
+    saved.finish()
+    assert "is a link" in saved.complaint
+    saved.close()
+    assert prey.read_text() == "of somebody else"
+
+
+def test_an_arm_is_not_written_through_a_link(folder: Path) -> None:
+    path, prey = task().save(folder / "own.toml"), folder.parent / "prey.urdf"
+    made = Desk(path)
+    made.session.replace(task(arm=of_no_template()), path, saved=False)
+    (folder / "own.urdf").symlink_to(prey)
+    with pytest.raises(FileError, match="is a link to nowhere"):
+        made.files.save(made.session)
+    assert not prey.exists()
+    (folder / "own.urdf").unlink()
+    made.files.save(made.session)
+    assert (folder / "own.urdf").is_file()
+    made.files.close()
+
+
+def test_a_task_file_is_in_the_folder_to_edit_in(folder: Path) -> None:
+    path = task().save(folder / "sub" / "own.toml")
+    assert Session(Task.load(path), path).folder == path.parent
+    assert Session(Task.load(path), path, folder=folder).folder == folder
+    with pytest.raises(FileError, match="is not in the folder to edit in"):
+        Session(task(), folder / "own.toml", folder=folder / "sub")
+    with pytest.raises(FileError, match="no such folder"):
+        Session(task(), None, folder=folder / "nowhere")
 
 
 WRITER = """

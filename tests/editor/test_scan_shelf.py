@@ -107,6 +107,14 @@ def test_what_is_sent_replaces_no_other_file(desk, cloud):
     assert sorted(path.name for path in folder.iterdir()) == ["room.xyz", "room_2.xyz"]
 
 
+def test_what_is_sent_is_not_written_through_a_link(desk, cloud, tmp_path):
+    folder, prey = desk.session.path.parent, tmp_path / "prey.xyz"
+    (folder / "room.xyz").symlink_to(prey)
+    desk.shelf.upload("room.xyz", cloud.read_bytes(), folder, 1.0, convex=False)
+    assert desk.until(lambda: desk.session.task.scans == (folder / "room_2.xyz",))
+    assert not prey.exists()
+
+
 def test_broken_things_that_are_sent_leave_no_file(desk):
     folder = desk.session.path.parent
     desk.shelf.upload("room.ply", b"ply of nothing", folder, 1.0, convex=False)

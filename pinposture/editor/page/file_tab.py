@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from html import escape
 from pathlib import Path
 from typing import Any
 
 import viser
 
-from pinposture.editor.files import Files
+from pinposture.editor.files import Files, within
 from pinposture.editor.live import Live
 from pinposture.editor.page.part import Post, on_change, on_click, put
 from pinposture.editor.page.tour import show_tour
@@ -25,7 +26,7 @@ class FileTab:
 
     def __init__(self, server: viser.ViserServer, files: Files, post: Post) -> None:
         self._files, self._post, gui = files, post, server.gui
-        self._about = gui.add_markdown("")
+        self._about = gui.add_html("")
         self._undo = gui.add_button("Undo", icon=viser.Icon.ARROW_BACK_UP, hint="Ctrl+Z")
         self._redo = gui.add_button("Redo", icon=viser.Icon.ARROW_FORWARD_UP, hint="Ctrl+Shift+Z")
         self._save = gui.add_button("Save", icon=viser.Icon.DEVICE_FLOPPY, hint="Ctrl+S")
@@ -53,19 +54,19 @@ class FileTab:
         put(self._about, content=_about(session))
         if session.path is not None and session.path != self._shown:
             self._shown = session.path
-            self._typed = _shortly(session.path)
+            self._typed = _shortly(session.path, session.folder)
             put(self._path, value=self._typed)
 
     def _type(self, text: str) -> None:
         self._typed = text
 
     def _saved_as(self) -> None:
-        path = Path(self._typed.strip())
-        self._post(lambda session: self._files.save(session, path))
+        name = self._typed.strip()
+        self._post(lambda session: self._files.save(session, within(session.folder, name)))
 
     def _opened(self) -> None:
-        path = Path(self._typed.strip())
-        self._post(lambda session: self._files.open(session, path))
+        name = self._typed.strip()
+        self._post(lambda session: self._files.open(session, within(session.folder, name)))
 
 
 async def _toured(event: Any) -> None:
@@ -73,13 +74,15 @@ async def _toured(event: Any) -> None:
         show_tour(event.client)
 
 
-def _shortly(path: Path) -> str:
-    """A path as it is typed: from the folder that we are in, if it is in there."""
-    here = Path.cwd()
-    return str(path.relative_to(here) if path.is_relative_to(here) else path)
+def _shortly(path: Path, folder: Path) -> str:
+    """A path as it is typed: from the folder that files are opened and saved in."""
+    for file, root in ((path, folder), (path.resolve(), folder.resolve())):
+        if file.is_relative_to(root):
+            return str(file.relative_to(root))
+    return path.name
 
 
 def _about(session: Session) -> str:
-    name = "not in a file yet" if session.path is None else f"**{session.path.name}**"
+    name = "not in a file yet" if session.path is None else f"<b>{escape(session.path.name)}</b>"
     state = "changes are kept beside it, not saved yet" if session.changed else "saved"
-    return f"{name}: {state}"
+    return f'<div style="font-size:14px;line-height:1.35;padding:2px 10px 10px 10px">{name}: {state}</div>'

@@ -10,6 +10,7 @@ import numpy as np
 import viser
 
 from pinposture.arm import Arm
+from pinposture.editor.files import within
 from pinposture.editor.live import Live
 from pinposture.editor.page.part import Post, color, on_choice, on_click, put
 from pinposture.editor.scan_shelf import ScanShelf, remove_scan
@@ -139,11 +140,16 @@ class ScanControls:
         if not text:
             self._post(lambda session: session.say("no file is named: type the name of one", "warning"))
             return
-        path = ((self._folder or Path.cwd()) / Path(text).expanduser()).absolute()
-        if self._kind.value == "obstacle":
-            self._shelf.add_mesh(path, float(self._scale.value))
-        else:
-            self._shelf.add_scan(path)
+        convex, scale = self._kind.value == "obstacle", float(self._scale.value)
+
+        def load(session: Session) -> None:
+            path = within(session.folder, text, None if session.path is None else session.path.parent)
+            if convex:
+                self._shelf.add_mesh(path, scale)
+            else:
+                self._shelf.add_scan(path)
+
+        self._post(load)
 
     async def _uploaded(self, event: Any) -> None:
         file = event.target.value
