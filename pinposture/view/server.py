@@ -21,7 +21,7 @@ class Server:
 
     Args:
         address: where a server listens for commands, as in "tcp://127.0.0.1:6000"; None to start one, which
-            only this machine can reach.
+            takes commands from this machine only; its page is served to others, too (see SECURITY.md).
 
     Attributes:
         address: where it listens for commands.

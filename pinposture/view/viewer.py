@@ -77,7 +77,7 @@ def view(
         fps: steps of the run shown per second; fewer if it is so short that it would last under 2 s. Of a
             motion in time, configurations shown per second.
         url: where a server that runs already listens for commands, as in "tcp://127.0.0.1:6000"; None to
-            start one that only this machine can reach.
+            start one. It takes commands from this machine only, and shows its page to others, too.
         ellipsoids: control points to show the manipulability ellipsoids of (Section 3.3), by their indices,
             0-based or from the tip as -1, or by their names. They follow the arm. In a singular posture they
             are red and flat, far from one green, in between yellow.
