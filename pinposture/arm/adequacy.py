@@ -26,6 +26,11 @@ With fewer than four modules to a turn the control points no longer show the sha
 chain can meet it in each point and still cut across its loops."""
 
 
+STRAIGHT = 0.1
+"""How little a curve bends within one module to be almost straight [rad]: less than an eightieth of the
+module's length off its chord."""
+
+
 class CurveShape(Protocol):
     """The little that adequacy needs to know of a curve; lengths in [m]."""
 
@@ -73,7 +78,7 @@ class Adequacy:
         max_curvature: largest curvature that every module can follow in any direction [1/m].
         max_torsion: largest torsion that every module can follow [1/m].
         curvature: largest curvature of the curve [1/m].
-        torsion: largest absolute torsion of the curve where it bends [1/m].
+        torsion: largest absolute torsion of the curve's bending within one module [1/m].
         excesses: the stretches that the modules cannot follow, from the start of the curve on.
     """
 
@@ -98,16 +103,16 @@ def adequacy(chain: Chain, lower: Array, upper: Array, curve: CurveShape, sample
         samples: number of places on the curve to look at.
 
     Returns:
-        The comparison, over the part of the curve that the arm can cover. The torsion of a stretch that
-        turns by less than 0.05 rad per module is ignored: an almost straight curve has a bending direction
-        in name only.
+        The comparison, over the part of the curve that the arm can cover. Torsion is that of the bending
+        within one module, weighted by curvature, because an almost straight curve has a bending direction in
+        name only: where it hardly bends, torsion has peaks that no arm notices.
     """
-    lengths = chain.module_lengths
+    span = float(chain.spans.max())
     allowed_curvature = min(_largest_curvature(chain, k, lower, upper) for k in range(len(chain.points)))
-    allowed_torsion = QUARTER_TURN / float(lengths.max())
+    allowed_torsion = QUARTER_TURN / span
     s = np.linspace(0.0, min(curve.length, chain.length), samples)
     curvature = np.asarray(curve.curvature(s))
-    torsion = np.where(curvature * lengths.max() > 0.05, np.abs(curve.torsion(s)), 0.0)
+    torsion = _felt_torsion(s, curvature, np.abs(curve.torsion(s)), span)
     excesses = [
         *_stretches("curvature", s, curvature, allowed_curvature),
         *_stretches("torsion", s, torsion, allowed_torsion),
@@ -119,6 +124,18 @@ def adequacy(chain: Chain, lower: Array, upper: Array, curve: CurveShape, sample
         torsion=float(torsion.max()),
         excesses=tuple(sorted(excesses, key=lambda excess: excess.start)),
     )
+
+
+def _felt_torsion(s: Array, curvature: Array, torsion: Array, span: float) -> Array:
+    """Torsion of the bending within a span around each place, (n,) [1/m]; 0 where that is almost straight."""
+    low, high = np.maximum(s - span / 2.0, s[0]), np.minimum(s + span / 2.0, s[-1])
+
+    def total(values: Array) -> Array:
+        sums = np.concatenate([[0.0], np.cumsum(np.diff(s) * (values[1:] + values[:-1]) / 2.0)])
+        return np.asarray(np.interp(high, s, sums) - np.interp(low, s, sums))
+
+    bend = total(curvature)
+    return np.where(bend > STRAIGHT, total(curvature * torsion) / np.maximum(bend, STRAIGHT), 0.0)
 
 
 def _largest_curvature(chain: Chain, module: int, lower: Array, upper: Array) -> float:

@@ -16,6 +16,7 @@ from pinposture.arm.blueprint import Blueprint
 from pinposture.arm.chain import Chain, frame_ids, read_chain
 from pinposture.arm.checks import check_joint_positions, finite_vector
 from pinposture.arm.kinematics import Kinematics
+from pinposture.arm.limits import carry_base, without_limits
 from pinposture.arm.report import LoadReport
 from pinposture.arm.segmentation import Segmentation
 from pinposture.arm.state import ArmState
@@ -23,7 +24,6 @@ from pinposture.arm.stretch import farthest_stretch
 from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
-
 
 class Arm(Blueprint):
     """A serial arm with posture control points at its module boundaries.
@@ -128,7 +128,10 @@ class Arm(Blueprint):
         return adequacy(self.chain, self.limits.lower, self.limits.upper, curve)
 
     def straight(self) -> Array:
-        """The configuration that stretches the arm farthest, (nq,); the neutral one for our templates."""
+        """The configuration that stretches the arm farthest, (nq,); the neutral one for our templates.
+
+        A base that slides without real limits (`roaming`) stays at zero.
+        """
         return self.configuration(farthest_stretch(self))
 
     @cached_property
@@ -166,15 +169,42 @@ class Arm(Blueprint):
         given = finite_vector(name, positions, self.nv)
         check_joint_positions(name, given, self.limits, self.slides, self.joint_names)
 
-    def random(self, rng: np.random.Generator) -> Array:
-        """A configuration drawn uniformly within the limits, (nq,).
+    @cached_property
+    def unlimited(self) -> NDArray[np.bool_]:
+        """True for a degree of freedom without real limits, (nv,): none, or so wide that they mean none.
 
-        Where there is none, within +-pi, or within the arm's length either way if the joint slides.
+        They leave it more than 100 arm lengths to slide, or more than 100 rad to turn. Limits that it has are
+        kept all the same; it only is not sent out to them.
         """
-        free = np.where(self.slides, self.length, np.pi)
-        lower = np.where(np.isfinite(self.limits.lower), self.limits.lower, -free)
-        upper = np.where(np.isfinite(self.limits.upper), self.limits.upper, free)
-        return self.configuration(rng.uniform(lower, upper))
+        return without_limits(self.limits.lower, self.limits.upper, self.slides, self.length)
+
+    @cached_property
+    def roaming(self) -> NDArray[np.bool_]:
+        """True for the slides without real limits on which the base stands, (nv,), as of a mobile robot.
+
+        They come before the first joint that turns. The straight arm has them at zero, and they stay where
+        they are when the arm takes the shape of a curve that begins at its base.
+        """
+        roaming = np.zeros(self.nv, dtype=np.bool_)
+        roaming[self.columns] = carry_base(self.unlimited[self.columns], self.chain.revolute)
+        return roaming
+
+    @cached_property
+    def usual_positions(self) -> tuple[Array, Array]:
+        """Smallest and largest joint positions to draw from or to search, (nv,) each [rad or m].
+
+        The limits; where those are none (`unlimited`), a half turn either way of the position nearest zero,
+        or as far as the arm is long if the joint slides, cut at the limits that there are.
+        """
+        lower, upper = self.limits.lower, self.limits.upper
+        middle, far = np.clip(0.0, lower, upper), np.where(self.slides, self.length, np.pi)
+        low = np.where(self.unlimited, np.maximum(lower, middle - far), lower)
+        high = np.where(self.unlimited, np.minimum(upper, middle + far), upper)
+        return low, high
+
+    def random(self, rng: np.random.Generator) -> Array:
+        """A configuration drawn uniformly from `usual_positions`, (nq,): within limits and within reach."""
+        return self.configuration(rng.uniform(*self.usual_positions))
 
     def within_limits(self, q: ArrayLike, tolerance: float = 1e-9) -> bool:
         """True if no joint of q is outside its limits by more than the tolerance, in `joint_units`."""

@@ -79,6 +79,49 @@ class Chain:
         along = along / np.linalg.norm(along)
         return np.array([along, np.cross(normal, along)])
 
+    @cached_property
+    def plane_bound(self) -> NDArray[np.bool_]:
+        """Which modules move their ends in one plane only, in an arm that leaves every plane, (m,).
+
+        Their joints turn about parallel axes; nowhere if the arm itself is planar.
+        """
+        bound = np.zeros(len(self.points), dtype=np.bool_)
+        if len(self.plane) == 2:
+            return bound
+        for k, joints in enumerate(self.module_slices):
+            lines = JointLines(self.axes[joints], self.origins[joints], self.revolute[joints])
+            bound[k] = plane_normal(lines, self.points[k], self.length) is not None
+        return bound
+
+    @cached_property
+    def spans(self) -> Array:
+        """Length over which each part of the arm bends either way across a curve, (m,) [m].
+
+        That of its module. Modules in a row that are bound to one plane do so together, with the modules
+        before and behind them that turn the plane.
+        """
+        spans, m = self.module_lengths.copy(), len(self.points)
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], self.plane_bound.astype(int), [0]])))
+        for start, stop in edges.reshape(-1, 2):
+            together = slice(max(int(start) - 1, 0), min(int(stop) + 1, m))
+            spans[together] = np.maximum(spans[together], self.module_lengths[together].sum())
+        return spans
+
+    def flattened(self, places: Array) -> Array:
+        """Places on the arm as seen in the plane in which it moves, world frame.
+
+        Args:
+            places: points that the arm carries, at any of its configurations, (..., 3) [m].
+
+        Returns:
+            For a planar arm, the places moved along the normal of its plane into the plane of its base, where
+            its joints leave them; for a spatial one, the places as they are.
+        """
+        if len(self.plane) == 3:
+            return places
+        normal = np.cross(*self.plane)
+        return np.asarray(places - ((places - self.base) @ normal)[..., None] * normal)
+
 
 def read_chain(model: pin.Model, control_points: tuple[str, ...]) -> Chain:
     """Read the chain that leads to the last control point out of a model.

@@ -13,6 +13,9 @@ Array = NDArray[np.float64]
 UNLIMITED = 1e9
 """A limit this large [rad, m, rad/s or m/s] is none: files write 1e16 or the largest float for it."""
 
+UNREAL = 100.0
+"""Room from which on position limits are none: files write +-1e6 where they mean that [arm lengths, or rad]."""
+
 
 class JointLimits(NamedTuple):
     """Limits of the joints, one entry per degree of freedom; infinite where there is none.
@@ -45,3 +48,30 @@ def joint_limits(model: pin.Model) -> JointLimits:
     for array in (lower, upper, velocity):
         array.flags.writeable = False
     return JointLimits(lower, upper, velocity)
+
+
+def without_limits(lower: Array, upper: Array, slides: NDArray[np.bool_], length: float) -> NDArray[np.bool_]:
+    """Which joints have no real limits of their positions: none, or limits so wide that they mean none.
+
+    Args:
+        lower: smallest positions, (n,) [rad or m].
+        upper: largest positions, (n,) [rad or m].
+        slides: True for a joint that slides, (n,).
+        length: of the arm, with its slides at zero [m].
+
+    Returns:
+        True where there is more than 100 arm lengths to slide, or more than 100 rad to turn, (n,).
+    """
+    return np.asarray(upper - lower > UNREAL * np.where(slides, length, 1.0))
+
+
+def carry_base(without: NDArray[np.bool_], revolute: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which joints are slides without real limits on which the base stands, as of a mobile robot, (n,).
+
+    They come before the first joint that turns; there are none where no joint does.
+
+    Args:
+        without: True for a joint without real limits, from base to tip, (n,).
+        revolute: True for a joint that turns, (n,).
+    """
+    return np.asarray(without & ~np.logical_or.accumulate(revolute) & np.any(revolute))

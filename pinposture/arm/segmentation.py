@@ -17,6 +17,9 @@ from pinposture.errors import InvalidValue
 SPARE = 4
 """How many joints beyond the fewest a module may have where nothing repeats."""
 
+IDLE = 1
+"""How many joints may move the end of a module beyond those that placing it takes."""
+
 
 @dataclass(frozen=True)
 class Segmentation:
@@ -26,7 +29,8 @@ class Segmentation:
         sizes: number of joints of each module, from base to tip.
         reason: why, in words.
         period: number of joints after which the arm repeats; None if it does not, or was not asked.
-        adequate: False if the end of some module cannot be placed on every curve; None if not asked.
+        adequate: False if the end of some module cannot be placed on every curve, for instance where axes are
+            parallel in an arm that leaves every plane; None if not asked.
     """
 
     sizes: tuple[int, ...]
@@ -46,6 +50,10 @@ def segment(skeleton: Skeleton) -> Segmentation:
     modules of their own where they can, and join the neighbour where not, as do joints that move nothing: a
     roll about the link at the tip, a last joint with no link after it.
 
+    A module whose end more joints move than that takes would leave the links between wherever they happen to
+    be, however well its end lies on the curve: parallel axes in a row make such modules. It is cut once more,
+    into pieces whose ends move in one direction across at least, as many of them as can be in both.
+
     Args:
         skeleton: the joints of the arm.
 
@@ -63,8 +71,9 @@ def segment(skeleton: Skeleton) -> Segmentation:
                 choices.append((len(sizes), usual, -head, -repetition.period, sizes, repetition))
     if choices:
         *_, sizes, found = max(choices, key=lambda choice: choice[:4])
-        return _explained(skeleton, placing, sizes, found)
-    return _explained(skeleton, placing, _settled(placing, _most_modules(placing, n)), None)
+        return _explained(skeleton, placing, _shortened(placing, sizes), found)
+    sizes = _shortened(placing, _settled(placing, _most_modules(placing, n)))
+    return _explained(skeleton, placing, sizes, None)
 
 
 def equal_modules(joints: int, size: int) -> Segmentation:
@@ -152,6 +161,39 @@ def _settled(placing: Placing, cuts: Sequence[int]) -> list[int]:
     return [stop - start for start, stop in pairwise(bounds)]
 
 
+def _shortened(placing: Placing, sizes: Sequence[int]) -> list[int]:
+    """The sizes after each module that too many joints move has been cut into pieces.
+
+    One piece that would be bound to a plane stays with its neighbour: so does a single joint elsewhere.
+    """
+    shortened, start = list[int](), 0
+    for size in sizes:
+        stop = start + size
+        cuts = [stop]
+        if placing.movers(start, stop) > placing.needed + IDLE:
+            cuts = _most_pieces(placing, start, stop)
+        pieces = list(pairwise([start, *cuts]))
+        if sum(not placing(*piece) for piece in pieces) < 2:
+            pieces = [(start, stop)]
+        shortened.extend(b - a for a, b in pieces)
+        start = stop
+    return shortened
+
+
+def _most_pieces(placing: Placing, first: int, stop: int) -> list[int]:
+    """Where the pieces of a module end: as many as can be that place their ends, then as many as can be."""
+    best: dict[int, tuple[int, int, float, list[int]]] = {stop: (0, 0, np.inf, [])}
+    for start in range(stop - 1, first - 1, -1):
+        smallest = next((end for end in range(start + 1, stop) if placing.moves(start, end)), stop)
+        for end in dict.fromkeys([*range(smallest, min(smallest + SPARE, stop)), stop]):
+            if end in best and placing.moves(start, end):
+                whole, count, motion, cuts = best[end]
+                whole += placing(start, end)
+                found = (whole, count + 1, min(motion, placing.motion(start, end)), [end, *cuts])
+                best[start] = max(best.get(start, found), found, key=lambda entry: entry[:3])
+    return best[first][3] if first in best else [stop]
+
+
 def _explained(
     skeleton: Skeleton, placing: Placing, sizes: Sequence[int], found: Repetition | None
 ) -> Segmentation:
@@ -164,19 +206,29 @@ def _explained(
         reason = f"{need}; no group of its joints does that, so the arm is one module"
         return Segmentation(tuple(sizes), reason, None, adequate=False)
     usual = Counter(sizes).most_common(1)[0][0]
+    bounds = np.cumsum([0, *sizes])
+    bound = [k for k, (start, stop) in enumerate(pairwise(bounds), 1) if not placing(start, stop)]
     if found is None:
-        parts = [need, "no pattern of joints repeats; these are the most modules that do that"]
+        does = "these are the most modules that do that"
+        parts = [need, f"no pattern of joints repeats; {does if not bound else does + ', and pieces of others'}"]
     else:
         first, last = skeleton.names[found.first], skeleton.names[found.stop - 1]
         often = "every joint is like the next" if found.period == 1 else f"{_joints(found.period)} repeat"
-        parts = [need, f"from {first!r} to {last!r} {often}; a module of {_joints(usual)} does that"]
+        does = "does that" if not bound else "is the most common"
+        parts = [need, f"from {first!r} to {last!r} {often}; a module of {_joints(usual)} {does}"]
         others = [f"module {k} has {_joints(size)}" for k, size in enumerate(sizes, 1) if size != usual]
-        if others:
+        if others and not bound:
             listed = ", ".join(others[:4]) + (", ..." if len(others) > 4 else "")
             parts.append(
                 f"{listed}: joints beside the pattern, or that move no control point, join a neighbour"
             )
-    return Segmentation(tuple(sizes), "; ".join(parts), found.period if found else None, adequate=True)
+    if bound:
+        listed = ", ".join(map(str, bound[:8])) + (", ..." if len(bound) > 8 else "")
+        parts.append(
+            f"modules {listed}: too few of their joints' axes differ, so that their ends move in one direction "
+            "only and follow a curve in one plane at a time"
+        )
+    return Segmentation(tuple(sizes), "; ".join(parts), found.period if found else None, adequate=not bound)
 
 
 def _joints(count: int) -> str:

@@ -9,6 +9,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pinposture.arm.limits import carry_base, without_limits
+
 Array = NDArray[np.float64]
 
 PARALLEL = 1e-3
@@ -128,3 +130,9 @@ class Skeleton:
     def normal(self) -> Array | None:
         """Normal of the plane in which the arm moves, (3,), or None if it is spatial."""
         return plane_normal(self._lines, self.stations[-1], self.length)
+
+    @cached_property
+    def roaming(self) -> NDArray[np.bool_]:
+        """Which joints are slides without real limits on which the base stands, (n,)."""
+        without = without_limits(self.lower, self.upper, ~self.revolute, self.length)
+        return carry_base(without, self.revolute)

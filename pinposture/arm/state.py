@@ -47,6 +47,19 @@ class ArmState:
         return _read_only(self.placed.points)
 
     @cached_property
+    def links(self) -> Array:
+        """The line of the arm from its base by way of joints and control points to the tip, (k, 3) [m].
+
+        World frame. Links are straight from each of these places to the next; one that slides out reaches from
+        where it slides. Of a base that slides without real limits the line begins behind those slides.
+        """
+        chain, ends = self.arm.chain, self.arm.chain.module_slices
+        origins = [self.placed.origins[joints] for joints in ends]
+        parts = [part for pair in zip(origins, self.placed.points[:, None], strict=True) for part in pair]
+        roaming = int(self.arm.roaming.sum())
+        return _read_only(np.vstack([chain.base, *parts])[roaming + bool(roaming) :])
+
+    @cached_property
     def rotations(self) -> Array:
         """Orientations of the control points, (m, 3, 3), from control-point to world frame."""
         return _read_only(self.placed.rotations)

@@ -18,8 +18,8 @@ def farthest_stretch(arm: Arm) -> Array:
     """Joint positions (nv,) [rad or m] that maximise the distance from base to tip, within the limits.
 
     They are zero if the arm is straight there and cannot slide; otherwise the maximum is searched from
-    there, and is a local one for arms that can stretch in several ways. A joint that slides without limit
-    goes as far as the arm is long.
+    there, and is a local one for arms that can stretch in several ways. A slide without real limits goes as far
+    as the arm is long, or stays where it is if the base stands on it.
     """
     start_point, length, units = arm.chain.base, arm.length, arm.joint_units
     straight = np.linalg.norm(arm.chain.points[-1] - start_point) > (1.0 - 1e-9) * length
@@ -32,9 +32,11 @@ def farthest_stretch(arm: Arm) -> Array:
         distance = max(float(np.linalg.norm(reach)), 1e-12)
         return -distance, -(reach / distance) @ state.jacobians[-1] * units / length
 
-    low, high = arm.limits.lower / units, arm.limits.upper / units
-    low = np.where(arm.slides & np.isinf(low), np.minimum(-length / units, high), low)
-    high = np.where(arm.slides & np.isinf(high), np.maximum(length / units, low), high)
+    low, high = np.array(arm.usual_positions) / units
+    # A hinge has no need to be told how far: it comes round.
+    low[~arm.slides], high[~arm.slides] = (np.array(arm.limits[:2]) / units)[:, ~arm.slides]
+    stays = np.clip(0.0, arm.limits.lower, arm.limits.upper) / units
+    low, high = np.where(arm.roaming, stays, low), np.where(arm.roaming, stays, high)
     # Zero itself can be a stationary point, for instance of an arm that is folded there.
     start = np.clip(np.full(arm.nv, 1e-3), low, high)
     bounds = list(zip(low, high, strict=True))

@@ -1,4 +1,4 @@
-"""`pinposture study arms`: try every arm of a directory."""
+"""`pinposture study arms`: try every arm of a directory, or those of awkward shapes."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ EXAMPLES = (
     "pinposture study arms urdf",
     "pinposture study arms urdf --least-joints 8 --seed 1 --jobs 4",
     "pinposture study arms urdf --json",
+    "pinposture study arms",
 )
 
 CLOSE = 1.05
@@ -27,7 +28,7 @@ CLOSE = 1.05
 ROUNDING = 1e-6
 """Distance from the curve, relative to the arm length, that is no fault: sampling of the curve, rounding."""
 
-_PLACED = ("placed by", "residual", "reference", "ratio")
+_PLACED = ("placed by", "residual", "reference", "ratio", "farthest")
 _HEADINGS = (
     "file",
     "joints",
@@ -47,8 +48,12 @@ _HEADINGS = (
 def run(
     *,
     directory: Annotated[
-        Path, typer.Argument(metavar="DIRECTORY", help="Where to look for .urdf files, at any depth.")
-    ],
+        Path | None,
+        typer.Argument(
+            metavar="[DIRECTORY]",
+            help="Where to look for .urdf files, at any depth; without it, arms of awkward shapes made here.",
+        ),
+    ] = None,
     least_joints: Annotated[
         int, typer.Option(metavar="N", help="Leave out arms of fewer moving joints.", rich_help_panel=ARM)
     ] = 5,
@@ -58,9 +63,13 @@ def run(
 ) -> None:
     """Try every arm of a directory: place it on a gentle curve, and drive it there.
 
+    Without a directory it tries arms of awkward shapes: joints that do not repeat, long rows of parallel axes, a
+    tip beside the plane of the arm, no limits, a base that slides within limits of 1e6 m.
+
     Each distance is relative to the length of the arm. The residual is how far off the curve the control
     points are placed (root mean square), the reference the same of the best of several independent fits; the
-    ratio of the two is ok up to 1.05 (plus 1e-6). After that come the mean point error to which joint
+    ratio of the two is ok up to 1.05 (plus 1e-6). Farthest is the farthest of the whole arm from the curve, its
+    links and all. After that come the mean point error to which joint
     interpolation, Switching and qp, the default controller, drive the arm from a random start; how many steps
     qp took, and how far the control points went with it, relative to straight lines; and whether all three
     kept within the joint limits.
@@ -71,7 +80,7 @@ def run(
         raise InvalidValue("--seed", seed, "a whole number of at least 0")
     results = survey_arms(directory, least_joints, seed, jobs, _report)
     if as_json:
-        asked = {"directory": str(directory), "least_joints": least_joints, "seed": seed}
+        asked = {"directory": None if directory is None else str(directory), "least_joints": least_joints, "seed": seed}
         print_json({**asked, "arms": [_described(result) for result in results]})
         return
     rows = [_row(result) for result in results if not result.refused]
@@ -121,6 +130,7 @@ def _row(result: ArmSurvey) -> tuple[str | float | None, ...]:
         _short(result.residual),
         _short(result.reference),
         "ok" if _is_close(result) else _short(_ratio(result)),
+        _short(result.farthest),
         _short(result.reached),
         _short(result.switching),
         _short(result.qp),

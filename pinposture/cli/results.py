@@ -201,6 +201,7 @@ def summarize(motion: Trajectory) -> dict[str, Any]:
         "placed_points": int(target.placed.sum()),
         "placed_by": target.method,
         "largest_residual": off,
+        "distance_from_curve": motion.distance_from_curve,
         "first_active_points": result.first_points,
         "last_active_points": result.last_points,
         "switches": [switch._asdict() for switch in motion.switches],
@@ -216,6 +217,15 @@ def summarize(motion: Trajectory) -> dict[str, Any]:
     }
 
 
+def _whole_arm(summary: Mapping[str, Any]) -> dict[str, str]:
+    """How far the whole arm is from the curve in the end, where there is one."""
+    away = summary["distance_from_curve"]
+    if away is None:
+        return {}
+    share = away / summary["arm_length"]
+    return {"whole arm": f"its links at most {away:.2g} m from the curve, {share:.2g} of the arm length"}
+
+
 def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
     """A summary as a person reads it; the verdict with the colour in which to print it."""
     first, last, mean = (summary[key] for key in ("start_error", "final_error", "mean_error"))
@@ -225,8 +235,9 @@ def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
     words: dict[str, str | tuple[str, str]] = {
         "verdict": verdict_in_colour(summary),
         "steps": str(summary["steps"]),
-        "placed by": f"{summary['placed_by']} placement, at most {off:.2g} m off the curve, "
+        "placed by": f"{summary['placed_by']} placement, control points at most {off:.2g} m off the curve, "
         f"{off / length:.2g} of the arm length",
+        **_whole_arm(summary),
         "posture error": f"{first:.4g} m at the start, {last:.4g} m at the end",
         "mean error": f"{mean:.4g} m for each point, {mean / length:.2g} of the arm length",
         "active points": f"{summary['first_active_points']} at the first step, "

@@ -41,12 +41,15 @@ class Verdict(NamedTuple):
         reason: why it cannot, in words; empty if it can.
         notes: what is to be known of it though it can: in collision, at limits, longer than the arm.
         collision: whether it would touch something, or come nearer than the margin.
+        distance_from_curve: of the farthest place on its links from the curve [m], as of
+            `Target.distance_from_curve`; None if it cannot take the shape.
     """
 
     target: Target | None
     reason: str = ""
     notes: tuple[str, ...] = ()
     collision: bool = False
+    distance_from_curve: float | None = None
 
 
 def judge(
@@ -81,7 +84,8 @@ def review(arm: Arm, target: Target, scene: Scene | None) -> Verdict:
     """What is to be known of a target that the arm can take; arguments as for `judge`."""
     notes = [*_rest(arm, target), *_at_limits(arm, target)]
     touching = _touching(arm, target, scene)
-    return Verdict(target, "", (*touching, *notes), bool(touching))
+    away = target.distance_from_curve(arm)
+    return Verdict(target, "", (*touching, *notes), bool(touching), away)
 
 
 def _reason(error: Exception) -> str:

@@ -16,6 +16,7 @@ from pinposture.control.sweep import sweep
 from pinposture.motion.ending import faults, verdict
 from pinposture.scene import Scene
 from pinposture.target import Target
+from pinposture.target.placement import distance_from_curve
 
 if TYPE_CHECKING:
     from pinposture.motion.joint_trajectory import JointTrajectory
@@ -123,6 +124,17 @@ class Trajectory:
     def posture_error(self) -> Array:
         """Sum of the distances of the control points from their targets, (steps + 1,) [m]."""
         return np.asarray(self.point_errors.sum(axis=1))
+
+    @cached_property
+    def distance_from_curve(self) -> float | None:
+        """How far the whole arm is from the curve of the target in the end [m]; None if that has no curve.
+
+        The distance of the farthest place on its links, as `Target.distance_from_curve` has it for the posture
+        that was to be taken.
+        """
+        if self.target.curve is None:
+            return None
+        return distance_from_curve(self.arm, self.q[-1], self.target.curve)
 
     @cached_property
     def sweep(self) -> float:

@@ -1,8 +1,13 @@
-"""Does it work on arms that nobody here made? Load every file of a directory, place it on a curve, track."""
+"""Does it work on arms that nobody here made? Load every file of a directory, place it on a curve, track.
+
+And on arms of the shapes that gave trouble, which are made here (`awkward_arms`).
+"""
 
 from __future__ import annotations
 
+import math
 import warnings
+import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -12,9 +17,10 @@ from joblib import delayed
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from pinposture.arm import Arm
+from pinposture.arm import Arm, JointSpec, ModuleTemplate
+from pinposture.arm.urdf import modules_to_urdf
 from pinposture.curve import Curve
-from pinposture.errors import FileError, PostureError
+from pinposture.errors import FileError, PostureError, PostureWarning
 from pinposture.motion import track
 from pinposture.motion.processes import in_order
 from pinposture.target import Target, resolve_targets
@@ -34,6 +40,8 @@ class ArmSurvey(NamedTuple):
         length: arc length from the first joint to the tip [m].
         method: how its modules were placed on the gentle curve.
         residual: root mean square distance of its control points from the curve.
+        farthest: distance of the farthest place on the links of the whole arm from the curve, where the
+            placement has it (`Target.distance_from_curve`).
         reference: the same, of the best of several independent bounded least-squares fits.
         reached: mean point error after tracking from a random start by joint interpolation.
         steps: steps of that run.
@@ -56,6 +64,7 @@ class ArmSurvey(NamedTuple):
     length: float = 0.0
     method: str = ""
     residual: float | None = None
+    farthest: float | None = None
     reference: float | None = None
     reached: float | None = None
     steps: int = 0
@@ -76,18 +85,55 @@ def gentle_curve(arm: Arm) -> Curve:
     return Curve.spline(arm.length * points * ((1, 1, 0) if arm.dimension == 2 else 1))
 
 
+def awkward_arms() -> dict[str, str]:
+    """Arms of the shapes that gave trouble, as URDF by their names; lengths in metres.
+
+    Joints that do not repeat: yaw and roll, then parallel axes with different limits ("unrepeating21"), parallel
+    axes behind a joint that turns their plane, which once were one module ("long_module7", "bucket4") or three
+    ("long_modules36"), a planar arm whose tip lies beside its plane ("tip_out_of_plane8"), joints without
+    limits ("no_limits10"), a base that slides within limits of 1e6 m ("huge_slides10").
+    """
+    yaw, half_pi = JointSpec("z", lower=-2.8, upper=2.8), math.pi / 2
+    pitches = [JointSpec("y", lower=-0.5 - 0.05 * k, upper=0.6 + 0.03 * k) for k in range(19)]
+    roll = JointSpec("x", lower=-half_pi, upper=half_pi)
+    endless = [JointSpec("z", type="continuous"), JointSpec("y", type="continuous")]
+    drives = [JointSpec(axis, type="prismatic", lower=-1e6, upper=1e6) for axis in "xy"]
+    bend = JointSpec("y", lower=-1.5, upper=1.5)
+    rows = [joint for count in (10, 11, 12) for joint in (yaw, *[bend] * count)]
+    flat = [JointSpec("z", lower=-1.5, upper=1.5)] * 8
+    chains = {
+        "unrepeating21": ([yaw, roll, *pitches], [0.05] * 21),
+        "long_module7": ([yaw, *[bend] * 6], [0.1, 0.2, 0.15, 0.12, 0.1, 0.08, 0.06]),
+        "bucket4": ([yaw, *[bend] * 3], [0.3, 1.0, 0.8, 0.3]),
+        "long_modules36": (rows, [0.05] * 36),
+        "tip_out_of_plane8": (flat, [0.1] * 8),
+        "no_limits10": (endless * 5, [0.1] * 10),
+        "huge_slides10": ([*drives, *[yaw, bend] * 4], [0.0, 0.1, *[0.1] * 8]),
+    }
+    texts = {
+        name: modules_to_urdf([ModuleTemplate(name, joints, lengths)], name)
+        for name, (joints, lengths) in chains.items()
+    }
+    robot = ET.fromstring(texts["tip_out_of_plane8"].encode())
+    tip = robot.find("joint[@name='tip_joint']/origin")
+    assert tip is not None  # as `modules_to_urdf` writes it
+    tip.set("xyz", "0.1 0.0 0.05")
+    texts["tip_out_of_plane8"] = ET.tostring(robot, encoding="unicode")
+    return texts
+
+
 def survey_arms(
-    directory: str | Path,
+    directory: str | Path | None,
     least_joints: int = 5,
     seed: int = 0,
     jobs: int = 1,
     progress: Callable[[ArmSurvey], object] | None = None,
 ) -> list[ArmSurvey]:
-    """Try every URDF file below a directory.
+    """Try every URDF file below a directory, or the arms of awkward shapes that are made here.
 
     Args:
-        directory: where to look for files that end in ".urdf".
-        least_joints: arms with fewer moving joints are left out.
+        directory: where to look for files that end in ".urdf"; None for `awkward_arms`.
+        least_joints: arms with fewer moving joints are left out, unless they are made here.
         seed: draws the starts of the runs.
         jobs: number of processes.
         progress: called with each result as it arrives.
@@ -98,14 +144,17 @@ def survey_arms(
     Raises:
         FileError: no such directory, or no URDF file in it.
     """
-    directory = Path(directory)
-    if not directory.is_dir():
-        raise FileError(directory, "is no directory")
-    files = sorted(directory.rglob("*.urdf"))
-    if not files:
-        raise FileError(directory, "holds no file that ends in .urdf")
+    if directory is None:
+        tasks = [delayed(_survey)(name, text, 1, seed) for name, text in awkward_arms().items()]
+    else:
+        directory = Path(directory)
+        if not directory.is_dir():
+            raise FileError(directory, "is no directory")
+        files = sorted(directory.rglob("*.urdf"))
+        if not files:
+            raise FileError(directory, "holds no file that ends in .urdf")
+        tasks = [delayed(_survey)(path.name, path, least_joints, seed) for path in files]
     results = []
-    tasks = (delayed(_survey)(path, least_joints, seed) for path in files)
     for result in in_order(tasks, jobs):
         if result is not None:
             results.append(result)
@@ -114,29 +163,33 @@ def survey_arms(
     return results
 
 
-def _survey(path: Path, least_joints: int, seed: int) -> ArmSurvey | None:
+def _survey(name: str, source: str | Path, least_joints: int, seed: int) -> ArmSurvey | None:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # they are kept on the arm
-            arm = Arm.from_urdf(path)
+            arm = Arm.from_urdf(source)
     except PostureError as error:
-        return ArmSurvey(path.name, refused=str(error).replace(str(path), path.name))
+        return ArmSurvey(name, refused=str(error).replace(str(source), name))
     if len(arm.columns) < least_joints:
         return None
     found = ArmSurvey(
-        path.name,
+        name,
         joints=len(arm.columns),
         modules=tuple(len(joints) for joints in arm.module_joints),
         dimension=arm.dimension,
         length=arm.length,
         notes=arm.warnings,
     )
-    target = resolve_targets(arm, gentle_curve(arm), placement="align", incomplete="partial")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PostureWarning)  # it is in the table
+        target = resolve_targets(arm, gentle_curve(arm), placement="align", incomplete="partial")
     curve = target.curve or gentle_curve(arm)
-    distance = curve.nearest(target.points)[1]
+    distance = curve.nearest(arm.chain.flattened(target.points))[1]
+    away = target.distance_from_curve(arm)
     found = found._replace(
         method=target.method if not target.incomplete else f"{target.method}: {target.incomplete}",
         residual=float(np.sqrt(np.mean(distance**2))) / arm.length,
+        farthest=None if away is None else away / arm.length,
         reference=_reference(arm, curve) / arm.length,
     )
     start = arm.random(np.random.default_rng(seed))
@@ -162,14 +215,18 @@ def _survey(path: Path, least_joints: int, seed: int) -> ArmSurvey | None:
 def _reference(arm: Arm, curve: Curve, starts: int = 6) -> float:
     """Root mean square distance [m] of the best of several fits with free places on the curve."""
     rng, n, m = np.random.default_rng(0), arm.nv, arm.n_modules
-    low = np.where(np.isfinite(arm.limits.lower), arm.limits.lower, -np.pi)
-    high = np.where(np.isfinite(arm.limits.upper), arm.limits.upper, np.pi)
     straight = arm.positions(arm.straight())
+    still = 1e-6 * arm.joint_units  # bounds that are one have no inside
+    low, high = (
+        np.where(arm.roaming, straight + side * still, bound)
+        for side, bound in zip((-1.0, 1.0), arm.usual_positions, strict=True)
+    )
     along = np.cumsum(arm.chain.module_lengths) / arm.length * min(arm.length, 0.99 * curve.length)
 
     def distances(unknowns: Array) -> Array:
         state = arm.at(arm.configuration(unknowns[:n]))
-        return np.asarray((state.points - curve.at(unknowns[n:])).ravel() / arm.length)
+        points = arm.chain.flattened(state.points)
+        return np.asarray((points - curve.at(unknowns[n:])).ravel() / arm.length)
 
     def jacobian(unknowns: Array) -> Array:
         state, tangents = arm.at(arm.configuration(unknowns[:n])), curve.tangent(unknowns[n:])

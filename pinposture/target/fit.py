@@ -92,7 +92,7 @@ def fit_curve(arm: Arm, curve: Curve, start: float, bending: float, rough: bool 
     tangents = curve.tangent(s)
     turns = carried_turns(tangents)
     stages = int(np.ceil(float(np.linalg.norm(turns, axis=1).sum()) / TURN))
-    problem = Problem(arm, start, bending)
+    problem = Problem(arm, start, bending, driven_base(arm, curve, start))
     unknowns = problem.first_guess()
     for share in np.arange(stages) / max(stages, 1):
         bent = _bent(s, curve.at(float(start)), tangents[0], share * turns)
@@ -110,6 +110,34 @@ def free_columns(arm: Arm) -> NDArray[np.intp]:
     """Tangent space indices of the joints of the chain that have room to move, from base to tip."""
     room = arm.limits.upper - arm.limits.lower
     return np.asarray(arm.columns[room[arm.columns] > 0.0])
+
+
+def bounds_of(arm: Arm, columns: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Smallest and largest positions of joints, (n,) each [rad or m], infinite where limits are no real ones.
+
+    Solvers scale by the distance to bounds that are finite, and see nothing of a metre in a million.
+    """
+    unlimited = arm.unlimited[columns]
+    lower, upper = arm.limits.lower[columns], arm.limits.upper[columns]
+    return np.where(unlimited, -np.inf, lower), np.where(unlimited, np.inf, upper)
+
+
+def driven_base(arm: Arm, curve: Curve, start: float) -> Array:
+    """Where the slides on which the base stands take it nearest to its place on a curve, (nv,) [m].
+
+    Those without real limits (`Arm.roaming`) do; other entries are zero. So is all of it where the curve has
+    been laid at the base: it stays where it is unless it has to go.
+
+    Args:
+        arm: the arm.
+        curve: the curve, placed.
+        start: arc length at which the base belongs [m].
+    """
+    positions, on_chain = np.zeros(arm.nv), arm.roaming[arm.columns]
+    if np.any(on_chain):
+        gap = curve.at(start) - arm.chain.base
+        positions[arm.columns[on_chain]] = np.linalg.lstsq(arm.chain.axes[on_chain].T, gap, rcond=None)[0]
+    return np.asarray(np.clip(positions, arm.limits.lower, arm.limits.upper))
 
 
 def carried_turns(tangents: Array) -> Array:
@@ -146,7 +174,9 @@ class Problem:
     """Distances of the control points from their places, as a function of joint positions and arc lengths.
 
     The unknowns are the positions of the joints (n,) and the arc lengths between neighbouring control points
-    (m,). Inside, every length is in arm lengths, so that arms of any size are alike.
+    (m,). Inside, every length is in arm lengths, so that arms of any size are alike. A planar arm is seen in
+    the plane of its base, in which a curve can be, wherever beside it its links and its tip lie. The slides of
+    a base without real limits are held where they are.
 
     Attributes:
         lower: smallest unknowns, (n + m,).
@@ -154,17 +184,20 @@ class Problem:
         columns: tangent space indices of the joints, (n,).
     """
 
-    def __init__(self, arm: Arm, start: float, bending: float) -> None:
+    def __init__(self, arm: Arm, start: float, bending: float, base: Array | None = None) -> None:
         self._arm, self._start, self._bending = arm, start, bending / arm.length
-        self.columns = free_columns(arm)
+        columns = free_columns(arm)
+        self.columns = columns[~arm.roaming[columns]]
         self._joints = len(self.columns)
         self._rest = arm.positions(arm.straight())
+        if base is not None:
+            self._rest = np.where(arm.roaming, base, self._rest)
         sliding = np.where(arm.slides[self.columns], arm.length, 1.0)
         self._units = np.concatenate([sliding, np.full(arm.n_modules, arm.length)])
         lengths = arm.chain.module_lengths
         # A module may have no length of its own, or gain some by sliding.
         longest = LONGEST * np.maximum(lengths, lengths.mean())
-        lower, upper = arm.limits.lower[self.columns], arm.limits.upper[self.columns]
+        lower, upper = bounds_of(arm, self.columns)
         self.lower = np.concatenate([lower, SHORTEST * lengths]) / self._units
         self.upper = np.concatenate([upper, longest]) / self._units
         straight = np.concatenate([self._rest[self.columns], lengths]) / self._units
@@ -240,6 +273,6 @@ class Problem:
         rows[:, :, n:] = -np.tril(np.ones((m, m)))[:, None, :] * tangents[:, :, None]
         jacobian[: 3 * m] *= self._units / arm.length
         jacobian[3 * m :, :n] = self._bending * np.eye(n)
-        distances = (state.points - places).ravel() / arm.length
+        distances = (arm.chain.flattened(state.points) - places).ravel() / arm.length
         bends = self._bending * (unknowns[:n] - self._straight[:n])
         return np.concatenate([distances, bends]), jacobian

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.errors import PostureError
-from pinposture.target.fit import fit_curve, free_columns
+from pinposture.target.fit import bounds_of, fit_curve, free_columns
 from pinposture.target.in_turn import exact_positions
 from pinposture.target.target import Target
 
@@ -47,7 +47,7 @@ def fit_points(arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) ->
     columns = free_columns(arm)
     units = arm.joint_units[columns]
     root = np.sqrt(np.repeat(target.weights, 3))
-    lower, upper = arm.limits.lower[columns] / units, arm.limits.upper[columns] / units
+    lower, upper = (bound / units for bound in bounds_of(arm, columns))
     rest = arm.positions(arm.straight())
     straight = np.clip(rest[columns] / units, lower, upper)
 

@@ -66,12 +66,56 @@ def _rotation_vector(turn: Array) -> tuple[float, float, float]:
 
 
 def beginning(arm: Arm, curve: Curve) -> tuple[float, bool]:
-    """Arc length at which the base of an arm comes nearest to a curve [m], and whether it is on it."""
+    """Arc length at which the base of an arm comes nearest to a curve [m], and whether it is on it.
+
+    A base that slides without real limits (`Arm.roaming`) drives to the start of a curve that it is not on.
+    """
     slack = ROUNDING * arm.length
     if math.dist(curve.start, arm.chain.base) <= slack:
         return 0.0, True
     nearest, distance = curve.nearest(arm.chain.base)
+    if distance > slack and np.any(arm.roaming):
+        return 0.0, False
     return float(nearest), float(distance) <= slack
+
+
+SAMPLES_PER_LINK, ZOOMS = 4, 5
+"""Into how many parts a link is cut to find its farthest place, and how often again around that place."""
+
+
+def distance_from_curve(arm: Arm, q: Array, curve: Curve) -> float:
+    """How far the whole arm is from a curve: the farthest of all places along its links from the curve [m].
+
+    Links are straight between the centres of joints, control points and the tip (`ArmState.links`). A planar
+    arm is seen in the plane of its base: links and a tip that lie beside it are not farther for that.
+    Distances are those to the nearest place of the curve, world frame, so that a curve that goes on beyond the
+    tip makes no difference.
+
+    Args:
+        arm: the arm.
+        q: configuration, (nq,).
+        curve: the curve, placed in the world.
+
+    Returns:
+        The distance, from samples that close in on the farthest place; it may miss a peak that is narrower
+        than a quarter of a link.
+    """
+    ends = arm.chain.flattened(arm.at(q).links)
+    starts, ways = ends[:-1], np.diff(ends, axis=0)
+    longest = float(np.linalg.norm(ways, axis=1).max())
+    parts = np.maximum(np.ceil(SAMPLES_PER_LINK * np.linalg.norm(ways, axis=1) / longest), 1.0).astype(int)
+    link = np.repeat(np.arange(len(ways)), parts + 1)
+    share = np.concatenate([np.linspace(0.0, 1.0, count + 1) for count in parts])
+    farthest = 0.0
+    for _ in range(ZOOMS):
+        distances = curve.nearest(starts[link] + share[:, None] * ways[link]).distance
+        best = int(np.argmax(distances))
+        farthest = max(farthest, float(distances[best]))
+        at, width = share[best], 1.0 / parts[link[best]]
+        parts = parts * SAMPLES_PER_LINK
+        share = np.clip(np.linspace(at - width, at + width, 2 * SAMPLES_PER_LINK + 1), 0.0, 1.0)
+        link = np.full(len(share), link[best])
+    return farthest
 
 
 _AXES: WeakKeyDictionary[Arm, Array] = WeakKeyDictionary()
@@ -88,7 +132,7 @@ def arm_axis(arm: Arm) -> Array:
 
 
 def _stretch(arm: Arm) -> Array:
-    reach = arm.at(arm.straight()).points[-1] - arm.chain.base
+    reach = arm.chain.flattened(arm.at(arm.straight()).points[-1]) - arm.chain.base
     axis: Array = np.asarray(reach / max(float(np.linalg.norm(reach)), 1e-300))
     axis.flags.writeable = False
     return axis

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.curve import Curve
-from pinposture.target.fit import Fit, Problem, Samples
+from pinposture.target.fit import Fit, Problem, Samples, driven_base
 from pinposture.target.target import Target
 
 Array = NDArray[np.float64]
@@ -33,7 +33,7 @@ def fit_near(arm: Arm, curve: Curve, start: float, bending: float, near: Target)
         near: the target, with its configuration and the arc lengths of its control points.
     """
     assert near.q is not None and near.parameters is not None  # the caller has seen to it
-    problem = Problem(arm, start, bending)
+    problem = Problem(arm, start, bending, driven_base(arm, curve, start))
     guess = problem.joined(arm.positions(near.q), near.parameters)
     return Fit(*problem.split(refined(problem, curve, np.clip(guess, problem.lower, problem.upper))))
 

@@ -39,10 +39,15 @@ STIFFNESS = {"smooth": 0.02, "closest": 1e-8}
 The closest placement has a trace of it: joints that move no control point need to be told something."""
 
 FAR = 0.1
-"""How far the start of a curve may be moved without a word, if nobody asked for it, in arm lengths."""
+"""How far the start of a curve may be moved without a word, if nobody asked for it, and how far the farthest
+link may be from a curve that an arm counts as following, in arm lengths."""
+
+AT_LIMIT = 1e-6
+"""How near a limit of its position a joint is at it, in `Arm.joint_units`."""
 
 OFF_CURVE = 0.1
-"""How far off the curve a control point may be before it counts as having no place, in module lengths."""
+"""How far off the curve a control point may be before it counts as having no place, in module lengths, or in
+those of a row of modules that are bound to one plane together (`Chain.spans`)."""
 
 
 def resolve_targets(
@@ -70,7 +75,9 @@ def resolve_targets(
         placement: "as_is" uses the curve where it is; "translate" moves its start to the base of the
             arm; "align" also turns its first tangent to the arm's axis by the least rotation, and a plane
             curve into the plane of a planar arm. None aligns, and a `PostureWarning` tells if the start was
-            moved by more than a tenth of the arm's length; `moved` of the target tells it in any case.
+            moved by more than a tenth of the arm's length; `moved` of the target tells it in any case. A base
+            that slides without real limits (`Arm.roaming`) stays where it is, unless a curve is to be used
+            "as_is" that it does not lie on: then it drives to its start.
         roll: further turn of an aligned curve about the arm's axis [rad].
         incomplete: what to do when some module has no place: "raise" an error, or return a "partial"
             target that says why in `incomplete` and gives weight 0 to the points from there on.
@@ -81,13 +88,16 @@ def resolve_targets(
             of a second for 20 modules and seconds for 100.
 
     Returns:
-        The target, with `q`, `parameters`, `residual`, `method` and `moved` filled in.
+        The target, with `q`, `parameters`, `residual`, `method` and `moved` filled in. How far the whole arm is
+        from the curve, links and all, `Target.distance_from_curve` says; where that is more than a tenth of
+        its length and no `near` was given, a `PostureWarning` says why (`Arm.adequate`).
 
     Raises:
         CurveEndsEarly: the curve is over before the last module is placed.
         CurveLeavesTooSharply: the first module cannot turn to where the curve goes.
         CurveBendsTooMuch: a later module cannot, or the curve leaves the plane of a planar module, or a
-            control point stays farther off the curve than a tenth of its module's length.
+            control point stays farther off the curve than a tenth of its module's length, or of the length of
+            neighbouring modules that are bound to one plane together; says what keeps it from there.
         UnsupportedModule: sequential placement of a module for which no solver exists.
         InvalidValue: no arm or no curve, fewer than 2 samples, a roll that is not finite, a target of another
             arm or of no curve to be near to.
@@ -120,7 +130,10 @@ def resolve_targets(
         result = _place_together(arm, placed, method, near)
     if result.failure is not None and incomplete == "raise":
         raise result.failure
-    return replace(_target(arm, placed, result, method), moved=moved)
+    target = replace(_target(arm, placed, result, method), moved=moved)
+    if near is None and result.failure is None:
+        _warn_if_far(arm, target)
+    return target
 
 
 def far_moved(arm: Arm, what: str, moved: Moved) -> str:
@@ -167,10 +180,11 @@ def _place_together(arm: Arm, curve: Curve, method: str, near: Target | None) ->
     given = arm, curve, start, bending
     fit = fit_curve(*given) if near is None else fit_near(*given, near)
     ends = np.minimum(fit.parameters, curve.length)
-    residual = np.linalg.norm(arm.at(arm.configuration(fit.positions)).points - curve.at(ends), axis=1)
+    residual = _off(arm, fit.positions, curve, ends)
     failure: TargetError | None = None
     over = np.flatnonzero(fit.parameters > curve.length + ROUNDING * arm.length)
-    off = np.flatnonzero(residual > OFF_CURVE * lengths)
+    spans = arm.chain.spans
+    off = np.flatnonzero(residual > OFF_CURVE * np.maximum(spans, arm.chain.module_lengths.mean()))
     bases = np.concatenate([[start], ends[:-1]])
     if len(over) and (not len(off) or over[0] <= off[0]):
         k = int(over[0])
@@ -179,8 +193,8 @@ def _place_together(arm: Arm, curve: Curve, method: str, near: Target | None) ->
     elif len(off):
         k = int(off[0])
         text = f"the closest that its end can come to the curve is {residual[k]:.4g} m"
-        advice = "use a gentler curve, wider joint limits or shorter modules"
-        failure = CurveBendsTooMuch(k + 1, float(bases[k]), f"{text}; {advice}")
+        why = _hindrance(arm, curve, fit.positions, k, start)
+        failure = CurveBendsTooMuch(k + 1, float(bases[k]), f"{text}; {why}")
     return Placement(fit.positions, ends, failure)
 
 
@@ -192,6 +206,67 @@ def _target(arm: Arm, curve: Curve, result: Placement, method: str) -> Target:
         reason = str(result.failure)
     q = arm.configuration(result.positions)
     points = arm.at(q).points
-    gaps = points - curve.at(result.parameters)
-    residual = np.sqrt(np.einsum("ij,ij->i", gaps, gaps))
+    residual = _off(arm, result.positions, curve, result.parameters)
     return Target(points, weights, q, curve, result.parameters, residual, method, reason)
+
+
+def _warn_if_far(arm: Arm, target: Target) -> None:
+    """Warn where the control points are on the curve, and the arm between them is not."""
+    if target.curve is None or target.q is None or target.residual is None:
+        return
+    between = max(_line_lengths(arm, target.q)) / 2.0  # no link is farther from both control points beside it
+    if between + float(target.residual.max()) <= FAR * arm.length:
+        return
+    away = target.distance_from_curve(arm)
+    if away is None or away <= FAR * arm.length:
+        return
+    fits = arm.adequate(target.curve)
+    reasons = [str(excess) for excess in fits.excesses[:2]]
+    if np.any(arm.chain.plane_bound):
+        reasons.append("parallel axes in a row leave no plane")
+    if not reasons:
+        reasons.append("its links are long and its control points few for this curve")
+    share = f"{away:.4g} m, {away / arm.length:.2g} of its length"
+    text = f"the arm does not follow the curve: its links are up to {share}, away from it"
+    warnings.warn(f"{text} ({'; '.join(reasons)})", PostureWarning, stacklevel=3)
+
+
+def _line_lengths(arm: Arm, q: Array) -> list[float]:
+    """Length along the links of each module at a configuration, (m,) [m]."""
+    state = arm.at(q)
+    lengths, start = [], arm.chain.base
+    for k, joints in enumerate(arm.chain.module_slices):
+        line = np.vstack([start, state.placed.origins[joints], state.points[k]])
+        lengths.append(float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()))
+        start = state.points[k]
+    return lengths
+
+
+def _off(arm: Arm, positions: Array, curve: Curve, parameters: Array) -> Array:
+    """Distance of each control point from its place on the curve, (m,) [m]; of a planar arm, in its plane."""
+    points = arm.chain.flattened(arm.at(arm.configuration(positions)).points)
+    gaps = points - curve.at(parameters)
+    return np.sqrt(np.einsum("ij,ij->i", gaps, gaps))
+
+
+def _hindrance(arm: Arm, curve: Curve, positions: Array, module: int, start: float) -> str:
+    """What keeps the end of a module from a curve that it comes nearest to at joint positions (nv,)."""
+    own = arm.columns[: arm.chain.module_slices[module].stop]
+    room = np.minimum(positions - arm.limits.lower, arm.limits.upper - positions) / arm.joint_units
+    names = dict(zip(arm.columns.tolist(), arm.chain.joints, strict=True))
+    stuck = [int(u) for u in own if room[u] <= AT_LIMIT]
+    slides = [u for u in stuck if arm.slides[u]]
+    if slides:
+        listed = ", ".join(f"{names[u]!r} at {positions[u]:.4g} m" for u in slides[:3])
+        return f"slides end before it can get there: {listed}; move the curve, or widen their limits"
+    gap = float(np.linalg.norm(curve.at(start) - arm.chain.base))
+    if gap > ROUNDING * arm.length and not np.any(arm.roaming):
+        advice = 'use placement="translate" or "align"'
+        return f"the curve passes {gap:.4g} m from the base; {advice}"
+    if arm.chain.plane_bound[module]:
+        advice = "use a curve in one plane, or joints whose axes differ"
+        return f"its joints turn about parallel axes and leave no plane; {advice}"
+    if stuck:
+        listed = ", ".join(repr(names[u]) for u in stuck[:3]) + (", ..." if len(stuck) > 3 else "")
+        return f"at the limits of {listed}; use a gentler curve, wider joint limits or shorter modules"
+    return "use a gentler curve or shorter modules"

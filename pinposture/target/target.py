@@ -13,6 +13,7 @@ from pinposture.arm import Arm
 from pinposture.arm.checks import float_array
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue
+from pinposture.target.placement import distance_from_curve
 
 Array = NDArray[np.float64]
 
@@ -91,6 +92,21 @@ class Target:
     def placed(self) -> NDArray[np.bool_]:
         """Which control points have a target, (m,)."""
         return np.asarray(self.weights > 0.0)
+
+    def distance_from_curve(self, arm: Arm) -> float | None:
+        """How far the whole arm is from the curve at `q` [m]: its links, not its control points alone.
+
+        Args:
+            arm: the arm that the target is for.
+
+        Returns:
+            The distance of the farthest place on its links, from joint to joint and to the tip, from the
+            curve; of a planar arm, in its plane (`pinposture.target.placement.distance_from_curve`). None if
+            there is no curve, or no configuration is known.
+        """
+        if self.q is None or self.curve is None:
+            return None
+        return distance_from_curve(arm, self.q, self.curve)
 
     def check(self, arm: Arm) -> None:
         """Raise InvalidValue unless the target fits an arm, is finite, and has a point to control."""

@@ -101,7 +101,7 @@ def taken(arm: Arm, keyframe: Keyframe, target: Target, q: Array) -> Target:
     """The target of a keyframe as the arm takes it at a configuration (nq,)."""
     curve, points = target.curve, arm.at(q).points
     assert curve is not None
-    parameters, distances = map(np.asarray, curve.nearest(points))
+    parameters, distances = map(np.asarray, curve.nearest(arm.chain.flattened(points)))
     weights, moved = np.ones(arm.n_modules), target.moved
     result = Target(points, weights, q, curve, parameters, distances, target.method, moved=moved)
     return result if keyframe.region is None else result.region(*keyframe.region)

@@ -51,7 +51,8 @@ def _lines(session: Session, live: Live) -> str:
     elif verdict.collision:
         kind, head, more = "warning", "In the way", verdict.notes[0]
     else:
-        kind, head, more = "info", _doing(session, live) + _room(session), "; ".join(_notes(session, live))
+        head = _doing(session, live) + _whole_arm(session, live) + _room(session)
+        kind, more = "info", "; ".join(_notes(session, live))
     if live.reason and live.status != "converged" and kind == "info":
         kind, more = "warning", live.reason
     notice = session.notice
@@ -73,6 +74,14 @@ def _doing(session: Session, live: Live) -> str:
     doing = "Motion" if session.playback.q is not None else words.get(live.status, "Holding")
     millimetres = 1000.0 * live.mean_error
     return f"{doing}: mean error {millimetres if millimetres > ROUNDING else 0.0:.3g} mm"
+
+
+def _whole_arm(session: Session, live: Live) -> str:
+    """How far the whole arm is from the curve where it takes it, in a few words."""
+    away = live.verdict.distance_from_curve
+    if away is None or session.playback.q is not None:
+        return ""
+    return f", whole arm within {1000.0 * away:.3g} mm of the curve"
 
 
 def _notes(session: Session, live: Live) -> list[str]:
