@@ -25,6 +25,7 @@ from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
 
+
 class Arm(Blueprint):
     """A serial arm with posture control points at its module boundaries.
 

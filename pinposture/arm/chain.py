@@ -90,7 +90,8 @@ class Chain:
             return bound
         for k, joints in enumerate(self.module_slices):
             lines = JointLines(self.axes[joints], self.origins[joints], self.revolute[joints])
-            bound[k] = plane_normal(lines, self.points[k], self.length) is not None
+            alone = joints.stop - joints.start == 1
+            bound[k] = alone or plane_normal(lines, self.points[k], self.length) is not None
         return bound
 
     @cached_property
@@ -105,7 +106,7 @@ class Chain:
         for start, stop in edges.reshape(-1, 2):
             together = slice(max(int(start) - 1, 0), min(int(stop) + 1, m))
             spans[together] = np.maximum(spans[together], self.module_lengths[together].sum())
-        return spans
+        return np.asarray(spans)
 
     def flattened(self, places: Array) -> Array:
         """Places on the arm as seen in the plane in which it moves, world frame.

@@ -14,7 +14,7 @@ UNLIMITED = 1e9
 """A limit this large [rad, m, rad/s or m/s] is none: files write 1e16 or the largest float for it."""
 
 UNREAL = 100.0
-"""Room from which on position limits are none: files write +-1e6 where they mean that [arm lengths, or rad]."""
+"""Room with which position limits are none [arm lengths, or rad]: files write +-1e6 where they mean that."""
 
 
 class JointLimits(NamedTuple):

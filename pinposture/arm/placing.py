@@ -103,9 +103,7 @@ class Placing:
         single = np.median(np.linalg.norm(across, axis=1), axis=0)
         easiest, hardest = np.median(sizes, axis=0)[[0, -1]]
         # Rounded, so that groups that do the same are equal, however it was added up.
-        return _Motion(
-            round(float(easiest), 9), round(float(hardest), 9), int(np.sum(single > LEAST_MOTION))
-        )
+        return _Motion(round(float(easiest), 9), round(float(hardest), 9), int(np.sum(single > LEAST_MOTION)))
 
     def _motions(self, first: int, stop: int) -> tuple[Array, Array]:
         """End relative to the base (s, 3) [m] and its Jacobian (s, 3, k) [m/rad] in every posture tried."""

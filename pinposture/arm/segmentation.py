@@ -210,7 +210,10 @@ def _explained(
     bound = [k for k, (start, stop) in enumerate(pairwise(bounds), 1) if not placing(start, stop)]
     if found is None:
         does = "these are the most modules that do that"
-        parts = [need, f"no pattern of joints repeats; {does if not bound else does + ', and pieces of others'}"]
+        parts = [
+            need,
+            f"no pattern of joints repeats; {does if not bound else does + ', and pieces of others'}",
+        ]
     else:
         first, last = skeleton.names[found.first], skeleton.names[found.stop - 1]
         often = "every joint is like the next" if found.period == 1 else f"{_joints(found.period)} repeat"
@@ -225,8 +228,8 @@ def _explained(
     if bound:
         listed = ", ".join(map(str, bound[:8])) + (", ..." if len(bound) > 8 else "")
         parts.append(
-            f"modules {listed}: too few of their joints' axes differ, so that their ends move in one direction "
-            "only and follow a curve in one plane at a time"
+            f"modules {listed}: too few of their joints' axes differ, so that their ends move in one "
+            "direction only and follow a curve in one plane at a time"
         )
     return Segmentation(tuple(sizes), "; ".join(parts), found.period if found else None, adequate=not bound)
 

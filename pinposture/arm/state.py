@@ -50,8 +50,8 @@ class ArmState:
     def links(self) -> Array:
         """The line of the arm from its base by way of joints and control points to the tip, (k, 3) [m].
 
-        World frame. Links are straight from each of these places to the next; one that slides out reaches from
-        where it slides. Of a base that slides without real limits the line begins behind those slides.
+        World frame. Links are straight from each of these places to the next; one that slides out reaches
+        from where it slides. Of a base that slides without real limits the line begins behind those slides.
         """
         chain, ends = self.arm.chain, self.arm.chain.module_slices
         origins = [self.placed.origins[joints] for joints in ends]

@@ -18,8 +18,8 @@ def farthest_stretch(arm: Arm) -> Array:
     """Joint positions (nv,) [rad or m] that maximise the distance from base to tip, within the limits.
 
     They are zero if the arm is straight there and cannot slide; otherwise the maximum is searched from
-    there, and is a local one for arms that can stretch in several ways. A slide without real limits goes as far
-    as the arm is long, or stays where it is if the base stands on it.
+    there, and is a local one for arms that can stretch in several ways. A slide without real limits goes as
+    far as the arm is long, or stays where it is if the base stands on it.
     """
     start_point, length, units = arm.chain.base, arm.length, arm.joint_units
     straight = np.linalg.norm(arm.chain.points[-1] - start_point) > (1.0 - 1e-9) * length

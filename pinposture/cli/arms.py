@@ -63,13 +63,13 @@ def run(
 ) -> None:
     """Try every arm of a directory: place it on a gentle curve, and drive it there.
 
-    Without a directory it tries arms of awkward shapes: joints that do not repeat, long rows of parallel axes, a
-    tip beside the plane of the arm, no limits, a base that slides within limits of 1e6 m.
+    Without a directory it tries arms of awkward shapes: joints that do not repeat, long rows of parallel
+    axes, a tip beside the plane of the arm, no limits, a base that slides within limits of 1e6 m.
 
     Each distance is relative to the length of the arm. The residual is how far off the curve the control
     points are placed (root mean square), the reference the same of the best of several independent fits; the
-    ratio of the two is ok up to 1.05 (plus 1e-6). Farthest is the farthest of the whole arm from the curve, its
-    links and all. After that come the mean point error to which joint
+    ratio of the two is ok up to 1.05 (plus 1e-6). Farthest is the farthest of the whole arm from the curve,
+    its links and all. After that come the mean point error to which joint
     interpolation, Switching and qp, the default controller, drive the arm from a random start; how many steps
     qp took, and how far the control points went with it, relative to straight lines; and whether all three
     kept within the joint limits.
@@ -80,7 +80,11 @@ def run(
         raise InvalidValue("--seed", seed, "a whole number of at least 0")
     results = survey_arms(directory, least_joints, seed, jobs, _report)
     if as_json:
-        asked = {"directory": None if directory is None else str(directory), "least_joints": least_joints, "seed": seed}
+        asked = {
+            "directory": None if directory is None else str(directory),
+            "least_joints": least_joints,
+            "seed": seed,
+        }
         print_json({**asked, "arms": [_described(result) for result in results]})
         return
     rows = [_row(result) for result in results if not result.refused]

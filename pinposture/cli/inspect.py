@@ -10,6 +10,7 @@ import typer
 
 from pinposture.cli.inputs import (
     OUTPUT,
+    TARGET,
     BaseOption,
     JsonOption,
     LockedOption,
@@ -18,6 +19,7 @@ from pinposture.cli.inputs import (
     TipOption,
     UrdfArgument,
     read_arm,
+    read_curve,
 )
 from pinposture.cli.output import print_facts, print_json, print_note, print_table
 from pinposture.cli.points import read_points
@@ -42,6 +44,7 @@ EXAMPLES = (
     "pinposture inspect arm.urdf --modules m05_l2,m10_l2,m15_l2,tip",
     "pinposture inspect arm.urdf --scene scene.toml",
     "pinposture inspect arm.urdf --self-collision --json",
+    "pinposture inspect arm.urdf --curve helix",
 )
 
 
@@ -53,6 +56,14 @@ def run(
     modules: ModulesOption = None,
     locked: LockedOption = None,
     package_dir: PackageDirOption = None,
+    curve: Annotated[
+        str | None,
+        typer.Option(
+            metavar="CURVE",
+            help="Tell how well the arm can follow this curve, laid at its base: a file, line or helix.",
+            rich_help_panel=TARGET,
+        ),
+    ] = None,
     scene: SceneOption = None,
     self_collision: SelfCollisionOption = False,
     plot: Annotated[
@@ -79,8 +90,12 @@ def run(
     Of all the links it takes one chain, from --base to --tip or the longest one there is, and cuts it into
     modules with a control point at the end of each. Meshes are not needed. Limits are in rad and rad/s, or in
     metres and m/s for a prismatic joint; positions are those at zero joint positions, in the world. The reach
-    is the distance from base to tip when the arm is stretched. Zero joint positions are often a singular
+    is the distance from base to tip when the arm is stretched; a base that slides without real limits (over
+    more than 100 arm lengths) stays at zero for that. Zero joint positions are often a singular
     posture: there manipulability measure, minimum singular value and index are 0, the condition number inf.
+
+    With --curve it also tells how far the control points are from that curve, and the farthest of the whole
+    arm, its links and all, and what of the curve is more than the modules can follow.
 
     With --scene it also shows the obstacles of the file, the bodies of the arm, and what each of them is
     nearest to; with --self-collision, distances of the arm from itself count. What a scene file holds is in
@@ -90,15 +105,24 @@ def run(
     arm = read_arm(urdf, base, tip, modules, locked, package_dir)
     points = () if ellipsoids is None else read_points("--ellipsoids", ellipsoids, arm)
     about = describe(arm, points or (-1,))
+    followed = None if curve is None else _describe_following(arm, curve)
     around = None if surroundings is None else describe_scene(surroundings, arm)
     if plot is not None:
         from pinposture.view import plot_arm
 
         write_picture(plot_arm(arm, ellipsoids=points, scene=surroundings), plot)
     if as_json:
-        print_json({"file": urdf, **about, "scene": around, "plot": None if plot is None else str(plot)})
+        print_json(
+            {
+                "file": urdf,
+                **about,
+                "curve": followed,
+                "scene": around,
+                "plot": None if plot is None else str(plot),
+            }
+        )
     else:
-        _print_tables(about)
+        _print_tables(about if followed is None else {**about, "curve": followed})
         if around is not None:
             print_scene(around)
     if plot is not None:
@@ -125,6 +149,7 @@ def _print_tables(about: Mapping[str, Any]) -> None:
         "reach": f"{about['reach']:.4g} m",
         "kinematics": "; ".join(filter(None, (placing, about["closed_form_reason"]))),
         "held still": ", ".join(about["held"]) or "no joint",
+        **_following_in_words(about),
     }
     notes = {"note" if k == 0 else " " * k: text for k, text in enumerate(about["warnings"])}
     print_facts({**facts, **notes})
@@ -196,6 +221,41 @@ def describe(arm: Arm, measured: Sequence[int]) -> dict[str, Any]:
             for one in arm.at(arm.neutral()).ellipsoids(measured)
         ],
     }
+
+
+def _describe_following(arm: Arm, curve: str) -> dict[str, Any]:
+    """How well an arm can follow a curve laid at its base, as data that JSON can hold; lengths in metres."""
+    from pinposture.target import resolve_targets
+
+    target = resolve_targets(arm, read_curve(curve), incomplete="partial")
+    assert target.curve is not None and target.residual is not None  # it is resolved
+    return {
+        "name": curve,
+        "placed_by": target.method,
+        "placed_points": int(target.placed.sum()),
+        "largest_residual": float(target.residual.max()),
+        "distance_from_curve": target.distance_from_curve(arm),
+        "too_much": [str(excess) for excess in arm.adequate(target.curve).excesses],
+        "incomplete": target.incomplete,
+    }
+
+
+def _following_in_words(about: Mapping[str, Any]) -> dict[str, str]:
+    if about.get("curve") is None:
+        return {}
+    found = about["curve"]
+    away = found["distance_from_curve"]
+    share = away / about["length"]
+    words = {
+        "curve": f"{found['name']}: {found['placed_by']} placement, control points at most "
+        f"{found['largest_residual']:.2g} m off the curve",
+        "whole arm": f"its links at most {away:.2g} m from the curve, {share:.2g} of its length",
+    }
+    if found["too_much"]:
+        words["too much"] = "\n".join(found["too_much"])
+    if found["incomplete"]:
+        words["incomplete"] = found["incomplete"]
+    return words
 
 
 def _joints(arm: Arm, described: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -129,8 +129,8 @@ class Trajectory:
     def distance_from_curve(self) -> float | None:
         """How far the whole arm is from the curve of the target in the end [m]; None if that has no curve.
 
-        The distance of the farthest place on its links, as `Target.distance_from_curve` has it for the posture
-        that was to be taken.
+        The distance of the farthest place on its links, as `Target.distance_from_curve` has it for the
+        posture that was to be taken.
         """
         if self.target.curve is None:
             return None

@@ -1,6 +1,6 @@
 """Many starts, targets and arms at once."""
 
-from pinposture.study.arms import ArmSurvey, gentle_curve, survey_arms
+from pinposture.study.arms import ArmSurvey, awkward_arms, gentle_curve, survey_arms
 from pinposture.study.cases import (
     Outcome,
     arbitrary_configuration,
@@ -42,6 +42,7 @@ __all__ = [
     "Spread",
     "Subject",
     "arbitrary_configuration",
+    "awkward_arms",
     "bent_configuration",
     "built_subject",
     "by_heading",

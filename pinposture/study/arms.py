@@ -88,10 +88,11 @@ def gentle_curve(arm: Arm) -> Curve:
 def awkward_arms() -> dict[str, str]:
     """Arms of the shapes that gave trouble, as URDF by their names; lengths in metres.
 
-    Joints that do not repeat: yaw and roll, then parallel axes with different limits ("unrepeating21"), parallel
-    axes behind a joint that turns their plane, which once were one module ("long_module7", "bucket4") or three
-    ("long_modules36"), a planar arm whose tip lies beside its plane ("tip_out_of_plane8"), joints without
-    limits ("no_limits10"), a base that slides within limits of 1e6 m ("huge_slides10").
+    Joints that do not repeat: yaw and roll, then parallel axes with different limits ("unrepeating21"),
+    parallel axes behind a joint that turns their plane, which were one module once ("long_module7",
+    "bucket4") or three ("long_modules36"), a planar arm whose tip lies beside its plane
+    ("tip_out_of_plane8"), joints without limits ("no_limits10"), a base that slides within limits of 1e6 m
+    ("huge_slides10").
     """
     yaw, half_pi = JointSpec("z", lower=-2.8, upper=2.8), math.pi / 2
     pitches = [JointSpec("y", lower=-0.5 - 0.05 * k, upper=0.6 + 0.03 * k) for k in range(19)]

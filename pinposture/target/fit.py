@@ -175,8 +175,8 @@ class Problem:
 
     The unknowns are the positions of the joints (n,) and the arc lengths between neighbouring control points
     (m,). Inside, every length is in arm lengths, so that arms of any size are alike. A planar arm is seen in
-    the plane of its base, in which a curve can be, wherever beside it its links and its tip lie. The slides of
-    a base without real limits are held where they are.
+    the plane of its base, in which a curve can be, wherever beside it its links and its tip lie. Slides
+    without real limits on which the base stands are held where they are.
 
     Attributes:
         lower: smallest unknowns, (n + m,).

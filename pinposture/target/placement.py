@@ -87,9 +87,8 @@ def distance_from_curve(arm: Arm, q: Array, curve: Curve) -> float:
     """How far the whole arm is from a curve: the farthest of all places along its links from the curve [m].
 
     Links are straight between the centres of joints, control points and the tip (`ArmState.links`). A planar
-    arm is seen in the plane of its base: links and a tip that lie beside it are not farther for that.
-    Distances are those to the nearest place of the curve, world frame, so that a curve that goes on beyond the
-    tip makes no difference.
+    arm is seen in the plane of its base: links and a tip that lie beside it are not farther for that. What
+    counts is the nearest place of the curve, so that one that goes on beyond the tip makes no difference.
 
     Args:
         arm: the arm.

@@ -246,7 +246,7 @@ def _off(arm: Arm, positions: Array, curve: Curve, parameters: Array) -> Array:
     """Distance of each control point from its place on the curve, (m,) [m]; of a planar arm, in its plane."""
     points = arm.chain.flattened(arm.at(arm.configuration(positions)).points)
     gaps = points - curve.at(parameters)
-    return np.sqrt(np.einsum("ij,ij->i", gaps, gaps))
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", gaps, gaps)))
 
 
 def _hindrance(arm: Arm, curve: Curve, positions: Array, module: int, start: float) -> str:

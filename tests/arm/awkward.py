@@ -121,8 +121,11 @@ WARNED = {
         arm_text([("revolute", Y, LINK, limit()), ("prismatic", Z, LINK, limit()), *pairs(1)]),
         {},
         4,
-        1,
-        ["no limits are given for joints 'j1', 'j2'; taken as unlimited"],
+        3,
+        [
+            "no limits are given for joints 'j1', 'j2'; taken as unlimited",
+            "modules 1, 2: too few of their joints' axes differ",
+        ],
     ),
     "locked by limits": (
         arm_text([*pairs(1), ("revolute", X, LINK, limit(0, 0)), *pairs(1)]),

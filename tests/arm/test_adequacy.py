@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import pinposture as pp
 from pinposture.errors import TargetError
@@ -67,3 +68,26 @@ def test_too_much_torsion_is_found_too() -> None:
     result = arm.adequate(tight)
     assert {excess.quantity for excess in result.excesses} == {"torsion"}
     assert result.torsion > result.max_torsion
+
+
+def test_a_peak_of_torsion_where_the_curve_hardly_bends_is_none() -> None:
+    """An S whose bend runs over from one side to the other, past a place where it bends a little upwards.
+
+    Bending (a (s - 0.3), b) in a frame that does not twist has torsion a / b where it is least.
+    """
+    a, b, step = 48.0, 1.2, 1e-3
+    frame, place, points = np.eye(3), np.zeros(3), [np.zeros(3)]
+    for s in np.arange(0.0, 0.62, step):
+        bending = frame @ (0.0, a * (s + step / 2 - 0.3), b)
+        turn = Rotation.from_rotvec(step * np.cross(frame[:, 0], bending)).as_matrix()
+        place = place + step * (frame[:, 0] + turn @ frame[:, 0]) / 2
+        frame = turn @ frame
+        points.append(place)
+    curve, arm = pp.Curve.points(points), limited_arm(1.0)
+    near = np.linspace(0.295, 0.305, 21)
+    peak = np.abs(curve.torsion(near)).max()
+    assert peak == pytest.approx(a / b, rel=0.1)
+    assert peak > 1.2 * arm.adequate(curve).max_torsion
+    assert 0.05 * curve.curvature(near).min() > 0.05  # more than once counted as none
+    result = arm.adequate(curve)
+    assert result, [str(excess) for excess in result.excesses]

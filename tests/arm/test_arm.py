@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import pickle
+import warnings
 from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from analytic import enumeration, planar, ryrz
+from arm.describing import HERE, LINK, X, Y, Z, arm_text, limit, pairs
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -274,3 +276,36 @@ def test_control_points_must_exist_and_follow_the_chain() -> None:
         pp.Arm.from_model(model, [names[-1], names[0]])
     with pytest.raises(InvalidValue, match="at least one frame"):
         pp.Arm.from_model(model, [])
+
+
+@pytest.mark.parametrize("bound", [limit(-1e6, 1e6), limit(-100, 100), limit()])
+def test_a_base_that_slides_without_real_limits_is_left_where_it_is(bound):
+    joints = [("prismatic", X, HERE, bound), ("prismatic", Y, HERE, bound), *pairs(3)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        arm = pp.Arm.from_urdf(arm_text(joints))
+    assert list(arm.roaming) == [True] * 2 + [False] * 6
+    assert np.all(arm.positions(arm.straight())[:2] == 0.0)
+    tip = arm.at(arm.straight()).points[-1]
+    assert np.linalg.norm(tip - arm.chain.base) == pytest.approx(arm.length, rel=1e-6)
+    drawn = np.array([arm.positions(arm.random(np.random.default_rng(seed))) for seed in range(50)])
+    assert 0.3 * arm.length < np.abs(drawn[:, :2]).max() <= arm.length
+    assert np.abs(drawn[:, 2:]).max() <= 1.0
+
+
+def test_real_limits_of_slides_are_drawn_from_to_their_ends():
+    joints = [("prismatic", X, HERE, limit(0, 20)), *pairs(3)]
+    arm = pp.Arm.from_urdf(arm_text(joints))
+    drawn = [arm.positions(arm.random(np.random.default_rng(seed)))[0] for seed in range(200)]
+    assert not arm.roaming.any()
+    assert 0.0 <= min(drawn) < 1.0
+    assert 19.0 < max(drawn) <= 20.0
+
+
+def test_hinges_with_limits_of_many_turns_are_drawn_from_one():
+    joints = [("revolute", Y, LINK, limit(-1e6, 1e6)), ("revolute", Z, LINK, limit(-12, 12))] * 2
+    arm = pp.Arm.from_urdf(arm_text(joints))
+    drawn = np.abs([arm.positions(arm.random(np.random.default_rng(seed))) for seed in range(100)])
+    assert np.all(drawn.max(axis=0)[[0, 2]] <= np.pi)
+    assert np.all(drawn.max(axis=0)[[1, 3]] > 6.0)
+    assert not arm.roaming.any()

@@ -135,17 +135,17 @@ def test_what_loading_warns_of_is_told_in_the_table_in_the_json_and_in_one_line_
     with pytest.warns(pp.PostureWarning) as warned:
         arm = pp.Arm.from_urdf(text)
     assert [str(warning.message) for warning in warned] == list(arm.warnings)
-    assert len(arm.warnings) == 1
+    assert len(arm.warnings) == 2
     words, data = command("inspect", "-", input=text), command("inspect", "-", "--json", input=text)
     assert json.loads(data.out)["warnings"] == list(arm.warnings)
     assert f"note        {arm.warnings[0]}\n" in "\n".join(map(str.rstrip, words.out.splitlines())) + "\n"
-    assert words.err == data.err == f"note: {arm.warnings[0]}\n"
+    assert words.err == data.err == "".join(f"note: {warning}\n" for warning in arm.warnings)
 
 
 def test_several_warnings_are_all_in_the_table(command):
     text = robot([*CHAIN, ("finger", "revolute", "a", "nail")]).replace('lower="-1" upper="2" ', "", 1)
     about = json.loads(command("inspect", "-", "--json", input=text).out)
-    assert len(about["warnings"]) == 2
+    assert len(about["warnings"]) == 3
     out = command("inspect", "-", input=text).out
     assert all(warning in out for warning in about["warnings"])
 

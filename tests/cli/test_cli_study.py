@@ -55,13 +55,23 @@ def test_the_table_says_what_the_json_says(surveyed):
     for arm, sizes, kind in ((first, "2 x 4", "spatial"), (flat, "1 x 6", "planar")):
         row = [arm["file"], str(arm["joints"]), *sizes.split(), kind, f"{arm['length']:.4g}", arm["method"]]
         row += [f"{arm['residual']:.2g}", f"{arm['reference']:.2g}"]
-        row += ["ok" if arm["ok"] else f"{arm['ratio']:.2g}"]
+        row += ["ok" if arm["ok"] else f"{arm['ratio']:.2g}", f"{arm['farthest']:.2g}"]
         row += [f"{arm[name]:.2g}" for name in ("reached", "switching", "qp")]
         row += [str(arm["qp_steps"]), f"{arm['path_excess']:.2g}", "yes"]
         assert rows[arm["file"]] == row
     assert first["joints"] == 8
     assert flat["joints"] == 6
-    headings = ("placed by", "residual", "reference", "ratio", "joint", "Switching", "qp", "qp steps")
+    headings = (
+        "placed by",
+        "residual",
+        "reference",
+        "ratio",
+        "farthest",
+        "joint",
+        "Switching",
+        "qp",
+        "qp steps",
+    )
     for heading in (*headings, "qp paths", "limits held"):
         assert heading in surveyed[0].out
 
@@ -110,9 +120,9 @@ def test_an_arm_placed_worse_than_the_reference_shows_the_ratio(command, arms, m
     out = command("study", "arms", arms).out
     rows = cells(out)
     assert rows["w.urdf"][2:5] == ["2,", "2,", "3"]
-    assert rows["w.urdf"][-9:] == ["0.03", "0.02", "1.5", "-", "-", "-", "-", "-", "yes"]
-    assert rows["e.urdf"][-9:] == ["9e-10", "0", "ok", "-", "-", "-", "-", "-", "no"]
-    assert rows["f.urdf"][-9:] == ["0.001", "0", "1e+03", "0.5", "-", "-", "-", "-", "yes"]
+    assert rows["w.urdf"][-10:] == ["0.03", "0.02", "1.5", "-", "-", "-", "-", "-", "-", "yes"]
+    assert rows["e.urdf"][-10:] == ["9e-10", "0", "ok", "-", "-", "-", "-", "-", "-", "no"]
+    assert rows["f.urdf"][-10:] == ["0.001", "0", "1e+03", "-", "0.5", "-", "-", "-", "-", "yes"]
     about = json.loads(command("study", "arms", arms, "--json").out)
     assert [(arm["ok"], arm["ratio"]) for arm in about["arms"]] == [
         (False, pytest.approx(1.5)),

@@ -97,7 +97,7 @@ def test_modules_are_placed_by_the_method_asked_for_and_the_summary_tells(
     distances = target.curve.nearest(target.points)[1]
     assert summary["largest_residual"] == pytest.approx(distances.max(), rel=1e-3, abs=1e-7)
     out = command("track", arm_file, "--curve", "helix", "--method", method, "--steps", 1).out
-    assert f"{target.method} placement, at most {summary['largest_residual']:.2g} m off the curve" in out
+    assert f"{target.method} placement, control points at most {summary['largest_residual']:.2g} m" in out
 
 
 def test_smooth_placement_leaves_the_curve_and_sequential_does_not(command, arm_file):

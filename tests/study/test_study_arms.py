@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import pinposture as pp
-from pinposture.study import ArmSurvey, gentle_curve, survey_arms
+from pinposture.study import ArmSurvey, awkward_arms, gentle_curve, survey_arms
 
 BEND = 0.5
 HINGES = (pp.JointSpec("z", lower=-BEND, upper=BEND), pp.JointSpec("y", lower=-BEND, upper=BEND))
@@ -63,6 +65,36 @@ def test_a_run_outside_the_limits_is_told_of(
     assert not found.within_limits
     assert found.qp_within_limits == (astray != "qp")
     assert found.qp_status == "max_steps"
+
+
+def test_the_farthest_of_the_whole_arm_is_that_of_samples_along_its_links(directory: Path) -> None:
+    arm = pp.Arm.from_urdf(directory / "arm.urdf")
+    target = pp.resolve_targets(arm, gentle_curve(arm))
+    data = arm.model.createData()
+    pin.framesForwardKinematics(arm.model, data, target.q)
+    places = [data.oMi[k].translation.copy() for k in range(1, arm.model.njoints)]
+    places.append(data.oMf[arm.model.getFrameId("tip")].translation.copy())
+    dense = target.curve.at(np.linspace(0.0, target.curve.length, 20001))
+    links = [a + t * (b - a) for a, b in pairwise(places) for t in np.linspace(0.0, 1.0, 40)]
+    farthest = max(float(np.linalg.norm(dense - place, axis=1).min()) for place in links)
+    assert survey(directory).farthest == pytest.approx(farthest / arm.length, rel=0.01)
+
+
+@pytest.mark.parametrize("name", sorted(awkward_arms()))
+def test_arms_of_awkward_shapes_are_cut_short_and_placed(name: str) -> None:
+    (found,) = [one for one in awkward() if one.file == name]
+    assert not found.refused
+    assert max(found.modules) <= (4 if name == "huge_slides10" else 2)
+    assert ":" not in found.method
+    assert found.residual <= 1.05 * found.reference + 1e-6
+    assert found.farthest < 0.03
+    assert max(found.reached, found.qp) < 1e-6
+    assert found.within_limits
+
+
+@cache
+def awkward() -> list[ArmSurvey]:
+    return survey_arms(None, seed=SEED)
 
 
 def test_a_file_that_is_refused_has_no_run(directory: Path) -> None:
