@@ -145,6 +145,10 @@ class CurveBendsTooMuch(TargetError):
     """The curve bends more than a module can within its joint limits, or leaves its plane."""
 
 
+class CurveOutOfReach(TargetError):
+    """The curve lies where the slides of the arm do not get to within their limits."""
+
+
 class TaskError(PostureError, ValueError):
     """A task in time that contradicts itself, or that the arm cannot do.
 

@@ -64,10 +64,11 @@ class Excess:
     allowed: float
 
     def __str__(self) -> str:
-        return (
-            f"{self.quantity} up to {self.worst:.4g} /m between {self.start:.4g} m and {self.end:.4g} m "
-            f"along the curve, {self.worst / self.allowed:.3g} times the {self.allowed:.4g} /m allowed"
+        where = f"between {self.start:.4g} m and {self.end:.4g} m along the curve"
+        times = (
+            f"{self.worst / self.allowed:.3g} times the {self.allowed:.4g} /m" if self.allowed else "none is"
         )
+        return f"{self.quantity} up to {self.worst:.4g} /m {where}, {times} allowed"
 
 
 @dataclass(frozen=True)

@@ -100,7 +100,7 @@ def _reason(error: Exception) -> str:
     if isinstance(error, CurveLeavesTooSharply):
         return "bends too much at the base: the curve leaves in a direction that the first module cannot take"
     if isinstance(error, CurveBendsTooMuch):
-        return f"bends too much for the limits of the joints, {where}"
+        return f"bends too much, {where}: {error.reason}"
     return " ".join(str(error).split())
 
 

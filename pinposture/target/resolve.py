@@ -16,6 +16,8 @@ from pinposture.curve import Curve
 from pinposture.errors import (
     CurveBendsTooMuch,
     CurveEndsEarly,
+    CurveLeavesTooSharply,
+    CurveOutOfReach,
     InvalidValue,
     PostureWarning,
     TargetError,
@@ -94,7 +96,9 @@ def resolve_targets(
 
     Raises:
         CurveEndsEarly: the curve is over before the last module is placed.
-        CurveLeavesTooSharply: the first module cannot turn to where the curve goes.
+        CurveLeavesTooSharply: the first module cannot turn to where the curve goes, or the curve passes the
+            base at a distance.
+        CurveOutOfReach: slides end before a control point can get to the curve.
         CurveBendsTooMuch: a later module cannot, or the curve leaves the plane of a planar module, or a
             control point stays farther off the curve than a tenth of its module's length, or of the length of
             neighbouring modules that are bound to one plane together; says what keeps it from there.
@@ -193,8 +197,8 @@ def _place_together(arm: Arm, curve: Curve, method: str, near: Target | None) ->
     elif len(off):
         k = int(off[0])
         text = f"the closest that its end can come to the curve is {residual[k]:.4g} m"
-        why = _hindrance(arm, curve, fit.positions, k, start)
-        failure = CurveBendsTooMuch(k + 1, float(bases[k]), f"{text}; {why}")
+        kind, why = _hindrance(arm, curve, fit.positions, k, start)
+        failure = kind(k + 1, float(bases[k]), f"{text}; {why}")
     return Placement(fit.positions, ends, failure)
 
 
@@ -249,8 +253,10 @@ def _off(arm: Arm, positions: Array, curve: Curve, parameters: Array) -> Array:
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", gaps, gaps)))
 
 
-def _hindrance(arm: Arm, curve: Curve, positions: Array, module: int, start: float) -> str:
-    """What keeps the end of a module from a curve that it comes nearest to at joint positions (nv,)."""
+def _hindrance(
+    arm: Arm, curve: Curve, positions: Array, module: int, start: float
+) -> tuple[type[TargetError], str]:
+    """What keeps the end of a module from a curve to which joint positions (nv,) bring it nearest, in words."""
     own = arm.columns[: arm.chain.module_slices[module].stop]
     room = np.minimum(positions - arm.limits.lower, arm.limits.upper - positions) / arm.joint_units
     names = dict(zip(arm.columns.tolist(), arm.chain.joints, strict=True))
@@ -258,15 +264,17 @@ def _hindrance(arm: Arm, curve: Curve, positions: Array, module: int, start: flo
     slides = [u for u in stuck if arm.slides[u]]
     if slides:
         listed = ", ".join(f"{names[u]!r} at {positions[u]:.4g} m" for u in slides[:3])
-        return f"slides end before it can get there: {listed}; move the curve, or widen their limits"
+        advice = "move the curve, or widen their limits"
+        return CurveOutOfReach, f"slides end before it can get there: {listed}; {advice}"
     gap = float(np.linalg.norm(curve.at(start) - arm.chain.base))
     if gap > ROUNDING * arm.length and not np.any(arm.roaming):
         advice = 'use placement="translate" or "align"'
-        return f"the curve passes {gap:.4g} m from the base; {advice}"
+        return CurveLeavesTooSharply, f"the curve passes {gap:.4g} m from the base; {advice}"
     if arm.chain.plane_bound[module]:
         advice = "use a curve in one plane, or joints whose axes differ"
-        return f"its joints turn about parallel axes and leave no plane; {advice}"
+        return CurveBendsTooMuch, f"its joints turn about parallel axes and leave no plane; {advice}"
     if stuck:
         listed = ", ".join(repr(names[u]) for u in stuck[:3]) + (", ..." if len(stuck) > 3 else "")
-        return f"at the limits of {listed}; use a gentler curve, wider joint limits or shorter modules"
-    return "use a gentler curve or shorter modules"
+        advice = "use a gentler curve, wider joint limits or shorter modules"
+        return CurveBendsTooMuch, f"at the limits of {listed}; {advice}"
+    return CurveBendsTooMuch, "use a gentler curve or shorter modules"

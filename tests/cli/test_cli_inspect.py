@@ -261,3 +261,26 @@ def test_nothing_is_cut_short_in_a_pipe(command):
         assert sum(name in row for row in rows) == 1
     assert "…" not in out
     assert "\x1b" not in out
+
+
+def test_how_the_whole_arm_follows_a_curve_is_told(command, arm_file, tmp_path):
+    arm = pp.Arm.from_urdf(arm_file)
+    bend = pp.Curve.spline([(0, 0, 0), (0.1, 0, 0), (0.2, 0.05, 0.02), (0.3, 0.15, 0.05), (0.4, 0.2, 0)])
+    bend.save(tmp_path / "bend.json")
+    target = pp.resolve_targets(arm, bend)
+    about = json.loads(command("inspect", arm_file, "--curve", tmp_path / "bend.json", "--json").out)["curve"]
+    assert about["placed_by"] == target.method
+    assert about["distance_from_curve"] == pytest.approx(target.distance_from_curve(arm), rel=1e-9)
+    assert about["largest_residual"] == pytest.approx(target.residual.max(), abs=1e-12)
+    out = command("inspect", arm_file, "--curve", tmp_path / "bend.json").out
+    assert f"its links at most {about['distance_from_curve']:.2g} m from the curve" in out
+    assert json.loads(command("inspect", arm_file, "--json").out)["curve"] is None
+
+
+def test_a_curve_that_the_modules_cannot_follow_is_told_with_what_is_too_much(command, arm_file, tmp_path):
+    pp.Curve.helix(radius=0.01, pitch=0.02, turns=8).save(tmp_path / "tight.json")
+    about = json.loads(command("inspect", arm_file, "--curve", tmp_path / "tight.json", "--json").out)[
+        "curve"
+    ]
+    assert any(text.startswith("curvature up to") for text in about["too_much"])
+    assert about["too_much"][0] in command("inspect", arm_file, "--curve", tmp_path / "tight.json").out

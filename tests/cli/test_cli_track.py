@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import re
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -98,6 +99,21 @@ def test_modules_are_placed_by_the_method_asked_for_and_the_summary_tells(
     assert summary["largest_residual"] == pytest.approx(distances.max(), rel=1e-3, abs=1e-7)
     out = command("track", arm_file, "--curve", "helix", "--method", method, "--steps", 1).out
     assert f"{target.method} placement, control points at most {summary['largest_residual']:.2g} m" in out
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_the_summary_tells_how_far_the_whole_arm_is_from_the_curve(command, arm_file, tmp_path):
+    summary = track(command, arm_file, "--steps", 3, "-o", tmp_path)
+    run = pp.Trajectory.load(tmp_path / "run.npz")
+    corners = [run.arm.chain.base]
+    for k, joints in enumerate(run.arm.chain.module_slices):
+        corners += [*run.arm.at(run.q[-1]).placed.origins[joints], run.points[-1][k]]
+    shares = np.linspace(0.0, 1.0, 50)[:, None]
+    places = np.concatenate([a + shares * (b - a) for a, b in pairwise(corners)])
+    farthest = run.target.curve.nearest(places).distance.max()
+    assert summary["distance_from_curve"] == pytest.approx(farthest, rel=1e-3)
+    out = command("track", arm_file, "--curve", "helix", "--steps", 3).out
+    assert f"its links at most {summary['distance_from_curve']:.2g} m from the curve" in out
 
 
 def test_smooth_placement_leaves_the_curve_and_sequential_does_not(command, arm_file):

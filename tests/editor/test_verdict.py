@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -25,6 +27,19 @@ def test_a_straight_line_is_taken_without_a_word() -> None:
     assert verdict.target is not None
     assert (verdict.reason, verdict.notes, verdict.collision) == ("", (), False)
     assert np.allclose(verdict.target.points, [(k * MODULE, 0, 0) for k in range(1, 7)])
+
+
+def test_it_has_the_distance_of_the_whole_arm_from_the_curve() -> None:
+    arm = six_modules()
+    verdict = judge(arm, Keyframe(bent_spline()), None)
+    assert verdict.target is not None and verdict.target.curve is not None and verdict.target.q is not None
+    state, corners = arm.at(verdict.target.q), [arm.chain.base]
+    for k, joints in enumerate(arm.chain.module_slices):
+        corners += [*state.placed.origins[joints], state.points[k]]
+    shares = np.linspace(0.0, 1.0, 50)[:, None]
+    places = np.concatenate([a + shares * (b - a) for a, b in pairwise(corners)])
+    farthest = verdict.target.curve.nearest(places).distance.max()
+    assert verdict.distance_from_curve == pytest.approx(farthest, rel=1e-3)
 
 
 def test_too_short() -> None:

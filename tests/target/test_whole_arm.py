@@ -12,7 +12,7 @@ from arm.describing import HERE, LINK, X, Y, Z, arm_text, limit, pairs
 from sampling import seeds
 
 import pinposture as pp
-from pinposture.errors import CurveBendsTooMuch, PostureWarning
+from pinposture.errors import CurveBendsTooMuch, CurveLeavesTooSharply, CurveOutOfReach, PostureWarning
 from pinposture.study import awkward_arms
 
 WIDE = limit(-1e6, 1e6)
@@ -129,7 +129,7 @@ def test_a_slide_that_ends_before_the_curve_is_named():
     joints = [("prismatic", X, HERE, limit(0, 0.2)), *pairs(3)]
     arm = load(arm_text(joints))
     far = pp.Curve.line((1.5, 0, 0), (2.5, 0, 0))
-    with pytest.raises(CurveBendsTooMuch, match="slides end before it can get there") as caught:
+    with pytest.raises(CurveOutOfReach, match="slides end before it can get there") as caught:
         pp.resolve_targets(arm, far, placement="as_is")
     assert "gentler" not in str(caught.value)
 
@@ -137,7 +137,7 @@ def test_a_slide_that_ends_before_the_curve_is_named():
 def test_a_curve_beside_the_base_is_said_to_be():
     arm = load(arm_text([("revolute", "0 1 0.2", LINK), ("revolute", "0 0.2 1", LINK)] * 3))
     far = pp.Curve.line((0.1, 2, 0), (1, 2, 0))
-    with pytest.raises(CurveBendsTooMuch, match="passes 2 m from the base"):
+    with pytest.raises(CurveLeavesTooSharply, match="passes 2 m from the base"):
         pp.resolve_targets(arm, far, placement="as_is")
 
 
