@@ -177,7 +177,9 @@ class Arm(Blueprint):
         They leave it more than 100 arm lengths to slide, or more than 100 rad to turn. Limits that it has are
         kept all the same; it only is not sent out to them.
         """
-        return without_limits(self.limits.lower, self.limits.upper, self.slides, self.length)
+        unlimited = without_limits(self.limits.lower, self.limits.upper, self.slides, self.length)
+        unlimited.flags.writeable = False
+        return unlimited
 
     @cached_property
     def roaming(self) -> NDArray[np.bool_]:
@@ -188,6 +190,7 @@ class Arm(Blueprint):
         """
         roaming = np.zeros(self.nv, dtype=np.bool_)
         roaming[self.columns] = carry_base(self.unlimited[self.columns], self.chain.revolute)
+        roaming.flags.writeable = False
         return roaming
 
     @cached_property
@@ -201,6 +204,7 @@ class Arm(Blueprint):
         middle, far = np.clip(0.0, lower, upper), np.where(self.slides, self.length, np.pi)
         low = np.where(self.unlimited, np.maximum(lower, middle - far), lower)
         high = np.where(self.unlimited, np.minimum(upper, middle + far), upper)
+        low.flags.writeable = high.flags.writeable = False
         return low, high
 
     def random(self, rng: np.random.Generator) -> Array:

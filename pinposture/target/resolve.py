@@ -256,7 +256,7 @@ def _off(arm: Arm, positions: Array, curve: Curve, parameters: Array) -> Array:
 def _hindrance(
     arm: Arm, curve: Curve, positions: Array, module: int, start: float
 ) -> tuple[type[TargetError], str]:
-    """What keeps the end of a module from a curve to which joint positions (nv,) bring it nearest, in words."""
+    """What keeps the end of a module from a curve that joint positions (nv,) bring it nearest to."""
     own = arm.columns[: arm.chain.module_slices[module].stop]
     room = np.minimum(positions - arm.limits.lower, arm.limits.upper - positions) / arm.joint_units
     names = dict(zip(arm.columns.tolist(), arm.chain.joints, strict=True))

@@ -31,7 +31,7 @@ def test_a_straight_line_is_taken_without_a_word() -> None:
 
 def test_it_has_the_distance_of_the_whole_arm_from_the_curve() -> None:
     arm = six_modules()
-    verdict = judge(arm, Keyframe(bent_spline()), None)
+    verdict = judge(arm, Keyframe(bent_spline(), trim=True), None)
     assert verdict.target is not None and verdict.target.curve is not None and verdict.target.q is not None
     state, corners = arm.at(verdict.target.q), [arm.chain.base]
     for k, joints in enumerate(arm.chain.module_slices):
