@@ -90,9 +90,9 @@ def resolve_targets(
             of a second for 20 modules and seconds for 100.
 
     Returns:
-        The target, with `q`, `parameters`, `residual`, `method` and `moved` filled in. How far the whole arm is
-        from the curve, links and all, `Target.distance_from_curve` says; where that is more than a tenth of
-        its length and no `near` was given, a `PostureWarning` says why (`Arm.adequate`).
+        The target, with `q`, `parameters`, `residual`, `method` and `moved` filled in. How far the whole arm
+        is from the curve, links and all, `Target.distance_from_curve` says; where that is more than a tenth
+        of its length and no `near` was given, a `PostureWarning` says why (`Arm.adequate`).
 
     Raises:
         CurveEndsEarly: the curve is over before the last module is placed.
@@ -124,8 +124,7 @@ def resolve_targets(
         if near.q is None or near.parameters is None:
             raise InvalidValue("near", near, "a target with q and parameters, as from `resolve_targets`")
     placed, moved = laid(arm, curve, placement, roll)
-    if placement is None and moved.distance > FAR * arm.length:
-        warnings.warn(far_moved(arm, "the curve", moved), PostureWarning, stacklevel=2)
+    _warn_if_moved(arm, placement, moved)
     if method == "sequential":
         result = place_in_turn(arm, placed, samples)
     elif method == "auto":
@@ -138,6 +137,11 @@ def resolve_targets(
     if near is None and result.failure is None:
         _warn_if_far(arm, target)
     return target
+
+
+def _warn_if_moved(arm: Arm, placement: str | None, moved: Moved) -> None:
+    if placement is None and moved.distance > FAR * arm.length:
+        warnings.warn(far_moved(arm, "the curve", moved), PostureWarning, stacklevel=3)
 
 
 def far_moved(arm: Arm, what: str, moved: Moved) -> str:
