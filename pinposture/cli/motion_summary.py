@@ -113,7 +113,7 @@ def _duration(summary: Mapping[str, Any]) -> str:
 
 def _keyframes(places: list[dict[str, Any]]) -> str:
     """Named places, one a line, in columns."""
-    from pinposture.target.target import Moved
+    from pinposture.target.placement import Moved
 
     width = max(len(place["name"]) for place in places)
     lines = []

@@ -15,7 +15,7 @@ from pinposture.motion.ending import ENDINGS
 from pinposture.motion.trajectory import Trajectory
 from pinposture.scene import Scene
 from pinposture.target import Target
-from pinposture.target.target import Moved
+from pinposture.target.placement import Moved
 
 _ADVICE = {
     "pinposture-batch": "holds many runs; save one of them: pp.Batch.load(file)[0].save(...)",

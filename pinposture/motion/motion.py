@@ -15,7 +15,7 @@ from pinposture.control.limits import cycle_of
 from pinposture.motion.ending import require_sound
 from pinposture.motion.joint_trajectory import JointTrajectory
 from pinposture.motion.trajectory import Trajectory
-from pinposture.target.target import Moved
+from pinposture.target.placement import Moved
 
 Array = NDArray[np.float64]
 

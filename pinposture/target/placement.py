@@ -13,12 +13,45 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.errors import TargetError
-from pinposture.target.target import Moved
 
 Array = NDArray[np.float64]
 
 ROUNDING = 1e-9
 """Slack for positions, relative to the arm length, and for joint limits [rad]."""
+
+
+UNMOVED = 1e-9
+"""How far a curve may be moved and still be where it was [m and rad]."""
+
+
+class Moved(NamedTuple):
+    """How a curve was moved to the arm from where it was drawn.
+
+    Attributes:
+        translation: of its start, (3,) [m], world frame.
+        rotation: about its start, as a rotation vector, (3,) [rad], world frame.
+    """
+
+    translation: tuple[float, float, float]
+    rotation: tuple[float, float, float]
+
+    @property
+    def distance(self) -> float:
+        """How far its start was moved [m]."""
+        return math.hypot(*self.translation)
+
+    @property
+    def angle(self) -> float:
+        """How far it was turned [rad]."""
+        return math.hypot(*self.rotation)
+
+    def __str__(self) -> str:
+        parts = (("moved", self.distance, "m"), ("turned", self.angle, "rad"))
+        said = [f"{how} by {much:.4g} {unit}" for how, much, unit in parts if much > UNMOVED]
+        return " and ".join(said) or "where it was drawn"
+
+    def __bool__(self) -> bool:
+        return max(self.distance, self.angle) > UNMOVED
 
 
 class Placement(NamedTuple):

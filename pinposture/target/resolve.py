@@ -25,9 +25,9 @@ from pinposture.errors import (
     UnsupportedModule,
 )
 from pinposture.target.fit import fit_curve
-from pinposture.target.placement import ROUNDING, Placement, beginning, laid
+from pinposture.target.placement import ROUNDING, Moved, Placement, beginning, laid
 from pinposture.target.refine import fit_near
-from pinposture.target.target import Moved, Target
+from pinposture.target.target import Target
 from pinposture.target.walk import place_in_turn
 
 Array = NDArray[np.float64]

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import hypot, isfinite
-from typing import NamedTuple
+from math import isfinite
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,42 +12,9 @@ from pinposture.arm import Arm
 from pinposture.arm.checks import float_array
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue
-from pinposture.target.placement import distance_from_curve
+from pinposture.target.placement import Moved, distance_from_curve
 
 Array = NDArray[np.float64]
-
-ROUNDING = 1e-9
-"""How far a curve may be moved and still be where it was [m and rad]."""
-
-
-class Moved(NamedTuple):
-    """How a curve was moved to the arm from where it was drawn.
-
-    Attributes:
-        translation: of its start, (3,) [m], world frame.
-        rotation: about its start, as a rotation vector, (3,) [rad], world frame.
-    """
-
-    translation: tuple[float, float, float]
-    rotation: tuple[float, float, float]
-
-    @property
-    def distance(self) -> float:
-        """How far its start was moved [m]."""
-        return hypot(*self.translation)
-
-    @property
-    def angle(self) -> float:
-        """How far it was turned [rad]."""
-        return hypot(*self.rotation)
-
-    def __str__(self) -> str:
-        parts = (("moved", self.distance, "m"), ("turned", self.angle, "rad"))
-        said = [f"{how} by {much:.4g} {unit}" for how, much, unit in parts if much > ROUNDING]
-        return " and ".join(said) or "where it was drawn"
-
-    def __bool__(self) -> bool:
-        return max(self.distance, self.angle) > ROUNDING
 
 
 @dataclass(frozen=True, eq=False)

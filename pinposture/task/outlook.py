@@ -8,7 +8,7 @@ from typing import NamedTuple
 from pinposture.errors import PostureWarning, TaskError
 from pinposture.scene import Scene
 from pinposture.target import Target
-from pinposture.target.target import Moved
+from pinposture.target.placement import Moved
 from pinposture.task.log import off_curve, tip_off
 from pinposture.task.reference import Mark, Reference
 

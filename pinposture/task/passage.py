@@ -11,8 +11,8 @@ from scipy.interpolate import BSpline
 from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, UnknownName
+from pinposture.target.placement import Moved
 from pinposture.target.placement import laid as laid_at
-from pinposture.target.target import Moved
 from pinposture.task.feed import Fed, taken_apart
 
 Array = NDArray[np.float64]
