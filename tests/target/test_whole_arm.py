@@ -103,7 +103,7 @@ def test_an_arm_that_follows_is_not_warned_of():
     arm = pp.Arm.from_template("RyRz", 8)
     with warnings.catch_warnings():
         warnings.simplefilter("error", PostureWarning)
-        pp.resolve_targets(arm, pp.Curve.helix(radius=0.2, pitch=0.3, turns=0.4))
+        pp.resolve_targets(arm, pp.Curve.helix(radius=0.2, pitch=0.3, turns=0.4), placement="align")
 
 
 @pytest.mark.parametrize("curve", ["line", "bend"])
