@@ -11,6 +11,7 @@ import pytest
 from arm.describing import LIMIT, joint, links, one_joint, pinocchio_loads, robot
 
 from pinposture.arm.description import read_description
+from pinposture.arm.urdf_joint import Follows
 from pinposture.errors import URDFError
 
 
@@ -28,6 +29,7 @@ def test_a_good_description_is_read_field_by_field():
     assert (first.lower, first.upper) == (-math.inf, math.inf)
     assert second.axis == pytest.approx((0.0, 0.6, 0.8), abs=1e-15)
     assert (second.lower, second.upper, second.velocity, second.mimic) == (-1.0, 3.0, 2.0, True)
+    assert second.follows == Follows("k", multiplier=1.0, offset=0.0)
     assert pickle.loads(pickle.dumps(read)) == read
     with pytest.raises(dataclasses.FrozenInstanceError):
         read.root = "b"

@@ -110,6 +110,7 @@ def test_table_of_two_columns_lies_in_the_plane(tmp_path):
         ("a.csv", "0,0\n1,nan\n", ["line 2", "y is nan"]),
         ("a.csv", "0,0\n1,1e999\n", ["line 2", "y is inf"]),
         ("a.csv", "0,0\n1,1,1\n", ["line 2", "3 columns", "2"]),
+        ("a.csv", "0,0,0\n1,1\n", ["line 2", "2 columns", "3, as before"]),
         ("a.csv", "x,y,z\n0,0\n", ["line 2", "2 columns", "3"]),
         ("a.csv", "0\n1\n", ["line 1", "1 columns", "2 (then z = 0) or 3"]),
         ("a.csv", "0,0\n1,1\n\n1,1\n2,3\n", ["line 2 and line 4", "same place"]),
