@@ -24,6 +24,11 @@ S(-p - A) <= -L if p < -A.
 * Whichever is taken, the next state is viable. Take d >= 0: S(d) <= U gives d <= U and, if d > A,
   S(d - A) = S(d) - d <= U - d, which is what viability asks of the next state; L - d <= 0 and |d| <= b hold.
 * No larger box will do: beyond g(U) the joint leaves its limits however it brakes.
+
+Where there is something to keep clear of, it matters on what way the arm stops, not only how far each joint
+goes. It goes straight on if all joints slow down in proportion: with r = max_j |d_j| / A_j, the step d is
+followed by (1 - 1/r) d, (1 - 2/r) d, ... and rest. No joint then changes by more than its A, and none slows down
+faster than in full braking. A joint that would so go beyond g(L) or g(U) is held there, which its A allows.
 """
 
 from __future__ import annotations
@@ -34,6 +39,9 @@ from numpy.typing import NDArray
 from pinposture import kernels
 
 Array = NDArray[np.float64]
+
+MOST = 5000
+"""Braking steps beyond which it is not looked how an arm stops."""
 
 
 def farthest(room: Array, brake: Array) -> Array:
@@ -52,6 +60,40 @@ def farthest(room: Array, brake: Array) -> Array:
     steps = np.empty_like(rooms)
     kernels.stoppable_steps(rooms, np.array(brake, dtype=np.float64), steps)
     return steps.reshape(np.shape(room))
+
+
+def stopping_steps(rooms: Array, dq: Array, bound: Array, brake: Array | None) -> Array:
+    """The steps that bring an arm to rest after a step, straight on, as derived above.
+
+    Args:
+        rooms: displacements to the lower and the upper position limits after that step, (2, nv) [rad or m]. A
+            joint that is outside of them stops, too, and is not brought back.
+        dq: that step, (nv,) [rad or m].
+        bound: largest |dq|, (nv,) [rad or m].
+        brake: the most that a step may differ from the one before, (nv,) [rad or m]; None: any.
+
+    Returns:
+        Steps, (k, nv) [rad or m]; k = 0 if the arm can rest at once.
+    """
+    found = [np.empty((0, len(dq)))]
+    while brake is not None and (ratio := float(np.max(np.abs(dq) / brake))) > 1.0:
+        shares = 1.0 - np.arange(1.0, min(np.ceil(ratio), MOST)) / ratio
+        steps = shares[:, None] * dq
+        gone = np.cumsum(steps, axis=0) - steps
+        low = np.maximum(np.minimum(farthest(rooms[0] - gone, brake), 0.0), -bound)
+        high = np.minimum(np.maximum(farthest(rooms[1] - gone, brake), 0.0), bound)
+        beyond = np.any((steps < low) | (steps > high), axis=1)
+        first = int(np.argmax(beyond)) if beyond.any() else len(steps)
+        found.append(steps[:first])
+        if first == len(steps):
+            break
+        # Here a joint has to brake harder than the others; they go on from there in proportion again.
+        before = steps[first - 1] if first else dq
+        held = np.minimum(np.maximum(steps[first], low[first]), high[first])
+        dq = np.minimum(np.maximum(held, before - brake), before + brake)
+        found.append(dq[None])
+        rooms = rooms - gone[first] - dq
+    return np.concatenate(found)
 
 
 def full_braking(previous: Array, brake: Array) -> Array:

@@ -103,10 +103,20 @@ class Memory(NamedTuple):
     Attributes:
         dq: the previous step, (nv,) [rad or m].
         own: whatever else the controller keeps, for its own eyes.
+        stopping: steps that bring the arm to rest from there, within its limits and clear of what the
+            controller knows, (k, nv) [rad or m]; None: `Limits.hold` does.
     """
 
     dq: Array
     own: object = None
+    stopping: Array | None = None
+
+    def braked(self, limits: Limits, state: ArmState) -> Memory:
+        """What is remembered after a step that brings the arm closer to rest; it is `dq` of that."""
+        if self.stopping is None:
+            return self._replace(dq=limits.hold(state, self.dq).dq)
+        dq = self.stopping[0] if len(self.stopping) else np.zeros_like(self.dq)
+        return self._replace(dq=dq, stopping=self.stopping[1:])
 
 
 class Step(NamedTuple):

@@ -60,8 +60,11 @@ class Drive:
 
     def ask(self, target: Target) -> Step:
         """The step that the controller would take towards a target; it is not taken."""
-        step = self.controller.step(self.state, target, self.limits, self.memory)
-        self.memory, self.last = step.memory, step
+        before = self.memory
+        step = self.controller.step(self.state, target, self.limits, before)
+        # Whatever the controller has found out stays; the arm has not moved so yet.
+        self.memory = Memory(np.zeros(self.arm.nv)) if before is None else before
+        self.memory, self.last = self.memory._replace(own=step.memory.own), step
         return step
 
     def move(self, step: Step, target: Target | None = None) -> None:
@@ -71,7 +74,7 @@ class Drive:
             step: the step.
             target: where the control points should be after it, if that has changed.
         """
-        self.state = self.arm.at(self.arm.integrate(self.state.q, step.dq))
+        self.state, self.memory = self.arm.at(self.arm.integrate(self.state.q, step.dq)), step.memory
         self.recorder.add(self.state, step, self.limits.travel(self.state), target)
 
     def until_there(
@@ -107,17 +110,15 @@ class Drive:
 
     def come_to_rest(self) -> None:
         """Brake until no joint moves; without limits of acceleration that takes no step."""
-        while self.memory is not None and np.any(self.limits.hold(self.state, self.memory.dq).dq):
+        while self.memory is not None and np.any(self.memory.braked(self.limits, self.state).dq):
             self.hold()
 
     def hold(self) -> None:
         """Take a step that brings the arm closer to rest, as much as limits allow."""
-        before = None if self.memory is None else self.memory.dq
-        dq = self.limits.hold(self.state, before).dq
+        before = Memory(np.zeros(self.arm.nv)) if self.memory is None else self.memory
+        memory = before.braked(self.limits, self.state)
         still = np.zeros(self.arm.nv, dtype=np.bool_)
-        note = Diagnostics(0.0, 0.0, 0.0, 0, (), 1.0, still, "")
-        self.memory = Memory(dq) if self.memory is None else self.memory._replace(dq=dq)
-        self.move(Step(dq, (), note, self.memory))
+        self.move(Step(memory.dq, (), Diagnostics(0.0, 0.0, 0.0, 0, (), 1.0, still, ""), memory))
 
     def _too_fast(self) -> bool:
         """Whether the arm cannot stop in the next step."""

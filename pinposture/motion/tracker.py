@@ -222,9 +222,13 @@ class Tracker:
                 reason = str(error)  # what it cannot work with, as a target that knows no configuration
             if step is not None and not isfinite(step.dq @ step.dq):
                 step, reason = None, "the step of the controller is not finite"
-        dq = self._braked(limits, memory) if step is None or reason else step.dq
-        own = memory.own if memory is not None else None
-        self._memory, self._dt = Memory(dq, own if step is None else step.memory.own), dt
+        if step is None or reason:
+            memory = Memory(np.zeros(self.arm.nv)) if memory is None else memory
+            memory = memory.braked(limits, self._anywhere)
+            memory = memory if step is None else memory._replace(own=step.memory.own)
+        else:
+            memory = step.memory
+        self._memory, self._dt, dq = memory, dt, memory.dq
         self._feedback.moved(dq)
         self.report = self._reported(seen, step, reason, aim, dq)
         return np.array(dq)
@@ -233,7 +237,7 @@ class Tracker:
         """The memory of the controller, with the speed of the step before if cycles are not equally long."""
         if self._memory is None or dt == self._dt:
             return self._memory
-        return self._memory._replace(dq=self._memory.dq * (dt / self._dt))
+        return self._memory._replace(dq=self._memory.dq * (dt / self._dt), stopping=None)
 
     def _missing(self) -> str:
         """What is wrong with the target, in words."""
@@ -242,12 +246,6 @@ class Tracker:
         if self._age > self._timeout:
             return f"the target is {self._age:.3g} s old; after {self._timeout:.3g} s it does not count"
         return ""
-
-    def _braked(self, limits: Limits, memory: Memory | None) -> Array:
-        """The step that comes closest to rest."""
-        if memory is None:
-            return np.zeros(self.arm.nv)
-        return limits.hold(self._anywhere, memory.dq).dq
 
     @cached_property
     def _anywhere(self) -> ArmState:

@@ -172,14 +172,24 @@ class Clearance:
         if not is_count(samples):
             raise InvalidValue("samples", samples, "a whole number of at least 1")
         start, way = self._space.checked(q0, "q0"), finite_vector("dq", dq, self._model.nv)
-        places = self._places
+        return self.minimum_along(start, way * (np.arange(1, samples + 1)[:, None] / samples))
+
+    def minimum_along(self, q0: Array, offsets: Array, below: float = np.inf) -> Closest:
+        """The smallest distance at several configurations.
+
+        Args:
+            q0: a configuration, (nq,) [rad or m], as `Arm.checked` returns it.
+            offsets: displacements from it, (s, nv) [rad or m], s > 0.
+            below: distances that matter [m]: if none is smaller, some larger one is returned, or none, which
+                takes less time.
+        """
+        places, samples = self._places, len(offsets)
         turns = np.empty((samples, *places.rotations.shape))
         shifts = np.empty((samples, *places.positions.shape))
-        for i in range(samples):
-            q = self._space.integrate(start, way * ((i + 1) / samples))
-            pin.forwardKinematics(self._model, places.data, q)
+        for i, offset in enumerate(offsets):
+            pin.forwardKinematics(self._model, places.data, self._space.integrate(q0, offset))
             turns[i], shifts[i] = places.rotations, places.positions
-        return self._closest(*self._distances.minimum(turns, shifts))
+        return self._closest(*self._distances.minimum(turns, shifts, below))
 
     def _closest(self, distance: float, pair: int) -> Closest:
         return Closest(distance, self.pairs[pair] if pair >= 0 else None)

@@ -80,12 +80,13 @@ class Distances:
                 found.append((int(k), contact))
         return sorted(found, key=lambda each: each[1].distance), (best, pair)
 
-    def minimum(self, turns: Array, shifts: Array) -> tuple[float, int]:
+    def minimum(self, turns: Array, shifts: Array, below: float = np.inf) -> tuple[float, int]:
         """Distance and index of the nearest pair at any of several configurations.
 
         Args:
             turns: rotations of the joints, (s, njoints, 3, 3).
             shifts: positions of the joints, (s, njoints, 3) [m].
+            below: distances that matter [m]: of larger ones some is found, or none, in less time.
 
         Returns:
             Infinity and `NO_PAIR` if there are none.
@@ -97,7 +98,7 @@ class Distances:
             at = int(np.argmin(exact))
             best, pair = float(exact.flat[at]), int(self._exact[at % exact.shape[1]])
         rest = lower[:, self._inexact].ravel()
-        open_ = np.flatnonzero(rest < best)
+        open_ = np.flatnonzero(rest < min(best, below))
         places: dict[tuple[int, int], coal.Transform3s] = {}
         for at in open_[np.argsort(rest[open_])]:
             if rest[at] >= best:

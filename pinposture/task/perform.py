@@ -210,7 +210,7 @@ class _Performance:
         while self._place < guide.end:
             begun, target = self._place, guide.target(self._place)
             way, course = guide.way(begun), None
-            drive.memory = controller.along(drive.state, way, target, drive.limits, guide.most)
+            drive.memory = controller.along(drive.state, way, target, drive.limits, guide.most, drive.memory)
             while self._place < guide.end:
                 foreseen = guide.next(self._place, 0.0 if course is None else course.speed)
                 target = guide.target(foreseen)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import ArmState
+from pinposture.control.braking import stopping_steps
 from pinposture.control.constrained.posture import Linear, Posture
 from pinposture.control.constrained.program import Rows, Solution
+from pinposture.control.joint_bounds import JointBounds
 from pinposture.scene import Clearance, Nearness
 
 Array = NDArray[np.float64]
@@ -30,25 +34,60 @@ PUSH = 0.5
 MENTIONED = 3
 """How many pairs that are too close are listed."""
 
-SAMPLES = 10
-"""Places between two configurations at which the distance is looked up."""
+SAMPLES, SPACING = 10, 0.01
+"""The most places in a step at which the distance is looked up, and the joint motion between two of them, in
+`Arm.joint_units`; always at its end."""
 
 HALVINGS = 6
-"""How often a step that comes too close is halved, before the arm stands still."""
+"""How often a step after which the arm cannot stop clear is brought halfway to braking, before it brakes."""
+
+
+class Kept(NamedTuple):
+    """A step after which the arm can stop clear of everything, and how.
+
+    Attributes:
+        dq: the step, (nv,) [rad or m].
+        share: the share of what was asked for beyond braking, 1, 1/2, 1/4, ... or 0.
+        stopping: the steps that would follow to stop the arm, (k, nv) [rad or m].
+        relaxed: what gave way, in words.
+    """
+
+    dq: Array
+    share: float
+    stopping: Array
+    relaxed: tuple[str, ...] = ()
 
 
 class Avoidance:
     """A scene around an arm, as rows of a program and as a judge of steps.
+
+    A step is good if the arm keeps its margin on it and on the way on which it would then brake to a stop,
+    within all limits. From rest there always is one, which is to stay; and after a good step there is one
+    again, which is to brake. So the arm never has to stop harder than it can.
+
+    Args:
+        clearance: the distances.
+        posture: what is asked of the arm.
+        bounds: what the limits mean for its joints.
+        previous: the step before, (nv,) [rad or m]; None: the arm was at rest.
 
     Attributes:
         clearance: the distances.
         margin: the distance to keep [m].
     """
 
-    def __init__(self, clearance: Clearance, posture: Posture) -> None:
+    def __init__(
+        self, clearance: Clearance, posture: Posture, bounds: JointBounds, previous: Array | None = None
+    ) -> None:
         self.clearance, self.margin = clearance, clearance.scene.margin
-        self._posture, self._length = posture, posture.arm.length
+        self._posture, self._length, self._bounds = posture, posture.arm.length, bounds
+        self._previous = np.zeros(posture.arm.nv) if previous is None else previous
         self._seen: tuple[ArmState, Nearness] | None = None
+        self._approved: tuple[Array, Array] | None = None
+        brake = bounds.brake
+        # The way to stop, this step included, is half as many steps long as braking takes, of the longest.
+        steps = 0.0 if brake is None else float(np.max(np.abs(self._previous) / brake)) + 2.0
+        self._approach = 2.0 / max(steps, 2.0 / APPROACH)
 
     def near(self, state: ArmState) -> Nearness:
         """The pairs in sight; the last answer is kept, because a step asks more than once."""
@@ -58,6 +97,8 @@ class Avoidance:
 
     def rows(self, state: ArmState, lower: Array, upper: Array) -> Rows | None:
         """The velocity damper: no pair may lose more than a share of its room in one step.
+
+        That is the share that leaves room to brake, straight on and from the speed of now.
 
         A pair that is too close has to gain room, as far as the bounds of the step allow.
 
@@ -70,7 +111,7 @@ class Avoidance:
         if not len(near.distances):
             return None
         matrix = near.rows[:, self._posture.columns] * self._posture.units
-        least = -APPROACH * (near.distances - self.margin - SPARE * self._length)
+        least = -self._approach * (near.distances - self.margin - SPARE * self._length)
         most = np.maximum(matrix * lower, matrix * upper).sum(axis=1)
         return Rows(matrix, np.minimum(least, PUSH * most))
 
@@ -84,18 +125,75 @@ class Avoidance:
         near = self.clearance.nearest(state, berth)
         return Linear(near.rows[:, self._posture.columns] * self._posture.units, berth - near.distances)
 
-    def shortened(self, state: ArmState, dq: Array) -> float:
-        """The share of a step on all of which the arm keeps its margin, 1, 1/2, 1/4, ... or 0.
+    def stops_clear(self, state: ArmState, dq: Array) -> bool:
+        """Whether the arm keeps its margin on a step and while it then stops."""
+        stopping = self._stopping(state, dq)
+        if not self._keeps(state, dq, stopping, self.margin - self._rounding):
+            return False
+        self._approved = dq, stopping
+        return True
 
-        Where it is too close to begin with, it may not come closer.
+    def kept(self, state: ArmState, dq: Array) -> Kept:
+        """The step that is nearest to one asked for, on the way from braking to it, and good.
+
+        Where even braking comes too close, because the arm was too close or too fast to begin with, a step is
+        good that comes no closer than braking does. Braking itself is given up only where the arm would touch
+        something on it: it then stops harder than its limits allow.
+
+        Args:
+            state: where the arm is.
+            dq: the step asked for, (nv,) [rad or m].
         """
-        allowed = min(self.margin, self.clearance.minimum(state.q).distance) - 1e-12 * self._length
-        share = 1.0
-        for _ in range(HALVINGS):
-            if self.clearance.minimum_between(state.q, share * dq, SAMPLES).distance >= allowed:
-                return share
-            share /= 2.0
-        return 0.0
+        if self._approved is not None and np.array_equal(self._approved[0], dq):
+            return Kept(dq, 1.0, self._approved[1])
+        if self.stops_clear(state, dq):
+            return Kept(dq, 1.0, self._stopping(state, dq))
+        bounds, rest = self._bounds, np.zeros((1, len(dq)))
+        rooms = bounds.edges - state.placed.positions
+        braking = np.vstack([stopping_steps(rooms, self._previous, bounds.bound, bounds.brake), rest])
+        now = self.near(state).minimum
+        lowest = min(now, self._lowest(state, braking, self.margin))
+        least = min(self.margin, lowest) - self._rounding
+        for number in range(HALVINGS):
+            share = 0.5**number
+            step = braking[0] + share * (dq - braking[0])
+            stopping = self._stopping(state, step)
+            if self._keeps(state, step, stopping, least):
+                return Kept(step, share, stopping)
+        touching = min(now, 0.0) - self._rounding
+        if lowest >= touching:
+            close = f"margin of {1e3 * self.margin:.3g} mm: braking comes as close as {1e3 * lowest:.3g} mm"
+            return Kept(braking[0], 0.0, braking[1:], (close,) if lowest < min(self.margin, now) else ())
+        for number in range(1, HALVINGS + 1):
+            step = 0.5**number * braking[0] * (number < HALVINGS)
+            stopping = self._stopping(state, step)
+            if number == HALVINGS or self._keeps(state, step, stopping, touching):
+                break
+        words = "limits of acceleration: braking within them would touch something"
+        return Kept(step, 0.0, stopping, (words,))
+
+    def _stopping(self, state: ArmState, dq: Array) -> Array:
+        """The steps that stop the arm after a step from a state, (k, nv)."""
+        bounds = self._bounds
+        return stopping_steps(bounds.edges - (state.placed.positions + dq), dq, bounds.bound, bounds.brake)
+
+    def _keeps(self, state: ArmState, step: Array, stopping: Array, least: float) -> bool:
+        """Whether nothing is nearer than that on a step, and while the arm then stops."""
+        return self._lowest(state, np.vstack([step[None], stopping]), least) >= least
+
+    def _lowest(self, state: ArmState, steps: Array, below: float) -> float:
+        """The smallest distance on the way of steps (k, nv) [m], exact if smaller than another."""
+        longest = np.abs(steps / self._posture.arm.joint_units).max(axis=1, initial=0.0)
+        counts = np.clip(np.ceil(longest / SPACING), 1, SAMPLES).astype(np.int64)
+        whole = np.repeat(np.cumsum(steps, axis=0) - steps, counts, axis=0)
+        first = np.repeat(np.cumsum(counts) - counts, counts)
+        shares = (np.arange(len(first)) - first + 1) / np.repeat(counts, counts)
+        offsets = whole + shares[:, None] * np.repeat(steps, counts, axis=0)
+        return self.clearance.minimum_along(state.q, offsets, below).distance
+
+    @property
+    def _rounding(self) -> float:
+        return 1e-12 * self._length
 
     def too_close(self, state: ArmState) -> tuple[str, ...]:
         """The pairs that are closer than the margin, in words."""

@@ -36,9 +36,6 @@ WAIT, COURSES = 1.0, 3
 MOST_HASTE = 1e6
 """Haste beyond which numbers overflow; it is joint interpolation long before."""
 
-ROUNDING = 1e-12
-"""What is lost in the arithmetic of a step, in `Arm.joint_units`."""
-
 _ANY_STEP = np.array([[-np.inf], [np.inf]])
 
 
@@ -108,11 +105,11 @@ class ConstrainedQP:
         previous = memory.dq if memory is not None else None
         box = limits.box(state, previous)
         if box.outside:
-            return self._return(state, target, box)
+            return self._return(state, target, box, bounds, previous)
         course = self._course(state, target, bounds, before)
         if before is None or course.path.start is not before.path.start:
             course = course.under_way(previous)
-        posture, avoidance = course.posture, self._avoidance(course.posture)
+        posture, avoidance = course.posture, self._avoidance(course.posture, bounds, previous)
         if avoidance is None and course is not before:
             step = get_on(course, state, bounds)
             if step is not None:
@@ -121,9 +118,17 @@ class ConstrainedQP:
             asked = close_in(course, Scope.of(posture, state, box, avoidance))
         else:
             asked = follow(course, state, box, limits, self._mu(state), avoidance)
-        return _checked(asked, state, box, bounds, avoidance)
+        return _checked(asked, state, box, bounds, avoidance, course)
 
-    def along(self, state: ArmState, path: JointPath, target: Target, limits: Limits, most: float) -> Memory:
+    def along(
+        self,
+        state: ArmState,
+        path: JointPath,
+        target: Target,
+        limits: Limits,
+        most: float,
+        memory: Memory | None = None,
+    ) -> Memory:
         """What to remember for steps along a way that is given, with a target that moves along it.
 
         The steps that follow stay on that way, as fast as limits and time allow, whatever target they are
@@ -136,38 +141,47 @@ class ConstrainedQP:
             target: the target posture where it begins.
             limits: what a step may not exceed.
             most: the most waypoints to go in one step, finite.
+            memory: `memory` of the step before; None: the arm is at rest.
         """
         target.check(state.arm)
         bounds, posture = limits.for_arm(state.arm), Posture(state.arm, target, self.tasks, self.chord)
         course = Course(posture, path, bounds, most=most, expected=state.placed.positions).within(bounds)
-        return Memory(np.zeros(state.arm.nv), course)
+        memory = Memory(np.zeros(state.arm.nv)) if memory is None else memory
+        return memory._replace(own=course)
 
     def _goes_on(self, course: Course, state: ArmState, target: Target) -> bool:
         """Whether that is what the arm was doing, and nothing else is asked of it."""
         alone = not self.tasks and self.scene is None and course.waited < WAIT
         return alone and course.posture.target is target and course.posture.arm is state.arm
 
-    def _return(self, state: ArmState, target: Target, box: Box) -> Step:
+    def _return(
+        self, state: ArmState, target: Target, box: Box, bounds: JointBounds, previous: Array | None
+    ) -> Step:
         """A step back into the position limits, by the joints that are outside; the way begins there."""
         arm = state.arm
         target.check(arm)
         dq, relaxed = np.zeros(arm.nv), box.relaxed
         dq[arm.columns] = np.clip(dq, box.lower, box.upper)[arm.columns]
-        avoidance = self._avoidance(Posture(arm, target))
-        share = 1.0 if avoidance is None else avoidance.shortened(state, dq)
-        if share < 1.0:
-            relaxed = (*relaxed, "position limits: coming back faster would come too close to something")
-        dq = share * dq
+        avoidance, share, stopping = self._avoidance(Posture(arm, target), bounds, previous), 1.0, None
+        if avoidance is not None:
+            dq, share, stopping, gave_way = avoidance.kept(state, dq)
+            if share < 1.0:
+                relaxed += ("position limits: coming back faster would come too close to something",)
+            relaxed += gave_way
         rises = _posture_error(arm.at(arm.integrate(state.q, dq)), target) > _posture_error(state, target)
         active = Posture(arm, target).active
         reason = "" if np.any(dq) else "joints are outside their limits, and something is in their way back"
         held = np.zeros(arm.nv, dtype=np.bool_)
         diagnostics = Diagnostics(0.0, 0.0, 0.0, len(active) * arm.dimension, (), share, held, reason)
         diagnostics = diagnostics._replace(escape=rises, relaxed=relaxed, on_way=True)
-        return Step(dq, active, diagnostics, Memory(dq))
+        return Step(dq, active, diagnostics, Memory(dq, None, stopping))
 
-    def _avoidance(self, posture: Posture) -> Avoidance | None:
-        return None if self.scene is None else Avoidance(self.scene.around(posture.arm), posture)
+    def _avoidance(
+        self, posture: Posture, bounds: JointBounds, previous: Array | None = None
+    ) -> Avoidance | None:
+        if self.scene is None:
+            return None
+        return Avoidance(self.scene.around(posture.arm), posture, bounds, previous)
 
     def _course(self, state: ArmState, target: Target, bounds: JointBounds, course: Course | None) -> Course:
         """The course so far; a new one at first, for a new target, and where the arm does not get on."""
@@ -186,10 +200,10 @@ class ConstrainedQP:
             tries, posture = course.tries + 1, course.posture
             if tries >= COURSES or course.place >= course.path.end:
                 return course._replace(arrived=True)
-            return plan(posture, state, bounds, self._avoidance(posture), self._mu(state), tries)
+            return plan(posture, state, bounds, self._avoidance(posture, bounds), self._mu(state), tries)
         target.check(state.arm)
         posture = self._posture(state, target, course)
-        avoidance, mu = self._avoidance(posture), self._mu(state)
+        avoidance, mu = self._avoidance(posture, bounds), self._mu(state)
         if course is not None and posture.plain and (avoidance is None or moved_little(course, posture)):
             return plan_on(course, posture, state, bounds, mu, avoidance)
         return plan(posture, state, bounds, avoidance, mu)
@@ -208,21 +222,26 @@ class ConstrainedQP:
 
 
 def _checked(
-    asked: Asked, state: ArmState, box: Box, bounds: JointBounds, avoidance: Avoidance | None
+    asked: Asked, state: ArmState, box: Box, bounds: JointBounds, avoidance: Avoidance | None, begun: Course
 ) -> Step:
     """The step as it leaves: finite, within its limits and clear, whatever was computed before."""
     arm, course = state.arm, asked.course
     dq, relaxed, share = asked.dq, box.relaxed, 1.0
+    stopping: Array | None = None
     near: tuple[str, ...] = ()
     if not isfinite(dq @ dq):
         dq = np.nan_to_num(dq, nan=0.0, posinf=0.0, neginf=0.0)
     if avoidance is not None:
         dq[arm.columns] = np.minimum(np.maximum(dq, box.lower), box.upper)[arm.columns]
-        share = avoidance.shortened(state, dq)
-        dq, slack = share * dq, ROUNDING * arm.joint_units
-        if np.any(((dq < box.lower - slack) | (dq > box.upper + slack))[arm.columns]):
-            relaxed += ("limits of acceleration: braking within them would come too close to something",)
-        relaxed += avoidance.too_close(state)
+        wanted = dq
+        dq, share, stopping, gave_way = avoidance.kept(state, wanted)
+        if share < 1.0 and not course.arrived:
+            done = float(np.clip((dq @ wanted) / max(float(wanted @ wanted), 1e-300), 0.0, 1.0))
+            gone = begun.gone_to(begun.place + done * (course.place - begun.place), bounds.travel, True)
+            course = course._replace(
+                place=gone.place, speed=gone.speed, passed=gone.passed, waited=gone.waited
+            )
+        relaxed += gave_way + avoidance.too_close(state)
         near = avoidance.holding(state, asked.solution, bool(asked.reason))
         near += (course.hindrance,) if course.hindrance else ()
     chain, placed, posture = arm.kinematics, state.placed, course.posture.chain
@@ -245,7 +264,7 @@ def _checked(
         near=near,
         on_way=not course.arrived and course.waited == 0.0,
     )
-    return Step(dq, active, diagnostics, Memory(dq, course._replace(expected=reached)))
+    return Step(dq, active, diagnostics, Memory(dq, course._replace(expected=reached), stopping))
 
 
 def _check_given(state: ArmState, target: Target, memory: Memory | None) -> None:

@@ -144,9 +144,7 @@ def _clear(scope: Scope, x: Array, dq: Array, avoidance: Avoidance | None) -> bo
     """Whether the step keeps clear: by the rows of the scope, which are cautious, or by looking."""
     if scope.rows is None or avoidance is None:
         return True
-    return (
-        bool(np.all(scope.rows.matrix @ x >= scope.rows.least)) or avoidance.shortened(scope.state, dq) == 1.0
-    )
+    return bool(np.all(scope.rows.matrix @ x >= scope.rows.least)) or avoidance.stops_clear(scope.state, dq)
 
 
 def close_in(course: Course, scope: Scope) -> Asked:
