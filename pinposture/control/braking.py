@@ -27,8 +27,8 @@ S(-p - A) <= -L if p < -A.
 
 Where there is something to keep clear of, it matters on what way the arm stops, not only how far each joint
 goes. It goes straight on if all joints slow down in proportion: with r = max_j |d_j| / A_j, the step d is
-followed by (1 - 1/r) d, (1 - 2/r) d, ... and rest. No joint then changes by more than its A, and none slows down
-faster than in full braking. A joint that would so go beyond g(L) or g(U) is held there, which its A allows.
+followed by (1 - 1/r) d, (1 - 2/r) d, ... and rest. No joint then changes by more than its A, and none slows
+down faster than in full braking. One that would so go beyond g(L) or g(U) is held there, as its A allows.
 """
 
 from __future__ import annotations

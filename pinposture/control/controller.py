@@ -104,7 +104,7 @@ class Memory(NamedTuple):
         dq: the previous step, (nv,) [rad or m].
         own: whatever else the controller keeps, for its own eyes.
         stopping: steps that bring the arm to rest from there, within its limits and clear of what the
-            controller knows, (k, nv) [rad or m]; None: `Limits.hold` does.
+            controller knows, (k, nv) [rad or m]; None, or where they end: `Limits.hold` does.
     """
 
     dq: Array
@@ -113,10 +113,9 @@ class Memory(NamedTuple):
 
     def braked(self, limits: Limits, state: ArmState) -> Memory:
         """What is remembered after a step that brings the arm closer to rest; it is `dq` of that."""
-        if self.stopping is None:
+        if self.stopping is None or not len(self.stopping):
             return self._replace(dq=limits.hold(state, self.dq).dq)
-        dq = self.stopping[0] if len(self.stopping) else np.zeros_like(self.dq)
-        return self._replace(dq=dq, stopping=self.stopping[1:])
+        return self._replace(dq=self.stopping[0], stopping=self.stopping[1:])
 
 
 class Step(NamedTuple):

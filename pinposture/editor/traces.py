@@ -61,7 +61,7 @@ class Trace(NamedTuple):
 
 def trace_of(motion: Motion) -> Trace:
     """The trace of a motion."""
-    speeds, accelerations = limit_shares(motion)
+    speeds, accelerations = limit_shares(motion.run)
     times = motion.time
     if speeds is not None:
         # a speed is that between two rows

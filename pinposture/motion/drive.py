@@ -117,8 +117,10 @@ class Drive:
         """Take a step that brings the arm closer to rest, as much as limits allow."""
         before = Memory(np.zeros(self.arm.nv)) if self.memory is None else self.memory
         memory = before.braked(self.limits, self.state)
+        rises = self.recorder.rises(self.arm.at(self.arm.integrate(self.state.q, memory.dq)))
         still = np.zeros(self.arm.nv, dtype=np.bool_)
-        self.move(Step(memory.dq, (), Diagnostics(0.0, 0.0, 0.0, 0, (), 1.0, still, ""), memory))
+        note = Diagnostics(0.0, 0.0, 0.0, 0, (), 1.0, still, "", escape=rises)
+        self.move(Step(memory.dq, (), note, memory))
 
     def _too_fast(self) -> bool:
         """Whether the arm cannot stop in the next step."""

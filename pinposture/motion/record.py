@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +18,9 @@ Array = NDArray[np.float64]
 
 MENTIONED = 8
 """How many constraints that gave way are written down of each step."""
+
+ROUNDING = 1e-12
+"""Rise of the posture error that is none, in arm lengths."""
 
 
 class Recorder:
@@ -41,6 +46,10 @@ class Recorder:
         self._target = target
         self._now = self._point_errors(self._last)
         self._best, self._idle = self.posture_error, 0.0
+
+    def rises(self, state: ArmState) -> bool:
+        """Whether the posture error is larger at a state than now, by more than rounding."""
+        return float(self._point_errors(state).sum()) > self.posture_error + ROUNDING * state.arm.length
 
     def _point_errors(self, state: ArmState) -> Array:
         return np.asarray(np.linalg.norm(self._target.points - state.points, axis=1) * self._target.placed)
@@ -94,13 +103,13 @@ class Recorder:
     def trajectory(
         self, arm: Arm, controller: Controller, limits: Limits, status: str, reason: str
     ) -> Trajectory:
-        """Everything so far, as a result."""
+        """Everything so far, as a result; steps that exceed limits are named by what came of them."""
         steps = self._steps
         active = np.zeros((len(steps), arm.n_modules), dtype=bool)
         for row, step in zip(active, steps, strict=True):
             row[list(step.active)] = True
         notes = [step.diagnostics for step in steps]
-        return Trajectory(
+        run = Trajectory(
             arm=arm,
             target=self._target,
             controller=repr(controller),
@@ -124,6 +133,12 @@ class Recorder:
             clearance=np.array(self._distances),
             scene=self._scene,
         )
+        if run.excess is None:
+            return run
+        relaxed = [str(words) for words in run.relaxed]
+        for number, words in zip(run.excess.steps, run.excess.words, strict=True):
+            relaxed[number] = f"{relaxed[number]}\n{words}".strip()
+        return replace(run, reason=f"{reason}; {run.excess.text}", relaxed=np.array(relaxed, dtype=np.str_))
 
 
 def _settled(note: Diagnostics) -> Diagnostics:

@@ -40,12 +40,12 @@ def track(
         limits: what a step may not exceed; `Limits()` if None.
         scene: what to keep clear of, for a controller that can, as "qp"; with others the distances are only
             recorded. If None, that of the controller.
-        max_steps: number of steps after which to stop.
+        max_steps: number of steps after which to stop. With limits of acceleration an arm that is moving
+            then, or wherever the run ends, is brought to rest in a few more.
         tolerance: mean distance of the control points from their targets at which the run has converged
-            [m]; 1e-6 of the arm length if None. With limits of acceleration the arm may still be moving then:
-            go on stepping until dq is 0 before a drive is cut.
-        callback: called after each step with its number (from 1), the state reached and the step. The
-            run stops if it returns True.
+            [m]; 1e-6 of the arm length if None.
+        callback: called after each step with its number (from 1), the state reached and the step; not while
+            the arm is brought to rest. The run stops if it returns True.
 
     Returns:
         The motion and everything recorded on the way. `status` is "converged", "stalled" (no step
@@ -73,6 +73,7 @@ def track(
 
     drive = Drive(arm, arm.checked_start(q0, "q0"), target, controller, limits, scene)
     status, reason = drive.until_there(target, tolerance, max_steps, callback)
+    drive.come_to_rest()
     if status in ("stalled", "max_steps") and target.q is None and not isinstance(controller, ConstrainedQP):
         reason += "; the target knows no configuration, with which Switching finds the way: see fit_points"
     recorder = drive.recorder

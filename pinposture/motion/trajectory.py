@@ -20,6 +20,7 @@ from pinposture.target.placement import distance_from_curve
 
 if TYPE_CHECKING:
     from pinposture.motion.joint_trajectory import JointTrajectory
+    from pinposture.motion.rates import Excess
 
 Array = NDArray[np.float64]
 
@@ -66,7 +67,8 @@ class Trajectory:
         switched: why it changed to that method, (steps,) sentences; empty where it did not.
         escape: whether the step was meant to lead out of a place where the posture error cannot fall,
             (steps,); it may rise there.
-        relaxed: which constraints gave way because not all could hold, (steps,) lines; usually empty.
+        relaxed: which constraints gave way because not all could hold, and which limits of speed and
+            acceleration the configurations exceed, (steps,) lines; usually empty.
         clearance: smallest distance to an obstacle, or between parts of the arm, (steps + 1,) [m]; negative
             in penetration, infinite where there was no scene.
         scene: what the arm was to keep clear of; None if nothing.
@@ -140,6 +142,13 @@ class Trajectory:
     def sweep(self) -> float:
         """Length of the paths of all control points relative to the direct distances from start to end."""
         return sweep(self.points)
+
+    @cached_property
+    def excess(self) -> Excess | None:
+        """How its configurations exceed the limits of speed and acceleration; None if they do not."""
+        from pinposture.motion.rates import find_excess
+
+        return find_excess(self)
 
     @cached_property
     def active_sets(self) -> tuple[tuple[int, ...], ...]:

@@ -40,7 +40,7 @@ def plot_motion(motion: Motion) -> Figure:
         A figure, 1200 pixels wide.
     """
     run, time = motion.run, motion.time
-    rated = any(share is not None for share in limit_shares(motion))
+    rated = any(share is not None for share in limit_shares(motion.run))
     near = has_clearance(run)
     figure, postures, panels = lay_out(motion.arm, 1 + rated + is_slowed(motion) + near)
     plot_places(motion, postures)

@@ -73,7 +73,7 @@ def plot_joint_rates(motion: Motion, ax: Axes) -> None:
         motion: the motion.
         ax: where to draw.
     """
-    speeds, accelerations = limit_shares(motion)
+    speeds, accelerations = limit_shares(motion.run)
     marker = "o" if motion.steps == 1 else ""
     most = 1.0
     if accelerations is not None:
