@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from among_obstacles import check_output, drawn_course
 from arms import template_arm
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,7 +21,7 @@ from performed import (
     random_reference,
     reference_through,
 )
-from sampling import examples
+from sampling import cases, examples
 
 import pinposture as pp
 from pinposture.control.constrained.course import Course
@@ -353,3 +354,13 @@ def test_the_course_of_a_motion_is_the_given_one_to_its_end() -> None:
     motion = perform(reference, Watched(), limits_of(arm))
     assert motion.converged and all(isinstance(own, Course) and own.given for own in seen)
     assert seen[-1].place == seen[-1].path.end == reference.rows - 1
+
+
+@pytest.mark.parametrize("seed", cases([2, 6, 21, *range(22, 40)], 2))
+def test_among_obstacles_limits_hold_from_one_part_of_a_motion_to_the_next(seed: int) -> None:
+    # Obstacles are in the way of some, which then leave it and come to the next stop by another.
+    course = drawn_course(seed, stops=3)
+    run = perform(reference_through(course.arm, course.stops, 2.0, 60), "qp", course.limits, course.scene).run
+    check_output(run)
+    assert run.excess is None and not np.any(run.relaxed != "")
+    assert run.clearance.min() >= course.scene.margin - 1e-9 * course.arm.length

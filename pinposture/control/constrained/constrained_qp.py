@@ -55,7 +55,8 @@ class ConstrainedQP:
 
     What gives way where not all can hold, named in `Diagnostics.relaxed`: tasks and posture first, by their
     weights, strict tasks after the others; then the margin to obstacles, of which each step regains what it
-    can; then limits of acceleration, and of position, as `Limits.box` says. Limits of speed never do.
+    can; then limits of acceleration, where braking would touch something, and of position, as `Limits.box`
+    says. Limits of speed never do.
 
     Attributes:
         haste: weight of the motion of joints against that of control points: how far, in module lengths, all

@@ -1,0 +1,203 @@
+"""Among obstacles the arm can always brake to a stop, clear of them, within its limits of acceleration."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from among_obstacles import accelerations, arm_number, check_output, drawn_course
+from hypothesis import given
+from hypothesis import strategies as st
+from sampling import cases, examples
+
+import pinposture as pp
+from pinposture.control import Memory
+from pinposture.control.braking import full_braking, stopping_steps
+from pinposture.control.constrained.path import JointPath
+from pinposture.motion.drive import Drive
+
+
+@given(st.integers(0, 10**6))
+@examples(60)
+def test_an_arm_stops_straight_on_within_its_limits(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 6))
+    brake, bound = 10.0 ** rng.uniform(-4, -1, n), np.full(n, 0.3)
+    dq = rng.uniform(-0.3, 0.3, n) * rng.integers(0, 2, n)
+    # Room for braking as hard as may be, of each joint by itself, and for some of them not much more.
+    needed, slowest = np.zeros(n), dq
+    while np.any(slowest := full_braking(slowest, brake)):
+        needed += slowest
+    spare = np.where(rng.random(n) < 0.5, 10.0, 10.0 ** rng.uniform(-6, 0, n)) * np.abs(needed)
+    rooms = np.array([np.minimum(needed, 0.0) - spare, np.maximum(needed, 0.0) + spare])
+    steps = stopping_steps(rooms, dq, bound, brake)
+    changes = np.diff(np.vstack([dq, steps, np.zeros(n)]), axis=0)
+    assert np.all(np.abs(changes) <= brake * (1.0 + 1e-9))
+    gone = steps.cumsum(axis=0)
+    assert np.all(gone >= rooms[0] - 1e-12) and np.all(gone <= rooms[1] + 1e-12)
+    assert len(steps) == max(int(np.ceil(np.max(np.abs(dq) / brake))) - 1, 0)
+    if np.all(spare >= 5.0 * np.abs(needed)):
+        everywhere = stopping_steps(np.array([[-np.inf], [np.inf]]) * np.ones(n), dq, bound, brake)
+        crossed = np.abs(everywhere * np.linalg.norm(dq) - np.linalg.norm(everywhere, axis=1)[:, None] * dq)
+        assert np.all(crossed <= 1e-9)  # on the straight line that it is on
+
+
+@given(st.integers(0, 10**6))
+@examples(30)
+def test_no_run_exceeds_its_limits_or_comes_closer_than_the_margin(seed: int) -> None:
+    check_run(seed, 20 if seed % 2 else 400)
+
+
+@pytest.mark.parametrize("seed", cases([113, 70, 59, 90, 138, 144], 1))
+def test_nor_does_one_that_comes_upon_obstacles_at_full_speed(seed: int) -> None:
+    check_run(seed, 1000)  # on ways that are not clear
+
+
+def check_run(seed: int, max_steps: int) -> None:
+    course = drawn_course(seed)
+    how = {"limits": course.limits, "scene": course.scene, "max_steps": max_steps}
+    run = pp.track(course.arm, course.goal, course.stops[0], **how)
+    check_output(run)
+    assert run.excess is None and not np.any(run.relaxed != "")
+    length = course.arm.length
+    assert run.clearance.min() >= course.scene.margin - 1e-9 * length
+    around = course.scene.around(course.arm)
+    ways = [(q, run.arm.difference(q, after)) for q, after in pairwise(run.q)]
+    between = [around.minimum_between(q, way, 7).distance for q, way in ways]
+    assert min(between) >= course.scene.margin - 1e-3 * length
+
+
+@given(st.integers(0, 10**6))
+@examples(40)
+def test_what_gives_way_before_an_obstacle_that_is_put_in_the_way_is_named(seed: int) -> None:
+    course, rng = drawn_course(seed), np.random.default_rng(seed)
+    arm, length = course.arm, course.arm.length
+    drive = Drive(arm, course.stops[0], course.goal, pp.ConstrainedQP(), course.limits)
+    drive.until_there(course.goal, 1e-6 * length, int(rng.integers(3, 30)))
+    beside = drive.state.points[rng.integers(arm.n_modules)] + 0.08 * length * rng.normal(size=3)
+    ball = pp.Scene({"ball": pp.Sphere(beside, 0.03 * length)}, margin=0.01 * length)
+    around, first = ball.around(arm), drive.recorder.steps
+    drive.controller = drive.controller.with_scene(ball)
+    drive.until_there(course.goal, 1e-6 * length, first + 60)
+    drive.come_to_rest()
+    run = drive.recorder.trajectory(arm, drive.controller, course.limits, "stopped", "enough")
+    check_output(run)
+    distances = np.array([around.minimum(q).distance for q in run.q[first:]])
+    closer = np.flatnonzero(distances < min(ball.margin, distances[0]) - 1e-9 * length)
+    if len(closer):  # then it was too fast to stop
+        assert run.relaxed[first] != "" and np.all(run.relaxed[first : first + closer[0]] != "")
+    if run.excess is not None:
+        worst = accelerations(arm, run.q, course.limits).max()
+        assert run.excess.ratio == pytest.approx(worst, rel=1e-6)
+        assert "limits are exceeded in" in run.reason and "times as much" in run.reason
+
+
+def test_what_gives_way_first_is_the_margin_and_then_acceleration() -> None:
+    """One hinge on its way to a wall: it comes closer than it may, or hits it if it is faster still."""
+    arm = pp.Arm.from_template("Rz", 1)
+    length, limits = arm.length, pp.Limits(step=None, velocity=5.0, dt=0.1, acceleration=1.0)
+    target = pp.Target.from_configuration(arm, np.array([1.5]))
+    found = []
+    for speed in (0.15, 0.17, 0.3):  # it stops in speed^2 / 2 A - speed / 2 [rad], A = 0.01
+        room = speed**2 / 0.02 - speed / 2.0
+        # The side of the link is 1 mm from the wall at 1 rad.
+        wall = pp.HalfSpace((0.0, length * np.sin(1.0) + 0.002, 0.0), (0.0, -1.0, 0.0))
+        controller = pp.ConstrainedQP(scene=pp.Scene({"wall": wall}, margin=0.002, arm_radius=0.001))
+        start = arm.at(np.array([1.0 - room + (0.3 if speed > 0.2 else 0.0005)]))
+        step = controller.step(start, target, limits, Memory(np.array([speed])))
+        found.append((float(speed - step.dq[0]), step.diagnostics.relaxed))
+    for change, relaxed in found[:2]:
+        assert change == pytest.approx(0.01) and any("margin of 2 mm: braking" in words for words in relaxed)
+    change, relaxed = found[2]
+    assert change > 0.01 and any("acceleration" in words for words in relaxed)
+
+
+@pytest.mark.parametrize("seed", cases(range(6), 2))
+def test_without_a_measurement_a_tracker_brakes_clear(seed: int) -> None:
+    course = drawn_course(seed, stops=3)
+    tracker = pp.Tracker(course.arm, limits=course.limits, scene=course.scene)
+    rng, q, around = np.random.default_rng(seed), [course.stops[0]], course.scene.around(course.arm)
+    for number in range(120):
+        if number % 40 == 0:
+            goal = course.stops[1 + number // 40 % 2]
+            tracker.update(pp.Target.from_configuration(course.arm, goal))
+        missing = number > 0 and rng.random() < 0.1
+        q.append(course.arm.integrate(q[-1], tracker.step(None if missing else q[-1])))
+        assert not tracker.report.relaxed
+    while np.any(dq := tracker.step(None)):
+        q.append(course.arm.integrate(q[-1], dq))
+    assert accelerations(course.arm, np.array(q), course.limits).max() <= 1.0 + 1e-9
+    assert min(around.minimum(each).distance for each in q) >= course.scene.margin - 1e-9
+
+
+@pytest.mark.parametrize("steps", range(4, 60, 5))
+def test_a_step_that_was_asked_for_and_not_taken_is_none_to_brake_from(steps: int) -> None:
+    arm = arm_number(1)
+    start, end = (arm.configuration(np.full(arm.nv, value)) for value in (0.0, 0.4))
+    goal, limits = pp.Target.from_configuration(arm, end), pp.Limits(dt=0.05, acceleration=1.0)
+    drive = Drive(arm, start, goal, pp.ConstrainedQP(), limits)
+    for _ in range(min(steps, 24)):
+        drive.move(drive.ask(goal))
+    for _ in range(steps // 10):
+        drive.ask(pp.Target.from_configuration(arm, start))
+    drive.hold()
+    drive.come_to_rest()
+    run = drive.recorder.trajectory(arm, drive.controller, limits, "stopped", "enough")
+    assert accelerations(arm, run.q, limits).max() <= 1.0 + 1e-9
+
+
+def test_a_way_that_is_given_is_set_out_on_at_the_speed_of_now() -> None:
+    arm = arm_number(1)
+    limits, state = pp.Limits(dt=0.05, acceleration=1.0), arm.at(arm.neutral())
+    path = JointPath(arm, state.q, np.linspace(0.0, 1.0, 30)[:, None] * np.ones(arm.nv))
+    controller, moving = pp.ConstrainedQP(), Memory(np.full(arm.nv, -0.0025))
+    target = pp.Target.from_configuration(arm, state.q)
+    memory = controller.along(state, path, target, limits, 1.0, moving)
+    change = controller.step(state, target, limits, memory).dq - moving.dq
+    assert 0.0 < change.max() <= 0.0025 * (1.0 + 1e-9)
+
+
+def test_a_run_that_is_over_comes_to_rest() -> None:
+    course = drawn_course(3)
+    for steps in (5, 9):
+        run = pp.track(course.arm, course.goal, course.stops[0], limits=course.limits, max_steps=steps)
+        assert run.status == "max_steps" and run.steps > steps and run.excess is None
+        check_output(run)
+        called: list[int] = []
+        stopped = pp.track(
+            course.arm,
+            course.goal,
+            course.stops[0],
+            limits=course.limits,
+            callback=lambda number, *_: called.append(number) or number == steps,  # noqa: B023
+        )
+        assert stopped.status == "stopped" and called[-1] == steps and stopped.steps > steps
+        np.testing.assert_allclose(stopped.q, run.q, atol=1e-12)
+
+
+@pytest.mark.parametrize("number", [0, 4])
+def test_a_step_that_exceeds_a_limit_is_named_whoever_took_it(number: int) -> None:
+    class Reckless:
+        name = "reckless"
+
+        def step(self, state, target, limits=None, memory=None):
+            taken = 0 if memory is None else memory.own
+            dq = np.zeros(state.arm.nv)
+            dq[1] = (0.01, 0.02, 0.05, 0.04, 0.03, 0.02, 0.01)[taken]
+            step = pp.ConstrainedQP().step(state, target, replace(limits, acceleration=None))
+            note = step.diagnostics._replace(reason="", relaxed=())
+            return step._replace(dq=dq, diagnostics=note, memory=Memory(dq, taken + 1))
+
+    arm = arm_number(number)
+    start = arm.configuration(np.full(arm.nv, 0.0))
+    goal = pp.Target.from_configuration(arm, arm.configuration(np.full(arm.nv, 1.0)))
+    limits = pp.Limits(step=0.04, dt=0.1, acceleration=1.0)
+    run = pp.track(arm, goal, start, Reckless(), limits, max_steps=7)
+    # It changes by 0.03 where 0.01 is the limit, in the third step, which is also 0.05 long where 0.04 is.
+    assert run.excess is not None and run.excess.steps == (2,) and run.excess.worst == 2
+    assert run.excess.ratio == pytest.approx(3.0)
+    joint = repr(arm.joint_names[1])
+    assert run.relaxed[2] == f"acceleration limit of joint {joint}: 3 times as much"
+    assert f"limits are exceeded in 1 step, most in step 3 (of {run.steps})" in run.reason
