@@ -47,7 +47,9 @@ def run(
     ] = None,
     force: Annotated[
         bool,
-        typer.Option("--force", help="Write it even if it did not get there, or was not clear on the way."),
+        typer.Option(
+            "--force", help="Write it even if it did not get there, or not clear and within limits."
+        ),
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -57,9 +59,9 @@ def run(
     .csv file has a column for each, with units. A .npz file holds the arrays to the last bit. Joints have the
     names that the URDF gives them; continuous ones have angles without jumps.
 
-    A motion that did not get where it was to, or on which something was inside of another, is refused unless
-    --force is given. The summary tells the largest speed and acceleration from step to step, from rest and to
-    rest.
+    A motion that did not get where it was to, that exceeds its limits, or on which something was inside of
+    another, is refused unless --force is given. The summary tells the largest speed and acceleration from
+    step to step, from rest and to rest.
     """
     from pinposture.motion.joint_files import check_format
     from pinposture.storage import check_writable

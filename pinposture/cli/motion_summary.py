@@ -43,7 +43,6 @@ def summarize_motion(motion: Motion) -> dict[str, Any]:
         "done": float(motion.clock[-1]),
         "largest_speed": None if speeds is None else float(speeds.max(initial=0.0)),
         "largest_acceleration": None if accelerations is None else float(accelerations.max(initial=0.0)),
-        "excess": None if run.excess is None else run.excess.text,
         "keyframes": [
             {
                 **{name: value for name, value in place._asdict().items() if name not in ("row", "moved")},
@@ -74,8 +73,6 @@ def motion_in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, st
         if summary[kind] is not None:
             reached = ", which is reached" if FULL <= summary[kind] <= 2.0 - FULL else ""
             words[name] = f"at most {100.0 * summary[kind]:.4g} % of the limit{reached}"
-    if summary["excess"] is not None:
-        words["limits"] = (str(summary["excess"]), "red")
     if summary["keyframes"]:
         words["keyframes"] = _keyframes(summary["keyframes"])
     words["posture error"] = (

@@ -211,7 +211,6 @@ def summarize(motion: Trajectory) -> dict[str, Any]:
             {"step": int(k), "what": str(motion.relaxed[k]).splitlines()}
             for k in np.flatnonzero(motion.relaxed != "")
         ],
-        "excess": None if motion.excess is None else motion.excess.text,
         "clearance": closest(motion),
         "incomplete": target.incomplete,
         "moved": None if target.moved is None else target.moved._asdict(),
@@ -260,8 +259,6 @@ def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
         )
     if summary["clearance"] is not None:
         words["clearance"] = closest_in_words(summary["clearance"])
-    if summary["excess"] is not None:
-        words["limits"] = (str(summary["excess"]), "red")
     if summary["relaxed"]:
         first_relaxed = summary["relaxed"][0]
         what = textwrap.shorten("; ".join(first_relaxed["what"]), WORDY, placeholder=" ...")

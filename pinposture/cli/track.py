@@ -148,8 +148,8 @@ def run(
     geometry) as well. Lengths in metres, in the world.
 
     With -o the run is kept in a directory: run.npz holds everything, run.png plots it, run.html plays it in
-    any browser. The exit code is 0 if the arm got there and was clear of everything, 1 if not, 2 if it could
-    not start.
+    any browser. The exit code is 0 if the arm got there within its limits and was clear of everything, 1 if
+    not, 2 if it could not start.
     """
     from pinposture.motion import track
     from pinposture.storage import check_writable

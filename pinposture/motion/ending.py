@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.errors import MotionError
+from pinposture.motion.rates import Excess
 from pinposture.scene import Scene
 
 Array = NDArray[np.float64]
@@ -71,19 +72,24 @@ class Ended(Protocol):
     def clearance(self) -> Array:
         """Smallest distance in each of them, (N,) [m]; negative in penetration, infinite without a scene."""
 
+    @property
+    def excess(self) -> Excess | None:
+        """How they exceed limits of speed and acceleration; None if they do not, or had none to keep."""
+
 
 def faults(motion: Ended) -> tuple[str, ...]:
     """Why a motion should not be handed to a robot, in words; empty if nothing speaks against it.
 
-    It did not end where it was to, or it is not clear on the way. This is the one place that decides.
+    It did not end where it was to, it exceeds its limits, or it is not clear on the way. This is the one
+    place that decides.
     """
     ended = () if motion.status == "converged" else (f"it {ENDINGS[motion.status]}: {motion.reason}",)
-    return *ended, *_on_the_way(motion)
+    return *ended, *(what for what in _on_the_way(motion) if not (ended and what in motion.reason))
 
 
 def _on_the_way(motion: Ended) -> tuple[str, ...]:
     """What is wrong with a motion before its end, each as a clause."""
-    found = []
+    found = [] if motion.excess is None else [motion.excess.text]
     if motion.scene is not None and motion.clearance.min() < -ROUNDING * motion.arm.length:
         row = int(motion.clearance.argmin())
         pair = " and ".join(motion.scene.around(motion.arm).minimum(motion.q[row]).pair or ())
@@ -95,7 +101,7 @@ def _on_the_way(motion: Ended) -> tuple[str, ...]:
 def verdict(motion: Ended) -> str:
     """What to think of a motion, in one line."""
     there = "got there" if motion.status == "converged" else "did not get there"
-    but = "".join(f", but {what}" for what in _on_the_way(motion))
+    but = "".join(f", but {what}" for what in _on_the_way(motion) if what not in motion.reason)
     return f"{there} ({motion.status}){but}: {motion.reason}"
 
 

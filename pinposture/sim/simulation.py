@@ -91,6 +91,10 @@ class Simulation:
         return faults(self)
 
     @property
+    def excess(self) -> None:
+        """None: what an arm does in a simulation has no limits but those of its drives."""
+
+    @property
     def verdict(self) -> str:
         """What to think of it, in one line."""
         return verdict(self)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 import shutil
 from pathlib import Path
@@ -91,6 +92,19 @@ def test_of_a_motion_and_a_run_in_one_directory_the_motion_is_taken(
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
     refused = command("export", tmp_path, "--dt", 0.05, "-o", tmp_path / "c.csv")
     assert (refused.code, "dt is 0.05; allowed: 0.02 s" in refused.err) == (2, True)
+
+
+def test_a_run_that_exceeds_a_limit_is_written_only_by_force(command, timed_run, tmp_path) -> None:
+    run = pp.Trajectory.load(timed_run)
+    limits = pp.Limits(dt=0.02, acceleration=1.0)  # tighter than what it was made with
+    dataclasses.replace(run, limits=limits).save(tmp_path / "run.npz")
+    asked = ("export", tmp_path, "-o", tmp_path / "a.csv")
+    refused = command(*asked)
+    assert (refused.code, (tmp_path / "a.csv").exists()) == (2, False)
+    assert "the motion is not fit for a robot: limits are exceeded in " in refused.err
+    forced = command(*asked, "--force")
+    assert forced.code == 0 and "exported all the same: limits are exceeded in " in forced.err
+    assert (tmp_path / "a.csv").exists()
 
 
 def test_an_old_file_is_replaced(command, timed_run, tmp_path) -> None:

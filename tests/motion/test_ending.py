@@ -7,6 +7,7 @@ import pytest
 from arms import template_arm
 
 import pinposture as pp
+from pinposture.control import Memory
 from pinposture.errors import MotionError
 from pinposture.motion.ending import ENDINGS
 
@@ -41,6 +42,31 @@ def test_a_run_that_gets_there_is_exported_as_it_is(arm: pp.Arm, goal: pp.Target
     run = swept(arm, goal, 50)
     assert (run.faults, run.verdict) == ((), f"got there (converged): {run.reason}")
     assert len(run.joint_trajectory().time) == run.steps + 1
+
+
+class Reckless:
+    """Goes where it is told in three steps, however hard that is."""
+
+    name = "reckless"
+
+    def step(self, state, target, limits=None, memory=None):
+        number = 0 if memory is None else memory.own + 1
+        dq = np.full(8, (0.05, 0.2, 0.05)[number])
+        step = pp.ConstrainedQP().step(state, target, limits)
+        return step._replace(dq=dq, memory=Memory(dq, number))
+
+
+def test_a_run_that_exceeds_a_limit_is_exported_only_by_force(arm: pp.Arm, goal: pp.Target) -> None:
+    run = pp.track(arm, goal, arm.neutral(), Reckless(), pp.Limits(dt=0.1, acceleration=5.0, step=0.25))
+    # From 0.05 to 0.2 rad and back, where steps may differ by 0.05.
+    assert run.converged and run.steps == 3
+    (fault,) = run.faults
+    assert "limits are exceeded in 2 steps, most in step " in fault and fault.endswith(": 3 times as much")
+    assert run.verdict == f"got there (converged): {run.reason}" and fault in run.reason
+    with pytest.raises(MotionError, match=r"3 times as much.*force=True"):
+        run.joint_trajectory()
+    peak = pp.JointTrajectory.from_run(run, force=True).peaks.accelerations.max()
+    assert peak == pytest.approx(3.0 * 5.0)
 
 
 @pytest.mark.filterwarnings("ignore:.*does not keep clear:pinposture.errors.PostureWarning")
