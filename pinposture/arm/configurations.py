@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from math import atan2
 
 import numpy as np
 import pinocchio as pin
@@ -13,6 +14,9 @@ from pinposture.arm.limits import JointLimits, joint_limits
 from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
+
+NEARLY_HALF = 3.0
+"""Angle up to which Pinocchio's difference of two angles is good to all digits [rad]."""
 
 
 class ConfigurationSpace:
@@ -53,6 +57,11 @@ class ConfigurationSpace:
         Pinocchio does the same then, and takes ten times as long to be asked.
         """
         return self.nq == self.nv
+
+    @cached_property
+    def _turning(self) -> tuple[tuple[int, int], ...]:
+        """Of each continuous joint: where its cosine is in a configuration, and its degree of freedom."""
+        return tuple((j.idx_q, j.idx_v) for j in self.model.joints[1:] if (j.nq, j.nv) == (2, 1))
 
     @cached_property
     def limits(self) -> JointLimits:
@@ -103,7 +112,13 @@ class ConfigurationSpace:
         if self._flat:
             way: Array = end - start
             return way
-        return np.array(pin.difference(self.model, start, end))
+        way = np.array(pin.difference(self.model, start, end))
+        for at, turning in self._turning:
+            # Pinocchio asks the cosine for the angle, which loses half the digits towards half a turn.
+            if abs(way[turning]) > NEARLY_HALF:
+                (a, b), (c, d) = start[at : at + 2], end[at : at + 2]
+                way[turning] = atan2(a * d - b * c, a * c + b * d)
+        return way
 
     def checked(self, q: ArrayLike, name: str = "q") -> Array:
         """A configuration as a fresh float array, or an error that says what is wrong with it.

@@ -309,3 +309,18 @@ def test_hinges_with_limits_of_many_turns_are_drawn_from_one():
     assert np.all(drawn.max(axis=0)[[0, 2]] <= np.pi)
     assert np.all(drawn.max(axis=0)[[1, 3]] > 6.0)
     assert not arm.roaming.any()
+
+
+@given(st.sampled_from([-1.0, 1.0]), st.floats(-14.0, -3.0), st.floats(-3.1, 3.1))
+def test_continuous_joints_are_told_apart_to_all_digits_near_half_a_turn(
+    side: float, short: float, start: float
+) -> None:
+    """The angle between them is known in advance: half a turn less a little."""
+    arm = pp.Arm.from_modules(
+        [pp.ModuleTemplate("turning", [pp.JointSpec(axis, type="continuous") for axis in "yz"], [0.03] * 2)]
+    )
+    way = side * (np.pi - 10.0**short)
+    one, other = (
+        np.array([np.cos(a), np.sin(a), np.cos(b), np.sin(b)]) for a, b in [(start, 0.0), (start + way, way)]
+    )
+    np.testing.assert_allclose(arm.difference(one, other), [way, way], rtol=0.0, atol=2e-15)
