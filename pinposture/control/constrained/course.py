@@ -22,7 +22,7 @@ DISTURBED = 0.05
 planned, in `Arm.joint_units`."""
 
 PROGRESS = 0.005
-"""Share of a path that counts as getting on."""
+"""Share of a path that counts as getting on, for an arm that is hindered."""
 
 
 class Course(NamedTuple):
@@ -79,7 +79,8 @@ class Course(NamedTuple):
         Args:
             place: where the step leads.
             travel: joint travel that the limits allow in it [rad].
-            hindered: whether it leads less far than the pace would have it.
+            hindered: whether it leads less far than limits, or the pace, would have it; what they allow is
+                getting on, however little of the way it is.
             expected: joint positions that the arm should have then, (nv,) [rad or m]; None if unknown.
         """
         waits = hindered and place < self.passed + PROGRESS * self.path.end

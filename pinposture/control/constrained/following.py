@@ -40,6 +40,10 @@ ROUNDING = 1e-12
 EXACT = 1e-13
 """Error that no step can reduce, in arm lengths: it is rounding."""
 
+BEHIND = 0.5
+"""Share of a step that an arm may be behind its place on the way and still count as getting on: it then goes
+on by as much as the limits of its slowest joint allow, however little that is of the whole way."""
+
 CORRECTING = 0.25
 """Share of the acceleration limit with which an arm that is behind catches up."""
 
@@ -108,9 +112,11 @@ def follow(
     if place >= path.end and left <= ARRIVED:
         course = course._replace(arrived=True, place=path.end)
         return close_in(course, Scope.of(posture, state, box, avoidance))
-    course = course.gone_to(place, bounds.travel, hindered)
     if inside and avoidance is None and posture.plain:
-        return Asked(dq, course)  # whatever is asked would lead to the same
+        # Whatever is asked would lead to the same; and a step that leads on gets on (`JointPath.stride`).
+        return Asked(dq, course.gone_to(place, bounds.travel, hindered and place <= here))
+    hindered = _behind(course, state) if course.pace is None and here < place else hindered
+    course = course.gone_to(place, bounds.travel, hindered)
     scope, wanted = Scope.of(posture, state, box, avoidance), posture.own(dq)
     if posture.plain and scope.rows is None:
         sweeps = Sweeps(posture, state)
@@ -131,6 +137,12 @@ def follow(
     found = then_the_rest(hessian, -(hessian @ wanted), scope, first)
     x = np.clip(wanted, scope.lower, scope.upper) if found.x is None else corrected(posture, scope, found.x)
     return Asked(posture.displacement(x), course, found)
+
+
+def _behind(course: Course, state: ArmState) -> bool:
+    """Whether a joint is farther behind the place of the arm on its way than `BEHIND` allows."""
+    lag = course.path.offset(course.place) - course.path.offset_of(state, course.place)
+    return bool(np.any((np.abs(lag) > BEHIND * course.bounds.bound)[course.posture.columns]))
 
 
 def _share(onward: Array, lag: Array, bound: Array) -> float:

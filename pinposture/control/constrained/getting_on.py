@@ -67,7 +67,7 @@ def get_on(course: Course, state: ArmState, bounds: JointBounds) -> Step | None:
     )
     if not simple or not np.isfinite(after):
         return None
-    course = course.gone_to(place, bounds.travel, True, reached)
+    course = course.gone_to(place, bounds.travel, place <= course.place, reached)
     diagnostics = Diagnostics(
         0.0,
         0.0,

@@ -105,6 +105,12 @@ class JointPath:
     def stride(self, state: ArmState, place: float, columns: Whole, units: Array, sides: Array) -> Stride:
         """The step to the farthest place, going on from a place without a gap, that limits admit.
 
+        Such steps come to the end, however long the way and however different the joints. Measure what is
+        left of the way piece by piece, each in steps of its slowest joint: L = sum over pieces of
+        max_j |dq_j| / b_j, with b_j the largest step of joint j, at most `FARTHEST`. A step that does not end
+        at the end is as long as b_j for some joint j. That joint goes no farther in it than the pieces of the
+        way that the step passes add up to, so L falls by 1 at least, and ceil(L) steps are enough.
+
         Args:
             state: where the arm is.
             place: where it is on the path, or was last.

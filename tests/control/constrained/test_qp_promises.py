@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from qp_runs import ARMS, KINDS, arm_called, check_limits, drawn, steps_of
+from qp_runs import ARMS, KINDS, Case, arm_called, check_limits, drawn, steps_of
 from sampling import examples
 
 import pinposture as pp
@@ -29,15 +29,109 @@ def test_limits_hold_and_errors_rise_only_in_escapes(seed: int, name: str, kind:
     assert np.all(rise[~run.escape] <= 1e-11 * case.arm.length)
 
 
-def most_steps(case: object, first: pp.ArmState) -> float:
+def most_steps(case: Case, first: pp.ArmState) -> float:
     """Steps that the way of a case takes: the length of its pieces in units of the slowest joint.
 
     Each step but the last has a joint at its bound. No joint goes farther in a step than on the way between
     its ends, so each takes at least one unit off the way.
     """
     step = pp.ConstrainedQP().step(first, case.target, case.limits)
-    pieces = np.abs(np.diff(step.memory.own.path.offsets, axis=0)) / case.limits.bound(first)
+    largest = np.minimum(case.limits.for_arm(case.arm).bound, 10.0 * case.arm.joint_units)
+    pieces = np.abs(np.diff(step.memory.own.path.offsets, axis=0)) / largest
     return float(pieces.max(axis=1).sum())
+
+
+def check_arrival(case: Case) -> None:
+    """It is there, at the very configuration, within the steps that its way takes; and kept its limits."""
+    arm = case.arm
+    bound = int(np.ceil(most_steps(case, arm.at(case.start)))) + 1
+    run = case.track(max_steps=bound, tolerance=1e-6 * arm.length)
+    assert run.converged, (run.steps, bound, run.reason)
+    check_limits(arm, case.limits, run.q)
+    assert np.linalg.norm(arm.at(run.q[-1]).points - case.target.points, axis=1).mean() <= 1e-6 * arm.length
+
+
+FEWER = 4000
+"""Steps that a case of drawn speeds takes at most: where it would take more, all joints are faster."""
+
+
+def drawn_arm(rng: np.random.Generator) -> pp.Arm:
+    """A chain of joints of all types, whose ranges are up to 40 rad and 400 m wide, or nothing at all."""
+
+    def joint() -> pp.JointSpec:
+        axis, kind = (
+            str(rng.choice(["x", "y", "z"])),
+            rng.choice(["hinge", "slide", "continuous"], p=[0.7, 0.2, 0.1]),
+        )
+        if kind == "continuous":
+            return pp.JointSpec(axis, type="continuous")
+        widest = 10.0 ** (rng.uniform(-2.0, 2.6) if kind == "slide" else rng.uniform(0.0, 1.6))
+        revolute = "prismatic" if kind == "slide" else "revolute"
+        return pp.JointSpec(axis, type=revolute, lower=-widest * rng.uniform(0.3, 1.0), upper=widest)
+
+    counts = rng.integers(1, 4, rng.integers(1, 7))
+    lengths = [rng.uniform(0.02, 0.1, count) for count in counts]
+    return pp.Arm.from_modules(
+        [pp.ModuleTemplate(f"kind{k}", [joint() for _ in each], list(each)) for k, each in enumerate(lengths)]
+    )
+
+
+@given(seed=SEEDS, decades=st.sampled_from([0.0, 3.0, 4.0]))
+@examples(20)
+def test_any_arm_arrives_with_joints_of_any_speed_from_any_winding(seed: int, decades: float) -> None:
+    rng = np.random.default_rng(seed)
+    arm = drawn_arm(rng)
+    edges = np.clip([arm.limits.lower, arm.limits.upper], -1e6, 1e6)
+    edges = np.where(np.array(arm.kinematics.endless), np.pi * np.array([[-1.0], [1.0]]), edges)
+    start, goal = (arm.configuration(rng.uniform(*edges)) for _ in range(2))
+    slow = rng.random(arm.nv) < rng.random()
+    step = arm.joint_units * 10.0 ** -np.where(slow, rng.uniform(0.0, decades, arm.nv), rng.random(arm.nv))
+    case = Case(arm, start, pp.Target.from_configuration(arm, goal), pp.Limits(step=step))
+    often = most_steps(case, arm.at(start)) / FEWER
+    check_arrival(case._replace(limits=pp.Limits(step=step * max(often, 1.0))))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_arm_without_limits_unwinds(seed: int) -> None:
+    arm = pp.Arm.from_modules([pp.template("RyRz").with_limits(-200.0, 200.0)] * 8)
+    goal = np.random.default_rng(seed).uniform(-31.0, 31.0, arm.nv)
+    check_arrival(Case(arm, np.zeros(arm.nv), pp.Target.from_configuration(arm, goal), pp.Limits()))
+
+
+def test_one_slow_joint_keeps_the_others_waiting_and_no_more() -> None:
+    arm = pp.Arm.from_template("RyRz", 8)
+    start, goal = np.random.default_rng(0).uniform(-1.5, 1.5, (2, arm.nv))
+    start[0], goal[0] = -1.5, 1.5
+    step = np.full(arm.nv, 0.1)
+    step[0] = 5e-4
+    check_arrival(Case(arm, start, pp.Target.from_configuration(arm, goal), pp.Limits(step=step)))
+
+
+def test_a_base_slides_as_far_as_it_is_to() -> None:
+    far = pp.JointSpec("x", type="prismatic", lower=-1000.0, upper=1000.0)
+    arm = pp.Arm.from_modules([pp.ModuleTemplate("rail", [far], [0.05]), *[pp.template("RyRz")] * 4])
+    goal = np.random.default_rng(0).uniform(-1.0, 1.0, arm.nv)
+    goal[0] = 300.0
+    check_arrival(Case(arm, np.zeros(arm.nv), pp.Target.from_configuration(arm, goal), pp.Limits()))
+
+
+def test_a_slow_rail_among_obstacles_is_no_reason_to_give_up() -> None:
+    """An obstacle far off: it goes on as fast as the rail can, which is little of the way at a time."""
+    rail = pp.JointSpec("x", type="prismatic", lower=-2.0, upper=2.0)
+    arm = pp.Arm.from_modules([pp.ModuleTemplate("rail", [rail], [0.05]), *[pp.template("RyRz")] * 4])
+    goal = np.random.default_rng(0).uniform(-0.5, 0.5, arm.nv)
+    goal[0] = 1.0
+    limits = pp.Limits(step=np.where(arm.slides, 2e-4, 0.1))
+    case = Case(arm, np.zeros(arm.nv), pp.Target.from_configuration(arm, goal), limits)
+    on_way: list[bool] = []
+
+    def note(_: int, __: pp.ArmState, step: pp.Step) -> None:
+        on_way.append(step.diagnostics.on_way)
+
+    run = case.track(scene=pp.Scene({"far": pp.Sphere((0.0, 0.0, 9.0), 0.1)}), max_steps=200, callback=note)
+    assert run.status == "max_steps", run.reason
+    assert all(on_way)
+    assert run.q[-1, 0] == pytest.approx(200 * 2e-4)
 
 
 @given(seed=SEEDS, name=NAMES, size=st.sampled_from([0.05, 0.1, 0.3]), margin=st.sampled_from([0.0, 0.02]))
