@@ -168,3 +168,11 @@ def task_errors(state: ArmState, target: Target) -> Array:
 def stack_rows(jacobians: Array) -> Array:
     """Stack Jacobians (N, d, n) into one matrix (N d, n)."""
     return jacobians.reshape(-1, jacobians.shape[-1])
+
+
+def next_step(
+    controller: Controller, state: ArmState, target: Target, limits: Limits | None, memory: Memory | None
+) -> Step:
+    """The step of a controller; of one that remembers nothing, the displacement is remembered for it."""
+    step = controller.step(state, target, limits, memory)
+    return step if step.memory is not None else step._replace(memory=Memory(step.dq))

@@ -9,7 +9,7 @@ from typing import Any
 
 from pinposture.arm import ArmState
 from pinposture.control import Controller, Limits, Step
-from pinposture.control.controller import Memory
+from pinposture.control.controller import Memory, next_step
 from pinposture.target import Target
 
 
@@ -37,7 +37,7 @@ class Consultation:
             The step, None if there is none in time; and the memory that the next question should come with.
         """
         if self._deadline == inf:
-            return self._controller.step(state, target, limits, memory), memory
+            return next_step(self._controller, state, target, limits, memory), memory
         if self._pending is not None:
             late = self._waited()
             if late is None:
@@ -53,7 +53,7 @@ class Consultation:
 
         def work() -> None:
             try:
-                answer.set_result(self._controller.step(*question))
+                answer.set_result(next_step(self._controller, *question))
             except BaseException as error:  # whoever waits for the answer gets it
                 answer.set_exception(error)
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ArmState
 from pinposture.control import Controller, Diagnostics, Limits, Step
-from pinposture.control.controller import Memory
+from pinposture.control.controller import Memory, next_step
 from pinposture.motion.record import Recorder
 from pinposture.scene import Scene
 from pinposture.target import Target
@@ -61,7 +61,7 @@ class Drive:
     def ask(self, target: Target) -> Step:
         """The step that the controller would take towards a target; it is not taken."""
         before = self.memory
-        step = self.controller.step(self.state, target, self.limits, before)
+        step = next_step(self.controller, self.state, target, self.limits, before)
         # Whatever the controller has found out stays; the arm has not moved so yet.
         self.memory = Memory(np.zeros(self.arm.nv)) if before is None else before
         self.memory, self.last = self.memory._replace(own=step.memory.own), step

@@ -37,7 +37,7 @@ def bent() -> pp.Target:
 
 @cache
 def helix() -> pp.Target:
-    return pp.resolve_targets(six_modules(), pp.Curve.helix(0.1, 0.3, 1.0))
+    return pp.resolve_targets(six_modules(), pp.Curve.helix(0.1, 0.3, 1.0), placement="align")
 
 
 def run_to(target: pp.Target, start=None, controller="projection", steps=15, arm=None) -> pp.Trajectory:
