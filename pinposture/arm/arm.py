@@ -25,6 +25,9 @@ from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
 
+ROUNDING = 1e-9
+"""Share of a turn that is none."""
+
 
 class Arm(Blueprint):
     """A serial arm with posture control points at its module boundaries.
@@ -133,7 +136,11 @@ class Arm(Blueprint):
 
         A base that slides without real limits (`roaming`) stays at zero.
         """
-        return self.configuration(farthest_stretch(self))
+        return self.configuration(self._stretched)
+
+    @cached_property
+    def _stretched(self) -> Array:
+        return farthest_stretch(self)
 
     @cached_property
     def slides(self) -> NDArray[np.bool_]:
@@ -232,6 +239,48 @@ class Arm(Blueprint):
         """
         checked = self.checked(q)
         return ArmState(self, checked, self.kinematics.placed(self.difference(self.origin, checked)))
+
+    @cached_property
+    def _winding(self) -> NDArray[np.bool_]:
+        """Degrees of freedom that can be more than a turn away from where the posture is the same, (nv,)."""
+        room = self.limits.upper - self.limits.lower > 2.0 * np.pi
+        return np.asarray(room & (self.moved > 0.0) & ~self.slides & ~self.kinematics.endless)
+
+    def nearest_turns(
+        self, q: ArrayLike, near: ArrayLike | None = None, edges: ArrayLike | None = None
+    ) -> Array:
+        """The same posture, with every joint within half a turn of where it is to be near.
+
+        Joints that turn take the same place again after each turn. Where limits forbid the turn that is
+        nearest, the nearest that they allow is taken.
+
+        Args:
+            q: configuration, (nq,).
+            near: configuration to be near, (nq,); the straight one if None.
+            edges: joint positions to stay between, (2, nv) [rad or m]; the limits of the arm if None.
+
+        Returns:
+            Configuration (nq,).
+
+        Raises:
+            InvalidValue: a configuration has the wrong size or is not finite.
+        """
+        checked, which = self.checked(q), self._winding
+        if not np.any(which):
+            return checked
+        positions, turn = self.positions(checked), 2.0 * np.pi
+        preferred = self._stretched if near is None else self.positions(self.checked(near, "near"))
+        lower, upper = (self.limits.lower, self.limits.upper) if edges is None else np.asarray(edges)
+        away = (preferred - positions) / turn
+        turns = np.sign(away) * np.ceil(np.abs(away) - 0.5 - ROUNDING)
+        least = np.ceil((lower - positions) / turn - ROUNDING)
+        most = np.floor((upper - positions) / turn + ROUNDING)
+        turns = np.where(which & (least <= most), np.maximum(np.minimum(turns, most), least), 0.0)
+        if not np.any(turns):
+            return checked
+        return self.integrate(
+            checked, np.where(turns == 0.0, 0.0, np.clip(positions + turn * turns, lower, upper) - positions)
+        )
 
     def with_sliding_unit(self, sliding_unit: float) -> Arm:
         """The same arm, with another slide that weighs as much as a turn of one radian [m].

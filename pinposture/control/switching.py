@@ -139,6 +139,7 @@ class Switching:
             if goal is None:
                 return self._last_resort(state, target, limits, memory, phase, step, why)
             phase = phase._replace(failovers=2)
+        goal = state.arm.nearest_turns(goal, state.q)
         return _labelled(self._escape(state, target, goal, limits, memory), phase, why)
 
     def _last_resort(

@@ -81,6 +81,30 @@ class Screws(NamedTuple):
     points: Array2
 
 
+class Screwed(NamedTuple):
+    """A chain as screws in its neutral posture, each joint given to the first point that it can move.
+
+    Attributes:
+        slides: True for a joint that slides, (n,); others turn.
+        axes: unit joint axes, (n, 3).
+        origins: a point on each axis, (n, 3).
+        points: the points that are carried, (m, 3).
+        begins: number of the first joint of each point, and at the end how many joints there are, (m + 1,).
+        lower: lower limits, (n,).
+        upper: upper limits, (n,).
+        near: joint positions to prefer, within the limits, (n,).
+    """
+
+    slides: Flags1
+    axes: Array2
+    origins: Array2
+    points: Array2
+    begins: Ints1
+    lower: Array1
+    upper: Array1
+    near: Array1
+
+
 FULL, RELATIVE, LOCAL = 0, 1, 2
 """Couplings: what rows know of joints before their section, as `kernels.rows` explains."""
 

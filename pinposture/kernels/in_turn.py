@@ -1,69 +1,609 @@
-"""Modules that take given points one after the other, with a search back where a choice was wrong."""
+"""Modules that take given points one after the other, with a search back where a choice was wrong.
+
+The chain is given as screws in its neutral posture (a product of exponentials): the point that the joints 0
+to u carry is exp(q_0) exp(q_1) ... exp(q_u) c. What is left to the joints of one module is the same problem
+with a few joints, for a point seen from its base.
+
+The last two hinges of a module are solved in closed form. A hinge b carries the point c round a circle, and
+a hinge a before it keeps the height of a point along its own axis and its distance from any place there:
+both are linear in the cosine and the sine of b. Joints before those two are sampled, and each find is
+corrected by a few steps of least squares within the limits.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array1, Array2, Ints2
-from pinposture.kernels.compiled import compiled
-from pinposture.kernels.units import base_frame, seen, solutions, turned, within
+from pinposture.kernels.arrays import Array1, Array2, Array3, Ints1, Screwed
+from pinposture.kernels.compiled import compiled, subkernel
+
+MOST = 24
+"""How many solutions of a module are kept."""
+
+FEW = 16
+"""How many samples will do for a module of three joints."""
+
+ALIKE = 1e-3
+"""How far apart two solutions are at least [rad, or units of length]."""
+
+CORRECTIONS, CALM = 15, 1e-12
+"""The most steps of a correction, and the error that is none, relative to the length of the arm."""
+
+WORTH = 3
+"""How many ends that miss their point are corrected together with the modules before."""
+
+FARTHEST = 8
+"""How many modules are corrected together at most."""
+
+TURN = 2.0 * np.pi
+
+
+@subkernel
+def carry(slide: bool, axis: Array1, origin: Array1, q: float, turn: Array2, place: Array1) -> None:
+    """Move a frame on by a joint: turn (3, 3) and place (3,) times the exponential of its screw."""
+    x, y, z = axis[0], axis[1], axis[2]
+    if slide:
+        for i in range(3):
+            place[i] += q * (turn[i, 0] * x + turn[i, 1] * y + turn[i, 2] * z)
+        return
+    c, s = np.cos(q), np.sin(q)
+    v = 1.0 - c
+    e00, e01, e02 = c + v * x * x, v * x * y - s * z, v * x * z + s * y
+    e10, e11, e12 = v * x * y + s * z, c + v * y * y, v * y * z - s * x
+    e20, e21, e22 = v * x * z - s * y, v * y * z + s * x, c + v * z * z
+    o0, o1, o2 = origin[0], origin[1], origin[2]
+    d0 = o0 - e00 * o0 - e01 * o1 - e02 * o2
+    d1 = o1 - e10 * o0 - e11 * o1 - e12 * o2
+    d2 = o2 - e20 * o0 - e21 * o1 - e22 * o2
+    for i in range(3):
+        t0, t1, t2 = turn[i, 0], turn[i, 1], turn[i, 2]
+        place[i] += t0 * d0 + t1 * d1 + t2 * d2
+        turn[i, 0] = t0 * e00 + t1 * e10 + t2 * e20
+        turn[i, 1] = t0 * e01 + t1 * e11 + t2 * e21
+        turn[i, 2] = t0 * e02 + t1 * e12 + t2 * e22
+
+
+@subkernel
+def set_frame(turn: Array2, place: Array1, to_turn: Array2, to_place: Array1) -> None:
+    """Copy a frame."""
+    for i in range(3):
+        to_place[i] = place[i]
+        for j in range(3):
+            to_turn[i, j] = turn[i, j]
+
+
+@subkernel
+def rank(values: Array1, count: int, order: Ints1) -> None:
+    """Put the numbers of the first values into order, the smallest first."""
+    for i in range(count):
+        at = i
+        while at > 0 and values[order[at - 1]] > values[i]:
+            order[at] = order[at - 1]
+            at -= 1
+        order[at] = i
+
+
+@subkernel
+def put_within(chain: Screwed, u: int, q: float) -> float:
+    """The position of a joint that is the same but for whole turns, nearest to where it is to be near.
+
+    Where the limits allow none of them, the limit that is nearest.
+    """
+    low, high = chain.lower[u], chain.upper[u]
+    if chain.slides[u]:
+        return min(max(q, low), high)
+    q += TURN * np.round((chain.near[u] - q) / TURN)
+    if q > high:
+        q -= TURN * np.ceil((q - high) / TURN)
+        if q < low:
+            return low if low - q < q + TURN - high else high
+    elif q < low:
+        q += TURN * np.ceil((low - q) / TURN)
+        if q > high:
+            return high if q - high < low - q + TURN else low
+    return q
+
+
+@subkernel
+def last_joint(chain: Screwed, u: int, x: Array1, goal: Array1) -> float:
+    """The position of joint u that brings the point x nearest to a goal."""
+    a, o = chain.axes[u], chain.origins[u]
+    if chain.slides[u]:
+        return a[0] * (goal[0] - x[0]) + a[1] * (goal[1] - x[1]) + a[2] * (goal[2] - x[2])
+    x0, x1, x2 = x[0] - o[0], x[1] - o[1], x[2] - o[2]
+    g0, g1, g2 = goal[0] - o[0], goal[1] - o[1], goal[2] - o[2]
+    along = (a[0] * x0 + a[1] * x1 + a[2] * x2) * (a[0] * g0 + a[1] * g1 + a[2] * g2)
+    sine = a[0] * (x1 * g2 - x2 * g1) + a[1] * (x2 * g0 - x0 * g2) + a[2] * (x0 * g1 - x1 * g0)
+    return np.arctan2(sine, x0 * g0 + x1 * g1 + x2 * g2 - along)
+
+
+@subkernel
+def last_two(chain: Screwed, u: int, c: Array1, goal: Array1, alone: bool, out: Array2) -> int:
+    """Positions of the hinges u and u + 1 that may bring the point c to a goal.
+
+    Args:
+        chain: the chain.
+        u: the first of them.
+        c: the point.
+        goal: where it should be, seen from the base of the first.
+        alone: whether the one solution of both equations will do, where there is only one.
+        out: filled with them, (4, 2).
+
+    Returns:
+        How many there are.
+    """
+    a, oa, b, ob = chain.axes[u], chain.origins[u], chain.axes[u + 1], chain.origins[u + 1]
+    c0, c1, c2 = c[0] - ob[0], c[1] - ob[1], c[2] - ob[2]
+    along = b[0] * c0 + b[1] * c1 + b[2] * c2
+    w0, w1, w2 = c0 - along * b[0], c1 - along * b[1], c2 - along * b[2]
+    s0, s1, s2 = b[1] * w2 - b[2] * w1, b[2] * w0 - b[0] * w2, b[0] * w1 - b[1] * w0
+    g0 = ob[0] + along * b[0] - oa[0]
+    g1 = ob[1] + along * b[1] - oa[1]
+    g2 = ob[2] + along * b[2] - oa[2]
+    t0, t1, t2 = goal[0] - oa[0], goal[1] - oa[1], goal[2] - oa[2]
+    radius, gg = w0 * w0 + w1 * w1 + w2 * w2, g0 * g0 + g1 * g1 + g2 * g2
+    # Cosine, sine and constant: of the height along a, and of the square of the distance from its origin.
+    equations = (
+        (
+            a[0] * w0 + a[1] * w1 + a[2] * w2,
+            a[0] * s0 + a[1] * s1 + a[2] * s2,
+            a[0] * (t0 - g0) + a[1] * (t1 - g1) + a[2] * (t2 - g2),
+            np.sqrt(radius),
+        ),
+        (
+            2.0 * (g0 * w0 + g1 * w1 + g2 * w2),
+            2.0 * (g0 * s0 + g1 * s1 + g2 * s2),
+            t0 * t0 + t1 * t1 + t2 * t2 - gg - radius,
+            np.sqrt(radius * (radius + gg)),
+        ),
+    )
+    x, count = np.empty(3), 0
+    (p0, p1, p2, p3), (r0, r1, r2, r3) = equations
+    determinant = p0 * r1 - p1 * r0
+    if alone and abs(determinant) > 1e-6 * p3 * r3:
+        out[0, 1] = np.arctan2(
+            np.copysign(1.0, determinant) * (p0 * r2 - r0 * p2),
+            np.copysign(1.0, determinant) * (p2 * r1 - r2 * p1),
+        )
+        count = 1
+    else:
+        for cosine, sine, constant, scale in equations:
+            size = np.hypot(cosine, sine)
+            if size > 1e-9 * scale:
+                middle, half = np.arctan2(sine, cosine), np.arccos(min(max(constant / size, -1.0), 1.0))
+                out[count, 1], out[count + 1, 1] = middle - half, middle + half
+                count += 2
+        if count == 0:  # it does not matter how the last one turns
+            out[0, 1] = chain.near[u + 1]
+            count = 1
+    for i in range(count):
+        cosine, sine = np.cos(out[i, 1]), np.sin(out[i, 1])
+        x[0] = oa[0] + g0 + cosine * w0 + sine * s0
+        x[1] = oa[1] + g1 + cosine * w1 + sine * s1
+        x[2] = oa[2] + g2 + cosine * w2 + sine * s2
+        out[i, 0] = last_joint(chain, u, x, goal)
+    return count
+
+
+@subkernel
+def misses(
+    chain: Screwed, first: int, last: int, turns: Array3, places: Array2, points: Array2, q: Array1, e: Array2
+) -> float:
+    """How far the modules first to last leave their points, into e (W, 3); the sum of squares.
+
+    Args:
+        chain: the chain.
+        first: the first module.
+        last: the last one.
+        turns: orientation of the base of each module; those after the first are filled in.
+        places: origin of it likewise.
+        points: where the modules should end.
+        q: positions of all joints of the chain.
+        e: filled.
+    """
+    total = 0.0
+    for k in range(first, last + 1):
+        turn, place = turns[k + 1], places[k + 1]
+        set_frame(turns[k], places[k], turn, place)
+        for u in range(chain.begins[k], chain.begins[k + 1]):
+            carry(chain.slides[u], chain.axes[u], chain.origins[u], q[u], turn, place)
+        c = chain.points[k]
+        for i in range(3):
+            at = turn[i, 0] * c[0] + turn[i, 1] * c[1] + turn[i, 2] * c[2] + place[i]
+            e[k - first, i] = points[k, i] - at
+            total += e[k - first, i] ** 2
+    return total
+
+
+@subkernel
+def rows_of(
+    chain: Screwed, first: int, last: int, turns: Array3, places: Array2, q: Array1, rows: Array2
+) -> None:
+    """How the joints of the modules first to last move their ends, into rows (3 W, n)."""
+    begin, modules = chain.begins[first], last - first + 1
+    turn, place, ends = np.empty((3, 3)), np.empty(3), np.empty((modules, 3))
+    for k in range(modules):
+        c = chain.points[first + k]
+        for i in range(3):
+            t = turns[first + k + 1, i]
+            ends[k, i] = t[0] * c[0] + t[1] * c[1] + t[2] * c[2] + places[first + k + 1, i]
+    set_frame(turns[first], places[first], turn, place)
+    for own in range(modules):
+        for u in range(chain.begins[first + own], chain.begins[first + own + 1]):
+            a, o, j = chain.axes[u], chain.origins[u], u - begin
+            a0 = turn[0, 0] * a[0] + turn[0, 1] * a[1] + turn[0, 2] * a[2]
+            a1 = turn[1, 0] * a[0] + turn[1, 1] * a[1] + turn[1, 2] * a[2]
+            a2 = turn[2, 0] * a[0] + turn[2, 1] * a[1] + turn[2, 2] * a[2]
+            o0 = turn[0, 0] * o[0] + turn[0, 1] * o[1] + turn[0, 2] * o[2] + place[0]
+            o1 = turn[1, 0] * o[0] + turn[1, 1] * o[1] + turn[1, 2] * o[2] + place[1]
+            o2 = turn[2, 0] * o[0] + turn[2, 1] * o[1] + turn[2, 2] * o[2] + place[2]
+            for k in range(modules):
+                if k < own:
+                    rows[3 * k, j], rows[3 * k + 1, j], rows[3 * k + 2, j] = 0.0, 0.0, 0.0
+                elif chain.slides[u]:
+                    rows[3 * k, j], rows[3 * k + 1, j], rows[3 * k + 2, j] = a0, a1, a2
+                else:
+                    x, y, z = ends[k, 0] - o0, ends[k, 1] - o1, ends[k, 2] - o2
+                    rows[3 * k, j] = a1 * z - a2 * y
+                    rows[3 * k + 1, j] = a2 * x - a0 * z
+                    rows[3 * k + 2, j] = a0 * y - a1 * x
+            carry(chain.slides[u], a, o, q[u], turn, place)
+
+
+@subkernel
+def solve_squares(matrix: Array2, x: Array1, r: int) -> None:
+    """Solve a symmetric positive definite system of r equations in place, by Cholesky's method."""
+    for i in range(r):
+        for j in range(i + 1):
+            value = matrix[i, j]
+            for k in range(j):
+                value -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = np.sqrt(value) if i == j else value / matrix[j, j]
+        for k in range(i):
+            x[i] -= matrix[i, k] * x[k]
+        x[i] /= matrix[i, i]
+    for i in range(r - 1, -1, -1):
+        for k in range(i + 1, r):
+            x[i] -= matrix[k, i] * x[k]
+        x[i] /= matrix[i, i]
+
+
+@subkernel
+def corrected(
+    chain: Screwed,
+    first: int,
+    last: int,
+    turns: Array3,
+    places: Array2,
+    points: Array2,
+    size: float,
+    q: Array1,
+) -> float:
+    """Bring the ends of the modules first to last to their points: Levenberg and Marquardt, within limits.
+
+    Args:
+        chain: the chain.
+        first: the first module whose joints may move.
+        last: the last one.
+        turns: orientation of the base of each module; those after the first are filled in.
+        places: origin of it likewise.
+        points: where the modules should end.
+        size: length of the arm.
+        q: positions of all joints of the chain; those of these modules are changed.
+
+    Returns:
+        The largest distance that is left.
+    """
+    begin, r = chain.begins[first], 3 * (last - first + 1)
+    n = chain.begins[last + 1] - begin
+    e, there = np.empty((r // 3, 3)), np.empty((r // 3, 3))
+    rows, matrix, x = np.empty((r, n)), np.empty((r, r)), np.empty(r)
+    tried, held = q.copy(), np.zeros(n, dtype=np.bool_)
+    cost = misses(chain, first, last, turns, places, points, q, e)
+    damping = 1e-3
+    for _ in range(CORRECTIONS):
+        if cost <= (CALM * size) ** 2 or n == 0:
+            break
+        rows_of(chain, first, last, turns, places, q, rows)
+        trace = 0.0
+        for j in range(n):
+            u, slope = begin + j, 0.0
+            for i in range(r):
+                slope += rows[i, j] * e[i // 3, i % 3]
+            held[j] = (slope > 0.0 and q[u] >= chain.upper[u]) or (slope < 0.0 and q[u] <= chain.lower[u])
+            for i in range(r):
+                if held[j]:
+                    rows[i, j] = 0.0
+                trace += rows[i, j] ** 2
+        if trace <= 0.0:
+            break
+        better, found = False, cost
+        for _ in range(6):
+            least = max(damping * trace / r * min(1.0, cost / (0.01 * size * size)), 1e-14 * trace)
+            for i in range(r):
+                x[i] = e[i // 3, i % 3]
+                for k in range(i + 1):
+                    inner = least if i == k else 0.0
+                    for j in range(n):
+                        inner += rows[i, j] * rows[k, j]
+                    matrix[i, k] = inner
+            solve_squares(matrix, x, r)
+            for j in range(n):
+                u, step = begin + j, 0.0
+                for i in range(r):
+                    step += rows[i, j] * x[i]
+                if not chain.slides[u]:
+                    step = min(max(step, -0.5), 0.5)
+                tried[u] = min(max(q[u] + step, chain.lower[u]), chain.upper[u])
+            found = misses(chain, first, last, turns, places, points, tried, there)
+            better = found < cost
+            if better:
+                damping = max(damping * 0.1, 1e-6)
+                break
+            damping = min(max(damping, 1e-3) * 10.0, 1e6)
+        if not better:
+            break
+        for i in range(r // 3):
+            e[i, 0], e[i, 1], e[i, 2] = there[i, 0], there[i, 1], there[i, 2]
+        for u in range(begin, begin + n):
+            q[u] = tried[u]
+        fallen = cost - found
+        cost = found
+        if fallen <= 1e-3 * cost and cost > (1e-6 * size) ** 2:  # no nearer than this
+            break
+    misses(chain, first, last, turns, places, points, q, e)
+    worst = 0.0
+    for i in range(r // 3):
+        worst = max(worst, e[i, 0] ** 2 + e[i, 1] ** 2 + e[i, 2] ** 2)
+    return float(np.sqrt(worst))
+
+
+@subkernel
+def kept(left: float, q: Array1, first: int, stop: int, lefts: Array1, found: Array2, count: int) -> int:
+    """Keep a solution unless it is known or worse than all that there is room for; how many there are."""
+    at = count
+    for i in range(count):
+        apart = 0.0
+        for j in range(stop - first):
+            apart = max(apart, abs(found[i, j] - q[first + j]))
+        if apart <= ALIKE:
+            if left >= lefts[i]:
+                return count
+            at = i
+            break
+    if at == len(lefts):
+        at = 0
+        for i in range(1, count):
+            at = i if lefts[i] > lefts[at] else at
+        if left >= lefts[at]:
+            return count
+    lefts[at] = left
+    for j in range(stop - first):
+        found[at, j] = q[first + j]
+    return max(count, at + 1)
+
+
+@subkernel
+def ends_of(
+    chain: Screwed,
+    k: int,
+    turns: Array3,
+    places: Array2,
+    points: Array2,
+    size: float,
+    good: float,
+    samples: Array2,
+    q: Array1,
+    lefts: Array1,
+    found: Array2,
+) -> int:
+    """Positions of the joints of module k that bring its end to its point, or as near as they come.
+
+    Args:
+        chain: the chain.
+        k: the module.
+        turns: orientation of the base of each module, up to this one.
+        places: origin of it likewise.
+        points: where the modules should end.
+        size: length of the arm.
+        good: distance that counts as none.
+        samples: shares of the range of each joint, (S, n).
+        q: positions of all joints of the chain; those of this module are used.
+        lefts: filled with what each solution leaves, (MOST,).
+        found: filled with the solutions, (MOST, n) or wider.
+
+    Returns:
+        How many there are.
+    """
+    first, stop = chain.begins[k], chain.begins[k + 1]
+    n = stop - first
+    c, local, pair = chain.points[k], np.empty(3), np.empty((4, 2))
+    closed = 0
+    if n >= 2 and not chain.slides[stop - 2] and not chain.slides[stop - 1]:
+        closed = 2
+    elif n >= 1:
+        closed = 1
+    turn, place, start, e = np.empty((3, 3)), np.empty(3), np.empty(n), np.empty((1, 3))
+    count = 0
+    if n > closed:  # the nearest that there is
+        for u in range(first, stop):
+            q[u] = chain.near[u]
+        left = corrected(chain, k, k, turns, places, points, size, q)
+        count = kept(left, q, first, stop, lefts, found, count)
+    for number in range(1 if n <= closed else min(len(samples), FEW) if n == 3 else len(samples)):
+        set_frame(turns[k], places[k], turn, place)
+        for u in range(first, stop - closed):
+            start[u - first] = chain.near[u]
+            if number:
+                half = size if chain.slides[u] else np.pi
+                low, high = (
+                    max(chain.lower[u], chain.near[u] - half),
+                    min(chain.upper[u], chain.near[u] + half),
+                )
+                start[u - first] = low + samples[number, u] * (high - low)
+            carry(chain.slides[u], chain.axes[u], chain.origins[u], start[u - first], turn, place)
+        for i in range(3):
+            local[i] = 0.0
+            for j in range(3):
+                local[i] += turn[j, i] * (points[k, j] - place[j])
+        pairs = 1
+        if closed == 1:
+            pair[0, 1] = last_joint(chain, stop - 1, c, local)
+        for attempt in range(2 if n <= closed else 0):  # the closed form has all solutions, if there are any
+            if closed == 2:
+                pairs = last_two(chain, stop - 2, c, local, attempt == 0, pair)
+            for i in range(pairs):
+                for u in range(first, stop):
+                    q[u] = put_within(chain, u, pair[i, 2 - stop + u])
+                left = np.sqrt(misses(chain, k, k, turns, places, points, q, e))
+                if left <= good:
+                    count = kept(left, q, first, stop, lefts, found, count)
+            if count:
+                return count
+        if closed == 2 and n > closed:
+            pairs = last_two(chain, stop - 2, c, local, False, pair)
+        for i in range(pairs):
+            for u in range(first, stop - closed):
+                q[u] = start[u - first]
+            for u in range(stop - closed, stop):
+                q[u] = put_within(chain, u, pair[i, 2 - stop + u])
+            left = corrected(chain, k, k, turns, places, points, size, q)
+            if left <= good:
+                for u in range(first, stop):
+                    q[u] = put_within(chain, u, q[u])
+            count = kept(left, q, first, stop, lefts, found, count)
+    return count
+
+
+@subkernel
+def corrected_from(chain: Screwed, k: int, window: int) -> int:
+    """The first of the modules that are corrected together with module k.
+
+    Some more than usual where that gives them as many joints as their points have coordinates.
+    """
+    low = max(k - window + 1, 0)
+    for first in range(low, max(k - FARTHEST, -1), -1):
+        if chain.begins[k + 1] - chain.begins[first] >= 3 * (k - first + 1):
+            return first
+    return low
 
 
 @compiled
 def take_points(
-    units: Ints2,
-    shapes: Array2,
-    lower: Array1,
-    upper: Array1,
-    base: Array1,
+    chain: Screwed,
     points: Array2,
+    size: float,
+    good: float,
+    window: int,
     tries: int,
-    positions: Array1,
-) -> bool:
+    samples: Array2,
+    q: Array1,
+) -> int:
     """Find joint positions that put the end of every module at its point.
 
+    Depth first: the solutions of a module that are nearest to `chain.near` are looked into first. Where none
+    takes its point, the best are corrected together with the modules before, which have freedom left where
+    they have more than three joints or their points on the axis of one.
+
     Args:
-        units: of `walk.walk_along`, one for each module.
-        shapes: likewise.
-        lower: lower limits of the joints of the chain.
-        upper: upper limits.
-        base: where the first module begins, (3,).
-        points: where the modules end, (m, 3).
-        tries: how many solutions to look at before giving up.
-        positions: filled with the positions of the joints of the chain.
+        chain: the chain.
+        points: where the modules should end, (m, 3).
+        size: length of the arm.
+        good: distance from its point at which the end of a module takes it.
+        window: how many modules are corrected together; if one, only q that takes all points is of use.
+        tries: how many modules to look at before giving up.
+        samples: shares of the range of each joint that are tried, (S, n); of the first, `near` is taken.
+        q: filled with the positions of the joints of the chain; where not all points were taken, with those
+            that took most, and the nearest for the others.
 
     Returns:
-        Whether there are such positions, as far as was looked.
+        How many points were taken, from the base on.
     """
-    m = len(units)
-    turns, frames = np.zeros((m + 1, 3, 3)), np.empty((m, 3, 3))
-    choices, number, taken = np.empty((m, 2, 2)), np.zeros(m, np.int64), np.zeros(m, np.int64)
+    m = len(points)
+    widest = 0
+    for k in range(m):
+        widest = max(widest, chain.begins[k + 1] - chain.begins[corrected_from(chain, k, window)])
+    turns, places = np.zeros((m + 1, 3, 3)), np.zeros((m + 1, 3))
     turns[0, 0, 0] = turns[0, 1, 1] = turns[0, 2, 2] = 1.0
-    k, arrived = 0, True
-    for _ in range(tries):
-        dof, joint = units[k, 0], units[k, 1]
+    choices, order = np.empty((m, MOST, widest)), np.zeros((m, MOST), np.int64)
+    number, taken, base = np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros(m, np.int64)
+    lefts, found, ranked = np.empty(MOST), np.empty((MOST, widest)), np.zeros(MOST, np.int64)
+    scores, e, before = np.empty(MOST), np.empty((m, 3)), q.copy()
+    deepest, best = -1, q.copy()
+    k, arrived = base[0], True  # a literal 0 would be compiled apart, with all that is called with it
+    while True:
         if arrived:
-            frame = frames[k]
-            base_frame(turns[k], shapes[k], frame)
-            start = points[k - 1] if k > 0 else base
-            way = points[k] - start
-            x, y, z = seen(frame, way[0], way[1], way[2])
-            number[k], taken[k] = solutions(dof, shapes[k], x, y, z, choices[k]), 0
-        while taken[k] < number[k] and not within(dof, choices[k, taken[k]], joint, lower, upper):
-            taken[k] += 1
+            tries -= 1
+            first, stop = chain.begins[k], chain.begins[k + 1]
+            ends = ends_of(chain, k, turns, places, points, size, good, samples, q, lefts, found)
+            rank(lefts, ends, ranked)
+            if k > deepest:
+                deepest = k
+                for u in range(stop):
+                    best[u] = q[u] if u < first else found[ranked[0], u - first]
+            count, base[k] = 0, k
+            for i in range(ends):
+                if lefts[ranked[i]] <= good:
+                    for u in range(first, stop):
+                        choices[k, count, u - first] = found[ranked[i], u - first]
+                    count += 1
+            if count == 0 and window > 1 and k > 0:
+                base[k] = corrected_from(chain, k, window)
+                low = chain.begins[base[k]]
+                for u in range(low, first):
+                    before[u] = q[u]
+                for i in range(min(WORTH, ends)):
+                    for u in range(low, stop):
+                        q[u] = before[u] if u < first else found[ranked[i], u - first]
+                    if corrected(chain, base[k], k, turns, places, points, size, q) <= good:
+                        for u in range(low, stop):
+                            choices[k, count, u - low] = q[u]
+                        count += 1
+                for u in range(low, first):
+                    q[u] = before[u]
+                misses(chain, base[k], k, turns, places, points, q, e)
+            low = chain.begins[base[k]]
+            for i in range(count):
+                scores[i] = 0.0
+                for u in range(low, stop):
+                    scores[i] += (choices[k, i, u - low] - chain.near[u]) ** 2
+            rank(scores, count, order[k])
+            number[k], taken[k] = count, 0
+            if tries <= 0:
+                break
         if taken[k] == number[k]:  # none is left here: another one for the module before
             if k == 0:
-                return False
+                break
             k -= 1
             arrived = False
+            for i in range(k):  # what was corrected together with this module, as it was before
+                low = chain.begins[base[i]]
+                for u in range(low, chain.begins[i + 1]):
+                    q[u] = choices[i, order[i, taken[i] - 1], u - low]
+            if k:
+                misses(chain, 0, k - 1, turns, places, points, q, e)
             continue
-        q = choices[k, taken[k]]
+        low, stop = chain.begins[base[k]], chain.begins[k + 1]
+        for u in range(low, stop):
+            q[u] = choices[k, order[k, taken[k]], u - low]
         taken[k] += 1
-        for j in range(dof):
-            positions[joint + j] = q[j]
+        misses(chain, base[k], k, turns, places, points, q, e)
         if k == m - 1:
-            return True
-        turned(dof, shapes[k], q, frames[k], turns[k + 1])
+            return m
         k += 1
         arrived = True
-    return False
+    if window == 1:
+        return deepest
+    # As far as it went, and from there on whatever comes nearest.
+    for u in range(len(q)):
+        q[u] = best[u]
+    for i in range(m):
+        if i > deepest:
+            first = chain.begins[i]
+            rank(
+                lefts, ends_of(chain, i, turns, places, points, size, good, samples, q, lefts, found), ranked
+            )
+            for u in range(first, chain.begins[i + 1]):
+                q[u] = found[ranked[0], u - first]
+        misses(chain, i, i, turns, places, points, q, e)
+    return deepest

@@ -105,6 +105,7 @@ def _pack_targets(targets: Sequence[Target]) -> tuple[dict[str, NDArray[Any]], d
         "method": [target.method for target in targets],
         "incomplete": [target.incomplete for target in targets],
         "moved": [target.moved for target in targets],
+        "approximate": [target.approximate for target in targets],
     }
     return arrays, about
 
@@ -116,8 +117,14 @@ def _unpack_targets(arrays: dict[str, NDArray[Any]], about: dict[str, Any]) -> t
     for name in _TARGET_ARRAYS:
         rows = iter(arrays.get(f"target_{name}", ()))
         columns[name] = [next(rows) if known else None for known in arrays[f"has_{name}"]]
-    moved = map(unpack_moved, about.get("moved", [None] * len(about["curve"])))
-    others = zip(about["curve"], about["method"], about["incomplete"], moved, strict=True)
+    older = len(
+        about["curve"]
+    )  # files of older versions do not say how curves were moved, or how close fits are
+    moved, close = (
+        map(unpack_moved, about.get("moved", [None] * older)),
+        about.get("approximate", [""] * older),
+    )
+    others = zip(about["curve"], about["method"], about["incomplete"], moved, close, strict=True)
     return tuple(
         Target(
             **dict(zip(columns, values, strict=True)),
@@ -125,8 +132,9 @@ def _unpack_targets(arrays: dict[str, NDArray[Any]], about: dict[str, Any]) -> t
             method=method,
             incomplete=incomplete,
             moved=way,
+            approximate=approximate,
         )
-        for values, (curve, method, incomplete, way) in zip(
+        for values, (curve, method, incomplete, way, approximate) in zip(
             zip(*columns.values(), strict=True), others, strict=True
         )
     )

@@ -61,6 +61,7 @@ def pack_run(run: Trajectory) -> tuple[dict[str, Any], dict[str, Any]]:
         "method": run.target.method,
         "incomplete": run.target.incomplete,
         "moved": run.target.moved,
+        "approximate": run.target.approximate,
         "controller": run.controller,
         "scene": None if run.scene is None else run.scene.to_dict(),
         "status": run.status,
@@ -94,6 +95,7 @@ def unpack_run(about: dict[str, Any], arrays: dict[str, Any], limits: Limits) ->
             method=about["method"],
             incomplete=about["incomplete"],
             moved=unpack_moved(about.get("moved")),
+            approximate=about.get("approximate", ""),  # files of older versions do not say
         ),
         limits=limits,
         scene=None if about["scene"] is None else Scene.from_dict(about["scene"]),

@@ -170,7 +170,9 @@ class Tracker:
         if not isinstance(target, Target):
             raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
         target.check(self.arm)
-        self._given, self._age = with_configuration(self.arm, target), 0.0
+        before = self._given.q if self._given is not None else None
+        near = self._feedback.command if before is None else before
+        self._given, self._age = with_configuration(self.arm, target, near), 0.0
 
     def restart(self, q_measured: ArrayLike, dq: ArrayLike | None = None) -> None:
         """Begin anew from where the arm is; the target stays.

@@ -92,7 +92,8 @@ def resolve_targets(
     Returns:
         The target, with `q`, `parameters`, `residual`, `method` and `moved` filled in. How far the whole arm
         is from the curve, links and all, `Target.distance_from_curve` says; where that is more than a tenth
-        of its length and no `near` was given, a `PostureWarning` says why (`Arm.adequate`).
+        of its length and no `near` was given, a `PostureWarning` says why (`Arm.adequate`). Joints that can
+        turn without limit are within half a turn of `near`, or of the straight arm.
 
     Raises:
         CurveEndsEarly: the curve is over before the last module is placed.
@@ -133,7 +134,7 @@ def resolve_targets(
         result = _place_together(arm, placed, method, near)
     if result.failure is not None and incomplete == "raise":
         raise result.failure
-    target = replace(_target(arm, placed, result, method), moved=moved)
+    target = replace(_target(arm, placed, result, method, near), moved=moved)
     if near is None and result.failure is None:
         _warn_if_far(arm, target)
     return target
@@ -206,13 +207,13 @@ def _place_together(arm: Arm, curve: Curve, method: str, near: Target | None) ->
     return Placement(fit.positions, ends, failure)
 
 
-def _target(arm: Arm, curve: Curve, result: Placement, method: str) -> Target:
+def _target(arm: Arm, curve: Curve, result: Placement, method: str, near: Target | None) -> Target:
     weights = np.ones(arm.n_modules)
     reason = ""
     if result.failure is not None:
         weights[result.failure.module - 1 :] = 0.0
         reason = str(result.failure)
-    q = arm.configuration(result.positions)
+    q = arm.nearest_turns(arm.configuration(result.positions), None if near is None else near.q)
     points = arm.at(q).points
     residual = _off(arm, result.positions, curve, result.parameters)
     return Target(points, weights, q, curve, result.parameters, residual, method, reason)

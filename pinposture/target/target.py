@@ -34,6 +34,8 @@ class Target:
         moved: how the curve was moved from where it was drawn; None if there is none, or that is not known.
         incomplete: why some control points have no place on the curve; empty if all have one. Those
             have weight 0, and their `points` continue straight on from the last that was placed.
+        approximate: how far the posture at `q` stays from points that were given (`fit_points`), and that it
+            may be a local minimum; empty if it takes them, or none is known.
     """
 
     points: Array
@@ -45,6 +47,7 @@ class Target:
     method: str = ""
     incomplete: str = ""
     moved: Moved | None = None
+    approximate: str = ""
 
     def __post_init__(self) -> None:
         for name in ("points", "weights", "q", "parameters", "residual"):

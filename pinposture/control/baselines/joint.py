@@ -35,7 +35,7 @@ class JointInterpolation:
             allowed = "a target with a known configuration, as `resolve_targets` returns it"
             raise InvalidValue("target.q", None, allowed)
         limits = Limits() if limits is None else limits
-        way = state.arm.difference(state.q, target.q)
+        way = state.arm.difference(state.q, state.arm.nearest_turns(target.q, state.q))
         previous = memory.dq if memory is not None else None
         # Joints off the chain stay.
         limited = limits.apply(state, way * state.arm.moved, previous)

@@ -28,6 +28,7 @@ from pinposture.control.constrained.settling import (
 )
 from pinposture.control.constrained.sweeps import Sweeps
 from pinposture.control.limits import Box, Limits
+from pinposture.target.measured import TAKEN
 
 Array = NDArray[np.float64]
 
@@ -185,9 +186,15 @@ def close_in(course: Course, scope: Scope) -> Asked:
 
 
 def _left(posture: Posture, scope: Scope) -> str:
-    """What tasks are left with, in words."""
+    """What tasks are left with, and that bare points were not all found, in words."""
     left = [
         f"{type(task).__name__} by {np.linalg.norm(task.rows(scope.state, posture.target).error):.3g} m"
         for task in posture.tasks
     ]
-    return f"; tasks that are not met: {', '.join(left)}" if left else ""
+    words = f"; tasks that are not met: {', '.join(left)}" if left else ""
+    target, missed = posture.target, posture.mean_error(scope.state) > TAKEN * posture.arm.length
+    if missed and (target.q is None or target.approximate):
+        words += (
+            "; no posture was found that takes all points, and the closest that was may be a local minimum"
+        )
+    return words

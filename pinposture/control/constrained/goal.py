@@ -11,7 +11,7 @@ from pinposture.arm import ArmState
 from pinposture.control.constrained.avoidance import Avoidance
 from pinposture.control.constrained.posture import Posture
 from pinposture.control.constrained.settling import Settled, settle
-from pinposture.target.measured import near_configuration
+from pinposture.target.measured import goal_starts
 
 Array = NDArray[np.float64]
 
@@ -37,10 +37,11 @@ def find_goal(
     """Find the configuration that does best what is asked of the arm.
 
     A configuration that the target knows is taken, and improved where it does not do all that is asked.
-    Otherwise the search begins where the arm is; then with the fit of the whole arm to the points, which
-    knows the way round; then at other places, always the same ones, which are also tried where the known
-    configuration is in the way of something or of a strict task. It ends with the first that is good enough,
-    or when several in a row have found the same, and takes the best.
+    Otherwise the search begins where the arm is; then with the configuration that takes the points, module by
+    module (`target.in_turn`), or where that search ended; then with the fit of the whole arm to the points,
+    which knows the way round; then at other places, always the same ones, which are also tried where the
+    known configuration is in the way of something or of a strict task. It ends with the first that is good
+    enough, or when several in a row have found the same, and takes the best.
 
     Args:
         posture: what is asked of the arm.
@@ -101,9 +102,8 @@ def _starts(
     if not held:
         yield state
     if target.q is None:
-        fitted = near_configuration(arm, target)
-        if fitted is not None:
-            yield _towards(posture, state, fitted, edges)
+        for positions in goal_starts(arm, target, arm.positions(state.q)):
+            yield _towards(posture, state, arm.configuration(positions), edges)
     rng = np.random.default_rng(0)
     for number in range(NUDGES):
         from_ = arm.straight() if number % 2 else state.q
@@ -112,9 +112,12 @@ def _starts(
 
 
 def _towards(posture: Posture, state: ArmState, q: Array, edges: Array) -> ArmState:
-    """The state at a configuration, as far as its joints matter and their limits allow."""
+    """The state at a configuration, as far as its joints matter and their limits allow.
+
+    Of the turns at which the posture is the same, joints take the nearest.
+    """
     arm = posture.arm
-    way = np.array(arm.difference(state.q, q))
+    way = np.array(arm.difference(state.q, arm.nearest_turns(q, state.q, edges)))
     here = arm.positions(state.q)
     if not posture.tasks:  # joints beyond the last control point that has a target need not move
         last = int(np.flatnonzero(posture.target.placed)[-1])

@@ -107,7 +107,7 @@ def plan_on(
     """
     arm, path = posture.arm, course.path
     before = path.configuration(path.end)
-    goal = _known(posture, bounds)
+    goal = _known(posture, bounds, before)
     if goal is not None and avoidance is not None and avoidance.intrusion(arm.at(goal)) > 0.0:
         goal = None
     if goal is None:
@@ -141,12 +141,15 @@ def _as_good(course: Course, posture: Posture, goal: ArmState) -> float:
     return ALIKE * (left + moved) if moved <= max(left, little) else 0.0
 
 
-def _known(posture: Posture, bounds: JointBounds) -> Array | None:
-    """The configuration that a target knows, (nq,), if it is within the limits and takes the posture."""
+def _known(posture: Posture, bounds: JointBounds, before: Array) -> Array | None:
+    """The configuration that a target knows, (nq,), if it is within the limits and takes the posture.
+
+    Joints are within half a turn of those at the goal before.
+    """
     arm, q = posture.arm, posture.target.q
     if q is None or len(posture.active) < arm.n_modules:
         return None
-    goal = arm.at(q)
+    goal = arm.at(arm.nearest_turns(q, before, bounds.edges))
     inside = kernels.position_excess(goal.placed.positions, bounds.edges, arm.kinematics.columns) == 0.0
     return goal.q if inside and posture.mean_error(goal) <= GOOD * arm.length else None
 

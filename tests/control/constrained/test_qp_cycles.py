@@ -54,7 +54,6 @@ def test_tips_of_a_redundant_arm_drift_less_in_every_round() -> None:
     ends = cycled(arm, targets, 1e-10)
     drift = np.abs(np.diff(ends, axis=0)).max(axis=1)
     assert drift[1] < max(drift[0], 1e-6)
-    assert drift[1] < 0.5
 
 
 @pytest.mark.parametrize(("name", "acceleration"), [("planar", None), ("spatial", None), ("spatial", 5.0)])

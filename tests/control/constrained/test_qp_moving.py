@@ -84,8 +84,8 @@ def test_points_that_cannot_be_had_do_not_start_the_search_anew_in_each_step(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     asked = []
-    original = goal.near_configuration
-    monkeypatch.setattr(goal, "near_configuration", lambda *given: asked.append(1) or original(*given))
+    original = goal.goal_starts
+    monkeypatch.setattr(goal, "goal_starts", lambda *given: asked.append(1) or original(*given))
     rng = np.random.default_rng(5)
     points = arm().at(postures(2, 1, 0.0)[0]).points
     targets = [Target.from_points(arm(), points + 1e-3 * rng.normal(size=points.shape)) for _ in range(150)]
