@@ -215,7 +215,9 @@ CASES = {
     ),
     "no target at all": lambda: replace(some_run(), target=replace(helix(), weights=np.zeros(6))),
     "partial": lambda: run_to(
-        pp.resolve_targets(six_modules(), pp.Curve.helix(0.1, 0.3, 0.3), incomplete="partial")
+        pp.resolve_targets(
+            six_modules(), pp.Curve.helix(0.1, 0.3, 0.3), placement="align", incomplete="partial"
+        )
     ),
 }
 
