@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -45,6 +46,7 @@ _untouched: dict[type, Callable[..., None]] = {}
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs would ignore it
     for name, meaning in SLOW.items():
         config.addinivalue_line("markers", f"{name}: {meaning}; only with --full")
     draw_fully(config.getoption("full"))
