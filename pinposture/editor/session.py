@@ -7,16 +7,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from pinposture.arm import Arm
 from pinposture.editor.autosave import version_of
 from pinposture.editor.clearances import Nearest
-from pinposture.editor.edits import Edit, keyframes_of, reshaped
+from pinposture.editor.edits import Edit, keyframes_of, reshaped, with_keyframe
 from pinposture.editor.history import Done, History
 from pinposture.editor.live import Live, Problem
 from pinposture.editor.playback import Playback
 from pinposture.editor.shape import Shape
 from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.task import Keyframe, Task
+
+DIGITS = 6
+"""To how many digits joint positions are kept that a shape is taken near [rad or m]."""
 
 
 class Notice(NamedTuple):
@@ -234,7 +239,9 @@ class Session:
             self.say(f"{proposal.what}: {reason}", "error")
             self.touch()
             return
-        self._add(proposal.task, proposal.what, self.selected)
+        q = self.arm.positions(live.verdict.target.q)
+        joints = tuple(np.round(q, DIGITS).tolist())  # what is seen now is what is opened again, and played
+        self._add(with_keyframe(self.selected, joints=joints)(proposal.task), proposal.what, self.selected)
         if proposal.note:
             self.say(f"{proposal.what}; {proposal.note}")
 

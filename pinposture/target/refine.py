@@ -18,6 +18,10 @@ ROUNDS, CONVERGED, ROUNDING = 12, 1e-7, 1e-24
 LEAST, EASIER, HARDER = 1e-11, 0.1, 10.0
 """Smallest damping of a fit, relative to the mean diagonal of its matrix, and how it changes."""
 
+AHEAD, LOOKED_AT = 2.0, 64
+"""How far ahead of one control point the next is looked for on a curve, in module lengths, and in how many
+places."""
+
 STRIDE = 0.2
 """The largest step of a fit [rad, or arm lengths]: it is to stay with the optimum that it followed."""
 
@@ -30,12 +34,29 @@ def fit_near(arm: Arm, curve: Curve, start: float, bending: float, near: Target)
         curve: the curve, placed.
         start: arc length at which the base of the arm belongs [m].
         bending: as for `fit_curve`.
-        near: the target, with its configuration and the arc lengths of its control points.
+        near: the target, with its configuration; where it has no arc lengths of its control points, they are
+            looked for on the curve.
     """
-    assert near.q is not None and near.parameters is not None  # the caller has seen to it
+    assert near.q is not None  # the caller has seen to it
     problem = Problem(arm, start, bending, driven_base(arm, curve, start))
-    guess = problem.joined(arm.positions(near.q), near.parameters)
+    parameters = _along(arm, curve, start, near.q) if near.parameters is None else near.parameters
+    guess = problem.joined(arm.positions(near.q), parameters)
     return Fit(*problem.split(refined(problem, curve, np.clip(guess, problem.lower, problem.upper))))
+
+
+def _along(arm: Arm, curve: Curve, start: float, q: Array) -> Array:
+    """Arc lengths of the places on a curve nearest to the control points at q, in order, (m,) [m].
+
+    Each is looked for as far from the one before as a module reaches: a curve may come by a second time.
+    """
+    points, lengths = arm.chain.flattened(arm.at(q).points), arm.chain.module_lengths
+    reach = AHEAD * np.maximum(lengths, lengths.mean())
+    steps = np.arange(1, LOOKED_AT + 1) / LOOKED_AT
+    found = np.empty(len(points))
+    for k, point in enumerate(points):
+        ahead = start + reach[k] * steps
+        found[k] = start = ahead[np.argmin(np.linalg.norm(curve.at(ahead) - point, axis=1))]
+    return found
 
 
 def refined(

@@ -85,9 +85,10 @@ def resolve_targets(
             target that says why in `incomplete` and gives weight 0 to the points from there on.
         method: as above; "auto" is sequential where that works and does not zigzag, else smooth, or
             closest where a module has no closed-form kinematics.
-        near: the target on a curve that differs a little, as while one is dragged. Least squares then begin
-            there and look no farther, which is quick; None: they begin with the straight arm, and take tenths
-            of a second for 20 modules and seconds for 100.
+        near: the target on a curve that differs a little, as while one is dragged, or of a configuration that
+            nearly takes this one (`Target.from_configuration`). Least squares then begin there and look no
+            farther, which is quick; None: they begin with the straight arm, and take tenths of a second for
+            20 modules and seconds for 100.
 
     Returns:
         The target, with `q`, `parameters`, `residual`, `method` and `moved` filled in. How far the whole arm
@@ -105,7 +106,7 @@ def resolve_targets(
             neighbouring modules that are bound to one plane together; says what keeps it from there.
         UnsupportedModule: sequential placement of a module for which no solver exists.
         InvalidValue: no arm or no curve, fewer than 2 samples, a roll that is not finite, a target of another
-            arm or of no curve to be near to.
+            arm or without configuration to be near to.
         UnknownName: a `placement`, `incomplete` or `method` that does not exist.
     """
     if not isinstance(arm, Arm):
@@ -122,8 +123,8 @@ def resolve_targets(
         raise InvalidValue("roll", roll, "a finite angle [rad]")
     if near is not None:
         near.check(arm)
-        if near.q is None or near.parameters is None:
-            raise InvalidValue("near", near, "a target with q and parameters, as from `resolve_targets`")
+        if near.q is None:
+            raise InvalidValue("near", near, "a target with a configuration q")
     placed, moved = laid(arm, curve, placement, roll)
     _warn_if_moved(arm, placement, moved)
     if method == "sequential":

@@ -156,6 +156,8 @@ class Between:
         at = stretch.rows - stretch.rows[0]
         own = [self._keyed.keyframes[k].positions for k in range(stretch.first, stretch.last + 1)]
         misses = np.array([self._near(q, rows[i]) - rows[i] for q, i in zip(own, at.tolist(), strict=True)])
+        if np.abs(misses / self._arm.joint_units).max() > NEAR:  # a keyframe has joints of its own
+            return None
         return np.asarray(rows + interpolate(stretch, misses, self._continuity, numbers))
 
     def _jumps(self, curves: Curves, row: float, first: Array, last: Array) -> bool:

@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from numbers import Real
 from typing import Literal
 
+import numpy as np
+
+from pinposture.arm.checks import finite_vector
 from pinposture.control.checks import is_whole
 from pinposture.control.tasks import EndEffector
 from pinposture.curve import Curve
@@ -36,6 +39,9 @@ class Keyframe:
             none. The posture gives way to it if it is strict, and is weighed against it if not.
         region: first and last control point that have to take the posture, 0-based, the last included; None
             for all. The others are free: to serve the tip, and not to be counted.
+        joints: joint positions to take the posture near, as of `Arm.positions`, (nv,) [rad or m]; None if any
+            will do. Where least squares place the modules, several configurations may take a posture equally
+            well: this tells which. What does not fit the arm is ignored with a warning.
         trim: True to take the first part of a curve that is longer than the arm covers, by more than a
             module; False to refuse it.
 
@@ -55,6 +61,7 @@ class Keyframe:
     tip: EndEffector | None = None
     region: tuple[int, int] | None = None
     trim: bool = False
+    joints: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
@@ -90,6 +97,9 @@ class Keyframe:
             object.__setattr__(self, "region", (int(ends[0]), int(ends[1])))
         if not isinstance(self.trim, bool):
             raise InvalidValue("trim", self.trim, "True or False")
+        if self.joints is not None:
+            joints = finite_vector("joints", self.joints, np.size(self.joints))
+            object.__setattr__(self, "joints", tuple(joints.tolist()))
 
 
 def usual_placement(scene: Scene | None) -> Literal["as_is", "align"]:

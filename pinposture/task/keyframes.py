@@ -16,9 +16,8 @@ from pinposture.errors import InvalidValue, TaskError, UnknownName
 from pinposture.task.between import STEP, TOO_FAR, Between, Progress
 from pinposture.task.keyframe import Keyframe, naming, title
 from pinposture.task.reference import Mark, Reference
-from pinposture.task.resolving import Keyed, resolve_keyframes, taken
+from pinposture.task.resolving import Keyed, resolve_keyframes, taken, tip_shift
 from pinposture.task.schedule import CONTINUITIES, Schedule, interpolate, schedule
-from pinposture.task.settled_tip import settled_tip
 
 Array = NDArray[np.float64]
 __all__ = ["Keyframe", "keyframe_reference"]
@@ -140,8 +139,8 @@ def _with_tips(
         if keyframe.tip is not None:
             q = arm.configuration(positions[rows.reached[index]])
             with naming(title(keyframes, index)):
-                target = taken(arm, keyframe, keyed.keyframes[index].target, q)
-                shifts[index] = settled_tip(arm, target, keyframe.tip, title(keyframes, index))
+                target, where = keyed.keyframes[index].target, title(keyframes, index)
+                shifts[index] = tip_shift(arm, keyframe, target, q, where)
     if not np.any(shifts):
         return positions
     shifted = positions.copy()

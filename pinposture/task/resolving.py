@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import warnings
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
+from pinposture.arm.checks import SLACK
 from pinposture.errors import PostureWarning, TargetError, TaskError
 from pinposture.target import Target, resolve_targets
 from pinposture.target.placement import beginning
@@ -34,7 +36,8 @@ class Resolved(NamedTuple):
         begun: its curve in the world, and where the base of the arm is on it.
         target: its target, of the whole arm.
         positions: joint positions that take it, (nv,) [rad or m].
-        fixed: whether it was asked for by another method than the motion goes by.
+        fixed: whether the motion has to take it at just these: they were asked for, or found by another
+            method than the motion goes by.
     """
 
     begun: Beginning
@@ -66,13 +69,13 @@ class Keyed(NamedTuple):
 def resolve_keyframe(arm: Arm, keyframe: Keyframe, near: Target | None = None) -> Target:
     """The target of a keyframe by itself: what the arm can have of its posture and of the task of its tip.
 
-    Quick, for one that is being changed: in a motion all keyframes are resolved by one method, and with more
-    samples of their curves.
+    Quick, for one that is being changed. A motion takes the same posture at a keyframe that has `joints`; it
+    resolves those without by one method, and comes to them by the way that is nearest.
 
     Args:
         arm: the arm.
         keyframe: the keyframe.
-        near: as for `resolve_targets`.
+        near: as for `resolve_targets`; the joints of the keyframe if None.
 
     Raises:
         TargetError: as `resolve_targets`.
@@ -80,21 +83,59 @@ def resolve_keyframe(arm: Arm, keyframe: Keyframe, near: Target | None = None) -
         InvalidValue: a region that the arm does not have.
     """
     where = title((keyframe,), 0)
-    target = resolve_targets(
-        arm,
-        keyframe.curve,
-        placement=keyframe.placement or "align",
-        roll=keyframe.roll,
-        method=keyframe.method,
-        near=near,
-    )
+    (keyframe,) = with_fitting_joints(arm, (keyframe,))
+    target = _target(arm, keyframe, keyframe.method, near)
     assert target.q is not None and target.curve is not None
     begun = Beginning(target.curve, beginning(arm, target.curve)[0])
     _refuse_rest(arm, (keyframe,), 0, Resolved(begun, target, arm.positions(target.q), False))
     if keyframe.tip is not None:
-        q = arm.integrate(target.q, settled_tip(arm, target, keyframe.tip, where))
+        q = arm.integrate(target.q, tip_shift(arm, keyframe, target, target.q, where))
         return taken(arm, keyframe, target, q)
     return target if keyframe.region is None else target.region(*keyframe.region)
+
+
+def tip_shift(arm: Arm, keyframe: Keyframe, target: Target, q: Array, where: str) -> Array:
+    """The joint displacement (nv,) [rad or m] from a configuration (nq,) to one that serves the tip as well.
+
+    Args:
+        arm: the arm.
+        keyframe: the keyframe; it asks something of the tip.
+        target: its target, of the whole arm.
+        q: the configuration that takes it.
+        where: what to call it.
+
+    Raises:
+        TaskError: a strict task that the arm cannot do.
+    """
+    assert keyframe.tip is not None
+    return settled_tip(arm, taken(arm, keyframe, target, q), keyframe.tip, where)
+
+
+def with_fitting_joints(arm: Arm, keyframes: tuple[Keyframe, ...]) -> tuple[Keyframe, ...]:
+    """The keyframes without `joints` that do not fit the arm; a `PostureWarning` names them."""
+    fitting = []
+    for index, keyframe in enumerate(keyframes):
+        misfit = _misfit(arm, keyframe)
+        if misfit:
+            text = f"{title(keyframes, index)}: joints {misfit}; they are ignored"
+            warnings.warn(text, PostureWarning, stacklevel=3)
+        fitting.append(replace(keyframe, joints=None) if misfit else keyframe)
+    return tuple(fitting)
+
+
+def _misfit(arm: Arm, keyframe: Keyframe) -> str:
+    """Why the joints of a keyframe do not fit the arm; empty if they do, or there are none."""
+    if keyframe.joints is None:
+        return ""
+    if len(keyframe.joints) != arm.nv:
+        return f"has {len(keyframe.joints)} values, and the arm {arm.nv} joints"
+    positions = np.array(keyframe.joints)
+    over = np.maximum(positions - arm.limits.upper, arm.limits.lower - positions)
+    worst = int(np.argmax(over))
+    if over[worst] <= SLACK:
+        return ""
+    low, high = arm.limits.lower[worst], arm.limits.upper[worst]
+    return f"is {positions[worst]:.4g} for joint {worst + 1}, whose limits are {low:.4g} and {high:.4g}"
 
 
 def taken(arm: Arm, keyframe: Keyframe, target: Target, q: Array) -> Target:
@@ -108,20 +149,21 @@ def taken(arm: Arm, keyframe: Keyframe, target: Target, q: Array) -> Target:
 
 
 def resolve_keyframes(arm: Arm, keyframes: tuple[Keyframe, ...]) -> Keyed:
-    """Resolve all keyframes by one method, as far as they leave it open.
+    """Resolve all keyframes by one method, as far as they leave it open; those that have `joints` near these.
 
-    That is sequential placement if it serves all of them, else the least squares that serve those which it
+    That is sequential placement if it serves all without, else the least squares that serve those which it
     does not.
 
     Raises:
         TargetError: as `resolve_targets`, naming the keyframe.
         TaskError: a curve that is too long, likewise.
     """
-    targets = []
+    keyframes, targets = with_fitting_joints(arm, keyframes), []
     for index, keyframe in enumerate(keyframes):
         with naming(title(keyframes, index)):
             targets.append(_target(arm, keyframe, keyframe.method))
-    methods = {target.method for target in targets}
+    free = [k for k, keyframe in enumerate(keyframes) if keyframe.joints is None]
+    methods = {targets[k].method for k in free or range(len(targets))}
     method = "sequential"
     if methods != {"sequential"}:
         method = "smooth" if "smooth" in methods else "closest"
@@ -130,7 +172,8 @@ def resolve_keyframes(arm: Arm, keyframes: tuple[Keyframe, ...]) -> Keyed:
         target = _by_method(arm, keyframe, first, method)
         assert target.q is not None and target.curve is not None
         begun = Beginning(target.curve, beginning(arm, target.curve)[0])
-        resolved.append(Resolved(begun, target, arm.positions(target.q), target.method != method))
+        fixed = target.method != method or keyframe.joints is not None
+        resolved.append(Resolved(begun, target, arm.positions(target.q), fixed))
     for index, each in enumerate(resolved):
         _refuse_rest(arm, keyframes, index, each)
         moved = each.target.moved
@@ -141,14 +184,31 @@ def resolve_keyframes(arm: Arm, keyframes: tuple[Keyframe, ...]) -> Keyed:
     return Keyed(tuple(resolved), method, MARGIN * max(longest, arm.length))
 
 
-def _target(arm: Arm, keyframe: Keyframe, method: str) -> Target:
-    given = {"placement": keyframe.placement or "align", "roll": keyframe.roll, "method": method}
-    return resolve_targets(arm, keyframe.curve, SAMPLES, **given)  # type: ignore[arg-type]
+def _target(arm: Arm, keyframe: Keyframe, method: str, near: Target | None = None) -> Target:
+    """The target of the whole arm, found near another, or near the joints of the keyframe, if it has some."""
+    given: dict[str, Any] = {
+        "placement": keyframe.placement or "align",
+        "roll": keyframe.roll,
+        "method": method,
+    }
+    if near is not None or keyframe.joints is None:
+        return resolve_targets(arm, keyframe.curve, SAMPLES, near=near, **given)
+    positions = np.clip(keyframe.joints, arm.limits.lower, arm.limits.upper)
+    q = arm.configuration(positions)
+    hint = Target(arm.at(q).points, np.ones(arm.n_modules), q=q)
+    try:
+        return resolve_targets(arm, keyframe.curve, SAMPLES, near=hint, **given)
+    except TargetError:
+        target = resolve_targets(arm, keyframe.curve, SAMPLES, **given)
+    text = "joints: its curve has no posture near them; they are ignored"
+    where = f"keyframe {keyframe.name!r}" if keyframe.name else "a keyframe"
+    warnings.warn(f"{where}: {text}", PostureWarning, stacklevel=3)
+    return target
 
 
 def _by_method(arm: Arm, keyframe: Keyframe, target: Target, method: str) -> Target:
     """The target by the method of the motion, if the keyframe leaves that open and it has one."""
-    if keyframe.method != "auto" or target.method == method:
+    if keyframe.method != "auto" or keyframe.joints is not None or target.method == method:
         return target
     try:
         return _target(arm, keyframe, method)

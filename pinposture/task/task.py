@@ -31,6 +31,7 @@ from pinposture.task.reading.lines import Place
 from pinposture.task.reading.showing import shown
 from pinposture.task.reading.tasks import read_task
 from pinposture.task.reference import Reference
+from pinposture.task.resolving import with_fitting_joints
 from pinposture.task.writing.tasks import write_task
 
 Array = NDArray[np.float64]
@@ -97,7 +98,7 @@ class Task:
                 raise InvalidValue("scans", self.scans, "paths of files")
         self._settle("scans", tuple(map(settled, scans)))
         check_task(self)
-        self._settle("motion", _placed(self.motion, usual_placement(self.scene)))
+        self._settle("motion", _placed(self.arm, self.motion, usual_placement(self.scene)))
         self._settle("formats", tuple(each for each in FORMATS if each in formats))
         self._settle("described", dict(self.described))
         if self.start is not None:
@@ -242,10 +243,11 @@ class Task:
         return FileError(self._document.path, f"{'' if line is None else f'line {line}: '}{text}")
 
 
-def _placed(motion: tuple[Keyframe, ...] | Leader, usual: Any) -> tuple[Keyframe, ...] | Leader:
-    """The motion with all that it leaves open of where its curves are laid."""
+def _placed(arm: Arm, motion: tuple[Keyframe, ...] | Leader, usual: Any) -> tuple[Keyframe, ...] | Leader:
+    """The motion with all that it leaves open of where its curves are laid, and joints that fit the arm."""
     if isinstance(motion, Leader):
         return motion._replace(placement=usual) if motion.placement is None else motion
+    motion = with_fitting_joints(arm, motion)
     return tuple(each if each.placement else replace(each, placement=usual) for each in motion)
 
 

@@ -33,6 +33,7 @@ _KEYFRAME = (
     "trim",
     "region",
     "tip",
+    "joints",
 )
 _TIP = ("position", "rotation", "point", "weight", "strict", "axis_only", "length")
 _LEADER = ("path", "speed", "depth", "placement", "method", "and_back", "pipe")
@@ -42,12 +43,12 @@ _QUANTITIES = {
 }
 
 
-def read_keyframes(tables: list[Table], usual: str) -> tuple[Keyframe, ...]:
+def read_keyframes(tables: list[Table], usual: str, arm: Arm) -> tuple[Keyframe, ...]:
     """The keyframes, each checked by itself; `usual` is how curves are laid where the file does not say."""
-    return tuple(_keyframe(table, usual) for table in tables)
+    return tuple(_keyframe(table, usual, arm) for table in tables)
 
 
-def _keyframe(table: Table, usual: str) -> Keyframe:
+def _keyframe(table: Table, usual: str, arm: Arm) -> Keyframe:
     table.only(*_KEYFRAME)
     region = table.value("region", None)
     if region is not None:
@@ -68,11 +69,21 @@ def _keyframe(table: Table, usual: str) -> Keyframe:
         "method": table.text("method", "auto", METHODS),
         "trim": table.flag("trim", False),
         "region": region,
+        "joints": _read_joints(table, arm),
         "tip": read_tip(table.table("tip")) if "tip" in table else None,
     }
     curve = read_curve(table, "curve")
     with table.blaming():
         return Keyframe(curve, **values)
+
+
+def _read_joints(table: Table, arm: Arm) -> list[float] | None:
+    """Joint positions near which a posture is taken; those of another arm are read, and ignored later."""
+    listed = table.value("joints", None)
+    if not isinstance(listed, list):
+        return None if listed is None else table.quantities("joints", ["angle"] * arm.nv)  # which raises
+    own = ["length" if slides else "angle" for slides in arm.slides]
+    return table.quantities("joints", own if len(listed) == len(own) else ["angle"] * len(listed))
 
 
 def read_tip(table: Table) -> EndEffector:

@@ -49,7 +49,7 @@ def read_task(document: Document, arm: Arm | None = None) -> dict[str, Any]:
         motion = read_leader(root.table("leader"), usual)
     parts = {
         "arm": arm,
-        "motion": read_keyframes(root.tables("keyframes"), usual) if motion is None else motion,
+        "motion": read_keyframes(root.tables("keyframes"), usual, arm) if motion is None else motion,
         "limits": read_limits(root.table("limits"), arm),
         "controller": read_controller(root.table("controller")),
         "scene": scene,

@@ -39,6 +39,8 @@ def write_keyframe(keyframe: Keyframe, usual: str, wording: Wording) -> dict[str
     described |= _unusual(keyframe, {"placement": usual, **_USUAL})
     if keyframe.region is not None:
         described["region"] = [end + 1 for end in keyframe.region]
+    if keyframe.joints is not None:
+        described["joints"] = list(keyframe.joints)
     if keyframe.tip is not None:
         described["tip"] = _write_tip(keyframe.tip, wording)
     return described

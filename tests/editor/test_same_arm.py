@@ -1,0 +1,93 @@
+"""What is saved is what is opened again: the arm of the moment, opened, played and run is the same arm."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from typer.testing import CliRunner
+
+from pinposture.cli.app import app
+from pinposture.editor.session import Session
+from pinposture.editor.solver import Solver
+from pinposture.motion import Motion
+from pinposture.task import Task
+
+TASKS = Path(__file__).parents[2] / "examples" / "tasks"
+SAME = 1e-6
+"""How far joints of the same arm may be apart [rad]."""
+
+MOVES = 8
+"""How many places a hand passes in a drag."""
+
+
+class Bench:
+    """An editor without a page: a session, and a solver that does what it is asked when it is asked."""
+
+    def __init__(self, task: Task, path: Path | None = None) -> None:
+        self.session = Session(task, path, selected=0)
+        self.session.at_once = True
+        self.solver = Solver(self.session.problem, task.arm.straight())
+        self.look()
+
+    def look(self) -> None:
+        """Look at what is asked, decide on what is proposed, and look at what counts then."""
+        for _ in range(2):
+            self.solver._take(self.session.problem)
+            self.solver._step()
+            self.session.settle(self.solver.live)
+
+    def drag(self, keyframe: int, point: int, to: np.ndarray) -> bool:
+        """Drag a control point to a place; whether the arm could take that."""
+        self.session.select(keyframe)
+        self.look()
+        begin = self.session.shape.points[point].copy()
+        before = self.session.task
+        for share in np.arange(1, MOVES + 1) / MOVES:
+            place = begin + share * (to - begin)
+            self.session.reshape(
+                lambda arm, shape, at=place: shape.moved(arm, point, at), "moved it", bool(share == 1.0)
+            )
+            self.look()
+        return self.session.task is not before
+
+    def seen(self, keyframe: int) -> np.ndarray:
+        """The configuration of the arm at a keyframe."""
+        self.session.select(keyframe)
+        self.look()
+        assert self.solver.live.verdict.target is not None, self.solver.live.verdict.reason
+        return self.solver.live.state.q
+
+
+def assert_same(bench: Bench, folder: Path, *keyframes: int) -> None:
+    """The arm at keyframes: of the moment, opened again, played, and as the command line runs the file."""
+    path, out = folder / "saved.toml", folder / "out"
+    task = bench.session.task
+    task.save(path)
+    loaded = Task.load(path)
+    opened, played = Bench(loaded, path), task.perform()
+    ended = CliRunner().invoke(app, ["run", str(path), "-o", str(out)])
+    assert ended.exit_code == 0, ended.output
+    ran = Motion.load(out / "motion.npz")
+    assert np.array_equal(ran.q, played.q)
+    plans = [task.reference().marks, loaded.reference().marks]
+    for keyframe in keyframes:
+        live = bench.seen(keyframe)
+        for other in (opened.seen(keyframe), *(marks[keyframe].target.q for marks in plans)):
+            assert np.abs(task.arm.difference(live, other)).max() <= SAME
+        away = np.abs([task.arm.difference(live, q) for q in ran.q]).max(axis=1)
+        assert away.min() <= SAME
+
+
+def five_postures() -> Task:
+    """The example, each posture held for a moment, so that the arm comes to it in full."""
+    task = Task.load(TASKS / "keyframes.toml")
+    held = tuple(replace(each, hold=0.2) for each in task.motion)  # type: ignore[union-attr]
+    return task.edited(motion=held, formats=("npz",))
+
+
+def test_a_posture_that_was_dragged_to_is_the_one_that_is_saved_opened_played_and_run(tmp_path: Path) -> None:
+    bench = Bench(five_postures())
+    assert bench.drag(1, 1, np.array([-0.130, -0.083, 0.083]))
+    assert_same(bench, tmp_path, 0, 1, 2, 3, 4)
