@@ -233,15 +233,18 @@ class Session:
         if proposal is None or not proposal.final or live.number < proposal.number:
             return
         self.proposal = None
-        if live.verdict.target is None:
+        target = live.verdict.target
+        if target is None:
             self._settle_on(self.selected)
             reason = f"not done, the arm cannot take that shape: {live.verdict.reason}"
             self.say(f"{proposal.what}: {reason}", "error")
             self.touch()
             return
-        q = self.arm.positions(live.verdict.target.q)
-        joints = tuple(np.round(q, DIGITS).tolist())  # what is seen now is what is opened again, and played
-        self._add(with_keyframe(self.selected, joints=joints)(proposal.task), proposal.what, self.selected)
+        task = proposal.task
+        if target.q is not None:  # what is seen now is what is opened again, and played
+            joints = tuple(np.round(self.arm.positions(target.q), DIGITS).tolist())
+            task = with_keyframe(self.selected, joints=joints)(task)
+        self._add(task, proposal.what, self.selected)
         if proposal.note:
             self.say(f"{proposal.what}; {proposal.note}")
 

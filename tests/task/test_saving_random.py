@@ -96,6 +96,8 @@ def keyframes(draw: Any, arm: pp.Arm) -> pp.Keyframe:
     times = [{}, {"time": draw(POSITIVE)}, {"duration": draw(POSITIVE)}, {"time": draw(st.integers(0, 9))}]
     first = draw(st.integers(0, arm.n_modules - 1))
     region = (first, draw(st.integers(first, arm.n_modules - 1)))
+    lower, upper = np.maximum(arm.limits.lower, -9.0), np.minimum(arm.limits.upper, 9.0)
+    joints = [st.floats(low, high) for low, high in zip(lower, upper, strict=True)]
     return pp.Keyframe(
         draw(curves()),
         name=draw(NAMES),
@@ -106,6 +108,7 @@ def keyframes(draw: Any, arm: pp.Arm) -> pp.Keyframe:
         tip=draw(st.none() | tips(arm)),
         region=draw(st.none() | st.just(region)),
         trim=draw(st.booleans()),
+        joints=draw(st.none() | st.tuples(*joints)),
         **draw(st.sampled_from(times)),
     )
 

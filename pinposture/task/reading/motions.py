@@ -83,7 +83,9 @@ def _read_joints(table: Table, arm: Arm) -> list[float] | None:
     if not isinstance(listed, list):
         return None if listed is None else table.quantities("joints", ["angle"] * arm.nv)  # which raises
     own = ["length" if slides else "angle" for slides in arm.slides]
-    return table.quantities("joints", own if len(listed) == len(own) else ["angle"] * len(listed))
+    kinds = own if len(listed) == len(own) else ["angle"] * len(listed)
+    positions: list[float] = table.quantities("joints", kinds)
+    return positions
 
 
 def read_tip(table: Table) -> EndEffector:
