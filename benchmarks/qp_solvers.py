@@ -26,9 +26,9 @@ from rich.markup import escape
 from rich.table import Table
 
 import pinposture as pp
+from pinposture.collision import Scene, Sphere
 from pinposture.control import ConstrainedQP, JointPosture
-from pinposture.control.constrained import program, settling
-from pinposture.scene import Scene, Sphere
+from pinposture.control.planner import avoidance, follow
 from pinposture.study import smooth_configuration
 
 Array = np.ndarray
@@ -54,17 +54,17 @@ def recorded(modules: int, situation: str) -> list[Program]:
 
     def spying(*asked):
         nonlocal count, stride
-        solution, count = program.solve(*asked), count + 1
+        solution, count = avoidance.solve(*asked), count + 1
         if count % stride == 0 and not solution.softened:
             found.append(arranged(*asked))
             if len(found) > 2 * KEPT:
                 found[:], stride = found[::2], 2 * stride
         return solution
 
-    settling.solve = spying
+    follow.solve = spying
     for seed in range(RUNS):
         run(modules, situation, np.random.default_rng(seed))
-    settling.solve = program.solve
+    follow.solve = avoidance.solve
     return found
 
 
@@ -72,7 +72,7 @@ def arranged(hessian: Array, gradient: Array, lower: Array, upper: Array, rows=N
     """The arguments of `program.solve` with rows of length 1; equations do not occur here."""
     matrix, least = (np.zeros((0, len(gradient))), np.zeros(0)) if rows is None else rows
     lengths = np.maximum(np.linalg.norm(matrix, axis=1), 1e-12)
-    high = np.r_[upper, np.full(len(least), program.NONE)]
+    high = np.r_[upper, np.full(len(least), avoidance.NONE)]
     return Program(hessian, gradient, matrix / lengths[:, None], np.r_[lower, least / lengths], high)
 
 
@@ -102,9 +102,9 @@ def run(modules: int, situation: str, rng: np.random.Generator) -> None:
 
 def with_daqp(p: Program, last: Array | None) -> Array | None:
     """As `program.solve` calls it."""
-    options = {"primal_tol": program.TOLERANCE, "eq_reduction": -1, "primal_start": last}
+    options = {"primal_tol": avoidance.TOLERANCE, "eq_reduction": -1, "primal_start": last}
     x, _, flag, _ = daqp.solve(p.H, p.g, p.M, p.high, p.low, None, **options)
-    return x if flag == program.SOLVED else None
+    return x if flag == avoidance.SOLVED else None
 
 
 def with_proxqp(p: Program, last: Array | None) -> Array | None:

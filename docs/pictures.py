@@ -28,12 +28,11 @@ from PIL import Image
 
 import pinposture as pp
 from pinposture.task.reference import Reference
-from pinposture.view import palette
-from pinposture.view.axes import dress_time
-from pinposture.view.clearance import plot_clearance
-from pinposture.view.ellipsoids import draw_ellipsoids, ellipsoid_key, shade_ellipsoids
-from pinposture.view.postures import PosturePanel
-from pinposture.view.run_postures import draw_runs
+from pinposture.viz import palette
+from pinposture.viz.axes import dress_time
+from pinposture.viz.ellipsoids import draw_ellipsoids, ellipsoid_key, shade_ellipsoids
+from pinposture.viz.panels import plot_clearance
+from pinposture.viz.postures import PosturePanel, draw_runs
 
 Array = NDArray[np.float64]
 

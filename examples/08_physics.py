@@ -13,7 +13,7 @@ from pinposture.motion import Tracker
 from pinposture.sim import Servos, simulate, simulate_closed
 from pinposture.study import smooth_configuration
 from pinposture.thesis.curves import HELIX
-from pinposture.view.simulation import plot_simulation
+from pinposture.viz.simulation import plot_simulation
 
 # The arm of the thesis, a random smooth start, and a motion of cycles of 20 ms to the helix.
 arm = pp.Arm.from_template("RyRz", modules=20)

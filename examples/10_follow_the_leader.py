@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import pinposture as pp
-from pinposture.scene.pipe import pipe, pipe_axis
+from pinposture.collision.pipe import pipe, pipe_axis
 from pinposture.task.deviation import path_deviation
 from pinposture.task.follow_leader import follow_leader
 from pinposture.task.perform import perform

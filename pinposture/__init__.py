@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pinposture.arm import Adequacy, Arm, ArmState, Ellipsoid, JointLimits, JointSpec, ModuleTemplate
     from pinposture.arm.template import template
+    from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Mesh, Scene, Sphere
     from pinposture.control import (
         ConstrainedQP,
         Controller,
@@ -34,15 +35,14 @@ if TYPE_CHECKING:
     from pinposture.motion import Batch, JointTrajectory, Motion, Tracker, Trajectory
     from pinposture.motion.track import track
     from pinposture.motion.track_many import track_many
-    from pinposture.scene import Box, Capsule, Cylinder, HalfSpace, Mesh, Scene, Sphere
-    from pinposture.target import Target, fit_points, resolve_targets
+    from pinposture.placement import Target, fit_points, resolve_targets
     from pinposture.task.deviation import path_deviation
     from pinposture.task.follow_leader import follow_leader
     from pinposture.task.keyframe import Keyframe
     from pinposture.task.keyframes import keyframe_reference
     from pinposture.task.perform import move_through, perform
     from pinposture.task.task import Task
-    from pinposture.view import plot, plot_arm, plot_comparison, save_html, view
+    from pinposture.viz import plot, plot_arm, plot_comparison, save_html, view
 
 __version__ = "0.1.0"
 
@@ -126,8 +126,8 @@ _PACKAGES = {
     "curve": ("Curve",),
     "errors": ("PostureError", "PostureWarning"),
     "motion": ("Batch", "JointTrajectory", "Motion", "Tracker", "Trajectory", "track", "track_many"),
-    "scene": ("Box", "Capsule", "Cylinder", "HalfSpace", "Mesh", "Scene", "Sphere"),
-    "target": ("Target", "fit_points", "resolve_targets"),
+    "collision": ("Box", "Capsule", "Cylinder", "HalfSpace", "Mesh", "Scene", "Sphere"),
+    "placement": ("Target", "fit_points", "resolve_targets"),
     "task": (
         "Keyframe",
         "Task",
@@ -137,14 +137,12 @@ _PACKAGES = {
         "path_deviation",
         "perform",
     ),
-    "view": ("plot", "plot_arm", "plot_comparison", "save_html"),
+    "viz": ("plot", "plot_arm", "plot_comparison", "save_html", "view"),
 }
 _PACKAGE_OF = {name: package for package, names in _PACKAGES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
-    if name in _PACKAGES:  # `view` is a package and can be called
-        return import_module(f"{__name__}.{name}")
     if name not in _PACKAGE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = globals()[name] = getattr(import_module(f"{__name__}.{_PACKAGE_OF[name]}"), name)

@@ -1,4 +1,4 @@
-"""Files: read with a reason where that fails, written whole or not at all."""
+"""Files: read with a reason where that fails, written whole or not at all, named relative to another file."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import uuid
 from pathlib import Path
 
 from pinposture.errors import FileError
+
+# Files: read with a reason where that fails, written whole or not at all.
 
 
 def write_bytes(path: Path, content: bytes) -> None:
@@ -94,3 +96,30 @@ def check_writable(directory: Path) -> None:
         raise FileError(there, "is a file; allowed: a directory")
     if not os.access(there, os.W_OK):
         raise FileError(there, "cannot be written (permission denied)")
+
+
+# Paths of files that a task names: absolute in memory, relative to the task file where that is possible.
+
+
+def settled(path: str | Path) -> Path:
+    """An absolute path without links and dots on the way to the file; if that is a link, it stays one."""
+    given = Path(path)
+    try:
+        return Path(os.path.realpath(given.parent)) / given.name
+    except (OSError, ValueError):  # no way that could be followed
+        return given.absolute()
+
+
+def relative(path: Path, folder: Path) -> str:
+    """How a file in a folder names another one: with slashes, on every system.
+
+    Args:
+        path: the file that is named.
+        folder: where the file lies that names it.
+    """
+    there = settled(path)
+    try:
+        words = Path(os.path.relpath(there, os.path.realpath(folder))).as_posix()
+    except ValueError:  # on another drive
+        return there.as_posix()
+    return there.as_posix() if words.startswith("~") else words  # it would be read as somebody's home

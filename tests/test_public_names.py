@@ -20,7 +20,7 @@ def test_every_name_is_there_and_known_to_type_checkers() -> None:
     assert set(homes) == set(pp.__all__)
     assert list(pp.__all__) == sorted(pp.__all__)
     for name, module in homes.items():
-        assert module.split(".")[1] == (name if name == "view" else pp._PACKAGE_OF[name])
+        assert module.split(".")[1] == pp._PACKAGE_OF[name]
         assert callable(getattr(pp, name))
     assert dir(pp) == sorted([*pp.__all__, "__version__"])
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):

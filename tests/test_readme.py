@@ -11,7 +11,7 @@ import pytest
 
 import pinposture as pp
 from pinposture.cli import app
-from pinposture.view import viewer
+from pinposture.viz import viewer
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()

@@ -1,9 +1,9 @@
 """What the robot is: module templates, URDF, loading, the arm and its state."""
 
-from pinposture.arm.adequacy import Adequacy, Excess
 from pinposture.arm.arm import Arm
-from pinposture.arm.ellipsoid import ControlPoints, Ellipsoid
-from pinposture.arm.limits import JointLimits
+from pinposture.arm.configurations import JointLimits
+from pinposture.arm.feasibility import Adequacy, Violation
+from pinposture.arm.manipulability import ControlPoints, Ellipsoid
 from pinposture.arm.state import ArmState
 from pinposture.arm.template import TEMPLATES, JointSpec, ModuleTemplate, template
 
@@ -14,9 +14,9 @@ __all__ = [
     "ArmState",
     "ControlPoints",
     "Ellipsoid",
-    "Excess",
     "JointLimits",
     "JointSpec",
     "ModuleTemplate",
+    "Violation",
     "template",
 ]

@@ -11,16 +11,15 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture.arm.adequacy import Adequacy, CurveShape, adequacy
-from pinposture.arm.blueprint import Blueprint
+from pinposture._validation import finite_vector
 from pinposture.arm.chain import Chain, frame_ids, read_chain
-from pinposture.arm.checks import check_joint_positions, finite_vector
+from pinposture.arm.configurations import carry_base, check_joint_positions, farthest_stretch, without_limits
+from pinposture.arm.feasibility import Adequacy, CurveShape, adequacy
 from pinposture.arm.kinematics import Kinematics
-from pinposture.arm.limits import carry_base, without_limits
-from pinposture.arm.report import LoadReport
+from pinposture.arm.loading import LoadReport
 from pinposture.arm.segmentation import Segmentation
+from pinposture.arm.specification import Blueprint
 from pinposture.arm.state import ArmState
-from pinposture.arm.stretch import farthest_stretch
 from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]

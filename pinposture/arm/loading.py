@@ -1,24 +1,314 @@
-"""From a robot description to a model that holds one chain and its control points."""
+"""From a robot description to a Pinocchio model of one chain with a frame at each control point."""
 
 from __future__ import annotations
 
 import operator
 import os
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import pinocchio as pin
 
-from pinposture.arm.description import Description, JointDescription, read_description
-from pinposture.arm.holding import checked_locks, hold, holding_warnings
-from pinposture.arm.report import LoadReport
+from pinposture.arm.chain import ON_AXIS, Skeleton, joint_lines, neutral_placements
+from pinposture.arm.configurations import UNLIMITED
 from pinposture.arm.segmentation import Segmentation, equal_modules, given_modules, segment
-from pinposture.arm.skeleton import Skeleton, joint_lines, neutral_placements
-from pinposture.arm.stations import end_frames, modules_to_links
-from pinposture.arm.urdf_joint import CHAIN_JOINTS
-from pinposture.errors import InvalidValue, URDFError
+from pinposture.arm.urdf_reader import (
+    CHAIN_JOINTS,
+    Description,
+    JointDescription,
+    leading_joint,
+    read_description,
+)
+from pinposture.errors import InvalidValue, UnknownName, URDFError
+
+# What was decided while an arm was loaded.
+
+
+@dataclass(frozen=True)
+class LoadReport:
+    """What was decided while an arm was loaded.
+
+    Attributes:
+        base: link at which the arm begins.
+        tip: link at which it ends.
+        package_dirs: folders in which viewers look for meshes, the file's own last.
+        warnings: what was settled in a way that the user may not expect.
+        segmentation: how the joints were grouped into modules.
+    """
+
+    base: str
+    tip: str
+    package_dirs: tuple[str, ...]
+    warnings: tuple[str, ...]
+    segmentation: Segmentation
+
+    def to_dict(self) -> dict[str, Any]:
+        """The report as data that JSON can hold."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, described: Mapping[str, Any]) -> LoadReport:
+        """The report that `to_dict` described."""
+        cut = dict(described["segmentation"])
+        cut["sizes"] = tuple(cut["sizes"])
+        return cls(
+            described["base"],
+            described["tip"],
+            tuple(described["package_dirs"]),
+            tuple(described["warnings"]),
+            Segmentation(**cut),
+        )
+
+
+# Joints that hold still: those off the chain, and those that the user or the file locks.
+
+_MARK = "\n"  # no name in a description has one
+
+
+def checked_locks(description: Description, locked: Mapping[str, float]) -> dict[str, float]:
+    """Positions of the joints that the user locks, [rad or m].
+
+    Raises:
+        UnknownName: no such joint, or one that cannot move.
+        InvalidValue: not a number, or one out of range, or a joint whose position is not one number.
+    """
+    known = {joint.name: joint for joint in description.joints if joint.type != "fixed"}
+    checked = {}
+    for name, value in locked.items():
+        if name not in known:
+            raise UnknownName("moving joint", name, known)
+        if known[name].type in ("floating", "planar"):
+            allowed = f"nothing: it is {known[name].type}, its position is not one number"
+            raise InvalidValue(f"locked[{name!r}]", value, allowed)
+        try:
+            checked[name] = float(value)
+        except (TypeError, ValueError):
+            checked[name] = np.nan
+        if not abs(checked[name]) < UNLIMITED:
+            raise InvalidValue(f"locked[{name!r}]", value, f"a joint position within +-{UNLIMITED:g}")
+    return checked
+
+
+def hold(
+    model: pin.Model, description: Description, moving: Iterable[str], locked: Mapping[str, float]
+) -> pin.Model:
+    """A model in which only the listed joints move.
+
+    The others stay at their locked position, or where the joint that they mimic puts them, or at the position
+    nearest zero within their limits.
+
+    Raises:
+        URDFError: Pinocchio cannot reduce the model.
+    """
+    free = set(moving)
+    positions = held_positions(description, locked)
+    reference = pin.neutral(model)
+    held = []
+    for index in range(1, model.njoints):
+        name, joint = model.names[index], model.joints[index]
+        if name in free:
+            continue
+        held.append(index)
+        if joint.nq == 1:
+            reference[joint.idx_q] = positions[name]
+        elif joint.nv == 1:
+            reference[joint.idx_q : joint.idx_q + 2] = np.cos(positions[name]), np.sin(positions[name])
+    if not held:
+        return model
+    # Pinocchio cannot reduce a model in which a link and a joint have the same name.
+    for frame in model.frames:
+        if frame.type == pin.FrameType.BODY:
+            frame.name += _MARK
+    try:
+        reduced = pin.buildReducedModel(model, held, reference)
+    except (ValueError, RuntimeError) as error:
+        raise URDFError(description.source, "<robot>", f"cannot be reduced to one chain: {error}") from None
+    for frame in reduced.frames:
+        frame.name = frame.name.removesuffix(_MARK)
+    return reduced
+
+
+def held_positions(description: Description, locked: Mapping[str, float]) -> dict[str, float]:
+    """Where each joint with one degree of freedom stays if it is held [rad or m]."""
+    named = {joint.name: joint for joint in description.joints if joint.type != "fixed"}
+    positions: dict[str, float] = {}
+
+    def position(joint: JointDescription, above: frozenset[str]) -> float:
+        if joint.name in locked:
+            return locked[joint.name]
+        follows = joint.follows
+        if follows is None or follows.joint not in named or follows.joint in above:
+            return min(max(0.0, joint.lower), joint.upper)
+        leader = position(named[follows.joint], above | {joint.name})
+        return follows.multiplier * leader + follows.offset
+
+    for name, joint in named.items():
+        positions[name] = position(joint, frozenset({name}))
+    return positions
+
+
+def holding_warnings(
+    description: Description,
+    base: str,
+    tip: str,
+    moving: Iterable[str],
+    locked: Mapping[str, float],
+) -> list[str]:
+    """What the user should know about the joints that hold still without having been asked to."""
+    free, chain = set(moving), description.chain(base, tip)
+    on_chain = {joint.name for joint in chain}
+    before = description.chain(description.root, base)
+    messages = [
+        f"joint {joint.name!r} ({joint.type}) at the base of the arm is treated as fixed"
+        for joint in (*before, *chain)
+        if joint.type in ("floating", "planar")
+    ]
+    stuck = [joint.name for joint in chain if joint.type != "fixed" and not joint.moves]
+    stuck = [name for name in stuck if name not in locked]
+    if stuck:
+        messages.append(f"limits that leave one position lock {_joints(stuck)} on the chain")
+    endless = [joint.name for joint in chain if joint.name in free and _lacks_limits(joint)]
+    if endless:
+        messages.append(f"no limits are given for {_joints(endless)}; taken as unlimited")
+    still = [
+        joint
+        for joint in description.joints
+        if joint.moves and joint.name not in on_chain and joint.name not in locked
+    ]
+    still = [joint for joint in still if joint not in before or joint.type not in ("floating", "planar")]
+    if still:
+        messages.append(_off_chain(description, base, tip, still))
+    named = {joint.name: joint for joint in description.joints}
+    led = [joint.name for joint in still if joint.mimic and leading_joint(joint, named).name in free]
+    if led:
+        messages.append(
+            f"{_joints(led)} off the chain mimic joints on it, but are held where those are at zero"
+        )
+    lost = [joint.name for joint in still if joint.follows is not None and joint.follows.joint not in named]
+    if lost:
+        messages.append(f"{_joints(lost)} off the chain mimic joints that do not exist")
+    return messages
+
+
+def _lacks_limits(joint: JointDescription) -> bool:
+    return joint.type in ("revolute", "prismatic") and joint.lower == -np.inf and joint.upper == np.inf
+
+
+def _off_chain(description: Description, base: str, tip: str, still: list[JointDescription]) -> str:
+    """How many joints off the chain are held, and at which link of the chain their branches begin."""
+    links = {base, *(joint.child for joint in description.chain(base, tip))}
+    parents = {joint.child: joint.parent for joint in description.joints}
+    branches = defaultdict[str, list[str]](list)
+    for joint in still:
+        link = joint.parent
+        while link not in links and link != description.root:
+            link = parents[link]
+        branches[link].append(joint.name)
+    places = [f"{len(names)} at link {link!r} ({_few(names)})" for link, names in branches.items()]
+    count = "1 joint" if len(still) == 1 else f"{len(still)} joints"
+    return f"{count} off the chain from {base!r} to {tip!r} held still: {'; '.join(places[:6])}" + (
+        "; ..." if len(places) > 6 else ""
+    )
+
+
+def _joints(names: list[str]) -> str:
+    return ("joint " if len(names) == 1 else "joints ") + _few(names, 8)
+
+
+def _few(names: list[str], most: int = 3) -> str:
+    return ", ".join(map(repr, names[:most])) + (", ..." if len(names) > most else "")
+
+
+# Control points of a loaded arm: frames at the ends of its modules.
+
+
+def modules_to_links(model: pin.Model, skeleton: Skeleton, links: Sequence[str]) -> Segmentation:
+    """Modules that end at the origins of links.
+
+    A joint that turns about an axis through the origin of a link does not move it, so it belongs to the next
+    module: the origin of a link is where the joint that carries it sits.
+
+    Args:
+        model: the arm, reduced to its chain.
+        skeleton: its joints.
+        links: names of links from base to tip; the last one is moved by the last joint.
+
+    Raises:
+        UnknownName: there is no such link.
+        InvalidValue: links that are not in order along the chain, or that leave joints over.
+    """
+    bodies = {frame.name: frame for frame in model.frames if frame.type == pin.FrameType.BODY}
+    placements = neutral_placements(model)
+    n, ends = len(skeleton.names), [0]
+    for link in links:
+        if link not in bodies:
+            raise UnknownName("link", link, bodies)
+        frame = bodies[link]
+        name = str(model.names[frame.parentJoint])
+        end = skeleton.names.index(name) + 1 if name in skeleton.names else 0
+        place = (placements[frame.parentJoint] * frame.placement).translation
+        if end and link != links[-1] and skeleton.revolute[end - 1]:
+            lever = np.cross(skeleton.axes[end - 1], place - skeleton.stations[end - 1])
+            end -= int(np.linalg.norm(lever) <= ON_AXIS * skeleton.length)
+        if end <= ends[-1]:
+            allowed = (
+                "links in order from base to tip, each moved by a joint that does not move the one before"
+            )
+            raise InvalidValue(f"modules: link {link!r}", f"moved by {end} joints of the chain", allowed)
+        ends.append(end)
+    if ends[-1] != n:
+        allowed = f"a link moved by all {n} joints of the chain"
+        raise InvalidValue(f"modules: last link {links[-1]!r}", f"moved by {ends[-1]} of them", allowed)
+    sizes = tuple(b - a for a, b in pairwise(ends))
+    return Segmentation(sizes, "modules end at the links that were given")
+
+
+def end_frames(
+    model: pin.Model, joints: Sequence[str], tip: str, sizes: Sequence[int], links: Sequence[str]
+) -> tuple[str, ...]:
+    """Add a frame where each module ends: at its link, or where the next joint sits, or at the tip.
+
+    Args:
+        model: the arm, reduced to its chain; frames are added to it.
+        joints: names of the joints of the chain.
+        tip: link at which the chain ends.
+        sizes: number of joints of each module.
+        links: the links at which modules end, if they were given.
+
+    Returns:
+        Names of the frames: "module_01" and so on, with as many underscores after "module" as it takes for
+        them to be new.
+    """
+    ids = [model.getJointId(name) for name in joints]
+    ends = np.cumsum(sizes)
+    taken = {frame.name for frame in model.frames}
+    prefix = "module_"
+    while any(name in taken for name in _names(prefix, len(ends))):
+        prefix += "_"
+    names = _names(prefix, len(ends))
+    for k, (name, end) in enumerate(zip(names, ends, strict=True)):
+        if links or end == len(ids):
+            link = links[k] if links else tip
+            frame = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
+            parent, placement = frame.parentJoint, frame.placement
+            if parent != ids[end - 1]:  # the link turns about its own origin: the point is on the body before
+                parent, placement = model.parents[parent], model.jointPlacements[parent] * placement
+        else:
+            parent, placement = model.parents[ids[end]], model.jointPlacements[ids[end]]
+        model.addFrame(pin.Frame(name, parent, placement, pin.FrameType.OP_FRAME))
+    return names
+
+
+def _names(prefix: str, count: int) -> tuple[str, ...]:
+    return tuple(f"{prefix}{k:02d}" for k in range(1, count + 1))
+
+
+# From a robot description to a model that holds one chain and its control points.
 
 Modules: TypeAlias = "int | Sequence[int] | Sequence[str] | None"
 """How to cut the chain: joints per module, one number for all or one for each, or links where modules end."""

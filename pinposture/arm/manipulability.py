@@ -1,17 +1,23 @@
-"""Manipulability indices of every section of the arm at once (Section 4.3)."""
+"""Manipulability indices and ellipsoids of the sections of an arm (Sections 3.3 and 4.3)."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture.arm.screws import constants_of, screws_of
+from pinposture.arm.kinematics import constants_of, screws_of
+from pinposture.errors import InvalidValue, UnknownName
 
 if TYPE_CHECKING:
     from pinposture.arm.state import ArmState
+
+
+# Manipulability indices of every section of the arm at once (Section 4.3).
 
 Array = NDArray[np.float64]
 
@@ -32,3 +38,138 @@ def all_pairs(state: ArmState) -> Array:
     indices = np.zeros((m + 1, m + 1))
     kernels.all_indices(*screws_of(state), constants_of(state.arm).plane, indices)
     return indices
+
+
+# Manipulability ellipsoids, and how close they say an arm is to a singularity (Section 3.3).
+
+ControlPoints = int | str | Sequence[int | str]
+"""Control points, or a single one: their indices, 0-based or from the tip as -1, or their names."""
+
+SECTIONS = ("base", "previous")
+"""Where the section may begin whose joints move: at the base, or at the chosen control point before."""
+
+ROUNDING = 1e-14
+"""A singular value below this share of the largest is zero but for rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ellipsoid:
+    """The velocities of a control point while the joint velocities fill the unit ball, |dq/dt| <= 1.
+
+    An ellipse for a planar arm. In a singular posture it is flat: its last radii are 0.
+
+    Attributes:
+        point: index of the control point, 0-based.
+        base: where the section begins whose joints move: 0 for the base of the arm, k for the control point
+            of index k - 1, as in `ArmState.manipulability()`, where its index is at [base, point + 1].
+        center: position of the control point, (3,) [m], world frame.
+        directions: unit vectors along the principal axes, one per row, (d, 3), world frame; d = 3, or d = 2
+            for a planar arm. Right-handed; in the plane, about the normal of `Arm.plane`.
+        radii: singular values of the Jacobian, largest first, (d,) [m per unit of joint motion, see
+            `Arm.joint_units`; m/rad if all joints turn].
+    """
+
+    point: int
+    base: int
+    center: Array
+    directions: Array
+    radii: Array
+
+    @property
+    def semi_axes(self) -> Array:
+        """The principal axes, from the centre to the surface, (d, 3) [as `radii`], world frame."""
+        return self.directions * self.radii[:, None]
+
+    @property
+    def measure(self) -> float:
+        """Manipulability measure, the product of the radii (3.3); 0 in a singular posture."""
+        return float(np.prod(self.radii))
+
+    @property
+    def condition(self) -> float:
+        """Condition number, the largest radius over the smallest (3.4); at least 1, infinite if singular."""
+        largest, smallest = float(self.radii[0]), float(self.radii[-1])
+        return largest / smallest if smallest > 0.0 else np.inf
+
+    @property
+    def smallest(self) -> float:
+        """Minimum singular value (Section 3.3.3) [as `radii`]; 0 in a singular posture."""
+        return float(self.radii[-1])
+
+    @property
+    def index(self) -> float:
+        """Manipulability index, the measure with the largest radius set to 1 (4.4), in [0, 1]."""
+        return float(np.prod(self.radii / self.radii[0])) if self.radii[0] > 0.0 else 0.0
+
+
+def section_ellipsoid(jacobian: Array, plane: Array, point: int, base: int, center: Array) -> Ellipsoid:
+    """The ellipsoid of one control point.
+
+    Args:
+        jacobian: its position Jacobian, the columns of the section alone, (d, n), n >= 1, along `plane`.
+        plane: orthonormal directions in which the arm can move, (d, 3), world frame.
+        point: index of the control point, 0-based.
+        base: where the section begins, see `Ellipsoid`.
+        center: position of the control point, (3,) [m], world frame.
+    """
+    dimension, columns = jacobian.shape
+    # Columns of zeros do not change the ellipsoid; with them there are as many axes as dimensions.
+    filled = np.hstack([jacobian, np.zeros((dimension, max(dimension - columns, 0)))])
+    axes, radii, _ = np.linalg.svd(filled, full_matrices=False)
+    if np.linalg.det(axes) < 0.0:
+        axes[:, -1] *= -1.0
+    radii = np.where(radii > ROUNDING * radii[0], radii, 0.0)
+    directions = axes.T @ plane
+    center = center.copy()
+    for array in (center, directions, radii):
+        array.flags.writeable = False
+    return Ellipsoid(point, base, center, directions, radii)
+
+
+def chosen_points(names: Sequence[str], points: ControlPoints) -> tuple[int, ...]:
+    """Indices, 0-based, of the control points of a choice, in its order.
+
+    Args:
+        names: names of all control points, (m,).
+        points: the choice.
+
+    Raises:
+        UnknownName: a name that no control point has.
+        InvalidValue: an index that no control point has, something else, or a control point chosen twice.
+    """
+    listed: list[object] = [points]
+    if isinstance(points, Iterable) and not isinstance(points, str):
+        listed = list(points)
+    chosen = tuple(_point_index(names, point) for point in listed)
+    if len(set(chosen)) < len(chosen):
+        raise InvalidValue("points", listed, "each control point once")
+    return chosen
+
+
+def section_bases(chosen: Sequence[int], relative_to: str) -> tuple[int, ...]:
+    """Where the section of each chosen control point begins, as `Ellipsoid.base` says it.
+
+    Args:
+        chosen: indices of control points, 0-based, in any order.
+        relative_to: "base", or "previous" for the chosen control point before along the arm.
+
+    Raises:
+        UnknownName: no such start of a section.
+    """
+    if relative_to not in SECTIONS:
+        raise UnknownName("start of a section", relative_to, SECTIONS)
+    if relative_to == "base":
+        return (0,) * len(chosen)
+    return tuple(max((other + 1 for other in chosen if other < point), default=0) for point in chosen)
+
+
+def _point_index(names: Sequence[str], point: object) -> int:
+    if isinstance(point, str):
+        if point not in names:
+            raise UnknownName("control point", point, names)
+        return list(names).index(point)
+    count = len(names)
+    if isinstance(point, int | np.integer) and not isinstance(point, bool) and -count <= point < count:
+        return int(point) % count
+    allowed = f"whole numbers from 0 to {count - 1}, or from -{count} to -1, or names of control points"
+    raise InvalidValue("points", point, allowed)

@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture.arm.ellipsoid import (
+from pinposture.arm.kinematics import Placed
+from pinposture.arm.manipulability import (
     ControlPoints,
     Ellipsoid,
+    all_pairs,
     chosen_points,
     section_bases,
     section_ellipsoid,
 )
-from pinposture.arm.kinematics import Placed
-from pinposture.arm.manipulability import all_pairs
 
 if TYPE_CHECKING:
     from pinposture.arm.arm import Arm

@@ -10,7 +10,7 @@ def closest_in_words(clearance: Mapping[str, Any], dt: float | None = None) -> s
     """A smallest distance as a person reads it.
 
     Args:
-        clearance: what `pinposture.motion.ending.closest` returned.
+        clearance: what `pinposture.motion.trajectory.closest` returned.
         dt: how long a step takes [s]; None to count steps.
     """
     if clearance["pair"] is None:

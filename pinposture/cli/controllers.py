@@ -12,7 +12,7 @@ from pinposture.cli.inputs import MOTION
 from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:
-    from pinposture.control import Controller, Task
+    from pinposture.control import Controller, ControlTask
 
 ControllerOption = Annotated[
     str,
@@ -54,7 +54,7 @@ def check_controller(name: str, only_qp: Mapping[str, object]) -> None:
         raise InvalidValue("--controller", name, f"'qp', which alone knows {', '.join(given)}")
 
 
-def build_controller(name: str, haste: float | None, task: Task | None) -> Controller:
+def build_controller(name: str, haste: float | None, task: ControlTask | None) -> Controller:
     """The controller of that name; the qp with its haste and a task besides the shape.
 
     Raises:

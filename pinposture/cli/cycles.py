@@ -13,7 +13,7 @@ from pinposture.cli.progress import count_progress
 from pinposture.cli.studies import ArmsOption, SeedOption, built_subjects
 
 if TYPE_CHECKING:
-    from pinposture.study.cycles import Cycle
+    from pinposture.study.cycles import PostureCycle
 
 EXAMPLES = (
     "pinposture study cycles --arms ryrz20 --cycles 3",
@@ -69,7 +69,7 @@ def run(
     print_table(("arm", "known", "cycles", "postures taken", *headings), lines)
 
 
-def _line(cycles: list[Cycle]) -> tuple[str | float | None, ...]:
+def _line(cycles: list[PostureCycle]) -> tuple[str | float | None, ...]:
     """The worst drift after each round."""
     from pinposture.study.cycles import CLOSE
 

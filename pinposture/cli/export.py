@@ -89,7 +89,7 @@ def run(
 def _joint_trajectory(moved: Trajectory | Motion, dt: float | None, force: bool) -> JointTrajectory:
     """The joint trajectory of a saved motion, which knows its time, or of a saved run."""
     from pinposture.motion import Motion
-    from pinposture.motion.joint_checks import step_duration
+    from pinposture.motion.joint_trajectory import step_duration
 
     if isinstance(moved, Motion):
         step_duration(dt, moved.dt)  # refuses another

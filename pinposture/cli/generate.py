@@ -73,7 +73,7 @@ def run(
     links are "base", "m01_l1", "m01_l2" and so on, and "tip". A file appears whole or not at all.
     """
     from pinposture.arm import template as template_named
-    from pinposture.arm.urdf import modules_to_urdf
+    from pinposture.arm.template import modules_to_urdf
     from pinposture.storage import write_text
 
     module = template_named(template)

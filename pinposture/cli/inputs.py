@@ -133,7 +133,7 @@ def read_locked(given: list[str] | None) -> dict[str, float]:
     Raises:
         InvalidValue: not a name, "=" and a position; or a joint that is named twice.
     """
-    from pinposture.task.reading.quantities import read_quantity
+    from pinposture.task.document import read_quantity
 
     locked: dict[str, float] = {}
     for text in given or ():

@@ -108,7 +108,7 @@ def run(
     followed = None if curve is None else _describe_following(arm, curve)
     around = None if surroundings is None else describe_scene(surroundings, arm)
     if plot is not None:
-        from pinposture.view import plot_arm
+        from pinposture.viz import plot_arm
 
         write_picture(plot_arm(arm, ellipsoids=points, scene=surroundings), plot)
     if as_json:
@@ -180,7 +180,7 @@ def describe(arm: Arm, measured: Sequence[int]) -> dict[str, Any]:
     """
     import numpy as np
 
-    from pinposture.arm.description import read_description
+    from pinposture.arm.urdf_reader import read_description
 
     if arm.report is None or arm.urdf is None:
         raise InvalidValue("arm", arm, "one that was loaded from a URDF")
@@ -225,7 +225,7 @@ def describe(arm: Arm, measured: Sequence[int]) -> dict[str, Any]:
 
 def _describe_following(arm: Arm, curve: str) -> dict[str, Any]:
     """How well an arm can follow a curve laid at its base, as data that JSON can hold; lengths in metres."""
-    from pinposture.target import resolve_targets
+    from pinposture.placement import resolve_targets
 
     target = resolve_targets(arm, read_curve(curve), incomplete="partial")
     assert target.curve is not None and target.residual is not None  # it is resolved
@@ -278,7 +278,7 @@ def _joints(arm: Arm, described: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 def _without_closed_form(arm: Arm) -> str:
     """The first module without closed-form kinematics, and why it has none; empty if all have them."""
-    from pinposture.target.modules import arm_units
+    from pinposture.placement.module_kinematics import arm_units
 
     try:
         arm_units(arm.chain)

@@ -20,8 +20,7 @@ def summarize_motion(motion: Motion) -> dict[str, Any]:
     Errors are those along the plan, from setting out to the end. A posture error is the sum of the distances
     of the control points from their targets, a mean error their mean.
     """
-    from pinposture.motion.ending import closest
-    from pinposture.motion.rates import limit_shares
+    from pinposture.motion.trajectory import closest, limit_shares
 
     run, begun = motion.run, motion.set_out
     errors, means = run.posture_error[begun:], motion.mean_error[begun:]
@@ -112,7 +111,7 @@ def _duration(summary: Mapping[str, Any]) -> str:
 
 def _keyframes(places: list[dict[str, Any]]) -> str:
     """Named places, one a line, in columns."""
-    from pinposture.target.placement import Moved
+    from pinposture.placement.curve_placement import Moved
 
     width = max(len(place["name"]) for place in places)
     lines = []

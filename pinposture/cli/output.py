@@ -17,8 +17,8 @@ from pinposture.errors import PostureWarning
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from pinposture.motion.drive import Callback
-    from pinposture.target import Target
+    from pinposture.motion.track import Callback
+    from pinposture.placement import Target
 
 UNLIMITED = 10_000
 """Columns of a file or a pipe: enough for any table, none of which must be cut short there."""

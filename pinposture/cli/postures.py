@@ -36,7 +36,7 @@ from pinposture.cli.studies import (
 from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:
-    from pinposture.study import Row, Spread
+    from pinposture.study import Spread, SummaryRow
 
 EXAMPLES = (
     "pinposture study postures --cases 38 --arms ryrz20",
@@ -119,7 +119,7 @@ def run(
             print_note(f"wrote {file}")
 
 
-def _table(rows: list[Row]) -> list[tuple[str | float | None, ...]]:
+def _table(rows: list[SummaryRow]) -> list[tuple[str | float | None, ...]]:
     """Lines of a table; a group is named in its first line."""
     lines: list[tuple[str | float | None, ...]] = []
     before = ""

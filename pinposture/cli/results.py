@@ -121,10 +121,10 @@ def find_kept(path: Path) -> tuple[Path, str]:
 
 def _is_kept(path: Path) -> bool:
     """Whether a file holds a run, or a motion; joints that were exported under that name are neither."""
-    from pinposture.motion import files, motion_files
-    from pinposture.motion.joint_files.arrays import archive_format
+    from pinposture.motion import files
+    from pinposture.motion.joint_files import archive_format
 
-    return archive_format(path) in (files.KIND.format, motion_files.KIND.format)
+    return archive_format(path) in (files.RUN_ARCHIVE.format, files.MOTION_ARCHIVE.format)
 
 
 def load_kept(path: Path) -> Trajectory | Motion:
@@ -133,16 +133,16 @@ def load_kept(path: Path) -> Trajectory | Motion:
     Raises:
         FileError: the file is missing, or holds neither.
     """
-    from pinposture.motion import Motion, Trajectory, motion_files
-    from pinposture.motion.joint_files.arrays import archive_format
+    from pinposture.motion import Motion, Trajectory, files
+    from pinposture.motion.joint_files import archive_format
 
-    is_motion = archive_format(path) == motion_files.KIND.format
+    is_motion = archive_format(path) == files.MOTION_ARCHIVE.format
     return Motion.load(path) if is_motion else Trajectory.load(path)
 
 
 def write_plot(motion: Trajectory | Motion, path: Path) -> None:
     """Write the plot of a run or a motion as PNG, whatever the name of the file."""
-    from pinposture.view import plot
+    from pinposture.viz import plot
 
     write_picture(plot(motion), path)
 
@@ -171,7 +171,7 @@ def write_animation(motion: Trajectory | Motion, path: Path, ellipsoids: Sequenc
     Returns:
         The path written, which ends in .html.
     """
-    from pinposture.view import save_html
+    from pinposture.viz import save_html
 
     return save_html(motion.arm, motion, path, ellipsoids=ellipsoids)
 
@@ -180,7 +180,7 @@ def summarize(motion: Trajectory) -> dict[str, Any]:
     """A run in numbers that JSON can hold; lengths in metres."""
     import numpy as np
 
-    from pinposture.motion.ending import closest
+    from pinposture.motion.trajectory import closest
     from pinposture.study import outcome
 
     result, target = outcome(motion, "", "", 0), motion.target
@@ -229,7 +229,7 @@ def _whole_arm(summary: Mapping[str, Any]) -> dict[str, str]:
 def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
     """A summary as a person reads it; the verdict with the colour in which to print it."""
     first, last, mean = (summary[key] for key in ("start_error", "final_error", "mean_error"))
-    from pinposture.target.placement import Moved
+    from pinposture.placement.curve_placement import Moved
 
     off, length = summary["largest_residual"], summary["arm_length"]
     words: dict[str, str | tuple[str, str]] = {

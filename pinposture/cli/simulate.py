@@ -31,8 +31,8 @@ from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:
     from pinposture.arm import Arm
+    from pinposture.collision import Scene
     from pinposture.motion import JointTrajectory, Motion, Trajectory
-    from pinposture.scene import Scene
     from pinposture.sim import Servos, Simulation
 
 EXAMPLES = (
@@ -132,7 +132,7 @@ def run(
     hold; those of our templates are placeholders. The exit code is 0 if the arm is where it should be at the
     end and was clear of the scene, 1 if not, 2 if it could not start.
     """
-    from pinposture.control.checks import require_positive
+    from pinposture._validation import require_positive
     from pinposture.sim import Servos
     from pinposture.sim.engine import load_mujoco
     from pinposture.storage import check_writable
@@ -169,7 +169,7 @@ def keep(simulation: Simulation, directory: Path) -> None:
     Raises:
         FileError: one of them cannot be written.
     """
-    from pinposture.view.simulation import plot_simulation
+    from pinposture.viz.simulation import plot_simulation
 
     write_picture(plot_simulation(simulation), directory / PLOT)
     simulation.save(directory / SIMULATION)  # last: where it is, its picture is
@@ -186,8 +186,8 @@ def _read(
 ) -> tuple[Arm, Trajectory | Motion | JointTrajectory]:
     """The arm and its motion."""
     from pinposture.motion import JointTrajectory
-    from pinposture.motion.joint_files.arrays import FORMAT as JOINTS
-    from pinposture.motion.joint_files.arrays import archive_format
+    from pinposture.motion.joint_files import FORMAT as JOINTS
+    from pinposture.motion.joint_files import archive_format
 
     file, which = find_kept(path)
     if which:

@@ -12,7 +12,7 @@ from pinposture.cli.output import print_warning
 from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:
-    from pinposture.study import Bin, Record, Row, SceneRow, Subject
+    from pinposture.study import Bin, Record, SceneRow, Subject, SummaryRow
 
 ArmsOption = Annotated[
     str | None,
@@ -65,7 +65,7 @@ def check_output(directory: Path | None) -> None:
         check_writable(directory)
 
 
-def described(row: Row | Bin | SceneRow) -> dict[str, Any]:
+def described(row: SummaryRow | Bin | SceneRow) -> dict[str, Any]:
     """A row of a table as data that JSON can hold."""
     return {
         name: value._asdict() if hasattr(value, "_asdict") else value for name, value in row._asdict().items()

@@ -13,7 +13,7 @@ from pinposture.cli.output import print_facts, print_table
 
 if TYPE_CHECKING:
     from pinposture.arm import Arm
-    from pinposture.scene import Scene
+    from pinposture.collision import Scene
 
 SURROUNDINGS = "The surroundings"
 """Heading under which the help lists these options."""
@@ -40,7 +40,7 @@ def read_scene(file: Path | None, self_collision: bool) -> Scene | None:
     Raises:
         FileError: the file is missing, or holds no scene.
     """
-    from pinposture.scene import Scene
+    from pinposture.collision import Scene
 
     scene = None if file is None else Scene.load(file)
     if not self_collision:

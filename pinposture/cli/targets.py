@@ -13,8 +13,8 @@ from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:
     from pinposture.arm import Arm
-    from pinposture.scene import Scene
-    from pinposture.target import Target
+    from pinposture.collision import Scene
+    from pinposture.placement import Target
 
 CurveOption = Annotated[
     str,
@@ -78,7 +78,7 @@ def read_target(
         PostureError: as `read_curve`, `resolve_targets` and `read_region`.
         InvalidValue: a curve on which not even the first module has a place.
     """
-    from pinposture.target import resolve_targets
+    from pinposture.placement import resolve_targets
     from pinposture.task.keyframe import usual_placement
 
     placement = usual_placement(scene) if placement is None else placement

@@ -88,8 +88,8 @@ def show(
         announce: called with that address.
         ellipsoids: indices of the control points to show the manipulability ellipsoids of, 0-based.
     """
-    from pinposture.view import view
-    from pinposture.view.ellipsoids import scale_in_words
+    from pinposture.viz import view
+    from pinposture.viz.ellipsoids import scale_in_words
 
     viewer = view(motion.arm, motion, open_browser=open_browser, ellipsoids=ellipsoids)
     try:

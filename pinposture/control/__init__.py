@@ -1,21 +1,19 @@
 """How the arm moves: limits, the constrained controller, Selection, Projection, both by turns, and others."""
 
-from pinposture.control.candidates import active_set, candidate_sets
-from pinposture.control.constrained import ConstrainedQP
 from pinposture.control.controller import Controller, Diagnostics, Memory, Step
-from pinposture.control.limits import Box, Limits
-from pinposture.control.names import CONTROLLERS, controller_named
-from pinposture.control.projection import Projection
-from pinposture.control.section_index import best_index, section_indices
-from pinposture.control.sections import SectionSet, SectionTree
-from pinposture.control.selection import Selection
-from pinposture.control.switching import Switching
-from pinposture.control.tasks import EndEffector, JointPosture, Tangents, Task, TaskRows
+from pinposture.control.limits import Limits, StepBox
+from pinposture.control.planner import ConstrainedQP
+from pinposture.control.registry import CONTROLLERS, controller_named
+from pinposture.control.tasks import ControlTask, EndEffector, JointPosture, Tangents, TaskRows
+from pinposture.control.thesis.projection import Projection
+from pinposture.control.thesis.sections import SectionSet, SectionTree, best_index, section_indices
+from pinposture.control.thesis.selection import Selection, active_set, candidate_sets
+from pinposture.control.thesis.switching import Switching
 
 __all__ = [
     "CONTROLLERS",
-    "Box",
     "ConstrainedQP",
+    "ControlTask",
     "Controller",
     "Diagnostics",
     "EndEffector",
@@ -27,9 +25,9 @@ __all__ = [
     "SectionTree",
     "Selection",
     "Step",
+    "StepBox",
     "Switching",
     "Tangents",
-    "Task",
     "TaskRows",
     "active_set",
     "best_index",

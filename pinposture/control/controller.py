@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm import ArmState
 from pinposture.control.limits import Limits
-from pinposture.target import Target
+from pinposture.placement import Target
 
 Array = NDArray[np.float64]
 

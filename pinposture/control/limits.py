@@ -1,4 +1,4 @@
-"""What a step may not exceed."""
+"""Joint limits of a step: position, speed and acceleration, and braking in discrete time."""
 
 from __future__ import annotations
 
@@ -11,21 +11,238 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture import kernels
+from pinposture._validation import finite_vector, require_positive
 from pinposture.arm import Arm, ArmState
-from pinposture.arm.checks import finite_vector
-from pinposture.control.braking import full_braking
-from pinposture.control.checks import require_positive
-from pinposture.control.giving_way import relaxed_limits
-from pinposture.control.joint_bounds import JointBounds, joint_bounds
 from pinposture.errors import InvalidValue
 
+# What limits mean for the joints of one arm, whatever its configuration.
+
 Array = NDArray[np.float64]
+
+USUAL_STEP = 0.1
+"""Joint travel of a step where limits allow more, or where there are none [rad]."""
+
+
+LEANING = 1e-6
+"""How far outside its limits a joint may be without being brought back first, in `Arm.joint_units`."""
+
+
+class JointBounds(NamedTuple):
+    """Limits of one step, in joint displacements and positions.
+
+    Attributes:
+        bound: largest |dq|, (nv,) [rad or m]; infinite where there is no limit.
+        travel: joint travel that this allows, median over the joints, at most `USUAL_STEP` [rad].
+        edges: joint positions to stay between, margin included, (2, nv) [rad or m].
+        brake: largest change of dq from one step to the next, (nv,) [rad or m]; None: any.
+        units: the motion of each joint of the chain that counts as one, (n,) [rad or m].
+        leaning: how far outside its limits each may be without being brought back first, (n,) [rad or m].
+
+    The arrays are for kernels, not to be written to.
+    """
+
+    bound: Array
+    travel: float
+    edges: Array
+    brake: Array | None
+    units: Array
+    leaning: Array
+
+
+def joint_bounds(
+    arm: Arm,
+    step: float | Array | None,
+    velocity: float | Array | None,
+    acceleration: float | Array | None,
+    dt: float | None,
+    position_margin: float,
+) -> JointBounds:
+    """Bounds for the joints of an arm; the arguments are the attributes of `Limits`.
+
+    Raises:
+        InvalidValue: not one number for each degree of freedom, or a margin wider than half a joint's range.
+    """
+    bound, brake = np.full(arm.nv, np.inf), None
+    if step is not None:
+        bound = np.minimum(bound, _per_joint("step", step, arm))
+    if dt is not None:
+        speed = arm.limits.velocity if velocity is None else _per_joint("velocity", velocity, arm)
+        bound = np.minimum(bound, speed * dt)
+        if acceleration is not None:
+            change = _per_joint("acceleration", acceleration, arm) * dt**2
+            brake = np.clip(change, 1e-100, 1e200)  # so that nothing made of it overflows, or divides by zero
+    edges = _edges(arm, position_margin)
+    travel = min(USUAL_STEP, float(np.median((bound / arm.joint_units)[arm.columns])))
+    units = arm.joint_units[arm.columns]
+    return JointBounds(bound, travel, edges, brake, units, LEANING * units)
+
+
+def _edges(arm: Arm, margin: float) -> Array:
+    limits, moved = arm.limits, arm.moved > 0.0
+    # What does not move the arm is not ours to bring back.
+    lower = np.where(moved, limits.lower + margin, -np.inf)
+    upper = np.where(moved, limits.upper - margin, np.inf)
+    if np.any(lower > upper):
+        joint = int(np.argmax(lower - upper))
+        room = (limits.upper[joint] - limits.lower[joint]) / 2.0
+        allowed = f"at most {room:.4g}, half the range of degree of freedom {joint}"
+        raise InvalidValue("position_margin", margin, allowed)
+    return np.array([lower, upper])
+
+
+def _per_joint(name: str, value: float | Array, arm: Arm) -> Array:
+    """A limit as one number for each degree of freedom, (nv,)."""
+    if np.ndim(value) == 1 and len(np.asarray(value)) != arm.nv:
+        raise InvalidValue(f"{name} (shape)", np.shape(value), f"one number or ({arm.nv},)")
+    return np.broadcast_to(np.asarray(value, dtype=np.float64), arm.nv)
+
+
+# How far a joint may go in one step and still stop in time: braking in discrete time.
+#
+# A joint that moves by d in this step may move by d - A, d - 2A, ... in the next ones, until less than A is
+# left and it stands: A is the acceleration limit times the square of the duration of a step. From d > 0 on,
+# this step included, it covers at least
+#
+# S(d) = sum over j >= 0 of max(d - j A, 0) = max over n >= 1 of (n d - A n (n - 1) / 2).
+#
+# S grows with d, so that the joint stops within a room r >= 0 if and only if S(d) <= r, that is, if d is at
+# most
+#
+# g(r) = min over n >= 1 of (r / n + A (n - 1) / 2), taken at n = max(1, ceil(sqrt(1/4 + 2 r / A) - 1/2)).
+#
+# To the other side all signs change: let g(-r) = -g(r). Call L and U the displacements to the lower and the
+# upper limit, b the largest |d| of a step, and p the step before. The joint may take any d with
+#
+# g(L) <= d <= g(U), p - A <= d <= p + A, -b <= d <= b.
+#
+# A state is viable if L <= 0 <= U, |p| <= b, and full braking from p stops in time: S(p - A) <= U if p > A,
+# and S(-p - A) <= -L if p < -A.
+#
+# * From a viable state there is such a d: full braking, d = p - A, or 0 if 0 <= p <= A. It is at most g(U)
+# because S(d) <= U, not below g(L) <= 0, and not above b; for p < 0 the same with the signs changed. *
+# Whichever is taken, the next state is viable. Take d >= 0: S(d) <= U gives d <= U and, if d > A, S(d - A) =
+# S(d) - d <= U - d, which is what viability asks of the next state; L - d <= 0 and |d| <= b hold. * No
+# larger box will do: beyond g(U) the joint leaves its limits however it brakes.
+#
+# Where there is something to keep clear of, it matters on what way the arm stops, not only how far each
+# joint goes. It goes straight on if all joints slow down in proportion: with r = max_j |d_j| / A_j, the step
+# d is followed by (1 - 1/r) d, (1 - 2/r) d, ... and rest. No joint then changes by more than its A, and none
+# slows down faster than in full braking. One that would so go beyond g(L) or g(U) is held there, as its A
+# allows.
+
+MOST = 5000
+"""Braking steps beyond which it is not looked how an arm stops."""
+
+
+def farthest(room: Array, brake: Array) -> Array:
+    """The largest step towards a place from which a joint can still stop at it, g(r) above.
+
+    A joint that takes it again and again comes to rest there, as fast as it can.
+
+    Args:
+        room: displacement to that place, with its sign, (..., nv) [rad or m]; may be infinite.
+        brake: the most that a step may differ from the one before, A, (nv,) [rad or m]; finite, > 0.
+
+    Returns:
+        Steps of the signs of `room`, none longer than it, (..., nv) [rad or m].
+    """
+    rooms = np.ascontiguousarray(np.atleast_2d(room), dtype=np.float64)
+    steps = np.empty_like(rooms)
+    kernels.stoppable_steps(rooms, np.array(brake, dtype=np.float64), steps)
+    return steps.reshape(np.shape(room))
+
+
+def stopping_steps(rooms: Array, dq: Array, bound: Array, brake: Array | None) -> Array:
+    """The steps that bring an arm to rest after a step, straight on, as derived above.
+
+    Args:
+        rooms: displacements to the lower and the upper position limits after that step, (2, nv) [rad or m]. A
+            joint that is outside of them stops, too, and is not brought back.
+        dq: that step, (nv,) [rad or m].
+        bound: largest |dq|, (nv,) [rad or m].
+        brake: the most that a step may differ from the one before, (nv,) [rad or m]; None: any.
+
+    Returns:
+        Steps, (k, nv) [rad or m]; k = 0 if the arm can rest at once.
+    """
+    found = [np.empty((0, len(dq)))]
+    while brake is not None and (ratio := float(np.max(np.abs(dq) / brake))) > 1.0:
+        shares = 1.0 - np.arange(1.0, min(np.ceil(ratio), MOST)) / ratio
+        steps = shares[:, None] * dq
+        gone = np.cumsum(steps, axis=0) - steps
+        low = np.maximum(np.minimum(farthest(rooms[0] - gone, brake), 0.0), -bound)
+        high = np.minimum(np.maximum(farthest(rooms[1] - gone, brake), 0.0), bound)
+        beyond = np.any((steps < low) | (steps > high), axis=1)
+        first = int(np.argmax(beyond)) if beyond.any() else len(steps)
+        found.append(steps[:first])
+        if first == len(steps):
+            break
+        # Here a joint has to brake harder than the others; they go on from there in proportion again.
+        before = steps[first - 1] if first else dq
+        held = np.minimum(np.maximum(steps[first], low[first]), high[first])
+        dq = np.minimum(np.maximum(held, before - brake), before + brake)
+        found.append(dq[None])
+        rooms = rooms - gone[first] - dq
+    return np.concatenate(found)
+
+
+def full_braking(previous: Array, brake: Array) -> Array:
+    """The step that comes closest to standing still after the step before, (nv,) [rad or m]."""
+    return previous - np.minimum(np.maximum(previous, -brake), brake)
+
+
+# Which limits cannot be kept from where an arm is, in words.
+
+
+def relaxed_limits(
+    arm: Arm, positions: Array, edges: Array, bound: Array, brake: Array, previous: Array, rounding: float
+) -> tuple[str, ...]:
+    """Name each limit that gives way in a step, by joint; see `Limits.box` for the order.
+
+    Args:
+        arm: the arm.
+        positions: joint positions, (nv,) [rad or m].
+        edges: joint positions to stay between, (2, nv) [rad or m].
+        bound: largest |dq|, (nv,) [rad or m].
+        brake: largest change of dq from one step to the next, (nv,) [rad or m]; empty: any.
+        previous: the step before, (nv,) [rad or m]; empty where any change is allowed.
+        rounding: what a limit may be exceeded by without being named [rad or m].
+    """
+    words, names = [], arm.joint_names
+    sides, slowest = edges - positions, np.zeros(arm.nv)
+    if len(brake):
+        sides, slowest = farthest(sides, brake), full_braking(previous, brake)
+    above = np.minimum(sides[1], bound) - np.maximum(slowest, 0.0)
+    below = np.minimum(slowest, 0.0) - np.maximum(sides[0], -bound)
+    taken = np.clip(slowest, -bound, bound)
+    for joint in np.flatnonzero(np.minimum(above, below) < -rounding):
+        name, unit = names[joint], "m" if arm.slides[joint] else "rad"
+        at, (low, high) = positions[joint], edges[:, joint]
+        step = taken[joint]
+        if not low - rounding <= at <= high + rounding:
+            allowed = f"{low:.4g} to {high:.4g} {unit}"
+            words.append(f"position limits of joint {name!r}: it is at {at:.4g}, outside {allowed}")
+        elif max(step - sides[1, joint], sides[0, joint] - step) > rounding:
+            edge, most = (high, sides[1, joint]) if step > 0.0 else (low, -sides[0, joint])
+            words.append(
+                f"position limit {edge:.4g} {unit} of joint {name!r}: at {at:.4g} it is too fast to stop; "
+                f"the slowest that it can go in this step is {abs(step):.4g}, at most {most:.4g} would do"
+            )
+        if abs(slowest[joint]) > bound[joint] + rounding:
+            words.append(
+                f"acceleration limit of joint {name!r}: braking leaves a step of {abs(slowest[joint]):.4g}, "
+                f"and at most {bound[joint]:.4g} {unit} is allowed"
+            )
+    return tuple(words)
+
+
+# What a step may not exceed.
 
 ROUNDING = 1e-9
 """What a limit may be exceeded by without being named [rad or m]."""
 
 
-class Box(NamedTuple):
+class StepBox(NamedTuple):
     """The steps that the limits allow: all dq with lower <= dq <= upper. There always are some.
 
     Attributes:
@@ -114,12 +331,12 @@ class Limits:
         """Joint travel that limits allow in a step, median over the joints, at most 0.1 [rad]."""
         return self.for_arm(state.arm).travel
 
-    def box(self, state: ArmState, previous: Array | None = None) -> Box:
+    def box(self, state: ArmState, previous: Array | None = None) -> StepBox:
         """The steps that each joint may take so that it keeps its limits now and can keep them later.
 
         That is, it keeps its step, speed and acceleration limits and its position limits, and after the step
         it can still brake and stop before its position limit: how, and why there always is such a step, is
-        derived in `control.braking`. Some states leave no such step. Then this gives way:
+        derived in `control.limits`. Some states leave no such step. Then this gives way:
 
         * Never the step and speed limits: a drive has no more, and people rely on it.
         * The acceleration limit, if the joint was faster than its bound before. It then takes the bound.
@@ -145,7 +362,7 @@ class Limits:
         given = bounds.edges, bounds.bound, brake, before
         found = kernels.step_box(positions, *given, ROUNDING, columns, bounds.leaning, sides)
         relaxed = relaxed_limits(arm, positions, *given, ROUNDING) if found % 2 else ()
-        return Box(sides[0], sides[1], relaxed, found >= 2, sides)
+        return StepBox(sides[0], sides[1], relaxed, found >= 2, sides)
 
     def apply(self, state: ArmState, dq: Array, previous: Array | None = None) -> LimitedStep:
         """Shorten a step until it meets the step limit, then cut it at the position limits.

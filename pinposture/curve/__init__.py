@@ -1,6 +1,6 @@
 """What the user draws: a curve in space, measured by its arc length."""
 
 from pinposture.curve.curve import Curve
-from pinposture.curve.nearest import Nearest
+from pinposture.curve.geometry import Nearest
 
 __all__ = ["Curve", "Nearest"]

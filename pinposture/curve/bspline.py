@@ -1,4 +1,4 @@
-"""The one representation of every curve: knots, coefficients, degree, and what makes them sound."""
+"""The one representation of every curve, and the map between its parameter and its arc length."""
 
 from __future__ import annotations
 
@@ -6,12 +6,15 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline
 
 from pinposture import kernels
-from pinposture.curve.checks import LARGEST, SMALLEST, as_count, as_points
+from pinposture._validation import LARGEST_COORDINATE, SMALLEST, as_count, as_points
 from pinposture.errors import CurveError
+
+# The one representation of every curve: knots, coefficients, degree, and what makes them sound.
 
 Array = NDArray[np.float64]
 
@@ -89,10 +92,10 @@ def make_spline(knots: ArrayLike, coefficients: ArrayLike, degree: object) -> Sp
 
 def _checked_breaks(t: Array, k: int) -> Array:
     """Ends of the knot spans, if the knots are sound."""
-    wrong = ~(np.abs(t) <= LARGEST)
+    wrong = ~(np.abs(t) <= LARGEST_COORDINATE)
     if wrong.any():
         i = int(np.flatnonzero(wrong)[0])
-        raise CurveError(f"knot {i}", f"{t[i]}; allowed: finite numbers up to {LARGEST:g} in size")
+        raise CurveError(f"knot {i}", f"{t[i]}; allowed: finite numbers up to {LARGEST_COORDINATE:g} in size")
     begin, end = t[k], t[-k - 1]
     if end - begin <= SMALLEST:
         raise CurveError("knots", f"the curve runs from knot {begin} to {end}; allowed: an increase")
@@ -152,3 +155,73 @@ def trim(whole: Spline, begin: float, end: float) -> Parts:
     first = int(np.searchsorted(spline.t, ends[0], side="right")) - 1
     last = int(np.searchsorted(spline.t, ends[1], side="left"))
     return Parts(spline.t[first - k : last + k + 1], spline.c[first - k : last], k)
+
+
+# The map between a curve's parameter and its arc length.
+
+Values = NDArray[np.float64]
+
+N = 12  # Gauss nodes to a piece
+TAIL = 1e-12  # of the whole length: largest last terms of a piece's series
+
+
+def _rule() -> Values:
+    """What `kernels.measure_length` integrates by, (N, 1 + N + N + 1)."""
+    nodes, weights = legendre.leggauss(N)
+    # Values at the nodes -> Legendre coefficients of their interpolant (the discrete transform is exact).
+    modes = legendre.legvander(nodes, N - 1) * weights[:, None] * (np.arange(N) + 0.5)
+    # Those of the speed -> Legendre coefficients of its integral from -1 -> power coefficients.
+    integral = np.stack([legendre.legint(mode, lbnd=-1) for mode in np.eye(N)])
+    powers = np.zeros((N + 1, N + 1))
+    for degree in range(N + 1):
+        powers[degree, N - degree :] = legendre.leg2poly(np.eye(N + 1)[degree, : degree + 1])[::-1]
+    return np.column_stack([nodes, modes, integral @ powers])
+
+
+_RULE = _rule()
+
+
+@dataclass(frozen=True, eq=False)
+class ArcLength:
+    """Arc length s as a function of the parameter u: a polynomial on each of many short pieces.
+
+    The speed is sampled at Gauss nodes on pieces of the knot spans; pieces are halved until the Legendre
+    series of the speed has died out. Its integral is the arc length; Newton's method on the polynomial
+    inverts it.
+
+    Attributes:
+        edges: parameters where the pieces meet, shape (k + 1,).
+        lengths: arc length at the edges, shape (k + 1,) [m].
+        series: power coefficients, highest first, of each piece's length in x from -1 to 1, shape (k, N + 1)
+            [m].
+        total: the whole length [m].
+    """
+
+    edges: Values
+    lengths: Values
+    series: Values
+    total: float
+
+    @classmethod
+    def of(cls, spline: Spline) -> ArcLength:
+        """Measure a spline.
+
+        Raises:
+            CurveError: it stands still somewhere.
+        """
+        parts = (spline.knots, spline.table, spline.degree, spline.breaks)
+        taylors = kernels.expand_spans(*parts)
+        refuse_standstill(spline, taylors)
+        edges, lengths, series = kernels.measure_length(
+            *parts, taylors, _RULE, TAIL, rounding(spline.table[0])
+        )
+        return cls(edges, lengths, series, float(lengths[-1]))
+
+    def parameter(self, s: Values) -> Values:
+        """Parameters (n,) at the arc lengths s (n,) [m], within [0, total]."""
+        return kernels.parameters_at(self.edges, self.lengths, self.series, s)
+
+
+def rounding(coefficients: Values) -> float:
+    """Error in the length of a span that rounding of the coefficients may cause [m]."""
+    return float(64 * np.finfo(float).eps * np.abs(coefficients).max())

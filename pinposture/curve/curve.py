@@ -10,11 +10,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture.curve import approximate, build, fit
+from pinposture._validation import as_number, as_vector
+from pinposture.curve import construction
 from pinposture.curve.bspline import Parts, trim
-from pinposture.curve.checks import as_number, as_vector
-from pinposture.curve.describe import read_call
-from pinposture.curve.files import read_description, write_json
+from pinposture.curve.files import read_call, read_description, write_json
 from pinposture.curve.geometry import Geometry
 from pinposture.errors import CurveError, FileError, InvalidValue, UnknownName
 
@@ -48,7 +47,7 @@ class Curve(Geometry):
             CurveError: points that are too few, malformed, not finite or repeated, or that give a cusp.
             InvalidValue: the degree, or `through`.
         """
-        return cls._of(build.spline(control_points, degree, through))
+        return cls._of(construction.spline(control_points, degree, through))
 
     @classmethod
     def line(cls, a: ArrayLike, b: ArrayLike) -> Curve:
@@ -58,7 +57,7 @@ class Curve(Geometry):
             CurveError: `a` and `b` are the same place.
             InvalidValue: one that is not 2 or 3 finite numbers.
         """
-        return cls._of(build.line(a, b))
+        return cls._of(construction.line(a, b))
 
     @classmethod
     def helix(
@@ -95,7 +94,7 @@ class Curve(Geometry):
             InvalidValue: naming the argument.
         """
         return cls._of(
-            build.helix(radius, pitch, turns, axis, center=center, phase=phase, handedness=handedness)
+            construction.helix(radius, pitch, turns, axis, center=center, phase=phase, handedness=handedness)
         )
 
     @classmethod
@@ -113,7 +112,7 @@ class Curve(Geometry):
             CurveError: points that are too few, malformed, not finite or repeated, or that give a cusp.
             InvalidValue: the smoothing.
         """
-        return cls._of(fit.points(xyz, smoothing))
+        return cls._of(construction.points(xyz, smoothing))
 
     @classmethod
     def from_dict(cls, description: Mapping[str, Any]) -> Curve:
@@ -188,7 +187,7 @@ class Curve(Geometry):
     @property
     def control_points(self) -> NDArray[np.float64] | None:
         """The points that control the curve, (n, 3) [m], if it is one as `spline` makes them; else None."""
-        return approximate.control_points(self)
+        return construction.control_points(self)
 
     def controlled(self, count: int, degree: int = 3) -> Curve:
         """Give the curve controlled by a few points, as in `spline`, that comes nearest to this one.
@@ -208,7 +207,7 @@ class Curve(Geometry):
             InvalidValue: the count or the degree.
             CurveError: the points are too few for the curve: it would stand still somewhere.
         """
-        return self._of(approximate.controlled(self, count, degree))
+        return self._of(construction.controlled(self, count, degree))
 
     def controlled_within(self, tolerance: float, degree: int = 3, most: int = 50) -> Curve:
         """Give the curve as in `controlled` with the fewest points that stays within a distance of this one.
@@ -221,7 +220,7 @@ class Curve(Geometry):
         Raises:
             InvalidValue: an argument, or a tolerance that so many points do not keep; says what they do.
         """
-        return self._of(approximate.controlled_within(self, tolerance, degree, most))
+        return self._of(construction.controlled_within(self, tolerance, degree, most))
 
     def moved(self, rotation: ArrayLike, translation: ArrayLike = (0, 0, 0)) -> Curve:
         """Give the curve turned about the origin, then shifted.

@@ -1,15 +1,18 @@
-"""Curve files: JSON and CSV to a description of a curve, and back to JSON."""
+"""Curve files: JSON and CSV to the description of a curve, and back."""
 
 from __future__ import annotations
 
+import inspect
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from pinposture.curve.checks import as_points, check_distinct
-from pinposture.errors import FileError
+from pinposture._validation import as_points, check_distinct
+from pinposture.errors import CurveError, FileError, UnknownName
 from pinposture.storage import read_text, write_text
+
+# Curve files: JSON and CSV to a description of a curve, and back to JSON.
 
 _TABLES = (".csv", ".txt")
 
@@ -108,3 +111,49 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     if path.suffix.lower() != ".json":
         raise FileError(path, f"the name ends in {path.suffix!r}; allowed: .json")
     write_text(path, json.dumps(content, allow_nan=False) + "\n")
+
+
+# Curves as plain data: which descriptions there are and what each may say.
+
+
+class Call(NamedTuple):
+    """A constructor and its arguments.
+
+    Attributes:
+        type: which kind of description this is.
+        arguments: by the constructor's names for them.
+    """
+
+    type: str
+    arguments: dict[str, Any]
+
+
+def read_call(description: object, constructors: Mapping[str, Callable[..., object]]) -> Call:
+    """Check a description, which is a constructor's name under "type" and its arguments under their names.
+
+    Args:
+        description: for example {"type": "line", "a": [0, 0, 0], "b": [1, 0, 0]}.
+        constructors: by type.
+
+    Raises:
+        CurveError: not a mapping, or a key that is needed is missing.
+        UnknownName: a type or a key that does not exist.
+    """
+    if not isinstance(description, Mapping):
+        raise CurveError("description", f"{type(description).__name__}; allowed: an object with a 'type'")
+    if "type" not in description:
+        raise CurveError("description", f"needs the key 'type'; allowed: {', '.join(constructors)}")
+    kind = description["type"]
+    if not isinstance(kind, str) or kind not in constructors:
+        raise UnknownName("type of curve", kind, constructors)
+    keys = {
+        name: parameter.default is inspect.Parameter.empty
+        for name, parameter in inspect.signature(constructors[kind]).parameters.items()
+    }
+    for key in description:
+        if key != "type" and key not in keys:
+            raise UnknownName(f"key of a {kind!r} curve", key, keys)
+    for key, needed in keys.items():
+        if needed and key not in description:
+            raise CurveError(f"{kind!r} curve", f"needs the key {key!r}")
+    return Call(kind, {key: description[key] for key in keys if key in description})

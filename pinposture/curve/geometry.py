@@ -1,19 +1,47 @@
-"""What can be asked of a curve: places, directions, bending, all by arc length."""
+"""Points, directions and curvature of a curve by arc length, and the place on it nearest to a point."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeVar, overload
+from typing import Any, NamedTuple, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture.curve.arclength import TAIL, ArcLength, rounding
-from pinposture.curve.bspline import Spline, make_spline
-from pinposture.curve.checks import LARGEST, as_count, as_points
-from pinposture.curve.nearest import Nearest, nearest
+from pinposture import kernels
+from pinposture._validation import LARGEST_COORDINATE, as_count, as_points
+from pinposture.curve.bspline import TAIL, ArcLength, Spline, make_spline, rounding
 from pinposture.errors import InvalidValue
+
+# The place on a curve that is nearest to a point, over all of the curve.
+
+Values = NDArray[np.float64]
+
+_PIECES = 256  # at least so many pieces to a curve
+
+
+class Nearest(NamedTuple):
+    """Where a curve comes nearest to each of some points; single numbers for a single point.
+
+    Attributes:
+        parameter: arc length from the start of the curve, shape (n,) [m].
+        distance: from the point to there, shape (n,) [m].
+    """
+
+    parameter: Values
+    distance: Values
+
+
+def nearest(spline: Spline, arc: ArcLength, points: Values) -> Nearest:
+    """Find the nearest places to `points` (n, 3); of several equally near, one of them."""
+    found = kernels.nearest_places(
+        spline.knots, spline.table, spline.degree, arc.edges, arc.lengths, arc.series, _PIECES, points
+    )
+    return Nearest(found[:, 0].copy(), found[:, 1].copy())
+
+
+# What can be asked of a curve: places, directions, bending, all by arc length.
 
 Array = NDArray[np.float64]
 Made = TypeVar("Made", bound="Geometry")
@@ -74,7 +102,8 @@ class Geometry:
         """
         extent = np.abs(coefficients).max()
         if not (
-            extent <= LARGEST and max(stretch * self.length, rounding(coefficients)) <= TAIL * self.length
+            extent <= LARGEST_COORDINATE
+            and max(stretch * self.length, rounding(coefficients)) <= TAIL * self.length
         ):
             return type(self)(self.knots, coefficients, self.degree)
         moved = object.__new__(type(self))

@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ArmState
+from pinposture.collision import Scene
+from pinposture.collision.scan import Scan, scan_clearance
 from pinposture.errors import PostureError
-from pinposture.scene import Scene
-from pinposture.scene.scan import Scan
-from pinposture.scene.scan_clearance import scan_clearance
 
 Array = NDArray[np.float64]
 logger = logging.getLogger(__name__)

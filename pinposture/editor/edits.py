@@ -8,15 +8,15 @@ from dataclasses import replace
 from typing import Any, TypeAlias
 
 from pinposture.arm import Arm
+from pinposture.collision import Scene
+from pinposture.collision.obstacles import Obstacle
 from pinposture.control import controller_named
 from pinposture.control.limits import cycle_of
 from pinposture.editor.shape import Shape
 from pinposture.errors import InvalidValue, TaskError
-from pinposture.scene import Scene
-from pinposture.scene.obstacles import Obstacle
 from pinposture.task import Keyframe, Task
-from pinposture.task.leader import Leader
-from pinposture.task.schedule import MOST_CYCLES
+from pinposture.task.follow_leader import Leader
+from pinposture.task.keyframe import MOST_CYCLES
 
 Edit: TypeAlias = Callable[[Task], Task]
 

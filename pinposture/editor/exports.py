@@ -75,7 +75,7 @@ def _write_joints(motion: Motion, path: Path) -> None:
 
 
 def _write_picture(motion: Motion, path: Path) -> None:
-    from pinposture.view import plot  # takes a while to import
+    from pinposture.viz import plot  # takes a while to import
 
     picture = io.BytesIO()
     plot(motion).savefig(picture, format="png")
@@ -83,7 +83,7 @@ def _write_picture(motion: Motion, path: Path) -> None:
 
 
 def _write_animation(motion: Motion, path: Path) -> None:
-    from pinposture.view import save_html
+    from pinposture.viz import save_html
 
     save_html(motion.arm, motion, path)
 

@@ -11,9 +11,9 @@ from pinposture.editor.autosave import Autosave, Recovered, put_aside, recover, 
 from pinposture.editor.edits import keyframes_of
 from pinposture.editor.session import Session
 from pinposture.errors import FileError, PostureError
+from pinposture.storage import settled
 from pinposture.task import Task
-from pinposture.task.paths import settled
-from pinposture.task.writing.same import same_arm
+from pinposture.task.writer import same_arm
 
 logger = logging.getLogger(__name__)
 

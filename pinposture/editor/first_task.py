@@ -13,10 +13,10 @@ from pinposture.curve import Curve
 from pinposture.editor.shape import FINE, MOST_POINTS, Shape
 from pinposture.editor.verdict import judge
 from pinposture.errors import PostureError, TaskError
-from pinposture.target.placement import arm_axis
+from pinposture.placement.curve_placement import arm_axis
 from pinposture.task import Keyframe, Task
 from pinposture.task.perform import CYCLE
-from pinposture.view.body import backbone
+from pinposture.viz.body import backbone
 
 Array = NDArray[np.float64]
 

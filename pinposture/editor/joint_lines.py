@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
-from pinposture.arm.limits import UNLIMITED
+from pinposture.arm.configurations import UNLIMITED
 from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]

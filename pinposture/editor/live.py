@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ArmState
+from pinposture.collision import Scene
 from pinposture.control import Controller, Limits
 from pinposture.editor.verdict import NEAR_LIMIT, Verdict
 from pinposture.motion.tracker import Report
-from pinposture.scene import Scene
-from pinposture.target import Target
+from pinposture.placement import Target
 from pinposture.task import Keyframe
 
 Array = NDArray[np.float64]

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
+from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Obstacle, Scene, Sphere
+from pinposture.collision.distances import Narrow
+from pinposture.collision.obstacles import solid
 from pinposture.editor.obstacle_handles import DIGITS, reach
 from pinposture.errors import UnknownName
-from pinposture.scene import Box, Capsule, Cylinder, HalfSpace, Obstacle, Scene, Sphere
-from pinposture.scene.narrow import Narrow
-from pinposture.scene.solids import solid
 
 Array = NDArray[np.float64]
 

@@ -10,12 +10,12 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture.collision import Obstacle, Scene
+from pinposture.collision.scene import obstacles_around
 from pinposture.editor.edits import Edit, with_obstacle
 from pinposture.editor.new_obstacles import new_obstacle
 from pinposture.editor.session import Proposal, Session
 from pinposture.errors import InvalidValue, PostureError, TaskError
-from pinposture.scene import Obstacle, Scene
-from pinposture.scene.inside import obstacles_around
 from pinposture.task import Task
 
 Array = NDArray[np.float64]

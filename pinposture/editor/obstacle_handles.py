@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pinposture._validation import Matrix, Vector
+from pinposture._validation import point as checked_point
 from pinposture.arm import Arm
-from pinposture.scene import Box, Capsule, Cylinder, HalfSpace, Mesh, Obstacle, Sphere
-from pinposture.scene.checks import Matrix, Vector
-from pinposture.scene.checks import point as checked_point
+from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Mesh, Obstacle, Sphere
 
 Array = NDArray[np.float64]
 

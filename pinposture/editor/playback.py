@@ -15,7 +15,7 @@ from pinposture.editor.live import Live, at_limit, errors_of
 from pinposture.editor.rehearsal import Rehearsal
 from pinposture.errors import InvalidValue
 from pinposture.motion import Motion
-from pinposture.target import Target
+from pinposture.placement import Target
 from pinposture.task import Task
 
 if TYPE_CHECKING:

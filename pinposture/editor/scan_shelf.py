@@ -12,12 +12,12 @@ from queue import SimpleQueue
 from threading import Lock, Thread
 from typing import TypeAlias
 
+from pinposture.collision import Mesh
+from pinposture.collision.scan import WIDE, Scan
 from pinposture.editor.edits import Edit
 from pinposture.editor.obstacle_edits import free_name, obstacles_of, take_in
 from pinposture.editor.session import Session
 from pinposture.errors import FileError, PostureError
-from pinposture.scene import Mesh
-from pinposture.scene.scan import WIDE, Scan
 from pinposture.storage import write_bytes
 from pinposture.task import Task
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pinposture._validation import finite_vector
 from pinposture.arm import Arm
-from pinposture.arm.checks import finite_vector
 from pinposture.curve import Curve
-from pinposture.curve.approximate import deviation
+from pinposture.curve.construction import deviation
 from pinposture.errors import CurveError, InvalidValue
-from pinposture.target.placement import beginning, lay
+from pinposture.placement.curve_placement import beginning, lay
 from pinposture.task import Keyframe
 
 Array = NDArray[np.float64]

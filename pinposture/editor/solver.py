@@ -19,7 +19,7 @@ from pinposture.editor.live import Live, Problem, active_of, at_limit, errors_of
 from pinposture.editor.verdict import Verdict, judge, review
 from pinposture.errors import PostureError, PostureWarning
 from pinposture.motion import Tracker
-from pinposture.target import Target
+from pinposture.placement import Target
 from pinposture.task import Keyframe
 
 Array = NDArray[np.float64]

@@ -6,11 +6,11 @@ import time
 from collections.abc import Callable
 from typing import TypeAlias
 
+from pinposture.collision import Scene
 from pinposture.editor.clearances import Asked, Clearances
 from pinposture.editor.live import Live
 from pinposture.editor.scan_shelf import ScanShelf
 from pinposture.editor.session import Session
-from pinposture.scene import Scene
 
 Post: TypeAlias = Callable[..., None]
 

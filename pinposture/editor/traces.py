@@ -14,7 +14,7 @@ from pinposture.control import Limits
 from pinposture.editor.live import Live
 from pinposture.editor.solver import in_cycles
 from pinposture.motion import Motion
-from pinposture.motion.rates import limit_shares
+from pinposture.motion.trajectory import limit_shares
 
 Array = NDArray[np.float64]
 

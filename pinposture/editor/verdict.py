@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pinposture.arm import Arm
+from pinposture.collision import Scene
+from pinposture.collision.scene import obstacles_around
 from pinposture.errors import (
     CurveBendsTooMuch,
     CurveEndsEarly,
@@ -17,9 +19,7 @@ from pinposture.errors import (
     TargetError,
     TaskError,
 )
-from pinposture.scene import Scene
-from pinposture.scene.inside import obstacles_around
-from pinposture.target import Target
+from pinposture.placement import Target
 from pinposture.task import Keyframe
 from pinposture.task.resolving import resolve_keyframe
 

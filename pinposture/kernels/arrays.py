@@ -26,7 +26,7 @@ Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
 
 
-class Chain(NamedTuple):
+class ChainArrays(NamedTuple):
     """The constants of a serial chain of n joints with m control points.
 
     Attributes:
@@ -106,7 +106,7 @@ class Screwed(NamedTuple):
 
 
 FULL, RELATIVE, LOCAL = 0, 1, 2
-"""Couplings: what rows know of joints before their section, as `kernels.rows` explains."""
+"""Couplings: what rows know of joints before their section, as `kernels.kinematics` explains."""
 
 
 class Rows(NamedTuple):
@@ -126,7 +126,7 @@ class Rows(NamedTuple):
 
 
 class Factors(NamedTuple):
-    """L of a posture control matrix L Q, as `kernels.elimination` keeps it.
+    """L of a posture control matrix L Q, as `kernels.posture_matrix` keeps it.
 
     Attributes:
         triangles: lower triangular blocks R, (p, 3, 3); a tiny number on a diagonal stands for zero, where a

@@ -1,4 +1,4 @@
-"""Values and derivatives of B-splines in space."""
+"""B-splines: values, arc length, and the nearest place."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import numpy as np
 
 from pinposture.kernels.arrays import Array1, Array2, Array3
 from pinposture.kernels.compiled import compiled, subkernel
+
+# Values and derivatives of B-splines in space.
 
 
 @compiled
@@ -97,3 +99,344 @@ def spline_values(t: Array1, table: Array3, degree: int, order: int, u: Array1) 
                 t, table, degree, order, span_at(t, degree, u[i]), u[i], work
             )
     return out
+
+
+# Arc length of a B-spline as a function of its parameter, and back.
+
+DEPTH = 48  # halvings of a span, enough for a speed that nearly vanishes
+MOST = 64  # pieces to a span that are halved at a time; more means that rounding is all there is to see
+NEWTON = 60  # steps at most, and how small they get, next to the bracket
+CLOSE = 1e-10
+
+
+@subkernel
+def expand(
+    t: Array1, table: Array3, degree: int, low: float, high: float, work: Array2, taylor: Array2
+) -> None:
+    """Expand the velocity about the middle of a piece of one knot span.
+
+    Args:
+        t: knots.
+        table: of `spline.spline_coefficients`.
+        degree: of the spline.
+        low: where the piece begins.
+        high: where it ends.
+        work: space, (6, 3).
+        taylor: filled with the coefficients of 1, x, x^2 ... on x from -1 to 1, (degree, 3).
+    """
+    half = 0.5 * (high - low)
+    middle = low + half
+    span = span_at(t, degree, middle)
+    scale = 1.0
+    for p in range(degree):
+        x, y, z = value(t, table, degree, p + 1, span, middle, work)
+        taylor[p, 0], taylor[p, 1], taylor[p, 2] = scale * x, scale * y, scale * z
+        scale *= half / (p + 1)
+
+
+@subkernel
+def speed(taylor: Array2, degree: int, x: float) -> float:
+    """Speed at x of an expanded velocity."""
+    a, b, c = taylor[degree - 1, 0], taylor[degree - 1, 1], taylor[degree - 1, 2]
+    for p in range(degree - 2, -1, -1):
+        a, b, c = a * x + taylor[p, 0], b * x + taylor[p, 1], c * x + taylor[p, 2]
+    return float(np.sqrt(a * a + b * b + c * c))
+
+
+@compiled
+def expand_spans(t: Array1, table: Array3, degree: int, breaks: Array1) -> Array3:
+    """Expand the velocity about the middle of every knot span, see `expand`, (k, degree, 3)."""
+    work, taylors = np.empty((6, 3)), np.empty((len(breaks) - 1, degree, 3))
+    for i in range(len(taylors)):
+        expand(t, table, degree, breaks[i], breaks[i + 1], work, taylors[i])
+    return taylors
+
+
+@subkernel
+def legendre(taylor: Array2, degree: int, rule: Array2, speeds: Array1, piece: Array1) -> None:
+    """Expand the speed on a piece in Legendre polynomials.
+
+    Args:
+        taylor: the velocity there, of `expand`.
+        degree: of the spline.
+        rule: of `measure_length`.
+        speeds: space, (N,).
+        piece: its beginning and end; filled from [2] on with the size of the last two coefficients, and with
+            all of them, times half the width, (3 + N,).
+    """
+    nodes = len(rule)
+    half = 0.5 * (piece[1] - piece[0])
+    for g in range(nodes):
+        speeds[g] = speed(taylor, degree, rule[g, 0])
+        piece[3 + g] = 0.0
+    for g in range(1, nodes):
+        change = speeds[g] - speeds[0]  # of the difference, so that a constant speed is exact
+        for j in range(nodes):
+            piece[3 + j] += change * rule[g, 1 + j]
+    piece[3] += speeds[0]
+    for j in range(nodes):
+        piece[3 + j] *= half
+    piece[2] = abs(piece[1 + nodes]) + abs(piece[2 + nodes])
+
+
+@compiled
+def measure_length(
+    t: Array1,
+    table: Array3,
+    degree: int,
+    breaks: Array1,
+    taylors: Array3,
+    rule: Array2,
+    tail: float,
+    rounding: float,
+) -> tuple[Array1, Array1, Array2]:
+    """Integrate the speed: a polynomial on each of many short pieces of the knot spans.
+
+    Pieces are halved until the Legendre series of the speed, sampled at Gauss nodes, has died out.
+
+    Args:
+        t: knots.
+        table: of `spline.spline_coefficients`.
+        degree: of the spline.
+        breaks: ends of the knot spans, increasing, (k + 1,).
+        taylors: of `expand_spans`.
+        rule: Gauss nodes; the matrix from values there to Legendre coefficients; that from these to power
+            coefficients of the integral from -1, highest first; (N, 1 + N + N + 1).
+        tail: largest last terms of a piece's series, of the whole length.
+        rounding: error in the length of a span that rounding may cause; halving goes no further.
+
+    Returns:
+        Parameters where the pieces meet (n + 1,), arc lengths there (n + 1,), and power coefficients of each
+        piece's length in x from -1 to 1, highest first, (n, N + 1).
+    """
+    nodes, spans = len(rule), len(taylors)
+    work, finer, speeds = np.empty((6, 3)), np.empty((degree, 3)), np.empty(nodes)
+    # Where a piece begins and ends, how large its last Legendre coefficients are (-1: unknown), and all.
+    pieces = np.empty((spans, 3 + nodes))
+    for i in range(spans):
+        pieces[i, 0], pieces[i, 1], pieces[i, 2] = breaks[i], breaks[i + 1], -1.0
+    largest, rough = 0.0, spans
+    for depth in range(DEPTH):
+        total, rough = 0.0, 0
+        for i in range(len(pieces)):
+            piece = pieces[i]
+            if piece[2] < 0.0:
+                taylor = taylors[i] if depth == 0 else finer
+                if depth > 0:
+                    expand(t, table, degree, piece[0], piece[1], work, finer)
+                legendre(taylor, degree, rule, speeds, piece)
+            total += 2.0 * piece[3]
+            if depth > 0:
+                rough += int(piece[2] > largest)
+        if depth == 0:
+            largest = max(tail * total, rounding)
+            for i in range(spans):
+                rough += int(pieces[i, 2] > largest)
+        if rough == 0 or rough > MOST * len(breaks) or depth == DEPTH - 1:
+            break
+        halves, k = np.empty((len(pieces) + rough, 3 + nodes)), 0
+        for i in range(len(pieces)):
+            piece = pieces[i]
+            if piece[2] > largest:
+                middle = piece[0] + 0.5 * (piece[1] - piece[0])
+                halves[k, 0], halves[k, 1], halves[k, 2] = piece[0], middle, -1.0
+                k += 1
+                halves[k, 0], halves[k, 1], halves[k, 2] = middle, piece[1], -1.0
+            else:
+                for j in range(3 + nodes):
+                    halves[k, j] = piece[j]
+            k += 1
+        pieces = halves
+    edges, lengths = np.empty(len(pieces) + 1), np.empty(len(pieces) + 1)
+    series = np.zeros((len(pieces), nodes + 1))
+    edges[0], lengths[0] = breaks[0], 0.0
+    for i in range(len(pieces)):
+        piece = pieces[i]
+        edges[i + 1], lengths[i + 1] = piece[1], lengths[i] + 2.0 * piece[3]
+        for g in range(nodes):
+            for j in range(nodes + 1):
+                series[i, j] += piece[3 + g] * rule[g, 1 + nodes + j]
+    return edges, lengths, series
+
+
+@subkernel
+def piece_at(table: Array1, x: float) -> int:
+    """Which interval of an increasing table holds x; the first or last one if it is outside."""
+    low, high = 0, len(table) - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if table[middle] <= x:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@subkernel
+def length_at(edges: Array1, lengths: Array1, series: Array2, u: float) -> float:
+    """Arc length from the start to the parameter u."""
+    i = piece_at(edges, u)
+    x = (2.0 * u - edges[i] - edges[i + 1]) / (edges[i + 1] - edges[i])
+    row = series[i]
+    s = row[0]
+    for j in range(1, len(row)):
+        s = s * x + row[j]
+    return float(min(max(lengths[i] + s, 0.0), lengths[-1]))
+
+
+@subkernel
+def parameter_at(edges: Array1, lengths: Array1, series: Array2, s: float) -> float:
+    """Parameter at the arc length s, by Newton's method that cannot leave its bracket."""
+    i = piece_at(lengths, s)
+    row, local = series[i], s - lengths[i]
+    low, high = -1.0, 1.0
+    x = min(max(2.0 * local / (lengths[i + 1] - lengths[i]) - 1.0, -1.0), 1.0)
+    for _ in range(NEWTON):
+        gap, slope = row[0], 0.0
+        for j in range(1, len(row)):
+            slope = slope * x + gap
+            gap = gap * x + row[j]
+        gap -= local
+        if gap <= 0.0:
+            low = x
+        if gap >= 0.0:
+            high = x
+        trial = x - gap / slope
+        if not (slope > 0.0 and low <= trial <= high):
+            trial = 0.5 * (low + high)
+        step = abs(trial - x)
+        x = trial
+        if step <= 2.0 * CLOSE:
+            break
+    u = 0.5 * ((1.0 - x) * edges[i] + (1.0 + x) * edges[i + 1])
+    return float(min(max(u, edges[i]), edges[i + 1]))
+
+
+@compiled
+def parameters_at(edges: Array1, lengths: Array1, series: Array2, s: Array1) -> Array1:
+    """Parameters (n,) at arc lengths s (n,)."""
+    out = np.empty(len(s))
+    for i in range(len(s)):
+        out[i] = parameter_at(edges, lengths, series, s[i])
+    return out
+
+
+# The place on a B-spline that is nearest to a point.
+
+
+@subkernel
+def distance_at(t: Array1, table: Array3, degree: int, u: float, p: Array1, work: Array2) -> float:
+    """Distance from the point p (3,) to the place at u."""
+    x, y, z = value(t, table, degree, 0, span_at(t, degree, u), u, work)
+    return float(np.sqrt((x - p[0]) ** 2 + (y - p[1]) ** 2 + (z - p[2]) ** 2))
+
+
+@subkernel
+def slopes(t: Array1, table: Array3, degree: int, u: float, p: Array1, work: Array2) -> tuple[float, float]:
+    """Half the first and second derivatives by u of the squared distance from p (3,)."""
+    span = span_at(t, degree, u)
+    x, y, z = value(t, table, degree, 0, span, u, work)
+    x, y, z = x - p[0], y - p[1], z - p[2]
+    a, b, c = value(t, table, degree, 1, span, u, work)
+    second = a * a + b * b + c * c
+    if degree > 1:
+        d, e, f = value(t, table, degree, 2, span, u, work)
+        second += x * d + y * e + z * f
+    return x * a + y * b + z * c, second
+
+
+@subkernel
+def nearest_within(
+    t: Array1, table: Array3, degree: int, low: float, high: float, p: Array1, work: Array2
+) -> tuple[float, float]:
+    """Parameter of the place nearest to p (3,) within a short piece, and the distance."""
+    best, distance = low, distance_at(t, table, degree, low, p, work)
+    at_high = distance_at(t, table, degree, high, p, work)
+    if at_high < distance:
+        best, distance = high, at_high
+    inner = np.nextafter(high, low)  # a corner there belongs to the next piece
+    if slopes(t, table, degree, low, p, work)[0] < 0.0 and slopes(t, table, degree, inner, p, work)[0] > 0.0:
+        u, width, left, right = 0.5 * (low + high), inner - low, low, inner
+        for _ in range(NEWTON):
+            gap, slope = slopes(t, table, degree, u, p, work)
+            if gap <= 0.0:
+                left = u
+            if gap >= 0.0:
+                right = u
+            trial = u - gap / slope
+            if not (slope > 0.0 and left <= trial <= right):
+                trial = 0.5 * (left + right)
+            step = abs(trial - u)
+            u = trial
+            if step <= CLOSE * width:
+                break
+        inside = distance_at(t, table, degree, u, p, work)
+        if inside <= distance:
+            best, distance = u, inside
+    return best, distance
+
+
+@compiled
+def nearest_places(
+    t: Array1,
+    table: Array3,
+    degree: int,
+    edges: Array1,
+    lengths: Array1,
+    series: Array2,
+    pieces: int,
+    points: Array2,
+) -> Array2:
+    """Find the nearest places to points; of several equally near, one of them.
+
+    The curve is cut into pieces. If the middle of a piece is at a distance d, and its ends at most r away
+    from there along the curve, no part of it is nearer than d - r; so each piece that could hold the nearest
+    place is known, and searched.
+
+    Args:
+        t: knots.
+        table: of `spline.spline_coefficients`.
+        degree: of the spline.
+        edges: of `arclength.measure_length`.
+        lengths: likewise.
+        series: likewise.
+        pieces: how many at least.
+        points: shape (n, 3).
+
+    Returns:
+        Arc length and distance of each, (n, 2).
+    """
+    parts = max(2, -(-pieces // len(series)))
+    count = parts * len(series)
+    work = np.empty((6, 3))
+    ends, reach, middles = np.empty(count + 1), np.empty(count), np.empty((count, 3))
+    for i in range(len(series)):
+        for j in range(parts):
+            ends[i * parts + j] = edges[i] + (edges[i + 1] - edges[i]) * (j / parts)
+    ends[count] = edges[-1]
+    s_low = 0.0
+    for i in range(count):
+        middle = 0.5 * (ends[i] + ends[i + 1])
+        s_middle = length_at(edges, lengths, series, middle)
+        s_high = length_at(edges, lengths, series, ends[i + 1])
+        reach[i] = max(s_middle - s_low, s_high - s_middle)
+        x, y, z = value(t, table, degree, 0, span_at(t, degree, middle), middle, work)
+        middles[i, 0], middles[i, 1], middles[i, 2] = x, y, z
+        s_low = s_high
+    found, away = np.empty((len(points), 2)), np.empty(count)
+    for k in range(len(points)):
+        p = points[k]
+        bound = np.inf
+        for i in range(count):
+            x, y, z = middles[i, 0] - p[0], middles[i, 1] - p[1], middles[i, 2] - p[2]
+            away[i] = np.sqrt(x * x + y * y + z * z)
+            bound = min(bound, away[i])
+        best, distance = 0.0, np.inf
+        for i in range(count):
+            if away[i] - reach[i] <= bound * (1.0 + 1e-12):
+                u, d = nearest_within(t, table, degree, ends[i], ends[i + 1], p, work)
+                if d < distance:
+                    best, distance = u, d
+                    bound = min(bound, d)
+        found[k, 0], found[k, 1] = length_at(edges, lengths, series, best), distance
+    return found

@@ -1,38 +1,294 @@
-"""Timed joint motion as plain data: what is handed to a robot or a simulator, and what comes back."""
+"""A motion as joint positions over time, as robots and simulators take it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence, Sized
 from dataclasses import dataclass, replace
 from functools import cached_property
+from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pinposture._validation import require_positive
 from pinposture.arm import Arm
-from pinposture.control.checks import require_positive
+from pinposture.arm.chain import joint_screws
 from pinposture.errors import InvalidValue
-from pinposture.motion.ending import require_sound
-from pinposture.motion.joint_checks import (
-    SAME,
-    check_names,
-    check_same_joints,
-    check_times,
-    finite_array,
-    moments,
-    row_count,
-    step_duration,
-)
-from pinposture.motion.joint_interpolation import cubic
-from pinposture.motion.joint_positions import SLIDE, TURN, joint_units, unwound
-from pinposture.motion.joint_rates import Peaks, peaks, rates
+from pinposture.motion.trajectory import require_sound
 
 if TYPE_CHECKING:
     from pinposture.motion.trajectory import Trajectory
 
+
+# Checks of joint motions that come from outside.
+
 Array = NDArray[np.float64]
+
+MENTIONED = 6
+"""How many joints that do not fit are listed."""
+
+SAME = 1e-9
+"""Share by which two durations may differ and still count as one."""
+
+
+def check_names(names: Sequence[str]) -> tuple[str, ...]:
+    """The names, or InvalidValue unless they are different ones that a file can hold, at least one."""
+    if isinstance(names, str) or not names:
+        raise InvalidValue("joint_names", names, "a list of at least one name")
+    for k, name in enumerate(names):
+        if not (isinstance(name, str) and name and name.isprintable() and name == name.strip()):
+            allowed = "a name: printable characters, no space before or after them"
+            raise InvalidValue(f"joint_names[{k}]", name, allowed)
+        if name in names[:k]:
+            raise InvalidValue(
+                f"joint_names[{k}]", name, f"a name of its own; joint {names.index(name)} has it"
+            )
+    return tuple(names)
+
+
+def check_same_joints(names: Sequence[str], expected: Sequence[str]) -> None:
+    """Raise InvalidValue unless these are the joints of an arm, in any order; names those that do not fit."""
+    wrong = {
+        "missing": [name for name in expected if name not in names],
+        "unknown": [name for name in names if name not in expected],
+    }
+    if any(wrong.values()):
+        told = "; ".join(f"{word}: {_listed(joints)}" for word, joints in wrong.items() if joints)
+        raise InvalidValue(
+            "joint_names", names, f"the {len(expected)} joints of the arm in any order ({told})"
+        )
+
+
+def row_count(name: str, values: ArrayLike) -> int:
+    """How many rows or entries there are; raises InvalidValue if it is none, or no list at all."""
+    alone = isinstance(values, np.ndarray) and values.ndim == 0
+    rows = len(values) if isinstance(values, Sized) and not alone else 0
+    if rows == 0:
+        raise InvalidValue(name, values, "a list with at least one entry")
+    return rows
+
+
+def finite_array(name: str, values: ArrayLike, shape: tuple[int, ...] | None = None) -> Array:
+    """A fresh read-only array of finite floats, of that shape if one is given.
+
+    Raises:
+        InvalidValue: not numbers, another shape, or an entry that is not finite; names the entry.
+    """
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InvalidValue(name, values, f"numbers{'' if shape is None else f', {shape}'}") from None
+    if shape is not None and array.shape != shape:
+        raise InvalidValue(f"{name} (shape)", array.shape, str(shape))
+    bad = np.argwhere(~np.isfinite(array))
+    if len(bad):
+        entry = ", ".join(map(str, bad[0]))
+        raise InvalidValue(
+            f"{name}[{entry}]" if entry else name, float(array[tuple(bad[0])]), "finite numbers"
+        )
+    array.flags.writeable = False
+    return array
+
+
+def check_times(time: Array) -> None:
+    """Raise InvalidValue unless moments increase strictly from 0 or later."""
+    if time[0] < 0.0:
+        raise InvalidValue("time[0]", float(time[0]), "0 or later [s]")
+    late = np.flatnonzero(np.diff(time) <= 0.0)
+    if len(late):
+        k = int(late[0]) + 1
+        raise InvalidValue(f"time[{k}]", float(time[k]), f"more than time[{k - 1}], {float(time[k - 1])} s")
+
+
+def moments(time: ArrayLike, rows: int) -> ArrayLike:
+    """When rows are reached: as given, or at equal distances from 0 if one number was given [s].
+
+    Raises:
+        InvalidValue: one number that is not positive.
+    """
+    if not isinstance(time, Real):
+        return time
+    require_positive("time", time if isinstance(time, bool) else float(time))
+    return float(time) * np.arange(rows)
+
+
+def step_duration(dt: float | None, known: float | None) -> float:
+    """The duration of the steps of a run [s]: that of its limits, or the one given.
+
+    Raises:
+        InvalidValue: there is none, it is not positive, or the two are not the same.
+    """
+    step = known if dt is None else dt
+    if step is None:
+        raise InvalidValue("dt", None, "the duration of a step [s]; the limits of this run have none")
+    require_positive("dt", step)
+    if known is not None and abs(step - known) > SAME * known:
+        raise InvalidValue("dt", dt, f"{known} s, which the limits of this run have, or nothing")
+    return step
+
+
+def _listed(names: Iterable[str]) -> str:
+    listed = [repr(name) for name in names]
+    more = f" and {len(listed) - MENTIONED} more" if len(listed) > MENTIONED else ""
+    return ", ".join(listed[:MENTIONED]) + more
+
+
+# Configurations as numbers that a robot's drives take: one position for each joint that moves.
+
+TURN, SLIDE = "rad", "m"
+"""Units of the position of a joint that turns, and of one that slides."""
+
+
+def joint_units(arm: Arm) -> tuple[str, ...]:
+    """The unit of each joint position of an arm, (nv,), on the chain or off it.
+
+    Raises:
+        InvalidValue: a joint off the chain has several degrees of freedom, so that its name stands for more
+            than one number.
+    """
+    for joint, name in list(zip(arm.model.joints, arm.model.names, strict=True))[1:]:
+        if joint.nv > 1:
+            raise InvalidValue(f"joint {str(name)!r}", joint.shortname(), "joints with one degree of freedom")
+    moving = [number for number in range(1, arm.model.njoints) if arm.model.joints[number].nv == 1]
+    turns = np.any(joint_screws(arm.model, moving)[:, 3:] != 0.0, axis=1)
+    return tuple(TURN if turn else SLIDE for turn in turns)
+
+
+def unwound(arm: Arm, q: ArrayLike) -> Array:
+    """Joint positions of configurations one after the other.
+
+    A continuous joint begins within +-pi, goes the shorter way from row to row and so has no jumps: after two
+    turns it is at 4 pi.
+
+    Args:
+        arm: the arm.
+        q: configurations, (N, nq).
+
+    Returns:
+        (N, nv) [rad or m]; for joints that are not continuous the very numbers of q.
+
+    Raises:
+        InvalidValue: another shape, or a row that is no configuration; names the row.
+    """
+    try:
+        rows = np.asarray(q, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InvalidValue("q", q, f"configurations, (N, {arm.nq})") from None
+    if rows.ndim != 2 or rows.shape[1] != arm.nq or len(rows) == 0:
+        raise InvalidValue("q (shape)", rows.shape, f"(N, {arm.nq}) with at least one row")
+    positions = np.array([arm.positions(arm.checked(row, f"q[{k}]")) for k, row in enumerate(rows)])
+    for joint in list(arm.model.joints)[1:]:
+        if joint.nv == 1 and joint.nq > 1:
+            positions[:, joint.idx_v] = np.unwrap(positions[:, joint.idx_v])
+    return positions
+
+
+# How fast joints move in a motion that is known at moments only.
+
+
+class Rates(NamedTuple):
+    """Velocity and acceleration of each joint at each row.
+
+    Attributes:
+        velocities: (N, n) [rad/s or m/s].
+        accelerations: (N, n) [rad/s^2 or m/s^2].
+    """
+
+    velocities: Array
+    accelerations: Array
+
+
+class Peaks(NamedTuple):
+    """The most that a motion asks of each joint, in the sense of `Limits`.
+
+    Attributes:
+        speeds: largest mean speed between two rows, (n,) [rad/s or m/s].
+        accelerations: largest change of that from one interval to the next, from rest and to rest included,
+            per time, (n,) [rad/s^2 or m/s^2].
+    """
+
+    speeds: Array
+    accelerations: Array
+
+
+def rates(time: Array, positions: Array) -> Rates:
+    """Central and second differences: exact where a joint moves with constant acceleration.
+
+    With slopes s before and after a row, and h the intervals,
+
+        v = (h_before s_after + h_after s_before) / (h_before + h_after),
+        a = 2 (s_after - s_before) / (h_before + h_after).
+
+    A velocity is a mean of the slopes around it, and at equal distances an acceleration is their difference
+    over the interval: what bounds the steps of a motion bounds its rows. The first and the last row are at
+    rest, without acceleration: a robot that holds the last row must not go on pushing.
+
+    Args:
+        time: moments, (N,) [s], strictly increasing.
+        positions: joint positions then, (N, n) [rad or m].
+    """
+    velocities, accelerations = np.zeros_like(positions), np.zeros_like(positions)
+    if len(time) > 2:
+        intervals = np.diff(time)[:, None]
+        with np.errstate(over="ignore", invalid="ignore"):  # the trajectory refuses what is not finite
+            slopes = np.diff(positions, axis=0) / intervals
+            before, after = intervals[:-1], intervals[1:]
+            velocities[1:-1] = (before * slopes[1:] + after * slopes[:-1]) / (before + after)
+            accelerations[1:-1] = 2.0 * (slopes[1:] - slopes[:-1]) / (before + after)
+    return Rates(velocities, accelerations)
+
+
+def peaks(time: Array, positions: Array) -> Peaks:
+    """The largest speeds and accelerations from row to row, from rest and to rest.
+
+    Args:
+        time: moments, (N,) [s], strictly increasing.
+        positions: joint positions then, (N, n) [rad or m].
+    """
+    if len(time) == 1:
+        return Peaks(np.zeros(positions.shape[1]), np.zeros(positions.shape[1]))
+    intervals = np.diff(time)
+    spans = np.pad(intervals, 1, mode="edge")
+    with np.errstate(over="ignore"):  # infinite is what two rows far apart and at one moment ask for
+        slopes = np.diff(positions, axis=0) / intervals[:, None]
+        resting = np.pad(slopes, ((1, 1), (0, 0)))
+        changes = 2.0 * np.diff(resting, axis=0) / (spans[:-1] + spans[1:])[:, None]
+    return Peaks(np.abs(slopes).max(axis=0), np.abs(changes).max(axis=0))
+
+
+# Joint positions between the rows of a motion.
+
+
+def cubic(time: Array, positions: Array, velocities: Array, moments: Array) -> Array:
+    """The cubic polynomials between rows that have their positions and velocities (Hermite).
+
+    Args:
+        time: when each row is reached, (N,) [s], strictly increasing.
+        positions: (N, n) [rad or m].
+        velocities: (N, n) [rad/s or m/s].
+        moments: any, (...) [s]; those before the first row and after the last stand for these.
+
+    Returns:
+        Positions, (..., n) [rad or m]; at the time of a row exactly its own.
+    """
+    clipped = np.clip(moments, time[0], time[-1])
+    last = len(time) - 1
+    before = np.clip(np.searchsorted(time, clipped, side="right") - 1, 0, max(last - 1, 0))
+    after = np.minimum(before + 1, last)
+    span = time[after] - time[before]
+    share = np.divide(clipped - time[before], span, out=np.zeros_like(span), where=span > 0.0)[..., None]
+    start, way = positions[before], positions[after] - positions[before]
+    # The chord, and what bends it off: slopes at either end against its own.
+    first = span[..., None] * velocities[before] - way
+    second = span[..., None] * velocities[after] - way
+    bend = share * (1.0 - share) * ((1.0 - share) * first - share * second)
+    found: Array = np.where(share < 1.0, start + share * way + bend, positions[after])
+    return found
+
+
+# Timed joint motion as plain data: what is handed to a robot or a simulator, and what comes back.
 
 
 @dataclass(frozen=True, eq=False)

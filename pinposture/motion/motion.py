@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.control.limits import cycle_of
-from pinposture.motion.ending import require_sound
 from pinposture.motion.joint_trajectory import JointTrajectory
-from pinposture.motion.trajectory import Trajectory
-from pinposture.target.placement import Moved
+from pinposture.motion.trajectory import Trajectory, require_sound
+from pinposture.placement.curve_placement import Moved
 
 Array = NDArray[np.float64]
 
@@ -176,7 +175,7 @@ class Motion:
         Raises:
             FileError: the name has another ending, or the file cannot be written.
         """
-        from pinposture.motion.motion_files import save_motion
+        from pinposture.motion.files import save_motion
 
         return save_motion(self, Path(path))
 
@@ -187,7 +186,7 @@ class Motion:
         Raises:
             FileError: the file is missing, or is not such a motion.
         """
-        from pinposture.motion.motion_files import load_motion
+        from pinposture.motion.files import load_motion
 
         return load_motion(Path(path))
 

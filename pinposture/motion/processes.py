@@ -13,7 +13,7 @@ from typing import Any, Generic, TypeVar
 from joblib import Parallel, parallel_config, wrap_non_picklable_objects
 from joblib.parallel import get_active_backend
 
-from pinposture.control.checks import is_whole
+from pinposture._validation import is_whole
 from pinposture.errors import InvalidValue
 
 Value = TypeVar("Value")

@@ -4,17 +4,295 @@ from __future__ import annotations
 
 import logging
 import warnings
+from collections.abc import Callable
+from dataclasses import replace
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from pinposture.arm import Arm
-from pinposture.control import ConstrainedQP, Controller, Limits, controller_named
-from pinposture.control.checks import require_positive, require_whole
+from pinposture._validation import require_positive, require_whole
+from pinposture.arm import Arm, ArmState
+from pinposture.collision import Scene
+from pinposture.control import ConstrainedQP, Controller, Diagnostics, Limits, Step, controller_named
+from pinposture.control.controller import Memory, next_step
 from pinposture.errors import InvalidValue, PostureWarning
-from pinposture.motion.drive import Callback, Drive
 from pinposture.motion.trajectory import Trajectory
-from pinposture.scene import Scene
-from pinposture.target import Target
+from pinposture.placement import Target
+
+# What is written down while an arm moves.
+
+Array = NDArray[np.float64]
+
+
+MENTIONED = 8
+"""How many constraints that gave way are written down of each step."""
+
+ROUNDING = 1e-12
+"""Rise of the posture error that is none, in arm lengths."""
+
+
+class Recorder:
+    """Collects states and steps, and turns them into a trajectory.
+
+    Args:
+        target: where the control points should be, until a step comes with another target.
+        start: where the arm begins.
+        scene: what its distances are recorded from; none if None.
+    """
+
+    def __init__(self, target: Target, start: ArmState, scene: Scene | None = None) -> None:
+        self._target, self._scene = target, scene
+        self._clearance = None if scene is None else scene.around(start.arm)
+        self._distances = [self._distance(start)]
+        self._steps: list[Step] = []
+        self._last = start
+        self._q, self._points, self._errors = [start.q], [start.points], [self._point_errors(start)]
+        self.aim(target)
+
+    def aim(self, target: Target) -> None:
+        """Turn to another target: progress is measured against it from now on."""
+        self._target = target
+        self._now = self._point_errors(self._last)
+        self._best, self._idle = self.posture_error, 0.0
+
+    def rises(self, state: ArmState) -> bool:
+        """Whether the posture error is larger at a state than now, by more than rounding."""
+        return float(self._point_errors(state).sum()) > self.posture_error + ROUNDING * state.arm.length
+
+    def _point_errors(self, state: ArmState) -> Array:
+        return np.asarray(np.linalg.norm(self._target.points - state.points, axis=1) * self._target.placed)
+
+    def _distance(self, state: ArmState) -> float:
+        return np.inf if self._clearance is None else self._clearance.minimum(state.q).distance
+
+    @property
+    def steps(self) -> int:
+        """Number of steps so far."""
+        return len(self._steps)
+
+    @property
+    def posture_error(self) -> float:
+        """Sum of the distances of the control points from their targets, now [m]."""
+        return float(self._now.sum())
+
+    @property
+    def mean_error(self) -> float:
+        """Mean distance of the control points that have a target from it, now [m]."""
+        return self.posture_error / int(np.count_nonzero(self._target.placed))
+
+    def add(self, state: ArmState, step: Step, travel: float, target: Target | None = None) -> None:
+        """Write down one step and the state it led to.
+
+        Args:
+            state: the state.
+            step: the step.
+            travel: joint travel that the limits allowed in it [rad].
+            target: where the control points should be now, if that has changed.
+        """
+        self._target = self._target if target is None else target
+        self._steps.append(step._replace(diagnostics=_settled(step.diagnostics)))
+        if not step.diagnostics.on_way:  # else the arm is not stuck
+            self._idle += travel
+        self._q.append(state.q)
+        self._distances.append(self._distance(state))
+        self._points.append(state.points)
+        self._last, self._now = state, self._point_errors(state)
+        self._errors.append(self._now)
+
+    def travel_without_progress(self, share: float) -> float:
+        """Joint travel since the posture error last fell by this share below its lowest before [rad].
+
+        It is the travel that the limits allowed, escapes apart, so that it means the same at any rate.
+        """
+        if self.posture_error < self._best * (1.0 - share):
+            self._best, self._idle = self.posture_error, 0.0
+        return self._idle
+
+    def trajectory(
+        self, arm: Arm, controller: Controller, limits: Limits, status: str, reason: str
+    ) -> Trajectory:
+        """Everything so far, as a result; steps that exceed limits are named by what came of them."""
+        steps = self._steps
+        active = np.zeros((len(steps), arm.n_modules), dtype=bool)
+        for row, step in zip(active, steps, strict=True):
+            row[list(step.active)] = True
+        notes = [step.diagnostics for step in steps]
+        run = Trajectory(
+            arm=arm,
+            target=self._target,
+            controller=repr(controller),
+            limits=limits,
+            status=status,
+            reason=reason,
+            q=np.array(self._q),
+            points=np.array(self._points),
+            point_errors=np.array(self._errors),
+            active=active,
+            index=np.array([note.manipulability for note in notes]),
+            sigma_min=np.array([note.sigma_min for note in notes]),
+            sigma_max=np.array([note.sigma_max for note in notes]),
+            rows=np.array([note.rows for note in notes], dtype=np.intp),
+            scale=np.array([note.scale for note in notes]),
+            clipped=np.array([note.clipped for note in notes], dtype=bool).reshape(len(steps), arm.nv),
+            method=np.array([note.method for note in notes], dtype=np.str_),
+            switched=np.array([note.switched for note in notes], dtype=np.str_),
+            escape=np.array([note.escape for note in notes], dtype=bool),
+            relaxed=np.array(["\n".join(note.relaxed[:MENTIONED]) for note in notes], dtype=np.str_),
+            clearance=np.array(self._distances),
+            scene=self._scene,
+        )
+        if run.excess is None:
+            return run
+        relaxed = [str(words) for words in run.relaxed]
+        for number, words in zip(run.excess.steps, run.excess.words, strict=True):
+            relaxed[number] = f"{relaxed[number]}\n{words}".strip()
+        return replace(run, reason=f"{reason}; {run.excess.text}", relaxed=np.array(relaxed, dtype=np.str_))
+
+
+def _settled(note: Diagnostics) -> Diagnostics:
+    """The same with its singular values as numbers, which need no state to be kept."""
+    return note._replace(sigma_min=note.sigma_min, sigma_max=note.sigma_max)
+
+
+# An arm under way: one step after the other towards a target, written down.
+
+Callback = Callable[[int, ArmState, Step], object]
+
+PATIENCE = 6.0
+"""Joint travel without a new lowest posture error after which a run is stalled [rad]: 60 usual steps."""
+
+PROGRESS = 1e-3
+"""Relative fall of the posture error that counts as progress within it."""
+
+STEP_ROUNDING = 1e-9
+"""Share by which a sum of steps may be off."""
+
+NAMED_JOINTS = 6
+"""How many limits and distances that hold an arm are listed."""
+
+
+class Drive:
+    """An arm, the controller that moves it, and the record of what both do.
+
+    Attributes:
+        arm: the arm.
+        controller: what moves it.
+        limits: what a step may not exceed.
+        state: where the arm is.
+        memory: what the controller remembers; None before the first step.
+        last: the last step it was asked for; None before the first.
+        recorder: what was written down so far.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        q0: Array,
+        target: Target,
+        controller: Controller,
+        limits: Limits,
+        scene: Scene | None = None,
+    ) -> None:
+        self.arm, self.controller, self.limits = arm, controller, limits
+        self.state = arm.at(q0)
+        self.memory: Memory | None = None
+        self.last: Step | None = None
+        self.recorder = Recorder(target, self.state, scene)
+
+    def ask(self, target: Target) -> Step:
+        """The step that the controller would take towards a target; it is not taken."""
+        before = self.memory
+        step = next_step(self.controller, self.state, target, self.limits, before)
+        # Whatever the controller has found out stays; the arm has not moved so yet.
+        self.memory = Memory(np.zeros(self.arm.nv)) if before is None else before
+        self.memory, self.last = self.memory._replace(own=step.memory.own), step
+        return step
+
+    def move(self, step: Step, target: Target | None = None) -> None:
+        """Take a step and write it down.
+
+        Args:
+            step: the step.
+            target: where the control points should be after it, if that has changed.
+        """
+        self.state, self.memory = self.arm.at(self.arm.integrate(self.state.q, step.dq)), step.memory
+        self.recorder.add(self.state, step, self.limits.travel(self.state), target)
+
+    def until_there(
+        self, target: Target, tolerance: float, max_steps: int, callback: Callback | None = None
+    ) -> tuple[str, str]:
+        """Step on until the arm is there, stuck, or out of steps.
+
+        Args:
+            target: where its control points should be.
+            tolerance: mean distance of them from there that is close enough [m].
+            max_steps: number of steps of the record after which to stop.
+            callback: as for `track`.
+
+        Returns:
+            Status and reason; see `track`.
+        """
+        while True:
+            status, reason = self._verdict(tolerance, max_steps)
+            if status:
+                break
+            step = self.ask(target)
+            if step.diagnostics.reason:
+                # A controller that has points to control but no step to take is stuck.
+                status, reason = "stalled" if step.active else "no_control_points", step.diagnostics.reason
+                break
+            self.move(step)
+            number = self.recorder.steps
+            if callback is not None and callback(number, self.state, step) is True:
+                return "stopped", f"stopped by the callback after {number} steps"
+        if status in ("stalled", "max_steps") and self.last is not None:
+            reason += what_holds(self.arm, self.last)
+        return status, reason
+
+    def come_to_rest(self) -> None:
+        """Brake until no joint moves; without limits of acceleration that takes no step."""
+        while self.memory is not None and np.any(self.memory.braked(self.limits, self.state).dq):
+            self.hold()
+
+    def hold(self) -> None:
+        """Take a step that brings the arm closer to rest, as much as limits allow."""
+        before = Memory(np.zeros(self.arm.nv)) if self.memory is None else self.memory
+        memory = before.braked(self.limits, self.state)
+        rises = self.recorder.rises(self.arm.at(self.arm.integrate(self.state.q, memory.dq)))
+        still = np.zeros(self.arm.nv, dtype=np.bool_)
+        note = Diagnostics(0.0, 0.0, 0.0, 0, (), 1.0, still, "", escape=rises)
+        self.move(Step(memory.dq, (), note, memory))
+
+    def _too_fast(self) -> bool:
+        """Whether the arm cannot stop in the next step."""
+        brake = self.limits.for_arm(self.arm).brake
+        return brake is not None and self.memory is not None and bool(np.any(np.abs(self.memory.dq) > brake))
+
+    def _verdict(self, tolerance: float, max_steps: int) -> tuple[str, str]:
+        """Whether the run is over, and why; empty while it goes on."""
+        mean = self.recorder.mean_error
+        if mean <= tolerance and not self._too_fast():
+            return "converged", f"mean point error {mean:.3g} m is within the tolerance of {tolerance:.3g} m"
+        if self.recorder.steps >= max_steps:
+            return "max_steps", f"mean point error {mean:.3g} m, above the tolerance of {tolerance:.3g} m"
+        idle = self.recorder.travel_without_progress(PROGRESS)
+        if idle >= PATIENCE * (1.0 - STEP_ROUNDING):
+            return (
+                "stalled",
+                f"mean point error {mean:.3g} m, no progress in the last {idle:.3g} rad of joint travel",
+            )
+        return "", ""
+
+
+def what_holds(arm: Arm, step: Step) -> str:
+    """What held a step back, in words: limits that bind, and distances at their bound."""
+    held = [f"{arm.joint_names[j]} at its limit" for j in np.flatnonzero(step.diagnostics.clipped)]
+    held += step.diagnostics.near
+    if not held:
+        return ""
+    more = f" and {len(held) - NAMED_JOINTS} more" if len(held) > NAMED_JOINTS else ""
+    return f"; held by {', '.join(held[:NAMED_JOINTS])}{more}"
+
 
 logger = logging.getLogger(__name__)
 

@@ -11,17 +11,15 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pinposture._validation import is_number, require_positive, require_whole
 from pinposture.arm import Arm
+from pinposture.collision import Scene
 from pinposture.control import Controller, Limits, controller_named
-from pinposture.control.checks import is_number, require_positive, require_whole
 from pinposture.errors import InvalidValue, PostureError, PostureWarning
-from pinposture.motion.batch import FAILED, Batch
-from pinposture.motion.batch_motions import gathered, recorded
-from pinposture.motion.record import Recorder
-from pinposture.motion.track import in_scene, track
+from pinposture.motion.batch import FAILED, Batch, gathered, recorded
+from pinposture.motion.track import Recorder, in_scene, track
 from pinposture.motion.trajectory import Trajectory
-from pinposture.scene import Scene
-from pinposture.target import Target
+from pinposture.placement import Target
 
 if TYPE_CHECKING:
     from pinposture.motion.processes import Shared

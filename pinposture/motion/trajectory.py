@@ -1,28 +1,258 @@
-"""The result of a run: the motion, and what is needed to draw and to repeat it."""
+"""The result of a run: the motion, how it ended, and how its speeds compare with the limits."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
+from pinposture.collision import Scene
 from pinposture.control import Limits
-from pinposture.control.sweep import sweep
-from pinposture.motion.ending import faults, verdict
-from pinposture.scene import Scene
-from pinposture.target import Target
-from pinposture.target.placement import distance_from_curve
+from pinposture.errors import MotionError
+from pinposture.placement import Target
+from pinposture.placement.curve_placement import distance_from_curve
 
 if TYPE_CHECKING:
     from pinposture.motion.joint_trajectory import JointTrajectory
-    from pinposture.motion.rates import Excess
+
+
+# How fast joints move and how hard they accelerate in a motion, relative to what its limits allow.
+#
+# All of it is read off the configurations that the motion leads through, whatever moved the arm.
 
 Array = NDArray[np.float64]
+
+ALLOWED = 1e-9
+"""Share of a limit by which it may be exceeded: rounding."""
+
+RESOLUTION = 8.0 * float(np.finfo(np.float64).eps)
+"""What a difference of joint positions is off by, relative to them."""
+
+
+class Shares(NamedTuple):
+    """Speeds and accelerations relative to their limits, the largest of all joints; 1 is at the limit.
+
+    Attributes:
+        speeds: in each step, (steps,); None if no joint has a limit.
+        accelerations: at each row, from and to rest, (steps + 1,); None if no joint has a limit.
+    """
+
+    speeds: Array | None
+    accelerations: Array | None
+
+
+class LimitViolation(NamedTuple):
+    """How a motion exceeds its limits of speed and acceleration.
+
+    Attributes:
+        steps: the steps in which it does, counted from 0. Stopping at the end belongs to the last.
+        words: what is exceeded most in each of them, and how many times it is the limit.
+        worst: the step in which that is most.
+        ratio: how many times the limit it is there.
+        text: that in words.
+    """
+
+    steps: tuple[int, ...]
+    words: tuple[str, ...]
+    worst: int
+    ratio: float
+    text: str
+
+
+def limit_shares(run: Trajectory) -> Shares:
+    """What share of its limits a run uses when."""
+    speeds, accelerations = _joint_shares(run)
+    bounds = run.limits.for_arm(run.arm)
+    limited = bool(np.any(np.isfinite(bounds.bound)))
+    return Shares(
+        speeds.max(axis=1) if limited else None,
+        None if bounds.brake is None else accelerations.max(axis=1),
+    )
+
+
+def find_excess(run: Trajectory) -> LimitViolation | None:
+    """Where a run exceeds its limits of speed and acceleration, from and to rest; None if nowhere."""
+    if not run.steps:
+        return None
+    bounds = run.limits.for_arm(run.arm)
+    speeds, accelerations = _joint_shares(run)
+    accelerations[-2] = np.maximum(accelerations[-2], accelerations[-1])
+    brake = np.inf if bounds.brake is None else bounds.brake
+    lost = RESOLUTION * (1.0 + np.abs([run.arm.positions(q) for q in run.q[[0, -1]]]).max(axis=0))
+    over = np.stack([speeds - lost / bounds.bound, accelerations[:-1] - 2.0 * lost / brake])
+    steps = np.flatnonzero(over.max(axis=(0, 2)) > 1.0 + ALLOWED)
+    if not len(steps):
+        return None
+    words, ratios = [], []
+    for step in steps:
+        kind, joint = np.unravel_index(int(over[:, step].argmax()), over[:, step].shape)
+        ratios.append(float((speeds[step], accelerations[step])[kind][joint]))
+        limit = f"{('speed', 'acceleration')[kind]} limit of joint {run.arm.joint_names[joint]!r}"
+        words.append(f"{limit}: {ratios[-1]:.4g} times as much")
+    most = int(np.argmax(ratios))
+    number, worst = len(steps), int(steps[most])
+    count = f"{number} step" + ("s" if number > 1 else "")
+    text = f"limits are exceeded in {count}, most in step {worst + 1} (of {run.steps}): {words[most]}"
+    return LimitViolation(tuple(int(step) for step in steps), tuple(words), worst, ratios[most], text)
+
+
+def _joint_shares(run: Trajectory) -> tuple[Array, Array]:
+    """Speeds (steps, nv) and accelerations (steps + 1, nv) of joints, relative to their limits; 0 without."""
+    arm, bounds = run.arm, run.limits.for_arm(run.arm)
+    moved = [arm.difference(a, b) for a, b in zip(run.q[:-1], run.q[1:], strict=True)]
+    steps = np.reshape(moved, (run.steps, arm.nv))
+    changes = np.diff(np.pad(steps, ((1, 1), (0, 0))), axis=0)
+    brake = np.inf if bounds.brake is None else bounds.brake
+    return np.abs(steps) / bounds.bound, np.abs(changes) / brake
+
+
+# How motions end, in one vocabulary, and whether one may be handed to a robot.
+#
+# Whatever moves an arm ends with one of these: a run of `track`, a motion in time, a run of a batch, a
+# simulation. The streaming controller reports "converged" and "stalled" in the same sense, from cycle to
+# cycle.
+
+ENDINGS: Mapping[str, str] = MappingProxyType(
+    {
+        "converged": "converged",
+        "stalled": "stalled",
+        "no_control_points": "found no control point to move",
+        "max_steps": "ran out of steps",
+        "stopped": "was stopped",
+        "missed": "came to its end elsewhere",
+        "unstable": "ran away",
+        "failed": "failed",
+    }
+)
+"""How a motion can end, with what is said of it.
+
+"converged": the arm is where it was to be. "stalled": no step leads closer. "no_control_points": the
+controller found none that it may move. "max_steps": it ran out of steps, or cycles. "stopped": by the user.
+"missed": the time of a simulation is over, and the arm is elsewhere. "unstable": the simulated arm ran away.
+"failed": an error ended the run.
+"""
+
+
+ROUNDING = 1e-6
+"""How deep bodies may be inside each other and still only touch, in arm lengths: distances are rounded."""
+
+
+class Ended(Protocol):
+    """What a motion is judged by; a `Trajectory` and a `Simulation` have it."""
+
+    @property
+    def arm(self) -> Arm:
+        """The arm."""
+
+    @property
+    def status(self) -> str:
+        """How it ended, one of `ENDINGS`."""
+
+    @property
+    def reason(self) -> str:
+        """Why, in words."""
+
+    @property
+    def q(self) -> Array:
+        """Configurations, (N, nq)."""
+
+    @property
+    def scene(self) -> Scene | None:
+        """What the arm was to keep clear of."""
+
+    @property
+    def clearance(self) -> Array:
+        """Smallest distance in each of them, (N,) [m]; negative in penetration, infinite without a scene."""
+
+    @property
+    def excess(self) -> LimitViolation | None:
+        """How they exceed limits of speed and acceleration; None if they do not, or had none to keep."""
+
+
+def faults(motion: Ended) -> tuple[str, ...]:
+    """Why a motion should not be handed to a robot, in words; empty if nothing speaks against it.
+
+    It did not end where it was to, it exceeds its limits, or it is not clear on the way. This is the one
+    place that decides.
+    """
+    ended = () if motion.status == "converged" else (f"it {ENDINGS[motion.status]}: {motion.reason}",)
+    return *ended, *(what for what in _on_the_way(motion) if not (ended and what in motion.reason))
+
+
+def _on_the_way(motion: Ended) -> tuple[str, ...]:
+    """What is wrong with a motion before its end, each as a clause."""
+    found = [] if motion.excess is None else [motion.excess.text]
+    if motion.scene is not None and motion.clearance.min() < -ROUNDING * motion.arm.length:
+        row = int(motion.clearance.argmin())
+        pair = " and ".join(motion.scene.around(motion.arm).minimum(motion.q[row]).pair or ())
+        when = f"after {row} steps" if row else "at the start"
+        found.append(f"{pair} are {-1e3 * motion.clearance[row]:.3g} mm inside each other {when}")
+    return tuple(found)
+
+
+def verdict(motion: Ended) -> str:
+    """What to think of a motion, in one line."""
+    there = "got there" if motion.status == "converged" else "did not get there"
+    but = "".join(f", but {what}" for what in _on_the_way(motion) if what not in motion.reason)
+    return f"{there} ({motion.status}){but}: {motion.reason}"
+
+
+def require_sound(motion: Ended, force: bool) -> None:
+    """Refuse to hand on a motion that has `faults`, unless told to.
+
+    Raises:
+        MotionError: it has some.
+    """
+    found = () if force else faults(motion)
+    if found:
+        raise MotionError(found)
+
+
+def closest(motion: Ended) -> dict[str, Any] | None:
+    """The smallest distance of a motion from what is around it, as data that JSON can hold.
+
+    Returns:
+        None without a scene; else "smallest" and "final" [m], the names of the "pair" that comes closest
+        (None if there are no two), "after_steps" and the "margin" that was to be kept [m].
+    """
+    if motion.scene is None:
+        return None
+    after = int(motion.clearance.argmin())
+    least = motion.scene.around(motion.arm).minimum(motion.q[after])
+    return {
+        "smallest": least.distance,
+        "final": float(motion.clearance[-1]),
+        "pair": None if least.pair is None else list(least.pair),
+        "after_steps": after,
+        "margin": motion.scene.margin,
+    }
+
+
+# How far control points travel, against how far they had to.
+
+
+def sweep(points: NDArray[np.float64]) -> float:
+    """Length of the paths of all control points relative to the direct distances from start to end.
+
+    Args:
+        points: control points of a motion, (steps + 1, m, 3) [m].
+
+    Returns:
+        1 for motion on straight lines, more for detours; 1 also if all ended where they began.
+    """
+    paths = float(np.linalg.norm(np.diff(points, axis=0), axis=2).sum())
+    direct = float(np.linalg.norm(points[-1] - points[0], axis=1).sum())
+    return max(paths / direct, 1.0) if direct > 1e-12 * paths else 1.0
+
+
+# The result of a run: the motion, and what is needed to draw and to repeat it.
 
 
 class Switch(NamedTuple):
@@ -51,7 +281,7 @@ class Trajectory:
         controller: the controller and its parameters, in words.
         limits: what a step could not exceed.
         status: how it ended: "converged", "stalled", "no_control_points", "max_steps" or "stopped"; see
-            `pinposture.motion.ending`.
+            `pinposture.motion.trajectory`.
         reason: why the run ended, in words.
         q: configurations, (steps + 1, nq).
         points: control points, (steps + 1, m, 3) [m], world frame.
@@ -144,10 +374,8 @@ class Trajectory:
         return sweep(self.points)
 
     @cached_property
-    def excess(self) -> Excess | None:
+    def excess(self) -> LimitViolation | None:
         """How its configurations exceed the limits of speed and acceleration; None if they do not."""
-        from pinposture.motion.rates import find_excess
-
         return find_excess(self)
 
     @cached_property

@@ -17,10 +17,14 @@ import numpy as np
 import pinocchio as pin
 
 from pinposture.arm import Arm
-from pinposture.arm.description import Description, JointDescription, read_description
-from pinposture.arm.limits import UNLIMITED
-from pinposture.arm.urdf_joint import CHAIN_JOINTS
-from pinposture.arm.urdf_source import parse_xml
+from pinposture.arm.configurations import UNLIMITED
+from pinposture.arm.urdf_reader import (
+    CHAIN_JOINTS,
+    Description,
+    JointDescription,
+    parse_xml,
+    read_description,
+)
 from pinposture.errors import InvalidValue
 from pinposture.sim.inertias import (
     STAND_IN_MASS,

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from pinposture.arm import Arm
+from pinposture.collision import Scene
 from pinposture.control import Limits
 from pinposture.errors import InvalidValue
-from pinposture.motion.archive import Kind, read_archive, write_archive
-from pinposture.scene import Scene
+from pinposture.motion.files import ArchiveKind, read_archive, write_archive
 from pinposture.sim.servos import Servos
 from pinposture.sim.simulation import Simulation
 
@@ -17,7 +17,7 @@ _ADVICE = {
     "pinposture-run": "holds a run, not a simulation of it; simulate it with: pinposture simulate FILE",
     "pinposture-motion": "holds a motion, not a simulation of it; simulate it with: pinposture simulate FILE",
 }
-KIND = Kind("pinposture-simulation", 2, "simulation", _ADVICE)
+KIND = ArchiveKind("pinposture-simulation", 2, "simulation", _ADVICE)
 
 _ARRAYS = (
     "gravity",

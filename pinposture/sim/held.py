@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinposture.arm import Arm
-from pinposture.arm.urdf_joint import CHAIN_JOINTS
+from pinposture.arm.urdf_reader import CHAIN_JOINTS
 from pinposture.errors import URDFError
 from pinposture.sim.description import PhysicalDescription, joint_placement
 

@@ -10,9 +10,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from pinposture._validation import finite_vector
 from pinposture.arm import Arm
 from pinposture.arm.chain import frame_ids
-from pinposture.arm.checks import finite_vector
 from pinposture.errors import PostureWarning, URDFError
 from pinposture.sim.description import PhysicalDescription, describe
 from pinposture.sim.engine import load_mujoco

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture.control.checks import require_positive
+from pinposture._validation import require_positive
 from pinposture.errors import PostureWarning
 from pinposture.sim.engine import load_mujoco, no_log_file
 from pinposture.sim.physics import Physics, full_mass_matrix

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture.scene import Scene
+from pinposture.collision import Scene
+from pinposture.placement import Target
 from pinposture.sim.plant import Cycle, Plant
 from pinposture.sim.simulation import Simulation
-from pinposture.target import Target
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture.control.constrained.program import solve
+from pinposture.control.planner.avoidance import solve
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture.control.checks import require_positive, require_share, require_whole
+from pinposture._validation import require_positive, require_share, require_whole
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture.control.checks import require_positive
+from pinposture._validation import require_positive
 from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]

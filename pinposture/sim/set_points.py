@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture.arm import Arm
 from pinposture.errors import InvalidValue
 from pinposture.motion import JointTrajectory, Motion, Trajectory
-from pinposture.target import Target
+from pinposture.placement import Target
 
 Array = NDArray[np.float64]
 

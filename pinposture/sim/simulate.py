@@ -8,11 +8,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pinposture._validation import require_positive
 from pinposture.arm import Arm
-from pinposture.control.checks import require_positive
+from pinposture.collision import Scene
 from pinposture.errors import InvalidValue
 from pinposture.motion import Motion, Trajectory
-from pinposture.scene import Scene
+from pinposture.placement import Target
 from pinposture.sim.physics import physics_of
 from pinposture.sim.plant import Plant
 from pinposture.sim.recording import Recording
@@ -20,7 +21,6 @@ from pinposture.sim.sensing import Sensing, Sensors
 from pinposture.sim.servos import Servos
 from pinposture.sim.set_points import AnyMotion, set_points
 from pinposture.sim.simulation import Simulation
-from pinposture.target import Target
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], object]

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
-from pinposture.motion.ending import closest, faults, verdict
-from pinposture.scene import Scene
+from pinposture.collision import Scene
+from pinposture.motion.trajectory import closest, faults, verdict
 from pinposture.sim.servos import Servos
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ class Simulation:
         dt: duration of a control cycle [s].
         timestep: step of the physics [s].
         status: how it ended: "converged" if the arm is where it should be then, "missed" if not, "unstable"
-            if it ran away; the rows end before that. See `pinposture.motion.ending`.
+            if it ran away; the rows end before that. See `pinposture.motion.trajectory`.
         reason: why, in words.
         commanded: configurations that the set-points of the servos make up, (N, nq).
         q: configurations of the arm, (N, nq).

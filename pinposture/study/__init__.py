@@ -23,7 +23,7 @@ from pinposture.study.record_files import keep_study, read_records, write_record
 from pinposture.study.scene_record import SceneRun
 from pinposture.study.scenes import SceneRow, by_scene, study_scenes
 from pinposture.study.situations import SITUATIONS
-from pinposture.study.table import Row, Spread, summarise
+from pinposture.study.table import Spread, SummaryRow, summarise
 from pinposture.study.turns import largest_turn
 
 __all__ = [
@@ -36,11 +36,11 @@ __all__ = [
     "MethodResult",
     "Outcome",
     "Record",
-    "Row",
     "SceneRow",
     "SceneRun",
     "Spread",
     "Subject",
+    "SummaryRow",
     "arbitrary_configuration",
     "awkward_arms",
     "bent_configuration",

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from pinposture.arm import Arm, JointSpec, ModuleTemplate
-from pinposture.arm.urdf import modules_to_urdf
+from pinposture.arm.template import modules_to_urdf
 from pinposture.curve import Curve
 from pinposture.errors import FileError, PostureError, PostureWarning
 from pinposture.motion import track
 from pinposture.motion.processes import in_order
-from pinposture.target import Target, resolve_targets
+from pinposture.placement import Target, resolve_targets
 
 Array = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ from pinposture.curve import Curve
 from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory, track
 from pinposture.motion.processes import in_order
+from pinposture.placement import Target, resolve_targets
 from pinposture.study.turns import link_headings
-from pinposture.target import Target, resolve_targets
 from pinposture.thesis.curves import TARGET_CURVES
 from pinposture.thesis.scenarios import Scenario
 

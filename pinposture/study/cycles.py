@@ -10,17 +10,17 @@ import pinocchio as pin
 from joblib import delayed
 from numpy.typing import ArrayLike, NDArray
 
+from pinposture._validation import require_whole
 from pinposture.arm import Arm
 from pinposture.control import Controller, Limits, controller_named
-from pinposture.control.checks import require_whole
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.motion import track
 from pinposture.motion.processes import in_order
+from pinposture.placement import Target
 from pinposture.study.cases import arbitrary_configuration
 from pinposture.study.families import Subject
 from pinposture.study.postures import Progress
 from pinposture.study.record import MAX_STEPS, STEP
-from pinposture.target import Target
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ class Rounds(NamedTuple):
     steps: int
 
 
-class Cycle(NamedTuple):
+class PostureCycle(NamedTuple):
     """The same, with what it was about.
 
     Attributes:
@@ -117,7 +117,7 @@ def study_cycles(
     first_seed: int = 0,
     jobs: int = 1,
     progress: Progress | None = None,
-) -> list[Cycle]:
+) -> list[PostureCycle]:
     """Go round closed cycles of four arbitrary smooth postures with each of several arms.
 
     Args:
@@ -149,7 +149,7 @@ def study_cycles(
     seeds = range(first_seed, first_seed + cycles)
     todo = [(subject, known, seed) for subject in subjects for known in knowledge for seed in seeds]
     tasks = (delayed(_one)(*each, rounds, chosen) for each in todo)
-    found: list[Cycle] = []
+    found: list[PostureCycle] = []
     for cycle in in_order(tasks, jobs):
         found.append(cycle)
         if progress is not None:
@@ -157,11 +157,11 @@ def study_cycles(
     return found
 
 
-def _one(subject: Subject, known: str, seed: int, rounds: int, controller: Controller) -> Cycle:
+def _one(subject: Subject, known: str, seed: int, rounds: int, controller: Controller) -> PostureCycle:
     arm, rng = subject.arm, np.random.default_rng(seed)
     corners = [arbitrary_configuration(arm, rng) for _ in range(CORNERS)]
     targets = [Target.from_configuration(arm, q) for q in corners]
     if known == "points":
         targets = [Target.from_points(arm, target.points) for target in targets]
     went = cycle_drift(arm, targets, corners[-1], rounds, controller)
-    return Cycle(subject.name, known, seed, *went)
+    return PostureCycle(subject.name, known, seed, *went)

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
-from pinposture.arm.urdf import modules_to_urdf
+from pinposture.arm.template import modules_to_urdf
 from pinposture.errors import InvalidValue, UnknownName
+from pinposture.placement import Target, resolve_targets
 from pinposture.study.arms import gentle_curve
 from pinposture.study.cases import NEARLY, arbitrary_configuration
-from pinposture.target import Target, resolve_targets
 from pinposture.thesis.arms import PLANAR, SPATIAL
 from pinposture.thesis.curves import TARGET_CURVES
 

@@ -9,16 +9,16 @@ import numpy as np
 from joblib import delayed
 from numpy.typing import NDArray
 
+from pinposture._validation import require_whole
 from pinposture.arm import Arm
 from pinposture.control import Controller
-from pinposture.control.checks import require_whole
 from pinposture.errors import InvalidValue, UnknownName
+from pinposture.placement import Target, resolve_targets
 from pinposture.study.cases import bent_configuration, curve_along, smooth_configuration
 from pinposture.study.families import Subject
 from pinposture.study.postures import CONTROLLERS, Progress, gather_records, named_controllers
 from pinposture.study.record import Case, Record, run_case
 from pinposture.study.table import Spread, distinct, spread
-from pinposture.target import Target, resolve_targets
 
 Array = NDArray[np.float64]
 

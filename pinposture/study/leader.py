@@ -9,15 +9,14 @@ from typing import NamedTuple
 import numpy as np
 from joblib import delayed
 
+from pinposture._validation import is_number
 from pinposture.arm import Arm, JointSpec, ModuleTemplate, template
-from pinposture.control.checks import is_number
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, TargetError, UnknownName
 from pinposture.motion.processes import in_order
 from pinposture.study.postures import Progress
 from pinposture.task.deviation import path_deviation
-from pinposture.task.follow_leader import follow_leader
-from pinposture.task.sliding_window import METHODS, Method
+from pinposture.task.follow_leader import PATH_METHODS, Method, follow_leader
 
 MODULE, MODULES = 0.05, 20
 """Length of a module [m], and how many of them an arm has."""
@@ -108,7 +107,7 @@ def bent_path(shape: str, curvature: float) -> Curve:
 def study_leader(
     arms: Sequence[str] = tuple(ARMS),
     bendings: Sequence[float] = BENDINGS,
-    methods: Sequence[Method] = METHODS,
+    methods: Sequence[Method] = PATH_METHODS,
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> list[Following]:
@@ -135,8 +134,8 @@ def study_leader(
         if not (is_number(bending) and 0.0 < bending <= np.pi / 2.0):
             raise InvalidValue("bending", bending, "above 0, at most pi / 2 [rad]")
     for method in methods:
-        if method not in METHODS:
-            raise UnknownName("method", method, METHODS)
+        if method not in PATH_METHODS:
+            raise UnknownName("method", method, PATH_METHODS)
     todo = [
         (name, shape, method, float(bending))
         for name in arms

@@ -49,7 +49,7 @@ def draw_leader(found: Sequence[Following]) -> Figure:
 
 
 def _draw(ax: Axes, found: Sequence[Following], shape: str) -> None:
-    from pinposture.view import palette
+    from pinposture.viz import palette
 
     colors = dict(zip(ARMS, (palette.START, palette.FINAL, palette.CONTROLLERS["projection"]), strict=True))
     bound = sorted({(each.bending, each.sagitta) for each in found})

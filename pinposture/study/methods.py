@@ -15,8 +15,8 @@ from pinposture.control import Controller, Limits, controller_named
 from pinposture.errors import InvalidValue
 from pinposture.motion import track
 from pinposture.motion.processes import in_order
+from pinposture.placement import Target
 from pinposture.study.cases import smooth_configuration
-from pinposture.target import Target
 
 Array = NDArray[np.float64]
 

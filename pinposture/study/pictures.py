@@ -115,7 +115,7 @@ def _figure(height: float) -> Figure:
 
 def _side_by_side(controllers: Sequence[str]) -> list[tuple[str, str, float, float]]:
     """Each controller with its colour, its place beside the others around 0, and the room it has."""
-    from pinposture.view.palette import distinct_colors
+    from pinposture.viz.palette import distinct_colors
 
     width = 0.8 / len(controllers)
     places = (np.arange(len(controllers)) - (len(controllers) - 1) / 2.0) * width
@@ -129,7 +129,7 @@ def _draw_shares(
     ax: Axes, shares: Mapping[tuple[str, str], float], controllers: Sequence[str], title: str
 ) -> None:
     """A field for each family and controller, with the share in percent."""
-    from pinposture.view import palette
+    from pinposture.viz import palette
 
     families = distinct(family for family, _ in shares)
     values = np.array([[shares.get((name, each), np.nan) for each in controllers] for name in families])
@@ -195,7 +195,7 @@ def _plain_numbers(ax: Axes) -> None:
 
 
 def _dress(ax: Axes, title: str, label: str) -> None:
-    from pinposture.view import palette
+    from pinposture.viz import palette
 
     ax.set_title(title, fontsize=9, color=palette.INK)
     ax.set_ylabel(label, fontsize=9)
@@ -207,6 +207,6 @@ def _dress(ax: Axes, title: str, label: str) -> None:
 
 
 def _title(figure: Figure, text: str) -> None:
-    from pinposture.view import palette
+    from pinposture.viz import palette
 
     figure.suptitle(text, fontsize=10, x=0.012, ha="left", color=palette.INK)

@@ -7,8 +7,8 @@ from typing import Any
 
 from joblib import delayed
 
+from pinposture._validation import require_whole
 from pinposture.control import Controller, controller_named
-from pinposture.control.checks import require_whole
 from pinposture.errors import InvalidValue
 from pinposture.motion.processes import in_order
 from pinposture.study.families import Family, Subject, draw_case

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from pinposture.control import Controller, Limits
 from pinposture.errors import PostureError
 from pinposture.motion import Trajectory, track
+from pinposture.placement import Target
 from pinposture.study.families import Subject
 from pinposture.study.reproduce.measures import displacements
 from pinposture.study.turns import largest_turn
-from pinposture.target import Target
 
 Array = NDArray[np.float64]
 

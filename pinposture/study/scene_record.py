@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pinposture.collision import Scene
 from pinposture.motion import Trajectory
-from pinposture.scene import Scene
 from pinposture.study.record import RISE, TOLERANCE
 from pinposture.study.reproduce.measures import displacements
 from pinposture.study.situations import Situation

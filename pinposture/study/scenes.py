@@ -9,12 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from joblib import delayed
 
+from pinposture._validation import require_whole
 from pinposture.arm import Arm
 from pinposture.control import Limits
-from pinposture.control.checks import require_whole
 from pinposture.errors import InvalidValue
 from pinposture.motion import track
 from pinposture.motion.processes import in_order
+from pinposture.placement import Target
 from pinposture.study.postures import Progress
 from pinposture.study.record import MAX_STEPS, STEP, TOLERANCE
 from pinposture.study.scene_record import SceneRun, record_scene_run
@@ -25,7 +26,6 @@ from pinposture.study.situations import (
     situation_named,
 )
 from pinposture.study.table import Spread, distinct
-from pinposture.target import Target
 
 SEEDS = 10
 """Number of runs for each situation unless told otherwise."""

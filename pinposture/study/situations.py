@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture.arm import Arm
+from pinposture.collision import Box, Capsule, Clearance, Cylinder, HalfSpace, Obstacle, Scene, Sphere
 from pinposture.errors import InvalidValue, UnknownName
-from pinposture.scene import Box, Capsule, Clearance, Cylinder, HalfSpace, Obstacle, Scene, Sphere
 from pinposture.study.cases import smooth_configuration
 from pinposture.study.families import built_subject
 

@@ -25,7 +25,7 @@ class Spread(NamedTuple):
     high: float
 
 
-class Row(NamedTuple):
+class SummaryRow(NamedTuple):
     """What one controller made of a group of cases.
 
     What a motion was like is told of the runs that moved and came near (`Record.near`): one that never moved,
@@ -85,7 +85,7 @@ def family_of(record: Record) -> str:
     return f"{record.start} -> {record.target}"
 
 
-def summarise(records: Sequence[Record], families: bool = False) -> list[Row]:
+def summarise(records: Sequence[Record], families: bool = False) -> list[SummaryRow]:
     """Summarise runs by arm, group and controller.
 
     Args:
@@ -127,8 +127,8 @@ def spread(records: Iterable[Record], measure: Callable[[Record], float]) -> Spr
     return Spread(float(np.median(values)), float(np.percentile(values, 90)))
 
 
-def _row(arm: str, group: str, controller: str, runs: list[Record]) -> Row:
-    return Row(
+def _row(arm: str, group: str, controller: str, runs: list[Record]) -> SummaryRow:
+    return SummaryRow(
         arm=arm,
         group=group,
         controller=controller,

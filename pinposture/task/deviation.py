@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue
-from pinposture.task.passage import Passage, ahead_of_feed, passage
+from pinposture.task.follow_leader import Passage, ahead_of_feed, passage
 
 Array = NDArray[np.float64]
 

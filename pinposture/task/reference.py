@@ -1,7 +1,8 @@
-"""The motion that is asked for, in time: what a task comes down to before anything moves."""
+"""The motion that a task asks for, in time, and how well the arm can take its postures."""
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -9,10 +10,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture.arm import Arm
+from pinposture.arm import Arm, ArmState
+from pinposture.collision import Scene
 from pinposture.control import EndEffector
-from pinposture.errors import InvalidValue
-from pinposture.target import Target
+from pinposture.errors import InvalidValue, PostureWarning, TaskError
+from pinposture.motion.motion import Motion, Passed
+from pinposture.motion.track import Drive
+from pinposture.placement import Target
+from pinposture.placement.curve_placement import Moved
+
+# The motion that is asked for, in time: what a task comes down to before anything moves.
 
 Array = NDArray[np.float64]
 
@@ -84,3 +91,159 @@ class Reference:
     def configuration(self, row: int) -> Array:
         """The configuration of a row, (nq,)."""
         return self.arm.integrate(self.start, self.offsets[row])
+
+
+# What is written down of a motion besides its steps: targets, times, places passed.
+
+ROUNDING = 1e-9
+"""How far short of a row, in rows, is still at it."""
+
+
+class Log:
+    """The places of a reference at which a motion was, row by row, with the targets there.
+
+    Args:
+        reference: the reference.
+        first: the target of its first row.
+    """
+
+    def __init__(self, reference: Reference, first: Target) -> None:
+        self._reference = reference
+        self._places, self._targets = [0.0], [first]
+        self._begun: int | None = None
+        self._notes: list[str] = []
+
+    def add(self, place: float, target: Target) -> None:
+        """Write down where a step led."""
+        self._places.append(place)
+        self._targets.append(target)
+
+    def fill(self, drive: Drive, place: float, target: Target) -> None:
+        """Write down the steps that were taken towards a target since, while the plan stood still."""
+        missing = drive.recorder.steps + 1 - len(self._places)
+        self._places += [self._places[-1]] * missing
+        self._targets += [target] * missing
+        self._places[-1] = place
+
+    def set_out(self) -> None:
+        """The plan begins here."""
+        self._begun = len(self._places) - 1
+
+    def note(self, place: float, what: str) -> None:
+        """Write down in words what was not as planned."""
+        self._notes.append(f"at {place * self._reference.interval:.4g} s of the plan {what}")
+
+    def motion(self, drive: Drive, status: str, reason: str) -> Motion:
+        """Everything so far, as a result."""
+        reference, places = self._reference, np.array(self._places)
+        run = drive.recorder.trajectory(drive.arm, drive.controller, drive.limits, status, reason)
+        asked = np.array([target.placed for target in self._targets])
+        dt = reference.duration if drive.limits.dt is None else drive.limits.dt
+        return Motion(
+            run=run,
+            targets=np.array([target.points for target in self._targets]),
+            asked=asked,
+            clock=np.minimum(places * reference.interval, reference.duration),
+            set_out=len(places) - 1 if self._begun is None else self._begun,
+            planned=reference.duration,
+            passed=tuple(self._passed(mark, places, run.q, run.points, dt) for mark in reference.marks),
+            detours=tuple(self._notes),
+        )
+
+    def _passed(self, mark: Mark, places: Array, q: Array, points: Array, dt: float) -> Passed:
+        """How a named place was passed: at the row that came nearest to it in time."""
+        planned, begun = mark.row * self._reference.interval, self._begun
+        there = np.flatnonzero(places[begun:] >= mark.row - ROUNDING)
+        if begun is None or not len(there):
+            return Passed(mark.name, planned, None, None, None, off_curve(mark), moved=mark.target.moved)
+        row = begun + int(there[0])
+        if row > begun and mark.row - places[row - 1] < places[row] - mark.row:
+            row -= 1
+        placed = mark.target.placed
+        off = np.linalg.norm((mark.target.points - points[row])[placed], axis=1)
+        tip = None if mark.tip is None else tip_off(mark, self._reference.arm.at(q[row]))
+        reached, error, moved = (row - begun) * dt, float(off.mean()), mark.target.moved
+        return Passed(mark.name, planned, reached, row, error, off_curve(mark), tip, moved)
+
+
+def off_curve(mark: Mark) -> float | None:
+    """How far off its curve a named place is at most [m]; None if there is no curve."""
+    residual = mark.target.residual
+    return None if residual is None else float(residual[mark.target.placed].max())
+
+
+def tip_off(mark: Mark, state: ArmState) -> float:
+    """By how much the task of the tip of a named place is missed [m], turns by their lever."""
+    assert mark.tip is not None
+    return float(np.linalg.norm(mark.tip.rows(state, mark.target).error))
+
+
+# What can be said of a motion before anything moves: how well the arm can take its postures.
+
+
+class Outlook(NamedTuple):
+    """How well the arm can take a posture.
+
+    Attributes:
+        name: of the posture.
+        planned: when it is to be there [s].
+        off_curve: how far off its curve control points belong at most [m]; None if there is no curve.
+        tip_off: by how much the task of the tip is missed [m]; None if there is none.
+        clearance: smallest distance to something [m], negative inside of it; None without a scene.
+        moved: how its curve was moved from where it was drawn; None if there is no curve.
+    """
+
+    name: str
+    planned: float
+    off_curve: float | None
+    tip_off: float | None
+    clearance: float | None
+    moved: Moved | None
+
+
+def outlook(reference: Reference, scene: Scene | None) -> list[Outlook]:
+    """How well the arm can take the named postures of a reference, and the first.
+
+    Args:
+        reference: the reference.
+        scene: what the arm has to keep clear of; it is looked at in these postures only.
+    """
+    arm, found = reference.arm, []
+    clearance = None if scene is None else scene.around(arm)
+    for mark in _named(reference):
+        q = reference.configuration(mark.row)
+        room = None if clearance is None else clearance.minimum(q).distance
+        tip = None if mark.tip is None else tip_off(mark, arm.at(q))
+        planned, moved = mark.row * reference.interval, mark.target.moved
+        found.append(Outlook(mark.name, planned, off_curve(mark), tip, room, moved))
+    return found
+
+
+def require_room(reference: Reference, scene: Scene | None) -> None:
+    """Refuse a motion that begins inside of something; warn of named postures that are.
+
+    Raises:
+        TaskError: it does.
+    """
+    if scene is None:
+        return
+    clearance = scene.around(reference.arm)
+    keyed = bool(reference.marks) and reference.marks[0].row == 0
+    for number, mark in enumerate(_named(reference), start=1):
+        closest = clearance.minimum(reference.configuration(mark.row))
+        if closest.distance >= 0.0:
+            continue
+        where = f"keyframe {number} {mark.name!r}" if keyed else mark.name
+        pair, deep = " and ".join(closest.pair or ()), -1e3 * closest.distance
+        depth = f"{pair} would be {deep:.3g} mm inside each other"
+        if mark.row == 0:
+            raise TaskError(where, f"{depth}; move one of them, or begin elsewhere")
+        warnings.warn(f"{where}: {depth}", PostureWarning, stacklevel=4)
+
+
+def _named(reference: Reference) -> list[Mark]:
+    """The named places of a reference, and its beginning if that has no name."""
+    marks = list(reference.marks)
+    if not marks or marks[0].row > 0:
+        marks.insert(0, Mark("the beginning", 0, Target.from_configuration(reference.arm, reference.start)))
+    return marks

@@ -13,26 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
+from pinposture.collision import Scene
+from pinposture.collision.pipe import pipe
 from pinposture.control import ConstrainedQP, Controller, Limits, controller_named
 from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.motion import Motion
-from pinposture.scene import Scene
-from pinposture.scene.pipe import pipe
-from pinposture.task.checks import FORMATS, check_task
-from pinposture.task.follow_leader import follow_leader
+from pinposture.storage import settled
+from pinposture.task.document import Document, Place, shown
+from pinposture.task.follow_leader import Leader, follow_leader
 from pinposture.task.keyframe import Keyframe, usual_placement
 from pinposture.task.keyframes import keyframe_reference
-from pinposture.task.leader import Leader
-from pinposture.task.outlook import Outlook, outlook, require_room
-from pinposture.task.paths import settled
 from pinposture.task.perform import perform
-from pinposture.task.reading.document import Document
-from pinposture.task.reading.lines import Place
-from pinposture.task.reading.showing import shown
-from pinposture.task.reading.tasks import read_task
-from pinposture.task.reference import Reference
+from pinposture.task.reader import RESULT_FORMATS, check_task, read_task
+from pinposture.task.reference import Outlook, Reference, outlook, require_room
 from pinposture.task.resolving import with_fitting_joints
-from pinposture.task.writing.tasks import write_task
+from pinposture.task.writer import write_task
 
 Array = NDArray[np.float64]
 
@@ -69,7 +64,7 @@ class Task:
             gives the part, is written out.
 
     Raises:
-        PostureError: a value that no task file could hold; see `pinposture.task.checks`.
+        PostureError: a value that no task file could hold; see `pinposture.task.reader`.
     """
 
     arm: Arm
@@ -79,7 +74,7 @@ class Task:
     scene: Scene | None = None
     start: Array | None = None
     continuity: Literal["velocity", "acceleration"] = "velocity"
-    formats: tuple[str, ...] = FORMATS
+    formats: tuple[str, ...] = RESULT_FORMATS
     name: str = ""
     scans: tuple[Path, ...] = ()
     described: Mapping[Hashable, object] = field(default_factory=dict, repr=False)
@@ -90,7 +85,7 @@ class Task:
         self._settle("controller", controller_named(self.controller))
         if not isinstance(self.motion, Leader):
             self._settle("motion", _listed("keyframes", self.motion, "two or more of Keyframe(...)"))
-        formats = _listed("formats", self.formats, f"some of {', '.join(FORMATS)}")
+        formats = _listed("formats", self.formats, f"some of {', '.join(RESULT_FORMATS)}")
         self._settle("formats", formats)
         scans = _listed("scans", self.scans, "paths of files")
         for scan in scans:
@@ -99,7 +94,7 @@ class Task:
         self._settle("scans", tuple(map(settled, scans)))
         check_task(self)
         self._settle("motion", _placed(self.arm, self.motion, usual_placement(self.scene)))
-        self._settle("formats", tuple(each for each in FORMATS if each in formats))
+        self._settle("formats", tuple(each for each in RESULT_FORMATS if each in formats))
         self._settle("described", dict(self.described))
         if self.start is not None:
             start = self.arm.checked_start(self.start, "start")

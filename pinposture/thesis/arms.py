@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
-from pinposture.arm.template import ModuleTemplate, template
-from pinposture.arm.urdf import modules_to_urdf
+from pinposture.arm.template import ModuleTemplate, modules_to_urdf, template
 from pinposture.errors import PostureError
 from pinposture.storage import write_text
 

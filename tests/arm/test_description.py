@@ -10,8 +10,7 @@ import pinocchio as pin
 import pytest
 from arm.describing import LIMIT, joint, links, one_joint, pinocchio_loads, robot
 
-from pinposture.arm.description import read_description
-from pinposture.arm.urdf_joint import Follows
+from pinposture.arm.urdf_reader import Follows, read_description
 from pinposture.errors import URDFError
 
 

@@ -9,9 +9,8 @@ import pytest
 from arm.describing import LIMIT, links, one_joint, pinocchio_loads, robot
 from sampling import seeds
 
-from pinposture.arm.description import Description, read_description
-from pinposture.arm.template import template
-from pinposture.arm.urdf import modules_to_urdf
+from pinposture.arm.template import modules_to_urdf, template
+from pinposture.arm.urdf_reader import Description, read_description
 from pinposture.errors import PostureError, URDFError
 
 BOMB = "<!DOCTYPE robot [<!ENTITY a 'aaaaaaaaaa'>" + "".join(

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from sampling import examples
 
 import pinposture as pp
-from pinposture.arm.placing import Placing
+from pinposture.arm.segmentation import Placing
 
 TURN, SLIDE = "revolute", "prismatic"
 LONG, SHORT, OFFSET = "0.13 0 0", "0.05 0 0", "0 0.02 0.08"

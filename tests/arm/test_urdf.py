@@ -13,9 +13,15 @@ from hypothesis import strategies as st
 from sampling import examples
 from scipy.spatial.transform import Rotation
 
-from pinposture.arm.description import read_description
-from pinposture.arm.template import JointSpec, ModuleTemplate, template
-from pinposture.arm.urdf import DENSITY, link_inertia, modules_to_urdf
+from pinposture.arm.template import (
+    DENSITY,
+    JointSpec,
+    ModuleTemplate,
+    link_inertia,
+    modules_to_urdf,
+    template,
+)
+from pinposture.arm.urdf_reader import read_description
 from pinposture.errors import InvalidValue
 
 AXES = st.one_of(

@@ -211,6 +211,6 @@ def test_an_interrupted_picture_leaves_nothing(command, run_directory, tmp_path,
     def interrupted(motion):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("pinposture.view.plot", interrupted)
+    monkeypatch.setattr("pinposture.viz.plot", interrupted)
     assert command("view", run_directory, "--png", tmp_path / "new" / "plot.png").code == 130
     assert list(tmp_path.iterdir()) == []

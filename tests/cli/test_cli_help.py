@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import pinposture
+from pinposture.collision import Cylinder, Scene
+from pinposture.collision.obstacles import KINDS
 from pinposture.control import CONTROLLERS
 from pinposture.editor.session import Session
-from pinposture.scene import Cylinder, Scene
-from pinposture.scene.obstacles import KINDS
-from pinposture.target.resolve import METHODS, PLACEMENTS
+from pinposture.placement.resolve import METHODS, PLACEMENTS
 from pinposture.thesis.curves import CURVES
 
 QUICK = ("generate", "inspect", "track", "many", "run", "edit", "view", "export", "study arms", "compile")
@@ -118,7 +118,7 @@ def test_the_examples_run_one_after_the_other(command, tmp_path, monkeypatch):
         def close(self):
             pass
 
-    monkeypatch.setattr("pinposture.view.view", lambda *_, **__: Viewer())
+    monkeypatch.setattr("pinposture.viz.view", lambda *_, **__: Viewer())
     monkeypatch.setattr("pinposture.editor.Editor", Served, raising=False)
     monkeypatch.setattr("webbrowser.open", lambda _: None)
     monkeypatch.setattr("pinposture.cli.view.wait", interrupted)

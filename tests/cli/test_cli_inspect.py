@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pinposture as pp
-import pinposture.view
+import pinposture.viz
 
 LIMITS = '<limit lower="-1" upper="2" velocity="3" effort="1"/>'
 
@@ -161,13 +161,13 @@ def test_a_picture_is_left_under_whatever_name(command, arm_file, tmp_path, as_j
 
 
 def test_the_picture_is_that_of_the_arm(command, arm_file, tmp_path, monkeypatch):
-    seen, real = [], pinposture.view.plot_arm
+    seen, real = [], pinposture.viz.plot_arm
 
     def plot_arm(arm, ellipsoids, scene):
         seen.append((arm.n_modules, ellipsoids, scene and list(scene.obstacles)))
         return real(arm, ellipsoids=ellipsoids, scene=scene)
 
-    monkeypatch.setattr("pinposture.view.plot_arm", plot_arm)
+    monkeypatch.setattr("pinposture.viz.plot_arm", plot_arm)
     command("inspect", arm_file, "--modules", 4, "--plot", tmp_path / "arm.png")
     command("inspect", arm_file, "--plot", tmp_path / "arm.png", "--ellipsoids", "2,6")
     command("inspect", arm_file, "--plot", tmp_path / "arm.png", "--ellipsoids", "all")

@@ -77,7 +77,7 @@ def test_verdicts_are_a_table(command, monkeypatch, tmp_path):
 
     claim = CLAIMS["tracks-singular"]
     finding = Finding({"a": Share(1, 4), "b": Share(4, 4)}, {}, "")
-    judged = package.Judged(claim, "holds partly", finding, {})
+    judged = package.JudgedClaim(claim, "holds partly", finding, {})
     result = package.Reproduction([], [judged], {}, [])
     monkeypatch.setattr("pinposture.study.reproduce.reproduce", lambda *_: result)
     out = command("reproduce", "claims", "-o", tmp_path).out

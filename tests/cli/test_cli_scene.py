@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pinposture as pp
-from pinposture.scene import HalfSpace, Scene, Sphere
+from pinposture.collision import HalfSpace, Scene, Sphere
 
 BALL = Sphere((0.2, 0.1, 0.0), 0.04)
 FLOOR = HalfSpace((0.0, 0.0, -0.2), (0.0, 0.0, 1.0))

@@ -37,7 +37,7 @@ def asked(monkeypatch):
         asked.append("wait")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("pinposture.view.view", view)
+    monkeypatch.setattr("pinposture.viz.view", view)
     monkeypatch.setattr("pinposture.cli.view.wait", wait)
     return asked
 

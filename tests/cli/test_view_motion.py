@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from view.motions import five_modules, some_motion
+from viz.motions import five_modules, some_motion
 
 import pinposture as pp
 from pinposture.cli.results import (
@@ -104,7 +104,7 @@ def test_the_command_plays_a_motion_until_ctrl_c(command, both, monkeypatch):
     def wait():
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("pinposture.view.view", view)
+    monkeypatch.setattr("pinposture.viz.view", view)
     monkeypatch.setattr("pinposture.cli.view.wait", wait)
     result = command("view", both / "motion.npz", "--no-browser", "--ellipsoids", "5")
     assert (result.code, result.out) == (0, f"{Viewer.url}\n")

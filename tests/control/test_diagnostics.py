@@ -10,7 +10,7 @@ from arms import template_arm
 
 import pinposture as pp
 from pinposture.control import Diagnostics
-from pinposture.control.posture_matrix import PostureMatrix
+from pinposture.control.thesis.posture_matrix import PostureMatrix
 
 
 def arm() -> pp.Arm:

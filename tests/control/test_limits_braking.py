@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from sampling import examples
 
 import pinposture as pp
-from pinposture.control.braking import farthest, full_braking
+from pinposture.control.limits import farthest, full_braking
 
 UNIT = 0.1  # of the grid that is searched [rad]
 DT = 0.05

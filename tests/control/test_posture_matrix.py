@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from sampling import examples, seeds
 
 import pinposture as pp
-from pinposture.arm.screws import constants_of, screws_of
-from pinposture.control.gradient import aligned_errors, descent
-from pinposture.control.posture_matrix import PostureMatrix
+from pinposture.arm.kinematics import constants_of, screws_of
+from pinposture.control.thesis.posture_matrix import PostureMatrix, aligned_errors, descent
 from pinposture.kernels.arrays import FULL, LOCAL, RELATIVE, Rows
 
 COUPLINGS = {"full": FULL, "relative": RELATIVE, "local": LOCAL}

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from sampling import examples
 from scipy.spatial.transform import Rotation
 
-from pinposture.control.sweep import sweep
+from pinposture.motion.trajectory import sweep
 
 
 def straight_motion(steps=7, m=3):

@@ -11,7 +11,7 @@ from sampling import examples
 from task_arms import ARMS, STATES, arm_called, derivative, gauss_newton, state_of, target_of
 
 import pinposture as pp
-from pinposture.control import JointPosture, Task
+from pinposture.control import ControlTask, JointPosture
 
 
 @pytest.mark.parametrize(("name", "seed"), STATES)
@@ -73,7 +73,7 @@ def test_joints_off_the_chain_are_left_alone_by_every_task() -> None:
     state, target = arm.at(arm.random(np.random.default_rng(0))), target_of(arm)
     off = np.setdiff1d(np.arange(arm.nv), arm.columns)
     assert len(off) > 0
-    tasks: list[Task] = [
+    tasks: list[ControlTask] = [
         JointPosture(arm.random(np.random.default_rng(1))),
         pp.EndEffector.held(arm.at(arm.neutral())),
         pp.Tangents((0.0, 0.2, 1.0), -1),

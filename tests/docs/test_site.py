@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from docs.links import dead_links
 
-from pinposture.view import palette
+from pinposture.viz import palette
 
 pytestmark = pytest.mark.site
 

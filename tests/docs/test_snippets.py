@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import pinposture as pp
-from pinposture import view
+from pinposture import viz
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = ("index.md", "quickstart.md", "concepts.md", "controllers.md", "urdf.md", "scenes.md", "streaming.md")
@@ -26,7 +26,7 @@ def fenced(page: Path, language: str) -> list[str]:
 @pytest.fixture(autouse=True)
 def in_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(view, "view", lambda *_: None)
+    monkeypatch.setattr(viz, "view", lambda *_: None)
 
 
 def test_no_page_with_snippets_is_forgotten() -> None:

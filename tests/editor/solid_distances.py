@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 import pinposture as pp
-from pinposture.scene import Obstacle
+from pinposture.collision import Obstacle
 
 
 def signed_distance(obstacle: Obstacle, points: np.ndarray) -> np.ndarray:

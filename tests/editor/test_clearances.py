@@ -10,13 +10,13 @@ import pytest
 from editor.edited_tasks import L, six_modules, task
 
 import pinposture as pp
+from pinposture.collision.scan import Scan
 from pinposture.editor.clearances import Asked, Clearances, Nearest, nearest
 from pinposture.editor.obstacle_edits import rearrange
 from pinposture.editor.obstacle_handles import moved
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Solver
 from pinposture.editor.surroundings import Surroundings
-from pinposture.scene.scan import Scan
 
 THICK = 0.01
 

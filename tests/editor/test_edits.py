@@ -17,7 +17,7 @@ from pinposture.editor import edits
 from pinposture.editor.shape import Shape
 from pinposture.errors import InvalidValue, PostureError, TaskError, UnknownName
 from pinposture.task import Keyframe, Task
-from pinposture.task.schedule import schedule
+from pinposture.task.keyframe import schedule
 
 DT = 0.02
 TASKS = Path(__file__).resolve().parents[2] / "examples" / "tasks"

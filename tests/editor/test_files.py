@@ -20,7 +20,7 @@ from pinposture.editor.files import Files, restore, within
 from pinposture.editor.session import Session
 from pinposture.errors import FileError
 from pinposture.task import Task
-from pinposture.task.leader import Leader
+from pinposture.task.follow_leader import Leader
 
 SOON = 20.0
 """How long something that has to happen is waited for [s]."""

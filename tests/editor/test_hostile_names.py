@@ -19,7 +19,7 @@ pytest.importorskip("viser", reason="viser is not installed")
 from editor.browser.desk import free_port
 from editor.edited_tasks import bent_spline, six_modules, straight_line, task
 from editor.page_client import until, visiting
-from view.motions import some_motion
+from viz.motions import some_motion
 
 import pinposture as pp
 from pinposture import editor as package
@@ -27,7 +27,7 @@ from pinposture.editor import Editor
 from pinposture.editor.page.keyframes_tab import rename
 from pinposture.motion import Motion
 from pinposture.task import Keyframe, Task
-from pinposture.view.html import _viewer_script
+from pinposture.viz.html import _viewer_script
 
 HOSTILE = '<iframe id=hostile srcdoc="&lt;script&gt;parent.ran=1&lt;%2Fscript&gt;"></iframe>'
 """Markup that runs a script where it is shown as it is. A slash would be none of a file's name."""

@@ -11,6 +11,7 @@ from sampling import examples
 from scipy.spatial.transform import Rotation
 
 import pinposture as pp
+from pinposture.collision import Obstacle
 from pinposture.editor.obstacle_handles import (
     DIGITS,
     Measures,
@@ -23,7 +24,6 @@ from pinposture.editor.obstacle_handles import (
     reach,
     turn_to,
 )
-from pinposture.scene import Obstacle
 
 MEASURES = Measures(np.array([0.5, 0.0, 0.0]), 1.0)
 ROUNDING = 2.0 * 10.0**-DIGITS

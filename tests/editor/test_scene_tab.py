@@ -29,7 +29,7 @@ from pinposture.editor.page.scans import ScanControls, Scans
 from pinposture.editor.page.scene_tab import SceneTab
 from pinposture.editor.scan_shelf import ScanShelf
 from pinposture.editor.session import Session
-from pinposture.view import palette
+from pinposture.viz import palette
 
 BALL = pp.Sphere((0.3, 0.2, 0.1), 0.05)
 BOX = pp.Box((0.2, -0.3, 0.1), (0.1, 0.2, 0.3), (0.0, 0.0, np.pi / 2))

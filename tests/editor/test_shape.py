@@ -17,8 +17,8 @@ import pinposture as pp
 from pinposture.editor.shape import APART, DEGREE, FINE, MOST_POINTS, Shape
 from pinposture.editor.verdict import judge
 from pinposture.errors import CurveError, InvalidValue, PostureError
-from pinposture.target import resolve_targets
-from pinposture.target.placement import lay
+from pinposture.placement import resolve_targets
+from pinposture.placement.curve_placement import lay
 from pinposture.task import Keyframe
 
 AWAY = pin.SE3(pin.exp3(np.array([0.3, -0.5, 0.9])), np.array([0.7, -0.4, 1.1]))

@@ -48,7 +48,7 @@ def test_importing_the_package_starts_no_compiler() -> None:
 
 def test_machine_code_is_kept_until_its_sources_change() -> None:
     kept = kernels.sum_distances._cache._cache_file
-    assert kept._source_stamp == compiled.source_stamp(ROOM / "course.py")
+    assert kept._source_stamp == compiled.source_stamp(ROOM / "path.py")
     assert compiled.is_ready(kernels.sum_distances) or not kernels.sum_distances.signatures
 
 
@@ -57,14 +57,14 @@ def test_a_stamp_is_that_of_a_file_and_of_what_it_imports(tmp_path: Path) -> Non
         (tmp_path / path.name).write_bytes(path.read_bytes())
     changed = {}
     before = stamps(tmp_path)
-    for name in ("spline", "pace"):
+    for name in ("spline", "distances"):
         text = (tmp_path / f"{name}.py").read_text()
         (tmp_path / f"{name}.py").write_text(text + "# changed\n")
         changed[name] = {file for file, stamp in stamps(tmp_path).items() if stamp != before[file]}
         (tmp_path / f"{name}.py").write_text(text)
-    assert changed["pace"] == {"pace"}
-    assert changed["spline"] >= {"spline", "walk", "nearest"}
-    assert not changed["spline"] & {"pace", "kinematics", "least_squares"}
+    assert changed["distances"] == {"distances"}
+    assert changed["spline"] >= {"spline", "modules"}
+    assert not changed["spline"] & {"distances", "kinematics", "chain_solver"}
     assert stamps(tmp_path) == before == stamps(ROOM)  # contents count, not times or places
 
 

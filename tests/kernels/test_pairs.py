@@ -13,9 +13,9 @@ from sampling import examples
 
 import pinposture as pp
 from pinposture import kernels
-from pinposture.arm.screws import constants_of, screws_of
+from pinposture.arm.kinematics import constants_of, screws_of
 from pinposture.control import active_set
-from pinposture.control.candidates import base_indices, best_set
+from pinposture.control.thesis.selection import base_indices, best_set
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "control"))
 from chain_arms import ARMS, arm_called, state_of

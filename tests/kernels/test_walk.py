@@ -14,7 +14,7 @@ from sampling import examples
 
 import pinposture as pp
 from pinposture import kernels
-from pinposture.target.modules import layout
+from pinposture.placement.module_kinematics import layout
 
 STANDS = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -0.2, 0.7]))
 MIXED = [

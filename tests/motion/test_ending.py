@@ -9,7 +9,7 @@ from arms import template_arm
 import pinposture as pp
 from pinposture.control import Memory
 from pinposture.errors import MotionError
-from pinposture.motion.ending import ENDINGS
+from pinposture.motion.trajectory import ENDINGS
 
 
 @pytest.fixture(scope="module")

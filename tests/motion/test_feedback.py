@@ -10,8 +10,8 @@ from scipy.linalg import expm
 import pinposture as pp
 from pinposture.errors import InvalidValue
 from pinposture.motion import Tracker
-from pinposture.motion.feedback import FARTHEST, Feedback
-from pinposture.target import Target
+from pinposture.motion.tracker import FARTHEST, Feedback
+from pinposture.placement import Target
 
 LAG, DT = 0.05, 1e-3
 FREE = pp.Limits(step=None, velocity=1e5, dt=DT)

@@ -12,8 +12,8 @@ from arms import template_arm
 import pinposture as pp
 from pinposture.errors import InvalidValue, PostureError, UnknownName
 from pinposture.motion import Tracker
+from pinposture.placement import Target
 from pinposture.study import smooth_configuration
-from pinposture.target import Target
 
 LIMITS = pp.Limits(step=None, velocity=2.0, dt=0.02, acceleration=10.0)
 

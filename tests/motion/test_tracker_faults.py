@@ -12,7 +12,7 @@ from sampling import examples
 
 import pinposture as pp
 from pinposture.motion import Tracker
-from pinposture.target import Target
+from pinposture.placement import Target
 
 SLIDE = pp.JointSpec("x", type="prismatic", lower=0.0, upper=0.08)
 SLIDING = pp.ModuleTemplate("slide", (pp.JointSpec("y"), pp.JointSpec("z"), SLIDE), (0.05, 0.0, 0.1))

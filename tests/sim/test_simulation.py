@@ -19,7 +19,7 @@ import pinposture as pp
 from pinposture import sim
 from pinposture.errors import FileError, InvalidValue, PostureWarning
 from pinposture.motion import JointTrajectory
-from pinposture.view.simulation import plot_simulation
+from pinposture.viz.simulation import plot_simulation
 
 DT = 0.02
 ROWS = quintic(np.zeros(8), np.linspace(-0.4, 0.5, 8), 0.6, DT)

@@ -7,7 +7,7 @@ import numpy as np
 import pinposture as pp
 from pinposture.study import Outcome
 from pinposture.study.reproduce.measures import Descent, Steps
-from pinposture.study.reproduce.runs import Measured
+from pinposture.study.reproduce.runs import MeasuredRun
 
 
 def made(arm, q, target=None, active=None, **fields) -> pp.Trajectory:
@@ -56,7 +56,7 @@ def one(
     by_projection=0.0,
     off_curve=0.0,
     deficient=0,
-) -> Measured:
+) -> MeasuredRun:
     """A measurement of one run; errors are mean point errors per arm length."""
     errors, count = np.array(errors, dtype=float), len(errors) - 1
     counts = np.array(points[:count], dtype=int)
@@ -65,7 +65,7 @@ def one(
         return np.array([default] * count if values is None else values, dtype=float)
 
     rose = int(np.count_nonzero(np.diff(errors) > 0))
-    return Measured(
+    return MeasuredRun(
         outcome=Outcome(
             "s",
             "c",

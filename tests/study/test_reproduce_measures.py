@@ -10,7 +10,7 @@ from study.handmade import made
 import pinposture as pp
 from pinposture.control import controller_named
 from pinposture.study.reproduce import measures
-from pinposture.study.reproduce.runs import Batch, measure, run_one, thesis_arm
+from pinposture.study.reproduce.runs import RunSet, measure, run_one, thesis_arm
 
 
 def flat():
@@ -129,7 +129,7 @@ def test_what_was_asked_is_what_would_be_done_without_a_limit(controller):
 
 
 def test_a_measurement_tells_of_its_run():
-    batch = Batch("helix", "selection", twins=True)
+    batch = RunSet("helix", "selection", twins=True)
     found, run = measure(batch, 0, max_steps=6), run_one(batch, 0, max_steps=6)
     twin = run_one(batch, 0, max_steps=6, nudged=True)
     assert 0.0 < np.abs(twin.q[0] - run.q[0]).max() <= 1e-6
@@ -144,6 +144,6 @@ def test_a_measurement_tells_of_its_run():
 def test_joints_without_limits_go_beyond_half_a_turn():
     assert thesis_arm("ryrz20").limits.upper.max() == pytest.approx(np.pi)
     assert thesis_arm("ryrz20", free=True).limits.upper.min() > 100.0
-    start = run_one(Batch("helix", "selection"), 1, max_steps=1).q[0]
-    free = run_one(Batch("helix", "selection, free joints"), 1, max_steps=1).q[0]
+    start = run_one(RunSet("helix", "selection"), 1, max_steps=1).q[0]
+    free = run_one(RunSet("helix", "selection, free joints"), 1, max_steps=1).q[0]
     np.testing.assert_array_equal(start, free)

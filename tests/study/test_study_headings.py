@@ -9,6 +9,7 @@ import pytest
 from sampling import seeds
 
 from pinposture.errors import InvalidValue, UnknownName
+from pinposture.placement import resolve_targets
 from pinposture.study import (
     Record,
     built_subject,
@@ -19,7 +20,6 @@ from pinposture.study import (
 )
 from pinposture.study.cases import curve_along
 from pinposture.study.headings import BINS, HEADING, bin_of, draw_pair
-from pinposture.target import resolve_targets
 
 NAMES = ("planar45", "ryrz20")
 

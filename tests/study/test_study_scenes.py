@@ -11,8 +11,8 @@ from arms import template_arm
 from study.handmade import made
 
 import pinposture as pp
+from pinposture.collision import Box, HalfSpace, Scene
 from pinposture.errors import InvalidValue, UnknownName
-from pinposture.scene import Box, HalfSpace, Scene
 from pinposture.study import situations
 from pinposture.study.record_files import keep_study
 from pinposture.study.scene_record import ROUNDING, blamed, record_scene_run

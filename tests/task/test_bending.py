@@ -15,8 +15,8 @@ from scipy.interpolate import BSpline, CubicHermiteSpline
 from task.keyed_arms import S_CURVE, coil
 
 import pinposture as pp
-from pinposture.target.placement import lay
-from pinposture.task.bending import Beginning, Bending
+from pinposture.placement.curve_placement import lay
+from pinposture.task.interpolation import Beginning, Bending
 
 CURVES = {
     "line": lambda: pp.Curve.line((0, 0, 0), (2, 0, 0)),

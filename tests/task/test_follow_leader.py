@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from sampling import examples
 
 from pinposture.arm import Arm, JointSpec, ModuleTemplate, template
-from pinposture.arm.urdf import modules_to_urdf
+from pinposture.arm.template import modules_to_urdf
+from pinposture.collision.pipe import pipe, pipe_axis
 from pinposture.control import Limits
 from pinposture.curve import Curve
 from pinposture.errors import CurveBendsTooMuch, InvalidValue, UnknownName, UnsupportedModule
-from pinposture.scene.pipe import pipe, pipe_axis
 from pinposture.task.deviation import path_deviation
 from pinposture.task.follow_leader import advance, follow_leader
 from pinposture.task.perform import perform

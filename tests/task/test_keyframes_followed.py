@@ -10,8 +10,7 @@ from scipy.spatial import KDTree
 from task.keyed_arms import S_CURVE, coil, five_postures, snake, straight
 
 import pinposture as pp
-from pinposture.task.bending import Beginning, Bending
-from pinposture.task.blending import crossfade
+from pinposture.task.interpolation import Beginning, Bending, crossfade
 from pinposture.task.keyframes import Keyframe, keyframe_reference
 from pinposture.task.reference import Reference
 

@@ -24,7 +24,7 @@ from performed import (
 from sampling import cases, examples
 
 import pinposture as pp
-from pinposture.control.constrained.course import Course
+from pinposture.control.planner.path import Course
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.task import Reference, perform
 

@@ -19,8 +19,8 @@ from task_texts import LEADER, VALID
 
 import pinposture as pp
 from pinposture.errors import FileError, PostureWarning
-from pinposture.task.leader import Leader
-from pinposture.task.writing import tasks, toml
+from pinposture.task import text, writer
+from pinposture.task.follow_leader import Leader
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -399,11 +399,11 @@ def test_what_would_be_read_as_something_else_is_not_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def careless(values: dict[str, Any]) -> str:
-        return toml.toml_text(values).replace("time = 1\n", "time = 1.0000000000000002\n")
+        return text.toml_text(values).replace("time = 1\n", "time = 1.0000000000000002\n")
 
     path = tmp_path / "task.toml"
     path.write_text(VALID)
-    monkeypatch.setattr(tasks, "toml_text", careless)
+    monkeypatch.setattr(writer, "toml_text", careless)
     with pytest.raises(FileError, match=r"cannot hold the task: motion would be read as something else"):
         task_of().save(path)
     assert path.read_text() == VALID

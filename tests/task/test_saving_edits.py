@@ -17,7 +17,7 @@ from task_texts import VALID
 
 import pinposture as pp
 from pinposture.errors import FileError, InvalidValue, PostureError, TaskError, UnknownName
-from pinposture.task.leader import Leader
+from pinposture.task.follow_leader import Leader
 
 LIMITS = pp.Limits(step=None, dt=0.02)
 

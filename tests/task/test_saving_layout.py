@@ -11,10 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pinposture.task.reading.lines import lines_of_toml
-from pinposture.task.writing.json import json_text
-from pinposture.task.writing.notation import scalar
-from pinposture.task.writing.toml import toml_text
+from pinposture.task.document import lines_of_toml
+from pinposture.task.text import json_text, scalar, toml_text
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -16,7 +16,7 @@ from task.same_tasks import assert_same
 
 import pinposture as pp
 from pinposture.errors import PostureError
-from pinposture.task.leader import Leader
+from pinposture.task.follow_leader import Leader
 
 PLACED = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.2, 2.9), np.array([0.1, -1 / 3, 1e-7]))
 FEED = pp.ModuleTemplate("Feed", (pp.JointSpec("x", "prismatic", 0.0, 0.3, velocity=0.1),), (0.05,))

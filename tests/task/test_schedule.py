@@ -11,8 +11,7 @@ from sampling import examples
 from task.keyed_arms import straight
 
 from pinposture.errors import TaskError
-from pinposture.task.keyframe import Keyframe
-from pinposture.task.schedule import CONTINUITIES, Stretch, interpolate, schedule
+from pinposture.task.keyframe import CONTINUITIES, Keyframe, Stretch, interpolate, schedule
 
 
 def stretch(*rows: int) -> Stretch:

@@ -13,8 +13,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinposture.arm.description import read_description
-from pinposture.arm.urdf import DENSITY
+from pinposture.arm.template import DENSITY
+from pinposture.arm.urdf_reader import read_description
 from pinposture.errors import FileError
 from pinposture.thesis import arms
 

@@ -16,7 +16,7 @@ MAP = PAGE.split("\n## Map\n")[1].split("\n## ")[0]
 ROWS = [[cell.strip() for cell in line.strip("|").split("|")] for line in MAP.splitlines() if line[:1] == "|"]
 ROWS = [row for row in ROWS if row[0] != "thesis" and not row[0].startswith("---")]
 QUOTED = re.findall(r"`([^`]+)`", PAGE)
-ROOMS = ["arm", "curve", "target", "control", "motion", "view", "study", "thesis", "cli", "editor"]
+ROOMS = ["arm", "curve", "placement", "control", "motion", "viz", "study", "thesis", "cli", "editor"]
 LENGTHS = {"2": 16, "3": 4, "4": 8, "5": 10, "6": 17, "A": 6}
 
 

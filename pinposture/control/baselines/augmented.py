@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from pinposture.arm import ArmState
 from pinposture.control.baselines.baseline import NullSpaceMethod
-from pinposture.control.baselines.tasks import Task, all_points_task
-from pinposture.target import Target
+from pinposture.control.baselines.tasks import BaselineTask, all_points_task
+from pinposture.placement import Target
 
 
 @dataclass(frozen=True)
@@ -22,5 +22,5 @@ class AugmentedJacobian(NullSpaceMethod):
 
     name: str = "augmented"
 
-    def _task(self, state: ArmState, target: Target) -> Task:
+    def _task(self, state: ArmState, target: Target) -> BaselineTask:
         return all_points_task(state, target)

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture._validation import require_positive
 from pinposture.arm import ArmState
 from pinposture.control.baselines.objectives import Objective, objective_gradient, require_objective
-from pinposture.control.baselines.tasks import Task, finished, held, regular_part
-from pinposture.control.checks import require_positive
+from pinposture.control.baselines.tasks import BaselineTask, finished, held, regular_part
 from pinposture.control.controller import Memory, Step
 from pinposture.control.limits import Limits
-from pinposture.control.solve import decompose, pseudo_inverse_step
-from pinposture.target import Target
+from pinposture.control.thesis.posture_matrix import decompose, pseudo_inverse_step
+from pinposture.placement import Target
 
 Array = NDArray[np.float64]
 
@@ -59,7 +59,7 @@ class NullSpaceMethod(Baseline):
         require_positive("null_gain", self.null_gain, zero=True)
 
     @abstractmethod
-    def _task(self, state: ArmState, target: Target) -> Task:
+    def _task(self, state: ArmState, target: Target) -> BaselineTask:
         """What is to be moved."""
 
     def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:

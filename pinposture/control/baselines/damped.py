@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture._validation import require_positive
 from pinposture.arm import ArmState
 from pinposture.control.baselines.baseline import Baseline
 from pinposture.control.baselines.tasks import all_points_task, damped_step, finished
-from pinposture.control.checks import require_positive
 from pinposture.control.controller import Step
 from pinposture.control.limits import Limits
-from pinposture.control.solve import decompose
-from pinposture.target import Target
+from pinposture.control.thesis.posture_matrix import decompose
+from pinposture.placement import Target
 
 Array = NDArray[np.float64]
 

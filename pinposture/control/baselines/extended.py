@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture._validation import require_positive
 from pinposture.arm import ArmState
 from pinposture.control.baselines.baseline import Baseline
 from pinposture.control.baselines.derivatives import PositionDerivatives
@@ -16,13 +17,12 @@ from pinposture.control.baselines.objectives import (
     objective_hessian,
     require_objective,
 )
-from pinposture.control.baselines.tasks import RANK, Task, end_effector_task, finished, held
-from pinposture.control.checks import require_positive
+from pinposture.control.baselines.tasks import RANK, BaselineTask, end_effector_task, finished, held
 from pinposture.control.controller import Step
 from pinposture.control.limits import Limits
-from pinposture.control.solve import decompose, pseudo_inverse_step
+from pinposture.control.thesis.posture_matrix import decompose, pseudo_inverse_step
 from pinposture.errors import UnknownName
-from pinposture.target import Target
+from pinposture.placement import Target
 
 Array = NDArray[np.float64]
 
@@ -94,7 +94,7 @@ class ExtendedJacobian(Baseline):
         asked[columns] = pseudo_inverse_step(matrix, velocity, np.zeros(len(columns)))
         return finished(state, task.points, len(extended), matrix.sigma, asked, limits, previous)
 
-    def system(self, state: ArmState, task: Task) -> tuple[NDArray[np.intp], Array, Array]:
+    def system(self, state: ArmState, task: BaselineTask) -> tuple[NDArray[np.intp], Array, Array]:
         """The extended Jacobian J_e and the constraint f_c.
 
         Returns:

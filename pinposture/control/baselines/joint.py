@@ -10,7 +10,7 @@ from pinposture.arm import ArmState
 from pinposture.control.controller import Diagnostics, Memory, Step
 from pinposture.control.limits import Limits
 from pinposture.errors import InvalidValue
-from pinposture.target import Target
+from pinposture.placement import Target
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from pinposture.arm import ArmState
 from pinposture.control.baselines.baseline import NullSpaceMethod
-from pinposture.control.baselines.tasks import Task, end_effector_task
-from pinposture.target import Target
+from pinposture.control.baselines.tasks import BaselineTask, end_effector_task
+from pinposture.placement import Target
 
 
 @dataclass(frozen=True)
@@ -21,5 +21,5 @@ class PseudoInverse(NullSpaceMethod):
 
     name: str = "pinv"
 
-    def _task(self, state: ArmState, target: Target) -> Task:
+    def _task(self, state: ArmState, target: Target) -> BaselineTask:
         return end_effector_task(state, target)

@@ -7,20 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture._validation import require_positive, require_whole
 from pinposture.arm import ArmState
 from pinposture.control.baselines.baseline import Baseline
 from pinposture.control.baselines.tasks import (
-    Task,
+    BaselineTask,
     end_effector_task,
     finished,
     regular_part,
     task_of,
 )
-from pinposture.control.checks import require_positive, require_whole
 from pinposture.control.controller import Step
 from pinposture.control.limits import Limits
-from pinposture.control.solve import Decomposition, decompose
-from pinposture.target import Target
+from pinposture.control.thesis.posture_matrix import Decomposition, decompose
+from pinposture.placement import Target
 
 Array = NDArray[np.float64]
 
@@ -72,7 +72,7 @@ class TaskConstraints(Baseline):
         sigma = np.concatenate([every, projected.sigma])
         return finished(state, secondary.points + primary.points, rows, sigma, asked, limits, previous)
 
-    def _constraints(self, state: ArmState, target: Target, primary: Task, rank: int) -> Task:
+    def _constraints(self, state: ArmState, target: Target, primary: BaselineTask, rank: int) -> BaselineTask:
         """The other control points that (2.9) has room for."""
         others = np.flatnonzero(target.placed)[:-1]
         joints = int(state.arm.support[primary.end_effector].sum())

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from pinposture.arm import ArmState
 from pinposture.control.controller import Diagnostics, Memory, Step, stack_rows, task_errors
 from pinposture.control.limits import Limits
-from pinposture.control.solve import Decomposition
-from pinposture.target import Target
+from pinposture.control.thesis.posture_matrix import Decomposition
+from pinposture.placement import Target
 
 Array = NDArray[np.float64]
 
@@ -19,7 +19,7 @@ RANK = 1e-12
 """Singular values up to this share of the largest one count as zero: they are rounding errors."""
 
 
-class Task(NamedTuple):
+class BaselineTask(NamedTuple):
     """Control points to be moved, J dq = dp.
 
     Attributes:
@@ -38,18 +38,18 @@ class Task(NamedTuple):
         return self.points[-1]
 
 
-def task_of(state: ArmState, target: Target, points: NDArray[np.intp]) -> Task:
+def task_of(state: ArmState, target: Target, points: NDArray[np.intp]) -> BaselineTask:
     """The task of moving some control points (N,) to their targets."""
     jacobian = stack_rows(state.task_jacobians[points])
-    return Task(tuple(int(k) for k in points), jacobian, task_errors(state, target)[points].ravel())
+    return BaselineTask(tuple(int(k) for k in points), jacobian, task_errors(state, target)[points].ravel())
 
 
-def end_effector_task(state: ArmState, target: Target) -> Task:
+def end_effector_task(state: ArmState, target: Target) -> BaselineTask:
     """The task of the end-effector alone, which is the last control point that has a target."""
     return task_of(state, target, np.flatnonzero(target.placed)[-1:])
 
 
-def all_points_task(state: ArmState, target: Target) -> Task:
+def all_points_task(state: ArmState, target: Target) -> BaselineTask:
     """The task of all control points that have a target, stacked (2.15)."""
     return task_of(state, target, np.flatnonzero(target.placed))
 

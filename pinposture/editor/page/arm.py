@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm
 from pinposture.editor.page.part import color
-from pinposture.view import palette
-from pinposture.view.body import bodies, body_poses
-from pinposture.view.mesh import Mesh
-from pinposture.view.scene import arm_surfaces
+from pinposture.viz import palette
+from pinposture.viz.body import bodies, body_poses
+from pinposture.viz.drawing import arm_surfaces
+from pinposture.viz.mesh import TriangleMesh
 
 Array = NDArray[np.float64]
 Colors = NDArray[np.uint8]
@@ -104,7 +104,7 @@ class ArmDrawing:
             node.remove()
 
 
-def _alike(surfaces: tuple[Mesh, ...]) -> list[tuple[Mesh, NDArray[np.intp]]]:
+def _alike(surfaces: tuple[TriangleMesh, ...]) -> list[tuple[TriangleMesh, NDArray[np.intp]]]:
     """Surfaces that differ, and which bodies have each."""
     groups: dict[bytes, list[int]] = {}
     for index, surface in enumerate(surfaces):
@@ -114,7 +114,12 @@ def _alike(surfaces: tuple[Mesh, ...]) -> list[tuple[Mesh, NDArray[np.intp]]]:
 
 
 def _drawn(
-    server: viser.ViserServer, name: str, surface: Mesh, poses: Array, colors: Colors, opacity: float | None
+    server: viser.ViserServer,
+    name: str,
+    surface: TriangleMesh,
+    poses: Array,
+    colors: Colors,
+    opacity: float | None,
 ) -> viser.BatchedMeshHandle:
     return server.scene.add_batched_meshes_simple(
         name,

@@ -10,8 +10,8 @@ from pinposture.editor.clearances import Nearest
 from pinposture.editor.live import Live
 from pinposture.editor.page.part import color
 from pinposture.editor.session import Session
-from pinposture.view import palette
-from pinposture.view.scene import link_radius
+from pinposture.viz import palette
+from pinposture.viz.drawing import link_radius
 
 COLORS = {"inside": palette.MARK, "within the margin": palette.ACTIVE, "clear": palette.REGULAR}
 """Colours of the line, by how near it is."""

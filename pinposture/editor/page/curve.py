@@ -11,8 +11,8 @@ from pinposture.curve import Curve
 from pinposture.editor.live import Live
 from pinposture.editor.page.part import color
 from pinposture.editor.session import Session
-from pinposture.view import palette
-from pinposture.view.scene import link_radius
+from pinposture.viz import palette
+from pinposture.viz.drawing import link_radius
 
 Array = NDArray[np.float64]
 

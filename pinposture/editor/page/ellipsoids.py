@@ -8,11 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm, ArmState
 from pinposture.editor.page.part import color
-from pinposture.view import palette
-from pinposture.view.ellipsoids import drawn_length
-from pinposture.view.mesh import ball
-from pinposture.view.moving_ellipsoids import THINNEST, frame_of
-from pinposture.view.scene import link_radius
+from pinposture.viz import palette
+from pinposture.viz.drawing import link_radius
+from pinposture.viz.ellipsoids import THINNEST, drawn_length, frame_of
+from pinposture.viz.mesh import ball
 
 MOST = 8
 """How many are shown at most."""

@@ -14,8 +14,8 @@ from pinposture.editor.live import Live
 from pinposture.editor.page.part import Post, color
 from pinposture.editor.session import Session
 from pinposture.editor.shape import Shape
-from pinposture.view import palette
-from pinposture.view.scene import link_radius
+from pinposture.viz import palette
+from pinposture.viz.drawing import link_radius
 
 Array = NDArray[np.float64]
 

@@ -14,9 +14,9 @@ from pinposture.editor.live import Live
 from pinposture.editor.page.part import Post, color, on_change, on_choice, on_click, put
 from pinposture.editor.page.typed import Typed
 from pinposture.editor.session import Session
-from pinposture.target.resolve import METHODS
+from pinposture.placement.resolve import METHODS
 from pinposture.task import Keyframe
-from pinposture.view import palette
+from pinposture.viz import palette
 
 ROWS = 8
 """How many keyframes are listed at once."""

@@ -12,7 +12,7 @@ from pinposture.editor.joint_states import JointStates
 from pinposture.editor.live import Live
 from pinposture.editor.page.arm import ArmDrawing
 from pinposture.editor.session import Session
-from pinposture.view import palette
+from pinposture.viz import palette
 
 OPACITY = 0.45
 """How opaque the measured arm is."""

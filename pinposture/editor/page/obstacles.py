@@ -11,17 +11,16 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm
+from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Mesh, Obstacle, Sphere
 from pinposture.editor.live import Live
 from pinposture.editor.obstacle_edits import obstacles_of, rearrange, select_obstacle
 from pinposture.editor.obstacle_handles import Measures, Pose, at_pose, grips, moved, pose_of, pulled, reach
 from pinposture.editor.page.part import Post, color
 from pinposture.editor.session import Session
-from pinposture.scene import Box, Capsule, Cylinder, HalfSpace, Mesh, Obstacle, Sphere
-from pinposture.view import palette
-from pinposture.view.mesh import Mesh as Surface
-from pinposture.view.obstacles import MANY
-from pinposture.view.scene import link_radius
-from pinposture.view.solids import surface
+from pinposture.viz import palette
+from pinposture.viz.drawing import MANY, link_radius
+from pinposture.viz.mesh import TriangleMesh as Surface
+from pinposture.viz.mesh import surface
 
 Array = NDArray[np.float64]
 

@@ -14,10 +14,10 @@ from pinposture.editor.live import Live
 from pinposture.editor.page.part import color
 from pinposture.editor.session import Session
 from pinposture.editor.shape import enough
-from pinposture.target.placement import lay
+from pinposture.placement.curve_placement import lay
 from pinposture.task import Keyframe
-from pinposture.view import palette
-from pinposture.view.scene import link_radius
+from pinposture.viz import palette
+from pinposture.viz.drawing import link_radius
 
 Array = NDArray[np.float64]
 

@@ -33,7 +33,7 @@ from pinposture.editor.page.status import Status
 from pinposture.editor.page.tour import offer_tour
 from pinposture.editor.session import Session
 from pinposture.editor.surroundings import Surroundings
-from pinposture.view import palette
+from pinposture.viz import palette
 
 WIDTH = 340
 """Width of the controls [pixels]."""

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm, ArmState
 from pinposture.editor.live import Live
 from pinposture.editor.page.part import color
-from pinposture.view import palette
+from pinposture.viz import palette
 
 Colors = NDArray[np.uint8]
 

@@ -9,7 +9,7 @@ from viser import GuiEvent
 
 from pinposture.editor.live import Live
 from pinposture.editor.session import Session
-from pinposture.view import palette
+from pinposture.viz import palette
 
 Post: TypeAlias = Callable[..., None]
 """`Editor.post`: leaves a request for the loop."""

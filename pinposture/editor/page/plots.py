@@ -14,7 +14,7 @@ from pinposture.editor.playback import Playback
 from pinposture.editor.session import Session
 from pinposture.editor.traces import SPAN, Recent, Trace, trace_of, with_lines
 from pinposture.motion import Motion
-from pinposture.view import palette
+from pinposture.viz import palette
 
 Array = NDArray[np.float64]
 

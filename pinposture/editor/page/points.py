@@ -11,9 +11,9 @@ from pinposture.arm import Arm
 from pinposture.editor.live import Live
 from pinposture.editor.page.part import color
 from pinposture.editor.session import Session
-from pinposture.view import palette
-from pinposture.view.mesh import ball, tube
-from pinposture.view.scene import link_radius
+from pinposture.viz import palette
+from pinposture.viz.drawing import link_radius
+from pinposture.viz.mesh import ball, tube
 
 Array = NDArray[np.float64]
 

@@ -10,13 +10,13 @@ import numpy as np
 import viser
 
 from pinposture.arm import Arm
+from pinposture.collision.scan import Scan
 from pinposture.editor.files import within
 from pinposture.editor.live import Live
 from pinposture.editor.page.part import Post, color, on_choice, on_click, put
 from pinposture.editor.scan_shelf import ScanShelf, remove_scan
 from pinposture.editor.session import Session
-from pinposture.scene.scan import Scan
-from pinposture.view import palette
+from pinposture.viz import palette
 
 DOT = 0.003
 """Size of a point of a scan, relative to the arm."""

@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 import viser
 
+from pinposture.collision import Obstacle, Scene
 from pinposture.editor.edits import with_scene
 from pinposture.editor.live import Live
 from pinposture.editor.new_obstacles import KINDS
@@ -27,8 +28,7 @@ from pinposture.editor.page.scans import ScanControls
 from pinposture.editor.page.typed import Typed
 from pinposture.editor.scan_shelf import ScanShelf
 from pinposture.editor.session import Session
-from pinposture.scene import Obstacle, Scene
-from pinposture.view import palette
+from pinposture.viz import palette
 
 LABELS = {
     "Sphere": "sphere",

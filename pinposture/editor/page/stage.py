@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.editor.page.part import color
-from pinposture.view import palette
-from pinposture.view.scene import link_radius
+from pinposture.viz import palette
+from pinposture.viz.drawing import link_radius
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import viser
 
 from pinposture.editor.live import Live
 from pinposture.editor.session import Session
-from pinposture.view import palette
+from pinposture.viz import palette
 
 COLORS = {"info": palette.REGULAR, "warning": palette.ACTIVE, "error": palette.MARK}
 

@@ -1,6 +1,6 @@
 """The experiments of chapter 6 once more, with numbers where the thesis has pictures, and its claims."""
 
-from pinposture.study.reproduce.evaluate import Evidence, Judged, gather, judge_claims
+from pinposture.study.reproduce.evaluate import Evidence, JudgedClaim, gather, judge_claims
 from pinposture.study.reproduce.figures import FigureRuns, draw_figure, run_figures
 from pinposture.study.reproduce.reproduction import NAMES, Reproduction, reproduce
 
@@ -8,7 +8,7 @@ __all__ = [
     "NAMES",
     "Evidence",
     "FigureRuns",
-    "Judged",
+    "JudgedClaim",
     "Reproduction",
     "draw_figure",
     "gather",

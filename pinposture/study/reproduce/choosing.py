@@ -8,7 +8,7 @@ import numpy as np
 
 from pinposture.study.reproduce.moving import CALM, TWINS
 from pinposture.study.reproduce.reading import Reading, label, median
-from pinposture.study.reproduce.runs import Measured
+from pinposture.study.reproduce.runs import MeasuredRun
 from pinposture.study.reproduce.tracking import (
     BOTH,
     FROM_STRAIGHT,
@@ -27,13 +27,13 @@ SWITCHED = ("planar-near-line", "line", "planar-random", "helix", "random")
 """Scenarios on which switching is compared with its parts; the thesis shows the first."""
 
 
-def _steps_with(runs: Sequence[Measured], part: float) -> Share:
+def _steps_with(runs: Sequence[MeasuredRun], part: float) -> Share:
     """Steps in which at least a part of all control points is active."""
     counts = np.concatenate([np.zeros(0), *(run.points / run.modules for run in runs)])
     return share(counts >= part)
 
 
-def _mean_points(groups: Mapping[str, Sequence[Measured]]) -> dict[str, float]:
+def _mean_points(groups: Mapping[str, Sequence[MeasuredRun]]) -> dict[str, float]:
     return {
         f"median of the mean number of active points: {name}": median(
             [float(run.points.mean()) for run in runs if len(run.points)]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from pinposture.study.reproduce import choosing, moving, postures, singular, tracking
 from pinposture.study.reproduce.postures import Counted, count_postures
 from pinposture.study.reproduce.reading import DEFAULT, READINGS, Reading
-from pinposture.study.reproduce.runs import MAX_STEPS, Batch, Pool, make_pool
+from pinposture.study.reproduce.runs import MAX_STEPS, Pool, RunSet, make_pool
 from pinposture.study.reproduce.verdicts import RULES, Finding, Verdict, judge
 from pinposture.thesis.claims import CLAIMS, Claim
 
@@ -20,21 +20,21 @@ MEASURES: Mapping[str, Callable[[Reading], Finding]] = (
 _FOUR = ("selection", "projection", "projection, local", "switching")
 _FREE = ("selection, free joints", "projection, free joints")
 
-BATCHES: tuple[Batch, ...] = (
-    *(Batch(s, v, twins=True) for s in moving.TWINS for v in _FOUR),
-    *(Batch(s, v) for s in ("random", "line", "planar-near-line") for v in _FOUR),
-    *(Batch(s, "switching, no waypoints", twins=s in moving.TWINS) for s in choosing.SWITCHED),
-    *(Batch(s, v) for s in tracking.FROM_STRAIGHT for v in _FOUR[:3]),
-    *(Batch(s, v) for s in tracking.ACROSS for v in tracking.BOTH),
-    *(Batch(s, "selection") for s in tracking.FROM_NEAR_STRAIGHT),
-    *(Batch(s, "selection, (4.8)") for s in ("planar-random", "planar-near-line")),
-    *(Batch(s, v) for s in ("helix", "line") for v in _FREE),
-    *(Batch(s, f"{method}, any step") for s in tracking.SINGULAR for method in tracking.BOTH),
+BATCHES: tuple[RunSet, ...] = (
+    *(RunSet(s, v, twins=True) for s in moving.TWINS for v in _FOUR),
+    *(RunSet(s, v) for s in ("random", "line", "planar-near-line") for v in _FOUR),
+    *(RunSet(s, "switching, no waypoints", twins=s in moving.TWINS) for s in choosing.SWITCHED),
+    *(RunSet(s, v) for s in tracking.FROM_STRAIGHT for v in _FOUR[:3]),
+    *(RunSet(s, v) for s in tracking.ACROSS for v in tracking.BOTH),
+    *(RunSet(s, "selection") for s in tracking.FROM_NEAR_STRAIGHT),
+    *(RunSet(s, "selection, (4.8)") for s in ("planar-random", "planar-near-line")),
+    *(RunSet(s, v) for s in ("helix", "line") for v in _FREE),
+    *(RunSet(s, f"{method}, any step") for s in tracking.SINGULAR for method in tracking.BOTH),
 )
 """The runs that the claims are judged by."""
 
 
-class Judged(NamedTuple):
+class JudgedClaim(NamedTuple):
     """A claim and what came of it.
 
     Attributes:
@@ -84,16 +84,16 @@ def gather(
     return Evidence(make_pool(BATCHES, seeds, max_steps, jobs, progress), counted, seeds, max_steps)
 
 
-def judge_claims(evidence: Evidence) -> list[Judged]:
+def judge_claims(evidence: Evidence) -> list[JudgedClaim]:
     """Measure and judge every claim, in the order of CLAIMS."""
     return [_judged(claim, evidence) for claim in CLAIMS.values()]
 
 
-def _judged(claim: Claim, evidence: Evidence) -> Judged:
+def _judged(claim: Claim, evidence: Evidence) -> JudgedClaim:
     rule = RULES[claim.rule]
     if claim.id in postures.MEASURES:
         finding = postures.MEASURES[claim.id](evidence.counted)
-        return Judged(claim, judge(finding.shares, rule), finding, {})
+        return JudgedClaim(claim, judge(finding.shares, rule), finding, {})
     found: dict[str, tuple[Verdict, Finding]] = {}
     for name, variants in READINGS.items():
         reading = Reading(evidence.pool, variants)
@@ -102,4 +102,4 @@ def _judged(claim: Claim, evidence: Evidence) -> Judged:
             found[name] = (judge(finding.shares, rule), finding)
     verdict, finding = found.pop(DEFAULT)
     tried = {name: other for name, other in found.items() if other[0] != "not seen"}
-    return Judged(claim, verdict, finding, tried)
+    return JudgedClaim(claim, verdict, finding, tried)

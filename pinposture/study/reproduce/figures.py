@@ -10,7 +10,7 @@ from joblib import delayed
 from pinposture.errors import UnknownName
 from pinposture.motion import Trajectory
 from pinposture.motion.processes import in_order
-from pinposture.study.reproduce.runs import MAX_STEPS, Batch, run_one
+from pinposture.study.reproduce.runs import MAX_STEPS, RunSet, run_one
 from pinposture.thesis.figures import FIGURES, ThesisFigure
 from pinposture.thesis.scenarios import SCENARIOS
 
@@ -57,7 +57,7 @@ def run_figures(
     """
     listed = [_figure(number) for number in numbers]
     todo = _todo(listed)
-    tasks = (delayed(run_one)(Batch(scenario, name), seed, max_steps) for scenario, name, seed in todo)
+    tasks = (delayed(run_one)(RunSet(scenario, name), seed, max_steps) for scenario, name, seed in todo)
     done = {}
     for key, run in zip(todo, in_order(tasks, jobs), strict=True):
         done[key] = run
@@ -100,7 +100,7 @@ def _todo(figures: Iterable[ThesisFigure]) -> list[tuple[str, str, int]]:
 
 def draw_figure(figure: FigureRuns) -> Figure:
     """Draw a figure as the thesis lays it out, 1200 pixels wide."""
-    from pinposture.view.thesis_figures import draw_errors, draw_final_postures, draw_planar
+    from pinposture.study.thesis_figures import draw_errors, draw_final_postures, draw_planar
 
     about = figure.about
     title = (

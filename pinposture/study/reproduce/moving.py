@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from pinposture.study.reproduce.reading import Reading, median
-from pinposture.study.reproduce.runs import Measured
+from pinposture.study.reproduce.runs import MeasuredRun
 from pinposture.study.reproduce.tracking import BOTH, NON_SINGULAR, SINGULAR
 from pinposture.study.reproduce.verdicts import Finding, Share, share
 
@@ -24,12 +24,12 @@ TWINS = ("helix", "planar-random")
 """Scenarios whose runs have twins."""
 
 
-def predictable(run: Measured) -> bool:
+def predictable(run: MeasuredRun) -> bool:
     """Whether a run went directly, and would have gone the same way from a start beside its own."""
     return run.sweep <= DIRECT and run.separation is not None and run.separation <= CALM
 
 
-def _largest_rise(run: Measured) -> float:
+def _largest_rise(run: MeasuredRun) -> float:
     """The most that the posture error rises in one step, relative to the first."""
     return max(float(np.diff(run.mean_errors).max(initial=0.0)) / max(float(run.mean_errors[0]), 1e-300), 0.0)
 
@@ -105,7 +105,7 @@ def _points_rise(reading: Reading) -> Finding:
     )
 
 
-def _predictability(groups: Mapping[str, Sequence[Measured]]) -> dict[str, float]:
+def _predictability(groups: Mapping[str, Sequence[MeasuredRun]]) -> dict[str, float]:
     figures = {}
     for name, runs in groups.items():
         figures[f"median path per direct distance: {name}"] = median([run.sweep for run in runs])

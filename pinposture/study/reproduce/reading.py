@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pinposture.study.reproduce.runs import Measured, Pool
+from pinposture.study.reproduce.runs import MeasuredRun, Pool
 from pinposture.thesis.scenarios import SCENARIOS
 
 DEFAULT = "as built"
@@ -51,18 +51,18 @@ class Reading(NamedTuple):
     def _own(self, method: str) -> bool:
         return self._is_default or self.variants[method] != method
 
-    def runs(self, scenario: str, method: str) -> Sequence[Measured]:
+    def runs(self, scenario: str, method: str) -> Sequence[MeasuredRun]:
         """Runs of a scenario by a method, by seed; none if this reading did not try it."""
         return self.pool.get((scenario, self.variants[method]), ())
 
-    def each(self, scenarios: Sequence[str], methods: Sequence[str]) -> dict[str, Sequence[Measured]]:
+    def each(self, scenarios: Sequence[str], methods: Sequence[str]) -> dict[str, Sequence[MeasuredRun]]:
         """Runs by "arm, scenario, method" in words, where there are any that are this reading's own."""
         found = {label(s, m): self.runs(s, m) for s in scenarios for m in methods if self._own(m)}
         return {name: runs for name, runs in found.items() if runs}
 
     def pairs(
         self, scenarios: Sequence[str], one: str, other: str
-    ) -> dict[str, list[tuple[Measured, Measured]]]:
+    ) -> dict[str, list[tuple[MeasuredRun, MeasuredRun]]]:
         """Runs of two methods on the same seeds, by "arm, scenario" in words, where there are any."""
         found = {label(s): list(zip(self.runs(s, one), self.runs(s, other), strict=False)) for s in scenarios}
         return {name: runs for name, runs in found.items() if runs}

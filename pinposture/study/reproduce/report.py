@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from pinposture.study.reproduce.evaluate import Evidence, Judged
+from pinposture.study.reproduce.evaluate import Evidence, JudgedClaim
 from pinposture.study.reproduce.figures import FigureRuns, describe_figure
 from pinposture.study.reproduce.reading import DEFAULT, label
-from pinposture.study.reproduce.runs import NUDGE, STEP_LIMIT, Measured
+from pinposture.study.reproduce.runs import NUDGE, STEP_LIMIT, MeasuredRun
 from pinposture.study.reproduce.verdicts import RULES, Finding, Share, Verdict
 from pinposture.thesis.scenarios import SCENARIOS
 
@@ -19,7 +19,7 @@ VERSION = 1
 
 
 def describe(
-    figures: Sequence[FigureRuns], judged: Sequence[Judged], evidence: Evidence | None, max_steps: int
+    figures: Sequence[FigureRuns], judged: Sequence[JudgedClaim], evidence: Evidence | None, max_steps: int
 ) -> dict[str, Any]:
     """Everything that was found, as data that JSON can hold.
 
@@ -45,7 +45,7 @@ def describe(
     }
 
 
-def _claim(judged: Judged) -> dict[str, Any]:
+def _claim(judged: JudgedClaim) -> dict[str, Any]:
     claim = judged.claim
     return {
         "id": claim.id,
@@ -75,7 +75,7 @@ def _finding(verdict: Verdict, finding: Finding) -> dict[str, Any]:
     }
 
 
-def _batch(scenario: str, variant: str, runs: Sequence[Measured]) -> dict[str, Any]:
+def _batch(scenario: str, variant: str, runs: Sequence[MeasuredRun]) -> dict[str, Any]:
     """The runs of one scenario by one variant in numbers, errors per arm length."""
     final = np.array([run.mean_errors[-1] for run in runs])
     endings = [run.outcome.status for run in runs]
@@ -95,7 +95,7 @@ def _batch(scenario: str, variant: str, runs: Sequence[Measured]) -> dict[str, A
     }
 
 
-def claims_as_markdown(judged: Sequence[Judged], seeds: int, max_steps: int) -> str:
+def claims_as_markdown(judged: Sequence[JudgedClaim], seeds: int, max_steps: int) -> str:
     """The claims as a Markdown document: a table, then what was measured for each of them."""
     rows = [
         f"| {each.claim.text} | {each.claim.where} | {each.verdict} | {span(each.finding.shares)} "
@@ -119,13 +119,13 @@ def claims_as_markdown(judged: Sequence[Judged], seeds: int, max_steps: int) -> 
     return "\n\n".join(parts) + "\n"
 
 
-def _otherwise(judged: Judged) -> str:
+def _otherwise(judged: JudgedClaim) -> str:
     """Verdicts of other readings where they differ, in words."""
     differ = {name: found[0] for name, found in judged.readings.items() if found[0] != judged.verdict}
     return "; ".join(f"{name}: {verdict}" for name, verdict in differ.items())
 
 
-def _section(judged: Judged) -> str:
+def _section(judged: JudgedClaim) -> str:
     claim = judged.claim
     lines = [
         f"## {claim.id}",

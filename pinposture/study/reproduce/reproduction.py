@@ -8,11 +8,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pinposture.control.checks import require_whole
+from pinposture._validation import require_whole
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.motion.processes import check_jobs
 from pinposture.storage import check_writable, write_bytes, write_text
-from pinposture.study.reproduce.evaluate import BATCHES, Evidence, Judged, gather, judge_claims
+from pinposture.study.reproduce.evaluate import BATCHES, Evidence, JudgedClaim, gather, judge_claims
 from pinposture.study.reproduce.figures import FigureRuns, count_runs, draw_figure, run_figures
 from pinposture.study.reproduce.report import FORMAT, VERSION, claims_as_markdown, describe
 from pinposture.study.reproduce.runs import MAX_STEPS
@@ -37,7 +37,7 @@ class Reproduction(NamedTuple):
     """
 
     figures: Sequence[FigureRuns]
-    judged: Sequence[Judged]
+    judged: Sequence[JudgedClaim]
     results: dict[str, Any]
     files: Sequence[Path]
 
@@ -105,7 +105,7 @@ def _asked(names: Sequence[str]) -> tuple[list[str], bool]:
 def _write(
     directory: Path,
     figures: Sequence[FigureRuns],
-    judged: Sequence[Judged],
+    judged: Sequence[JudgedClaim],
     evidence: Evidence | None,
     results: dict[str, Any],
 ) -> list[Path]:

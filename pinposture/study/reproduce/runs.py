@@ -90,7 +90,7 @@ waypoints" leaves switching at the failover of Figure 4.8. "free joints" have no
 has no step limit; the thesis speaks of neither."""
 
 
-class Batch(NamedTuple):
+class RunSet(NamedTuple):
     """Runs that differ in nothing but their seed.
 
     Attributes:
@@ -104,7 +104,7 @@ class Batch(NamedTuple):
     twins: bool = False
 
 
-class Measured(NamedTuple):
+class MeasuredRun(NamedTuple):
     """What is kept of one run.
 
     Attributes:
@@ -136,7 +136,7 @@ class Measured(NamedTuple):
     separation: float | None
 
 
-Pool = Mapping[tuple[str, str], Sequence[Measured]]
+Pool = Mapping[tuple[str, str], Sequence[MeasuredRun]]
 """Runs by scenario and variant, in the order of their seeds."""
 
 
@@ -157,7 +157,7 @@ def thesis_arm(name: str, free: bool = False) -> Arm:
     return Arm.from_modules(modules, name=name)
 
 
-def run_one(batch: Batch, seed: int, max_steps: int = MAX_STEPS, nudged: bool = False) -> Trajectory:
+def run_one(batch: RunSet, seed: int, max_steps: int = MAX_STEPS, nudged: bool = False) -> Trajectory:
     """The run of one seed, or its twin.
 
     Raises:
@@ -180,19 +180,19 @@ def run_one(batch: Batch, seed: int, max_steps: int = MAX_STEPS, nudged: bool = 
     return track(arm, target, start, variant.controller(), variant.limits, max_steps=max_steps)
 
 
-def measure(batch: Batch, seed: int, max_steps: int = MAX_STEPS) -> Measured:
+def measure(batch: RunSet, seed: int, max_steps: int = MAX_STEPS) -> MeasuredRun:
     """Run one seed, and its twin if it has one, and keep what claims are judged by."""
     run = run_one(batch, seed, max_steps)
     twin = run_one(batch, seed, max_steps, nudged=True) if batch.twins else None
     return measured(run, batch, seed, twin)
 
 
-def measured(run: Trajectory, batch: Batch, seed: int, twin: Trajectory | None = None) -> Measured:
+def measured(run: Trajectory, batch: RunSet, seed: int, twin: Trajectory | None = None) -> MeasuredRun:
     """What is kept of a run."""
     states = states_before_steps(run)
     placed = int(run.target.placed.sum())
     residual = run.target.residual
-    return Measured(
+    return MeasuredRun(
         outcome=outcome(run, batch.scenario, batch.variant, seed),
         mean_errors=run.posture_error / (placed * run.arm.length),
         off_curve=None if residual is None else float(residual[run.target.placed].max()) / run.arm.length,
@@ -208,7 +208,7 @@ def measured(run: Trajectory, batch: Batch, seed: int, twin: Trajectory | None =
 
 
 def make_pool(
-    batches: Iterable[Batch],
+    batches: Iterable[RunSet],
     seeds: int,
     max_steps: int = MAX_STEPS,
     jobs: int = 1,
@@ -229,7 +229,7 @@ def make_pool(
     listed = list(batches)
     bundles = [range(first, min(first + BUNDLE, seeds)) for first in range(0, seeds, BUNDLE)]
     todo = [(batch, bundle) for batch in listed for bundle in bundles]
-    pool: dict[tuple[str, str], list[Measured]] = {(b.scenario, b.variant): [] for b in listed}
+    pool: dict[tuple[str, str], list[MeasuredRun]] = {(b.scenario, b.variant): [] for b in listed}
     tasks = (delayed(_work_off)(batch, bundle, max_steps) for batch, bundle in todo)
     results = in_order(tasks, jobs)
     for (batch, bundle), found in zip(todo, results, strict=True):
@@ -239,5 +239,5 @@ def make_pool(
     return pool
 
 
-def _work_off(batch: Batch, seeds: Sequence[int], max_steps: int) -> list[Measured]:
+def _work_off(batch: RunSet, seeds: Sequence[int], max_steps: int) -> list[MeasuredRun]:
     return [measure(batch, seed, max_steps) for seed in seeds]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.study.reproduce.reading import Reading, label, median
-from pinposture.study.reproduce.runs import Measured
+from pinposture.study.reproduce.runs import MeasuredRun
 from pinposture.study.reproduce.tracking import BOTH, SINGULAR, arrived, errors_of
 from pinposture.study.reproduce.verdicts import Class, Finding, share
 
@@ -26,7 +26,9 @@ ABRUPT = 0.5
 """Change of the joint displacement, per size, above which a motion is not smooth."""
 
 
-def _near(runs: Sequence[Measured], name: str, low: float = 0.0, high: float = NEAR) -> NDArray[np.float64]:
+def _near(
+    runs: Sequence[MeasuredRun], name: str, low: float = 0.0, high: float = NEAR
+) -> NDArray[np.float64]:
     """Something about the steps of runs that are that near a singular posture."""
     parts = [
         getattr(run.steps, name)[(run.steps.nearness >= low) & (run.steps.nearness < high)] for run in runs
@@ -34,7 +36,7 @@ def _near(runs: Sequence[Measured], name: str, low: float = 0.0, high: float = N
     return np.concatenate([np.zeros(0), *parts])
 
 
-def _by_nearness(groups: Mapping[str, Sequence[Measured]], name: str, quantity: str) -> list[Class]:
+def _by_nearness(groups: Mapping[str, Sequence[MeasuredRun]], name: str, quantity: str) -> list[Class]:
     """Medians and largest values of something about the steps, by nearness."""
     classes = []
     for group, runs in groups.items():
@@ -65,7 +67,7 @@ def _asked(reading: Reading) -> Finding:
 def _no_blow_up(reading: Reading) -> Finding:
     groups = reading.each(SINGULAR, BOTH)
 
-    def worst(run: Measured) -> float | None:
+    def worst(run: MeasuredRun) -> float | None:
         near = np.flatnonzero(run.steps.nearness <= NEAR)
         if not len(near):
             return None

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from pinposture.study.reproduce.reading import Reading, label, median
-from pinposture.study.reproduce.runs import Measured
+from pinposture.study.reproduce.runs import MeasuredRun
 from pinposture.study.reproduce.verdicts import Finding, Share, share
 
 THERE = 1e-2
@@ -33,29 +33,31 @@ ACROSS = ("opposite", "planar-opposite")
 BOTH = ("selection", "projection")
 
 
-def final(run: Measured) -> float:
+def final(run: MeasuredRun) -> float:
     """Mean point error at the end, per arm length."""
     return float(run.mean_errors[-1])
 
 
-def arrived(run: Measured, within: float = THERE) -> bool:
+def arrived(run: MeasuredRun, within: float = THERE) -> bool:
     """Whether a run ends with a mean point error of at most that, per arm length."""
     return final(run) <= within
 
 
-def lower(run: Measured, others: Sequence[Measured]) -> bool:
+def lower(run: MeasuredRun, others: Sequence[MeasuredRun]) -> bool:
     """Whether a run ends with a lower error than others, or all of them have converged."""
     return all(final(run) < final(other) or max(final(run), final(other)) <= EXACT for other in others)
 
 
-def errors_of(groups: Mapping[str, Sequence[Measured]]) -> dict[str, float]:
+def errors_of(groups: Mapping[str, Sequence[MeasuredRun]]) -> dict[str, float]:
     """Median final errors, by what was tried."""
     return {
         f"median final error per arm length: {k}": median([final(r) for r in v]) for k, v in groups.items()
     }
 
 
-def _shares(groups: Mapping[str, Sequence[Measured]], true: Callable[[Measured], bool]) -> dict[str, Share]:
+def _shares(
+    groups: Mapping[str, Sequence[MeasuredRun]], true: Callable[[MeasuredRun], bool]
+) -> dict[str, Share]:
     return {name: share(true(run) for run in runs) for name, runs in groups.items()}
 
 
@@ -77,7 +79,7 @@ def _arrives(scenarios: Sequence[str], methods: Sequence[str]) -> Callable[[Read
 
 
 def _similar(reading: Reading) -> Finding:
-    def alike(one: Measured, other: Measured) -> bool:
+    def alike(one: MeasuredRun, other: MeasuredRun) -> bool:
         low, high = sorted((final(one), final(other)))
         return high <= max(2.0 * low, CLOSE)
 
@@ -122,7 +124,7 @@ def _converges(reading: Reading) -> Finding:
 def _few_steps(reading: Reading) -> Finding:
     groups = reading.each(("planar-random",), ("selection",))
 
-    def steps(run: Measured) -> float:
+    def steps(run: MeasuredRun) -> float:
         below = np.flatnonzero(run.mean_errors <= THERE)
         return float(below[0]) if len(below) else np.inf
 

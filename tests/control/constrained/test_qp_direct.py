@@ -12,9 +12,9 @@ from scipy.integrate import solve_bvp
 from scipy.optimize import minimize
 
 import pinposture as pp
-from pinposture.control.constrained.direct import SETTLED, STRAIGHT, direct_path
-from pinposture.control.constrained.path import JointPath
-from pinposture.control.constrained.posture import Linear, Posture
+from pinposture.control.planner.objective import Linear, Posture
+from pinposture.control.planner.path import JointPath
+from pinposture.control.planner.trajectory_optimization import RELAXED, STRAIGHT, direct_path
 
 LINKS = np.array([0.6, 0.4])
 MU = 0.1
@@ -77,9 +77,9 @@ def test_two_links_no_waypoint_can_be_moved_for_the_better(two: pp.Arm, ends: tu
         waves = rng.normal(size=(4, 1, 2)) * 10.0 ** rng.uniform(-2.0, -0.3)
         shares = np.pi * np.arange(1, pieces)[:, None] / pieces
         bend = sum(wave * np.sin((k + 1) * shares) for k, wave in enumerate(waves))
-        assert two_link_energy(found + bend.ravel(), start, goal) > (1.0 - SETTLED) * least
+        assert two_link_energy(found + bend.ravel(), start, goal) > (1.0 - RELAXED) * least
     polished = minimize(two_link_energy, found, (start, goal), method="BFGS", options={"maxiter": 60})
-    assert least <= (1.0 + 5.0 * SETTLED) * polished.fun
+    assert least <= (1.0 + 5.0 * RELAXED) * polished.fun
     h = 1e-6
     gradient = [
         (two_link_energy(found + h * d, start, goal) - two_link_energy(found - h * d, start, goal)) / (2 * h)

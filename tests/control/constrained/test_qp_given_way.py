@@ -9,10 +9,9 @@ from sampling import seeds
 
 import pinposture as pp
 from pinposture.control import Memory
-from pinposture.control.constrained.course import Course
-from pinposture.control.constrained.path import JointPath
+from pinposture.control.planner.path import Course, JointPath
+from pinposture.placement import Target
 from pinposture.study import smooth_configuration
-from pinposture.target import Target
 
 
 def arm() -> pp.Arm:

@@ -11,10 +11,10 @@ from sampling import seeds
 
 import pinposture as pp
 from pinposture.control import Memory
-from pinposture.control.constrained import constrained_qp, goal
-from pinposture.control.constrained.course import Course
+from pinposture.control.planner import geodesic, plan
+from pinposture.control.planner.path import Course
+from pinposture.placement import Target
 from pinposture.study import smooth_configuration
-from pinposture.target import Target
 
 LIMITS = pp.Limits(step=0.04)
 
@@ -84,8 +84,8 @@ def test_points_that_cannot_be_had_do_not_start_the_search_anew_in_each_step(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     asked = []
-    original = goal.goal_starts
-    monkeypatch.setattr(goal, "goal_starts", lambda *given: asked.append(1) or original(*given))
+    original = plan.goal_starts
+    monkeypatch.setattr(plan, "goal_starts", lambda *given: asked.append(1) or original(*given))
     rng = np.random.default_rng(5)
     points = arm().at(postures(2, 1, 0.0)[0]).points
     targets = [Target.from_points(arm(), points + 1e-3 * rng.normal(size=points.shape)) for _ in range(150)]
@@ -113,15 +113,15 @@ def test_the_usual_step_in_one_call_is_that_of_the_long_way_round(
     rng = np.random.default_rng(seed)
     start, end = (smooth_configuration(arm(), rng, 1.0) for _ in range(2))
     target, controller = Target.from_configuration(arm(), end), pp.ConstrainedQP()
-    q, memory, quick, taken = start, None, constrained_qp.get_on, 0
+    q, memory, quick, taken = start, None, geodesic.get_on, 0
     for _ in range(40):
         state = arm().at(q)
         step = controller.step(state, target, LIMITS, memory)
         if step.diagnostics.reason:
             break
-        monkeypatch.setattr(constrained_qp, "get_on", lambda *_: None)
+        monkeypatch.setattr(geodesic, "get_on", lambda *_: None)
         slow = controller.step(state, target, LIMITS, memory)
-        monkeypatch.setattr(constrained_qp, "get_on", quick)
+        monkeypatch.setattr(geodesic, "get_on", quick)
         taken += memory is not None and quick(memory.own, state, LIMITS.for_arm(arm())) is not None
         np.testing.assert_allclose(step.dq, slow.dq, atol=1e-14)
         assert step.active == slow.active

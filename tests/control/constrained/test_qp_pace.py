@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from sampling import examples, seeds
 
 import pinposture as pp
-from pinposture.control.constrained.pace import Pace
-from pinposture.control.constrained.path import JointPath
+from pinposture.control.planner.path import JointPath, Pace
 
 ROUNDING = 1e-9
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from sampling import examples, seeds
 
 import pinposture as pp
-from pinposture.control.constrained.path import JointPath, Stride
+from pinposture.control.planner.path import JointPath, Stride
 
 SEEDS = st.integers(0, 2**32 - 1)
 FINE = 4000

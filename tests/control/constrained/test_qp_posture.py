@@ -7,7 +7,7 @@ import pytest
 from control.task_arms import ARMS, STATES, arm_called, derivative, state_of, target_of
 
 import pinposture as pp
-from pinposture.control.constrained.posture import Posture
+from pinposture.control.planner.objective import Posture
 from pinposture.control.tasks import EndEffector, JointPosture
 
 

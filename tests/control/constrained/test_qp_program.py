@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from sampling import examples, seeds
 from scipy.optimize import linprog, lsq_linear, minimize, nnls
 
-from pinposture.control.constrained import program
-from pinposture.control.constrained.program import Rows, solve
+from pinposture.control.planner import avoidance
+from pinposture.control.planner.avoidance import ConstraintRows, solve
 
 SEEDS = st.integers(0, 2**32 - 1)
 Problem = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -29,7 +29,9 @@ def box(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
     return -size * rng.uniform(0.05, 1.0, n), size * rng.uniform(0.05, 1.0, n)
 
 
-def unexplained(problem: Problem, x: np.ndarray, rows: Rows | None, equations: np.ndarray | None) -> float:
+def unexplained(
+    problem: Problem, x: np.ndarray, rows: ConstraintRows | None, equations: np.ndarray | None
+) -> float:
     """What is left of the gradient when bounds and rows that hold it push with forces of the right sign.
 
     A feasible x solves a convex program if and only if nothing is left. Relative to the gradient.
@@ -75,7 +77,7 @@ def test_rows_and_equations_obey_the_optimality_conditions(
     inside = rng.uniform(lower, upper)
     normals = rng.normal(size=(int(rng.integers(1, 10)), n)) * 10.0 ** rng.uniform(-3.0, 3.0)
     spare = np.linalg.norm(normals, axis=1) * np.abs(upper).max() * rng.choice([0.0, 0.05], len(normals))
-    rows = Rows(normals, normals @ inside - spare)
+    rows = ConstraintRows(normals, normals @ inside - spare)
     equations = np.linalg.qr(rng.normal(size=(n, 1)))[0].T if joined else None
     equal = None if equations is None else (equations, equations @ inside)
     problem = (matrix.T @ matrix, -matrix.T @ right, lower, upper)
@@ -103,7 +105,7 @@ def test_rows_that_cannot_all_hold_give_way_and_the_box_does_not(seed: int, n: i
     normal = rng.normal(size=n)
     most = float(np.maximum(normal * lower, normal * upper).sum())
     beyond = float(rng.uniform(0.1, 2.0)) * np.linalg.norm(normal)
-    rows = Rows(normal[None], np.array([most + beyond]))
+    rows = ConstraintRows(normal[None], np.array([most + beyond]))
     found = solve(matrix.T @ matrix, -matrix.T @ right, lower, upper, rows)
     assert found.x is not None
     assert found.softened
@@ -111,7 +113,7 @@ def test_rows_that_cannot_all_hold_give_way_and_the_box_does_not(seed: int, n: i
     assert float(normal @ found.x) == pytest.approx(most, rel=1e-4, abs=1e-4 * beyond)
 
 
-def contradicting(seed: int) -> tuple[Problem, Rows, float]:
+def contradicting(seed: int) -> tuple[Problem, ConstraintRows, float]:
     """A program whose rows contradict each other, and the smallest sum of squares by which they can."""
     rng = np.random.default_rng(seed)
     n, r = int(rng.integers(2, 10)), int(rng.integers(2, 8))
@@ -128,7 +130,7 @@ def contradicting(seed: int) -> tuple[Problem, Rows, float]:
 
     options = {"ftol": 1e-16, "gtol": 1e-13, "maxiter": 5000}
     best = minimize(missed, np.zeros(n), jac=True, bounds=[*zip(lower, upper, strict=True)], options=options)
-    return problem, Rows(normals, least), float(np.sqrt(2.0 * best.fun))
+    return problem, ConstraintRows(normals, least), float(np.sqrt(2.0 * best.fun))
 
 
 def test_rows_that_contradict_each_other_are_violated_as_little_as_possible() -> None:
@@ -158,7 +160,7 @@ def test_a_row_of_zeros_that_holds_changes_nothing(least: float) -> None:
     rng = np.random.default_rng(0)
     matrix, right = least_squares(rng, 6)
     problem = (matrix.T @ matrix, -matrix.T @ right, np.full(6, -0.1), np.full(6, 0.1))
-    found = solve(*problem, Rows(np.zeros((2, 6)), np.full(2, least)))
+    found = solve(*problem, ConstraintRows(np.zeros((2, 6)), np.full(2, least)))
     assert found.x is not None
     assert not found.softened
     np.testing.assert_allclose(found.x, solve(*problem).x, atol=1e-12)
@@ -168,7 +170,7 @@ def test_a_row_of_zeros_that_cannot_hold_leaves_the_rest_as_it_is() -> None:
     rng = np.random.default_rng(1)
     matrix, right = least_squares(rng, 6)
     problem = (matrix.T @ matrix, -matrix.T @ right, np.full(6, -0.1), np.full(6, 0.1))
-    found = solve(*problem, Rows(np.zeros((1, 6)), np.array([1e-3])))
+    found = solve(*problem, ConstraintRows(np.zeros((1, 6)), np.array([1e-3])))
     assert found.x is not None
     assert found.softened
     np.testing.assert_allclose(found.x, solve(*problem).x, atol=1e-6)
@@ -183,7 +185,7 @@ def test_the_unit_of_the_objective_does_not_matter(scale: float, step: float) ->
         matrix = rng.normal(size=(30, 12))
         hessian, gradient = matrix.T @ matrix, -matrix.T @ matrix @ rng.normal(size=12) * 3.0 * step
         bound = step * rng.uniform(0.1, 1.0, 12)
-        rows = Rows(rng.normal(size=(3, 12)), np.zeros(3))
+        rows = ConstraintRows(rng.normal(size=(3, 12)), np.zeros(3))
         found = solve(scale * hessian, scale * gradient, -bound, bound, rows)
         assert found.x is not None
         problem = (hessian, gradient / step, -bound / step, bound / step)
@@ -193,7 +195,7 @@ def test_the_unit_of_the_objective_does_not_matter(scale: float, step: float) ->
 def test_no_answer_rather_than_a_wrong_one(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = (np.eye(3), np.ones(3), -np.ones(3), np.ones(3))
     for answer, flag in ((np.full(3, np.nan), 1), (np.zeros(3), -2), (np.array([0.0, np.inf, 0.0]), 1)):
-        monkeypatch.setattr(program.daqp, "solve", lambda *_, a=answer, f=flag, **__: (a, 0.0, f, {}))
-        assert solve(*problem, Rows(np.ones((1, 3)), np.zeros(1))).x is None
-    monkeypatch.setattr(program.daqp, "solve", lambda *_, **__: (np.array([9.0, -9.0, 0.5]), 0.0, 1, {}))
+        monkeypatch.setattr(avoidance.daqp, "solve", lambda *_, a=answer, f=flag, **__: (a, 0.0, f, {}))
+        assert solve(*problem, ConstraintRows(np.ones((1, 3)), np.zeros(1))).x is None
+    monkeypatch.setattr(avoidance.daqp, "solve", lambda *_, **__: (np.array([9.0, -9.0, 0.5]), 0.0, 1, {}))
     np.testing.assert_array_equal(solve(*problem).x, [1.0, -1.0, 0.5])

@@ -9,9 +9,9 @@ import pytest
 from scipy.optimize import least_squares
 
 import pinposture as pp
-from pinposture.control.constrained.goal import find_goal
-from pinposture.control.constrained.posture import Posture
-from pinposture.control.constrained.settling import settle
+from pinposture.control.planner.follow import settle
+from pinposture.control.planner.objective import Posture
+from pinposture.control.planner.plan import find_goal
 from pinposture.control.tasks import EndEffector
 
 GOOD = 1e-9

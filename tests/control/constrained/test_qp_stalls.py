@@ -8,8 +8,8 @@ from qp_runs import arm_called, check_limits
 from scipy.optimize import least_squares, minimize
 
 import pinposture as pp
+from pinposture.collision import Scene, Sphere
 from pinposture.control.tasks import EndEffector
-from pinposture.scene import Scene, Sphere
 
 
 def span(m: int) -> np.ndarray:

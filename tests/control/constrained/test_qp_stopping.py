@@ -14,9 +14,9 @@ from sampling import cases, examples
 
 import pinposture as pp
 from pinposture.control import Memory
-from pinposture.control.braking import full_braking, stopping_steps
-from pinposture.control.constrained.path import JointPath
-from pinposture.motion.drive import Drive
+from pinposture.control.limits import full_braking, stopping_steps
+from pinposture.control.planner.path import JointPath
+from pinposture.motion.track import Drive
 
 
 @given(st.integers(0, 10**6))

@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from sampling import examples
 
-from pinposture.control.constrained.tridiagonal import solve_tridiagonal
+from pinposture.control.planner.trajectory_optimization import solve_tridiagonal
 
 
 def dense(diagonal: np.ndarray, above: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from editor.browser.window import Window
 
 import pinposture as pp
 from pinposture.editor import Editor
-from pinposture.view import palette
+from pinposture.viz import palette
 
 pytestmark = pytest.mark.browser
 

@@ -1,0 +1,183 @@
+"""Can the modules follow a curve? The thesis's own question about a segmentation (Section 4.1).
+
+A module whose joints keep the same angles from module to module puts its control points on a helix:
+repeating one rigid motion is a screw motion. The curvature and torsion of that helix follow from the
+module's forward kinematics alone, so the curvature that a module can follow is found without solving
+for any target.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from pinposture.arm.chain import Chain
+
+Array = NDArray[np.float64]
+
+QUARTER_TURN = np.pi / 2
+"""Largest turn of the curve, or of its bending direction, within one module [rad].
+
+With fewer than four modules to a turn the control points no longer show the shape of the curve: the
+chain can meet it in each point and still cut across its loops."""
+
+
+STRAIGHT = 0.1
+"""How little a curve bends within one module to be almost straight [rad]: less than an eightieth of the
+module's length off its chord."""
+
+
+class CurveShape(Protocol):
+    """The little that adequacy needs to know of a curve; lengths in [m]."""
+
+    @property
+    def length(self) -> float:
+        """Arc length [m]."""
+
+    def curvature(self, s: Array, /) -> Array:
+        """Curvature [1/m] at arc length s, (n,)."""
+
+    def torsion(self, s: Array, /) -> Array:
+        """Torsion [1/m] at arc length s, (n,)."""
+
+
+@dataclass(frozen=True)
+class Violation:
+    """A stretch of the curve that the modules cannot follow.
+
+    Attributes:
+        quantity: "curvature" or "torsion".
+        start: where it begins, arc length [m].
+        end: where it ends, arc length [m].
+        worst: the largest value on it [1/m].
+        allowed: what the modules can follow [1/m].
+    """
+
+    quantity: str
+    start: float
+    end: float
+    worst: float
+    allowed: float
+
+    def __str__(self) -> str:
+        where = f"between {self.start:.4g} m and {self.end:.4g} m along the curve"
+        times = (
+            f"{self.worst / self.allowed:.3g} times the {self.allowed:.4g} /m" if self.allowed else "none is"
+        )
+        return f"{self.quantity} up to {self.worst:.4g} /m {where}, {times} allowed"
+
+
+@dataclass(frozen=True)
+class Adequacy:
+    """Whether the modules can follow a curve; truthy if they can.
+
+    Attributes:
+        max_curvature: largest curvature that every module can follow in any direction [1/m].
+        max_torsion: largest torsion that every module can follow [1/m].
+        curvature: largest curvature of the curve [1/m].
+        torsion: largest absolute torsion of the curve's bending within one module [1/m].
+        excesses: the stretches that the modules cannot follow, from the start of the curve on.
+    """
+
+    max_curvature: float
+    max_torsion: float
+    curvature: float
+    torsion: float
+    excesses: tuple[Violation, ...]
+
+    def __bool__(self) -> bool:
+        return not self.excesses
+
+
+def adequacy(chain: Chain, lower: Array, upper: Array, curve: CurveShape, samples: int = 2000) -> Adequacy:
+    """Compare what the modules can follow with what a curve asks for.
+
+    Args:
+        chain: the arm.
+        lower: smallest joint positions, (nv,) [rad or m].
+        upper: largest joint positions, (nv,) [rad or m].
+        curve: the curve to follow.
+        samples: number of places on the curve to look at.
+
+    Returns:
+        The comparison, over the part of the curve that the arm can cover. Torsion is that of the bending
+        within one module, weighted by curvature, because an almost straight curve has a bending direction in
+        name only: where it hardly bends, torsion has peaks that no arm notices.
+    """
+    span = float(chain.spans.max())
+    allowed_curvature = min(_largest_curvature(chain, k, lower, upper) for k in range(len(chain.points)))
+    allowed_torsion = QUARTER_TURN / span
+    s = np.linspace(0.0, min(curve.length, chain.length), samples)
+    curvature = np.asarray(curve.curvature(s))
+    torsion = _felt_torsion(s, curvature, np.abs(curve.torsion(s)), span)
+    excesses = [
+        *_stretches("curvature", s, curvature, allowed_curvature),
+        *_stretches("torsion", s, torsion, allowed_torsion),
+    ]
+    return Adequacy(
+        max_curvature=allowed_curvature,
+        max_torsion=allowed_torsion,
+        curvature=float(curvature.max()),
+        torsion=float(torsion.max()),
+        excesses=tuple(sorted(excesses, key=lambda excess: excess.start)),
+    )
+
+
+def _felt_torsion(s: Array, curvature: Array, torsion: Array, span: float) -> Array:
+    """Torsion of the bending within a span around each place, (n,) [1/m]; 0 where that is almost straight."""
+    low, high = np.maximum(s - span / 2.0, s[0]), np.minimum(s + span / 2.0, s[-1])
+
+    def total(values: Array) -> Array:
+        sums = np.concatenate([[0.0], np.cumsum(np.diff(s) * (values[1:] + values[:-1]) / 2.0)])
+        return np.asarray(np.interp(high, s, sums) - np.interp(low, s, sums))
+
+    bend = total(curvature)
+    return np.where(bend > STRAIGHT, total(curvature * torsion) / np.maximum(bend, STRAIGHT), 0.0)
+
+
+def _largest_curvature(chain: Chain, module: int, lower: Array, upper: Array) -> float:
+    """Curvature that the weakest joint of a module reaches alone, in its weaker direction.
+
+    A curve may ask for a bend in any direction; the directions in which only one joint helps are the
+    hardest. Joints that do not bend the module across its axis (a roll, a slide) are not asked.
+    """
+    start = chain.base if module == 0 else chain.points[module - 1]
+    span = chain.points[module] - start
+    if chain.module_lengths[module] <= 1e-12 * chain.length:
+        return 0.0  # its end is where it begins: it bends nothing
+    along = span / chain.module_lengths[module]
+    reachable: dict[int, float] = {}
+    for u in range(*chain.module_slices[module].indices(len(chain.joints))):
+        across = chain.axes[u] - along * (along @ chain.axes[u])
+        if not chain.revolute[u] or np.linalg.norm(across) < 0.1:
+            continue
+        bends = []
+        for limit in (lower[chain.columns[u]], upper[chain.columns[u]]):
+            angles = np.linspace(0.0, np.clip(limit, -QUARTER_TURN, QUARTER_TURN), 91)
+            lever = chain.origins[u] - start
+            ends = lever + Rotation.from_rotvec(angles[:, None] * chain.axes[u]).apply(span - lever)
+            bends.append(float(_screw_curvature(ends, angles, chain.axes[u]).max()))
+        reachable[u] = min(bends)
+    return min(reachable.values(), default=0.0)
+
+
+def _screw_curvature(displacements: Array, angles: Array, axis: Array) -> Array:
+    """Curvature of the helix through points that repeat one displacement and one turn about an axis."""
+    along = displacements @ axis
+    across = np.linalg.norm(displacements - along[:, None] * axis, axis=1)
+    turns = np.where(np.abs(angles) > 1e-12, np.abs(angles), 1e-12)
+    radius = across / (2.0 * np.sin(turns / 2.0))
+    return np.where(np.abs(angles) > 1e-12, radius / (radius**2 + (along / turns) ** 2), 0.0)
+
+
+def _stretches(quantity: str, s: Array, values: Array, allowed: float) -> list[Violation]:
+    over = np.concatenate([[False], values > allowed * (1.0 + 1e-9), [False]])
+    edges = np.flatnonzero(np.diff(over.astype(np.int8)))
+    return [
+        Violation(quantity, float(s[a]), float(s[b - 1]), float(values[a:b].max()), allowed)
+        for a, b in zip(edges[::2], edges[1::2], strict=True)
+    ]

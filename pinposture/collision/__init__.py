@@ -1,0 +1,40 @@
+"""What is in the way: obstacles, the arm itself, and how far it is from both."""
+
+from pinposture.collision.clearance import Clearance, Closest, LeftOut, Nearness
+from pinposture.collision.obstacles import (
+    Box,
+    Capsule,
+    Cylinder,
+    HalfSpace,
+    Mesh,
+    Obstacle,
+    Sphere,
+    obstacle_from_dict,
+)
+from pinposture.collision.pipe import Bend, pipe, pipe_axis, pipe_walls
+from pinposture.collision.scan import Scan, ScanClearance, ScanGap, scan_clearance
+from pinposture.collision.scene import Scene
+
+__all__ = [
+    "Bend",
+    "Box",
+    "Capsule",
+    "Clearance",
+    "Closest",
+    "Cylinder",
+    "HalfSpace",
+    "LeftOut",
+    "Mesh",
+    "Nearness",
+    "Obstacle",
+    "Scan",
+    "ScanClearance",
+    "ScanGap",
+    "Scene",
+    "Sphere",
+    "obstacle_from_dict",
+    "pipe",
+    "pipe_axis",
+    "pipe_walls",
+    "scan_clearance",
+]

@@ -1,0 +1,484 @@
+"""How far an arm is from its surroundings and from itself, and which pairs of bodies are looked at."""
+
+from __future__ import annotations
+
+import threading
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from weakref import WeakKeyDictionary
+
+import coal
+import numpy as np
+import pinocchio as pin
+from numpy.lib.stride_tricks import as_strided
+from numpy.typing import ArrayLike, NDArray
+
+from pinposture._validation import finite_vector, is_count
+from pinposture.arm import Arm, ArmState
+from pinposture.arm.configurations import ConfigurationSpace
+from pinposture.collision.bodies import Body, bodies_of
+from pinposture.collision.distances import Contact, Distances, Narrow
+from pinposture.collision.obstacles import Solid, solid
+from pinposture.collision.scene import Scene
+from pinposture.errors import InvalidValue, PostureWarning
+
+if TYPE_CHECKING:
+    from pinposture.collision.scene import Scene
+
+
+# Where all joints of a model are, read at once.
+#
+# Pinocchio keeps the placements of the joints side by side in memory. Reading them one by one from Python
+# takes ten times as long as computing them, so two arrays are laid over that memory instead.
+
+Array = NDArray[np.float64]
+
+
+MOST = 300
+"""Degrees of freedom up to which there is memory: 2 GB."""
+
+
+class Placements(threading.local):
+    """Scratch data of a model, one for each thread.
+
+    Attributes:
+        data: the scratch data.
+        rotations: from joint to world frame, (njoints, 3, 3); changes with `data`.
+        positions: origins of the joints, (njoints, 3) [m], world frame; changes with `data`.
+    """
+
+    def __init__(self, model: pin.Model) -> None:
+        if model.nv > MOST:
+            allowed = f"an arm of at most {MOST}: Pinocchio's data take memory with the cube of their number"
+            raise InvalidValue("degrees of freedom of an arm in a scene", model.nv, allowed)
+        self.data = model.createData()
+        self.rotations = _side_by_side([placement.rotation for placement in self.data.oMi])
+        self.positions = _side_by_side([placement.translation for placement in self.data.oMi])
+
+
+_PLACEMENTS: WeakKeyDictionary[Arm, Placements] = WeakKeyDictionary()
+
+
+def placements_of(arm: Arm) -> Placements:
+    """The scratch data of an arm, the same for all scenes: it takes a second to make for 200 joints.
+
+    What it holds counts until it is next asked for in the same thread.
+    """
+    if arm not in _PLACEMENTS:
+        _PLACEMENTS[arm] = Placements(arm.model)
+    return _PLACEMENTS[arm]
+
+
+def _side_by_side(views: list[Array]) -> Array:
+    """One array over arrays that lie in memory at equal distances."""
+    places = np.array([view.__array_interface__["data"][0] for view in views])
+    step = int(places[1] - places[0])
+    if np.any(np.diff(places) != step) or len({view.strides for view in views}) != 1:
+        raise RuntimeError("Pinocchio does not keep placements side by side; another version than tested")
+    first = views[0]
+    return as_strided(first, (len(views), *first.shape), (step, *first.strides), writeable=False)
+
+
+# Which pairs of solids are looked at, and which cannot be told apart by any motion of the arm.
+#
+# Left out are * bodies on one joint, and bodies on joints that follow each other: they touch where they are
+# joined; * bodies of the arm that are nearer to each other than twice the margin where the arm is stretched
+# farthest, or at its neutral configuration: links so thick or so short that their neighbours' neighbours
+# touch, tubes that slide in one another, meshes that overlap as they were made. Had they to keep clear, the
+# arm could not even stand straight; * an obstacle that the arm is mounted on: one within the margin of an
+# end of a body that no joint moves; * bodies that no joint moves, against obstacles; * pairs that are within
+# the margin in every posture that is tried, the straight one and many arbitrary ones: something beside the
+# base, that the first links pass however the arm bends. These are also warned of. If the last body is among
+# them, the arm is inside of an obstacle, and nothing is left out.
+
+IndexPair: TypeAlias = tuple[int, int]
+
+POSTURES = 40
+"""Arbitrary postures that are tried before a pair counts as one that can never keep the margin."""
+
+STRETCHED = 2.0
+"""Bodies nearer than this many margins where the arm is straight are left out."""
+ALWAYS_CLOSE = "within the margin however the arm bends"
+"""Why a pair is left out that is also warned of."""
+
+_STILL = 1e-9
+"""How far a point may move that does not move, relative to the arm."""
+
+
+class LeftOut(NamedTuple):
+    """A pair whose distance is not looked at, though neither one joint nor a common one holds it together.
+
+    Attributes:
+        first: name of the body.
+        second: name of the other body, or of the obstacle.
+        reason: why.
+    """
+
+    first: str
+    second: str
+    reason: str
+
+
+def self_pairs(model: pin.Model, bodies: Sequence[Body]) -> Iterator[IndexPair]:
+    """The pairs of bodies that can move against each other and are not joined by one joint."""
+    for second, other in enumerate(bodies):
+        for first, body in enumerate(bodies[:second]):
+            joints = (body.joint, other.joint)
+            joined = any(a == b or int(model.parents[a]) == b for a, b in (joints, joints[::-1]) if a or b)
+            if not joined and joints != (0, 0):
+                # The one nearer to the tip comes first: it is the one that moves away.
+                yield (second, first) if other.joint >= body.joint else (first, second)
+
+
+def choose_pairs(
+    arm: Arm,
+    places: Placements,
+    bodies: Sequence[Body],
+    solids: Sequence[Solid],
+    obstacles: Mapping[str, Solid],
+    scene: Scene,
+) -> tuple[list[IndexPair], dict[IndexPair, str]]:
+    """The pairs to look at, by the rules above.
+
+    Args:
+        arm: the arm.
+        places: scratch data of its model.
+        bodies: its bodies.
+        solids: the same as solids.
+        obstacles: the obstacles.
+        scene: what the pairs are for.
+
+    Returns:
+        Pairs of a body and another, or of a body and the number of bodies plus that of an obstacle; and those
+        left out, with the reason.
+    """
+    fixed, count = list(obstacles.values()), len(bodies)
+    standing = _mounted(arm, places, bodies, solids, fixed, scene.margin)
+    left_out = dict.fromkeys(sorted(standing), "the arm is mounted on it")
+    moving = [index for index, body in enumerate(bodies) if body.joint]
+    against = [(index, count + k) for index in moving for k in range(len(fixed))]
+    own = list(self_pairs(arm.model, bodies)) if scene.self_collision else []
+    near = Distances(solids, [body.joint for body in bodies], [], own)
+    touching = set[IndexPair]()
+    for q in (arm.straight(), arm.neutral()):
+        pin.forwardKinematics(arm.model, places.data, q)
+        limit = STRETCHED * scene.margin + _STILL * arm.length
+        found, _ = near.near(places.rotations, places.positions, limit)
+        touching |= {(int(near.first[k]), int(near.second[k])) for k, _ in found}
+    left_out |= dict.fromkeys(sorted(touching), "near each other where the arm is straight or neutral")
+    left = [pair for pair in (*against, *own) if pair not in left_out]
+    close = dict.fromkeys(_always_close(arm, places, bodies, solids, fixed, left, scene.margin), ALWAYS_CLOSE)
+    return [pair for pair in left if pair not in close], left_out | close
+
+
+def _always_close(
+    arm: Arm,
+    places: Placements,
+    bodies: Sequence[Body],
+    solids: Sequence[Solid],
+    fixed: Sequence[Solid],
+    pairs: Sequence[IndexPair],
+    margin: float,
+) -> list[IndexPair]:
+    """Pairs that are nearer than the margin in every posture that is tried."""
+    rng, left = np.random.default_rng(0), list(pairs)
+    postures = (arm.straight(), arm.neutral(), *(arm.random(rng) for _ in range(POSTURES)))
+    for q in postures:
+        if not left:
+            break
+        distances = Distances(solids, [body.joint for body in bodies], fixed, left)
+        pin.forwardKinematics(arm.model, places.data, q)
+        found, _ = distances.near(places.rotations, places.positions, margin)
+        left = [(int(distances.first[k]), int(distances.second[k])) for k in sorted(k for k, _ in found)]
+    # What not even the tip comes clear of is no neighbour of the base: the arm is inside of it.
+    around_all = {second for first, second in left if second >= len(bodies) and first == len(bodies) - 1}
+    return [pair for pair in left if pair[1] not in around_all]
+
+
+def _mounted(
+    arm: Arm,
+    places: Placements,
+    bodies: Sequence[Body],
+    solids: Sequence[Solid],
+    fixed: Sequence[Solid],
+    margin: float,
+) -> set[IndexPair]:
+    """Pairs of a body and an obstacle that some point of the body never moves away from."""
+    ends = np.array([[each.start, each.end] for each in solids]).reshape(-1, 2, 3)
+    joints, rng, found = [body.joint for body in bodies], np.random.default_rng(0), []
+    for q in (arm.neutral(), arm.random(rng), arm.random(rng)):
+        pin.forwardKinematics(arm.model, places.data, q)
+        turns, shifts = places.rotations[joints], places.positions[joints]
+        found.append(ends @ turns.swapaxes(1, 2) + shifts[:, None])
+    still = np.ptp(found, axis=0).max(axis=2) <= _STILL * arm.length  # (bodies, 2)
+    narrow, pairs = Narrow(), set()
+    for body, end in np.argwhere(still & (np.array(joints) > 0)[:, None]):
+        radius = solids[body].radius if solids[body].round else 1e-3 * _STILL * arm.length
+        ball, at = coal.Sphere(radius), coal.Transform3s(np.eye(3), found[0][body, end])
+        for k, each in enumerate(fixed):
+            there = coal.Transform3s(each.rotation, each.position)
+            if narrow.distance((ball, at, each.geometry, there)) <= margin:
+                pairs.add((int(body), len(bodies) + k))
+    return pairs
+
+
+# Which way out, where the distance of two solids does not say.
+#
+# Where the axes of two capsules meet, every direction across both is equally short; and a planar arm that
+# crosses something in its plane would be shorter out of the plane, where it cannot go.
+
+_SMALL = 1e-9
+
+
+def escape_direction(first: Array, second: Array, plane: Array) -> Array:
+    """The direction of the shortest translation that takes one line from another, across both if it can be.
+
+    Args:
+        first: ends of the line that is to move, (2, 3) [m].
+        second: ends of the line that it meets, (2, 3) [m].
+        plane: orthonormal directions in which it can move, (2, 3) or (3, 3).
+
+    Returns:
+        Unit vector in the span of `plane`, (3,); the same for the same arguments.
+    """
+    moving, still = first @ plane.T, second @ plane.T
+    u, v = moving[1] - moving[0], still[1] - still[0]
+    size = max(float(np.linalg.norm(u)), float(np.linalg.norm(v)), 1e-300)
+    apart = moving.mean(axis=0) - still.mean(axis=0)
+    if len(plane) == 2:
+        across = [np.array([-line[1], line[0]]) for line in (u, v)]
+        directions = [line / np.linalg.norm(line) for line in across if np.linalg.norm(line) > _SMALL * size]
+        if not directions:  # both are points in the plane
+            gap = float(np.linalg.norm(apart))
+            return np.asarray((apart / gap if gap > 0.0 else np.array([1.0, 0.0])) @ plane)
+        return np.asarray(_shortest(moving, still, directions) @ plane)
+    normal = np.cross(u, v)
+    if np.linalg.norm(normal) <= _SMALL * size * size:  # parallel: across the line, from middle to middle
+        line = (u if np.linalg.norm(u) >= np.linalg.norm(v) else v) / size
+        normal = apart - line * (line @ apart)
+        if np.linalg.norm(normal) <= _SMALL * size:
+            normal = np.cross(line, np.eye(3)[np.argmin(np.abs(line))])
+            if np.linalg.norm(normal) == 0.0:  # two points in one place
+                normal = np.array([0.0, 0.0, 1.0])
+    return np.asarray((normal / np.linalg.norm(normal)) @ plane)
+
+
+def _shortest(moving: Array, still: Array, directions: list[Array]) -> Array:
+    """Of several directions and their opposites, the one along which the lines are soonest apart."""
+    best, least = directions[0], np.inf
+    for direction in directions:
+        for sign in (1.0, -1.0):
+            way = sign * direction
+            needed = float((still @ way).max() - (moving @ way).min())
+            if needed < least - 1e-12:
+                best, least = way, needed
+    return best
+
+
+# How far an arm is from what surrounds it, and from itself.
+
+Pair = tuple[str, str]
+
+MENTIONED = 4
+"""How many pairs a warning lists."""
+
+IN_PLANE = 1e-3
+"""Share of a normal in the plane of a planar arm below which the arm is shown another way out."""
+
+
+class Closest(NamedTuple):
+    """The pair that is nearest to each other, or deepest in each other.
+
+    Attributes:
+        distance: between their surfaces, negative where they overlap [m]; infinite if there is no pair.
+        pair: names of the body and of the obstacle or the other body; None if there is no pair.
+    """
+
+    distance: float
+    pair: Pair | None
+
+
+class Nearness(NamedTuple):
+    """The pairs that are near, nearest first, and how their distances change.
+
+    Attributes:
+        distances: between their surfaces, negative where they overlap, (k,) [m].
+        rows: change of each distance with the joint displacement, (k, nv) [m/rad or m/m]. Where a distance
+            has no derivative, or a planar arm could only leave its plane, the direction that leads out.
+        pairs: names of the body and of the obstacle or the other body, k of them. A body of several solids
+            may have several rows with one name.
+        points: point of the body nearest to the other, (k, 3) [m], world frame.
+        normals: unit vector in which the body moves straight away, (k, 3), world axes.
+        minimum: the smallest of the distances of all pairs, near or not, exactly [m]; infinite without pairs.
+        pair: the pair that has it; None if there is no pair.
+    """
+
+    distances: Array
+    rows: Array
+    pairs: tuple[Pair, ...]
+    points: Array
+    normals: Array
+    minimum: float
+    pair: Pair | None
+
+
+class Clearance:
+    """The distances between a scene and an arm; make one with `Scene.around`. May be shared between threads.
+
+    Distances are exact: closed forms for balls and capsules among themselves and against half-spaces, coal
+    for everything else. Bounds of all pairs decide which of them need be asked for.
+
+    Attributes:
+        scene: the scene.
+        bodies: names of the bodies of the arm, from base to tip.
+        pairs: names of all pairs that are looked at.
+        left_out: pairs that are not, because no motion could tell them apart, or they touch where the arm
+            is straight; bodies next to each other are not even listed.
+    """
+
+    def __init__(self, scene: Scene, arm: Arm) -> None:
+        # Not the arm itself: it would never be forgotten by what remembers clearances by arm.
+        self.scene = scene
+        self._model, self._plane = arm.model, np.array(arm.plane)
+        self._space, self._places = ConfigurationSpace(arm.model), placements_of(arm)
+        bodies = bodies_of(arm, scene.arm_radius)
+        self._solids = [solid(body.shape) for body in bodies]
+        obstacles = {name: solid(obstacle) for name, obstacle in scene.obstacles.items()}
+        self.bodies = tuple(body.name for body in bodies)
+        names = (*self.bodies, *obstacles)
+        chosen, left_out = choose_pairs(arm, self._places, bodies, self._solids, obstacles, scene)
+        self.left_out = tuple(LeftOut(names[a], names[b], why) for (a, b), why in left_out.items())
+        close = [f"{each.first} to {each.second}" for each in self.left_out if each.reason == ALWAYS_CLOSE]
+        if close:
+            named = ", ".join(close[:MENTIONED]) + (
+                f" and {len(close) - MENTIONED} more pairs" if close[MENTIONED:] else ""
+            )
+            text = f"{named}: {ALWAYS_CLOSE}; nothing keeps them apart (margin {scene.margin:g} m)"
+            warnings.warn(text, PostureWarning, stacklevel=4)
+        joints = [body.joint for body in bodies]
+        self._distances = Distances(self._solids, joints, list(obstacles.values()), chosen)
+        first, second = self._distances.first, self._distances.second
+        self.pairs = tuple((names[a], names[b]) for a, b in zip(first, second, strict=True))
+        moved = np.vstack([_moved(arm.model)[joints], np.zeros((len(obstacles), arm.nv))])
+        # A joint that carries both bodies of a pair moves neither of them against the other.
+        self._effect = moved[first] - moved[second]  # (n, nv)
+
+    def nearest(self, state: ArmState, within: float) -> Nearness:
+        """The pairs nearer than a distance, and how their distances change with the joints.
+
+        Args:
+            state: a state of the arm.
+            within: how near [m]; may be infinite.
+
+        Raises:
+            InvalidValue: a state of another arm, or not a distance.
+        """
+        if not isinstance(state, ArmState) or state.arm.model is not self._model:
+            raise InvalidValue("state", state, "a state of the arm that the scene was put around")
+        if not (isinstance(within, (int, float, np.floating)) and within >= 0.0):
+            raise InvalidValue("within", within, "a distance of at least 0 [m]")
+        spatial = np.reshape(pin.computeJointJacobians(self._model, self._places.data, state.q), (6, -1))
+        turns, shifts = self._places.rotations, self._places.positions
+        near, nearest = self._distances.near(turns, shifts, float(within))
+        near = [(k, self._with_normal(k, contact, turns, shifts)) for k, contact in near]
+        chosen = [k for k, _ in near]
+        normals = np.array([contact.normal for _, contact in near]).reshape(-1, 3)
+        points = np.array([contact.point for _, contact in near]).reshape(-1, 3)
+        # d/dt of n . p for a point p of a body that the columns (v, w) of the spatial Jacobian move.
+        rows = (normals @ spatial[:3] + np.cross(points, normals) @ spatial[3:]) * self._effect[chosen]
+        best = self._closest(*nearest)
+        return Nearness(
+            distances=np.array([contact.distance for _, contact in near]),
+            rows=rows,
+            pairs=tuple(self.pairs[k] for k in chosen),
+            points=points,
+            normals=normals,
+            minimum=best.distance,
+            pair=best.pair,
+        )
+
+    def minimum(self, q: ArrayLike) -> Closest:
+        """The smallest of the distances of all pairs at a configuration.
+
+        Args:
+            q: configuration, (nq,) [rad or m].
+
+        Raises:
+            InvalidValue: q has the wrong size or is not finite.
+        """
+        pin.forwardKinematics(self._model, self._places.data, self._space.checked(q))
+        places = self._places
+        return self._closest(*self._distances.minimum(places.rotations[None], places.positions[None]))
+
+    def minimum_between(self, q0: ArrayLike, dq: ArrayLike, samples: int = 10) -> Closest:
+        """The smallest distance on the way from a configuration along a joint displacement.
+
+        Args:
+            q0: where the way begins, (nq,) [rad or m].
+            dq: the displacement, (nv,) [rad or m].
+            samples: at how many configurations: equally spaced, the end among them, the beginning not.
+
+        Raises:
+            InvalidValue: a vector of the wrong size or not finite, or no samples.
+        """
+        if not is_count(samples):
+            raise InvalidValue("samples", samples, "a whole number of at least 1")
+        start, way = self._space.checked(q0, "q0"), finite_vector("dq", dq, self._model.nv)
+        return self.minimum_along(start, way * (np.arange(1, samples + 1)[:, None] / samples))
+
+    def minimum_along(self, q0: Array, offsets: Array, below: float = np.inf) -> Closest:
+        """The smallest distance at several configurations.
+
+        Args:
+            q0: a configuration, (nq,) [rad or m], as `Arm.checked` returns it.
+            offsets: displacements from it, (s, nv) [rad or m], s > 0.
+            below: distances that matter [m]: if none is smaller, some larger one is returned, or none, which
+                takes less time.
+        """
+        places, samples = self._places, len(offsets)
+        turns = np.empty((samples, *places.rotations.shape))
+        shifts = np.empty((samples, *places.positions.shape))
+        for i, offset in enumerate(offsets):
+            pin.forwardKinematics(self._model, places.data, self._space.integrate(q0, offset))
+            turns[i], shifts[i] = places.rotations, places.positions
+        return self._closest(*self._distances.minimum(turns, shifts, below))
+
+    def _closest(self, distance: float, pair: int) -> Closest:
+        return Closest(distance, self.pairs[pair] if pair >= 0 else None)
+
+    def _with_normal(self, pair: int, contact: Contact, turns: Array, shifts: Array) -> Contact:
+        """The contact with a normal along which the arm can leave."""
+        lost = not contact.normal.any()
+        if not lost and len(self._plane) == 2 and contact.distance < self.scene.margin:
+            lost = float(np.linalg.norm(self._plane @ contact.normal)) < IN_PLANE
+        if not lost:
+            return contact
+        moving, still = self._distances.axes(pair, turns, shifts)
+        return contact._replace(normal=escape_direction(moving, still, self._plane))
+
+
+_CLEARANCES: WeakKeyDictionary[Arm, dict[Scene, Clearance]] = WeakKeyDictionary()
+_MOST = 16  # scenes around one arm that are remembered
+
+
+def clearance_of(scene: Scene, arm: Arm) -> Clearance:
+    """The clearance of a scene and an arm; remembered as long as the arm lives. See `Scene.around`."""
+    if not isinstance(arm, Arm):
+        raise InvalidValue("arm", arm, "an Arm")
+    known = _CLEARANCES.setdefault(arm, {})
+    if scene not in known:
+        if len(known) >= _MOST:
+            known.clear()
+        known[scene] = Clearance(scene, arm)
+    return known[scene]
+
+
+def _moved(model: pin.Model) -> Array:
+    """1 where a degree of freedom moves a joint's frame, else 0, (njoints, nv)."""
+    moved = np.zeros((model.njoints, model.nv))
+    for joint in range(1, model.njoints):
+        for above in list(model.supports[joint])[1:]:  # the first is the world
+            start = model.joints[above].idx_v
+            moved[joint, start : start + model.joints[above].nv] = 1.0
+    return moved

@@ -1,0 +1,455 @@
+"""A scanned workspace: a point cloud or a surface."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field
+from functools import cached_property
+from numbers import Real
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from pinposture._validation import LARGEST_LENGTH, SMALLEST_LENGTH, is_count, length
+from pinposture.arm import Arm
+from pinposture.arm.configurations import ConfigurationSpace
+from pinposture.collision.bodies import Body, bodies_of
+from pinposture.collision.clearance import LeftOut, placements_of
+from pinposture.collision.obstacles import Sphere, solid
+from pinposture.collision.scan_distances import ScanDistances, ScanTree
+from pinposture.collision.scan_files import read_scan
+from pinposture.errors import FileError, InvalidValue, PostureWarning
+
+if TYPE_CHECKING:
+    from pinposture.arm import Arm
+
+
+# Checks of the arrays that a scan is made of.
+
+Array = NDArray[np.float64]
+
+MOST = 5_000_000
+"""The most points, and the most triangles, of a scan."""
+
+
+def checked_points(values: ArrayLike) -> Array:
+    """A fresh array of points, (n, 3), finite or not.
+
+    Raises:
+        InvalidValue: not numbers, another shape, or too many.
+    """
+    try:
+        points = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InvalidValue("points", values, "points, (n, 3) [m]") from None
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InvalidValue("points (shape)", points.shape, "(n, 3)")
+    if len(points) > MOST:
+        raise InvalidValue("points (number)", len(points), f"at most {MOST}")
+    return points
+
+
+def checked_faces(values: ArrayLike, count: int) -> NDArray[np.int32]:
+    """A fresh array of triangles, (k, 3), whose corners are among so many points.
+
+    Raises:
+        InvalidValue: not whole numbers, another shape, too many, or corners that there are not.
+    """
+    try:
+        faces = np.array(values)
+    except (TypeError, ValueError):
+        faces = np.zeros(0)
+    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
+        raise InvalidValue("faces", values, "triangles, (k, 3), as whole numbers of points; None for a cloud")
+    if len(faces) > MOST:
+        raise InvalidValue("faces (number)", len(faces), f"at most {MOST}")
+    if faces.size and (faces.min() < 0 or faces.max() >= count):
+        wrong = int(faces.min() if faces.min() < 0 else faces.max())
+        raise InvalidValue("faces", wrong, f"numbers of points, 0 to {count - 1}")
+    return faces.astype(np.int32)
+
+
+def checked_colors(values: ArrayLike, count: int) -> NDArray[np.uint8]:
+    """A fresh array of colours of so many points, (n, 3), 0 to 255.
+
+    Args:
+        values: whole numbers from 0 to 255, or others from 0 to 1.
+        count: how many points there are.
+
+    Raises:
+        InvalidValue: not numbers, another shape, or out of these ranges.
+    """
+    try:
+        colors = np.array(values)
+    except (TypeError, ValueError):
+        colors = np.zeros(0)
+    if colors.shape != (count, 3) or colors.dtype.kind not in "iuf":
+        raise InvalidValue("colors", values, f"red, green and blue of each point, {(count, 3)}")
+    most = 1.0 if colors.dtype.kind == "f" else 255
+    if colors.size and not (colors.min() >= 0 and colors.max() <= most):
+        raise InvalidValue("colors", values, "whole numbers from 0 to 255, or others from 0 to 1")
+    return np.round(colors * (255.0 if most == 1.0 else 1.0)).astype(np.uint8)
+
+
+# A few of many points that lie as the many do: one in each of many cubes.
+
+_ENOUGH = 0.8
+"""Share of the points that may be left below which smaller cubes are tried."""
+_TRIES = 12
+_CELLS = 2**20
+"""The most cubes along an axis, so that three numbers of cubes fit into one."""
+
+
+def representatives(points: Array, count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Choose at most so many points that there is one in each cube that has any.
+
+    Args:
+        points: the points, more than `count` of them, (n, 3) [m].
+        count: how many, at least 1.
+
+    Returns:
+        Indices of those that are kept, (c,), and for each of the points which of these is in its cube, (n,).
+    """
+    low, width = points.min(axis=0), float(np.ptp(points, axis=0).max())
+    best = np.zeros(1, dtype=np.intp), np.zeros(len(points), dtype=np.intp)
+    if width == 0.0 or count == 1:
+        return best
+    # On a surface the number of cubes goes with the square of their number along an edge.
+    least, most, cells = 0.5, float(_CELLS), min(np.sqrt(count), _CELLS)
+    for _ in range(_TRIES):
+        found = _in_cubes(points, low, width, cells)
+        if len(found[0]) > count:
+            most = cells
+        else:
+            least = cells
+            if len(found[0]) > len(best[0]):
+                best = found
+            if len(best[0]) >= _ENOUGH * count:
+                break
+        guess = cells * np.sqrt(0.9 * count / len(found[0]))
+        cells = guess if least < guess < most else (least + most) / 2.0
+    return best
+
+
+def between_cubes(faces: NDArray[np.integer], cubes: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Triangles from cube to cube; those within one or two, and those that are there already, are left out.
+
+    Args:
+        faces: triangles as indices of points, (t, 3).
+        cubes: which cube each point is in, (n,), as from `representatives`.
+    """
+    moved = cubes[faces]
+    moved = moved[(moved != np.roll(moved, 1, axis=1)).all(axis=1)]
+    _, first = np.unique(np.sort(moved, axis=1), axis=0, return_index=True)
+    return np.asarray(moved[np.sort(first)])
+
+
+def _in_cubes(
+    points: Array, low: Array, width: float, cells: float
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The first point in each cube of an edge `width / cells`, and for each point which of these it is."""
+    at = np.minimum((points - low) * (cells / width), _CELLS).astype(np.int64)
+    keys = (at[:, 0] << 42) | (at[:, 1] << 21) | at[:, 2]
+    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    return first, inverse.reshape(-1)
+
+
+# A scanned workspace: a cloud of points or a surface, to be shown and to tell distances from.
+
+WIDE = 30.0
+"""A scan that is wider than this is warned of [m]: its unit is probably another."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """A surface or a cloud of points that a scanner saw, world frame.
+
+    A scan is shown, and the distance of an arm from it is told (`around`). It is no obstacle: controllers do
+    not keep clear of it. What they are to keep clear of belongs into a `Scene`.
+
+    Points that are not finite, which scanners write where they saw nothing, are left out and counted, and so
+    are the triangles that have them for corners.
+
+        scan = pp.scene.Scan.load("workshop.ply")
+        gap = scan.around(arm).minimum(q)
+
+    Attributes:
+        points: the points, or the corners of the triangles, (n, 3) [m]; read-only.
+        faces: triangles as indices of points, (k, 3); read-only. None for a cloud of points.
+        colors: red, green and blue of the points, (n, 3) uint8; read-only. None if there are none. Given as
+            whole numbers from 0 to 255, or as others from 0 to 1.
+        name: what to call it.
+        path: the file that it was loaded from, if any.
+        dropped: how many points were left out.
+    """
+
+    points: Array = field(repr=False)
+    faces: NDArray[np.int32] | None = field(default=None, repr=False)
+    colors: NDArray[np.uint8] | None = field(default=None, repr=False)
+    name: str = "scan"
+    path: Path | None = None
+    dropped: int = field(init=False, default=0)
+
+    def __post_init__(self) -> None:
+        points = checked_points(self.points)
+        colors = None if self.colors is None else checked_colors(self.colors, len(points))
+        faces = None if self.faces is None else checked_faces(self.faces, len(points))
+        if not isinstance(self.name, str) or not self.name.strip() or not self.name.isprintable():
+            raise InvalidValue("name", self.name, "printable text that is not blank")
+        finite = np.asarray(np.isfinite(points).all(axis=1))
+        dropped = int(len(points) - finite.sum())
+        if dropped:
+            points = points[finite]
+            colors = None if colors is None else colors[finite]
+            if faces is not None:
+                faces = (np.cumsum(finite) - 1)[faces[finite[faces].all(axis=1)]].astype(np.int32)
+        if not len(points):
+            given = "none" if not dropped else f"{dropped} points, none of them finite"
+            raise InvalidValue("points", given, "at least one finite point")
+        if faces is not None and not len(faces):
+            raise InvalidValue("faces", "no triangle with finite corners", "at least one; None for a cloud")
+        farthest = float(np.abs(points).max())
+        if farthest > LARGEST_LENGTH:
+            allowed = f"at most {LARGEST_LENGTH:g} m; scale 0.001 makes metres of millimetres"
+            raise InvalidValue("points (largest coordinate)", farthest, allowed)
+        width = float(np.ptp(points, axis=0).max())
+        if width > WIDE:
+            text = (
+                f"{self.name} is {width:.4g} m wide; if its unit is the millimetre, load it with scale=0.001"
+            )
+            warnings.warn(text, PostureWarning, stacklevel=3)
+        for key, value in (("points", points), ("faces", faces), ("colors", colors)):
+            if value is not None:
+                value.flags.writeable = False
+            object.__setattr__(self, key, value)
+        object.__setattr__(self, "dropped", dropped)
+
+    @classmethod
+    def load(cls, path: str | Path, scale: float = 1.0) -> Scan:
+        """Read a scan from a file.
+
+        Clouds of points: .ply, .pcd (ascii, binary), .xyz, .txt and .csv (columns named x, y and z, else the
+        first three), .npy, .npz (`points`, with `faces` and `colors` if it likes). Surfaces: .ply, .stl,
+        .obj, .off, .glb. Axes are left as they are in the file; in .glb files y commonly points up.
+
+        Args:
+            path: the file.
+            scale: factor of its coordinates, such as 0.001 for a file in millimetres.
+
+        Raises:
+            FileError: missing, of another format, malformed, without any finite point, too large, or with
+                coordinates beyond reason.
+            InvalidValue: not a factor.
+        """
+        if not isinstance(path, (str, PathLike)):
+            raise InvalidValue("path", path, "the name of a file")
+        if (
+            not isinstance(scale, Real)
+            or isinstance(scale, bool)
+            or not SMALLEST_LENGTH <= scale <= LARGEST_LENGTH
+        ):
+            raise InvalidValue("scale", scale, f"a factor of {SMALLEST_LENGTH:g} to {LARGEST_LENGTH:g}")
+        path = Path(path)
+        read = read_scan(path)
+        with np.errstate(over="ignore"):
+            points = read.points * float(scale)
+        try:
+            return cls(points, read.faces, read.colors, path.name, path)
+        except InvalidValue as error:
+            raise FileError(path, str(error)) from error
+
+    def thinned(self, count: int) -> Scan:
+        """The same scan with fewer points, for display.
+
+        Space is cut into cubes, and of each cube that has points one of them is kept; triangles go from cube
+        to cube, and those within one or two are left out. It is not for distances: what is left out is gone.
+
+        Args:
+            count: the most points that may be left.
+
+        Returns:
+            This scan if it has no more; else another, whose `dropped` is 0.
+
+        Raises:
+            InvalidValue: not a whole number of at least 1, or too few for a surface to have triangles left.
+        """
+        if not is_count(count):
+            raise InvalidValue("count", count, "a whole number of at least 1")
+        if len(self.points) <= count:
+            return self
+        kept, cubes = representatives(self.points, int(count))
+        faces: NDArray[np.int32] | None = None
+        if self.faces is not None:
+            faces = between_cubes(self.faces, cubes).astype(np.int32)
+            if not len(faces):
+                raise InvalidValue(
+                    "count", count, "more points; with so few no triangle of the surface is left"
+                )
+        colors = None if self.colors is None else self.colors[kept]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PostureWarning)  # of its width was warned before
+            return Scan(self.points[kept], faces, colors, self.name, self.path)
+
+    def around(self, arm: Arm, arm_radius: float | None = None) -> ScanClearance:
+        """What tells the distance of an arm from this scan; takes a moment to prepare, so keep it.
+
+        Args:
+            arm: the arm.
+            arm_radius: radius of capsules that stand in for whatever its description says [m], as in `Scene`;
+                if None, that.
+
+        Raises:
+            InvalidValue: not an arm, or one of too many degrees of freedom; not a radius.
+        """
+        return ScanClearance(self, arm, arm_radius)
+
+    @cached_property
+    def tree(self) -> ScanTree:
+        """The points or triangles by where they are; made when first asked for."""
+        return ScanTree(self.points[:, None] if self.faces is None else self.points[self.faces])
+
+    def __repr__(self) -> str:
+        surface = "" if self.faces is None else f", {len(self.faces)} triangles"
+        dropped = f", {self.dropped} dropped" if self.dropped else ""
+        return f"Scan({self.name!r}, {len(self.points)} points{surface}{dropped})"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        parts = self.points, self.faces, self.colors, self.name, self.path, self.dropped
+        return _restored, parts
+
+
+def _restored(points: Array, faces: Any, colors: Any, name: str, path: Path | None, dropped: int) -> Scan:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PostureWarning)
+        scan = Scan(points, faces, colors, name, path)
+    object.__setattr__(scan, "dropped", dropped)
+    return scan
+
+
+# How far an arm is from a scan of what surrounds it.
+
+MOUNTED = 0.01
+"""How near a scan has to be to where the arm is fixed to count as what it is mounted on [m]."""
+
+_STILL = 1e-9
+"""How far a point may move that does not move, relative to the arm."""
+
+
+class ScanGap(NamedTuple):
+    """Where an arm is nearest to a scan.
+
+    Attributes:
+        distance: from the surface of the arm to the nearest point of the scan [m]. Negative where points of
+            the scan are inside of the arm: how deep the deepest lies. Infinite if no body is looked at.
+        body: name of the body that is nearest; None if no body is looked at.
+        on_arm: the point of its surface, (3,) [m], world frame; None likewise.
+        on_scan: the point of the scan, (3,) [m], world frame; None likewise.
+    """
+
+    distance: float
+    body: str | None
+    on_arm: Array | None
+    on_scan: Array | None
+
+
+class ScanClearance:
+    """The distance of an arm from a scan; make one with `Scan.around`. May be shared between threads.
+
+    It is exact, for points and for triangles; how deep a triangle goes into a body that is neither a ball nor
+    a capsule is found to within 0.01 mm.
+
+    Attributes:
+        bodies: names of the bodies that are looked at, from base to tip.
+        left_out: bodies that are not: those that no joint moves, and those that have a point that stands
+            still within `MOUNTED` of the scan, which is what the arm is mounted on.
+    """
+
+    def __init__(self, scan: Scan, arm: Arm, arm_radius: float | None = None) -> None:
+        # Neither the arm nor the scan itself: what remembers clearances by them would never forget them.
+        if not isinstance(arm, Arm):
+            raise InvalidValue("arm", arm, "an Arm")
+        radius = None if arm_radius is None else length("arm_radius", arm_radius)
+        self._model, self._space, self._places = (
+            arm.model,
+            ConfigurationSpace(arm.model),
+            placements_of(arm),
+        )
+        listed = bodies_of(arm, radius)
+        moved = [body for body in listed if body.joint]
+        standing = self._standing(scan, arm, moved)
+        reasons = {body.name: "no joint moves it" for body in listed if not body.joint}
+        reasons |= {moved[k].name: "the arm is mounted on the scan" for k in standing}
+        self.left_out = tuple(LeftOut(name, scan.name, why) for name, why in reasons.items())
+        left = [body for k, body in enumerate(moved) if k not in standing]
+        self.bodies = tuple(body.name for body in left)
+        self._joints = [body.joint for body in left]
+        self._distances = ScanDistances([body.shape for body in left], scan.tree) if left else None
+
+    def minimum(self, q: ArrayLike) -> ScanGap:
+        """How far the arm is from the scan at a configuration, and where.
+
+        Args:
+            q: configuration, (nq,) [rad or m].
+
+        Raises:
+            InvalidValue: q has the wrong size or is not finite.
+        """
+        pin.forwardKinematics(self._model, self._places.data, self._space.checked(q))
+        if self._distances is None:
+            return ScanGap(np.inf, None, None, None)
+        turns, shifts = self._places.rotations[self._joints], self._places.positions[self._joints]
+        found = self._distances.nearest(turns, shifts)
+        return ScanGap(found.distance, self.bodies[found.body], found.on_body, found.on_scan)
+
+    def _standing(self, scan: Scan, arm: Arm, bodies: list[Body]) -> set[int]:
+        """Indices of the bodies by which the arm is mounted on the scan."""
+        ends = np.array([[each.start, each.end] for each in (solid(body.shape) for body in bodies)])
+        joints, rng, found = [body.joint for body in bodies], np.random.default_rng(0), []
+        if not bodies:
+            return set()
+        for q in (arm.neutral(), arm.random(rng), arm.random(rng)):
+            pin.forwardKinematics(arm.model, self._places.data, q)
+            turns, shifts = self._places.rotations[joints], self._places.positions[joints]
+            found.append(ends @ turns.swapaxes(1, 2) + shifts[:, None])
+        still = np.ptp(found, axis=0).max(axis=2) <= _STILL * arm.length  # (bodies, 2)
+        mounted = set()
+        for body, end in np.argwhere(still):
+            shape = solid(bodies[body].shape)
+            ball = Sphere((0.0, 0.0, 0.0), shape.radius if shape.round else SMALLEST_LENGTH)
+            place = ScanDistances([ball], scan.tree).nearest(np.eye(3)[None], found[0][body, end][None])
+            if place.distance <= MOUNTED:
+                mounted.add(int(body))
+        return mounted
+
+
+_SCAN_CLEARANCES: WeakKeyDictionary[Scan, WeakKeyDictionary[Arm, dict[float | None, ScanClearance]]]
+_SCAN_CLEARANCES = WeakKeyDictionary()
+_MOST_POINTS = 16  # radii with which one arm is remembered
+
+
+def scan_clearance(arm: Arm, scan: Scan, q: ArrayLike, arm_radius: float | None = None) -> ScanGap:
+    """How far an arm is from a scan at a configuration, and where; what this takes to prepare is remembered.
+
+    Args:
+        arm: the arm.
+        scan: the scan.
+        q: configuration, (nq,) [rad or m].
+        arm_radius: as in `Scan.around`.
+
+    Raises:
+        InvalidValue: as in `Scan.around` and `ScanClearance.minimum`.
+    """
+    for name, value, kind in (("scan", scan, Scan), ("arm", arm, Arm)):
+        if not isinstance(value, kind):
+            raise InvalidValue(name, value, "an Arm" if kind is Arm else "a Scan")
+    known = _SCAN_CLEARANCES.setdefault(scan, WeakKeyDictionary()).setdefault(arm, {})
+    if arm_radius not in known:
+        if len(known) >= _MOST_POINTS:
+            known.clear()
+        known[arm_radius] = ScanClearance(scan, arm, arm_radius)
+    return known[arm_radius].minimum(q)

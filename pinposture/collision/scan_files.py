@@ -1,0 +1,461 @@
+"""Scan files: point clouds and surfaces in the common formats."""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.errors import FileError, PostureWarning
+from pinposture.storage import read_text
+
+# The files that hold scans: which reader each has, and those of plain numbers.
+
+Array = NDArray[np.float64]
+
+_ARRAYS = ("points", "faces", "colors")
+_COMMENTS = ("#", "//")
+
+
+class ReadScan(NamedTuple):
+    """What a file says, as it says it.
+
+    Attributes:
+        points: (n, 3), in the unit of the file, finite or not.
+        faces: triangles as indices of points, (k, 3); None for a cloud of points.
+        colors: of the points, (n, 3), 0 to 255 if they are whole numbers, else 0 to 1; None without.
+    """
+
+    points: Array
+    faces: NDArray[Any] | None = None
+    colors: NDArray[Any] | None = None
+
+
+def read_scan(path: Path) -> ReadScan:
+    """Read a file of one of the FORMATS.
+
+    Raises:
+        FileError: missing, of another format, or malformed; says what is wrong and what is allowed.
+    """
+    reader = SCAN_READERS.get(path.suffix.lower())
+    if reader is None:
+        raise FileError(path, f"the name ends in {path.suffix!r}; allowed: {', '.join(SCAN_READERS)}")
+    try:
+        if not path.is_file():
+            raise FileError(path, "is a directory" if path.is_dir() else "no such file")
+        return reader(path)
+    except MemoryError as error:
+        raise FileError(path, "does not fit into memory") from error
+    except OSError as error:
+        if isinstance(error, FileError):
+            raise
+        raise FileError(path, f"cannot be read ({error.strerror or error})") from error
+    except ValueError as error:  # a name with a null byte
+        raise FileError(path, f"cannot be read ({error})") from error
+
+
+def _read_text(path: Path) -> ReadScan:
+    """Lines of numbers between spaces, commas or semicolons; the first may name the columns."""
+    text = read_text(path)
+    start = _start(text)
+    if start is None:
+        raise FileError(path, f"holds no points; allowed: {_LINES}")
+    mark = next((mark for mark in (";", ",") if mark in start.first), None)
+    skipped, columns = start.number - 1, (0, 1, 2)
+    count = len(start.first.split(mark))
+    names = _names(start.comment, mark)
+    if not _are_numbers(start.first.split(mark)[:3]):
+        names, skipped = _names(start.first, mark), start.number
+        if not set(names) >= _XYZ:
+            raise FileError(path, f"line {start.number} is {_short(start.first)}; allowed: {_LINES}")
+    # A comment that names the columns names all of them.
+    if set(names) >= _XYZ and (skipped == start.number or len(names) == count):
+        columns = (names.index("x"), names.index("y"), names.index("z"))
+    try:
+        points = np.loadtxt(
+            io.StringIO(text),
+            delimiter=mark,
+            usecols=columns,
+            comments=_COMMENTS,
+            skiprows=skipped,
+            ndmin=2,
+        )
+    except (ValueError, IndexError) as error:
+        raise FileError(path, _fault(text, skipped, mark, columns) or str(error)) from None
+    return ReadScan(points)
+
+
+_LINES = "lines of three numbers or more, x y z first or where the line before them names x, y and z"
+_XYZ = {"x", "y", "z"}
+
+
+class _Start(NamedTuple):
+    """Where the lines of a text begin that say something.
+
+    Attributes:
+        number: of the first of them, from 1.
+        first: what it says.
+        comment: the last comment before it.
+    """
+
+    number: int
+    first: str
+    comment: str
+
+
+def _start(text: str) -> _Start | None:
+    comment = ""
+    for number, line in enumerate(io.StringIO(text), start=1):
+        said = _said(line)
+        if said:
+            return _Start(number, said, comment)
+        comment = line.strip().lstrip("#/").strip() or comment
+    return None
+
+
+def _names(line: str, mark: str | None) -> list[str]:
+    """Names of columns, without their units."""
+    words = line.split(mark if mark is not None and mark in line else None)
+    return [word.strip(' \t"').lower().partition("[")[0].partition("(")[0].strip() for word in words]
+
+
+def _said(line: str) -> str:
+    for comment in _COMMENTS:
+        line = line.partition(comment)[0]
+    return line.strip()
+
+
+def _fault(text: str, skipped: int, mark: str | None, columns: tuple[int, ...]) -> str:
+    """Which line is at fault, in words; nothing if none is."""
+    for number, line in enumerate(io.StringIO(text), start=1):
+        said = _said(line)
+        if said and number > skipped:
+            words = said.split(mark)
+            if len(words) <= max(columns) or not _are_numbers([words[column] for column in columns]):
+                return f"line {number} is {_short(said)}; allowed: {_LINES}"
+    return ""
+
+
+def _are_numbers(words: list[str]) -> bool:
+    try:
+        return len([float(word) for word in words]) > 0
+    except ValueError:
+        return False
+
+
+def _read_npy(path: Path) -> ReadScan:
+    try:
+        values = np.load(path, allow_pickle=False)
+    except Exception as error:  # a broken header makes numpy fail in any way
+        raise FileError(path, f"is no array that can be read ({error}); allowed: .npy of numbers") from error
+    return ReadScan(_rows(path, "the array", values))
+
+
+def _read_npz(path: Path) -> ReadScan:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+    except Exception as error:  # as above
+        reason = f"is no archive of arrays that can be read ({error}); allowed: .npz of numbers"
+        raise FileError(path, reason) from error
+    if "points" not in arrays:
+        if len(arrays) != 1:
+            listed = ", ".join(arrays) or "nothing"
+            raise FileError(
+                path, f"holds {listed}; allowed: an array points, with faces and colors if need be"
+            )
+        return ReadScan(_rows(path, *next(iter(arrays.items()))))
+    points = _rows(path, "points", arrays["points"])
+    return ReadScan(points, *(arrays.get(name) for name in _ARRAYS[1:]))
+
+
+def _rows(path: Path, name: str, values: NDArray[Any]) -> Array:
+    """Points from an array whose last axis holds x, y, z and maybe more; depth images have two more axes."""
+    if values.ndim not in (2, 3) or values.shape[-1] < 3 or values.dtype.kind not in "iuf":
+        found = f"{name} is {values.dtype} {values.shape}"
+        raise FileError(path, f"{found}; allowed: numbers, (n, 3) or (rows, columns, 3)")
+    return np.asarray(values[..., :3].reshape(-1, 3), dtype=np.float64)
+
+
+def _read_pcd(path: Path) -> ReadScan:
+
+    return ReadScan(*read_pcd(path))
+
+
+def _read_model(path: Path) -> ReadScan:
+
+    return ReadScan(*read_model(path))
+
+
+def _short(text: str) -> str:
+    return repr(text if len(text) < 60 else text[:57] + "...")
+
+
+SCAN_READERS: Mapping[str, Callable[[Path], ReadScan]] = MappingProxyType(
+    {
+        ".ply": _read_model,
+        ".pcd": _read_pcd,
+        ".xyz": _read_text,
+        ".csv": _read_text,
+        ".txt": _read_text,
+        ".npy": _read_npy,
+        ".npz": _read_npz,
+        ".stl": _read_model,
+        ".obj": _read_model,
+        ".off": _read_model,
+        ".glb": _read_model,
+    }
+)
+"""Readers by the ending of the name."""
+
+
+# Scans in the files of meshes, read by trimesh: surfaces, and clouds of points in those that hold them.
+
+_GREY = 180
+"""The colour of parts that have none in a file in which others have."""
+_LONGEST = 100_000
+"""Bytes within which the header of a PLY file has to be over."""
+
+
+class ScanPart(NamedTuple):
+    """One of the things in a file, or all of them.
+
+    Attributes:
+        points: (n, 3), in the unit of the file, finite or not.
+        faces: triangles as indices of points, (k, 3); None for a cloud.
+        colors: of the points, (n, 3); None if there are none.
+    """
+
+    points: Array
+    faces: NDArray[np.int64] | None
+    colors: NDArray[np.uint8] | None
+
+
+def read_model(path: Path) -> ScanPart:
+    """Points, triangles and colours of all that is in a file.
+
+    Raises:
+        FileError: malformed, with nothing in it, or with both triangles and loose points.
+    """
+    if path.suffix.lower() == ".ply":
+        _check_ply(path)
+    try:
+        import trimesh  # here, because most arms need no files
+
+        parts = trimesh.load_scene(path, process=False).dump()  # each where the file has it
+        surfaces = [_surface(part) for part in parts if isinstance(part, trimesh.Trimesh) and len(part.faces)]
+        clouds = [_cloud(part) for part in parts if isinstance(part, trimesh.PointCloud)]
+        # Triangles may be none, and what is left are their corners.
+        clouds += [
+            _cloud(part) for part in parts if isinstance(part, trimesh.Trimesh) and not len(part.faces)
+        ]
+    except Exception as error:  # a broken file makes a reader fail in any way
+        raise FileError(path, f"cannot be read: {str(error) or type(error).__name__}") from error
+    clouds = [part for part in clouds if len(part.points)]
+    if surfaces and clouds:
+        raise FileError(path, "holds both triangles and loose points; allowed: one of them")
+    if not surfaces and not clouds:
+        raise FileError(path, "holds neither triangles nor points, or is cut off")
+    for points, faces, _ in surfaces:
+        if faces is not None and not 0 <= faces.min() <= faces.max() < len(points):
+            raise FileError(path, "has triangles with corners that it does not hold")
+    return _shared(_joined(surfaces)) if surfaces else _joined(clouds)
+
+
+def _surface(part: Any) -> ScanPart:
+    faces = np.array(part.faces, dtype=np.int64)
+    return ScanPart(np.array(part.vertices, dtype=np.float64), faces, _colors(part))
+
+
+def _cloud(part: Any) -> ScanPart:
+    points = np.array(part.vertices, dtype=np.float64).reshape(-1, 3)
+    colors = np.array(getattr(part, "colors", ()))  # a surface without triangles has none
+    return ScanPart(
+        points, None, colors[:, :3].astype(np.uint8) if colors.shape == (len(points), 4) else None
+    )
+
+
+def _colors(part: Any) -> NDArray[np.uint8] | None:
+    """Colours of the corners of a surface, also where the file has them by triangle or as a picture."""
+    visual = part.visual
+    try:
+        if visual.kind == "texture":
+            visual = visual.to_color()
+        colors = np.array(visual.vertex_colors) if visual.kind in ("vertex", "face") else np.zeros(0)
+    except Exception:  # a picture that is not there: the surface is of use without it
+        return None
+    return colors[:, :3].astype(np.uint8) if colors.shape == (len(part.vertices), 4) else None
+
+
+def _joined(parts: list[ScanPart]) -> ScanPart:
+    """All parts as one; grey where only others have colours."""
+    points = np.concatenate([part.points for part in parts])
+    starts = np.cumsum([0, *(len(part.points) for part in parts)])
+    faces = [part.faces + start for part, start in zip(parts, starts, strict=False) if part.faces is not None]
+    colors = None
+    if any(part.colors is not None for part in parts):
+        grey = [np.full(part.points.shape, _GREY, dtype=np.uint8) for part in parts]
+        colors = np.concatenate(
+            [blank if part.colors is None else part.colors for part, blank in zip(parts, grey, strict=True)]
+        )
+    return ScanPart(points, np.concatenate(faces) if faces else None, colors)
+
+
+def _shared(part: ScanPart) -> ScanPart:
+    """The same surface with each corner once, if it has no colours: STL files have one for each triangle."""
+    if part.faces is None or part.colors is not None or len(part.points) < 3 * len(part.faces):
+        return part
+    order = np.lexsort(part.points.T)
+    ordered = part.points[order]
+    new = np.ones(len(order), dtype=np.bool_)
+    new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    which = np.empty(len(order), dtype=np.int64)
+    which[order] = np.cumsum(new) - 1
+    return ScanPart(ordered[new], which[part.faces], None)
+
+
+def _check_ply(path: Path) -> None:
+    """Refuse an ascii file with another number of lines than it says: trimesh would take faces for points."""
+    with path.open("rb") as file:
+        header: list[list[bytes]] = []
+        while file.tell() < _LONGEST and header[-1:] != [[b"end_header"]]:
+            line = file.readline(_LONGEST)
+            if not line or (not header and line.strip() != b"ply"):
+                break
+            header.append(line.split())
+        if header[-1:] != [[b"end_header"]]:
+            raise FileError(path, "is no PLY file: it has no header from 'ply' to 'end_header'")
+        if [b"format", b"ascii", b"1.0"] not in header:
+            return  # of others trimesh knows how long they have to be
+        told = [line[2] for line in header if line[:1] == [b"element"] and len(line) == 3]
+        if not all(count.isdigit() for count in told):
+            raise FileError(path, "has an element whose number is no number")
+        expected, found = sum(map(int, told)), sum(1 for line in file if line.strip())
+    if found != expected:
+        raise FileError(path, f"says that it has {expected} lines of data, but has {found}")
+
+
+# Clouds of points in PCD files, the format of the Point Cloud Library: ascii and binary.
+
+_KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
+_HERE = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+"""The viewpoint of a cloud in the frame of its sensor, or of none: place, and quaternion w x y z."""
+
+
+def read_pcd(path: Path) -> tuple[Array, None, NDArray[np.uint8] | None]:
+    """Points and colours of a file, in the unit of the file; points may be not finite.
+
+    Raises:
+        FileError: malformed, shorter than it says, or compressed.
+    """
+    content = path.read_bytes()
+    header, start = _header(path, content)
+    names, dtype = _fields(path, header)
+    count = _count(path, header)
+    kind = " ".join(header["DATA"])
+    if kind == "binary":
+        if len(content) - start < count * dtype.itemsize:
+            has = (len(content) - start) // max(dtype.itemsize, 1)
+            raise FileError(path, f"says that it has {count} points, but has {has}")
+        rows = np.frombuffer(content, dtype=dtype, count=count, offset=start)
+    elif kind == "ascii":
+        rows = _ascii_rows(path, content, start, dtype, count)
+    elif kind == "binary_compressed":
+        raise FileError(path, "is binary_compressed; allowed: ascii, binary (pcl_convert_pcd_ascii_binary)")
+    else:
+        raise FileError(path, f"DATA is {kind!r}; allowed: ascii, binary")
+    if tuple(map(float, header.get("VIEWPOINT", _HERE))) != _HERE:
+        text = f"{path}: the viewpoint in the file is not applied; points stay in the frame they are in"
+        warnings.warn(text, PostureWarning, stacklevel=2)
+    points = np.stack([rows[name][:, 0] for name in ("x", "y", "z")], axis=1).astype(np.float64)
+    packed = next((name for name in ("rgb", "rgba") if name in names), None)
+    return points, None, None if packed is None else _unpacked(rows[packed][:, 0])
+
+
+def _header(path: Path, content: bytes) -> tuple[dict[str, list[str]], int]:
+    """The words after each key, and where the data begin."""
+    header: dict[str, list[str]] = {}
+    at = 0
+    while "DATA" not in header:
+        end = content.find(b"\n", at, _LONGEST)
+        line = content[at : end if end >= 0 else at].decode("latin-1").partition("#")[0].split()
+        if end < 0 or (line and line[0] not in _KEYS):
+            found = f"has a line that begins with {line[0]!r}" if line else "ends"
+            raise FileError(path, f"is no PCD file: the header {found}; allowed: {', '.join(_KEYS)}")
+        if line:
+            header[line[0]] = line[1:]
+        at = end + 1
+    return header, at
+
+
+def _fields(path: Path, header: dict[str, list[str]]) -> tuple[list[str], np.dtype[Any]]:
+    """Names of the fields, and how a point is laid out."""
+    names = header.get("FIELDS", [])
+    sizes, types = header.get("SIZE", []), header.get("TYPE", [])
+    counts = header.get("COUNT", ["1"] * len(names))
+    if not len(names) == len(sizes) == len(types) == len(counts):
+        raise FileError(path, "FIELDS, SIZE, TYPE and COUNT are of different lengths")
+    if not {"x", "y", "z"} <= set(names):
+        raise FileError(path, f"has the fields {', '.join(names) or 'none'}; allowed: x, y, z among them")
+    layout = []
+    for number, (name, size, kind, count) in enumerate(zip(names, sizes, types, counts, strict=True)):
+        form = {"F": "f", "I": "i", "U": "u"}.get(kind, "") + size
+        if form not in ("f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8") or not count.isdecimal():
+            allowed = "TYPE F of SIZE 4 or 8, I or U of SIZE 1, 2, 4 or 8, COUNT a whole number"
+            raise FileError(path, f"field {name!r} is {kind} {size} {count}; allowed: {allowed}")
+        if name in ("x", "y", "z") and count != "1":
+            raise FileError(path, f"field {name!r} has COUNT {count}; allowed: 1")
+        # What fills gaps is called "_", more than once.
+        unique = name if names.index(name) == number and name != "_" else f"_{number}"
+        layout.append((unique, f"<{form}", (int(count),)))
+    return [each[0] for each in layout], np.dtype(layout)
+
+
+def _count(path: Path, header: dict[str, list[str]]) -> int:
+    told = header.get("POINTS")
+    if told is None and "WIDTH" in header and "HEIGHT" in header:
+        sides = [*header["WIDTH"], *header["HEIGHT"]]
+        if len(sides) == 2 and all(map(str.isdecimal, sides)):
+            return int(sides[0]) * int(sides[1])
+    if told is None or len(told) != 1 or not re.fullmatch("[0-9]{1,12}", told[0]):
+        raise FileError(path, f"POINTS is {' '.join(told or []) or 'missing'}; allowed: a whole number")
+    return int(told[0])
+
+
+def _ascii_rows(path: Path, content: bytes, start: int, dtype: np.dtype[Any], count: int) -> NDArray[Any]:
+    """The rows of an ascii file; whole numbers of all sizes are exact."""
+    flat = [(name, dtype[name].base, dtype[name].shape[0]) for name in dtype.names or ()]
+    layout = np.dtype([(f"{name}:{k}", base) for name, base, size in flat for k in range(size)])
+    text = content[start:].decode("latin-1")
+    if not text.strip():
+        raise FileError(path, f"says that it has {count} points, but has 0")
+    try:
+        rows = np.loadtxt(io.StringIO(text), dtype=layout, ndmin=1, comments=None)
+    except ValueError as error:
+        raise FileError(path, f"has data that are not as the header says: {error}") from None
+    if len(rows) != count:
+        raise FileError(path, f"says that it has {count} points, but has {len(rows)}")
+    shaped = np.zeros(len(rows), dtype=dtype)
+    for name, _, size in flat:
+        for k in range(size):
+            shaped[name][:, k] = rows[f"{name}:{k}"]
+    return shaped
+
+
+def _unpacked(packed: NDArray[Any]) -> NDArray[np.uint8] | None:
+    """Red, green and blue from numbers 0xRRGGBB, floats with these bits, or floats of that value."""
+    if packed.dtype.itemsize != 4:
+        return None
+    whole = packed.dtype.kind == "f" and bool(np.all(np.isfinite(packed) & (packed >= 0.0)))
+    # As bits of a float, a colour is nowhere near a whole number but 0.
+    if whole and packed.max(initial=0.0) >= 1.0 and packed.max() < 2**24 and np.all(packed % 1.0 == 0.0):
+        packed = packed.astype("<u4")
+    bits = np.ascontiguousarray(packed).view("<u4")
+    return np.stack([(bits >> shift) & 255 for shift in (16, 8, 0)], axis=1).astype(np.uint8)

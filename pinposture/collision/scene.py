@@ -1,0 +1,239 @@
+"""What surrounds an arm: obstacles, whether it may touch itself, and the margin to keep; scene files."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import coal
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pinposture._validation import known_keys, length
+from pinposture.collision.distances import Narrow
+from pinposture.collision.obstacles import KINDS, Obstacle, obstacle_from_dict, solid
+from pinposture.errors import FileError, InvalidValue, PostureError, UnknownName
+from pinposture.storage import read_text, write_text
+
+if TYPE_CHECKING:
+    from pinposture.arm import Arm
+    from pinposture.collision.clearance import Clearance
+
+
+# Scene files: TOML or JSON to plain data, and plain data to JSON.
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+
+def read_scene(path: Path) -> Any:
+    """Read a file without looking at what it says.
+
+    Raises:
+        FileError: missing, unreadable, of another format, or malformed; names the line.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in (".toml", ".json"):
+        raise FileError(path, f"the name ends in {suffix!r}; allowed: .toml, .json")
+    text = read_text(path)
+    try:
+        return tomllib.loads(text) if suffix == ".toml" else json.loads(text)
+    except json.JSONDecodeError as error:
+        raise FileError(path, f"line {error.lineno}, column {error.colno}: {error.msg}") from error
+    except (ValueError, RecursionError) as error:  # TOML errors say the line themselves
+        raise FileError(path, str(error).replace("\n", " ")) from error
+
+
+def write_scene(path: Path, content: Mapping[str, Any]) -> Path:
+    """Write a JSON file whole or not at all. Returns its path.
+
+    Raises:
+        FileError: the name does not end in .json, or the file cannot be written.
+    """
+    if path.suffix.lower() != ".json":
+        raise FileError(path, f"the name ends in {path.suffix!r}; allowed: .json")
+    write_text(path, json.dumps(content, allow_nan=False, indent=1) + "\n")
+    return path
+
+
+# What surrounds an arm, as a value: obstacles, whether it may touch itself, and how much room to keep.
+
+VERSION = 1
+NAMED = 8
+"""How many obstacles are named where a scene is told in a line."""
+
+_KEYS = ("version", "obstacles", "self_collision", "margin", "arm_radius")
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Obstacles that stand still, and how an arm is to keep clear of them and of itself.
+
+    A scene is immutable, can be compared and pickled, and knows of no arm; `around` brings the two together:
+
+        scene = pp.Scene({"post": pp.Cylinder([0.3, 0.1, -1], [0.3, 0.1, 1], 0.02)}, self_collision=True)
+        scene = pp.Scene.load("scene.toml")
+
+    Attributes:
+        obstacles: the obstacles by name.
+        self_collision: whether the arm must keep clear of itself as well.
+        margin: the distance to keep [m].
+        arm_radius: radius of stand-in capsules along the links [m], in place of the collision geometry that
+            the arm's description gives. If None, that geometry, or where there is none capsules as thick as
+            a link of such length usually is (`pinposture.collision.bodies`).
+    """
+
+    obstacles: Mapping[str, Obstacle] = field(default_factory=dict)
+    self_collision: bool = False
+    margin: float = 0.005
+    arm_radius: float | None = None
+    _hash: int = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.obstacles, Mapping):
+            raise InvalidValue("obstacles", self.obstacles, "a mapping from names to obstacles")
+        for name, obstacle in self.obstacles.items():
+            if not isinstance(name, str) or not name.strip() or not name.isprintable():
+                raise InvalidValue("name of an obstacle", name, "printable text that is not blank")
+            if not isinstance(obstacle, tuple(KINDS.values())):
+                allowed = ", ".join(kind.__name__ for kind in KINDS.values())
+                raise InvalidValue(f"obstacles[{name!r}]", obstacle, allowed)
+        if not isinstance(self.self_collision, bool):
+            raise InvalidValue("self_collision", self.self_collision, "True or False")
+        object.__setattr__(self, "obstacles", MappingProxyType(dict(self.obstacles)))
+        object.__setattr__(self, "margin", length("margin", self.margin, zero=True))
+        if self.arm_radius is not None:
+            object.__setattr__(self, "arm_radius", length("arm_radius", self.arm_radius))
+        object.__setattr__(self, "_hash", hash(self._key()))  # every control step may look a scene up
+
+    def around(self, arm: Arm) -> Clearance:
+        """The distances between this scene and an arm; remembered as long as the arm lives.
+
+        Meshes of the arm that are missing or cannot be used are named in a `PostureWarning`, once for each
+        arm and scene.
+        """
+        from pinposture.collision.clearance import clearance_of  # which knows what a scene is
+
+        return clearance_of(self, arm)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The scene as data that JSON can hold."""
+        described: dict[str, Any] = {"version": VERSION, "self_collision": self.self_collision}
+        described["margin"] = self.margin
+        if self.arm_radius is not None:
+            described["arm_radius"] = self.arm_radius
+        described["obstacles"] = {name: each.to_dict() for name, each in self.obstacles.items()}
+        return described
+
+    @classmethod
+    def from_dict(cls, described: Mapping[str, Any], folder: str = ".") -> Scene:
+        """The scene that `to_dict` described.
+
+        Args:
+            described: the attributes under their names, and the version of the format; all may be left out.
+            folder: where relative paths of meshes begin.
+
+        Raises:
+            InvalidValue: an unknown key, or a wrong value; names the obstacle.
+            UnknownName: a type of obstacle that does not exist.
+            FileError: a mesh that is missing or cannot be read.
+        """
+        if not isinstance(described, Mapping):
+            raise InvalidValue("scene", described, f"a table of: {', '.join(_KEYS)}")
+        known_keys("the scene", described, _KEYS)
+        version = described.get("version", VERSION)
+        if isinstance(version, bool) or version != VERSION:
+            raise InvalidValue("version", version, str(VERSION))
+        values = {key: described[key] for key in _KEYS[2:] if key in described}
+        listed = described.get("obstacles", {})
+        if not isinstance(listed, Mapping):
+            raise InvalidValue("obstacles", listed, "a table of obstacles, each under its name")
+        obstacles = {name: _obstacle(name, each, folder) for name, each in listed.items()}
+        return cls(obstacles, **values)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Scene:
+        """Read a scene from a TOML or JSON file; both have the keys of `to_dict`.
+
+        Paths of meshes in it start at the folder that it lies in.
+
+        Raises:
+            FileError: missing, unreadable, or not a scene; names the key and what is allowed.
+        """
+        path = Path(path)
+        content = read_scene(path)
+        try:
+            return cls.from_dict(content, str(path.parent))
+        except PostureError as error:
+            raise FileError(path, str(error)) from error
+
+    def save(self, path: str | Path) -> Path:
+        """Write the scene to a JSON file, whole or not at all. Returns its path.
+
+        Raises:
+            FileError: the name does not end in .json, or the file cannot be written.
+        """
+        return write_scene(Path(path), self.to_dict())
+
+    def __repr__(self) -> str:
+        named = ", ".join(self.obstacles) or "no obstacles"
+        if len(self.obstacles) > NAMED:
+            first, *_, last = self.obstacles
+            named = f"{len(self.obstacles)} obstacles, {first} to {last}"
+        itself = ", clear of itself" if self.self_collision else ""
+        return f"Scene({named}{itself}, margin={self.margin:g})"
+
+    def __eq__(self, other: object) -> bool:
+        return self._key() == other._key() if isinstance(other, Scene) else NotImplemented
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Scene, (dict(self.obstacles), self.self_collision, self.margin, self.arm_radius)
+
+    def _key(self) -> tuple[Any, ...]:
+        return frozenset(self.obstacles.items()), self.self_collision, self.margin, self.arm_radius
+
+
+def _obstacle(name: str, described: Any, folder: str) -> Obstacle:
+    try:
+        return obstacle_from_dict(described, folder)
+    except InvalidValue as error:
+        raise InvalidValue(f"obstacle {name!r}: {error.name}", error.value, error.allowed) from None
+    except UnknownName as error:
+        raise UnknownName(f"type of obstacle {name!r}", error.name, error.allowed) from None
+    except FileError as error:
+        raise FileError(error.path, f"{error.reason}; the mesh of obstacle {name!r}") from error
+
+
+# Which obstacles a point is inside of.
+
+SMALL = 1e-6
+"""Radius of the ball that stands for the point [m]."""
+
+
+def obstacles_around(scene: Scene, point: ArrayLike, depth: float = 1e-4) -> tuple[str, ...]:
+    """Name the obstacles that a point lies in, and not just on.
+
+    Args:
+        scene: the scene.
+        point: the point, (3,) [m], world frame.
+        depth: how far below the surface it has to be to count [m].
+    """
+    ball, narrow = coal.Sphere(SMALL), Narrow()
+    at = coal.Transform3s(np.eye(3), np.array(point, dtype=np.float64))
+    found = []
+    for name, obstacle in scene.obstacles.items():
+        shape = solid(obstacle)
+        there = coal.Transform3s(shape.rotation, shape.position)
+        if narrow.distance((ball, at, shape.geometry, there)) < -depth - SMALL:
+            found.append(name)
+    return tuple(found)

@@ -1,0 +1,5 @@
+"""The constrained controller: where to go, the most direct way there, a quadratic program for each step."""
+
+from pinposture.control.planner.geodesic import ConstrainedQP
+
+__all__ = ["ConstrainedQP"]

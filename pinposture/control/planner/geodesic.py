@@ -1,0 +1,290 @@
+"""The default controller: plans the most direct path, and follows it within limits and around obstacles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from math import isfinite, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture import kernels
+from pinposture._validation import require_positive
+from pinposture.arm import ArmState
+from pinposture.collision import Scene
+from pinposture.control.controller import Diagnostics, Memory, Step
+from pinposture.control.limits import JointBounds, Limits, StepBox
+from pinposture.control.planner.avoidance import Avoidance
+from pinposture.control.planner.follow import RISES, CandidateStep, Scope, close_in, follow, get_on
+from pinposture.control.planner.objective import Posture
+from pinposture.control.planner.path import Course, JointPath
+from pinposture.control.planner.plan import moved_little, plan, plan_on
+from pinposture.control.tasks import ControlTask
+from pinposture.errors import InvalidValue
+from pinposture.placement import Target
+
+Array = NDArray[np.float64]
+
+WAIT, COURSES = 1.0, 3
+"""Joint travel without getting on after which another way is looked for [rad], and how many are."""
+
+MOST_HASTE = 1e6
+"""Haste beyond which numbers overflow; it is joint interpolation long before."""
+
+_ANY_STEP = np.array([[-np.inf], [np.inf]])
+
+
+@dataclass(frozen=True)
+class ConstrainedQP:
+    """Takes the arm along the most direct way to its target, by a constrained least-squares step at a time.
+
+    Before it moves, it settles where to go: the configuration that the target knows, or the one that comes
+    closest to its points; and on what way: the one on which the control points travel least
+    (`trajectory_optimization`). Each step then is the solution of a convex quadratic program: of all
+    steps that the limits of speed, position and acceleration allow, and that lose no more than a share of
+    the distance to any obstacle, the one that is nearest to the step along the way in what control points
+    and chords feel. Where nothing hinders, that is the step along the way itself. At the end of the way, what
+    errors are left are reduced by damped least squares within the same limits.
+
+    The way is planned again when the target changes, and when the arm does not get on.
+
+    What gives way where not all can hold, named in `Diagnostics.relaxed`: tasks and posture first, by their
+    weights, strict tasks after the others; then the margin to obstacles, of which each step regains what it
+    can; then limits of acceleration, where braking would touch something, and of position, as `Limits.box`
+    says. Limits of speed never do.
+
+    Attributes:
+        haste: weight of the motion of joints against that of control points: how far, in module lengths, all
+            control points may move to save one radian of a joint. Smaller values let joints go longer ways so
+            that points go straighter, down to about 0.05; below that only the number of steps grows. Large
+            values lead to joint interpolation.
+        chord: weight of the squared error of a chord, where that of a point has weight 1.
+        tasks: what else the arm is asked to do.
+        scene: what to keep clear of; nothing if None. `track(..., scene=)` sets it.
+    """
+
+    haste: float = 0.2
+    chord: float = 1.0
+    tasks: tuple[ControlTask, ...] = ()
+    scene: Scene | None = None
+    name: str = "qp"
+
+    def __post_init__(self) -> None:
+        require_positive("haste", self.haste)
+        if self.haste > MOST_HASTE:
+            raise InvalidValue("haste", self.haste, f"at most {MOST_HASTE:g}")
+        require_positive("chord", self.chord, zero=True)
+        tasks = tuple(self.tasks) if isinstance(self.tasks, Iterable) else (self.tasks,)
+        for task in tasks:
+            if isinstance(task, type) or not callable(getattr(task, "rows", None)):
+                raise InvalidValue("tasks", task, "EndEffector(...), Tangents(...) or JointPosture(...)")
+        object.__setattr__(self, "tasks", tasks)
+        if not (self.scene is None or isinstance(self.scene, Scene)):
+            raise InvalidValue("scene", self.scene, "a Scene(...), or None")
+
+    def with_scene(self, scene: Scene | None) -> ConstrainedQP:
+        """The same controller in another scene."""
+        return replace(self, scene=scene)
+
+    def step(
+        self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
+    ) -> Step:
+        """Compute one step; see `Controller.step`. The first one for a target takes longer: it plans."""
+        limits = Limits() if limits is None else limits
+        _check_given(state, target, memory)
+        bounds = limits.for_arm(state.arm)
+        before = memory.own if memory is not None and isinstance(memory.own, Course) else None
+        if before is not None and before.bounds is bounds and self._goes_on(before, state, target):
+            step = get_on(before, state, bounds)
+            if step is not None:
+                return step
+        previous = memory.dq if memory is not None else None
+        box = limits.box(state, previous)
+        if box.outside:
+            return self._return(state, target, box, bounds, previous)
+        course = self._course(state, target, bounds, before)
+        if before is None or course.path.start is not before.path.start:
+            course = course.under_way(previous)
+        posture, avoidance = course.posture, self._avoidance(course.posture, bounds, previous)
+        if avoidance is None and course is not before:
+            step = get_on(course, state, bounds)
+            if step is not None:
+                return step
+        if course.arrived:
+            asked = close_in(course, Scope.of(posture, state, box, avoidance))
+        else:
+            asked = follow(course, state, box, limits, self._mu(state), avoidance)
+        return _checked(asked, state, box, bounds, avoidance, course)
+
+    def along(
+        self,
+        state: ArmState,
+        path: JointPath,
+        target: Target,
+        limits: Limits,
+        most: float,
+        memory: Memory | None = None,
+    ) -> Memory:
+        """What to remember for steps along a way that is given, with a target that moves along it.
+
+        The steps that follow stay on that way, as fast as limits and time allow, whatever target they are
+        given, until its end. An arm that is not where it should be, or does not get on, leaves it: it then
+        plans a way of its own to the target (`Course.given` tells).
+
+        Args:
+            state: where the arm is, at the beginning of the way.
+            path: the way.
+            target: the target posture where it begins.
+            limits: what a step may not exceed.
+            most: the most waypoints to go in one step, finite.
+            memory: `memory` of the step before; None: the arm is at rest.
+        """
+        target.check(state.arm)
+        bounds, posture = limits.for_arm(state.arm), Posture(state.arm, target, self.tasks, self.chord)
+        course = Course(posture, path, bounds, most=most, expected=state.placed.positions).within(bounds)
+        memory = Memory(np.zeros(state.arm.nv)) if memory is None else memory
+        return memory._replace(own=course)
+
+    def _goes_on(self, course: Course, state: ArmState, target: Target) -> bool:
+        """Whether that is what the arm was doing, and nothing else is asked of it."""
+        alone = not self.tasks and self.scene is None and course.waited < WAIT
+        return alone and course.posture.target is target and course.posture.arm is state.arm
+
+    def _return(
+        self, state: ArmState, target: Target, box: StepBox, bounds: JointBounds, previous: Array | None
+    ) -> Step:
+        """A step back into the position limits, by the joints that are outside; the way begins there."""
+        arm = state.arm
+        target.check(arm)
+        dq, relaxed = np.zeros(arm.nv), box.relaxed
+        dq[arm.columns] = np.clip(dq, box.lower, box.upper)[arm.columns]
+        avoidance, share, stopping = self._avoidance(Posture(arm, target), bounds, previous), 1.0, None
+        if avoidance is not None:
+            dq, share, stopping, gave_way = avoidance.kept(state, dq)
+            if share < 1.0:
+                relaxed += ("position limits: coming back faster would come too close to something",)
+            relaxed += gave_way
+        rises = _posture_error(arm.at(arm.integrate(state.q, dq)), target) > _posture_error(state, target)
+        active = Posture(arm, target).active
+        reason = "" if np.any(dq) else "joints are outside their limits, and something is in their way back"
+        held = np.zeros(arm.nv, dtype=np.bool_)
+        diagnostics = Diagnostics(0.0, 0.0, 0.0, len(active) * arm.dimension, (), share, held, reason)
+        diagnostics = diagnostics._replace(escape=rises, relaxed=relaxed, on_way=True)
+        return Step(dq, active, diagnostics, Memory(dq, None, stopping))
+
+    def _avoidance(
+        self, posture: Posture, bounds: JointBounds, previous: Array | None = None
+    ) -> Avoidance | None:
+        if self.scene is None:
+            return None
+        return Avoidance(self.scene.around(posture.arm), posture, bounds, previous)
+
+    def _course(self, state: ArmState, target: Target, bounds: JointBounds, course: Course | None) -> Course:
+        """The course so far; a new one at first, for a new target, and where the arm does not get on."""
+        if course is None or not course.leads_on(state):
+            course = None
+        elif course.given and not course.arrived:
+            if course.waited < WAIT:
+                course = course._replace(posture=self._posture(state, target, course))
+                return course if course.bounds is bounds else course.within(bounds)
+            course = None
+        elif _alike(course.posture.target, target):
+            if course.posture.tasks != self.tasks:  # as they do where they follow something: the way stays
+                course = course._replace(posture=self._posture(state, target))
+            if course.waited < WAIT or course.arrived:
+                return course if course.bounds is bounds else course.within(bounds)
+            tries, posture = course.tries + 1, course.posture
+            if tries >= COURSES or course.place >= course.path.end:
+                return course._replace(arrived=True)
+            return plan(posture, state, bounds, self._avoidance(posture, bounds), self._mu(state), tries)
+        target.check(state.arm)
+        posture = self._posture(state, target, course)
+        avoidance, mu = self._avoidance(posture, bounds), self._mu(state)
+        if course is not None and posture.plain and (avoidance is None or moved_little(course, posture)):
+            return plan_on(course, posture, state, bounds, mu, avoidance)
+        return plan(posture, state, bounds, avoidance, mu)
+
+    def _posture(self, state: ArmState, target: Target, course: Course | None = None) -> Posture:
+        """What is asked of the arm; that of a course is taken on where only the target is another."""
+        if course is not None:
+            known = course.posture
+            if known.tasks == self.tasks == () and known.chord == self.chord and known.arm is state.arm:
+                return known.moved_to(target)
+        return Posture(state.arm, target, self.tasks, self.chord)
+
+    def _mu(self, state: ArmState) -> float:
+        """Weight of joint motion [m per `Arm.joint_units`]: `haste` module lengths of each of m points."""
+        return self.haste * state.arm.length / sqrt(state.arm.n_modules)
+
+
+def _checked(
+    asked: CandidateStep,
+    state: ArmState,
+    box: StepBox,
+    bounds: JointBounds,
+    avoidance: Avoidance | None,
+    begun: Course,
+) -> Step:
+    """The step as it leaves: finite, within its limits and clear, whatever was computed before."""
+    arm, course = state.arm, asked.course
+    dq, relaxed, share = asked.dq, box.relaxed, 1.0
+    stopping: Array | None = None
+    near: tuple[str, ...] = ()
+    if not isfinite(dq @ dq):
+        dq = np.nan_to_num(dq, nan=0.0, posinf=0.0, neginf=0.0)
+    if avoidance is not None:
+        dq[arm.columns] = np.minimum(np.maximum(dq, box.lower), box.upper)[arm.columns]
+        wanted = dq
+        dq, share, stopping, gave_way = avoidance.kept(state, wanted)
+        if share < 1.0 and not course.arrived:
+            done = float(np.clip((dq @ wanted) / max(float(wanted @ wanted), 1e-300), 0.0, 1.0))
+            gone = begun.gone_to(begun.place + done * (course.place - begun.place), bounds.travel, True)
+            course = course._replace(
+                place=gone.place, speed=gone.speed, passed=gone.passed, waited=gone.waited
+            )
+        relaxed += gave_way + avoidance.too_close(state)
+        near = avoidance.holding(state, asked.solution, bool(asked.reason))
+        near += (course.hindrance,) if course.hindrance else ()
+    chain, placed, posture = arm.kinematics, state.placed, course.posture.chain
+    reached, at_limit = np.empty(arm.nv), np.empty(arm.nv, dtype=np.bool_)
+    sides = box.sides if share == 1.0 else _ANY_STEP * np.ones((2, arm.nv))
+    given = placed.positions, bounds.units, sides, bounds.edges, placed.points, posture.targets, posture.flags
+    before, after = kernels.look_ahead(chain.constants, *given, dq, reached, at_limit)
+    active = course.posture.active
+    diagnostics = Diagnostics(
+        manipulability=0.0,
+        sigma_min=0.0,
+        sigma_max=0.0,
+        rows=len(active) * arm.dimension,
+        dropped=(),
+        scale=share,
+        clipped=at_limit,
+        reason=asked.reason,
+        escape=after > before + RISES * arm.length,
+        relaxed=relaxed,
+        near=near,
+        on_way=not course.arrived and course.waited == 0.0,
+    )
+    return Step(dq, active, diagnostics, Memory(dq, course._replace(expected=reached), stopping))
+
+
+def _check_given(state: ArmState, target: Target, memory: Memory | None) -> None:
+    if not isinstance(state, ArmState):
+        raise InvalidValue("state", state, "an ArmState, as `arm.at(q)` returns it")
+    if not isinstance(target, Target):
+        raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
+    if not (memory is None or isinstance(memory, Memory)):
+        raise InvalidValue("memory", memory, "`step.memory` of the step before, or None")
+
+
+def _alike(one: Target, other: Target) -> bool:
+    """Whether two targets ask for the same."""
+    if one is other:
+        return True
+    known = one.q is other.q if one.q is None or other.q is None else np.array_equal(one.q, other.q)
+    return known and np.array_equal(one.points, other.points) and np.array_equal(one.weights, other.weights)
+
+
+def _posture_error(state: ArmState, target: Target) -> float:
+    return float((np.linalg.norm(target.points - state.points, axis=1) * target.placed).sum())

@@ -1,0 +1,52 @@
+"""Controllers by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from pinposture.control.baselines import (
+    AugmentedJacobian,
+    DampedLeastSquares,
+    ExtendedJacobian,
+    JointInterpolation,
+    LevenbergMarquardt,
+    PseudoInverse,
+    TaskConstraints,
+)
+from pinposture.control.controller import Controller
+from pinposture.control.planner import ConstrainedQP
+from pinposture.control.thesis.projection import Projection
+from pinposture.control.thesis.selection import Selection
+from pinposture.control.thesis.switching import Switching
+from pinposture.errors import InvalidValue, UnknownName
+
+CONTROLLERS: dict[str, Callable[[], Controller]] = {
+    "qp": ConstrainedQP,
+    "selection": Selection,
+    "projection": Projection,
+    "switching": Switching,
+    "joint": JointInterpolation,
+    "pinv": PseudoInverse,
+    "task-constraints": TaskConstraints,
+    "extended": ExtendedJacobian,
+    "augmented": AugmentedJacobian,
+    "dls": DampedLeastSquares,
+    "lm": LevenbergMarquardt,
+}
+"""Every controller with its default parameters, by the name that `track` and the command line take."""
+
+
+def controller_named(controller: str | Controller) -> Controller:
+    """The controller of that name with its defaults, or the controller itself.
+
+    Raises:
+        UnknownName: no controller has that name.
+        InvalidValue: neither a name nor a controller.
+    """
+    if not isinstance(controller, str):
+        if isinstance(controller, type) or not callable(getattr(controller, "step", None)):
+            raise InvalidValue("controller", controller, "a name, or an object with a method `step`")
+        return controller
+    if controller not in CONTROLLERS:
+        raise UnknownName("controller", controller, CONTROLLERS)
+    return CONTROLLERS[controller]()

@@ -1,0 +1,407 @@
+"""Tasks besides the target posture: end-effector pose, joint posture, link directions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from pinposture._validation import is_whole, require_positive, rigid_placement
+from pinposture.arm import Arm, ArmState, ControlPoints
+from pinposture.arm.manipulability import chosen_points
+from pinposture.control.orientation import bearing, direction_rows, orientation_rows
+from pinposture.errors import InvalidValue, UnknownName
+from pinposture.placement import Target
+
+# What every task is: rows that a step should satisfy, and how much they count.
+
+Array = NDArray[np.float64]
+
+
+class TaskRows(NamedTuple):
+    """What a task asks of a step: jacobian @ dq = error.
+
+    Attributes:
+        jacobian: rows, (r, nv) [m/rad, or m/m where a joint slides]; zero for joints off the chain.
+        error: what each row should cover, (r,) [m].
+    """
+
+    jacobian: Array
+    error: Array
+
+
+class ControlTask(Protocol):
+    """Something to be done besides taking the target posture."""
+
+    @property
+    def weight(self) -> float:
+        """Weight of the squared error of each row, where that of a control point has weight 1."""
+
+    @property
+    def strict(self) -> bool:
+        """Whether it comes before all else: the rest has the freedom that it leaves."""
+
+    def rows(self, state: ArmState, target: Target) -> TaskRows:
+        """What the task asks of a step.
+
+        Args:
+            state: where the arm is.
+            target: the target posture that the arm is taking.
+
+        Raises:
+            InvalidValue: the task does not fit the arm.
+            UnknownName: it names a control point or joint that the arm does not have.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class Described:
+    """A task described by its fields alone; two are equal if all their fields are."""
+
+    def __eq__(self, other: object) -> bool:
+        return self._key() == other._key() if type(other) is type(self) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+    def _key(self) -> tuple[object, ...]:
+        values = (getattr(self, each.name) for each in fields(self))
+        return tuple((v.shape, *v.ravel().tolist()) if isinstance(v, np.ndarray) else v for v in values)
+
+    def _settle(self, name: str, value: object) -> None:
+        """Set a field of the frozen task while it is made; arrays become read-only."""
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False
+        object.__setattr__(self, name, value)
+
+    def _settle_scales(self, weight: float, length: float | None) -> None:
+        """Set the weight and the lever, or raise InvalidValue unless they are finite numbers above 0."""
+        require_positive("weight", weight)
+        self._settle("weight", float(weight))
+        if length is not None:
+            require_positive("length", length)
+            self._settle("length", float(length))
+
+
+def lever(arm: Arm, length: float | None) -> float:
+    """How far a turn of one radian moves something [m/rad]: the length given, or `Arm.sliding_unit`."""
+    return arm.sliding_unit if length is None else length
+
+
+def finite_array(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
+    """A fresh array of finite floats; None in the shape stands for any number above 0.
+
+    Raises:
+        InvalidValue: not numbers, another shape, or an entry that is not finite; names the entry.
+    """
+    words = f"finite numbers of shape {shape}".replace("None", "k")
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.zeros(0)
+    if values is None or array.size == 0:
+        raise InvalidValue(name, values, words)
+    fits = array.ndim == len(shape)
+    if not (fits and all(want in (None, have) for have, want in zip(array.shape, shape, strict=True))):
+        raise InvalidValue(f"{name} (shape)", array.shape, words)
+    for where in np.argwhere(~np.isfinite(array))[:1]:
+        raise InvalidValue(f"{name}{where.tolist()}", float(array[tuple(where)]), words)
+    return array
+
+
+# The task of one control point: a position, a pose, or a position and the direction of its link.
+
+HOLDS = ("position", "pose")
+"""What `EndEffector.held` can hold."""
+
+
+@dataclass(frozen=True, eq=False)
+class EndEffector(Described):
+    """Bring one control point, usually the tip, to a position or a pose, or hold it there.
+
+    A task does not change and remembers nothing. To hold what the tip has when a run begins, make the task
+    from that state with `EndEffector.held`. To track something that moves, make a new one for each step, for
+    instance with `dataclasses.replace(task, pose=...)`, and a controller that has it.
+
+    What no joint can change is left out: of a planar arm, positions across its plane and turns about other
+    axes than that of its joints.
+
+    Attributes:
+        position: where the point should be, (3,) [m], world frame; or None if a pose is given.
+        pose: where its frame should be, as a `pin.SE3` or a rigid transform (4, 4) from that frame to the
+            world, kept as the latter; or None if a position is given.
+        point: the control point, by its index, 0-based or from the tip as -1, or by its name.
+        weight: weight of the squared error of each row, where that of a control point has weight 1.
+        strict: True to come before all else; the rest has the freedom that it leaves.
+        axis_only: True to ask of a pose only where the point is and where the link points that ends there
+            (`bearing` says which), but not how it is turned about that link.
+        length: lever by which turns count [m/rad]; `Arm.sliding_unit` if None.
+
+    Raises:
+        InvalidValue: a value other than described.
+    """
+
+    position: ArrayLike | None = None
+    pose: Any = None
+    point: int | str = -1
+    weight: float = 1.0
+    strict: bool = False
+    axis_only: bool = False
+    length: float | None = None
+
+    def __post_init__(self) -> None:
+        if (self.position is None) == (self.pose is None):
+            given = {"position": self.position, "pose": self.pose}
+            raise InvalidValue("position and pose", given, "one of them, and None for the other")
+        if self.position is not None:
+            self._settle("position", finite_array("position", self.position, (3,)))
+        else:
+            matrix = np.array(rigid_placement("pose", self.pose).homogeneous)
+            left, _, right = np.linalg.svd(matrix[:3, :3])
+            matrix[:3, :3] = left @ right  # orthonormal to the last digit, however few were given
+            self._settle("pose", matrix)
+        if not isinstance(self.point, str):
+            if not is_whole(self.point):
+                raise InvalidValue("point", self.point, "the index or the name of one control point")
+            self._settle("point", int(self.point))
+        for name in ("strict", "axis_only"):
+            if not isinstance(getattr(self, name), bool | np.bool_):
+                raise InvalidValue(name, getattr(self, name), "True or False")
+            self._settle(name, bool(getattr(self, name)))
+        if self.axis_only and self.pose is None:
+            raise InvalidValue("axis_only", self.axis_only, "False, or a pose in place of the position")
+        self._settle_scales(self.weight, self.length)
+
+    @classmethod
+    def held(cls, state: ArmState, hold: str = "pose", point: int | str = -1, **options: Any) -> EndEffector:
+        """The task of keeping a control point where it is.
+
+        Args:
+            state: the state in which it is where it should stay.
+            hold: "position" or "pose".
+            point: the control point.
+            options: `weight`, `strict`, `axis_only`, `length`.
+
+        Raises:
+            UnknownName: something else to hold, or a control point that the arm does not have.
+            InvalidValue: as `EndEffector`, or an index that no control point has.
+        """
+        if not isinstance(state, ArmState):
+            raise InvalidValue("state", state, "an ArmState, as `arm.at(q)` returns it")
+        if hold not in HOLDS:
+            raise UnknownName("thing to hold", hold, HOLDS)
+        k = _index(state, point)
+        if hold == "position":
+            return cls(position=state.points[k], point=point, **options)
+        return cls(pose=pin.SE3(state.rotations[k], state.points[k]), point=point, **options)
+
+    def rows(self, state: ArmState, target: Target) -> TaskRows:
+        """What the task asks of a step, see `Task.rows`: rows of the position, then those of turns."""
+        arm, k = state.arm, _index(state, self.point)
+        place = self.position if self.pose is None else self.pose[:3, 3]
+        jacobian, apart = arm.plane @ state.jacobians[k], arm.plane @ (place - state.points[k])
+        if self.pose is None:
+            return TaskRows(jacobian, apart)
+        wanted = self.pose[:3, :3]
+        if self.axis_only:
+            link = wanted @ bearing(arm).links[k]
+            turns, angles = direction_rows(state, np.array([k]), link[None])
+        else:
+            turns, angles = orientation_rows(state, k, wanted)
+        arc = lever(arm, self.length)
+        return TaskRows(np.vstack([jacobian, arc * turns]), np.concatenate([apart, arc * angles]))
+
+
+def _index(state: ArmState, point: int | str) -> int:
+    try:
+        return chosen_points(state.arm.control_points, point)[0]
+    except InvalidValue as error:  # there it is called "points"
+        raise InvalidValue("point", error.value, error.allowed) from None
+
+
+# The task of joints: to stay near a configuration as far as all else leaves room.
+
+
+@dataclass(frozen=True, eq=False)
+class JointPosture(Described):
+    """Pull joints towards a configuration, for instance the straight one, as far as all else leaves room.
+
+    Continuous joints go the shorter way round. Joints off the chain are left alone.
+
+    Attributes:
+        q: the configuration, (nq,) [rad or m].
+        weight: weight of the squared error of each joint, where that of a control point has weight 1. Small,
+            so that it settles what control points leave open and hardly moves them.
+        joints: names of the joints of the chain that it is for, or a single one; all of them if None.
+        length: lever by which `Arm.joint_units` count [m]: one radian or one `Arm.sliding_unit`;
+            `Arm.sliding_unit` if None, so that slides count as they are.
+
+    Raises:
+        InvalidValue: a value other than described.
+    """
+
+    q: ArrayLike
+    weight: float = 1e-3
+    joints: str | Iterable[str] | None = None
+    length: float | None = None
+
+    def __post_init__(self) -> None:
+        self._settle("q", finite_array("q", self.q, (None,)))
+        if self.joints is not None:
+            self._settle("joints", _names(self.joints))
+        self._settle_scales(self.weight, self.length)
+
+    @property
+    def strict(self) -> bool:
+        """False: joints give way to what comes before all else."""
+        return False
+
+    def rows(self, state: ArmState, target: Target) -> TaskRows:
+        """What the task asks of a step, see `Task.rows`: one row for each joint."""
+        arm, columns = state.arm, self._columns(state.arm)
+        scale = lever(arm, self.length) / arm.joint_units[columns]
+        jacobian = np.zeros((len(columns), arm.nv))
+        jacobian[np.arange(len(columns)), columns] = scale
+        apart = np.asarray(arm.difference(state.q, arm.checked(self.q)))
+        return TaskRows(jacobian, scale * apart[columns])
+
+    def _columns(self, arm: Arm) -> NDArray[np.intp]:
+        if self.joints is None:
+            return arm.columns
+        known = arm.chain.joints
+        for name in self.joints:
+            if name not in known:
+                raise UnknownName("joint", name, known)
+        return arm.columns[[known.index(name) for name in self.joints]]
+
+
+def _names(joints: Any) -> tuple[str, ...]:
+    listed = [joints] if isinstance(joints, str) or not isinstance(joints, Iterable) else list(joints)
+    if not listed or not all(isinstance(name, str) for name in listed) or len(set(listed)) < len(listed):
+        raise InvalidValue("joints", joints, "names of joints, each once, at least one")
+    return tuple(listed)
+
+
+# The task of directions: where the links that end at control points should point.
+
+
+@dataclass(frozen=True, eq=False)
+class Tangents(Described):
+    """Point the links that end at some control points into given directions.
+
+    In arms made of templates that link lies along the x axis of the control point's frame; `bearing` says
+    which it is in others. What no joint can change is left out: of a planar arm, the part of a direction that
+    leaves its plane. A link that points the opposite way turns along a way that depends on it alone.
+
+    Attributes:
+        directions: one vector for each control point, (k, 3), or (3,) for one, world frame, of any length but
+            0; kept as unit vectors (k, 3).
+        points: the control points, by their indices or names, or a single one; all of them if None.
+        weight: weight of the squared error of each row, where that of a control point has weight 1.
+        length: lever by which turns count [m/rad]; `Arm.sliding_unit` if None.
+
+    Raises:
+        InvalidValue: a value other than described.
+    """
+
+    directions: ArrayLike
+    points: ControlPoints | None = None
+    weight: float = 1.0
+    length: float | None = None
+
+    def __post_init__(self) -> None:
+        given: Any = self.directions
+        vectors = finite_array("directions", given, (3,) if _is_vector(given) else (None, 3)).reshape(-1, 3)
+        largest = np.abs(vectors).max(axis=1, keepdims=True)
+        for k in np.flatnonzero(largest == 0.0)[:1]:
+            raise InvalidValue(f"directions[{k}]", vectors[k].tolist(), "a vector other than 0")
+        vectors = vectors / largest  # first, lest squares are out of range
+        self._settle("directions", vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+        if self.points is not None:
+            listed = _listed(self.points)
+            if len(listed) != len(vectors):
+                raise InvalidValue("points", self.points, f"as many as there are directions, {len(vectors)}")
+            self._settle("points", listed)
+        self._settle_scales(self.weight, self.length)
+
+    @classmethod
+    def of_curve(
+        cls,
+        target: Target,
+        points: int | Iterable[int] | None = None,
+        weight: float = 1.0,
+        length: float | None = None,
+    ) -> Tangents:
+        """Ask links to point along the curve of a target, each as it runs at the place of its control point.
+
+        A link that ends on a curve is a chord of it: half its length before the place of the point it points
+        along the tangent. The tangent at the place itself differs from that by about half the length times
+        the curvature, so that it competes with the position of the points before.
+
+        Args:
+            target: a target that was found on a curve.
+            points: indices of control points, 0-based or from the tip as -1; all that have a target if None.
+            weight: see `Tangents`.
+            length: see `Tangents`.
+
+        Raises:
+            InvalidValue: a target without a curve, or an index that it does not have.
+        """
+        if not isinstance(target, Target):
+            raise InvalidValue("target", target, "a Target on a curve, as resolve_targets finds it")
+        if target.curve is None or target.parameters is None:
+            raise InvalidValue("target.curve", None, "a target on a curve, as resolve_targets finds it")
+        m = len(target.parameters)
+        listed = _listed(np.flatnonzero(target.placed) if points is None else points)
+        for k in listed:
+            if isinstance(k, str) or not -m <= k < m:
+                raise InvalidValue("points", k, f"whole numbers from {-m} to {m - 1}")
+        places = np.array([k % m for k in listed if not isinstance(k, str)], dtype=np.intp)
+        return cls(target.curve.tangent(target.parameters[places]), places.tolist(), weight, length)
+
+    @property
+    def strict(self) -> bool:
+        """False: directions give way to what comes before all else."""
+        return False
+
+    def rows(self, state: ArmState, target: Target) -> TaskRows:
+        """What the task asks of a step, see `Task.rows`: two rows for each point; one in a plane."""
+        arm, directions = state.arm, np.asarray(self.directions)
+        points = chosen_points(
+            arm.control_points, range(arm.n_modules) if self.points is None else self.points
+        )
+        if len(points) != len(directions):
+            allowed = f"one direction for each of {len(points)} control points, unless points= chooses some"
+            raise InvalidValue("directions (shape)", directions.shape, allowed)
+        turns, angles = direction_rows(state, np.array(points), directions)
+        arc = lever(arm, self.length)
+        return TaskRows(arc * turns, arc * angles)
+
+
+def _listed(points: Any) -> tuple[int | str, ...]:
+    """Control points as they were given, each an index or a name, whether the arm has it or not."""
+    alone = isinstance(points, str) or not isinstance(points, Iterable)
+    listed = [points] if alone else list(points)
+    for point in listed:
+        if not (isinstance(point, str) or is_whole(point)):
+            raise InvalidValue("points", point, "indices or names of control points")
+    return tuple(point if isinstance(point, str) else int(point) for point in listed)
+
+
+def _is_vector(values: Any) -> bool:
+    try:
+        return bool(np.shape(values) == (3,))
+    except ValueError:  # rows of different lengths
+        return False
+
+
+# What an arm is asked to do besides taking the target posture: tasks that a controller weighs against it.
+#
+# All rows are metres, so that weights compare with those of control points. A turn counts as what it moves
+# at the end of a lever, `length`, by default as long as `Arm.sliding_unit`: the mean module length.
+
+__all__ = ["ControlTask", "EndEffector", "JointPosture", "Tangents", "TaskRows"]

@@ -1,0 +1,183 @@
+"""The posture control matrix, its pseudo-inverse step, and the null-space gradient (4.5 to 4.7)."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture import kernels
+from pinposture.arm import Arm, ArmState
+from pinposture.arm.kinematics import constants_of
+from pinposture.kernels.arrays import FULL, LOCAL, Factors, Rows, Screws
+from pinposture.placement import Target
+
+# The posture control matrix as the chain has it: products and solutions by passes along the arm.
+
+Array = NDArray[np.float64]
+
+FINE, ENOUGH = 1e-12, 1e-7
+"""Residuals at which the search for a singular value ends, relative to its square: to tell it, to decide."""
+
+
+class PostureMatrix:
+    """A posture control matrix J = L Q, (4.6) and (5.9), that is never written out.
+
+    Its rows are motions of control points along directions, its columns joints in comparable units. It takes
+    memory and time in proportion to the length of the arm; `kernels.posture_matrix` says how.
+    """
+
+    def __init__(self, screws: Screws, rows: Rows) -> None:
+        p = len(rows.stations)
+        self._screws, self._rows = screws, rows
+        self._factors = Factors(np.empty((p, 3, 3)), np.empty((p, 6, 3)))
+        kernels.eliminated(screws, rows, self._factors)
+
+    @cached_property
+    def size(self) -> int:
+        """Number of rows r."""
+        return int(self._rows.ranks.sum())
+
+    def step(self, arm: Arm, values: Array, secondary: Array) -> Array:
+        """J^+ dr + (I - J^+ J) g: follow the velocities exactly, and g as far as they leave room (4.7).
+
+        Args:
+            arm: the arm.
+            values: velocities dr along the directions that have a row, (p, 3) [m].
+            secondary: joint displacement g, (nv,), in `Arm.joint_units`.
+
+        Returns:
+            Joint displacement (nv,) [rad or m]; zero for joints off the chain.
+        """
+        columns, asked = arm.columns, np.zeros(arm.nv)
+        x = secondary[columns]
+        kernels.least_change(self._screws, self._rows, self._factors, values, x)
+        asked[columns] = x * constants_of(arm).units
+        return asked
+
+    def inverse_norm(self) -> float:
+        """Frobenius norm of the pseudo-inverse, for FULL rows [rad/m]; enormous if rows depend on others.
+
+        The smallest singular value is between its inverse and sqrt(r) times that.
+        """
+        return float(kernels.inverse_norm(self._screws.points, self._rows, self._factors))
+
+    def weakest(self) -> tuple[float, Array]:
+        """Smallest singular value, and how much each station has in its left singular vector, (p,)."""
+        found, vector = self._extreme(True, ENOUGH)
+        return found, np.asarray(np.linalg.norm(vector, axis=1))
+
+    @cached_property
+    def smallest(self) -> float:
+        """Smallest singular value [m/rad]."""
+        return float(self._own.min()) if self._rows.coupling == LOCAL else self._extreme(True, FINE)[0]
+
+    @cached_property
+    def largest(self) -> float:
+        """Largest singular value [m/rad]."""
+        return float(self._own.max()) if self._rows.coupling == LOCAL else self._extreme(False, FINE)[0]
+
+    @property
+    def _own(self) -> Array:
+        """Singular values of the blocks on the diagonal of L, the whole of it for LOCAL rows.
+
+        A block of fewer rows is filled up with its first entry, which is between its singular values.
+        """
+        used = self._rows.ranks > 0
+        there, triangles = np.arange(3) < self._rows.ranks[used, None], self._factors.triangles[used]
+        blocks = np.where(there[:, :, None] & there[:, None, :], triangles, 0.0)
+        blocks[:, range(3), range(3)] += np.where(there, 0.0, blocks[:, :1, 0])
+        return np.asarray(np.linalg.svd(blocks, compute_uv=False))
+
+    def _extreme(self, smallest: bool, tolerance: float) -> tuple[float, Array]:
+        vector = np.zeros((len(self._rows.ranks), 3))
+        given = self._screws.points, self._rows, self._factors
+        return float(kernels.extreme_value(*given, smallest, tolerance, vector)), vector
+
+
+# The step that a posture control matrix of full row rank allows (4.7).
+
+
+class Decomposition(NamedTuple):
+    """Singular value decomposition of a posture control matrix J = left diag(sigma) right.
+
+    Attributes:
+        left: left singular vectors as columns, (r, r).
+        sigma: singular values, descending, (r,) [m/rad].
+        right: right singular vectors as rows, (r, nv).
+    """
+
+    left: Array
+    sigma: Array
+    right: Array
+
+
+def decompose(matrix: Array) -> Decomposition:
+    """Decompose a posture control matrix (r, nv) with r <= nv."""
+    return Decomposition(*np.linalg.svd(matrix, full_matrices=False))
+
+
+def pseudo_inverse_step(matrix: Decomposition, velocity: Array, gradient: Array) -> Array:
+    """J^+ dr + (I - J^+ J) g: follow the velocities exactly, and g as far as they leave room (4.7).
+
+    Args:
+        matrix: decomposition of J; its smallest singular value is positive.
+        velocity: desired velocities of the rows, (r,) [m].
+        gradient: desired joint displacement, (nv,), in the units of the columns of J.
+
+    Returns:
+        Joint displacement (nv,) in the same units.
+    """
+    along = matrix.right @ gradient
+    return np.asarray(gradient + matrix.right.T @ ((matrix.left.T @ velocity) / matrix.sigma - along))
+
+
+# The null-space term of (4.7), with its sign, sum and scale put right.
+
+
+def aligned_errors(state: ArmState, target: Target, placed: NDArray[np.bool_]) -> Array:
+    """Errors c_k - p_k along the directions in which the arm can move, zero for points without a target.
+
+    Args:
+        state: where the arm is.
+        target: where its control points should be.
+        placed: which control points have a target, (m,).
+
+    Returns:
+        Array (m, 3) [m]; the last column is zero for a planar arm.
+    """
+    errors = (target.points - state.placed.points) * placed[:, None]
+    if state.arm.dimension == 3:
+        return np.asarray(errors)
+    aligned = np.zeros(errors.shape)
+    aligned[:, :2] = errors @ state.arm.plane.T
+    return aligned
+
+
+def descent(arm: Arm, screws: Screws, errors: Array, distances: Array) -> Array:
+    """Joint displacement down the gradient of the posture error.
+
+    The sum must run over all control points: over the active ones alone the projection would cancel it.
+    Its length is the one at which the linearised squared error along it is least, so that it needs no
+    scale of its own and vanishes with the error.
+
+    Args:
+        arm: the arm.
+        screws: how its joints move it.
+        errors: c_k - p_k, (m, 3) [m], from `aligned_errors`.
+        distances: their norms, (m,) [m].
+
+    Returns:
+        Joint displacement (nv,) in `Arm.joint_units`; zero where the gradient vanishes.
+    """
+    known, gradient, motion = constants_of(arm), np.empty(len(arm.columns)), np.empty(errors.shape)
+    every = Rows(known.every, known.dimensions, known.frames, FULL)
+    kernels.joints_along(screws, every, errors, gradient)
+    kernels.motions_along(screws, every, gradient, motion)
+    motion = motion[:, : arm.dimension]
+    travelled, found = float(np.vdot(motion, motion)), np.zeros(arm.nv)
+    if travelled > (1e-15 * arm.length) ** 2 * float(distances @ distances):
+        found[arm.columns] = gradient * (float(gradient @ gradient) / travelled)
+    return found

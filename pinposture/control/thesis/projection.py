@@ -1,0 +1,188 @@
+"""The Projection method: move every control point, each where it can move (Chapter 5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture import kernels
+from pinposture._validation import require_positive, require_share
+from pinposture.arm import Arm, ArmState
+from pinposture.arm.kinematics import constants_of, screws_of
+from pinposture.control.controller import Diagnostics, Memory, Step
+from pinposture.control.limits import Limits
+from pinposture.control.thesis.posture_matrix import PostureMatrix, aligned_errors, descent
+from pinposture.errors import UnknownName
+from pinposture.kernels.arrays import FULL, LOCAL, RELATIVE, Rows, Screws
+from pinposture.placement import Target
+
+Array = NDArray[np.float64]
+Coupling = Literal["full", "local", "relative"]
+
+NUMBERS: dict[Coupling, int] = {"full": FULL, "local": LOCAL, "relative": RELATIVE}
+
+COUPLINGS: tuple[Coupling, ...] = ("full", "local", "relative")
+
+
+@dataclass(frozen=True)
+class Projection:
+    """Projection method with its parameters; the defaults come from `benchmarks/parameters.py`.
+
+    The motion of each control point relative to the one before it is confined to its manipulability
+    space: the left singular vectors of the module's own Jacobian whose singular values exceed a threshold
+    (5.3)-(5.5). The posture control matrix stacks what is left (5.9), (5.10).
+
+    Attributes:
+        threshold: smallest singular value that counts as motion (kappa), relative to the length of the
+            module [1/rad]. Where points have no target, the modules up to the next one that has count as one.
+        coupling: "full" keeps the columns of all joints that move a point, so that the matrix is block
+            lower triangular and knows that the base of a module moves; "local" keeps only the module's
+            own columns, (5.9) as printed; "relative" asks of each point to cover the error that it has
+            relative to the point before, so that a module turns into its direction on the target posture
+            wherever its base is.
+        gain: share of its projected error that a point is asked to cover in one step (K).
+        null_gain: weight of the null-space term of (4.7).
+    """
+
+    threshold: float = 0.4
+    coupling: Coupling = "full"
+    gain: float = 1.0
+    null_gain: float = 0.5
+    name: str = "projection"
+
+    def __post_init__(self) -> None:
+        require_share("threshold", self.threshold)
+        require_positive("threshold", self.threshold)
+        require_positive("gain", self.gain)
+        require_positive("null_gain", self.null_gain, zero=True)
+        if self.coupling not in COUPLINGS:
+            raise UnknownName("coupling", self.coupling, COUPLINGS)
+
+    def step(
+        self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
+    ) -> Step:
+        """Compute one step; see `Controller.step`."""
+        screws, errors = screws_of(state), aligned_errors(state, target, target.placed)
+        distances = np.sqrt(np.einsum("ij,ij->i", errors, errors))
+        secondary = self.null_gain * descent(state.arm, screws, errors, distances)
+        return self._step(secondary, screws, state, target, limits, memory)
+
+    def step_with(
+        self,
+        secondary: Array,
+        state: ArmState,
+        target: Target,
+        limits: Limits | None = None,
+        memory: Memory | None = None,
+    ) -> Step:
+        """Compute one step with something else to follow in the null space than the descent of (4.7).
+
+        Args:
+            secondary: joint displacement to follow as far as the control points leave room, (nv,), in
+                `Arm.joint_units`.
+            state: where the arm is.
+            target: where its control points should be.
+            limits: what the step may not exceed; `Limits()` if None.
+            memory: what the previous step returned; None at the first.
+        """
+        return self._step(secondary, screws_of(state), state, target, limits, memory)
+
+    def _step(
+        self,
+        secondary: Array,
+        screws: Screws,
+        state: ArmState,
+        target: Target,
+        limits: Limits | None,
+        memory: Memory | None,
+    ) -> Step:
+        limits = Limits() if limits is None else limits
+        previous = memory.dq if memory is not None else None
+        placed, arm = target.placed, state.arm
+        rows, smallest = self._rows(arm, screws, placed)
+        if rows is None:
+            held = limits.hold(state, previous)
+            reason = f"no module has a singular value above threshold = {self.threshold:g} of its length"
+            none = Diagnostics(0.0, 0.0, 0.0, 0, (), held.scale, held.clipped, reason)
+            return Step(held.dq, (), none, Memory(held.dq))
+        matrix = PostureMatrix(screws, rows)
+        errors = (target.points - state.placed.points) * placed[:, None]
+        asked = matrix.step(arm, self._along(rows, self.gain * errors), secondary)
+        limited = limits.apply(state, asked, previous)
+        diagnostics = Diagnostics(
+            manipulability=smallest,
+            sigma_min=matrix,
+            sigma_max=matrix,
+            rows=matrix.size,
+            dropped=(),
+            scale=limited.scale,
+            clipped=limited.clipped,
+            reason="",
+        )
+        return Step(
+            limited.dq, tuple(rows.stations[rows.ranks > 0].tolist()), diagnostics, Memory(limited.dq)
+        )
+
+    def posture_control_matrix(
+        self, state: ArmState, errors: Array, eligible: NDArray[np.bool_]
+    ) -> tuple[Array, Array, tuple[int, ...], float]:
+        """Posture control matrix (5.9) and desired velocities (5.10).
+
+        The rotations E of (5.7) need no explicit factor: singular values do not depend on the frame, and
+        the left singular vectors of the Jacobian in task axes are those of the module frame, turned.
+
+        Args:
+            state: where the arm is.
+            errors: c_k - p_k, (m, d) [m], task axes.
+            eligible: which control points have a target, (m,).
+
+        Returns:
+            Matrix (r, nv) [m/rad], projected errors (r,) [m], control points used (0-based), and the
+            smallest ratio of a kept singular value to the largest of its module.
+        """
+        arm = state.arm
+        rows, smallest = self._rows(arm, screws_of(state), eligible)
+        if rows is None:
+            return np.zeros((0, arm.nv)), np.zeros(0), (), 0.0
+        jacobians = state.task_jacobians[rows.stations]
+        if self.coupling == "local":
+            jacobians = jacobians * _differences(arm.support[rows.stations])[:, None, :]
+        elif self.coupling == "relative":
+            jacobians = _differences(jacobians)
+        kept = np.arange(3) < rows.ranks[:, None]
+        matrix = (rows.directions @ arm.plane.T) @ jacobians
+        velocity = self._along(rows, errors @ arm.plane)
+        active = tuple(rows.stations[rows.ranks > 0].tolist())
+        return matrix[kept], velocity[kept], active, smallest
+
+    def _rows(self, arm: Arm, screws: Screws, eligible: NDArray[np.bool_]) -> tuple[Rows | None, float]:
+        """Directions in which each section moves its end well, and their smallest ratio; None if none does.
+
+        The own columns of a section are the same in all couplings, and those of later ones are zero: the
+        matrix is block triangular, and of full row rank, in each of them.
+        """
+        stations = np.flatnonzero(eligible)  # where sections end; modules, if all points have a target
+        lengths = _differences(np.cumsum(arm.chain.module_lengths)[stations])
+        directions, ranks = np.empty((len(stations), 3, 3)), np.zeros(len(stations), dtype=np.int64)
+        given = constants_of(arm).plane, stations, self.threshold * lengths
+        smallest = float(kernels.module_spaces(*screws, *given, directions, ranks))
+        if not np.any(ranks):
+            return None, 0.0
+        return Rows(stations, ranks, directions, NUMBERS[self.coupling]), smallest
+
+    def _along(self, rows: Rows, errors: Array) -> Array:
+        """What the rows ask for, (p, 3) [m], of errors (m, 3) in world axes."""
+        wanted = errors[rows.stations]
+        if self.coupling == "relative":
+            wanted = _differences(wanted)
+        return np.asarray((rows.directions @ wanted[:, :, None])[:, :, 0])
+
+
+def _differences(rows: Array) -> Array:
+    """Each entry along the first axis less the one before; the first as it is."""
+    differences = np.array(rows)
+    differences[1:] -= rows[:-1]
+    return differences

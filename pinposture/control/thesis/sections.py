@@ -1,0 +1,387 @@
+"""Control sets as chains of short sections: the tree of Section 4.6.1 and the best branch of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from itertools import pairwise
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from pinposture import kernels
+from pinposture.arm import Arm, ArmState
+from pinposture.arm.chain import Chain
+from pinposture.arm.kinematics import constants_of
+from pinposture.errors import InvalidValue
+from pinposture.kernels.arrays import Screws
+
+# Control sets as chains of short sections: the tree of Section 4.6.1 and its best branch.
+#
+# Where modules have one joint, neighbouring control points always conflict (Appendix A). Points two or three
+# joints apart conflict only where the section between them is singular, so a control set is a chain of such
+# sections. All chains over a region of the arm form a tree (Figure 4.7): nodes are control points, edges are
+# sections. Algorithm 2 leaves out the points at which an unstable edge ends.
+#
+# The points left have a posture control matrix of full row rank. For neighbours r < s among them, the matrix
+# is block lower triangular with the Jacobian of s relative to r on its diagonal. The edge (v, s] of the
+# branch has v >= r and a positive index, so the Jacobian of s relative to v has full row rank; that relative
+# to r has the same columns and more, so its smallest singular value is no smaller. The first point clears
+# the absolute condition. Every other point must, too, because a later point need not clear it when an
+# earlier one does.
+
+Array = NDArray[np.float64]
+SectionScore = Literal["thesis", "geometric"]
+
+
+class SectionSet(NamedTuple):
+    """What Algorithm 2 leaves of a branch.
+
+    Attributes:
+        points: control points, 0-based and increasing; empty if none is left.
+        edges: number of edges left (eta).
+        score: natural logarithm of the score, because a product of many indices underflows; minus infinity
+            if no point is left.
+    """
+
+    points: tuple[int, ...]
+    edges: int
+    score: float
+
+
+NOTHING = SectionSet((), 0, -np.inf)
+
+
+class SectionEdges(NamedTuple):
+    """Sections as edges of the tree, by their number of modules and by the node that they lead to.
+
+    Attributes:
+        strides: how many modules a section may have, (S,); increasing.
+        stable: edges that Algorithm 2 leaves, (S, m + 1).
+        logs: logarithms of their indices, (S, m + 1).
+        usable: which control points may be active, (m,).
+    """
+
+    strides: NDArray[np.int64]
+    stable: NDArray[np.bool_]
+    logs: Array
+    usable: NDArray[np.bool_]
+
+    @classmethod
+    def of(
+        cls, indices: Array, usable: NDArray[np.bool_], threshold: float, strides: tuple[int, ...]
+    ) -> SectionEdges:
+        """Leave out edges that are unstable, and those to points that are not usable.
+
+        Args:
+            indices: index of each section, (S, m + 1); zero where there is none.
+            usable: which control points may be active, (m,).
+            threshold: an edge is unstable unless its index exceeds this.
+            strides: how many modules a section may have; increasing.
+        """
+        stable = (indices > threshold) & np.append(False, usable)
+        return cls(np.array(strides, dtype=np.int64), stable, np.log(np.where(stable, indices, 1.0)), usable)
+
+
+@dataclass(frozen=True, eq=False)
+class SectionTree:
+    """The tree of sections over a region of the arm; it is never built.
+
+    Nodes are numbered as in the matrix of indices: 0 is the base, k + 1 is control point k.
+
+    Attributes:
+        indices: manipulability index of each section, (m + 1, m + 1), as `section_indices` gives them.
+        usable: which control points may be active: they have a target and clear the absolute condition, (m,).
+        threshold: an edge is unstable unless its index exceeds this.
+        first: first control point of the region, 0-based.
+        last: last control point of the region, 0-based.
+        strides: how many modules a section may have.
+    """
+
+    indices: Array
+    usable: NDArray[np.bool_]
+    threshold: float
+    first: int
+    last: int
+    strides: tuple[int, ...] = (2, 3)
+
+    def __post_init__(self) -> None:
+        m = len(self.usable)
+        if self.indices.shape != (m + 1, m + 1):
+            raise InvalidValue("indices (shape)", self.indices.shape, f"({m + 1}, {m + 1})")
+        if not 0 <= self.first <= self.last < m:
+            raise InvalidValue("region", (self.first, self.last), f"0 <= first <= last <= {m - 1}")
+        if not self.threshold >= 0.0:
+            raise InvalidValue("threshold", self.threshold, "a number >= 0")
+        object.__setattr__(self, "strides", checked_strides(self.strides))
+
+    @property
+    def root(self) -> int:
+        """Where every branch begins: the first control point of the region.
+
+        It is the base if the region starts at control point 0, which is one module from the base and hence
+        less than a section.
+        """
+        return _root(self.first)
+
+    @property
+    def leaf(self) -> int:
+        """The last node of the region; no branch goes beyond it."""
+        return self.last + 1
+
+    def branches(self) -> Iterator[tuple[int, ...]]:
+        """Enumerate all branches, one at a time, depth first.
+
+        Yields:
+            Nodes from the root to where no further section fits into the region. Their number grows
+            exponentially with the region: take what you need from the iterator.
+        """
+        begun: list[tuple[int, ...]] = [(self.root,)]
+        while begun:
+            branch = begun.pop()
+            ends = [branch[-1] + stride for stride in self.strides if branch[-1] + stride <= self.leaf]
+            if not ends:
+                yield branch
+            begun.extend((*branch, end) for end in reversed(ends))
+
+    def pruned(self, branch: Sequence[int], score: SectionScore) -> SectionSet:
+        """Leave out the nodes that an unstable edge leads to, and those that are not usable (Algorithm 2).
+
+        Args:
+            branch: nodes, as `branches` gives them.
+            score: "thesis" for (4.8), (eta + 1) times the product of the indices of the edges left; or
+                "geometric", with the geometric mean in place of the product.
+        """
+        kept = [edge for edge in pairwise(branch) if self._stable[edge]]
+        points = tuple(end - 1 for _, end in kept)
+        if self._root_counts:
+            points = (self.root - 1, *points)
+        if not points:
+            return NOTHING
+        logs = np.array([[self._logs[edge] for edge in kept]]).sum(axis=1)
+        return SectionSet(points, len(kept), float(_scores(np.array([len(kept)]), logs, score)[0]))
+
+    def best(self, score: SectionScore) -> SectionSet:
+        """The set with the largest score over all branches, without looking at them one by one.
+
+        Args:
+            score: see `pruned`.
+
+        Returns:
+            The best set; an empty one if Algorithm 2 leaves no branch a point.
+        """
+        indices = np.zeros((len(self.strides), len(self.indices)))
+        for row, stride in zip(indices, self.strides, strict=True):
+            row[stride:] = np.diagonal(self.indices, stride)
+        edges = SectionEdges.of(indices, self.usable, self.threshold, self.strides)
+        return best_branch(edges, self.first, self.last, score)
+
+    @cached_property
+    def _stable(self) -> NDArray[np.bool_]:
+        """Edges that are left, (m + 1, m + 1)."""
+        return np.asarray((self.indices > self.threshold) & np.append(False, self.usable))
+
+    @cached_property
+    def _logs(self) -> Array:
+        """Logarithms of the indices of the edges that are left, (m + 1, m + 1)."""
+        return np.log(np.where(self._stable, self.indices, 1.0))
+
+    @property
+    def _root_counts(self) -> bool:
+        return self.root > 0 and bool(self.usable[self.root - 1])
+
+
+def best_branch(edges: SectionEdges, first: int, last: int, score: SectionScore) -> SectionSet:
+    """The set with the largest score over all branches over a region.
+
+    The score depends on how many edges are left and on the product of their indices. Of all ways to a node
+    on which as many edges are left, only that with the largest product can be part of the best branch:
+    O(m^2) ways for m points.
+
+    Args:
+        edges: the sections.
+        first: first control point of the region, 0-based.
+        last: last control point of the region, 0-based.
+        score: see `SectionTree.pruned`.
+
+    Returns:
+        The best set; an empty one if Algorithm 2 leaves no branch a point.
+    """
+    root, leaf, path = _root(first), last + 1, np.empty(last + 2, dtype=np.int64)
+    root_counts = root > 0 and bool(edges.usable[root - 1])
+    bonus = np.log(np.arange((leaf - root) // int(edges.strides[0]) + 2) + 1.0)
+    if not root_counts:
+        bonus[0] = -np.inf
+    given = edges.strides, edges.stable, edges.logs, bonus, score == "geometric"
+    left, found = kernels.best_branch(root, leaf, *given, path)
+    if found == -np.inf:
+        return NOTHING
+    points = [root - 1] * root_counts + (path[:left][::-1] - 1).tolist()
+    return SectionSet(tuple(points), left, found)
+
+
+def _root(first: int) -> int:
+    return 0 if first == 0 else first + 1
+
+
+def checked_strides(strides: Sequence[int]) -> tuple[int, ...]:
+    """Numbers of modules that a section may have, increasing.
+
+    Raises:
+        InvalidValue: none, or other than whole numbers of at least 1.
+    """
+    allowed = "one or more whole numbers of at least 1"
+    try:
+        listed = tuple(strides)
+    except TypeError:
+        raise InvalidValue("strides", strides, allowed) from None
+    whole = all(isinstance(stride, int | np.integer) and not isinstance(stride, bool) for stride in listed)
+    if not listed or not whole or min(listed) < 1:
+        raise InvalidValue("strides", strides, allowed)
+    return tuple(sorted({int(stride) for stride in listed}))
+
+
+def _scores(edges: NDArray[np.intp], logs: Array, score: SectionScore) -> Array:
+    """Logarithm of the score by the number of edges and the logarithm of the product of their indices."""
+    mean = logs / np.maximum(edges, 1) if score == "geometric" else logs
+    return np.asarray(np.log(edges + 1.0) + mean)
+
+
+# Manipulability indices of sections, next to the best that links of those lengths can have.
+#
+# The index of (4.4) is 1 only where the arm moves its end equally well in every direction. Two links of one
+# length never get there: their best is (sqrt(5) - 1) / 2. A score that multiplies indices, as (4.8) does,
+# would count every such section as a loss, however good its posture; relative to the best it does not.
+
+NEVER = 1e-3
+"""A section whose best index is below this counts as always singular; its indices stay as they are."""
+
+
+def best_index(lengths: tuple[float, ...]) -> float:
+    """Largest manipulability index of a planar chain of hinges, over all its postures.
+
+    Args:
+        lengths: distances from each hinge to the next and from the last one to the end, (n,) [m].
+
+    Returns:
+        An index in [0, 1]: exact for two links, to about 1e-9 for three, an upper bound of 1 for more; 0 for
+        fewer, or where links without length leave one direction only.
+    """
+    if len(lengths) < 2 or max(lengths) <= 0.0:
+        return 0.0
+    shares = tuple(float(length) / max(lengths) for length in lengths)
+    if len(shares) == 2:
+        # The elbow at cos q = -2 l1 l2 / (l1^2 + 2 l2^2) has the largest determinant for its trace.
+        first, second = shares
+        ratio = first * second / np.hypot(first**2, 2.0 * second**2)
+        return float(2.0 * ratio / (1.0 + np.sqrt(max(1.0 - 4.0 * ratio**2, 0.0))))
+    return _best_of_three(shares) if len(shares) == 3 else 1.0
+
+
+@lru_cache(maxsize=1024)
+def _best_of_three(lengths: tuple[float, float, float]) -> float:
+    """Best index of three links: a grid over the two inner joints, then a search from each of its peaks.
+
+    Peaks where the index is 1 are sharp and can look low on the grid, hence several of them. Mirrored
+    postures have the same index, hence half of them.
+    """
+    angles = np.linspace(-np.pi, np.pi, 180, endpoint=False)
+    index = _planar_index(lengths, angles[:, None], angles)
+    around = [np.roll(index, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+    peaks = np.argwhere((index >= np.max(around, axis=0)) & (angles[:, None] >= 0.0))
+    highest = peaks[np.argsort(-index[tuple(peaks.T)], kind="stable")][:6]
+    found = [
+        minimize(
+            lambda inner: -float(_planar_index(lengths, *inner)),
+            angles[peak],
+            method="Nelder-Mead",
+            options={"xatol": 1e-9, "fatol": 1e-12},
+        )
+        for peak in highest
+    ]
+    return -float(min(result.fun for result in found))
+
+
+def _planar_index(lengths: tuple[float, float, float], middle: Array, last: Array) -> Array:
+    """Index of three links at given inner joint positions.
+
+    With z_u the vector from hinge u to the end as a complex number, the eigenvalues of J J^T have the sum
+    sum |z_u|^2 and the difference |sum z_u^2|.
+    """
+    third = lengths[2] + 0j
+    second = third + lengths[1] * np.exp(-1j * last)
+    first = second + lengths[0] * np.exp(-1j * (last + middle))
+    trace = np.abs(first) ** 2 + np.abs(second) ** 2 + abs(third) ** 2
+    spread = np.abs(first**2 + second**2 + third**2)
+    return np.asarray(np.sqrt(np.maximum(trace - spread, 0.0) / np.maximum(trace + spread, 1e-300)))
+
+
+def section_indices(state: ArmState, strides: tuple[int, ...]) -> Array:
+    """Manipulability indices of the sections of one of the strides, relative to the best that each can have.
+
+    The best is known for planar sections of two or three hinges. The indices of longer sections, of sections
+    with a slide and of spatial arms stay as they are.
+
+    Args:
+        state: where the arm is.
+        strides: how many modules a section may have.
+
+    Returns:
+        Array (m + 1, m + 1) like that of `ArmState.manipulability`, in [0, 1]; what is not a section of one
+        of the strides stays as it is, too.
+    """
+    indices = np.array(state.manipulability())
+    for stride, best in zip(strides, _best_indices(state.arm.chain, strides), strict=True):
+        starts = np.arange(len(indices) - stride)
+        indices[starts, starts + stride] /= best[stride:]
+    return np.minimum(indices, 1.0)
+
+
+def section_edges(
+    arm: Arm, screws: Screws, usable: NDArray[np.bool_], threshold: float, strides: tuple[int, ...]
+) -> SectionEdges:
+    """The edges of the tree of sections, with the indices that `section_indices` has for them.
+
+    Args:
+        arm: the arm.
+        screws: how its joints move it.
+        usable: which control points may be active, (m,).
+        threshold: an edge is unstable unless its index exceeds this.
+        strides: how many modules a section may have; increasing.
+    """
+    indices = np.zeros((len(strides), arm.n_modules + 1))
+    wanted = np.array(strides, dtype=np.int64)
+    kernels.stride_indices(*screws, constants_of(arm).plane, wanted, indices)
+    return SectionEdges.of(
+        np.minimum(indices / _best_indices(arm.chain, strides), 1.0), usable, threshold, strides
+    )
+
+
+@lru_cache(maxsize=64)
+def _best_indices(chain: Chain, strides: tuple[int, ...]) -> Array:
+    """Best index of the section to each node from so many modules before, (S, m + 1)."""
+    m = len(chain.points)
+    best = np.ones((len(strides), m + 1))
+    if len(chain.plane) == 2:
+        for row, stride in zip(best, strides, strict=True):
+            for start in range(m + 1 - stride):
+                lengths = _section_lengths(chain, start, start + stride)
+                if 2 <= len(lengths) <= 3:
+                    found = best_index(lengths)
+                    row[start + stride] = found if found > NEVER else 1.0
+    return best
+
+
+def _section_lengths(chain: Chain, start: int, end: int) -> tuple[float, ...]:
+    """Distances between the axes of the hinges of a section and from the last to its end; () with a slide.
+
+    Rounded to twelve digits: sections of equal links are equal however the file writes them.
+    """
+    joints = slice(chain.module_slices[start].start, chain.module_slices[end - 1].stop)
+    if not np.all(chain.revolute[joints]):
+        return ()
+    stations = np.vstack([chain.origins[joints], chain.points[end - 1]]) @ chain.plane.T
+    return tuple(float(f"{length:.12g}") for length in np.linalg.norm(np.diff(stations, axis=0), axis=1))

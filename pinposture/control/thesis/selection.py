@@ -1,0 +1,276 @@
+"""The Selection method: move the control points that can be moved safely (Chapter 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture import kernels
+from pinposture._validation import require_positive, require_share
+from pinposture.arm import Arm, ArmState
+from pinposture.arm.kinematics import constants_of, screws_of
+from pinposture.control.controller import Diagnostics, Memory, Step
+from pinposture.control.limits import Limits
+from pinposture.control.thesis.posture_matrix import PostureMatrix, aligned_errors, descent
+from pinposture.control.thesis.sections import SectionScore, best_branch, checked_strides, section_edges
+from pinposture.errors import InvalidValue, UnknownName
+from pinposture.kernels.arrays import FULL, Rows, Screws
+from pinposture.placement import Target
+
+# Candidate control sets, and the active one among them (Sections 4.3 and 4.4).
+#
+# A set of control points is a candidate if each of its points clears the absolute manipulability condition
+# and each pair of neighbours in it the relative one. Both concern single points and pairs of neighbours
+# only, so the sets are the paths of a directed graph, and the set with the largest sum of errors is a
+# longest path: found in O(m^2), without looking at the up to 2^m sets.
+
+Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+
+def candidate_sets(indices: Array, absolute: float, relative: float) -> Iterator[tuple[int, ...]]:
+    """Enumerate all candidate control sets, one at a time (Figure 4.5).
+
+    Args:
+        indices: manipulability indices (m + 1, m + 1) as `ArmState.manipulability` gives them.
+        absolute: threshold that the index of each point relative to the base must exceed.
+        relative: threshold that the index of each point relative to the one before it must exceed.
+
+    Yields:
+        Increasing tuples of control point indices, 0-based. There can be 2^m - 1 of them: take what you
+        need from the iterator.
+    """
+    clears, follows = _conditions(indices, absolute, relative)
+
+    def continued(path: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
+        yield path
+        for i in np.flatnonzero(follows[path[-1]]):
+            yield from continued((*path, int(i)))
+
+    for first in np.flatnonzero(clears):
+        yield from continued((int(first),))
+
+
+def active_set(
+    indices: Array, errors: Array, absolute: float, relative: float, eligible: NDArray[np.bool_] | None = None
+) -> tuple[int, ...]:
+    """The candidate control set with the largest sum of errors (4.5), without enumerating any.
+
+    Args:
+        indices: manipulability indices (m + 1, m + 1).
+        errors: distance of each control point from its target, (m,) [m].
+        absolute: threshold of the absolute condition.
+        relative: threshold of the relative condition.
+        eligible: which points may be used at all, (m,); all of them if None.
+
+    Returns:
+        Increasing indices of control points, 0-based; empty if there is no candidate set.
+    """
+    clears, follows = _conditions(indices, absolute, relative)
+    if eligible is not None:
+        clears = clears & eligible
+    follows = follows & clears[:, None] & clears[None, :]
+    score = np.where(clears, errors, -np.inf)
+    before = np.full(len(errors), -1)
+    for i in np.flatnonzero(clears):
+        reaching = np.where(follows[:i, i], score[:i], 0.0)
+        best = int(reaching.argmax()) if i else 0
+        if i and reaching[best] > 0.0:
+            score[i] += reaching[best]
+            before[i] = best
+    if not np.any(clears):
+        return ()
+    path = [int(np.argmax(score))]
+    while before[path[-1]] >= 0:
+        path.append(int(before[path[-1]]))
+    return tuple(reversed(path))
+
+
+def base_indices(arm: Arm, screws: Screws, threshold: float) -> Array:
+    """Indices of all control points relative to the base, (m,), to be compared with a threshold."""
+    indices = np.empty(arm.n_modules)
+    kernels.base_indices(*screws, constants_of(arm).plane, threshold, indices)
+    return indices
+
+
+def best_set(arm: Arm, screws: Screws, usable: NDArray[np.bool_], errors: Array, relative: float) -> Whole:
+    """The same set as `active_set`, without the indices of all sections: few of them are looked at.
+
+    Args:
+        arm: the arm.
+        screws: how its joints move it.
+        usable: which control points clear the absolute condition and may be used, (m,).
+        errors: distance of each control point from its target, (m,) [m].
+        relative: threshold of the relative condition.
+
+    Returns:
+        Increasing indices of control points, 0-based; empty if there is no candidate set.
+    """
+    path = np.empty(arm.n_modules, dtype=np.int64)
+    count = kernels.best_path(*screws, constants_of(arm).plane, usable, errors, relative, path)
+    return path[:count]
+
+
+def _conditions(
+    indices: Array, absolute: float, relative: float
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which points clear the absolute condition (m,), and which may follow which (m, m)."""
+    if indices.ndim != 2 or indices.shape[0] != indices.shape[1] or indices.shape[0] < 2:
+        raise InvalidValue("indices (shape)", indices.shape, "(m + 1, m + 1) with m >= 1")
+    clears = indices[0, 1:] > absolute
+    return clears, np.triu(indices[1:, 1:] > relative, 1) & clears[:, None] & clears[None, :]
+
+
+COUNTED = 50
+"""How many modules of an arm count as its length where its conditioning is judged."""
+
+SCORES = ("auto", "error", "geometric", "thesis")
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Selection method with its parameters; the defaults come from `benchmarks/parameters.py`.
+
+    At each step it takes the control set with the largest score, stacks the Jacobians of its points into the
+    posture control matrix (4.6), and moves them straight towards their targets; the other points follow the
+    descent direction of the posture error as far as that leaves room (4.7).
+
+    Attributes:
+        absolute: the manipulability index of each active point relative to the base exceeds this.
+        relative: the index of each active point relative to the one before it exceeds this. In a tree of
+            sections, that of the section into each point does, relative to the best it can have.
+        conditioning: smallest singular value that the posture control matrix must have, relative to the
+            arm length [1/rad], of which 50 modules count at most: it does not grow with the number of
+            modules. Points are dropped until it does: full rank is not yet good conditioning.
+        gain: share of its error that an active point is asked to cover in one step (K).
+        null_gain: weight of the null-space term (alpha, positive for descent); see `posture_matrix`.
+        score: which control sets there are, and which of them is taken:
+
+            * "error": the candidate sets of Section 4.3; the one with the largest posture error (4.5).
+            * "thesis": the branches of the tree of sections of Section 4.6.1, over the region from the first
+              to the last point that has a target; the one with the largest (4.8). It takes few points: one
+              more pays only if the index of its section exceeds (eta + 1) / (eta + 2).
+            * "geometric": the same tree; (4.8) with the geometric mean of the indices for their product.
+            * "auto": "geometric" for planar arms of one-joint modules, as long as no point within the region
+              is free; otherwise "error". The planar arm of the thesis ends equally close with both, but more
+              steadily with "geometric": on the way to random postures, the posture error rises on 5 % of the
+              steps in place of 25 %. "error" takes turns among the points.
+        strides: how many modules a section of the tree may have; of no use to "error". Modules of two joints
+            call for (1,).
+    """
+
+    absolute: float = 0.001
+    relative: float = 0.001
+    conditioning: float = 1e-4
+    gain: float = 1.0
+    null_gain: float = 0.5
+    score: Literal["auto", "error", "geometric", "thesis"] = "auto"
+    strides: tuple[int, ...] = (2, 3)
+    name: str = "selection"
+
+    def __post_init__(self) -> None:
+        for field in ("absolute", "relative"):
+            require_share(field, getattr(self, field))
+        require_positive("gain", self.gain)
+        require_positive("conditioning", self.conditioning)
+        require_positive("null_gain", self.null_gain, zero=True)
+        if self.score not in SCORES:
+            raise UnknownName("score", self.score, SCORES)
+        object.__setattr__(self, "strides", checked_strides(self.strides))
+
+    def step(
+        self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
+    ) -> Step:
+        """Compute one step; see `Controller.step`. Without a candidate set it stands still and says so."""
+        limits = Limits() if limits is None else limits
+        previous = memory.dq if memory is not None else None
+        arm, screws, placed = state.arm, screws_of(state), target.placed
+        errors = aligned_errors(state, target, placed)
+        distances = np.sqrt(np.einsum("ij,ij->i", errors, errors))
+        base = base_indices(arm, screws, self.absolute)
+        chosen = self._chosen(arm, screws, placed, distances, base)
+        active, matrix = self._conditioned(arm, screws, chosen)
+        if matrix is None:
+            held, reason = limits.hold(state, previous), self._why_none(base, chosen, placed)
+            none = Diagnostics(0.0, 0.0, 0.0, 0, tuple(chosen.tolist()), held.scale, held.clipped, reason)
+            return Step(held.dq, (), none, Memory(held.dq))
+        gradient = self.null_gain * descent(arm, screws, errors, distances)
+        asked = matrix.step(arm, self.gain * errors[active], gradient)
+        limited = limits.apply(state, asked, previous)
+        kept = tuple(active.tolist())
+        diagnostics = Diagnostics(
+            manipulability=kernels.weakest_index(*screws, constants_of(arm).plane, active, base),
+            sigma_min=matrix,
+            sigma_max=matrix,
+            rows=matrix.size,
+            dropped=tuple(k for k in chosen.tolist() if k not in kept) if len(kept) < len(chosen) else (),
+            scale=limited.scale,
+            clipped=limited.clipped,
+            reason="",
+        )
+        return Step(limited.dq, kept, diagnostics, Memory(limited.dq))
+
+    def _chosen(
+        self, arm: Arm, screws: Screws, placed: NDArray[np.bool_], distances: Array, base: Array
+    ) -> NDArray[np.int64]:
+        """The control set with the largest score; empty if there is none."""
+        usable, region = (base > self.absolute) & placed, np.flatnonzero(placed)
+        score = self._section_score(arm, region)
+        if score is None or not len(region):
+            return best_set(arm, screws, usable, distances, self.relative)
+        edges = section_edges(arm, screws, usable, self.relative, self.strides)
+        points = best_branch(edges, int(region[0]), int(region[-1]), score).points
+        return np.array(points, dtype=np.int64)
+
+    def _section_score(self, arm: Arm, region: NDArray[np.intp]) -> SectionScore | None:
+        """How branches of the tree of sections are scored; None if the sets are not taken from it."""
+        if self.score == "auto":
+            planar = arm.dimension == 2 and len(arm.columns) == arm.n_modules
+            unbroken = planar and len(region) and region[-1] - region[0] == len(region) - 1
+            return "geometric" if unbroken else None
+        return None if self.score == "error" else self.score
+
+    def _conditioned(
+        self, arm: Arm, screws: Screws, chosen: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], PostureMatrix | None]:
+        """Drop points until the posture control matrix is far enough from singular."""
+        active, least, known = chosen, self.conditioning * _counted(arm), constants_of(arm)
+        while len(active):
+            count = len(active)
+            rows = Rows(active, known.dimensions[:count], known.frames[:count], FULL)
+            matrix = PostureMatrix(screws, rows)
+            # The singular value is no smaller than this bound. Mostly that is enough to know.
+            if matrix.inverse_norm() * least < 1.0:
+                return active, matrix
+            # The rows that make the matrix nearly singular are those of its last left singular vector.
+            smallest, blame = matrix.weakest()
+            if smallest > least:
+                return active, matrix
+            active = np.delete(active, int(np.argmax(blame)))
+        return active, None
+
+    def _why_none(self, base: Array, chosen: NDArray[np.int64], placed: NDArray[np.bool_]) -> str:
+        if len(chosen):
+            kept = f"conditioning = {self.conditioning:g} of the arm length"
+            return f"no control point keeps the smallest singular value of its own Jacobian above {kept}"
+        best = float(np.max(base, where=placed, initial=0.0))
+        if best > self.absolute:
+            modules = " or ".join(map(str, self.strides))
+            return (
+                f"no section of {modules} modules to a control point with a target is stable: none has more "
+                f"than relative = {self.relative:g} of its best index; the posture is singular or nearly so, "
+                f"or the region is too short"
+            )
+        return (
+            f"no control point with a target clears the absolute manipulability condition: the largest "
+            f"index is {best:.2g}, the threshold {self.absolute:g}; the posture is singular or nearly so"
+        )
+
+
+def _counted(arm: Arm) -> float:
+    """The length of an arm as far as it counts for its conditioning [m]."""
+    return arm.length * min(1.0, COUNTED / arm.n_modules)

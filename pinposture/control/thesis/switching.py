@@ -1,0 +1,185 @@
+"""Selection with Projection to fall back on (Section 4.6.2), for planar and spatial arms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture._validation import require_positive, require_share
+from pinposture.arm import ArmState
+from pinposture.control.controller import Diagnostics, Memory, Step, task_errors
+from pinposture.control.limits import Limits
+from pinposture.control.thesis.projection import Projection
+from pinposture.control.thesis.selection import Selection
+from pinposture.errors import InvalidValue
+from pinposture.placement import Target
+
+Array = NDArray[np.float64]
+
+
+class Phase(NamedTuple):
+    """Where a switching controller stands between two steps.
+
+    Attributes:
+        method: the method that has control, "selection" or "projection".
+        best: posture error that Selection has to fall below to count as progress [m].
+        waited: how long ago it last did, in joint travel [rad].
+        left: how long Projection goes on before control is handed back, in joint travel [rad].
+        failovers: how often Selection has lost control so far.
+    """
+
+    method: str
+    best: float
+    waited: float
+    left: float
+    failovers: int
+
+
+FIRST = Phase("selection", np.inf, 0.0, 0.0, 0)
+
+HANDED_BACK = "Projection has had its time, and Selection has control points"
+
+ROUNDING = 1e-6
+"""Share of a step by which sums of steps may be off."""
+
+
+@dataclass(frozen=True)
+class Switching:
+    """Selection as long as it has control points and reduces the posture error, else Projection for a while.
+
+    The first failover is that of Figure 4.8: some steps of Projection towards the target. It frees an arm
+    that Selection cannot move. It does not free one that is stuck because the straight way to the target
+    folds it up, and Selection would lead back to the same place. So from the second failover on, Projection
+    aims at a waypoint: the posture a short way ahead through joint space to the configuration that takes the
+    target posture, if the target knows one (`Target.q`; `fit_points` finds it for measured points). Each of
+    these stints is twice as long as the one before, so that the methods cannot take turns for ever; where
+    Selection has no control points after one, the next begins at once. Where Projection cannot move any point
+    either, the joints go on along that line by themselves.
+
+    Durations are counted in joint travel, that which the limits allow in each step, so that they mean the
+    same at any rate of control.
+
+    Attributes:
+        selection: the primary method.
+        projection: the one to fall back on. Of its couplings, "relative" frees an arm in the fewest steps.
+        patience: how long Selection may go on without progress [rad].
+        progress: share by which the posture error has to fall in that time.
+        stay: length of the first stint of Projection [rad].
+        reach: how far ahead a waypoint lies, as the largest change of a joint [rad or `Arm.sliding_unit`].
+    """
+
+    selection: Selection = field(default_factory=Selection)
+    projection: Projection = field(default_factory=lambda: Projection(coupling="relative"))
+    patience: float = 0.3
+    progress: float = 0.1
+    stay: float = 0.5
+    reach: float = 0.1
+    name: str = "switching"
+
+    def __post_init__(self) -> None:
+        for field_, kind in (("selection", Selection), ("projection", Projection)):
+            if not isinstance(getattr(self, field_), kind):
+                raise InvalidValue(field_, getattr(self, field_), f"a {kind.__name__}(...)")
+        require_share("progress", self.progress)
+        for field_ in ("patience", "stay", "reach"):
+            require_positive(field_, getattr(self, field_))
+
+    def step(
+        self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
+    ) -> Step:
+        """Compute one step; see `Controller.step`. The diagnostics say which method made it, and why."""
+        limits = Limits() if limits is None else limits
+        error = float(np.linalg.norm(task_errors(state, target), axis=1).sum())
+        travel = limits.travel(state)
+        known = memory.own if memory is not None else None
+        phase = known if isinstance(known, Phase) else FIRST
+        idle = phase.method == "projection"
+        if idle and phase.left > ROUNDING * travel:
+            return self._project(state, target, limits, memory, phase, travel, "")
+        if idle or error < phase.best * (1.0 - self.progress):
+            entered = phase._replace(method="selection", best=error, waited=0.0)
+        else:
+            entered = phase._replace(waited=phase.waited + travel)
+        if entered.waited >= self.patience - ROUNDING * travel:
+            why = f"the posture error did not fall by {100 * self.progress:g} % in {entered.waited:.3g} rad"
+            failed = self._failover(entered, target)
+            return self._project(state, target, limits, memory, failed, travel, why)
+        step = self.selection.step(state, target, limits, memory)
+        if not step.diagnostics.reason:
+            return _labelled(step, entered, HANDED_BACK if idle else "")
+        if idle and target.q is None:  # there is nothing to hand back to yet
+            return self._project(state, target, limits, memory, phase, travel, "")
+        failed = self._failover(entered, target)
+        why = "" if idle else step.diagnostics.reason
+        return self._project(state, target, limits, memory, failed, travel, why)
+
+    def _failover(self, phase: Phase, target: Target) -> Phase:
+        """Take control from Selection, for twice as long as the last time if that may lead elsewhere."""
+        stint = self.stay * 2.0 ** (min(phase.failovers, 60) if target.q is not None else 0)
+        return phase._replace(method="projection", left=stint, failovers=phase.failovers + 1)
+
+    def _project(
+        self,
+        state: ArmState,
+        target: Target,
+        limits: Limits,
+        memory: Memory | None,
+        phase: Phase,
+        travel: float,
+        why: str,
+    ) -> Step:
+        phase, goal = phase._replace(left=phase.left - travel), target.q
+        if goal is None or phase.failovers < 2:
+            step = self.projection.step(state, target, limits, memory)
+            if not step.diagnostics.reason:
+                return _labelled(step, phase, why)
+            if goal is None:
+                return self._last_resort(state, target, limits, memory, phase, step, why)
+            phase = phase._replace(failovers=2)
+        goal = state.arm.nearest_turns(goal, state.q)
+        return _labelled(self._escape(state, target, goal, limits, memory), phase, why)
+
+    def _last_resort(
+        self,
+        state: ArmState,
+        target: Target,
+        limits: Limits,
+        memory: Memory | None,
+        phase: Phase,
+        held: Step,
+        why: str,
+    ) -> Step:
+        """Selection after all, where Projection cannot move and no way is known; else nothing moves."""
+        step = self.selection.step(state, target, limits, memory)
+        if step.diagnostics.reason:
+            return _labelled(held, phase, why)
+        # A reason to fail over means that Selection had control: it keeps it, and nothing changes.
+        changed = "" if why else held.diagnostics.reason
+        return _labelled(step, FIRST._replace(failovers=phase.failovers), changed)
+
+    def _escape(
+        self, state: ArmState, target: Target, goal: Array, limits: Limits, memory: Memory | None
+    ) -> Step:
+        """A step of Projection to the posture a short way ahead on the straight line through joint space.
+
+        Joints that the control points leave room follow that line, too: those before a region, for one.
+        """
+        arm = state.arm
+        way = np.array(arm.difference(state.q, goal)) * arm.moved
+        farthest = float(np.max(np.abs(way) / arm.joint_units, initial=0.0))
+        ahead = way * min(1.0, self.reach / max(farthest, 1e-300))
+        waypoint = replace(target, points=arm.at(arm.integrate(state.q, ahead)).points)
+        step = self.projection.step_with(ahead / arm.joint_units, state, waypoint, limits, memory)
+        if step.diagnostics.reason:  # no control point can move: the joints go on their own
+            limited = limits.apply(state, ahead, memory.dq if memory is not None else None)
+            moved = Diagnostics(0.0, 0.0, 0.0, 0, (), limited.scale, limited.clipped, "")
+            step = Step(limited.dq, (), moved, Memory(limited.dq))
+        return step._replace(diagnostics=step.diagnostics._replace(escape=True, on_way=True))
+
+
+def _labelled(step: Step, phase: Phase, switched: str) -> Step:
+    diagnostics = step.diagnostics._replace(method=phase.method, switched=switched)
+    return step._replace(diagnostics=diagnostics, memory=Memory(step.dq, phase))

@@ -1,0 +1,492 @@
+"""Manipulability indices of sections of a chain, and the control set with the best ones."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pinposture.kernels.arrays import Array1, Array2, Array3, Flags1, Flags2, Ints1
+from pinposture.kernels.compiled import compiled, subkernel
+
+# Manipulability indices of the sections of a chain: all of them, or those that a control set needs.
+#
+# The Jacobian of point i relative to point s has the columns of the joints between them. Its Gram matrix is
+# a sum of outer products over these joints, from i downwards, so that nothing cancels. Its eigenvalues have
+# closed forms.
+
+Gram = tuple[float, float, float, float, float, float]
+
+DOUBT = 1e-7
+"""How far the square of an index may be from that of a threshold for it to be computed the careful way."""
+
+ROUNDING = 1e-14
+"""Rounding of the determinant of a Gram matrix of trace 1, at most."""
+
+
+@subkernel
+def _with_module(
+    gram: Gram, b: Array2, ends: Ints1, points: Array2, plane: Array2, module: int, point: int
+) -> Gram:
+    """A Gram matrix (xx, xy, xz, yy, yz, zz) of the motion of a point, with one more module."""
+    xx, xy, xz, yy, yz, zz = gram
+    dx = points[point, 0] - points[module, 0]
+    dy = points[point, 1] - points[module, 1]
+    dz = points[point, 2] - points[module, 2]
+    for u in range(ends[module] - 1, (ends[module - 1] if module else 0) - 1, -1):
+        x = b[u, 0] + b[u, 4] * dz - b[u, 5] * dy
+        y = b[u, 1] + b[u, 5] * dx - b[u, 3] * dz
+        z = b[u, 2] + b[u, 3] * dy - b[u, 4] * dx
+        if len(plane) == 2:
+            x, y, z = (
+                plane[0, 0] * x + plane[0, 1] * y + plane[0, 2] * z,
+                plane[1, 0] * x + plane[1, 1] * y + plane[1, 2] * z,
+                0.0,
+            )
+        xx, xy, xz, yy, yz, zz = xx + x * x, xy + x * y, xz + x * z, yy + y * y, yz + y * z, zz + z * z
+    return xx, xy, xz, yy, yz, zz
+
+
+@subkernel
+def _determinant(gram: Gram) -> float:
+    xx, xy, xz, yy, yz, zz = gram
+    return xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+
+
+@subkernel
+def _index(gram: Gram, dimension: int) -> float:
+    """Product of the singular values over the power of the largest, (4.3) and (4.4)."""
+    xx, xy, xz, yy, yz, zz = gram
+    mean = (xx + yy + zz) / dimension
+    if mean <= 0.0:
+        return 0.0
+    if dimension == 2:
+        half = 0.5 * (xx - yy)
+        largest = mean + np.sqrt(half * half + xy * xy)
+        determinant = (xx / largest) * (yy / largest) - (xy / largest) * (xy / largest)
+    else:
+        dx, dy, dz = xx - mean, yy - mean, zz - mean
+        spread = np.sqrt((dx * dx + dy * dy + dz * dz + 2.0 * (xy * xy + xz * xz + yz * yz)) / 6.0)
+        safe = spread if spread > 0.0 else 1.0
+        cosine = 0.5 * _determinant((dx / safe, xy / safe, xz / safe, dy / safe, yz / safe, dz / safe))
+        largest = mean + 2.0 * spread * np.cos(np.arccos(min(max(cosine, -1.0), 1.0)) / 3.0)
+        determinant = _determinant(
+            (xx / largest, xy / largest, xz / largest, yy / largest, yz / largest, zz / largest)
+        )
+    return min(np.sqrt(max(determinant, 0.0)), 1.0)
+
+
+@subkernel
+def _clears(gram: Gram, dimension: int, threshold: float) -> bool:
+    """Whether the index exceeds a threshold; the largest eigenvalue is only found where it decides."""
+    trace = gram[0] + gram[3] + gram[5]
+    if dimension == 3 and trace > 0.0:
+        share = _determinant(gram) / (trace * trace * trace)
+        if share > threshold * threshold + ROUNDING:
+            return True
+        if share < threshold * threshold / 27.0 - ROUNDING:
+            return False
+    return _index(gram, dimension) > threshold
+
+
+@subkernel
+def _section(b: Array2, ends: Ints1, points: Array2, plane: Array2, start: int, end: int) -> float:
+    """Index of point `end` - 1 relative to `start` - 1; 0 is the base."""
+    gram = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    for module in range(end - 1, start - 1, -1):
+        gram = _with_module(gram, b, ends, points, plane, module, end - 1)
+    return _index(gram, len(plane))
+
+
+@compiled
+def all_indices(b: Array2, ends: Ints1, points: Array2, plane: Array2, filled: Array2) -> None:
+    """Indices of all sections.
+
+    Args:
+        b: motion and turning of the first point that each joint carries, (n, 6), from `find_screws`.
+        ends: number of joints that carry each point, (m,); increasing.
+        points: the points, (m, 3).
+        plane: directions in which the points can move, (2, 3), or (3, 3) for any.
+        filled: zeros, filled with the index of each point i relative to each point s < i, (m + 1, m + 1);
+            0 is the base.
+    """
+    for i in range(len(ends)):
+        gram = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        for s in range(i, -1, -1):
+            gram = _with_module(gram, b, ends, points, plane, s, i)
+            filled[s, i + 1] = _index(gram, len(plane))
+
+
+@compiled
+def base_indices(
+    b: Array2, ends: Ints1, points: Array2, plane: Array2, threshold: float, filled: Array1
+) -> None:
+    """Indices of all points relative to the base, in one pass.
+
+    The Gram matrix of motion and turning goes along the chain from point to point. What rounding that adds
+    may not decide whether an index exceeds the threshold: the index is computed anew where it could.
+
+    Args:
+        b: see `all_indices`.
+        ends: see `all_indices`.
+        points: see `all_indices`.
+        plane: see `all_indices`.
+        threshold: what the indices are going to be compared with.
+        filled: filled with the indices, (m,).
+    """
+    vv, vw, ww = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
+    X, P = np.zeros((3, 3)), plane
+    d = len(plane)
+    for i in range(len(ends)):
+        if i:  # v + w x r, as a matrix times w
+            r0 = points[i, 0] - points[i - 1, 0]
+            r1 = points[i, 1] - points[i - 1, 1]
+            r2 = points[i, 2] - points[i - 1, 2]
+            X[0, 1], X[0, 2], X[1, 0], X[1, 2], X[2, 0], X[2, 1] = r2, -r1, -r2, r0, r1, -r0
+            for j in range(3):
+                for k in range(3):
+                    vv[j, k] += X[j, 0] * vw[k, 0] + X[j, 1] * vw[k, 1] + X[j, 2] * vw[k, 2]
+            for j in range(3):
+                for k in range(3):
+                    vw[j, k] += X[j, 0] * ww[0, k] + X[j, 1] * ww[1, k] + X[j, 2] * ww[2, k]
+            for j in range(3):
+                for k in range(3):
+                    vv[j, k] += vw[j, 0] * X[k, 0] + vw[j, 1] * X[k, 1] + vw[j, 2] * X[k, 2]
+        for u in range(ends[i - 1] if i else 0, ends[i]):
+            for j in range(3):
+                for k in range(3):
+                    vv[j, k] += b[u, j] * b[u, k]
+                    vw[j, k] += b[u, j] * b[u, 3 + k]
+                    ww[j, k] += b[u, 3 + j] * b[u, 3 + k]
+        if d == 3:
+            gram = (vv[0, 0], vv[0, 1], vv[0, 2], vv[1, 1], vv[1, 2], vv[2, 2])
+        else:
+            xx, xy, yy = 0.0, 0.0, 0.0
+            for j in range(3):
+                for k in range(3):
+                    xx += P[0, j] * vv[j, k] * P[0, k]
+                    xy += P[0, j] * vv[j, k] * P[1, k]
+                    yy += P[1, j] * vv[j, k] * P[1, k]
+            gram = (xx, xy, 0.0, yy, 0.0, 0.0)
+        filled[i] = _index(gram, d)
+        if abs(filled[i] * filled[i] - threshold * threshold) < DOUBT:
+            filled[i] = _section(b, ends, points, plane, 0, i + 1)
+
+
+@compiled
+def stride_indices(
+    b: Array2, ends: Ints1, points: Array2, plane: Array2, strides: Ints1, filled: Array2
+) -> None:
+    """Indices of the sections of some numbers of modules.
+
+    Args:
+        b: see `all_indices`.
+        ends: see `all_indices`.
+        points: see `all_indices`.
+        plane: see `all_indices`.
+        strides: how many modules the sections have, (S,).
+        filled: zeros, filled with the index of the section to each node from so many modules before,
+            (S, m + 1); node k + 1 is point k.
+    """
+    for j in range(len(strides)):
+        for end in range(strides[j], len(ends) + 1):
+            filled[j, end] = _section(b, ends, points, plane, end - strides[j], end)
+
+
+@compiled
+def best_path(
+    b: Array2,
+    ends: Ints1,
+    points: Array2,
+    plane: Array2,
+    usable: Flags1,
+    errors: Array1,
+    relative: float,
+    path: Ints1,
+) -> int:
+    """The control set with the largest sum of errors: the longest path whose edges all clear the condition.
+
+    The best path to a point goes through the best of the points that it can follow. These are tried from the
+    best downwards, so that the first whose section clears the condition is the one, and mostly it is near:
+    few of all the sections are looked at. Of equally good ones the first along the chain is taken.
+
+    Args:
+        b: see `all_indices`.
+        ends: see `all_indices`.
+        points: see `all_indices`.
+        plane: see `all_indices`.
+        usable: which points may be in the set, (m,).
+        errors: what each of them adds, (m,); not negative.
+        relative: threshold of the index of each point of the set relative to the one before it.
+        path: filled with the points of the set from its beginning, (m,).
+
+    Returns:
+        How many points it has.
+    """
+    m, d, known = len(ends), len(plane), 0
+    score, before = np.zeros(m), np.full(m, -1)
+    order = np.empty(m, np.int64)  # points so far, from the worst to the best
+    grams = np.empty((m, 6))  # of the sections from each point to this one
+    for i in range(m):
+        if not usable[i]:
+            continue
+        score[i] = errors[i]
+        gram, reached = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), i
+        for at in range(known - 1, -1, -1):
+            s = order[at]
+            if score[s] <= 0.0:
+                break
+            while reached > s:
+                gram = _with_module(gram, b, ends, points, plane, reached, i)
+                reached -= 1
+                g = grams[reached]
+                g[0], g[1], g[2], g[3], g[4], g[5] = gram
+            g = grams[s]
+            if _clears((g[0], g[1], g[2], g[3], g[4], g[5]), d, relative):
+                score[i] += score[s]
+                before[i] = s
+                break
+        at = known
+        while at > 0 and score[order[at - 1]] >= score[i]:
+            order[at] = order[at - 1]
+            at -= 1
+        order[at] = i
+        known += 1
+    count, point = 0, order[known - 1] if known else -1
+    while point >= 0:
+        path[count] = point
+        count += 1
+        point = before[point]
+    path[:count] = path[:count][::-1].copy()
+    return count
+
+
+@compiled
+def weakest_index(
+    b: Array2, ends: Ints1, points: Array2, plane: Array2, active: Ints1, base: Array1
+) -> float:
+    """Smallest index of the points of a control set, relative to the base and to the point before.
+
+    Args:
+        b: see `all_indices`.
+        ends: see `all_indices`.
+        points: see `all_indices`.
+        plane: see `all_indices`.
+        active: the points of the set, increasing.
+        base: indices of all points relative to the base, (m,).
+    """
+    last = active[0]
+    for i in active:
+        if base[i] < base[last]:
+            last = i
+    weakest = _section(b, ends, points, plane, 0, last + 1)
+    for k in range(1, len(active)):
+        weakest = min(weakest, _section(b, ends, points, plane, active[k - 1] + 1, active[k] + 1))
+    return weakest
+
+
+# Manipulability spaces of modules: the directions in which a module moves its end well.
+
+SWEEPS = 40
+"""The most rounds of rotations; three vectors take about five."""
+
+ANGLE = 1e-15
+"""Cosine of the angle between two vectors at which they count as at right angles."""
+
+
+@compiled
+def module_spaces(
+    b: Array2,
+    ends: Ints1,
+    points: Array2,
+    plane: Array2,
+    stations: Ints1,
+    thresholds: Array1,
+    directions: Array3,
+    ranks: Ints1,
+) -> float:
+    """Left singular vectors, above a threshold, of the Jacobian of each section by its own joints alone.
+
+    One-sided rotations (Jacobi, Hestenes) on the shorter side of the Jacobian: small singular values are as
+    accurate as large ones, and two joints take a single rotation.
+
+    Args:
+        b: motion and turning of the first point that each joint carries, (n, 6), from `find_screws`.
+        ends: number of joints that carry each point, (m,); increasing.
+        points: the points, (m, 3).
+        plane: directions in which the points can move, (2, 3), or (3, 3) for any.
+        stations: the points at which the sections end, (p,); increasing.
+        thresholds: what the singular values of each of them have to exceed, (p,).
+        directions: filled with orthonormal directions, the singular vectors that are kept first, (p, 3, 3).
+        ranks: filled with their number, (p,).
+
+    Returns:
+        The smallest ratio of a singular value that is kept to the largest of its section; 1 if none is kept.
+    """
+    widest, u = 0, 0
+    for station in stations:
+        widest, u = max(widest, ends[station] - u), ends[station]
+    d, length = len(plane), max(widest, len(plane))
+    vectors, turns, sigma = np.empty((3, length)), np.empty((3, 3)), np.empty(3)
+    columns = np.empty((widest, 3))
+    smallest, u, point = 1.0, 0, 0
+    for k in range(len(stations)):
+        end, count, rank, largest = points[stations[k]], 0, 0, 0.0
+        while point <= stations[k]:
+            r0, r1, r2 = end[0] - points[point, 0], end[1] - points[point, 1], end[2] - points[point, 2]
+            while u < ends[point]:
+                x = b[u, 0] + b[u, 4] * r2 - b[u, 5] * r1
+                y = b[u, 1] + b[u, 5] * r0 - b[u, 3] * r2
+                z = b[u, 2] + b[u, 3] * r1 - b[u, 4] * r0
+                for i in range(d):
+                    columns[count, i] = plane[i, 0] * x + plane[i, 1] * y + plane[i, 2] * z
+                count += 1
+                u += 1
+            point += 1
+        narrow = count < d
+        size, length = (count, d) if narrow else (d, count)
+        for i in range(size):
+            for j in range(length):
+                vectors[i, j] = columns[i, j] if narrow else columns[j, i]
+        _orthogonalise(vectors, turns, size, length)
+        for i in range(size):
+            sigma[i] = np.sqrt(_product(vectors, i, i, length))
+            largest = max(largest, sigma[i])
+        for _ in range(size):
+            i = int(np.argmax(sigma[:size]))
+            if not sigma[i] > thresholds[k]:
+                break
+            smallest = min(smallest, sigma[i] / largest)
+            for j in range(3):
+                directions[k, rank, j] = 0.0
+                for a in range(d):
+                    share = vectors[i, a] / sigma[i] if narrow else turns[i, a]
+                    directions[k, rank, j] += plane[a, j] * share
+            sigma[i] = -1.0
+            rank += 1
+        ranks[k] = rank
+        _complete(directions[k], rank)
+    return smallest
+
+
+@subkernel
+def _product(vectors: Array2, i: int, j: int, length: int) -> float:
+    total = 0.0
+    for c in range(length):
+        total += vectors[i, c] * vectors[j, c]
+    return total
+
+
+@subkernel
+def _orthogonalise(vectors: Array2, turns: Array2, size: int, length: int) -> None:
+    """Turn up to three vectors among themselves until they are at right angles; the turns are kept."""
+    for i in range(size):
+        for j in range(size):
+            turns[i, j] = 1.0 if i == j else 0.0
+    for _ in range(SWEEPS):
+        turned = False
+        for i in range(size - 1):
+            for j in range(i + 1, size):
+                ii, jj = _product(vectors, i, i, length), _product(vectors, j, j, length)
+                ij = _product(vectors, i, j, length)
+                if abs(ij) <= ANGLE * np.sqrt(ii * jj):
+                    continue
+                turned = True
+                zeta = (jj - ii) / (2.0 * ij)
+                t = 1.0 / (abs(zeta) + np.sqrt(1.0 + zeta * zeta))
+                t = t if zeta > 0.0 else -t
+                c = 1.0 / np.sqrt(1.0 + t * t)
+                s = c * t
+                for e in range(length):
+                    one, other = vectors[i, e], vectors[j, e]
+                    vectors[i, e], vectors[j, e] = c * one - s * other, s * one + c * other
+                for e in range(size):
+                    one, other = turns[i, e], turns[j, e]
+                    turns[i, e], turns[j, e] = c * one - s * other, s * one + c * other
+        if not turned:
+            return
+
+
+@subkernel
+def _complete(directions: Array2, rank: int) -> None:
+    """Straighten the first directions by what rounding left, and add others at right angles to them."""
+    for i in range(3):
+        e = directions[i]
+        for attempt in range(1 if i < rank else 3):
+            if i >= rank:
+                e[0], e[1], e[2] = 0.0, 0.0, 0.0
+                e[attempt] = 1.0
+            for _ in range(2):
+                for j in range(i):
+                    o = directions[j]
+                    share = e[0] * o[0] + e[1] * o[1] + e[2] * o[2]
+                    e[0], e[1], e[2] = e[0] - share * o[0], e[1] - share * o[1], e[2] - share * o[2]
+            norm = np.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
+            if norm > 0.5:
+                e[0], e[1], e[2] = e[0] / norm, e[1] / norm, e[2] / norm
+                break
+
+
+# The best branch of a tree of sections, without looking at the branches one by one.
+
+
+@compiled
+def best_branch(
+    root: int,
+    leaf: int,
+    strides: Ints1,
+    stable: Flags2,
+    logs: Array2,
+    bonus: Array1,
+    mean: bool,
+    path: Ints1,
+) -> tuple[int, float]:
+    """The branch with the largest score: a bonus for the edges left, and their indices.
+
+    Of all ways to a node on which as many edges are left, only that with the largest product of indices can
+    be part of it. Of equally good ones the first is taken, by its end, its edges and its strides.
+
+    Args:
+        root: the node at which all branches begin.
+        leaf: the last node.
+        strides: how many modules an edge may have, (S,); increasing.
+        stable: which edges are left, by stride and by the node they lead to, (S, N).
+        logs: logarithms of their indices, (S, N).
+        bonus: added to the logarithm of the score for each number of edges left, (C,); minus infinity for
+            a number that does not count.
+        mean: True for the geometric mean of the indices, False for their product.
+        path: filled with the nodes that the edges left lead to, from the last to the first, (N,).
+
+    Returns:
+        Number of edges left, and the logarithm of the score; minus infinity if there is no branch.
+    """
+    counts = len(bonus)
+    product = np.full((leaf + 1, counts), -np.inf)  # its logarithm, by node and edges left
+    before = np.zeros((leaf + 1, counts), np.int16)  # the stride of the last edge
+    product[root, 0] = 0.0
+    for node in range(root + strides[0], leaf + 1):
+        most = min(counts, (node - root) // strides[0] + 1)
+        for j in range(len(strides)):
+            start = node - strides[j]
+            if start < root:
+                break
+            gained = 1 if stable[j, node] else 0
+            log = logs[j, node] if gained else 0.0
+            for left in range(gained, most):
+                reached = product[start, left - gained] + log
+                if reached > product[node, left]:
+                    product[node, left] = reached
+                    before[node, left] = j
+    node, left, best = root, 0, -np.inf
+    for end in range(max(root, leaf - strides[0] + 1), leaf + 1):
+        for edges in range(counts):
+            score = bonus[edges] + (product[end, edges] / max(edges, 1) if mean else product[end, edges])
+            if score > best:
+                node, left, best = end, edges, score
+    count = 0
+    while node != root:
+        j = before[node, left]
+        if stable[j, node]:
+            path[count] = node
+            count += 1
+            left -= 1
+        node -= strides[j]
+    return count, best

@@ -1,0 +1,363 @@
+"""Targets of all control points on a curve: Algorithm 1, or least squares (Section 4.2)."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture import kernels
+from pinposture.arm import Arm
+from pinposture.curve import Curve
+from pinposture.errors import (
+    CurveBendsTooMuch,
+    CurveEndsEarly,
+    CurveLeavesTooSharply,
+    CurveOutOfReach,
+    InvalidValue,
+    PostureWarning,
+    TargetError,
+    UnknownName,
+    UnsupportedModule,
+)
+from pinposture.placement.curve_placement import ROUNDING, Moved, Placement, beginning, laid
+from pinposture.placement.least_squares import fit_curve, fit_near
+from pinposture.placement.module_kinematics import Unit, arm_units, layout
+from pinposture.placement.target import Target
+
+# Algorithm 1: modules placed on a curve one after the other, each where it first crosses the curve ahead.
+
+Array = NDArray[np.float64]
+
+
+def place_in_turn(arm: Arm, curve: Curve, samples: int) -> Placement:
+    """Algorithm 1.
+
+    Args:
+        arm: the arm; each of its modules has a closed-form solver.
+        curve: the curve, placed in the world.
+        samples: number of points at equal arc length that stand for the curve.
+
+    Returns:
+        Where the modules belong; with a failure if one of them has no place.
+
+    Raises:
+        UnsupportedModule: a module without a solver.
+    """
+    numbers, shapes = layout(arm.chain)
+    parameter, on_curve = beginning(arm, curve)
+    base = np.array(arm.chain.base)
+    state = np.empty(9)
+    state[0], state[1:4], state[4:7] = parameter, base, base if on_curve else curve.at(parameter)
+    lower, upper = arm.limits.lower[arm.columns], arm.limits.upper[arm.columns]
+    found, parameters = np.zeros(len(lower)), np.full(arm.n_modules, curve.length)
+    stopped = kernels.walk_along(
+        *curve.measured, samples, numbers, shapes, lower, upper, state, found, parameters
+    )
+    positions = np.zeros(arm.nv)
+    positions[arm.columns] = found
+    failure: TargetError | None = None
+    if stopped >= 0:
+        failure = _failure(arm, curve, arm_units(arm.chain)[stopped], state)
+        parameters[failure.module - 1 :] = curve.length
+    return Placement(positions, parameters, failure)
+
+
+def _failure(arm: Arm, curve: Curve, unit: Unit, state: Array) -> TargetError:
+    """Why a unit has no place, from what `kernels.walk_along` left in the state."""
+    first, last, beyond, found = state[1:4], state[4:7], bool(state[7]), int(state[8])
+    module, at, slack = unit.module + 1, float(state[0]), ROUNDING * arm.length
+    reach = unit.kinematics.reach
+    off_axis = _leaves_off_axis(unit, curve, at)
+    if found:
+        advice = "use a gentler curve, wider joint limits or shorter modules"
+        kind = CurveLeavesTooSharply if off_axis else CurveBendsTooMuch
+        return kind(module, at, f"its joint limits do not let it turn to where the curve goes; {advice}")
+    if not beyond:
+        left, distance = curve.length - at, float(np.linalg.norm(last))
+        advice = f"the module is {reach:.4g} m long; lengthen the curve or use fewer modules"
+        text = f"the curve ends {left:.4g} m farther on, {distance:.4g} m from its base; {advice}"
+        if left <= slack:
+            text = f"the curve ends there; {advice}"
+        return CurveEndsEarly(module, at, text)
+    gap = float(np.linalg.norm(first))
+    if gap > reach:
+        advice = 'use placement="translate" or "align"'
+        return CurveLeavesTooSharply(module, at, f"the curve passes {gap:.4g} m from the base; {advice}")
+    if unit.kinematics.dof == 1 and abs(last[1]) > slack:
+        text = f"the curve leaves the plane in which the module moves by {abs(last[1]):.4g} m"
+        return CurveBendsTooMuch(module, at, f"{text}; use a planar curve in that plane, or two hinges")
+    exit_at = last / np.linalg.norm(last)
+    angle = float(np.degrees(np.arccos(np.clip(exit_at[0], -1.0, 1.0))))
+    text = f"the curve leaves its reach {angle:.3g} degrees off its axis, where it cannot turn"
+    if off_axis:
+        advice = 'placement="align" turns the curve to the arm'
+        return CurveLeavesTooSharply(module, at, f"{text}; {advice}")
+    return CurveBendsTooMuch(module, at, f"{text}; use a gentler curve or shorter modules")
+
+
+def _leaves_off_axis(unit: Unit, curve: Curve, at: float) -> bool:
+    """True if this is the first module and the curve does not set out along it."""
+    if unit.module > 0:
+        return False
+    return float(np.linalg.norm(np.cross(curve.tangent(at), unit.frame[:, 0]))) > 1e-6
+
+
+# Targets of all control points on a curve (Section 4.2).
+
+PLACEMENTS = ("as_is", "translate", "align")
+METHODS = ("auto", "sequential", "smooth", "closest")
+
+STIFFNESS = {"smooth": 0.02, "closest": 1e-8}
+"""What one radian of bending weighs against distance from the curve, in module lengths [1/rad].
+
+The closest placement has a trace of it: joints that move no control point need to be told something."""
+
+FAR = 0.1
+"""How far the start of a curve may be moved without a word, if nobody asked for it, and how far the farthest
+link may be from a curve that an arm counts as following, in arm lengths."""
+
+AT_LIMIT = 1e-6
+"""How near a limit of its position a joint is at it, in `Arm.joint_units`."""
+
+OFF_CURVE = 0.1
+"""How far off the curve a control point may be before it counts as having no place, in module lengths, or in
+those of a row of modules that are bound to one plane together (`Chain.spans`)."""
+
+
+def resolve_targets(
+    arm: Arm,
+    curve: Curve,
+    samples: int = 2000,
+    placement: Literal["as_is", "translate", "align"] | None = None,
+    roll: float = 0.0,
+    incomplete: Literal["raise", "partial"] = "raise",
+    method: Literal["auto", "sequential", "smooth", "closest"] = "auto",
+    near: Target | None = None,
+) -> Target:
+    """Find where on a curve each control point belongs, and the configuration that puts it there.
+
+    Modules are placed "sequential"ly as in Algorithm 1 (exact, from base to tip, for modules with closed-form
+    kinematics), or all at once by least squares within the joint limits, for any arm: "closest" to the
+    curve, or "smooth", which gives up a little closeness for less bending. Sequential placement multiplies
+    whatever angle a module makes with the curve by -l1 / l2 from module to module, and can zigzag along a
+    curve that leaves the base at an angle; smooth placement does not.
+
+    Args:
+        arm: the arm.
+        curve: the shape to take.
+        samples: number of points at equal arc length that stand for the curve in sequential placement.
+        placement: "as_is" uses the curve where it is; "translate" moves its start to the base of the
+            arm; "align" also turns its first tangent to the arm's axis by the least rotation, and a plane
+            curve into the plane of a planar arm. None aligns, and a `PostureWarning` tells if the start was
+            moved by more than a tenth of the arm's length; `moved` of the target tells it in any case. A base
+            that slides without real limits (`Arm.roaming`) stays where it is, unless a curve is to be used
+            "as_is" that it does not lie on: then it drives to its start.
+        roll: further turn of an aligned curve about the arm's axis [rad].
+        incomplete: what to do when some module has no place: "raise" an error, or return a "partial"
+            target that says why in `incomplete` and gives weight 0 to the points from there on.
+        method: as above; "auto" is sequential where that works and does not zigzag, else smooth, or
+            closest where a module has no closed-form kinematics.
+        near: the target on a curve that differs a little, as while one is dragged, or of a configuration that
+            nearly takes this one (`Target.from_configuration`). Least squares then begin there and look no
+            farther, which is quick; None: they begin with the straight arm, and take tenths of a second for
+            20 modules and seconds for 100.
+
+    Returns:
+        The target, with `q`, `parameters`, `residual`, `method` and `moved` filled in. How far the whole arm
+        is from the curve, links and all, `Target.distance_from_curve` says; where that is more than a tenth
+        of its length and no `near` was given, a `PostureWarning` says why (`Arm.adequate`). Joints that can
+        turn without limit are within half a turn of `near`, or of the straight arm.
+
+    Raises:
+        CurveEndsEarly: the curve is over before the last module is placed.
+        CurveLeavesTooSharply: the first module cannot turn to where the curve goes, or the curve passes the
+            base at a distance.
+        CurveOutOfReach: slides end before a control point can get to the curve.
+        CurveBendsTooMuch: a later module cannot, or the curve leaves the plane of a planar module, or a
+            control point stays farther off the curve than a tenth of its module's length, or of the length of
+            neighbouring modules that are bound to one plane together; says what keeps it from there.
+        UnsupportedModule: sequential placement of a module for which no solver exists.
+        InvalidValue: no arm or no curve, fewer than 2 samples, a roll that is not finite, a target of another
+            arm or without configuration to be near to.
+        UnknownName: a `placement`, `incomplete` or `method` that does not exist.
+    """
+    if not isinstance(arm, Arm):
+        raise InvalidValue("arm", arm, "an Arm")
+    if not isinstance(curve, Curve):
+        raise InvalidValue("curve", curve, "a Curve")
+    if placement is not None:
+        _require("placement", placement, PLACEMENTS)
+    _require("way to treat an incomplete target", incomplete, ("raise", "partial"))
+    _require("method", method, METHODS)
+    if isinstance(samples, bool) or not isinstance(samples, int) or samples < 2:
+        raise InvalidValue("samples", samples, "a whole number of at least 2")
+    if not math.isfinite(roll):
+        raise InvalidValue("roll", roll, "a finite angle [rad]")
+    if near is not None:
+        near.check(arm)
+        if near.q is None:
+            raise InvalidValue("near", near, "a target with a configuration q")
+    placed, moved = laid(arm, curve, placement, roll)
+    _warn_if_moved(arm, placement, moved)
+    if method == "sequential":
+        result = place_in_turn(arm, placed, samples)
+    elif method == "auto":
+        result, method = _choose(arm, placed, samples, near)
+    else:
+        result = _place_together(arm, placed, method, near)
+    if result.failure is not None and incomplete == "raise":
+        raise result.failure
+    target = replace(_target(arm, placed, result, method, near), moved=moved)
+    if near is None and result.failure is None:
+        _warn_if_far(arm, target)
+    return target
+
+
+def _warn_if_moved(arm: Arm, placement: str | None, moved: Moved) -> None:
+    if placement is None and moved.distance > FAR * arm.length:
+        warnings.warn(far_moved(arm, "the curve", moved), PostureWarning, stacklevel=3)
+
+
+def far_moved(arm: Arm, what: str, moved: Moved) -> str:
+    """What to say of a curve that was moved far without having been asked for."""
+    share = f"{moved.distance / arm.length:.2g} of the arm length"
+    advice = 'placement="as_is" leaves it where it is, "align" says that it may be moved'
+    return f"{what} was {moved} to the base of the arm, {share}; {advice}"
+
+
+def _require(kind: str, name: str, allowed: tuple[str, ...]) -> None:
+    if name not in allowed:
+        raise UnknownName(kind, name, allowed)
+
+
+def _choose(
+    arm: Arm, curve: Curve, samples: int, near: Target | None
+) -> tuple[Placement, Literal["sequential", "smooth", "closest"]]:
+    try:
+        in_turn = place_in_turn(arm, curve, samples)
+    except UnsupportedModule:
+        return _place_together(arm, curve, "closest", near), "closest"
+    if isinstance(in_turn.failure, CurveEndsEarly):
+        return in_turn, "sequential"
+    if in_turn.failure is None and not _zigzags(arm, in_turn.positions):
+        return in_turn, "sequential"
+    together = _place_together(arm, curve, "smooth", near)
+    if together.failure is None:
+        return together, "smooth"
+    return in_turn, "sequential"
+
+
+def _zigzags(arm: Arm, positions: Array) -> bool:
+    """True if most modules bend the other way than the one before."""
+    starts = np.append(arm.module_starts, len(arm.columns))
+    products, norms = kernels.neighbours(positions[arm.columns], starts)
+    return norms > 1e-6 * arm.n_modules and products < -0.5 * norms
+
+
+def _place_together(arm: Arm, curve: Curve, method: str, near: Target | None) -> Placement:
+    """Least squares over the whole arm; a failure where a control point ends up too far off the curve."""
+    start, _ = beginning(arm, curve)
+    lengths = np.maximum(arm.chain.module_lengths, arm.chain.module_lengths.mean())
+    bending = STIFFNESS[method] * float(np.median(lengths))
+    given = arm, curve, start, bending
+    fit = fit_curve(*given) if near is None else fit_near(*given, near)
+    ends = np.minimum(fit.parameters, curve.length)
+    residual = _off(arm, fit.positions, curve, ends)
+    failure: TargetError | None = None
+    over = np.flatnonzero(fit.parameters > curve.length + ROUNDING * arm.length)
+    spans = arm.chain.spans
+    off = np.flatnonzero(residual > OFF_CURVE * np.maximum(spans, arm.chain.module_lengths.mean()))
+    bases = np.concatenate([[start], ends[:-1]])
+    if len(over) and (not len(off) or over[0] <= off[0]):
+        k = int(over[0])
+        advice = "lengthen the curve or use fewer modules"
+        failure = CurveEndsEarly(k + 1, float(bases[k]), f"the curve ends before the module does; {advice}")
+    elif len(off):
+        k = int(off[0])
+        text = f"the closest that its end can come to the curve is {residual[k]:.4g} m"
+        kind, why = _hindrance(arm, curve, fit.positions, k, start)
+        failure = kind(k + 1, float(bases[k]), f"{text}; {why}")
+    return Placement(fit.positions, ends, failure)
+
+
+def _target(arm: Arm, curve: Curve, result: Placement, method: str, near: Target | None) -> Target:
+    weights = np.ones(arm.n_modules)
+    reason = ""
+    if result.failure is not None:
+        weights[result.failure.module - 1 :] = 0.0
+        reason = str(result.failure)
+    q = arm.nearest_turns(arm.configuration(result.positions), None if near is None else near.q)
+    points = arm.at(q).points
+    residual = _off(arm, result.positions, curve, result.parameters)
+    return Target(points, weights, q, curve, result.parameters, residual, method, reason)
+
+
+def _warn_if_far(arm: Arm, target: Target) -> None:
+    """Warn where the control points are on the curve, and the arm between them is not."""
+    if target.curve is None or target.q is None or target.residual is None:
+        return
+    between = max(_line_lengths(arm, target.q)) / 2.0  # no link is farther from both control points beside it
+    if between + float(target.residual.max()) <= FAR * arm.length:
+        return
+    away = target.distance_from_curve(arm)
+    if away is None or away <= FAR * arm.length:
+        return
+    fits = arm.adequate(target.curve)
+    reasons = [str(excess) for excess in fits.excesses[:2]]
+    if np.any(arm.chain.plane_bound):
+        reasons.append("parallel axes in a row leave no plane")
+    if not reasons:
+        reasons.append("its links are long and its control points few for this curve")
+    share = f"{away:.4g} m, {away / arm.length:.2g} of its length"
+    text = f"the arm does not follow the curve: its links are up to {share}, away from it"
+    warnings.warn(f"{text} ({'; '.join(reasons)})", PostureWarning, stacklevel=3)
+
+
+def _line_lengths(arm: Arm, q: Array) -> list[float]:
+    """Length along the links of each module at a configuration, (m,) [m]."""
+    state = arm.at(q)
+    lengths, start = [], arm.chain.base
+    for k, joints in enumerate(arm.chain.module_slices):
+        line = np.vstack([start, state.placed.origins[joints], state.points[k]])
+        lengths.append(float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()))
+        start = state.points[k]
+    return lengths
+
+
+def _off(arm: Arm, positions: Array, curve: Curve, parameters: Array) -> Array:
+    """Distance of each control point from its place on the curve, (m,) [m]; of a planar arm, in its plane."""
+    points = arm.chain.flattened(arm.at(arm.configuration(positions)).points)
+    gaps = points - curve.at(parameters)
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", gaps, gaps)))
+
+
+def _hindrance(
+    arm: Arm, curve: Curve, positions: Array, module: int, start: float
+) -> tuple[type[TargetError], str]:
+    """What keeps the end of a module from a curve that joint positions (nv,) bring it nearest to."""
+    own = arm.columns[: arm.chain.module_slices[module].stop]
+    room = np.minimum(positions - arm.limits.lower, arm.limits.upper - positions) / arm.joint_units
+    names = dict(zip(arm.columns.tolist(), arm.chain.joints, strict=True))
+    stuck = [int(u) for u in own if room[u] <= AT_LIMIT]
+    slides = [u for u in stuck if arm.slides[u]]
+    if slides:
+        listed = ", ".join(f"{names[u]!r} at {positions[u]:.4g} m" for u in slides[:3])
+        advice = "move the curve, or widen their limits"
+        return CurveOutOfReach, f"slides end before it can get there: {listed}; {advice}"
+    gap = float(np.linalg.norm(curve.at(start) - arm.chain.base))
+    if gap > ROUNDING * arm.length and not np.any(arm.roaming):
+        advice = 'use placement="translate" or "align"'
+        return CurveLeavesTooSharply, f"the curve passes {gap:.4g} m from the base; {advice}"
+    if arm.chain.plane_bound[module]:
+        advice = "use a curve in one plane, or joints whose axes differ"
+        return CurveBendsTooMuch, f"its joints turn about parallel axes and leave no plane; {advice}"
+    if stuck:
+        listed = ", ".join(repr(names[u]) for u in stuck[:3]) + (", ..." if len(stuck) > 3 else "")
+        advice = "use a gentler curve, wider joint limits or shorter modules"
+        return CurveBendsTooMuch, f"at the limits of {listed}; {advice}"
+    return CurveBendsTooMuch, "use a gentler curve or shorter modules"

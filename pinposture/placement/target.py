@@ -1,0 +1,158 @@
+"""The target posture: where each control point should be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import isfinite
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pinposture._validation import float_array
+from pinposture.arm import Arm
+from pinposture.curve import Curve
+from pinposture.errors import InvalidValue
+from pinposture.placement.curve_placement import Moved, distance_from_curve
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """Target positions of the control points, and how they were found.
+
+    Attributes:
+        points: target positions, (m, 3) [m], world frame.
+        weights: 1 for a control point that has a target, 0 for one that is free, (m,). `fit_points` and
+            `LevenbergMarquardt` weigh by them; other controllers only ask whether they are above 0.
+        q: a configuration that takes the target posture, (nq,), or None if none is known.
+        curve: the curve as placed in the world, or None.
+        parameters: arc length along the curve at each point, (m,) [m], or None.
+        residual: distance of each point from the curve, or of the posture at `q` from measured points, (m,)
+            [m], or None.
+        method: how the points were found on the curve: "sequential", "smooth" or "closest"; or empty.
+        moved: how the curve was moved from where it was drawn; None if there is none, or that is not known.
+        incomplete: why some control points have no place on the curve; empty if all have one. Those
+            have weight 0, and their `points` continue straight on from the last that was placed.
+        approximate: how far the posture at `q` stays from points that were given (`fit_points`), and that it
+            may be a local minimum; empty if it takes them, or none is known.
+    """
+
+    points: Array
+    weights: Array
+    q: Array | None = None
+    curve: Curve | None = None
+    parameters: Array | None = None
+    residual: Array | None = None
+    method: str = ""
+    incomplete: str = ""
+    moved: Moved | None = None
+    approximate: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("points", "weights", "q", "parameters", "residual"):
+            value = getattr(self, name)
+            if value is not None:
+                array = np.array(value, dtype=np.float64)
+                array.flags.writeable = False
+                object.__setattr__(self, name, array)
+
+    @property
+    def placed(self) -> NDArray[np.bool_]:
+        """Which control points have a target, (m,)."""
+        return np.asarray(self.weights > 0.0)
+
+    def distance_from_curve(self, arm: Arm) -> float | None:
+        """How far the whole arm is from the curve at `q` [m]: its links, not its control points alone.
+
+        Args:
+            arm: the arm that the target is for.
+
+        Returns:
+            The distance of the farthest place on its links, from joint to joint and to the tip, from the
+            curve; of a planar arm, in its plane (`curve_placement`). None if
+            there is no curve, or no configuration is known.
+        """
+        if self.q is None or self.curve is None:
+            return None
+        return distance_from_curve(arm, self.q, self.curve)
+
+    def check(self, arm: Arm) -> None:
+        """Raise InvalidValue unless the target fits an arm, is finite, and has a point to control."""
+        m = arm.n_modules
+        if self.points.shape != (m, 3):
+            raise InvalidValue("target.points (shape)", self.points.shape, f"({m}, 3) for this arm")
+        if self.weights.shape != (m,):
+            raise InvalidValue("target.weights (shape)", self.weights.shape, f"({m},) for this arm")
+        if not self.weights.max() > 0.0 and not np.any(self.placed):
+            raise InvalidValue("target.weights", 0.0, "at least one control point with a weight > 0")
+        for name, values in (("points", self.points), ("weights", self.weights)):
+            flat = values.ravel()
+            if not isfinite(flat @ flat) and not np.all(np.isfinite(values)):
+                where = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
+                allowed = "finite numbers, also for points of weight 0"
+                raise InvalidValue(f"target.{name}{list(where)}", float(values[where]), allowed)
+        if self.q is not None:
+            arm.checked(self.q, "target.q")
+
+    def region(self, first: int, last: int) -> Target:
+        """The same target for control points `first` to `last` only; the others are free.
+
+        Weights within the region stay as they are. So does `q`, which still takes the whole posture.
+
+        Args:
+            first: first control point of the region, 0-based.
+            last: last control point of the region, included.
+
+        Raises:
+            InvalidValue: not a region of the arm, or none of its points has a target.
+        """
+        m = len(self.weights)
+        for name, value, lowest in (("first", first, 0), ("last", last, first)):
+            whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+            if not (whole and lowest <= value < m):
+                raise InvalidValue(name, value, f"a whole number from {lowest} to {m - 1}")
+        inside = np.zeros(m, dtype=np.bool_)
+        inside[first : last + 1] = True
+        if not np.any(self.placed & inside):
+            placed = ", ".join(map(str, np.flatnonzero(self.placed)))
+            allowed = f"a region with a control point that has a target: {placed}"
+            raise InvalidValue("region", (int(first), int(last)), allowed)
+        return replace(self, weights=np.where(inside, self.weights, 0.0))
+
+    @classmethod
+    def from_points(cls, arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) -> Target:
+        """Take target positions as they are, for instance measured ones.
+
+        Args:
+            arm: the arm.
+            points: one position per control point, (m, 3) [m], world frame.
+            weights: 1 to control a point, 0 to leave it free, (m,); all 1 if None.
+
+        Raises:
+            InvalidValue: wrong shape, not finite, negative weights, or no point with a weight.
+        """
+        m = arm.n_modules
+        checked = _array("points", points, (m, 3))
+        weighted = np.ones(m) if weights is None else _array("weights", weights, (m,))
+        if np.any(weighted < 0.0) or not np.any(weighted > 0.0):
+            raise InvalidValue("weights", weighted.tolist(), "numbers >= 0, at least one of them > 0")
+        return cls(checked, weighted)
+
+    @classmethod
+    def from_configuration(cls, arm: Arm, q: ArrayLike) -> Target:
+        """Take the posture that the arm has at a configuration q, (nq,).
+
+        Raises:
+            InvalidValue: as `Arm.checked_start`.
+        """
+        state = arm.at(arm.checked_start(q))
+        return cls(state.points, np.ones(arm.n_modules), q=state.q)
+
+
+def _array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
+    array = float_array(name, values, shape)
+    if not np.all(np.isfinite(array)):
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise InvalidValue(f"{name}{list(where)}", float(array[where]), "finite numbers")
+    return array

@@ -1,0 +1,238 @@
+"""The figures of chapter 6 of the thesis, laid out as it has them."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping
+from itertools import count
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.gridspec import SubplotSpec
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.ticker import NullFormatter
+
+from pinposture.errors import InvalidValue
+from pinposture.motion import Trajectory
+from pinposture.viz import palette
+from pinposture.viz.axes import DEEPEST, ending
+from pinposture.viz.panels import (
+    mark_method,
+    plot_point_count,
+    plot_point_errors,
+    plot_points_and_index,
+    plot_posture_error,
+    plot_used_points,
+)
+from pinposture.viz.postures import PosturePanel, draw_runs, draw_way
+
+WIDTH = 12.0
+"""Width of a figure [inch]; 1200 pixels at the default resolution."""
+
+BETWEEN = 14
+"""How many of the postures on the way are drawn, the first ones closer together than the last."""
+
+
+def draw_final_postures(runs: Mapping[str, Trajectory], title: str) -> Figure:
+    """Initial posture, target curve and final postures, as Figures 6.3, 6.5 and 6.7.
+
+    Beside them target and final postures alone, which may fill a far smaller room than the initial one.
+
+    Args:
+        runs: runs from one start to one target, by the names of their controllers.
+        title: what to write above.
+
+    Raises:
+        InvalidValue: no run.
+    """
+    first = _first(runs)
+    kind = "3d" if first.arm.dimension == 3 else None
+    figure = _figure(6.0, title)
+    grid = figure.add_gridspec(1, 2, width_ratios=(1.15, 1.0))
+    named = [
+        (run, f"{name}, final posture", palette.controller_color(run.controller))
+        for name, run in runs.items()
+    ]
+    draw_runs(named, figure.add_subplot(grid[0], projection=kind))
+    closer = PosturePanel(first.arm, figure.add_subplot(grid[1], projection=kind))
+    closer.target(first.target)
+    for i, (run, label, color) in enumerate(named):
+        closer.posture(run.q[-1], color, label, width=2.2 + 1.2 * (len(named) - 1 - i))
+    closer.finish()
+    closer.ax.set_title("final postures alone", fontsize=9, color=palette.INK)
+    if closer.spatial:
+        view: Any = closer.ax
+        view.zaxis.labelpad += 8.0  # a slender box has the numbers of its scale where the label would be
+    return figure
+
+
+def draw_errors(runs: Mapping[str, Trajectory], title: str) -> Figure:
+    """Control point errors, posture error and number of control points, as Figures 6.4, 6.6 and 6.8.
+
+    Each run has a row of its own; rows share their scales.
+
+    Args:
+        runs: runs from one start to one target, by the names of their controllers.
+        title: what to write above.
+
+    Raises:
+        InvalidValue: no run.
+    """
+    _first(runs)
+    figure = _figure(0.6 + 3.3 * len(runs), title)
+    grid = figure.add_gridspec(len(runs), 3)
+    letters = count()
+    columns: tuple[list[Axes], ...] = ([], [], [])
+    for row, (name, run) in enumerate(runs.items()):
+        panels = [figure.add_subplot(grid[row, column]) for column in range(3)]
+        plot_point_errors(run, panels[0])
+        plot_posture_error(run, panels[1])
+        plot_point_count(run, panels[2])
+        heads = ("control point errors", "posture error", "control points used")
+        for panel, head, column in zip(panels, heads, columns, strict=True):
+            _head(panel, f"{name}: {head}", next(letters))
+            column.append(panel)
+    for column in columns[:2]:
+        _share_values(column)
+    return figure
+
+
+def draw_planar(
+    runs: Mapping[str, Trajectory], title: str, compared: Mapping[str, Trajectory] | None = None
+) -> Figure:
+    """Everything about runs of a planar arm, as Figures 6.9 to 6.12.
+
+    At the top the initial posture and the target; below, a row for each run: the control points used in each
+    step, posture error above number of control points and manipulability index, and the final posture with
+    those on the way. Red dots on the step axis mark what a switching controller left to Projection.
+
+    Args:
+        runs: runs from one start to one target, by the names of their controllers.
+        title: what to write above.
+        compared: further runs of which only the posture error is drawn, beside each of the others.
+
+    Raises:
+        InvalidValue: no run, or an arm that is not planar.
+    """
+    first = _first(runs)
+    if first.arm.dimension != 2:
+        raise InvalidValue("runs (arm)", first.arm, "a planar arm")
+    figure = _figure(3.4 + 3.9 * len(runs), title)
+    rows = figure.add_gridspec(1 + len(runs), 1, height_ratios=(0.8, *(1.0 for _ in runs)))
+    letters = count()
+    top = rows[0].subgridspec(1, 2, width_ratios=(1.0, 0.8))
+    ax = figure.add_subplot(top[0])
+    panel = PosturePanel(first.arm, ax)
+    panel.target(first.target)
+    panel.posture(first.q[0], palette.START, "initial posture", width=1.6)
+    panel.finish()
+    _head(ax, "initial posture and target curve", next(letters))
+    handles, labels = ax.get_legend_handles_labels()
+    words = figure.add_subplot(top[1])
+    words.axis("off")
+    lines = [f"{name} {ending(run)}:\nposture error {_change(run)}" for name, run in runs.items()]
+    lines += [f"{name} alone: posture error {_change(run)}" for name, run in (compared or {}).items()]
+    words.text(0.02, 0.0, "\n".join(lines), fontsize=9, color=palette.INK, va="bottom", linespacing=1.5)
+    finals = []
+    for row, (name, run) in enumerate(runs.items(), start=1):
+        cells = rows[row].subgridspec(1, 3, width_ratios=(1.0, 1.0, 1.05))
+        ax = figure.add_subplot(cells[0])
+        plot_used_points(run, ax)
+        _head(ax, f"{name}: control points used", next(letters))
+        error = _draw_progress(figure, cells[1], run, name, next(letters), compared or {})
+        finals.append((figure.add_subplot(cells[2]), name, run))
+    if compared:
+        errors = error.get_legend_handles_labels()
+        handles, labels = handles + errors[0], labels + [f"{label}: posture error" for label in errors[1]]
+    named = dict(zip(labels, handles, strict=True))
+    for ax, name, run in finals:
+        _draw_way(run, ax)
+        _head(ax, f"{name}: final posture", next(letters))
+        for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
+            if label != "final posture":  # which the title says, and which has a colour for each run
+                named.setdefault(label, handle)
+    words.legend(list(named.values()), list(named), loc="upper left", fontsize=9, frameon=False, ncols=2)
+    return figure
+
+
+def _share_values(panels: list[Axes]) -> None:
+    """Give panels one vertical scale, logarithmic if that of any of them is."""
+    drawn = [np.asarray(line.get_ydata(), dtype=float) for panel in panels for line in panel.get_lines()]
+    positive = np.concatenate([values[values > 0.0] for values in drawn])
+    if not len(positive):
+        return
+    least = max(float(positive.min()), float(positive.max()) * 10.0**-DEEPEST)
+    logarithmic = any(panel.get_yscale() == "log" for panel in panels)
+    limits = [panel.get_ylim() for panel in panels if not logarithmic or panel.get_yscale() == "log"]
+    low, high = min(each[0] for each in limits), max(each[1] for each in limits)
+    for panel in panels:
+        if logarithmic:
+            panel.set_yscale("log", nonpositive="clip")
+            panel.yaxis.set_minor_formatter(NullFormatter())
+            panel.set_ylim(min(low, least / 1.8), max(high, float(positive.max()) * 1.8))
+        else:
+            panel.set_ylim(low, high)
+
+
+def _draw_progress(
+    figure: Figure,
+    place: SubplotSpec,
+    run: Trajectory,
+    name: str,
+    letter: int,
+    compared: Mapping[str, Trajectory],
+) -> Axes:
+    """Posture error above number of points and index; returns the axes of the posture error."""
+    cells = place.subgridspec(2, 1, height_ratios=(1.35, 1.0))
+    error, points = figure.add_subplot(cells[0]), figure.add_subplot(cells[1])
+    for label, other in compared.items():
+        plot_posture_error(other, error, label=f"{label} alone")
+    plot_posture_error(run, error, label=name if compared else None)
+    plot_points_and_index(run, points)
+    low, high = error.get_ylim()
+    logarithmic = error.get_yscale() == "log"  # room for what is written above and below
+    error.set_ylim(low * (0.1 if logarithmic else 1.0), high * (4.0 if logarithmic else 1.1))
+    error.set_xlim(0.0, max(each.steps for each in (run, *compared.values())) + 1.0)
+    points.set_xlim(0.0, run.steps + 1.0)
+    if not compared:  # otherwise the other runs may be far longer
+        error.set_xlabel("")
+        error.tick_params(labelbottom=False)
+    if (run.method == "projection").any():
+        mark_method(run, points)
+        points.set_xlabel("step (red: steps by Projection)", fontsize=9)
+    _head(error, f"{name}: posture error, points, index", letter)
+    return error
+
+
+def _draw_way(run: Trajectory, ax: Axes) -> None:
+    """The final posture and the target, with some of the postures on the way."""
+    panel, color = PosturePanel(run.arm, ax), palette.controller_color(run.controller)
+    steps = np.unique(np.geomspace(1, max(run.steps, 1), BETWEEN).round().astype(np.intp))
+    draw_way(panel, run, color, steps[steps < run.steps])
+    panel.target(run.target)
+    panel.posture(run.q[-1], color, "final posture", width=2.0)
+    panel.finish()
+
+
+def _figure(height: float, title: str) -> Figure:
+    layout = ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08, wspace=0.03, hspace=0.03)
+    figure = Figure(figsize=(WIDTH, height), layout=layout)
+    text = "\n".join(textwrap.fill(line, 150) for line in title.splitlines())
+    figure.suptitle(text, fontsize=10, x=0.012, ha="left", color=palette.INK, parse_math=False)
+    return figure
+
+
+def _change(run: Trajectory) -> str:
+    return f"{run.posture_error[0]:.3g} m -> {run.posture_error[-1]:.3g} m"
+
+
+def _head(ax: Axes, text: str, letter: int) -> None:
+    ax.set_title(f"({chr(ord('a') + letter)}) {text}", fontsize=9, loc="left", color=palette.INK)
+
+
+def _first(runs: Mapping[str, Trajectory]) -> Trajectory:
+    if not runs:
+        raise InvalidValue("runs", dict(runs), "at least one run")
+    return next(iter(runs.values()))

@@ -1,1 +1,0 @@
-"""Task files: what they may say, and what is made of it."""

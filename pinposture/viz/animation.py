@@ -1,0 +1,286 @@
+"""Which configurations are shown when, and everything that moves with them."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from pinposture.arm import Arm
+from pinposture.errors import InvalidValue
+from pinposture.motion import Motion, Trajectory
+from pinposture.viz import palette
+from pinposture.viz.axes import Place
+from pinposture.viz.body import bodies, body_poses
+from pinposture.viz.drawing import (
+    IDLE_SIZE,
+    POINT_SIZE,
+    ROOT,
+    Command,
+    Track,
+    body_path,
+    draw,
+    link_radius,
+    point_path,
+    transform,
+)
+from pinposture.viz.mesh import TriangleMesh, tube
+
+# A run or a motion as it passes before the eyes: which configurations are shown, and when.
+
+Array = NDArray[np.float64]
+
+REST_BEFORE, REST_AFTER = 0.6, 1.6
+"""How long the first and the last posture stand still [s]."""
+
+SHORTEST = 2.0
+"""How long a run is shown at least; one of few steps is shown slower [s]."""
+
+LONGEST = 60.0
+"""How long a motion in time is shown at most; one that takes longer is shown faster [s]."""
+
+
+@dataclass(frozen=True)
+class Film:
+    """The configurations of a run or a motion that are shown, one after the other.
+
+    Attributes:
+        run: the run, or that of the motion.
+        motion: the motion; None for a run, whose steps know of no time.
+        rows: which rows of `run.q` are shown, increasing, first and last included, (f,).
+        times: when each is reached, (f,), in frames.
+        end: when it is over and starts again, in frames.
+        fps: frames per second.
+        pace: how many times as fast as it was a motion is shown; 1 in real time.
+    """
+
+    run: Trajectory
+    motion: Motion | None
+    rows: NDArray[np.intp]
+    times: Array
+    end: float
+    fps: float
+    pace: float = 1.0
+
+    @property
+    def held(self) -> NDArray[np.intp]:
+        """Which of `rows` is seen at each of `moments`, (f + 2,)."""
+        return np.concatenate([[0], np.arange(len(self.rows)), [len(self.rows) - 1]])
+
+    @property
+    def moments(self) -> Array:
+        """`times` with beginning and end, (f + 2,), in frames.
+
+        The first and the last configuration are held, so that one sees them before all starts again.
+        """
+        return np.concatenate([[0.0], self.times, [self.end]])
+
+
+def film(shown: Trajectory | Motion, fps: float, max_frames: int) -> Film:
+    """Choose what to show: every configuration, or as many as allowed, evenly spaced.
+
+    A motion is shown in real time, unless that takes longer than `LONGEST`. Then it is shown 2, 5, 10, ...
+    times as fast.
+
+    Args:
+        shown: a run, or a motion in time.
+        fps: configurations of a motion per second of the film, fewer if it has fewer; steps of a run per
+            second, fewer if it would be over too soon.
+        max_frames: number of configurations at most, at least 2.
+
+    Raises:
+        InvalidValue: `fps` or `max_frames`.
+    """
+    if not (np.isfinite(fps) and 0.0 < fps <= 120.0):
+        raise InvalidValue("fps", fps, "a number above 0, at most 120 [1/s]")
+    if isinstance(max_frames, bool) or not isinstance(max_frames, int) or max_frames < 2:
+        raise InvalidValue("max_frames", max_frames, "a whole number of at least 2")
+    if isinstance(shown, Motion):
+        return _in_time(shown, float(fps), max_frames)
+    count = min(shown.steps + 1, max_frames)
+    fps = min(fps, max(count - 1, 1) / SHORTEST)
+    rows = np.round(np.linspace(0, shown.steps, count)).astype(np.intp)
+    times = REST_BEFORE * fps + np.arange(count, dtype=np.float64)
+    return Film(shown, None, rows, times, float(times[-1] + REST_AFTER * fps), float(fps))
+
+
+def _in_time(motion: Motion, fps: float, max_frames: int) -> Film:
+    """Rows of a motion and when to show them; `fps` is but the unit of time then."""
+    pace = _pace(float(motion.time[-1]))
+    frames = int(np.ceil(motion.time[-1] / pace * fps))
+    count = min(frames, motion.steps, max_frames - 1) + 1
+    rows = np.round(np.linspace(0, motion.steps, count)).astype(np.intp)
+    times = (REST_BEFORE + motion.time[rows] / pace) * fps
+    return Film(motion.run, motion, rows, times, float(times[-1] + REST_AFTER * fps), fps, pace)
+
+
+def _pace(seconds: float) -> float:
+    """How many times as fast to show a motion: the least of 1, 2, 5, 10, 20, ... that makes it short."""
+    paces = (digit * 10.0**power for power in itertools.count() for digit in (1.0, 2.0, 5.0))
+    return next(pace for pace in paces if seconds <= LONGEST * pace * (1.0 + 1e-9))
+
+
+def tracks(arm: Arm, shown: Film) -> list[Track]:
+    """How the bodies of the arm move and its control points change, for an arm that has been drawn.
+
+    Args:
+        arm: the arm.
+        shown: what to show. A control point counts as active at a configuration if it is in the active
+            control set of the step that leaves it; at the last, of the step that led to it.
+    """
+    run = shown.run
+    poses = body_poses(arm, run.q[shown.rows])  # (f, n, 4, 4)
+    held, times = shown.held, shown.moments
+    listed = []
+    for u in range(poses.shape[1]):
+        turns = Rotation.from_matrix(poses[:, u, :3, :3]).as_quat()
+        listed.append(Track(body_path(u), "position", "vector3", times, poses[held, u, :3, 3], smooth=True))
+        listed.append(Track(body_path(u), "quaternion", "quaternion", times, turns[held], smooth=True))
+    if run.steps:
+        active = run.active[np.minimum(shown.rows, run.steps - 1)][held]  # (f + 2, m)
+        ends = [u for u, body in enumerate(bodies(arm)) if body.point is not None]
+        for u, on in zip(ends, active.T, strict=True):
+            listed.extend(_activity(point_path(u), times, on))
+    return listed
+
+
+def _activity(path: str, times: Array, on: NDArray[np.bool_]) -> list[Track]:
+    """Colour and size of a control point that is active at some times, told only where that changes."""
+    told = np.concatenate([[True], on[1:] != on[:-1]])
+    told[-1] = True  # all tracks end together, or those that end early would start again early
+    colors = np.where(on[told, None], palette.rgb(palette.ACTIVE), palette.rgb(palette.IDLE))
+    sizes = np.where(on[told, None], 1.0, IDLE_SIZE) * np.ones(3)
+    return [
+        Track(f"{path}/<object>", "material.color", "color", times[told], colors, smooth=False),
+        Track(path, "scale", "vector3", times[told], sizes, smooth=False),
+    ]
+
+
+# The targets of a motion in the browser: hoops that go where the control points should be.
+
+HOOP, WIRE = 1.35, 0.14
+"""Radius of a hoop, and of the wire that it is made of, relative to that of a control point."""
+
+SIDES = 32
+"""Corners of the polygon that stands for a hoop."""
+
+THIN = 0.25
+"""Radius of a line through the targets at a named place, relative to that of the bars of the arm."""
+
+GONE = 1e-3
+"""Size of a hoop that is not there."""
+
+
+def moving_target_commands(motion: Motion, places: list[Place]) -> list[Command]:
+    """Draw the targets of a motion where it starts, and thin lines through those at named places."""
+    arm, radius = motion.arm, link_radius(motion.arm)
+    commands = []
+    for number, place in enumerate(places):
+        line = _line(arm, motion.targets[place.row][motion.asked[place.row]])
+        if len(line) > 1:
+            path = f"{ROOT}/target/place_{number + 1:03d}"
+            commands.append(draw(path, tube(line, THIN * radius), place.color))
+    turns = hoop_turns(arm, motion.targets[:1], motion.asked[:1])
+    for k in _ever_asked(motion):
+        matrix = np.eye(4)
+        size = 1.0 if motion.asked[0, k] else GONE
+        matrix[:3, :3] = size * Rotation.from_quat(turns[0, k]).as_matrix()
+        matrix[:3, 3] = motion.targets[0, k]
+        hoop = draw(hoop_path(k), _hoop(POINT_SIZE * radius), palette.TARGET)
+        commands += [hoop, transform(hoop_path(k), matrix)]
+    return commands
+
+
+def moving_target_tracks(motion: Motion, film: Film) -> list[Track]:
+    """How targets that have been drawn move, come and go."""
+    held, times = film.held, film.moments
+    targets, asked = motion.targets[film.rows], motion.asked[film.rows]
+    turns = hoop_turns(motion.arm, targets, asked)
+    listed = []
+    for k in _ever_asked(motion):
+        path = hoop_path(k)
+        listed.append(Track(path, "position", "vector3", times, targets[held, k], smooth=True))
+        listed.append(Track(path, "quaternion", "quaternion", times, turns[held, k], smooth=True))
+        if not asked[:, k].all():
+            sizes = np.where(asked[held, k, None], 1.0, GONE) * np.ones(3)
+            listed.append(Track(path, "scale", "vector3", times, sizes, smooth=False))
+    return listed
+
+
+def hoop_path(point: int) -> str:
+    """Path in the scene of the hoop for a control point, 0-based."""
+    return f"{ROOT}/target/hoop_{point + 1:03d}"
+
+
+def hoop_turns(arm: Arm, targets: Array, asked: NDArray[np.bool_]) -> Array:
+    """Turns that stand hoops across the line through the targets, quaternions (x, y, z, w), (f, m, 4).
+
+    Each follows from the one before by the least rotation, so that hoops do not spin.
+
+    Args:
+        arm: the arm.
+        targets: where control points should be, (f, m, 3) [m], world frame.
+        asked: which of them have a target, (f, m).
+    """
+    turns = np.empty((*asked.shape, 4))
+    normals = np.broadcast_to([0.0, 0.0, 1.0], (asked.shape[1], 3))
+    turn = Rotation.identity(asked.shape[1])
+    for row in range(len(targets)):
+        ahead = _tangents(arm, targets[row], asked[row], normals)
+        turn = _least(normals, ahead) * turn
+        normals, turns[row] = ahead, turn.as_quat()
+    products = np.einsum("fmi,fmi->fm", turns[1:], turns[:-1])
+    signs = np.cumprod(np.vstack([np.ones(asked.shape[1]), np.where(products < 0.0, -1.0, 1.0)]), axis=0)
+    steady: Array = turns * signs[..., None]
+    return steady
+
+
+def _tangents(arm: Arm, points: Array, asked: NDArray[np.bool_], known: Array) -> Array:
+    """Directions of the line from the base through targets (m, 3), or those known where there is none."""
+    tangents: Array = known.copy()
+    here = np.flatnonzero(asked)
+    line = np.vstack([arm.chain.base, points[here]])
+    behind = np.diff(line, axis=0)
+    ahead = np.vstack([behind[1:], behind[-1:]])
+    across = _unit(behind) + _unit(ahead)
+    lengths = np.linalg.norm(across, axis=1)
+    plain = lengths > 1e-6
+    tangents[here[plain]] = across[plain] / lengths[plain, None]
+    return tangents
+
+
+def _unit(vectors: Array) -> Array:
+    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors / np.maximum(lengths, 1e-12))
+
+
+def _least(before: Array, after: Array) -> Rotation:
+    """The least rotations that take unit vectors (m, 3) to others."""
+    axes = np.cross(before, after)
+    sines = np.linalg.norm(axes, axis=1, keepdims=True)
+    angles = np.arctan2(sines, np.einsum("mi,mi->m", before, after)[:, None])
+    aside = np.cross(before, np.eye(3)[np.abs(before).argmin(axis=1)])  # for those that turn round
+    around = np.where(sines > 1e-9, axes / np.maximum(sines, 1e-9), _unit(aside))
+    turns: Rotation = Rotation.from_rotvec(angles * around)
+    return turns
+
+
+def _ever_asked(motion: Motion) -> NDArray[np.intp]:
+    """Control points, 0-based, that have a target at some time."""
+    return np.asarray(np.flatnonzero(motion.asked.any(axis=0)))
+
+
+def _line(arm: Arm, points: Array) -> Array:
+    """From the base through target points, no two in a row equal, (n, 3)."""
+    line = np.vstack([arm.chain.base, points])
+    apart = np.linalg.norm(np.diff(line, axis=0), axis=1) > 1e-9 * arm.length
+    return np.asarray(line[np.concatenate([[True], apart])])
+
+
+def _hoop(inner: float) -> TriangleMesh:
+    around = 2.0 * np.pi * np.arange(SIDES + 1) / SIDES
+    circle = np.stack([np.cos(around), np.sin(around), np.zeros(SIDES + 1)], axis=1)
+    return tube(HOOP * inner * circle, WIRE * inner)

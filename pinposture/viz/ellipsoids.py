@@ -1,0 +1,280 @@
+"""Manipulability ellipsoids in figures and in the browser."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.patches import Patch
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from pinposture.arm import Arm, Ellipsoid
+from pinposture.viz import palette
+from pinposture.viz.animation import Film
+from pinposture.viz.drawing import ROOT, Command, Track, draw, link_radius, transform
+from pinposture.viz.mesh import TriangleMesh, ball
+from pinposture.viz.postures import PosturePanel
+
+# How manipulability ellipsoids are drawn: at what scale, in what colour, and into figures.
+
+Array = NDArray[np.float64]
+
+LARGEST = 0.2
+"""Largest radius that is drawn, relative to the length of the arm, or not much above."""
+
+STEPS = (7.0, 5.0, 3.0, 2.0, 1.5, 1.0)
+"""First digits that a scale may have."""
+
+KEY = {
+    palette.SINGULAR: "0, singular",
+    palette.WORSE: f"{palette.REGULAR_INDEX / 4:g}",
+    palette.REGULAR: f"{palette.REGULAR_INDEX:g} and more",
+}
+"""What the colours of ellipsoids say of their index (4.4)."""
+
+SIDES = 48
+"""Corners of the polygon that stands for an ellipse."""
+
+
+def drawn_length(arm: Arm, points: Sequence[int]) -> float:
+    """Length with which 1 m/rad is drawn, the same in every posture, so that ellipsoids can be compared.
+
+    Args:
+        arm: the arm.
+        points: indices of the control points whose ellipsoids are shown, 0-based.
+
+    Returns:
+        A round length [m] at which the largest of them is well seen beside the arm.
+    """
+    # A joint that turns moves a point by the length of the arm between them at most, per radian.
+    fastest = max((float(np.linalg.norm(_levers(arm, point))) for point in points), default=0.0)
+    # In space joints share out their motion over two directions across the arm.
+    radius = max(fastest / np.sqrt(arm.dimension - 1.0), 0.01 * arm.length)
+    length = LARGEST * arm.length / radius
+    power = 10.0 ** np.floor(np.log10(length))
+    return float(next(step for step in STEPS if step * power <= length * (1.0 + 1e-9)) * power)
+
+
+def scale_in_words(arm: Arm, points: Sequence[int]) -> str:
+    """The scale of ellipsoids as a legend says it."""
+    return f"1 m/rad drawn as {drawn_length(arm, points):.3g} m"
+
+
+def draw_ellipsoids(panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> None:
+    """Draw the ellipse of each two principal axes, below the arm; a flat one leaves a rim or a line.
+
+    Call it before the panel is finished, so that it makes room for them.
+
+    Args:
+        panel: the panel.
+        ellipsoids: ellipsoids of the arm of the panel.
+    """
+    for color, center, axes in _drawn(panel, ellipsoids):
+        for pair in combinations(axes, 2):
+            panel.line(center + _circle() @ pair, color=color, lw=0.9, zorder=1.9)
+
+
+def shade_ellipsoids(panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> None:
+    """Shade ellipsoids, drawn before, within their outlines; call it after the panel is finished.
+
+    Args:
+        panel: the panel.
+        ellipsoids: ellipsoids of the arm of the panel.
+    """
+    ax: Any = panel.ax
+    for color, center, axes in _drawn(panel, ellipsoids):
+        outline = center + silhouette(axes, panel.screen)
+        panel.line(outline, color=color, lw=1.3, zorder=1.9)
+        style = {"facecolor": (*palette.rgb(color), 0.22), "edgecolor": "none", "zorder": 1.8}
+        if panel.spatial:
+            ax.add_collection3d(Poly3DCollection([outline], **style))
+        else:
+            ax.fill(*panel.coordinates(outline), **style)
+
+
+def silhouette(axes: Array, screen: Array) -> Array:
+    """Where rays to a far eye touch an ellipsoid about the origin.
+
+    Args:
+        axes: its semi-axes, (d, 3) [m], world frame.
+        screen: unit vectors to the right and up, (2, 3), world frame.
+
+    Returns:
+        A closed line, (n, 3) [m], world frame.
+    """
+    # The points of the unit ball that become the rim of its picture: those across the line of sight.
+    _, _, rim = np.linalg.svd(screen @ axes.T, full_matrices=False)
+    return np.asarray(_circle() @ rim @ axes)
+
+
+def ellipsoid_key() -> list[Patch]:
+    """Entries of a legend for the colours of ellipsoids."""
+    listed = []
+    for color, meaning in KEY.items():
+        red, green, blue = palette.rgb(color)
+        listed.append(Patch(facecolor=(red, green, blue, 0.3), edgecolor=color, label=f"index {meaning}"))
+    return listed
+
+
+def _drawn(panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> Iterator[tuple[str, Array, Array]]:
+    """Colour, centre (3,) [m] and semi-axes (d, 3) [m] as drawn of each."""
+    length = drawn_length(panel.arm, [one.point for one in ellipsoids])
+    for one in ellipsoids:
+        yield palette.index_color(one.index), one.center, length * one.semi_axes
+
+
+def _levers(arm: Arm, point: int) -> Array:
+    """How far each joint can move a control point per unit of its motion at most, (n,) [m]."""
+    chain = arm.chain
+    end = chain.module_slices[point].stop
+    legs = np.linalg.norm(np.diff(np.vstack([chain.origins[:end], chain.points[point]]), axis=0), axis=1)
+    reach = np.cumsum(legs[::-1])[::-1]
+    return np.where(chain.revolute[:end], reach, arm.sliding_unit)
+
+
+def _circle() -> Array:
+    """Points of the unit circle, closed, (SIDES + 1, 2)."""
+    around = np.linspace(0.0, 2.0 * np.pi, SIDES + 1)
+    return np.column_stack([np.cos(around), np.sin(around)])
+
+
+# Manipulability ellipsoids in the browser: balls that are stretched and turned as the arm moves.
+
+OPACITY = 0.5
+
+THINNEST = 0.3
+"""Least radius of a ball, relative to that of the bars of the arm: a flat one is drawn as a disc or a rod."""
+
+# The ways to name the axes of a right-handed frame anew, signs included, as rotations (24, 3, 3).
+_RENAMINGS = np.rint(Rotation.create_group("O").as_matrix())
+
+
+class Balls(NamedTuple):
+    """Ellipsoids of p control points at f configurations, as unit balls that are stretched and turned.
+
+    Attributes:
+        points: indices of the control points, 0-based, (p,).
+        centers: (f, p, 3) [m], world frame.
+        frames: principal axes, one per row, right-handed, (f, p, 3, 3), world frame; axes keep their row and
+            their sign from each configuration to the next as far as they can.
+        radii: along these axes, as drawn, (f, p, 3) [m].
+        indices: manipulability indices, (f, p).
+    """
+
+    points: tuple[int, ...]
+    centers: Array
+    frames: Array
+    radii: Array
+    indices: Array
+
+
+def balls(arm: Arm, points: tuple[int, ...], rows: Array) -> Balls:
+    """The ellipsoids of control points, 0-based, at configurations (f, nq), one after the other."""
+    shape = (len(rows), len(points))
+    listed = [one for q in rows for one in arm.at(q).ellipsoids(points)] if points else []
+    centers = np.array([one.center for one in listed]).reshape(*shape, 3)
+    frames = np.array([frame_of(one) for one in listed]).reshape(*shape, 3, 3)
+    # An ellipse in a plane has no third radius.
+    radii = np.array([np.append(one.radii, 0.0)[:3] for one in listed]).reshape(*shape, 3)
+    indices = np.array([one.index for one in listed]).reshape(shape)
+    drawn = np.maximum(drawn_length(arm, points) * radii, THINNEST * link_radius(arm))
+    return Balls(points, centers, *carried_on(frames, drawn), indices)
+
+
+def ball_ends(shown: Balls) -> Array:
+    """The ends of the principal axes at all configurations, (n, 3) [m], world frame."""
+    axes = shown.frames * shown.radii[..., None]
+    ends = shown.centers[..., None, :] + np.stack([axes, -axes])
+    return ends.reshape(-1, 3)
+
+
+def ball_commands(shown: Balls) -> list[Command]:
+    """Draw the ellipsoids of the first configuration, or draw them anew."""
+    commands = []
+    for p, point in enumerate(shown.points):
+        drawing = draw(_path(point), _BALL, palette.index_color(shown.indices[0, p]), OPACITY)
+        matrix = np.eye(4)
+        matrix[:3, :3] = (shown.frames[0, p] * shown.radii[0, p, :, None]).T
+        matrix[:3, 3] = shown.centers[0, p]
+        commands += [drawing, transform(_path(point), matrix)]
+    return commands
+
+
+def ball_tracks(shown: Balls, film: Film) -> list[Track]:
+    """How ellipsoids that have been drawn move, stretch and change their colour.
+
+    Args:
+        shown: the ellipsoids at the configurations of the film.
+        film: what else is shown.
+    """
+    held, times = film.held, film.moments
+    listed = []
+    for p, point in enumerate(shown.points):
+        turns = _turns(shown.frames[:, p])
+        colors = np.array([palette.rgb(palette.index_color(index)) for index in shown.indices[:, p]])
+        path = _path(point)
+        listed += [
+            Track(path, "position", "vector3", times, shown.centers[held, p], smooth=True),
+            Track(path, "quaternion", "quaternion", times, turns[held], smooth=True),
+            Track(path, "scale", "vector3", times, shown.radii[held, p], smooth=True),
+            Track(f"{path}/<object>", "material.color", "color", times, colors[held], smooth=True),
+        ]
+    return listed
+
+
+def carried_on(frames: Array, radii: Array) -> tuple[Array, Array]:
+    """Name the axes of each frame such that they continue those of the one before.
+
+    An ellipsoid has no order of its axes, and no signs: where two radii pass each other, or anywhere, they
+    would jump.
+
+    Args:
+        frames: right-handed, axes in rows, (f, p, 3, 3).
+        radii: along them, (f, p, 3).
+
+    Returns:
+        Both, with the rows of each frame in another order and some of them reversed; still right-handed.
+    """
+    frames, radii = frames.copy(), radii.copy()
+    for before, now, lengths in zip(frames[:-1], frames[1:], radii[1:], strict=True):
+        renamed = _RENAMINGS[:, None] @ now  # (24, p, 3, 3)
+        best = np.einsum("gpij,pij->gp", renamed, before).argmax(axis=0)
+        now[:] = renamed[best, np.arange(len(best))]
+        lengths[:] = np.einsum("pij,pj->pi", np.abs(_RENAMINGS[best]), lengths)
+    return frames, radii
+
+
+def _rounder(mesh: TriangleMesh) -> TriangleMesh:
+    """The unit ball with each triangle cut into four: large ones show their corners."""
+    sides = np.sort(mesh.faces[:, [[1, 2], [2, 0], [0, 1]]], axis=2)  # opposite each corner
+    distinct, number = np.unique(sides.reshape(-1, 2), axis=0, return_inverse=True)
+    middles = mesh.vertices[distinct].sum(axis=1)
+    middles /= np.linalg.norm(middles, axis=1, keepdims=True)
+    (a, b, c), (d, e, f) = mesh.faces.T, len(mesh.vertices) + number.reshape(-1, 3).T
+    faces = np.concatenate([np.stack(corners, 1) for corners in ((a, f, e), (b, d, f), (c, e, d), (d, e, f))])
+    return TriangleMesh(np.vstack([mesh.vertices, middles]), faces)
+
+
+_BALL = _rounder(ball(np.zeros(3), 1.0))
+
+
+def _path(point: int) -> str:
+    return f"{ROOT}/ellipsoids/point_{point + 1:03d}"
+
+
+def frame_of(one: Ellipsoid) -> Array:
+    """Principal axes, one per row, right-handed, (3, 3); that of an ellipse in a plane is completed."""
+    if len(one.directions) == 3:
+        return one.directions
+    return np.vstack([one.directions, np.cross(*one.directions)])
+
+
+def _turns(frames: Array) -> Array:
+    """Frames (f, 3, 3), axes in rows, as quaternions (x, y, z, w) that keep their sign, (f, 4)."""
+    turns = np.asarray(Rotation.from_matrix(frames.transpose(0, 2, 1)).as_quat())
+    products = np.einsum("fi,fi->f", turns[1:], turns[:-1])
+    return turns * np.cumprod(np.concatenate([[1.0], np.where(products < 0.0, -1.0, 1.0)]))[:, None]

@@ -1,0 +1,188 @@
+"""A run or a motion as one HTML file that opens in any browser, without server or network."""
+
+from __future__ import annotations
+
+import base64
+import html
+import importlib.util
+import json
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+from string import Template
+
+from pinposture.arm import Arm, ControlPoints
+from pinposture.arm.manipulability import chosen_points
+from pinposture.errors import FileError
+from pinposture.motion import Motion, Trajectory
+from pinposture.placement import Target
+from pinposture.storage import with_suffix, write_text
+from pinposture.viz import palette
+from pinposture.viz.animation import Film, film
+from pinposture.viz.axes import controller_name, ending, ending_in_time, is_slowed, moved_curves
+from pinposture.viz.drawing import ASPECT, animate, pack, require_fitting
+from pinposture.viz.ellipsoids import KEY, scale_in_words
+from pinposture.viz.meshcat import Staged, staged
+from pinposture.viz.panels import has_clearance
+
+# What the page of an animation says: under each configuration, and of the colours.
+
+
+def texts(shown: Film) -> list[str]:
+    """What is written under each configuration that is shown."""
+    listed, run = [], shown.run
+    for row in shown.rows:
+        text = _step(shown, row) if shown.motion is None else _moment(shown.motion, row)
+        listed.append(text + (f", clearance {run.clearance[row]:.3g} m" if has_clearance(run) else ""))
+    return listed
+
+
+def _step(shown: Film, row: int) -> str:
+    """A configuration of a run in words."""
+    run = shown.run
+    text = f"step {row} of {run.steps}, posture error {run.posture_error[row]:.3g} m"
+    if run.steps:
+        count = int(run.active[min(row, run.steps - 1)].sum())
+        text += f", {count} of {run.arm.n_modules} control points active"
+        if run.switches:
+            text += f" by {run.method[min(row, run.steps - 1)].capitalize()}"
+    return text
+
+
+def _moment(motion: Motion, row: int) -> str:
+    """A configuration of a motion in words."""
+    text = f"{motion.time[row]:.2f} of {motion.time[-1]:.2f} s"
+    if is_slowed(motion):
+        text += f" ({motion.clock[row]:.2f} of {motion.planned:.2f} s of the plan)"
+    count = sum(place.row is not None and place.row <= row for place in motion.passed)
+    if row < motion.set_out:
+        text += ", coming to the first posture"
+    elif count:
+        text += f", reached {motion.passed[count - 1].name} ({count} of {len(motion.passed)})"
+    return f"{text}, posture error {motion.run.posture_error[row]:.3g} m"
+
+
+def legend(shown: Film, setting: Staged, target: bool, scale: str) -> str:
+    """What the colours mean, and how fast a motion is shown, as HTML.
+
+    Args:
+        shown: what is shown.
+        setting: what is drawn of it.
+        target: whether a target is drawn that stays where it is.
+        scale: the scale of ellipsoids, in words; empty if there are none.
+    """
+    entries = [("target", palette.TARGET)] if target else []
+    if shown.motion is not None:
+        entries = [("target of the moment", palette.TARGET)]
+    if shown.run.steps:
+        entries += [("active control point", palette.ACTIVE), ("idle", palette.IDLE)]
+    else:
+        entries.append(("control point", palette.IDLE))
+    if setting.obstacles:
+        entries.append(("obstacle", palette.OBSTACLE))
+    lines = [_dots(entries)]
+    if shown.motion is not None:
+        lines.append(_in_time(shown, setting))
+    moved = moved_curves(shown.run if shown.motion is None else shown.motion)
+    if moved:
+        lines.append(html.escape(moved))
+    if scale:
+        listed = [(f"index {meaning}", color) for color, meaning in KEY.items()]
+        lines.append(f"ellipsoids, {scale}: {_dots(listed)}")
+    return "<br>".join(lines)
+
+
+def _in_time(shown: Film, setting: Staged) -> str:
+    speed = "shown in real time" if shown.pace == 1.0 else f"shown {shown.pace:.0f} times as fast as it was"
+    named = [(", ".join(place.name for place in group), group[0].color) for group in setting.places]
+    return f"{speed}; targets at {_dots(named)}" if named else speed
+
+
+def _dots(entries: Sequence[tuple[str, str]]) -> str:
+    dots = [
+        f'<span class="dot" style="background: {color}"></span>{html.escape(name)}' for name, color in entries
+    ]
+    return "".join(dots)
+
+
+# A run or a motion as one HTML file: an animation that opens in any browser, without server or network.
+
+MOST, MOST_IN_TIME = 240, 1200
+"""Configurations of a run and of a motion that a file holds at most."""
+
+
+def save_html(
+    arm: Arm,
+    run: Trajectory | Motion,
+    path: str | Path,
+    target: Target | None = None,
+    fps: float = 20.0,
+    max_frames: int | None = None,
+    ellipsoids: ControlPoints = (),
+) -> Path:
+    """Write a run or a motion as an animation to one HTML file, all or nothing.
+
+    The file holds all that it needs, the viewer's script included: it opens from disk, offline. The run
+    plays over and over; the mouse turns, shifts and zooms. Active control points are coloured and large.
+    Obstacles are translucent; of a half-space there is a patch.
+
+    A motion in time plays as by `view`. Below it is written when it came to which of its named places.
+
+    Args:
+        arm: the arm.
+        run: the run, or the motion in time, to show.
+        path: the file; ".html" is added to a name without ending.
+        target: a target to show, which stays where it is; that of a run if None.
+        fps: configurations shown per second; fewer if the run is so short that it would last under 2 s.
+        max_frames: number of configurations shown at most; of longer runs some are skipped. None: 240 of a
+            run, 1200 of a motion.
+        ellipsoids: control points to show the manipulability ellipsoids of, as for `view`; the page says what
+            their colours mean, and at what scale they are drawn.
+
+    Returns:
+        The path written.
+
+    Raises:
+        FileError: the name has another ending, or the file cannot be written.
+        InvalidValue: a run of another arm, `fps` or `max_frames`, or no choice of control points.
+        UnknownName: a name that no control point has.
+    """
+    path = with_suffix(Path(path), ".html", ".htm")
+    target = run.target if target is None and isinstance(run, Trajectory) else target
+    require_fitting(arm, run, target)
+    points = chosen_points(arm.control_points, ellipsoids)
+    if max_frames is None:
+        max_frames = MOST_IN_TIME if isinstance(run, Motion) else MOST
+    write_text(path, _page(arm, film(run, fps, max_frames), target, points))
+    return path
+
+
+def _page(arm: Arm, shown: Film, target: Target | None, points: tuple[int, ...]) -> str:
+    run, motion = shown.run, shown.motion
+    setting = staged(arm, shown, target, run.scene, points)
+    commands = [*setting.drawn, animate(setting.tracks, shown.fps)]
+    packed = [base64.b64encode(pack(command)).decode("ascii") for command in commands]
+    described = {"times": (shown.times / shown.fps).round(6).tolist(), "texts": texts(shown)}
+    template = resources.files("pinposture.viz").joinpath("page.html").read_text(encoding="utf-8")
+    ended = ending(run) if motion is None else ending_in_time(motion)
+    return Template(template).substitute(
+        title=html.escape(f"{controller_name(run)} {ended}"),
+        reason=html.escape(run.reason),
+        legend=legend(shown, setting, target is not None, scale_in_words(arm, points) if points else ""),
+        ink=palette.INK,
+        end=shown.end / shown.fps,
+        aspect=ASPECT,
+        viewer=_viewer_script(),
+        run=json.dumps(described).replace("<", r"\u003c"),  # a name in it must not end the script
+        commands=json.dumps(packed),
+    )
+
+
+def _viewer_script() -> str:
+    """The script of the meshcat viewer, as the package ships it for its own pages."""
+    spec = importlib.util.find_spec("meshcat")  # found without being imported, which would take a while
+    for folder in (spec.submodule_search_locations or []) if spec is not None else []:
+        script = Path(folder) / "viewer" / "dist" / "main.min.js"
+        if script.is_file():
+            return script.read_text(encoding="utf-8")
+    raise FileError("meshcat/viewer/dist/main.min.js", "no such file in the installed meshcat package")

@@ -1,0 +1,315 @@
+"""Triangle meshes: tubes and balls of an arm, the surfaces of obstacles, convex solids."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from pinposture.collision import Box, Capsule, Cylinder, Mesh, Sphere
+
+# Triangle meshes: the round bars and balls that an arm is drawn with.
+
+Array = NDArray[np.float64]
+
+SIDES = 16
+"""Corners of the polygon that stands for a circle."""
+
+
+class TriangleMesh(NamedTuple):
+    """A surface made of triangles.
+
+    Attributes:
+        vertices: (n, 3) [m].
+        faces: indices of the corners of each triangle, counter-clockwise seen from outside, (k, 3).
+    """
+
+    vertices: Array
+    faces: NDArray[np.intp]
+
+
+def merge(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
+    """Several surfaces as one, so that one transform moves them all."""
+    shifts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    faces = [mesh.faces + shift for mesh, shift in zip(meshes, shifts, strict=False)]
+    return TriangleMesh(np.vstack([mesh.vertices for mesh in meshes]), np.vstack(faces))
+
+
+def ball(center: Array, radius: float, rings: int = SIDES // 2) -> TriangleMesh:
+    """A sphere about a centre (3,) [m]."""
+    polar = np.pi * np.arange(1, rings) / rings
+    height, width = np.cos(polar), np.sin(polar)
+    around = 2.0 * np.pi * np.arange(SIDES) / SIDES
+    circles = np.stack(
+        [np.outer(width, np.cos(around)), np.outer(width, np.sin(around)), np.outer(height, np.ones(SIDES))],
+        -1,
+    )
+    vertices = np.vstack([circles.reshape(-1, 3), [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]])
+    top, bottom, last = len(vertices) - 2, len(vertices) - 1, (rings - 2) * SIDES
+    here = np.arange(SIDES)
+    beyond = (here + 1) % SIDES
+    caps = [
+        np.stack([np.full(SIDES, top), here, beyond], 1),
+        np.stack([np.full(SIDES, bottom), last + beyond, last + here], 1),
+    ]
+    return TriangleMesh(np.asarray(center) + radius * vertices, np.vstack([_sheet(rings - 1), *caps]))
+
+
+def tube(path: Array, radius: float) -> TriangleMesh:
+    """A round bar along a path, open at its ends.
+
+    Args:
+        path: points that the axis of the bar goes through, (n, 3) [m], n >= 2, no two in a row equal.
+        radius: of the bar [m].
+    """
+    tangents = _tangents(path)
+    side = _perpendicular(tangents[0])
+    around = 2.0 * np.pi * np.arange(SIDES) / SIDES
+    rings = []
+    for point, tangent in zip(path, tangents, strict=True):
+        # Carried along rather than chosen anew, so that the bar does not twist.
+        side = side - tangent * (tangent @ side)
+        length = np.linalg.norm(side)
+        side = side / length if length > 1e-6 else _perpendicular(tangent)
+        other = np.cross(tangent, side)
+        rings.append(point + radius * (np.outer(np.cos(around), side) + np.outer(np.sin(around), other)))
+    return TriangleMesh(np.vstack(rings), _sheet(len(path))[:, ::-1])
+
+
+def disc(center: Array, axis: Array, radius: float, thickness: float) -> TriangleMesh:
+    """A round plate about a centre (3,) [m], its faces across a unit axis (3,)."""
+    half = axis * thickness / 2.0
+    rim = tube(np.array([center - half, center + half]), radius)
+    plates = []
+    for sign in (-1.0, 1.0):
+        ring = rim.vertices[:SIDES] if sign < 0 else rim.vertices[SIDES:]
+        here = np.arange(SIDES)
+        fan = np.stack([np.full(SIDES, SIDES), here, (here + 1) % SIDES], 1)
+        plates.append(
+            TriangleMesh(np.vstack([ring, center + sign * half]), fan if sign > 0 else fan[:, ::-1])
+        )
+    return merge([rim, *plates])
+
+
+def _sheet(rings: int) -> NDArray[np.intp]:
+    """Triangles between rings of SIDES vertices each, the outside of rings going down and around."""
+    ring, corner = np.meshgrid(np.arange(rings - 1), np.arange(SIDES), indexing="ij")
+    a = (ring * SIDES + corner).ravel()
+    b = (ring * SIDES + (corner + 1) % SIDES).ravel()
+    return np.vstack([np.stack([a, a + SIDES, b], 1), np.stack([b, a + SIDES, b + SIDES], 1)])
+
+
+def _tangents(path: Array) -> Array:
+    legs = np.diff(path, axis=0)
+    legs /= np.linalg.norm(legs, axis=1, keepdims=True)
+    inner = legs[:-1] + legs[1:]
+    turned = np.linalg.norm(inner, axis=1, keepdims=True)
+    inner = np.where(turned > 1e-9, inner / np.maximum(turned, 1e-9), legs[:-1])
+    return np.vstack([legs[:1], inner, legs[-1:]])
+
+
+def _perpendicular(direction: Array) -> Array:
+    across = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
+    return np.asarray(across / np.linalg.norm(across))
+
+
+# Convex solids, given by their corners: cut by planes, seen from afar, and what they hide.
+
+FLAT = 1e-7
+"""Thickness relative to the size below which a solid is none any more."""
+
+
+def box_corners(low: Array, high: Array) -> Array:
+    """The corners of a box along the axes of the world, (8, 3) [m]."""
+    return np.array(list(product(*zip(low, high, strict=True))))
+
+
+def cut(corners: Array, normal: Array, offset: float) -> Array:
+    """The part of a solid on the lower side of a plane.
+
+    Args:
+        corners: any points that the solid is the convex hull of, (n, 3) [m].
+        normal: unit vector across the plane, (3,).
+        offset: the plane is where normal . x = offset [m].
+
+    Returns:
+        Corners of the part, (k, 3) [m]; those given if the plane takes nothing away, none if it takes all.
+    """
+    heights = corners @ normal - offset
+    if not np.any(heights > 0.0):
+        return corners
+    hull = ConvexHull(corners)
+    edges = np.sort(hull.simplices[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    a, b = np.unique(edges, axis=0).T
+    crossing = (heights[a] > 0.0) != (heights[b] > 0.0)
+    a, b = a[crossing], b[crossing]
+    share = (heights[a] / (heights[a] - heights[b]))[:, None]
+    below = hull.vertices[heights[hull.vertices] <= 0.0]
+    left = np.vstack([corners[below], corners[a] + share * (corners[b] - corners[a])])
+    return left if _has_volume(left) else np.zeros((0, 3))
+
+
+def within(corners: Array, low: Array, high: Array) -> Array:
+    """The part of a solid inside a box along the axes of the world, as corners (k, 3) [m]; see `cut`."""
+    for axis in range(3):
+        for sign, side in ((1.0, high), (-1.0, low)):
+            if len(corners):
+                corners = cut(corners, sign * np.eye(3)[axis], sign * float(side[axis]))
+    return corners
+
+
+def hull_faces(corners: Array) -> NDArray[np.intp]:
+    """Triangles around a solid, as indices of its corners, counter-clockwise from outside, (t, 3)."""
+    hull = ConvexHull(corners)
+    faces = np.array(hull.simplices, dtype=np.intp)
+    a, b, c = corners[faces].transpose(1, 0, 2)
+    inward = np.einsum("ti,ti->t", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
+    faces[inward] = faces[inward][:, ::-1]
+    return faces
+
+
+def facets(corners: Array) -> list[tuple[Array, Array]]:
+    """The flat faces of a solid: corners (k, 3), counter-clockwise from outside, and unit normal (3,)."""
+    hull = ConvexHull(corners)
+    planes, which = np.unique(hull.equations.round(9), axis=0, return_inverse=True)
+    listed = []
+    for k, normal in enumerate(planes[:, :3]):
+        face = corners[np.unique(hull.simplices[which.ravel() == k])]
+        out = face - face.mean(axis=0)
+        first = out[0] / np.linalg.norm(out[0])
+        angles = np.arctan2(out @ np.cross(normal, first), out @ first)
+        listed.append((face[np.argsort(angles)], normal))
+    return listed
+
+
+def section(corners: Array, origin: Array, plane: Array) -> Array:
+    """Where a solid meets a plane.
+
+    Args:
+        corners: of the solid, (n, 3) [m].
+        origin: a point of the plane, (3,) [m].
+        plane: orthonormal directions in it, (2, 3).
+
+    Returns:
+        Corners of the section in order, (k, 2) [m], along the directions of the plane from the origin of the
+        world; none if it does not meet the plane, or only just.
+    """
+    normal = np.cross(*plane)
+    offset = float(normal @ origin)
+    size = float(np.ptp(corners, axis=0).max())
+    low, high = (corners @ normal - offset).min(), (corners @ normal - offset).max()
+    if not low < -FLAT * size < FLAT * size < high:
+        return np.zeros((0, 2))
+    lower = cut(corners, normal, offset)
+    face = lower[np.abs(lower @ normal - offset) <= FLAT * size]
+    return rim(face @ plane.T)
+
+
+def rim(flat: Array) -> Array:
+    """The corners of the convex hull of points in a plane (n, 2), in order; none if they lie on a line."""
+    spread = np.linalg.svd(flat - flat.mean(axis=0), compute_uv=False) if len(flat) > 2 else np.zeros(2)
+    if spread[-1] <= FLAT * spread[0]:
+        return np.zeros((0, 2))
+    return np.asarray(flat[ConvexHull(flat).vertices])
+
+
+def hidden(points: Array, corners: Array, eye: Array) -> NDArray[np.bool_]:
+    """Which points a solid hides from an eye far away, or holds within itself.
+
+    Args:
+        points: (n, 3) [m].
+        corners: of the solid, (k, 3) [m].
+        eye: unit vector towards the eye, (3,).
+    """
+    sides = ConvexHull(corners).equations
+    # On the way from a point to the eye, each side of the solid is passed once, inwards or outwards.
+    above, rising = points @ sides[:, :3].T + sides[:, 3], sides[:, :3] @ eye
+    along = np.abs(rising) < 1e-12
+    passed = -above / np.where(along, 1.0, rising)
+    enter = np.where(rising < 0.0, passed, -np.inf)
+    leave = np.where(rising > 0.0, passed, np.inf)
+    enter[:, along], leave[:, along] = -np.inf, np.inf
+    aside = np.any(above[:, along] > 0.0, axis=1)
+    return np.asarray(~aside & (np.maximum(enter.max(axis=1), 0.0) < leave.min(axis=1)))
+
+
+def _has_volume(corners: Array) -> bool:
+    if len(corners) < 4:
+        return False
+    spread = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
+    return bool(spread[-1] > FLAT * spread[0])
+
+
+# The surfaces of obstacles, as triangles.
+
+Solid: TypeAlias = "Sphere | Capsule | Cylinder | Box | Mesh"
+
+CYLINDER_SIDES = 48
+"""Corners of the polygon that stands for a circle; an obstacle may be large, and corners would show."""
+
+
+def surface(obstacle: Solid) -> TriangleMesh:
+    """The surface of an obstacle other than a half-space, which has no end, world frame [m]."""
+    if isinstance(obstacle, Sphere):
+        center = np.array(obstacle.center)
+        return _revolved(center, np.array([0.0, 0.0, 1.0]), _arc(obstacle.radius, -1.0, 1.0))
+    if isinstance(obstacle, (Capsule, Cylinder)):
+        start, radius = np.array(obstacle.start), obstacle.radius
+        length = float(np.linalg.norm(np.subtract(obstacle.end, start)))
+        if isinstance(obstacle, Capsule):
+            profile = np.vstack([_arc(radius, -1.0, 0.0), _arc(radius, 0.0, 1.0) + (0.0, length)])
+        else:  # rims twice: an edge that two faces share would be shaded as if it were round
+            profile = np.array([[0.0, 0.0], [radius, 0.0], [radius, 0.0], [radius, length]])
+            profile = np.vstack([profile, [[radius, length], [0.0, length]]])
+        return _revolved(start, np.subtract(obstacle.end, start) / length, profile)
+    if isinstance(obstacle, Box):
+        half = np.array(obstacle.size) / 2.0
+        corners = box_corners(-half, half)
+    else:
+        corners = np.array(obstacle.vertices)
+    placed = corners @ np.array(obstacle.rotation).T + obstacle.center
+    return faceted(placed, hull_faces(placed))
+
+
+def faceted(corners: Array, faces: NDArray[np.intp]) -> TriangleMesh:
+    """A surface none of whose triangles share corners, so that each is shaded as the flat face it is."""
+    return TriangleMesh(corners[faces].reshape(-1, 3), np.arange(3 * len(faces)).reshape(-1, 3))
+
+
+def _arc(radius: float, first: float, last: float) -> Array:
+    """Distance from the axis and height along it, from one latitude to another, quarter turns, (n, 2)."""
+    count = 1 + round(CYLINDER_SIDES / 4 * (last - first))
+    latitude = np.pi / 2.0 * np.linspace(first, last, count)
+    return radius * np.column_stack([np.cos(latitude), np.sin(latitude)])
+
+
+def _revolved(origin: Array, axis: Array, profile: Array) -> TriangleMesh:
+    """The surface that a line sweeps when it turns about an axis.
+
+    Args:
+        origin: a point of the axis, (3,) [m].
+        axis: unit vector along it, (3,).
+        profile: distance from the axis and height above the origin, upwards, (n, 2) [m].
+    """
+    side = np.cross(np.eye(3)[np.abs(axis).argmin()], axis)
+    side /= np.linalg.norm(side)
+    around = 2.0 * np.pi * np.arange(CYLINDER_SIDES) / CYLINDER_SIDES
+    spokes = np.outer(np.cos(around), side) + np.outer(np.sin(around), np.cross(axis, side))
+    vertices = origin + profile[:, 0, None, None] * spokes + profile[:, 1, None, None] * axis
+    ring, corner = np.meshgrid(np.arange(len(profile) - 1), np.arange(CYLINDER_SIDES), indexing="ij")
+    a, b = (
+        (ring * CYLINDER_SIDES + corner).ravel(),
+        (ring * CYLINDER_SIDES + (corner + 1) % CYLINDER_SIDES).ravel(),
+    )
+    faces = np.vstack(
+        [np.stack([a, b, b + CYLINDER_SIDES], 1), np.stack([a, b + CYLINDER_SIDES, a + CYLINDER_SIDES], 1)]
+    )
+    vertices = vertices.reshape(-1, 3)
+    # Where the line meets the axis, or goes over one circle twice, there is nothing between its corners.
+    p, q, r = vertices[faces].transpose(1, 0, 2)
+    area = np.linalg.norm(np.cross(q - p, r - p), axis=1)
+    return TriangleMesh(vertices, faces[area > 1e-9 * area.max()])

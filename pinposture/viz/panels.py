@@ -1,0 +1,436 @@
+"""Single panels of a figure: errors, control points, clearance, against steps or time."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from pinposture.motion import Motion, Trajectory
+from pinposture.motion.trajectory import limit_shares
+from pinposture.viz import palette
+from pinposture.viz.axes import (
+    LONGEST_NAME,
+    Place,
+    dress,
+    dress_steps,
+    dress_time,
+    mark_end,
+    mark_least,
+    mark_start,
+    scale_counts,
+    scale_values,
+)
+
+# Single panels of a run against steps; each draws into axes that it is given.
+
+
+def is_conditioned(run: Trajectory) -> bool:
+    """Whether the controller inverted a posture control matrix, whose singular values were recorded."""
+    return bool(np.any(run.sigma_max > 0.0))
+
+
+def chooses_points(run: Trajectory) -> bool:
+    """Whether there is something to tell of the control points that were active: a choice, or conditions."""
+    counts = run.active.sum(axis=1)
+    return not run.steps or is_conditioned(run) or bool(np.any(counts != counts[0]))
+
+
+def plot_posture_error(run: Trajectory, ax: Axes, color: str | None = None, label: str | None = None) -> None:
+    """Draw the posture error [m] against steps, its first and last value written beside it.
+
+    Args:
+        run: the run.
+        ax: where to draw. Lines that are there already stay, and are taken into account by the scale.
+        color: colour of the line; that of the controller if None.
+        label: name of the line in a legend. A line with a name has only its last value written.
+    """
+    color = palette.controller_color(run.controller) if color is None else color
+    marker = "" if run.steps else "o"
+    steps = np.arange(run.steps + 1)
+    ax.plot(
+        steps, run.posture_error, color=color, lw=1.8, label=label, marker=marker, clip_on=bool(run.steps)
+    )
+    dress_steps(ax, "posture error [m]")
+    scale_values(ax)
+    if label is None:
+        mark_start(ax, float(run.posture_error[0]), color, "m")
+    if run.steps:
+        mark_end(ax, run.steps, float(run.posture_error[-1]), color, "m")
+
+
+def plot_point_errors(run: Trajectory, ax: Axes) -> None:
+    """Draw the error [m] of every control point that has a target against steps.
+
+    The colour tells how far along the arm a control point is; a bar beside the axes says how.
+
+    Args:
+        run: the run.
+        ax: where to draw.
+    """
+    m = run.arm.n_modules
+    colors = LinearSegmentedColormap.from_list("along the arm", palette.ALONG)
+    norm = Normalize(1, max(m, 2))
+    for k in np.flatnonzero(run.target.placed):
+        marker = "" if run.steps else "o"
+        steps = np.arange(run.steps + 1)
+        ax.plot(steps, run.point_errors[:, k], color=colors(norm(k + 1)), lw=1.0, marker=marker, ms=3)
+    dress_steps(ax, "point errors [m]")
+    scale_values(ax)
+    bar = ax.figure.colorbar(ScalarMappable(norm, colors), ax=ax, pad=0.02, aspect=16)
+    bar.set_ticks(MaxNLocator(nbins=5, integer=True, min_n_ticks=1) if m > 1 else [1])
+    bar.set_label("control point", fontsize=9)
+    bar.ax.tick_params(labelsize=8)
+    bar.outline.set_visible(False)
+    free = m - int(np.count_nonzero(run.target.placed))
+    if free:
+        note = f"{free} of {m} control points have no target"
+        ax.set_title(note, fontsize=8, loc="right", color=palette.INK)
+
+
+def plot_active_points(run: Trajectory, ax: Axes) -> None:
+    """Draw how many control points were active in each step, and how well conditioned they were.
+
+    A second axis holds the smallest singular value of the posture control matrix [m/rad], if it has one.
+
+    Args:
+        run: the run.
+        ax: where to draw.
+    """
+    color = palette.controller_color(run.controller)
+    steps = np.arange(1, run.steps + 1)
+    marker = "o" if run.steps == 1 else ""
+    ax.plot(steps, run.active.sum(axis=1), color=color, lw=1.6, drawstyle="steps-mid", marker=marker)
+    dress_steps(ax, "active control points")
+    scale_counts(ax, run.arm.n_modules)
+    ax.yaxis.label.set_color(color)
+    if not run.steps:
+        ax.set_title("no step was taken", fontsize=8, loc="right", color=palette.INK)
+    if not is_conditioned(run):
+        return
+    other = ax.twinx()
+    other.plot(steps, run.sigma_min, color=palette.INK, lw=1.0, ls=(0, (4, 1.5)), marker=marker, ms=3)
+    scale_values(other)
+    other.set_ylabel(r"$\sigma_{\min}$ [m/rad]", fontsize=9, color=palette.INK)
+    other.tick_params(labelsize=8)
+    other.spines[["top", "left", "bottom"]].set_visible(False)
+
+
+def plot_point_count(run: Trajectory, ax: Axes, color: str | None = None) -> None:
+    """Draw how many control points were active in each step.
+
+    Args:
+        run: the run.
+        ax: where to draw.
+        color: colour of the line; that of the controller if None.
+    """
+    color = palette.controller_color(run.controller) if color is None else color
+    steps = np.arange(1, run.steps + 1)
+    marker = "o" if run.steps == 1 else ""
+    ax.plot(steps, run.active.sum(axis=1), color=color, lw=1.4, drawstyle="steps-mid", marker=marker)
+    dress_steps(ax, "active control points")
+    scale_counts(ax, run.arm.n_modules)
+
+
+def plot_used_points(run: Trajectory, ax: Axes) -> None:
+    """Draw a dot for each control point that was active in a step.
+
+    Args:
+        run: the run.
+        ax: where to draw.
+    """
+    color = palette.controller_color(run.controller)
+    steps, points = np.nonzero(run.active)
+    size = float(np.clip(260.0 / max(run.steps, 1), 1.2, 4.0))
+    ax.plot(steps + 1, points + 1, ls="none", marker="o", ms=size, mew=0.0, color=color)
+    dress_steps(ax, "control point, from base to tip")
+    ax.set_xlim(0.0, run.steps + 1.0)
+    ax.set_ylim(0.0, run.arm.n_modules + 1.0)
+    ax.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True, min_n_ticks=1))
+
+
+def plot_points_and_index(run: Trajectory, ax: Axes) -> None:
+    """Draw how many control points were active in each step, and the smallest index among their conditions.
+
+    A second axis holds the manipulability index, unless the controller has no posture control matrix.
+
+    Args:
+        run: the run.
+        ax: where to draw.
+    """
+    plot_point_count(run, ax)
+    ax.yaxis.label.set_color(palette.controller_color(run.controller))
+    if run.steps and not is_conditioned(run):
+        return
+    other = ax.twinx()
+    marker = "o" if run.steps == 1 else ""
+    style: dict[str, Any] = {"color": palette.INK, "lw": 1.0, "ls": (0, (4, 1.5)), "marker": marker, "ms": 3}
+    other.plot(np.arange(1, run.steps + 1), run.index, **style)
+    scale_values(other)
+    other.set_ylabel("manipulability index", fontsize=9, color=palette.INK)
+    other.tick_params(labelsize=8)
+    other.spines[["top", "left", "bottom"]].set_visible(False)
+
+
+def mark_method(run: Trajectory, ax: Axes, method: str = "projection") -> None:
+    """Mark the steps that a controller of several methods left to one of them, by red dots on the step axis.
+
+    Args:
+        run: the run.
+        ax: axes that hold something against steps already.
+        method: which of its methods.
+    """
+    steps = np.flatnonzero(run.method == method) + 1
+    where: dict[str, Any] = {"transform": ax.get_xaxis_transform(), "clip_on": False, "zorder": 6}
+    ax.plot(
+        steps,
+        np.zeros(len(steps)),
+        ls="none",
+        marker="o",
+        ms=3.2,
+        mew=0.0,
+        color=palette.MARK,
+        label=method,
+        **where,
+    )
+
+
+# How near a run came to something, and what it had to allow itself: in panels against steps or time.
+
+Array = NDArray[np.float64]
+
+LONGEST_REASON = 44
+"""Characters of what gave way that a legend has room for."""
+
+
+def has_clearance(run: Trajectory) -> bool:
+    """Whether there was anything that the arm could have touched."""
+    return run.scene is not None and bool(np.isfinite(run.clearance).any())
+
+
+def plot_clearance(
+    run: Trajectory,
+    ax: Axes,
+    color: str | None = None,
+    label: str | None = None,
+    time: Array | None = None,
+) -> None:
+    """Draw the smallest distance [m] to an obstacle, or between parts of the arm, against steps or time.
+
+    Its least value is written beside it; a dashed line is the margin that the scene asks to keep.
+
+    Args:
+        run: a run in a scene.
+        ax: where to draw. Lines that are there already stay, and are taken into account by the scale.
+        color: colour of the line; that of the controller if None.
+        label: name of the line in a legend.
+        time: when each configuration was reached, (steps + 1,) [s]; None to draw against steps.
+    """
+    places = np.arange(run.steps + 1) if time is None else time
+    color = palette.controller_color(run.controller) if color is None else color
+    values = np.where(np.isfinite(run.clearance), run.clearance, np.nan)
+    marker = "" if run.steps else "o"
+    ax.plot(places, values, color=color, lw=1.6, label=label, marker=marker)
+    if run.scene is not None:
+        margin = f"margin to keep, {run.scene.margin:.3g} m"
+        known = [str(line.get_label()) for line in ax.get_lines()]
+        if margin not in known:
+            ends = [0.0, places[-1] or 1.0]
+            ax.plot(ends, [run.scene.margin] * 2, color=palette.INK, lw=1.0, ls=(0, (4, 2)), label=margin)
+    dress(ax, "clearance [m]", time)
+    scale_values(ax)
+    drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=np.float64) for line in ax.get_lines()])
+    low, high = float(np.nanmin(drawn)), float(np.nanmax(drawn))
+    if low <= 0.0:
+        ax.set_yscale("linear")
+        ax.set_ylim(low - 0.1 * (high - low), high + 0.15 * (high - low) + 1e-12)
+    if np.isfinite(values).any():
+        least = int(np.nanargmin(values))
+        mark_least(ax, float(places[least]), float(values[least]), color, "m")
+    explain(ax)
+
+
+def mark_escapes(run: Trajectory, ax: Axes, time: Array | None = None) -> None:
+    """Shade the steps of a run that were meant as an escape, in which the posture error may rise."""
+    places = np.arange(run.steps + 1) if time is None else time
+    steps = np.flatnonzero(run.escape)
+    if len(steps):
+        blocks = np.split(steps, np.flatnonzero(np.diff(steps) > 1) + 1)
+        ends = [(float(places[block[0]]), float(places[block[-1] + 1])) for block in blocks]
+        spans = [(begin, end - begin) for begin, end in ends]
+        label = f"{len(steps)} escape step{'s' * (len(steps) > 1)}, the error may rise"
+        style: dict[str, Any] = {"color": palette.ESCAPE, "lw": 0.0, "zorder": 0.5, "label": label}
+        ax.broken_barh(spans, (0.0, 1.0), transform=ax.get_xaxis_transform(), **style)
+
+
+def mark_relaxed(run: Trajectory, ax: Axes, time: Array | None = None) -> None:
+    """Mark on the axis below the steps in which constraints gave way; the legend quotes the first of them."""
+    places = np.arange(run.steps + 1) if time is None else time
+    steps: NDArray[np.intp] = np.flatnonzero(run.relaxed != "")
+    if len(steps):
+        words = textwrap.shorten(str(run.relaxed[steps[0]]), LONGEST_REASON, placeholder=" ...")
+        label = f"gave way in {len(steps)} step{'s' * (len(steps) > 1)}: {words}"
+        style: dict[str, Any] = {"ls": "none", "marker": "|", "ms": 7.0, "mew": 1.2, "color": palette.MARK}
+        where: dict[str, Any] = {"transform": ax.get_xaxis_transform(), "clip_on": False, "zorder": 6}
+        ax.plot(places[steps + 1], np.zeros(len(steps)), label=label, **style, **where)
+
+
+def explain(ax: Axes, columns: int = 1, inside: bool = False) -> None:
+    """Write a legend above the axes, on the right, if anything in them has a name.
+
+    Args:
+        ax: the axes.
+        columns: of the legend.
+        inside: whether to write it into the axes, where there is most room, because others write above them.
+    """
+    handles, labels = ax.get_legend_handles_labels()
+    if handles:
+        style: dict[str, Any] = {"fontsize": 8, "borderaxespad": 0.2, "labelspacing": 0.3, "ncols": columns}
+        where: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "frameon": False}
+        if inside:
+            where = {"loc": "best", "facecolor": "white", "edgecolor": "none", "framealpha": 0.8}
+        legend = ax.legend(handles, labels, **where, **style)
+        for text in legend.get_texts():
+            text.set_parse_math(False)
+
+
+# Single panels of a motion against time; each draws into axes that it is given.
+
+LETTER = 4.6
+"""Width of a letter of the names above the axes, on average [pt]."""
+
+LEAST = 18.0
+"""How far apart names have to be [pt]."""
+
+ROUNDING = 1e-9
+"""Posture error below which there is none to speak of, in lengths of the arm."""
+
+DASHES = (0, (4, 2))
+
+
+def plot_error(motion: Motion, ax: Axes) -> None:
+    """Draw the posture error [m] along the way against time, and what was out of the ordinary in it.
+
+    What is below `ROUNDING` is not shown.
+
+    Args:
+        motion: the motion.
+        ax: where to draw.
+    """
+    run, color = motion.run, palette.controller_color(motion.run.controller)
+    floor = ROUNDING * motion.arm.length
+    values = np.where(run.posture_error > floor, run.posture_error, 0.0)
+    marker = "" if run.steps else "o"
+    ax.plot(motion.time, values, color=color, lw=1.8, marker=marker)
+    dress_time(ax, "posture error [m]")
+    scale_values(ax)
+    if not values.any():
+        ax.set_yticks([0.0])
+        note = f"below {floor:.2g} m throughout"
+        where: dict[str, Any] = {"transform": ax.transAxes, "ha": "center", "va": "center"}
+        ax.text(0.5, 0.5, note, fontsize=9, color=color, backgroundcolor="white", **where)
+    else:
+        low, high = ax.get_ylim()  # names stand above, and the value at the start has to be below them
+        ax.set_ylim(low, high * (high / low) ** 0.12 if low > 0.0 else 1.1 * high)
+        if values[0]:
+            mark_start(ax, float(values[0]), color, "m")
+        if values[-1] and run.steps:
+            mark_end(ax, float(motion.time[-1]), float(values[-1]), color, "m")
+    mark_escapes(run, ax, motion.time)
+    mark_relaxed(run, ax, motion.time)
+    if motion.set_out:
+        style: dict[str, Any] = {"color": palette.FAINT, "alpha": 0.5, "lw": 0.0, "zorder": 0.4}
+        ax.axvspan(0.0, motion.time[motion.set_out], label="coming to the first posture", **style)
+    explain(ax, inside=True)
+
+
+def plot_joint_rates(motion: Motion, ax: Axes) -> None:
+    """Draw the largest joint speed and acceleration relative to their limits against time.
+
+    A dashed line is at 1, where a joint is at its limit. What has no limit is left out.
+
+    Args:
+        motion: the motion.
+        ax: where to draw.
+    """
+    speeds, accelerations = limit_shares(motion.run)
+    marker = "o" if motion.steps == 1 else ""
+    most = 1.0
+    if accelerations is not None:
+        style: dict[str, Any] = {"color": palette.SPARE[0], "lw": 1.0, "label": "acceleration"}
+        ax.plot(motion.time, accelerations, **style)
+        most = max(most, float(accelerations.max()))
+    if speeds is not None:
+        style = {"color": palette.SPARE[2], "lw": 1.6, "label": "speed", "marker": marker}
+        ax.plot(motion.time[1:] - motion.dt / 2.0, speeds, **style)
+        most = max(most, float(speeds.max(initial=0.0)))
+    ends = [0.0, float(motion.time[-1]) or 1.0]
+    ax.plot(ends, [1.0, 1.0], color=palette.INK, lw=1.0, ls=DASHES, label="limit")
+    dress_time(ax, "largest of all joints\n[share of limit]")
+    ax.set_ylim(-0.03 * most, 1.12 * most)
+    explain(ax, columns=3)
+
+
+def plot_clock(motion: Motion, ax: Axes) -> None:
+    """Draw the time of the plan against the real one, and what it would be if nothing had slowed the motion.
+
+    Args:
+        motion: the motion.
+        ax: where to draw.
+    """
+    begun = float(motion.time[motion.set_out])
+    plan = [0.0, begun, begun + motion.planned]
+    ax.plot(plan, [0.0, 0.0, motion.planned], color=palette.INK, lw=1.0, ls=DASHES, label="as planned")
+    label = f"as it was, {motion.slowing:.3g} times as long"
+    ax.plot(motion.time, motion.clock, color=palette.SPARE[1], lw=1.6, label=label)
+    dress_time(ax, "time of the plan [s]")
+    ax.set_xlim(0.0, float(motion.time[-1]) or 1.0)
+    explain(ax, columns=2)
+
+
+def mark_places(places: Sequence[Place], panels: Sequence[Axes], time: Sequence[float]) -> None:
+    """Mark moments by lines through panels above each other, their names above the first.
+
+    Args:
+        places: the named places of a motion.
+        panels: axes against time, from above, dressed.
+        time: when each is reached, [s].
+    """
+    if not places:
+        return
+    for ax in panels:
+        for place, moment in zip(places, time, strict=True):
+            where: dict[str, Any] = {"transform": ax.get_xaxis_transform(), "zorder": 1.5, "clip_on": False}
+            ax.vlines(moment, 0.0, 1.0, color=place.color, lw=1.0, **where)
+    first = panels[0]
+    low, high = first.get_xlim()
+    width = 72.0 * first.bbox.width / first.figure.dpi / (high - low)  # [pt] to a second
+    names = _joined(places, [width * moment for moment in time])
+    slanted = any(
+        (at - before) < LETTER * (len(name) + len(other)) / 2.0 + LETTER
+        for (before, other), (at, name) in pairwise(names)
+    )
+    for at, name in names:
+        style: dict[str, Any] = {"fontsize": 8, "color": palette.INK, "parse_math": False, "va": "bottom"}
+        style |= {"rotation": 30, "ha": "left", "rotation_mode": "anchor"} if slanted else {"ha": "center"}
+        where = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
+        first.annotate(name, (at / width, 1.0), xytext=(0, 3), annotation_clip=False, **where, **style)
+
+
+def _joined(places: Sequence[Place], moments: Sequence[float]) -> list[tuple[float, str]]:
+    """Where to write which names [pt]: those too close together as one, or if that is long the first."""
+    names: list[tuple[float, str]] = []
+    for place, at in zip(places, moments, strict=True):
+        if not names or at - names[-1][0] >= LEAST:
+            names.append((at, place.name))
+        elif len(names[-1][1]) + len(place.name) < LONGEST_NAME:
+            names[-1] = names[-1][0], f"{names[-1][1]}, {place.name}"
+    return names

@@ -1,0 +1,240 @@
+"""Figures: one run in one picture, several side by side, and a motion in time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from pinposture.errors import InvalidValue
+from pinposture.motion import Motion, Trajectory
+from pinposture.motion.trajectory import limit_shares
+from pinposture.viz import palette
+from pinposture.viz.axes import (
+    alike,
+    controller_name,
+    dress_steps,
+    ending,
+    ending_in_time,
+    footnote,
+    is_slowed,
+    lay_out,
+    moved_curves,
+    scale_counts,
+    share_axis,
+    shown_places,
+    title,
+)
+from pinposture.viz.panels import (
+    chooses_points,
+    explain,
+    has_clearance,
+    mark_escapes,
+    mark_method,
+    mark_places,
+    mark_relaxed,
+    plot_active_points,
+    plot_clearance,
+    plot_clock,
+    plot_error,
+    plot_joint_rates,
+    plot_point_errors,
+    plot_posture_error,
+)
+from pinposture.viz.postures import (
+    BETWEEN,
+    PosturePanel,
+    draw_obstacles,
+    draw_runs,
+    draw_way,
+    evenly,
+    plot_postures,
+    surround,
+)
+
+# A motion in time in one figure: the postures on its way, and how it went.
+
+FEW = 3
+"""So many named places tell what the way was like; where there are fewer, postures in between are drawn."""
+
+LETTERS, HANDLE = 84, 8
+"""Letters that fit beside each other above the postures, and the room in letters that a handle takes."""
+
+MOST_DETOURS = 2
+"""Detours that a title has room for."""
+
+
+def plot_motion(motion: Motion) -> Figure:
+    """Tell a motion in time in one figure; see `pinposture.plot`.
+
+    Args:
+        motion: the motion.
+
+    Returns:
+        A figure, 1200 pixels wide.
+    """
+    run, time = motion.run, motion.time
+    rated = any(share is not None for share in limit_shares(motion.run))
+    near = has_clearance(run)
+    figure, postures, panels = lay_out(motion.arm, 1 + rated + is_slowed(motion) + near)
+    plot_places(motion, postures)
+    left = iter(panels)
+    error = next(left)
+    plot_error(motion, error)
+    if rated:
+        plot_joint_rates(motion, next(left))
+    if is_slowed(motion):
+        plot_clock(motion, next(left))
+    if near:
+        plot_clearance(run, next(left), time=time)
+    places = shown_places(motion)
+    mark_places(places, panels, [float(time[place.row]) for place in places])
+    share_axis(panels)
+    detours = [f"Detour: {text}" for text in motion.detours[:MOST_DETOURS]]
+    if len(motion.detours) > MOST_DETOURS:
+        detours.append(f"and {len(motion.detours) - MOST_DETOURS} more")
+    title(figure, [f"{controller_name(run)} {ending_in_time(motion)}: {run.reason}", *detours])
+    footnote(figure, "; ".join(filter(None, [moved_curves(motion), run.controller])))
+    figure.draw_without_rendering()  # the layout of a high legend settles in the second drawing only
+    return figure
+
+
+def plot_places(motion: Motion, ax: Axes) -> None:
+    """Draw the postures that a motion took at its named places, from pale to dark, and the targets there.
+
+    Args:
+        motion: the motion.
+        ax: axes with projection "3d"; for a planar arm also plain ones.
+
+    Raises:
+        InvalidValue: plain axes for an arm that moves in space.
+    """
+    run, panel = motion.run, PosturePanel(motion.arm, ax)
+    groups = alike(motion, shown_places(motion))
+    rows = [group[0].row for group in groups]
+    targets = [motion.targets[row][motion.asked[row]] for row in rows or [motion.steps]]
+    rings: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 4.6, "mfc": "white", "mew": 0.8}
+    panel.line(np.vstack(targets), label="target points", zorder=3, mec=palette.TARGET, **rings)
+    if motion.set_out or not groups:
+        panel.posture(run.q[0], palette.START, "initial posture", width=1.2)
+    for group in groups:
+        label = "; ".join(f"{place.name}, {motion.time[place.row]:.3g} s" for place in group)
+        panel.posture(run.q[group[0].row], group[0].color, label, 2.2)
+    if not groups:
+        panel.posture(run.q[-1], palette.controller_color(run.controller), "final posture", 2.2)
+    if run.scene is not None or len(groups) < FEW:
+        draw_way(panel, run, palette.controller_color(run.controller), evenly(run, BETWEEN))
+    shown = surround(panel, run.scene)
+    panel.finish()
+    draw_obstacles(panel, shown)
+    _explain(ax)
+
+
+def _explain(ax: Axes) -> None:
+    """Write the legend above the axes, in as many columns as fit."""
+    handles, labels = ax.get_legend_handles_labels()
+    for columns in (3, 2, 1):
+        rows = -(-len(labels) // columns)
+        widest = [max(map(len, labels[k : k + rows])) for k in range(0, len(labels), rows)]
+        if sum(widest) + HANDLE * columns <= LETTERS:
+            break
+    where: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": columns}
+    legend = ax.legend(handles, labels, fontsize=9, frameon=False, **where)
+    for text in legend.get_texts():
+        text.set_parse_math(False)
+
+
+# Figures: one run told in one picture, and several runs side by side.
+
+
+def plot(run: Trajectory | Motion) -> Figure:
+    """Tell a run in one figure: postures, posture error, point errors, active points, clearance.
+
+    Active points are left out where the controller does not choose any, clearance where there was no scene.
+    Where a controller took turns, red dots on the axis mark the steps that it left to Projection. Behind the
+    posture error, escape steps are shaded; red bars below it mark steps in which a constraint gave way.
+
+    Of a motion in time it tells the postures at its named places, and over time the posture error, joint
+    speeds and accelerations relative to their limits, what was slowed down, and clearance.
+
+    Args:
+        run: the run, or the motion.
+
+    Returns:
+        A figure, 1200 pixels wide; `figure.savefig(path)` writes it. It is not shown, and pyplot does not
+        know of it.
+
+    Raises:
+        InvalidValue: it is neither a run nor a motion.
+    """
+    if isinstance(run, Motion):
+        return plot_motion(run)
+    if not isinstance(run, Trajectory):
+        raise InvalidValue("run", run, "a Trajectory, as from `track`, or a Motion, as from `move_through`")
+    draws = [plot_posture_error, plot_point_errors]
+    if chooses_points(run):
+        draws.append(plot_active_points)
+    if has_clearance(run):
+        draws.append(plot_clearance)
+    figure, postures, panels = lay_out(run.arm, len(draws))
+    plot_postures(run, postures)
+    for draw, panel in zip(draws, panels, strict=True):
+        draw(run, panel)
+    mark_escapes(run, panels[0])
+    mark_relaxed(run, panels[0])
+    explain(panels[0])
+    share_axis(panels)
+    if run.switches:
+        mark_method(run, panels[-1])
+        panels[-1].set_xlabel("step (red: steps by Projection)")
+    title(figure, [f"{controller_name(run)} {ending(run)}: {run.reason}"])
+    footnote(figure, "; ".join(filter(None, [moved_curves(run), run.controller])))
+    return figure
+
+
+def plot_comparison(runs: Mapping[str, Trajectory]) -> Figure:
+    """Show several runs towards one target in one figure: postures, posture errors, active points, clearance.
+
+    Args:
+        runs: the runs by the names that they are to have in the figure.
+
+    Returns:
+        A figure, 1200 pixels wide, as `plot` gives it.
+
+    Raises:
+        InvalidValue: no run at all, or runs of different arms or targets.
+    """
+    _require_same_target(runs)
+    colors = palette.distinct_colors(run.controller for run in runs.values())
+    near = any(has_clearance(run) for run in runs.values())
+    figure, postures, panels = lay_out(next(iter(runs.values())).arm, 2 + near)
+    errors, counts = panels[:2]
+    draw_runs(
+        [(run, label, color) for (label, run), color in zip(runs.items(), colors, strict=True)], postures
+    )
+    for (label, run), color in zip(runs.items(), colors, strict=True):
+        plot_posture_error(run, errors, color, label)
+        steps = np.arange(1, run.steps + 1)
+        marker = "o" if run.steps == 1 else ""
+        counts.plot(steps, run.active.sum(axis=1), color=color, lw=1.6, drawstyle="steps-mid", marker=marker)
+    dress_steps(counts, "active control points")
+    scale_counts(counts, max(run.arm.n_modules for run in runs.values()))
+    if near:
+        for run, color in zip(runs.values(), colors, strict=True):
+            plot_clearance(run, panels[2], color)
+    share_axis(panels)
+    title(figure, [f"{label} {ending(run)}: {run.reason}" for label, run in runs.items()])
+    return figure
+
+
+def _require_same_target(runs: Mapping[str, Trajectory]) -> None:
+    if not runs:
+        raise InvalidValue("runs", dict(runs), "at least one run")
+    first_label, first = next(iter(runs.items()))
+    for label, run in runs.items():
+        same = run.target.points.shape == first.target.points.shape
+        if not (same and np.allclose(run.target.points, first.target.points, rtol=0.0, atol=1e-9)):
+            raise InvalidValue("runs", label, f"runs towards the same target as {first_label!r}")

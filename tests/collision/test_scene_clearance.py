@@ -1,0 +1,264 @@
+"""A scene around an arm: broad phase, self-collision, what is left out, and how it is remembered."""
+
+from __future__ import annotations
+
+import gc
+import pickle
+import threading
+import weakref
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from collision.arms_with_bodies import ARMS, around, described, geometry, modelled, planar, sliding, spatial
+from hypothesis import given
+from hypothesis import strategies as st
+from sampling import examples
+
+import pinposture as pp
+from pinposture.collision import Box, Capsule, Closest, Cylinder, HalfSpace, Scene, Sphere
+from pinposture.errors import InvalidValue
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_nothing_near_is_missed(name):
+    """Against all pairs: with an infinite distance no bound is ever good enough to leave one out."""
+    rng, arm = np.random.default_rng(7), ARMS[name]()
+    for _ in range(4):
+        clearance = Scene(around(arm, rng), self_collision=True).around(arm)
+        for _ in range(5):
+            state = arm.at(arm.random(rng))
+            everything = clearance.nearest(state, np.inf)
+            assert len(everything.distances) == len(clearance.pairs)
+            assert np.all(np.diff(everything.distances) >= 0.0)
+            assert everything.minimum == everything.distances[0]
+            for within in (0.0, 0.05 * arm.length, 0.3 * arm.length):
+                near = clearance.nearest(state, within)
+                kept = everything.distances < within
+                np.testing.assert_array_equal(near.distances, everything.distances[kept])
+                np.testing.assert_allclose(near.rows, everything.rows[kept], atol=1e-12)
+                assert near.pairs == everything.pairs[: len(near.pairs)]
+                assert near.minimum == everything.minimum
+            closest = clearance.minimum(state.q)
+            assert closest.distance == pytest.approx(everything.minimum, abs=1e-12)
+            assert closest.pair == everything.pair
+
+
+@examples(25)
+@given(st.integers(0, 10_000))
+def test_every_bound_is_at_most_the_distance(seed):
+    rng = np.random.default_rng(seed)
+    arm = ARMS[sorted(ARMS)[seed % len(ARMS)]]()
+    clearance = Scene(around(arm, rng), self_collision=True).around(arm)
+    distances, places = clearance._distances, clearance._places
+    pin.forwardKinematics(arm.model, places.data, arm.random(rng))
+    bounds = distances._bounds
+    lower = bounds.lower(bounds.ends(places.rotations, places.positions))
+    near, _ = distances.near(places.rotations, places.positions, np.inf)
+    for pair, contact in near:
+        assert lower[pair] <= contact.distance + 1e-7
+
+
+def test_the_minimum_between_is_that_of_its_samples():
+    arm, rng = spatial(), np.random.default_rng(0)
+    clearance = Scene(around(arm, rng), self_collision=True).around(arm)
+    for _ in range(10):
+        q, dq = arm.random(rng), rng.uniform(-0.2, 0.2, arm.nv)
+        samples = [clearance.minimum(arm.integrate(q, dq * k / 7)) for k in range(1, 8)]
+        found = clearance.minimum_between(q, dq, samples=7)
+        assert found.distance == pytest.approx(min(samples).distance, abs=1e-12)
+        assert found.pair == min(samples).pair
+
+
+def test_a_step_over_a_thin_thing_is_seen_between_its_ends():
+    arm = spatial(4)
+    pole = arm.at(arm.configuration([0.0, 0.3] + [0.0] * 6)).points[-1]
+    clearance = Scene({"pole": Sphere(pole, 0.005)}).around(arm)
+    q, dq = arm.neutral(), np.array([0.0, 0.6] + [0.0] * 6)
+    assert clearance.minimum(q).distance > 0.05 and clearance.minimum(q + dq).distance > 0.05
+    assert clearance.minimum_between(q, dq).distance < 0.0
+
+
+def test_a_straight_arm_is_free_of_itself_and_a_curled_one_is_not():
+    for arm in (spatial(12), planar(6), pp.Arm.from_template("RyRz", 20), sliding(4), modelled()):
+        clearance = Scene(self_collision=True).around(arm)
+        assert clearance.minimum(arm.straight()).distance > 0.005
+        alone = Scene().around(arm)
+        assert alone.pairs == () and alone.minimum(arm.straight()) == Closest(np.inf, None)
+    arm = planar(6)
+    clearance = Scene(self_collision=True).around(arm)
+    ring = arm.configuration(np.full(arm.nv, 2 * np.pi / (arm.nv - 1)))
+    closest = clearance.minimum(ring)
+    assert closest.distance < 0.0
+    assert {name[:3] for name in closest.pair} == {"m01", "m06"}
+
+
+def test_the_distance_of_two_links_of_a_bent_arm_in_closed_form():
+    arm = pp.Arm.from_template("Rz", 4, (0.2,))
+    q = arm.configuration([0.0, np.pi / 2, np.pi / 2, 0.0])  # a hairpin: two legs, 0.2 m apart
+    near = Scene(self_collision=True).around(arm).nearest(arm.at(q), np.inf)
+    by_pair = dict(zip(near.pairs, near.distances, strict=True))
+    assert by_pair["m03_l1", "m01_l1"] == pytest.approx(0.2 - 2 * 0.02)
+    assert by_pair["m04_l1", "m02_l1"] == pytest.approx(0.2 - 0.02)  # the last link begins with a flat end
+    assert ("m02_l1", "m01_l1") not in by_pair
+
+
+def test_bodies_that_touch_where_the_arm_is_straight_are_named():
+    arm = pp.Arm.from_template("RyRz", 3)  # links of 25 mm, 20 mm thick
+    clearance = Scene(self_collision=True).around(arm)
+    assert ("m02_l1", "m01_l1", "near each other where the arm is straight or neutral") in clearance.left_out
+    assert ("m02_l2", "m01_l1") in clearance.pairs
+    strict = Scene(self_collision=True, margin=0.0).around(arm)
+    assert strict.left_out == () and ("m02_l1", "m01_l1") in strict.pairs
+
+
+def test_tubes_that_slide_in_one_another_may():
+    tube = geometry('<box size="0.2 0.05 0.05"/>')
+    arm = pp.Arm.from_urdf(described(["", tube, tube, tube], 0.01, slides=(3, 4)), modules=4)
+    clearance = Scene(self_collision=True).around(arm)
+    assert [(each.first, each.second) for each in clearance.left_out] == [("l4", "l2")]
+    assert clearance.minimum(arm.neutral()).distance > 0.0
+
+
+def test_an_arm_can_hit_its_own_base_but_a_base_hits_nothing():
+    ball = geometry('<sphere radius="0.03"/>', "0.1 0 0")
+    arm = pp.Arm.from_urdf(
+        described([ball] * 4, base=geometry('<box size="0.1 0.4 0.1"/>', "-0.2 0 0")), modules=2
+    )
+    scene = Scene({"floor": Sphere((-0.2, 0, 0), 0.1)}, self_collision=True)
+    clearance = scene.around(arm)
+    assert ("l0", "floor") not in clearance.pairs and ("l1", "l0") not in clearance.pairs
+    assert ("l4", "l0") in clearance.pairs
+    hit = arm.configuration([0.0, np.pi / 2, 0.0, np.pi / 2])
+    distances = dict(zip(*clearance.nearest(arm.at(hit), np.inf)[2::-2], strict=True))
+    # The ball on the last link is at x = -0.1, y = 0.2 then, on the corner of the box's long side.
+    assert distances["l4", "l0"] == pytest.approx(
+        np.linalg.norm(np.maximum(np.abs(arm_ball(arm, hit) - [-0.2, 0, 0]) - [0.05, 0.2, 0.05], 0)) - 0.03,
+        abs=1e-7,
+    )
+
+
+def arm_ball(arm, q):
+    data = arm.model.createData()
+    pin.forwardKinematics(arm.model, data, q)
+    return data.oMi[4].act(np.array([0.1, 0, 0]))
+
+
+def test_what_the_arm_is_mounted_on_is_no_obstacle_to_its_first_body():
+    arm = pp.Arm.from_template(
+        "RyRz", 4, base_placement=pin.SE3(pin.rpy.rpyToMatrix(0, -np.pi / 2, 0), np.zeros(3))
+    )
+    floor, far = HalfSpace((0, 0, 0), (0, 0, 1)), Sphere((0.1, 0.1, 0.1), 0.01)
+    clearance = Scene({"floor": floor, "ball": far}).around(arm)
+    assert [(each.first, each.second) for each in clearance.left_out] == [("m01_l1", "floor")]
+    assert clearance.left_out[0].reason == "the arm is mounted on it"
+    assert clearance.minimum(arm.straight()).distance == pytest.approx(0.025 - 0.01)
+    assert ("m01_l1", "ball") in clearance.pairs
+    # A floor below the base can be met by every body.
+    assert not Scene({"floor": HalfSpace((0, 0, -0.02), (0, 0, 1))}).around(arm).left_out
+
+
+def test_the_nearest_is_exact_where_nothing_is_near():
+    arm = spatial()
+    clearance = Scene({"far": Box((5, 5, 5), (1, 1, 1))}).around(arm)
+    near = clearance.nearest(arm.at(arm.straight()), 0.01)
+    assert near.distances.shape == (0,) and near.rows.shape == (0, arm.nv) and near.pairs == ()
+    assert near.points.shape == near.normals.shape == (0, 3)
+    assert near.minimum == pytest.approx(clearance.minimum(arm.straight()).distance, abs=1e-12)
+    assert near.pair == clearance.minimum(arm.straight()).pair
+    nothing = Scene().around(arm).nearest(arm.at(arm.straight()), np.inf)
+    assert nothing.minimum == np.inf and nothing.pair is None and nothing.rows.shape == (0, arm.nv)
+
+
+def test_clearances_are_remembered_as_long_as_the_arm_lives():
+    arm, scene = spatial(), Scene({"o": Sphere((1, 1, 1), 0.1)})
+    clearance = scene.around(arm)
+    assert scene.around(arm) is clearance is Scene({"o": Sphere((1, 1, 1), 0.1)}).around(arm)
+    assert Scene({"o": Sphere((1, 1, 1), 0.2)}).around(arm) is not clearance
+    copy = pickle.loads(pickle.dumps(arm))
+    assert scene.around(copy) is not clearance
+    gone = weakref.ref(arm)
+    del arm
+    gc.collect()
+    assert gone() is None
+    assert clearance.minimum(copy.straight()) == scene.around(copy).minimum(copy.straight())
+
+
+def test_many_scenes_around_one_arm_are_not_all_kept():
+    arm = spatial(1)
+    first = Scene(margin=0.001)
+    clearance = first.around(arm)
+    for k in range(40):
+        Scene(margin=0.01 + 0.001 * k).around(arm)
+    assert first.around(arm) is not clearance
+
+
+def test_threads_do_not_disturb_each_other():
+    arm, rng = spatial(8), np.random.default_rng(0)
+    clearance = Scene(around(arm, rng), self_collision=True).around(arm)
+    starts = [arm.random(rng) for _ in range(4)]
+    alone = [(clearance.minimum(q), clearance.nearest(arm.at(q), 0.1)) for q in starts]
+    wrong = []
+
+    def work(q, expected):
+        for _ in range(60):
+            near = clearance.nearest(arm.at(q), 0.1)
+            if clearance.minimum(q) != expected[0] or not np.array_equal(near.rows, expected[1].rows):
+                wrong.append(q)
+
+    threads = [threading.Thread(target=work, args=each) for each in zip(starts, alone, strict=True)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not wrong
+
+
+def test_results_stay_as_they_are_when_the_arm_moves_on():
+    arm, rng = spatial(), np.random.default_rng(0)
+    clearance = Scene(around(arm, rng)).around(arm)
+    near = clearance.nearest(arm.at(arm.random(rng)), np.inf)
+    before = [np.copy(each) for each in (near.distances, near.rows, near.points, near.normals)]
+    clearance.nearest(arm.at(arm.random(rng)), np.inf)
+    for each, was in zip((near.distances, near.rows, near.points, near.normals), before, strict=True):
+        np.testing.assert_array_equal(each, was)
+
+
+@pytest.mark.parametrize(
+    ("ask", "words"),
+    [
+        (lambda c, arm: c.minimum(np.zeros(3)), "q (shape)"),
+        (lambda c, arm: c.minimum(np.full(arm.nq, np.nan)), "q[0] is nan"),
+        (lambda c, arm: c.minimum_between(np.zeros(2), np.zeros(arm.nv)), "q0 (shape)"),
+        (lambda c, arm: c.minimum_between(arm.neutral(), np.zeros(2)), "dq (shape)"),
+        (lambda c, arm: c.minimum_between(arm.neutral(), np.full(arm.nv, np.inf)), "dq[0] is inf"),
+        (lambda c, arm: c.minimum_between(arm.neutral(), np.zeros(arm.nv), 0), "samples is 0"),
+        (lambda c, arm: c.minimum_between(arm.neutral(), np.zeros(arm.nv), 1.5), "samples is 1.5"),
+        (lambda c, arm: c.nearest(arm.at(arm.neutral()), -1), "within is -1"),
+        (lambda c, arm: c.nearest(arm.at(arm.neutral()), np.nan), "within is nan"),
+        (lambda c, arm: c.nearest(arm.at(arm.neutral()), "far"), "within is 'far'"),
+        (lambda c, arm: c.nearest(arm.neutral(), 1), "state is"),
+        (lambda c, arm: c.nearest(spatial().at(spatial().neutral()), 1), "state is"),
+        (lambda c, arm: Scene().around("arm"), "arm is 'arm'; allowed: an Arm"),
+    ],
+)
+def test_bad_questions_are_refused_by_name(ask, words):
+    arm = spatial()
+    with pytest.raises(InvalidValue) as caught:
+        ask(Scene({"o": Sphere((1, 1, 1), 0.1)}).around(arm), arm)
+    assert words in str(caught.value)
+
+
+def test_one_joint_and_continuous_joints():
+    for arm in (pp.Arm.from_template("Rz", 1), modelled()):
+        scene = Scene(
+            {"c": Capsule((0, 0.3, -1), (0, 0.3, 1), 0.02), "y": Cylinder((0, 0, 1), (0, 1, 1), 0.1)}
+        )
+        near = scene.around(arm).nearest(arm.at(arm.straight()), np.inf)
+        assert near.rows.shape == (len(near.pairs), arm.nv) and np.all(np.isfinite(near.rows))
+
+
+def test_an_arm_too_long_for_a_scene_is_refused_before_memory_is_gone() -> None:
+    scene = Scene({"post": Sphere((0.0, 5.0, 0.0), 0.1)})
+    with pytest.raises(InvalidValue, match=r"degrees of freedom of an arm in a scene.*302.*at most 300"):
+        scene.around(pp.Arm.from_template("RyRz", 151))

@@ -1,0 +1,198 @@
+"""Distances against projections and closed forms, and the two ways to compute them against each other."""
+
+from __future__ import annotations
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+from collision.arms_with_bodies import single
+from collision.solids_by_hand import separation
+from hypothesis import given
+from hypothesis import strategies as st
+from sampling import examples
+
+from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Mesh, Scene, Sphere
+from pinposture.collision.distances import Narrow, closest_points
+from pinposture.collision.obstacles import solid
+
+BODIES = {
+    '<sphere radius="0.05"/>': Sphere((0.5, 0, 0), 0.05),
+    '<cylinder radius="0.05" length="0.3"/>': Cylinder((0.35, 0, 0), (0.65, 0, 0), 0.05),
+    '<capsule radius="0.05" length="0.3"/>': Capsule((0.35, 0, 0), (0.65, 0, 0), 0.05),
+    '<box size="0.1 0.2 0.3"/>': Box((0.5, 0, 0), (0.3, 0.2, 0.1)),
+}
+CORNERS = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.2, 0.2) for z in (-0.05, 0.05)])
+
+
+def obstacles(rng):
+    """One of each kind, somewhere outside of the middle."""
+
+    def somewhere(least=0.5):
+        place = rng.normal(size=3)
+        return np.array([0.5, 0, 0]) + place / np.linalg.norm(place) * rng.uniform(least, 1.2)
+
+    def up(place):
+        return (place - [0.5, 0, 0]) / np.linalg.norm(place - [0.5, 0, 0])
+
+    far, wall = somewhere(), somewhere(0.4)
+    return {
+        "sphere": Sphere(somewhere(), 0.1),
+        "capsule": Capsule(far, far + 0.5 * up(far) + 0.1 * rng.normal(size=3), 0.1),
+        "cylinder": Cylinder(somewhere(0.8), somewhere(0.8) + 1e-3, 0.1),
+        "box": Box(somewhere(0.8), (0.1, 0.4, 0.5), rng.uniform(-3, 3, 3)),
+        "half_space": HalfSpace(wall, -up(wall)),
+    }
+
+
+@pytest.mark.parametrize("shape", BODIES)
+def test_distances_are_those_of_projections_to_and_fro(shape):
+    rng, body, compared = np.random.default_rng(0), BODIES[shape], 0
+    arm = single(shape, rpy="0 1.5707963267948966 0")
+    state = arm.at(arm.neutral())
+    for _ in range(5):
+        around = obstacles(rng)
+        near = Scene(around).around(arm).nearest(state, np.inf)
+        assert sorted(name for _, name in near.pairs) == sorted(around)
+        for distance, (_, name) in zip(near.distances, near.pairs, strict=True):
+            by_hand = separation(body, around[name])
+            if by_hand > 1e-3:
+                assert distance == pytest.approx(by_hand, abs=2e-6), name
+                compared += 1
+            else:
+                assert distance < 2e-3
+    assert compared > 15
+
+
+@pytest.mark.parametrize(
+    ("shape", "obstacle", "depth"),
+    [
+        ('<sphere radius="0.05"/>', Sphere((0.52, 0, 0), 0.1), 0.13),
+        ('<sphere radius="0.05"/>', Box((0.5, 0.01, 0), (2, 0.4, 3)), 0.05 + 0.19),
+        ('<sphere radius="0.05"/>', Cylinder((0.5, 0.02, -1), (0.5, 0.02, 1), 0.1), 0.05 + 0.08),
+        ('<sphere radius="0.05"/>', HalfSpace((0, 0, 0.2), (0, 0, 1)), 0.25),
+        ('<box size="0.1 0.2 0.3"/>', HalfSpace((0, 0, 0.2), (0, 0, 2)), 0.35),
+        ('<cylinder radius="0.05" length="0.3"/>', HalfSpace((0, 0, 0.2), (0, 0, 1)), 0.35),
+        ('<capsule radius="0.05" length="0.3"/>', HalfSpace((0, 0, 0.2), (0, 0, 1)), 0.4),
+        ('<box size="0.1 0.2 0.3"/>', Box((0.5, 0, 0.2), (1, 1, 0.3)), 0.1),
+        ('<cylinder radius="0.05" length="0.3"/>', Cylinder((0.5, 0, 0.1), (0.5, 0, 1), 0.2), 0.05),
+        ('<sphere radius="0.05"/>', Mesh(CORNERS, (0.5, 0, 0)), 0.1),
+    ],
+)
+def test_depths_of_solids_that_overlap(shape, obstacle, depth):
+    arm = single(shape)
+    assert Scene({"o": obstacle}).around(arm).minimum(arm.neutral()).distance == pytest.approx(
+        -depth, abs=1e-5
+    )
+
+
+def test_a_mesh_is_its_convex_hull_and_may_be_turned():
+    arm, turn = single('<capsule radius="0.05" length="0.3"/>'), (0.4, -0.7, 2.0)
+    inside = np.random.default_rng(0).uniform(-0.05, 0.05, (20, 3))
+    for center in ((0.9, 0.2, 0.3), (0.55, 0.1, 0.0)):
+        mesh = Mesh(np.vstack([inside, CORNERS]), center, turn)
+        box = Box(center, (0.2, 0.4, 0.1), turn)
+        by_mesh, by_box = (Scene({"o": each}).around(arm).minimum(arm.neutral())[0] for each in (mesh, box))
+        assert by_mesh == pytest.approx(by_box, abs=1e-7)
+
+
+def test_the_closed_forms_agree_with_coal():
+    rng, narrow = np.random.default_rng(1), Narrow()
+    for _ in range(200):
+        a, b, c, d = rng.normal(size=(4, 3)) * 0.3
+        for one, other, line in (
+            (Capsule(a, b, 0.1), Capsule(c, d, 0.05), (c, d)),
+            (Capsule(a, b, 0.1), Sphere(c, 0.05), (c, c)),
+        ):
+            posed = []
+            for each in (solid(one), solid(other)):
+                posed += [each.geometry, coal.Transform3s(each.rotation, each.position)]
+            near = closest_points(a, b, *line)
+            apart = float(np.linalg.norm(near.first - near.second)) - 0.15
+            assert apart == pytest.approx(narrow.distance(tuple(posed)), abs=1e-7)
+
+
+coordinates = st.lists(st.sampled_from([-1.0, 0.0, 1.0, 0.5, 1e-8]), min_size=3, max_size=3).map(np.array)
+
+
+@examples(40)
+@given(coordinates, coordinates, coordinates, coordinates)
+def test_lines_that_are_parallel_cross_or_are_points(a, b, c, d):
+    near = closest_points(a, b, c, d)
+    found = float(np.linalg.norm(near.first - near.second))
+    s = np.linspace(0.0, 1.0, 101)[:, None, None]
+    t = np.linspace(0.0, 1.0, 101)[None, :, None]
+    sampled = np.linalg.norm(a + s * (b - a) - c - t * (d - c), axis=2).min()
+    assert found <= sampled + 1e-7
+    assert found >= sampled - 0.02 * (np.linalg.norm(b - a) + np.linalg.norm(d - c))
+    for point, start, end in ((near.first, a, b), (near.second, c, d)):
+        way = end - start
+        along = (point - start) @ way / max(way @ way, 1e-300)
+        assert -1e-9 <= along <= 1 + 1e-9
+        np.testing.assert_allclose(start + along * way, point, atol=1e-9)
+
+
+def test_where_coal_cannot_tell_the_bound_serves(monkeypatch):
+    arm = single('<cylinder radius="0.05" length="0.3"/>')
+    scene = Scene({"o": Box((0.5, 0.5, 0), (0.1, 0.1, 0.1))})
+    true = scene.around(arm).minimum(arm.neutral()).distance
+    clearance = scene.around(arm)
+    monkeypatch.setattr(coal, "distance", lambda *_: 1.7976931348623157e308)
+    near = clearance.nearest(arm.at(arm.neutral()), np.inf)
+    assert clearance.minimum(arm.neutral()).distance == near.minimum == near.distances[0]
+    assert 0.0 < near.minimum <= true
+    assert np.all(np.isfinite(near.rows))
+
+
+def test_what_coal_cannot_tell_at_once_it_is_asked_less_exactly(monkeypatch):
+    arm = single('<cylinder radius="0.05" length="0.3"/>')
+    clearance = Scene({"o": Box((0.5, 0.5, 0), (0.1, 0.1, 0.1))}).around(arm)
+    true, ask, answers = clearance.minimum(arm.neutral()), coal.distance, []
+
+    def stubborn(*arguments):
+        answers.append(1.7976931348623157e308 if len(answers) % 2 == 0 else ask(*arguments))
+        return answers[-1]
+
+    monkeypatch.setattr(coal, "distance", stubborn)
+    assert clearance.minimum(arm.neutral()).distance == pytest.approx(true.distance, abs=1e-4)
+    assert len(answers) == 2
+
+
+def test_a_long_body_is_seen_by_a_small_box_anywhere_along_it():
+    arm = single('<capsule radius="0.05" length="2"/>', rpy="0 1.5707963267948966 0")
+    state = arm.at(arm.neutral())
+    other = Sphere((0.5, 0, 0.45), 0.2)  # 0.2 m away, so that the box is looked at only if its bound says so
+    for along in np.linspace(-0.5, 1.5, 41):
+        clearance = Scene({"o": Box((along, 0.1, 0), (0.01, 0.01, 0.01)), "s": other}).around(arm)
+        assert clearance.nearest(state, 0.05).distances == pytest.approx([0.1 - 0.005 - 0.05], abs=1e-7)
+        assert clearance.minimum(arm.neutral()).distance == pytest.approx(0.045, abs=1e-7)
+
+
+def test_a_thousand_overlaps_have_finite_depths_and_unit_normals(monkeypatch):
+    # The arm is inside of most of them however it turns: they would be left out.
+    monkeypatch.setattr("pinposture.collision.clearance._always_close", lambda *given: [])
+    arm = single('<cylinder radius="0.05" length="0.1"/>', xyz="0 0 0")
+    rng = np.random.default_rng(0)
+    state = arm.at(arm.neutral())
+    for _ in range(20):
+        around = {
+            f"{kind}{k}": made
+            for k in range(25)
+            for kind, made in (
+                ("c", Cylinder(rng.normal(size=3) * 0.1, rng.normal(size=3) * 0.1, 0.07)),
+                ("b", Box(rng.normal(size=3) * 0.1, (0.2, 0.3, 0.4), rng.uniform(-3, 3, 3))),
+            )
+        }
+        near = Scene(around, margin=0.0).around(arm).nearest(state, np.inf)
+        assert np.all(np.abs(near.distances) < 1.0)
+        np.testing.assert_allclose(np.linalg.norm(near.normals, axis=1), 1.0, atol=1e-9)
+
+
+def test_a_turned_body_is_where_its_frame_says():
+    text = '<box size="0.1 0.2 0.3"/>'
+    arm = single(text, rpy="0.3 -0.4 0.5")
+    box = Box((0.5, 0, 0), (0.1, 0.2, 0.3), pin.rpy.rpyToMatrix(0.3, -0.4, 0.5))
+    ball = Sphere((0.9, 0.3, 0.2), 0.1)
+    assert Scene({"o": ball}).around(arm).minimum(arm.neutral()).distance == pytest.approx(
+        separation(box, ball), abs=1e-7
+    )
