@@ -15,7 +15,7 @@ from pinposture._validation import finite_vector
 from pinposture.arm.chain import Chain, frame_ids, read_chain
 from pinposture.arm.configurations import carry_base, check_joint_positions, farthest_stretch, without_limits
 from pinposture.arm.feasibility import Adequacy, CurveShape, adequacy
-from pinposture.arm.kinematics import Kinematics
+from pinposture.arm.kinematics import MOST_IN_DATA, FrameReader, Kinematics
 from pinposture.arm.loading import LoadReport
 from pinposture.arm.segmentation import Segmentation
 from pinposture.arm.specification import Blueprint
@@ -44,6 +44,7 @@ class Arm(Blueprint):
         report: what was decided while it was loaded (base, tip, warnings, ...); None if it was not.
         segmentation: how its joints are grouped into modules, and why.
         kinematics: the chain as kernels see it.
+        frames: reads the control points from Pinocchio; None if the arm is too long for that.
         moved: 1 where a degree of freedom belongs to the chain, else 0, (nv,).
         sliding_unit: the slide that weighs as much as a turn of one radian, where both are compared [m]: the
             mean module length, unless told otherwise by `with_sliding_unit`.
@@ -65,7 +66,9 @@ class Arm(Blueprint):
         self.chain: Chain = read_chain(model, self.control_points)
         sizes = tuple(joints.stop - joints.start for joints in self.chain.module_slices)
         self.segmentation = report.segmentation if report else Segmentation(sizes, "control points as given")
-        self.kinematics = Kinematics(model, self.chain.joints, frame_ids(model, self.control_points))
+        frames = frame_ids(model, self.control_points)
+        self.kinematics = Kinematics(model, self.chain.joints, frames)
+        self.frames = FrameReader(model, frames) if self.nv <= MOST_IN_DATA else None
         self.moved = np.zeros(self.nv)
         self.moved[self.chain.columns] = 1.0
         self.moved.flags.writeable = False
@@ -237,7 +240,7 @@ class Arm(Blueprint):
             InvalidValue: q has the wrong size or is not finite.
         """
         checked = self.checked(q)
-        return ArmState(self, checked, self.kinematics.placed(self.difference(self.origin, checked)))
+        return ArmState(self, checked)
 
     @cached_property
     def _winding(self) -> NDArray[np.bool_]:

@@ -1,7 +1,13 @@
-"""The chain of an arm as plain arrays for compiled kernels, and the screws of its joints."""
+"""Placements and Jacobians of an arm's control points: by Pinocchio, and by a compiled pass along the chain.
+
+`FrameReader` reads them from Pinocchio; it is what `ArmState` shows, and what the methods of the thesis stand on.
+`Kinematics` computes the same numbers on plain arrays, for kernels and for arms that are too long for `pin.Data`,
+whose memory grows with the cube of the number of joints. `tests/arm/test_kinematics.py` holds both equal.
+"""
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 from weakref import WeakKeyDictionary
@@ -20,14 +26,57 @@ if TYPE_CHECKING:
     from pinposture.arm.state import ArmState
 
 
-# The chain of an arm as plain arrays, and where they put it: Pinocchio's model without Pinocchio's loop.
-#
-# `pin.Data` needs memory that grows with the cube of the number of joints, and reading placements out of it
-# one by one costs more than computing them. The model stays Pinocchio's; only the pass along the chain is
-# ours, and it gives the same numbers (`tests/arm/test_kinematics.py`).
-
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
+
+MOST_IN_DATA = 100
+"""Degrees of freedom up to which an arm is read from Pinocchio: 66 MB and 0.04 s for a `pin.Data`, once a thread."""
+
+
+class Frames(NamedTuple):
+    """Control points and joints of an arm at one configuration, as Pinocchio has them; world frame.
+
+    Attributes:
+        points: positions of the control points, (m, 3) [m].
+        rotations: their orientations, (m, 3, 3), from control-point to world frame.
+        motions: how each degree of freedom moves a body at the world origin, (nv, 6): velocity [m/rad], then
+            angular velocity [rad/rad]; the columns of `data.J`.
+    """
+
+    points: Array
+    rotations: Array
+    motions: Array
+
+
+class FrameReader:
+    """Reads the frames of the control points from Pinocchio, with one `pin.Data` for each thread."""
+
+    def __init__(self, model: pin.Model, frames: Sequence[int]) -> None:
+        """Keep what to read.
+
+        Args:
+            model: the arm, base placement applied.
+            frames: the control points.
+        """
+        self._model, self._frames, self._kept = model, tuple(frames), threading.local()
+
+    def read(self, q: Array) -> Frames:
+        """The frames at a configuration (nq,), copied: Pinocchio fills the same memory the next time."""
+        try:
+            data, positions, orientations = self._kept.read
+        except AttributeError:
+            data = self._model.createData()
+            placements = [data.oMf[frame] for frame in self._frames]
+            positions = [placement.translation for placement in placements]
+            orientations = [placement.rotation for placement in placements]
+            self._kept.read = data, positions, orientations
+        pin.computeJointJacobians(self._model, data, q)
+        pin.updateFramePlacements(self._model, data)
+        m = len(positions)
+        points, rotations = np.concatenate(positions), np.concatenate(orientations)
+        return Frames(
+            points.reshape(m, 3), rotations.reshape(m, 3, 3), np.array(data.J.reshape(6, -1).T, order="C")
+        )
 
 
 class Placed(NamedTuple):
@@ -93,6 +142,12 @@ class Kinematics:
         kernels.placements(self.constants, positions, *filled)
         return Placed(*filled, positions)
 
+    def jacobians(self, placed: Placed) -> Array:
+        """Position Jacobians of the control points, (m, 3, nv) [m/rad], world axes."""
+        jacobians = np.zeros((len(self.ends), 3, len(self.endless)))
+        kernels.jacobians(self.constants, placed.axes, placed.origins, placed.points, jacobians)
+        return jacobians
+
 
 def _slides(model: pin.Model, joint: int) -> bool:
     kind = model.joints[joint].shortname().removeprefix("JointModel")
@@ -147,8 +202,12 @@ def constants_of(arm: Arm) -> Constants:
 
 def screws_of(state: ArmState) -> Screws:
     """The screws of the joints of an arm where it is."""
-    chain, placed, known = state.arm.kinematics, state.placed, constants_of(state.arm)
-    found = Screws(np.empty((len(known.joints), 6)), chain.ends, placed.points)
-    given = known.joints, chain.slides, known.units, placed.axes, placed.origins, chain.ends, placed.points
-    kernels.find_screws(*given, found.screws)
+    chain, known, frames = state.arm.kinematics, constants_of(state.arm), state.frames
+    points = state.placed.points if frames is None else frames.points
+    found = Screws(np.empty((len(known.joints), 6)), chain.ends, points)
+    if frames is not None:
+        kernels.carry_screws(frames.motions, chain.columns, known.units, chain.ends, points, found.screws)
+    else:
+        lines = state.placed.axes, state.placed.origins
+        kernels.find_screws(known.joints, chain.slides, known.units, *lines, chain.ends, points, found.screws)
     return found

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture import kernels
-from pinposture.arm.kinematics import Placed
+from pinposture.arm.kinematics import Frames, Placed
 from pinposture.arm.manipulability import (
     ControlPoints,
     Ellipsoid,
@@ -28,13 +27,27 @@ Array = NDArray[np.float64]
 class ArmState:
     """The arm at one configuration; everything in it is read-only, and worked out when first asked for.
 
+    Pinocchio supplies placements and Jacobians, by `computeJointJacobians` and `updateFramePlacements`, once
+    for a state. Arms of more than `arm.kinematics.MOST_IN_DATA` degrees of freedom, for which `pin.Data` would
+    need too much memory, take them from the compiled pass along the chain.
+
     Attributes:
         arm: the arm that this is a state of.
-        placed: where the chain is, as kernels want it; not to be written to.
     """
 
-    def __init__(self, arm: Arm, q: Array, placed: Placed) -> None:
-        self.arm, self._q, self.placed = arm, q, placed
+    def __init__(self, arm: Arm, q: Array) -> None:
+        self.arm, self._q = arm, q
+
+    @cached_property
+    def placed(self) -> Placed:
+        """The compiled pass along the chain, for kernels; not to be written to."""
+        return self.arm.kinematics.placed(self.arm.difference(self.arm.origin, self._q))
+
+    @cached_property
+    def frames(self) -> Frames | None:
+        """What Pinocchio says of the control points; None for an arm that is too long for `pin.Data`."""
+        reader = self.arm.frames
+        return None if reader is None else reader.read(self._q)
 
     @cached_property
     def q(self) -> Array:
@@ -44,7 +57,7 @@ class ArmState:
     @cached_property
     def points(self) -> Array:
         """Positions of the control points, (m, 3) [m], world frame."""
-        return _read_only(self.placed.points)
+        return _read_only((self.frames or self.placed).points)
 
     @cached_property
     def links(self) -> Array:
@@ -62,20 +75,28 @@ class ArmState:
     @cached_property
     def rotations(self) -> Array:
         """Orientations of the control points, (m, 3, 3), from control-point to world frame."""
-        return _read_only(self.placed.rotations)
+        return _read_only((self.frames or self.placed).rotations)
 
     @cached_property
     def positions(self) -> Array:
         """Joint positions (nv,) [rad or m]; continuous joints within +-pi."""
-        return _read_only(self.placed.positions)
+        return _read_only(self.arm.difference(self.arm.origin, self._q))
 
     @cached_property
     def jacobians(self) -> Array:
-        """Position Jacobians of the control points, (m, 3, nv) [m/rad], world axes."""
-        arm, placed = self.arm, self.placed
-        jacobians = np.zeros((arm.n_modules, 3, arm.nv))
-        given = placed.axes, placed.origins, placed.points
-        kernels.jacobians(arm.kinematics.constants, *given, jacobians)
+        """Position Jacobians of the control points, (m, 3, nv) [m/rad], world axes.
+
+        A column is v + w x p, with the velocity v at the world origin and the angular velocity w that one unit
+        of joint motion gives to a body, for the joints that carry the control point p; else zero.
+        """
+        if self.frames is None:
+            return _read_only(self.arm.kinematics.jacobians(self.placed))
+        (vx, vy, vz, wx, wy, wz), support = self.frames.motions.T, self.arm.support
+        x, y, z = self.frames.points.T[:, :, None]
+        jacobians = np.empty((self.arm.n_modules, 3, self.arm.nv))
+        jacobians[:, 0] = (vx + wy * z - wz * y) * support
+        jacobians[:, 1] = (vy + wz * x - wx * z) * support
+        jacobians[:, 2] = (vz + wx * y - wy * x) * support
         return _read_only(jacobians)
 
     @cached_property
@@ -84,6 +105,8 @@ class ArmState:
 
         The unit axis of a joint that turns, zero for one that slides or that is not on the chain.
         """
+        if self.frames is not None:
+            return _read_only(self.frames.motions[:, 3:].T * self.arm.moved)
         axes = np.zeros((3, self.arm.nv))
         turns = self.arm.chain.revolute
         axes[:, self.arm.columns[turns]] = self.placed.axes[turns].T

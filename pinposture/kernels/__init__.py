@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pinposture.kernels.chain_solver import move_points as move_points
     from pinposture.kernels.chain_solver import stiffness as stiffness
     from pinposture.kernels.distances import above_boxes as above_boxes
+    from pinposture.kernels.kinematics import carry_screws as carry_screws
     from pinposture.kernels.kinematics import jacobians as jacobians
     from pinposture.kernels.kinematics import joints_along as joints_along
     from pinposture.kernels.kinematics import motions_along as motions_along
@@ -82,6 +83,7 @@ _HOMES = {
     "eliminated": "posture_matrix",
     "least_change": "posture_matrix",
     "take_points": "branch_search",
+    "carry_screws": "kinematics",
     "jacobians": "kinematics",
     "placements": "kinematics",
     "measure_misses": "chain_solver",

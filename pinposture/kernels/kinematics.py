@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import FULL, LOCAL, Array1, Array2, Array3, ChainArrays, Rows, Screws
+from pinposture.kernels.arrays import FULL, LOCAL, Array1, Array2, Array3, ChainArrays, Ints1, Rows, Screws
 from pinposture.kernels.compiled import compiled
 
 # Where the joints and control points of a serial chain are.
@@ -124,6 +124,34 @@ def jacobians(
                 filled[k, 0, j] = a[1] * z - a[2] * y
                 filled[k, 1, j] = a[2] * x - a[0] * z
                 filled[k, 2, j] = a[0] * y - a[1] * x
+
+
+@compiled
+def carry_screws(
+    motions: Array2, columns: Ints1, units: Array1, ends: Ints1, points: Array2, filled: Array2
+) -> None:
+    """How each joint moves the first point that it carries, and turns it: v + w x p and w.
+
+    Args:
+        motions: velocity v at the world origin and angular velocity w of each degree of freedom, (nv, 6).
+        columns: the degree of freedom of each joint of the chain, (n,).
+        units: the motion of each joint that counts as one, (n,).
+        ends: how many of the joints carry each point, (m,); increasing.
+        points: the points, (m, 3).
+        filled: filled with v + w x p and w, (n, 6).
+    """
+    k = 0
+    for i in range(len(columns)):
+        while k < len(ends) - 1 and ends[k] <= i:
+            k += 1
+        x, y, z = points[k, 0], points[k, 1], points[k, 2]
+        j = columns[i]
+        v0, v1, v2 = motions[j, 0], motions[j, 1], motions[j, 2]
+        w0, w1, w2 = motions[j, 3], motions[j, 4], motions[j, 5]
+        filled[i, 0] = units[i] * (v0 + w1 * z - w2 * y)
+        filled[i, 1] = units[i] * (v1 + w2 * x - w0 * z)
+        filled[i, 2] = units[i] * (v2 + w0 * y - w1 * x)
+        filled[i, 3], filled[i, 4], filled[i, 5] = units[i] * w0, units[i] * w1, units[i] * w2
 
 
 # Posture control matrices as a chain has them: motions of points along directions, never written out.

@@ -46,7 +46,7 @@ class Recorder:
         self._distances = [self._distance(start)]
         self._steps: list[Step] = []
         self._last = start
-        self._q, self._points, self._errors = [start.q], [start.points], [self._point_errors(start)]
+        self._q, self._points, self._errors = [start.q], [start.placed.points], [self._point_errors(start)]
         self.aim(target)
 
     def aim(self, target: Target) -> None:
@@ -60,7 +60,9 @@ class Recorder:
         return float(self._point_errors(state).sum()) > self.posture_error + ROUNDING * state.arm.length
 
     def _point_errors(self, state: ArmState) -> Array:
-        return np.asarray(np.linalg.norm(self._target.points - state.points, axis=1) * self._target.placed)
+        return np.asarray(
+            np.linalg.norm(self._target.points - state.placed.points, axis=1) * self._target.placed
+        )
 
     def _distance(self, state: ArmState) -> float:
         return np.inf if self._clearance is None else self._clearance.minimum(state.q).distance
@@ -95,7 +97,7 @@ class Recorder:
             self._idle += travel
         self._q.append(state.q)
         self._distances.append(self._distance(state))
-        self._points.append(state.points)
+        self._points.append(state.placed.points)
         self._last, self._now = state, self._point_errors(state)
         self._errors.append(self._now)
 

@@ -494,7 +494,7 @@ class Tracker:
         status = "moving" if not reason else "stalled" if step is not None else "holding"
         still = bool(np.all(np.abs(dq) <= STILL * self.arm.joint_units))
         if aim is not None and seen.state is not None and still:
-            there = _mean_distance(seen.state.points, aim) <= ARRIVED * self.arm.length
+            there = _mean_distance(seen.state.placed.points, aim) <= ARRIVED * self.arm.length
             status, reason = ("converged", "") if there else (status, reason)
         given, points = self._given, self._feedback.points
         error = None if given is None or points is None else _mean_distance(points, given)

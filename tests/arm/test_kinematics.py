@@ -1,4 +1,6 @@
-"""The pass along the chain gives Pinocchio's numbers, and needs none of its memory."""
+"""States show Pinocchio's placements and Jacobians; the pass along the chain gives the same, without its memory."""
+
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pinocchio as pin
@@ -6,6 +8,8 @@ import pytest
 from sampling import seeds
 
 import pinposture as pp
+from pinposture import kernels
+from pinposture.arm.kinematics import constants_of, screws_of
 from pinposture.errors import InvalidValue
 
 KINDS = {
@@ -58,6 +62,46 @@ def test_placements_and_jacobians_are_those_of_pinocchio(seed):
         found = (state.points, state.rotations, state.jacobians, state.angular_jacobians)
         for ours, theirs in zip(found, by_pinocchio(arm, q), strict=True):
             np.testing.assert_allclose(ours, theirs, atol=1e-12 * max(1.0, arm.length))
+
+
+@pytest.mark.parametrize("seed", seeds(12))
+def test_the_pass_along_the_chain_gives_what_pinocchio_does(seed):
+    rng = np.random.default_rng(seed)
+    name = ("RyRz", "RzRy", "Rz", "RzRz", "RzRzRz")[seed % 5]
+    for arm in (odd_arm(seed), pp.Arm.from_template(name, int(rng.integers(1, 30)))):
+        q = arm.integrate(arm.neutral(), rng.normal(size=arm.nv))
+        state = arm.at(q)
+        assert state.frames is not None
+        size = max(1.0, arm.length)
+        np.testing.assert_allclose(state.placed.points, state.points, atol=1e-12 * size)
+        np.testing.assert_allclose(state.placed.rotations, state.rotations, atol=1e-12)
+        compiled = arm.kinematics.jacobians(state.placed)
+        np.testing.assert_allclose(compiled, state.jacobians, atol=1e-12 * size)
+        lines = state.placed.axes, state.placed.origins
+        chain, known, screws = arm.kinematics, constants_of(arm), screws_of(state).screws
+        along = np.empty_like(screws)
+        given = known.joints, chain.slides, known.units, *lines, chain.ends, state.placed.points
+        kernels.find_screws(*given, along)
+        np.testing.assert_allclose(along, screws, atol=1e-12 * size * known.units.max())
+
+
+def test_each_thread_reads_for_itself():
+    arm = pp.Arm.from_template("RyRz", 20)
+    rng = np.random.default_rng(0)
+    configurations = [arm.random(rng) for _ in range(200)]
+    expected = [arm.at(q).points for q in configurations]
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(lambda q: arm.at(q).points, configurations))
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_what_was_read_stays_when_more_is_read():
+    arm = pp.Arm.from_template("RyRz", 5)
+    state = arm.at(arm.neutral())
+    points, jacobians = state.points.copy(), state.jacobians.copy()
+    _ = arm.at(np.full(arm.nq, 0.3)).jacobians
+    np.testing.assert_array_equal(state.points, points)
+    np.testing.assert_array_equal(state.jacobians, jacobians)
 
 
 @pytest.mark.parametrize("seed", range(4))

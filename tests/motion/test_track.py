@@ -34,7 +34,7 @@ def test_a_run_records_what_happened(arm: pp.Arm, run: pp.Trajectory) -> None:
     assert len(run.active_sets) == len(run.index) == len(run.sigma_min) == run.steps
     for step in (0, run.steps // 2, run.steps):
         points = arm.at(run.q[step]).points
-        np.testing.assert_array_equal(run.points[step], points)
+        np.testing.assert_allclose(run.points[step], points, atol=1e-14)
         errors = np.linalg.norm(points - run.target.points, axis=1)
         np.testing.assert_allclose(run.point_errors[step], errors, atol=1e-14)
         assert run.posture_error[step] == pytest.approx(errors.sum())
