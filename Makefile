@@ -28,6 +28,7 @@ lint: $(VENV)/lint.stamp
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
+	$(RUN) .ci/structure.py --check
 
 # The editor in the browser, at an example. Another task: make edit TASK=mine.toml
 TASK ?= examples/tasks/keyframes.toml
