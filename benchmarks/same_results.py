@@ -35,7 +35,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 import pinposture as pp
-from pinposture.scene import pipe, pipe_axis
+from pinposture.collision import pipe, pipe_axis
 
 Array = NDArray[np.float64]
 Found = dict[str, NDArray[Any]]

@@ -1,8 +1,8 @@
-"""Placements and Jacobians of an arm's control points: by Pinocchio, and by a compiled pass along the chain.
+"""Placements and Jacobians of control points: by Pinocchio, and by a compiled pass along the chain.
 
-`FrameReader` reads them from Pinocchio; it is what `ArmState` shows, and what the methods of the thesis stand on.
-`Kinematics` computes the same numbers on plain arrays, for kernels and for arms that are too long for `pin.Data`,
-whose memory grows with the cube of the number of joints. `tests/arm/test_kinematics.py` holds both equal.
+`FrameReader` reads them from Pinocchio: what `ArmState` shows and what the methods of the thesis stand on.
+`Kinematics` computes the same numbers on plain arrays, for kernels and for arms that are too long for
+`pin.Data`, whose memory grows with the cube of the number of joints. A test holds both equal.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 MOST_IN_DATA = 100
-"""Degrees of freedom up to which an arm is read from Pinocchio: 66 MB and 0.04 s for a `pin.Data`, once a thread."""
+"""Degrees of freedom up to which an arm is read from Pinocchio; a `pin.Data` then takes 66 MB a thread."""
 
 
 class Frames(NamedTuple):

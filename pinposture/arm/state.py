@@ -27,8 +27,8 @@ Array = NDArray[np.float64]
 class ArmState:
     """The arm at one configuration; everything in it is read-only, and worked out when first asked for.
 
-    Pinocchio supplies placements and Jacobians, by `computeJointJacobians` and `updateFramePlacements`, once
-    for a state. Arms of more than `arm.kinematics.MOST_IN_DATA` degrees of freedom, for which `pin.Data` would
+    Pinocchio supplies placements and Jacobians: `computeJointJacobians` and `updateFramePlacements`, once for
+    a state. Arms of more than `arm.kinematics.MOST_IN_DATA` degrees of freedom, for which `pin.Data` would
     need too much memory, take them from the compiled pass along the chain.
 
     Attributes:
@@ -86,8 +86,8 @@ class ArmState:
     def jacobians(self) -> Array:
         """Position Jacobians of the control points, (m, 3, nv) [m/rad], world axes.
 
-        A column is v + w x p, with the velocity v at the world origin and the angular velocity w that one unit
-        of joint motion gives to a body, for the joints that carry the control point p; else zero.
+        A column is v + w x p for a joint that carries the control point p, else zero: v is the velocity at
+        the world origin and w the angular velocity that one unit of joint motion gives to a body.
         """
         if self.frames is None:
             return _read_only(self.arm.kinematics.jacobians(self.placed))

@@ -1,4 +1,4 @@
-"""States show Pinocchio's placements and Jacobians; the pass along the chain gives the same, without its memory."""
+"""States show Pinocchio's placements and Jacobians; the pass along the chain gives the same numbers."""
 
 from concurrent.futures import ThreadPoolExecutor
 
