@@ -234,7 +234,7 @@ def farthest_stretch(arm: Arm) -> Array:
         return np.zeros(arm.nv)
 
     def shortness(amounts: Array) -> tuple[float, Array]:
-        state = arm.at(arm.configuration(amounts * units))
+        state = arm.at(arm.configuration(amounts * units)).compiled
         reach = (state.points[-1] - start_point) / length
         distance = max(float(np.linalg.norm(reach)), 1e-12)
         return -distance, -(reach / distance) @ state.jacobians[-1] * units / length

@@ -39,6 +39,17 @@ class ArmState:
         self.arm, self._q = arm, q
 
     @cached_property
+    def compiled(self) -> ArmState:
+        """The same state by the compiled pass along the chain, which solvers use inside.
+
+        It equals this one to rounding. An iteration that takes all its numbers from one of the two gives the same
+        result on every call.
+        """
+        state = _CompiledState(self.arm, self._q)
+        state.__dict__["placed"] = self.placed
+        return state
+
+    @cached_property
     def placed(self) -> Placed:
         """The compiled pass along the chain, for kernels; not to be written to."""
         return self.arm.kinematics.placed(self.arm.difference(self.arm.origin, self._q))
@@ -175,6 +186,18 @@ class ArmState:
 
     def __repr__(self) -> str:
         return f"ArmState(q={np.array2string(self.q, precision=3, threshold=8)}, m={self.arm.n_modules})"
+
+
+class _CompiledState(ArmState):
+    """A state that does not ask Pinocchio."""
+
+    @property
+    def compiled(self) -> ArmState:
+        return self
+
+    @property
+    def frames(self) -> None:
+        return None
 
 
 def _read_only(array: Array) -> Array:

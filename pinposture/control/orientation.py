@@ -55,7 +55,7 @@ def _links(arm: Arm) -> Array:
     chain = arm.chain
     links, stations = np.zeros((arm.n_modules, 3)), [chain.base]
     for k, (joints, turn) in enumerate(
-        zip(chain.module_slices, arm.at(arm.neutral()).rotations, strict=True)
+        zip(chain.module_slices, arm.at(arm.neutral()).compiled.rotations, strict=True)
     ):
         stations.extend(chain.origins[joints])
         spans = chain.points[k] - np.array(stations)

@@ -46,7 +46,7 @@ class Recorder:
         self._distances = [self._distance(start)]
         self._steps: list[Step] = []
         self._last = start
-        self._q, self._points, self._errors = [start.q], [start.placed.points], [self._point_errors(start)]
+        self._q, self._points, self._errors = [start.q], [start.compiled.points], [self._point_errors(start)]
         self.aim(target)
 
     def aim(self, target: Target) -> None:
@@ -61,7 +61,7 @@ class Recorder:
 
     def _point_errors(self, state: ArmState) -> Array:
         return np.asarray(
-            np.linalg.norm(self._target.points - state.placed.points, axis=1) * self._target.placed
+            np.linalg.norm(self._target.points - state.compiled.points, axis=1) * self._target.placed
         )
 
     def _distance(self, state: ArmState) -> float:
@@ -97,7 +97,7 @@ class Recorder:
             self._idle += travel
         self._q.append(state.q)
         self._distances.append(self._distance(state))
-        self._points.append(state.placed.points)
+        self._points.append(state.compiled.points)
         self._last, self._now = state, self._point_errors(state)
         self._errors.append(self._now)
 

@@ -146,10 +146,10 @@ class Feedback:
             inside = np.clip(positions - offset, limits.lower, limits.upper)
             inside = np.where((positions < limits.lower) | (positions > limits.upper), positions, inside)
             q_aimed = arm.integrate(q, inside - positions)
-            change = arm.at(q_aimed).points - arm.at(q).points
+            change = arm.at(q_aimed).compiled.points - arm.at(q).compiled.points
         else:
             beyond = arm.integrate(self.command, offset)
-            change = arm.at(self.command).points - arm.at(beyond).points
+            change = arm.at(self.command).compiled.points - arm.at(beyond).compiled.points
         return Target(target.points + change - shift, target.weights, None if shifts else q_aimed)
 
     def _state(self) -> ArmState | None:
@@ -162,7 +162,7 @@ class Feedback:
             self.command = measured
         else:
             self._offset += share * (behind - self._offset)
-        points = np.array(self.arm.at(measured).points)
+        points = np.array(self.arm.at(measured).compiled.points)
         off = np.zeros_like(points)
         if seen is not None:
             off = seen - points
@@ -494,7 +494,7 @@ class Tracker:
         status = "moving" if not reason else "stalled" if step is not None else "holding"
         still = bool(np.all(np.abs(dq) <= STILL * self.arm.joint_units))
         if aim is not None and seen.state is not None and still:
-            there = _mean_distance(seen.state.placed.points, aim) <= ARRIVED * self.arm.length
+            there = _mean_distance(seen.state.compiled.points, aim) <= ARRIVED * self.arm.length
             status, reason = ("converged", "") if there else (status, reason)
         given, points = self._given, self._feedback.points
         error = None if given is None or points is None else _mean_distance(points, given)

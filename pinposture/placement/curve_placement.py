@@ -132,7 +132,7 @@ def distance_from_curve(arm: Arm, q: Array, curve: Curve) -> float:
         The distance, from samples that close in on the farthest place; it may miss a peak that is narrower
         than a quarter of a link.
     """
-    ends = arm.chain.flattened(arm.at(q).links)
+    ends = arm.chain.flattened(arm.at(q).compiled.links)
     starts, ways = ends[:-1], np.diff(ends, axis=0)
     longest = float(np.linalg.norm(ways, axis=1).max())
     parts = np.maximum(np.ceil(SAMPLES_PER_LINK * np.linalg.norm(ways, axis=1) / longest), 1.0).astype(int)
@@ -164,7 +164,7 @@ def arm_axis(arm: Arm) -> Array:
 
 
 def _stretch(arm: Arm) -> Array:
-    reach = arm.chain.flattened(arm.at(arm.straight()).points[-1]) - arm.chain.base
+    reach = arm.chain.flattened(arm.at(arm.straight()).compiled.points[-1]) - arm.chain.base
     axis: Array = np.asarray(reach / max(float(np.linalg.norm(reach)), 1e-300))
     axis.flags.writeable = False
     return axis

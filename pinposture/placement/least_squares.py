@@ -265,7 +265,7 @@ class FitProblem:
         """Residuals (3 m + n,) and their Jacobian (3 m + n, n + m)."""
         arm, n, m = self._arm, self._joints, self._arm.n_modules
         positions, s = self.split(unknowns)
-        state = arm.at(arm.configuration(positions))
+        state = arm.at(arm.configuration(positions)).compiled
         inside = np.clip(s, 0.0, curve.length)
         tangents = curve.tangent(inside)
         places = curve.at(inside) + (s - inside)[:, None] * tangents  # straight on beyond the end
@@ -319,7 +319,7 @@ def _along(arm: Arm, curve: Curve, start: float, q: Array) -> Array:
 
     Each is looked for as far from the one before as a module reaches: a curve may come by a second time.
     """
-    points, lengths = arm.chain.flattened(arm.at(q).points), arm.chain.module_lengths
+    points, lengths = arm.chain.flattened(arm.at(q).compiled.points), arm.chain.module_lengths
     reach = AHEAD * np.maximum(lengths, lengths.mean())
     steps = np.arange(1, LOOKED_AT + 1) / LOOKED_AT
     found = np.empty(len(points))

@@ -292,7 +292,7 @@ def _target(arm: Arm, curve: Curve, result: Placement, method: str, near: Target
         weights[result.failure.module - 1 :] = 0.0
         reason = str(result.failure)
     q = arm.nearest_turns(arm.configuration(result.positions), None if near is None else near.q)
-    points = arm.at(q).points
+    points = arm.at(q).compiled.points
     residual = _off(arm, result.positions, curve, result.parameters)
     return Target(points, weights, q, curve, result.parameters, residual, method, reason)
 
@@ -320,7 +320,7 @@ def _warn_if_far(arm: Arm, target: Target) -> None:
 
 def _line_lengths(arm: Arm, q: Array) -> list[float]:
     """Length along the links of each module at a configuration, (m,) [m]."""
-    state = arm.at(q)
+    state = arm.at(q).compiled
     lengths, start = [], arm.chain.base
     for k, joints in enumerate(arm.chain.module_slices):
         line = np.vstack([start, state.placed.origins[joints], state.points[k]])
@@ -331,7 +331,7 @@ def _line_lengths(arm: Arm, q: Array) -> list[float]:
 
 def _off(arm: Arm, positions: Array, curve: Curve, parameters: Array) -> Array:
     """Distance of each control point from its place on the curve, (m,) [m]; of a planar arm, in its plane."""
-    points = arm.chain.flattened(arm.at(arm.configuration(positions)).points)
+    points = arm.chain.flattened(arm.at(arm.configuration(positions)).compiled.points)
     gaps = points - curve.at(parameters)
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", gaps, gaps)))
 

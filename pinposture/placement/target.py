@@ -146,7 +146,7 @@ class Target:
         Raises:
             InvalidValue: as `Arm.checked_start`.
         """
-        state = arm.at(arm.checked_start(q))
+        state = arm.at(arm.checked_start(q)).compiled
         return cls(state.points, np.ones(arm.n_modules), q=state.q)
 
 

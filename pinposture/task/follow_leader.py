@@ -126,7 +126,7 @@ def taken_apart(arm: Arm, start: ArrayLike | None = None) -> Fed:
         columns=columns,
         straight=rest[columns],
         axis=axis,
-        tip=body.at(body.configuration(rest[columns])).points[-1],
+        tip=body.at(body.configuration(rest[columns])).compiled.points[-1],
     )
 
 
@@ -344,7 +344,7 @@ class ClosestPlacement:
     def _step(self) -> Array:
         """The Gauss-Newton step from where the arm is."""
         fed, way, x = self._laid.fed, self._laid.way, self._positions
-        state = fed.links.at(fed.links.configuration(x))
+        state = fed.links.at(fed.links.configuration(x)).compiled
         points = state.points + self._depth * fed.axis
         for _ in range(2):  # the feet of the ends of the links on the way
             ahead = np.einsum("ij,ij->i", points - way.at(self._s), way.tangent(self._s))
@@ -359,7 +359,7 @@ class ClosestPlacement:
 
     def _failure(self) -> TargetError | None:
         fed = self._laid.fed
-        ends = fed.links.at(fed.links.configuration(self._positions)).points + self._depth * fed.axis
+        ends = fed.links.at(fed.links.configuration(self._positions)).compiled.points + self._depth * fed.axis
         off = np.linalg.norm(self._laid.way.at(self._s) - ends, axis=1)
         if off.max() <= self._allowed:
             return None
@@ -550,7 +550,7 @@ def _mark(laid: Passage, begin: Array, name: str, offsets: Array) -> Mark:
     """The last row, with a name."""
     arm = laid.fed.arm
     q = arm.integrate(begin, offsets[-1])
-    target = Target(arm.at(q).points, np.ones(arm.n_modules), q=q, curve=laid.path, moved=laid.moved)
+    target = Target(arm.at(q).compiled.points, np.ones(arm.n_modules), q=q, curve=laid.path, moved=laid.moved)
     return Mark(name, len(offsets) - 1, target)
 
 

@@ -75,7 +75,7 @@ class Guide:
         arm, row = self.reference.arm, min(int(np.ceil(place)), self.reference.rows - 1)
         offset = np.minimum(np.maximum(self.path.smooth(place), self._lower), self._upper)
         q = arm.integrate(self.reference.start, offset)
-        return Target(arm.at(q).points, self.reference.weights[row], q)
+        return Target(arm.at(q).compiled.points, self.reference.weights[row], q)
 
     def way(self, place: float) -> JointPath:
         """What is left of the way from a place, which is a row."""

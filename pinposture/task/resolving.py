@@ -51,7 +51,7 @@ def settled_tip(arm: Arm, target: Target, tip: EndEffector, where: str) -> Array
     assert target.q is not None
     posture = Posture(arm, target, (tip,))
     edges = np.array([arm.limits.lower, arm.limits.upper])
-    state = find_goal(posture, arm.at(target.q), edges, None, GOOD * arm.length).state
+    state = find_goal(posture, arm.at(target.q).compiled, edges, None, GOOD * arm.length).state
     left = posture.task_rows(state, strict=True)
     if left is not None and (missed := float(np.linalg.norm(left.errors))) > MET * arm.length:
         advice = (
@@ -182,7 +182,7 @@ def _misfit(arm: Arm, keyframe: Keyframe) -> str:
 
 def taken(arm: Arm, keyframe: Keyframe, target: Target, q: Array) -> Target:
     """The target of a keyframe as the arm takes it at a configuration (nq,)."""
-    curve, points = target.curve, arm.at(q).points
+    curve, points = target.curve, arm.at(q).compiled.points
     assert curve is not None
     parameters, distances = map(np.asarray, curve.nearest(arm.chain.flattened(points)))
     weights, moved = np.ones(arm.n_modules), target.moved
@@ -237,7 +237,7 @@ def _target(arm: Arm, keyframe: Keyframe, method: str, near: Target | None = Non
         return resolve_targets(arm, keyframe.curve, SAMPLES, near=near, **given)
     positions = np.clip(keyframe.joints, arm.limits.lower, arm.limits.upper)
     q = arm.configuration(positions)
-    hint = Target(arm.at(q).points, np.ones(arm.n_modules), q=q)
+    hint = Target(arm.at(q).compiled.points, np.ones(arm.n_modules), q=q)
     try:
         return resolve_targets(arm, keyframe.curve, SAMPLES, near=hint, **given)
     except TargetError:

@@ -93,6 +93,7 @@ class ConstrainedQP:
         """Compute one step; see `Controller.step`. The first one for a target takes longer: it plans."""
         limits = Limits() if limits is None else limits
         _check_given(state, target, memory)
+        state = state.compiled
         bounds = limits.for_arm(state.arm)
         before = memory.own if memory is not None and isinstance(memory.own, Course) else None
         if before is not None and before.bounds is bounds and self._goes_on(before, state, target):
@@ -165,7 +166,9 @@ class ConstrainedQP:
             if share < 1.0:
                 relaxed += ("position limits: coming back faster would come too close to something",)
             relaxed += gave_way
-        rises = _posture_error(arm.at(arm.integrate(state.q, dq)), target) > _posture_error(state, target)
+        rises = _posture_error(arm.at(arm.integrate(state.q, dq)).compiled, target) > _posture_error(
+            state, target
+        )
         active = Posture(arm, target).active
         reason = "" if np.any(dq) else "joints are outside their limits, and something is in their way back"
         held = np.zeros(arm.nv, dtype=np.bool_)

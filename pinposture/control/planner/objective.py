@@ -221,7 +221,7 @@ class Posture:
 
     def moved(self, state: ArmState, x: Array) -> ArmState:
         """The state after a step x, (n,)."""
-        return self.arm.at(self.arm.integrate(state.q, self.displacement(x)))
+        return self.arm.at(self.arm.integrate(state.q, self.displacement(x))).compiled
 
     def displacement(self, x: Array) -> Array:
         """Joint displacement (nv,) [rad or m] of a step x, (n,); all other joints stand still."""

@@ -133,7 +133,7 @@ def _towards(posture: Posture, state: ArmState, q: Array, edges: Array) -> ArmSt
     moved = np.zeros(arm.nv)
     columns = posture.columns
     moved[columns] = np.clip(here + way, edges[0], edges[1])[columns] - here[columns]
-    return arm.at(arm.integrate(state.q, moved))
+    return arm.at(arm.integrate(state.q, moved)).compiled
 
 
 # Where to go and on what way: what the controller settles before it moves.
@@ -225,10 +225,10 @@ def plan_on(
     arm, path = posture.arm, course.path
     before = path.configuration(path.end)
     goal = _known(posture, bounds, before)
-    if goal is not None and avoidance is not None and avoidance.intrusion(arm.at(goal)) > 0.0:
+    if goal is not None and avoidance is not None and avoidance.intrusion(arm.at(goal).compiled) > 0.0:
         goal = None
     if goal is None:
-        start = arm.at(before)
+        start = arm.at(before).compiled
         first = start if posture.target.q is None else None
         enough = _as_good(course, posture, start)
         found = find_goal(posture, state, bounds.edges, avoidance, GOOD * arm.length, first, enough)
@@ -266,7 +266,7 @@ def _known(posture: Posture, bounds: JointBounds, before: Array) -> Array | None
     arm, q = posture.arm, posture.target.q
     if q is None or len(posture.active) < arm.n_modules:
         return None
-    goal = arm.at(arm.nearest_turns(q, before, bounds.edges))
+    goal = arm.at(arm.nearest_turns(q, before, bounds.edges)).compiled
     inside = kernels.position_excess(goal.placed.positions, bounds.edges, arm.kinematics.columns) == 0.0
     return goal.q if inside and posture.mean_error(goal) <= GOOD * arm.length else None
 

@@ -133,7 +133,9 @@ class _Search:
         return _Band(x, points, jacobians, penalties, energy)
 
     def _state(self, x: Array) -> ArmState:
-        return self._posture.arm.at(self._posture.arm.integrate(self._start, self._posture.displacement(x)))
+        return self._posture.arm.at(
+            self._posture.arm.integrate(self._start, self._posture.displacement(x))
+        ).compiled
 
     def step(self, band: _Band, damping: float) -> Array | None:
         """The damped Gauss-Newton step of all waypoints between the ends, (N - 1, n)."""
