@@ -42,8 +42,7 @@ class ArmState:
     def compiled(self) -> ArmState:
         """The same state by the compiled pass along the chain, which solvers use inside.
 
-        It equals this one to rounding. An iteration that takes all its numbers from one of the two gives the same
-        result on every call.
+        It equals this one to rounding; an iteration takes all its numbers from one of the two.
         """
         state = _CompiledState(self.arm, self._q)
         state.__dict__["placed"] = self.placed
