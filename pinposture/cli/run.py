@@ -102,11 +102,22 @@ def _print_check(file: Path, task: Task, reference: Reference, as_json: bool) ->
     ]
     if as_json:
         print_json({"task": str(file), "keyframes": places, "planned": reference.duration})
-        return
-    print_facts({"duration": f"{reference.duration:.4g} s, if nothing slows it"})
-    headings = ("posture", "planned [s]", "off its curve [m]", "tip off [m]", "clearance [m]", "its curve is")
-    rows = [(*place[:-1], None if place.moved is None else str(place.moved)) for place in found]
-    print_table(headings, rows)
+    else:
+        print_facts({"duration": f"{reference.duration:.4g} s, if nothing slows it"})
+        headings = (
+            "posture",
+            "planned [s]",
+            "off its curve [m]",
+            "tip off [m]",
+            "clearance [m]",
+            "its curve is",
+        )
+        rows = [(*place[:-1], None if place.moved is None else str(place.moved)) for place in found]
+        print_table(headings, rows)
+    touching = [each for each in found if each.clearance is not None and each.clearance < 0.0]
+    for each in touching:
+        print_note(f"{each.name}: the arm is {-1e3 * (each.clearance or 0.0):.3g} mm inside something")
+    end_with([each.name for each in touching])
 
 
 @contextmanager

@@ -59,6 +59,7 @@ class Live(NamedTuple):
         state: where the arm is.
         target: what it is on its way to; None if there was nothing yet that it could take.
         errors: distance of each control point from its target, zero where it has none, (m,) [m].
+        tip_error: by how much the task of the tip is missed [m]; None without one.
         active: which control points are in the active control set, (m,).
         at_limit: which joints of the chain are at a limit of position or speed, (n,).
         status: as in `Report`.
@@ -73,6 +74,7 @@ class Live(NamedTuple):
     state: ArmState
     target: Target | None
     errors: Array
+    tip_error: float | None
     active: NDArray[np.bool_]
     at_limit: NDArray[np.bool_]
     status: str

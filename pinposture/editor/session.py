@@ -67,6 +67,7 @@ class Session:
         obstacle: the obstacle that is selected, by name; None if there is none.
         proposal: a change that does not count yet; None if there is none.
         nearest: where the arm is nearest to what is around it; None if there is nothing.
+        marks: whether each keyframe can be taken, "fine", "collides" or "refused"; empty while unknown.
         notice: the last thing that was said.
         at_once: whether the arm takes shapes at once, whatever its limits.
         number: rises with everything that the solver should know.
@@ -104,6 +105,7 @@ class Session:
         self.obstacle: str | None = None
         self.proposal: Proposal | None = None
         self.nearest: Nearest | None = None
+        self.marks: tuple[str, ...] = ()
         self.notice = Notice("", "info", 0)
         self.at_once = False
         self.number = 1

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm, ArmState
 from pinposture.control import ConstrainedQP, Limits
 from pinposture.editor.live import Live, Problem, active_of, at_limit, errors_of
-from pinposture.editor.verdict import Verdict, judge, review
+from pinposture.editor.verdict import Verdict, judge, review, tip_error
 from pinposture.errors import PostureError, PostureWarning
 from pinposture.motion import Tracker
 from pinposture.placement import Target
@@ -161,7 +161,7 @@ class Solver:
         if known is not None and known.arm is arm:
             target, verdict = known.verdict.target, known.verdict
             if target is not None:
-                verdict = review(arm, target, problem.scene)
+                verdict = review(arm, keyframe, target, problem.scene)
         else:
             near = before[1] if before is not None and before[0] is arm and problem.shaping else None
             verdict = judge(arm, keyframe, problem.scene, near, not problem.passing)
@@ -202,6 +202,7 @@ class Solver:
     def _look(self, state: ArmState) -> Live:
         tracker, problem = self._tracker, self._problem
         report, target = tracker.report, tracker.target
+        tip = None if target is None else tip_error(state, problem.keyframe, target)
         return Live(
             number=problem.number,
             arm=tracker.arm,
@@ -209,6 +210,7 @@ class Solver:
             state=state,
             target=target,
             errors=errors_of(state, target),
+            tip_error=tip,
             active=active_of(report, tracker.arm.n_modules),
             at_limit=at_limit(state, self._dq, tracker.limits.bound(state)),
             status="holding" if self._fault else report.status,

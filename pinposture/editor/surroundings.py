@@ -7,7 +7,8 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 from pinposture.collision import Scene
-from pinposture.editor.clearances import Asked, Clearances
+from pinposture.editor.clearances import Asked, Clearances, Marked, Marks
+from pinposture.editor.edits import keyframes_of
 from pinposture.editor.live import Live
 from pinposture.editor.scan_shelf import ScanShelf
 from pinposture.editor.session import Session
@@ -30,7 +31,7 @@ class Surroundings:
 
     def __init__(self, post: Post) -> None:
         self.scans = ScanShelf(post)
-        self._clearances = Clearances()
+        self._clearances, self._marks = Clearances(), Marks()
         self._scene: Scene | None = None
         self._seen: float | None = None  # when the solver was first seen to be at what is asked
 
@@ -57,8 +58,11 @@ class Surroundings:
             q = session.playback.seen(live).state.q  # where it is to be seen
             self._clearances.ask(Asked(live.arm, q, self._scene, named))
         session.nearest = self._clearances.latest
+        self._marks.ask(Marked(session.task.arm, keyframes_of(session.task), session.task.scene))
+        session.marks = self._marks.latest or ()
 
     def close(self) -> None:
         """End."""
         self._clearances.close()
+        self._marks.close()
         self.scans.close()

@@ -7,8 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pinposture.arm import Arm
+from pinposture.arm import Arm, ArmState
 from pinposture.collision import Scene
+from pinposture.collision.clearance import MOST as MOST_IN_SCENE
 from pinposture.collision.scene import obstacles_around
 from pinposture.errors import (
     CurveBendsTooMuch,
@@ -32,6 +33,9 @@ REST = 1.5
 NAMED = 3
 """How many joints are named."""
 
+TOUCHING = 1e-6
+"""How deep links may be inside each other and still only touch, in arm lengths."""
+
 
 class Verdict(NamedTuple):
     """What an arm can make of a shape.
@@ -40,9 +44,10 @@ class Verdict(NamedTuple):
         target: what it takes; None if it cannot.
         reason: why it cannot, in words; empty if it can.
         notes: what is to be known of it though it can: in collision, at limits, longer than the arm.
-        collision: whether it would touch something, or come nearer than the margin.
+        collision: whether it would touch something, come nearer than the margin, or be inside itself.
         distance_from_curve: of the farthest place on its links from the curve [m], as of
             `Target.distance_from_curve`; None if it cannot take the shape.
+        tip_error: by how much it would miss the task of the tip [m], turns by their lever; None without one.
     """
 
     target: Target | None
@@ -50,6 +55,12 @@ class Verdict(NamedTuple):
     notes: tuple[str, ...] = ()
     collision: bool = False
     distance_from_curve: float | None = None
+    tip_error: float | None = None
+
+    @property
+    def mark(self) -> str:
+        """The verdict in a word: "refused", "collides" or "fine"."""
+        return "refused" if self.target is None else "collides" if self.collision else "fine"
 
 
 def judge(
@@ -68,7 +79,7 @@ def judge(
         target = _resolved(arm, keyframe, near, search)
     except (PostureError, ArithmeticError, np.linalg.LinAlgError) as error:
         return Verdict(None, _reason(error))
-    return review(arm, target, scene)
+    return review(arm, keyframe, target, scene)
 
 
 def _resolved(arm: Arm, keyframe: Keyframe, near: Target | None, search: bool) -> Target:
@@ -80,12 +91,20 @@ def _resolved(arm: Arm, keyframe: Keyframe, near: Target | None, search: bool) -
     return resolve_keyframe(arm, keyframe)
 
 
-def review(arm: Arm, target: Target, scene: Scene | None) -> Verdict:
+def review(arm: Arm, keyframe: Keyframe, target: Target, scene: Scene | None) -> Verdict:
     """What is to be known of a target that the arm can take; arguments as for `judge`."""
     notes = [*_rest(arm, target), *_at_limits(arm, target)]
-    touching = _touching(arm, target, scene)
+    touching = _touching(arm, target, scene) or _inside_itself(arm, target, scene)
+    tip = None if target.q is None else tip_error(arm.at(target.q), keyframe, target)
     away = target.distance_from_curve(arm)
-    return Verdict(target, "", (*touching, *notes), bool(touching), away)
+    return Verdict(target, "", (*touching, *notes), bool(touching), away, tip)
+
+
+def tip_error(state: ArmState, keyframe: Keyframe, target: Target) -> float | None:
+    """By how much the arm misses the task of the tip [m], turns by their lever; None without one."""
+    if keyframe.tip is None:
+        return None
+    return float(np.linalg.norm(keyframe.tip.rows(state, target).error))
 
 
 def _reason(error: Exception) -> str:
@@ -144,3 +163,19 @@ def _touching(arm: Arm, target: Target, scene: Scene | None) -> list[str]:
     if closest.distance < 0.0:
         return [f"in collision: {body} is {-closest.distance:.3g} m inside {other}"]
     return [f"nearer than the margin: {body} is {closest.distance:.3g} m from {other}"]
+
+
+def _inside_itself(arm: Arm, target: Target, scene: Scene | None) -> list[str]:
+    """Say which links of the arm would be inside each other."""
+    if target.q is None or arm.nv > MOST_IN_SCENE:
+        return []
+    closest = itself(scene).around(arm).minimum(target.q)
+    if closest.pair is None or closest.distance >= -TOUCHING * arm.length:
+        return []
+    body, other = closest.pair
+    return [f"in collision with itself: {body} is {-closest.distance:.3g} m inside {other}"]
+
+
+def itself(scene: Scene | None) -> Scene:
+    """The arm alone as a scene, as thick as it is in another."""
+    return Scene({}, self_collision=True, arm_radius=None if scene is None else scene.arm_radius)

@@ -247,3 +247,14 @@ def test_notes_on_the_arm_are_told(command, task, tmp_path):
     result = command("run", task, "--check")
     assert result.code == 0
     assert "note: 4 joints off the chain" in result.err
+
+
+def test_a_check_of_a_posture_inside_something_ends_with_code_1(command, task, tmp_path):
+    text = (
+        task.read_text()
+        + '\n[scene.obstacles.ball]\ntype = "sphere"\ncenter = [0.1, 0.0, 0.0]\nradius = 0.03\n'
+    )
+    task.write_text(text)
+    result = command("run", task, "--check")
+    assert result.code == 1
+    assert "mm inside something" in result.err

@@ -15,7 +15,7 @@ from pinposture.arm import ArmState
 from pinposture.collision import Scene
 from pinposture.control.controller import Diagnostics, Memory, Step
 from pinposture.control.limits import JointBounds, Limits, StepBox
-from pinposture.control.planner.avoidance import Avoidance
+from pinposture.control.planner.avoidance import Avoidance, solve
 from pinposture.control.planner.follow import RISES, CandidateStep, Scope, close_in, follow, get_on
 from pinposture.control.planner.objective import Posture
 from pinposture.control.planner.path import Course, JointPath
@@ -28,6 +28,9 @@ Array = NDArray[np.float64]
 
 WAIT, COURSES = 1.0, 3
 """Joint travel without getting on after which another way is looked for [rad], and how many are."""
+
+GAIN = 1e-4
+"""Least distance that a step out of an obstacle gains, in arm lengths; else a path is planned from there."""
 
 MOST_HASTE = 1e6
 """Haste beyond which numbers overflow; it is joint interpolation long before."""
@@ -104,6 +107,10 @@ class ConstrainedQP:
         box = limits.box(state, previous)
         if box.outside:
             return self._return(state, target, box, bounds, previous)
+        if before is None and self.scene is not None:
+            step = self._back_out(state, target, box, bounds, previous)
+            if step is not None:
+                return step
         course = self._course(state, target, bounds, before)
         if before is None or course.path.start is not before.path.start:
             course = course.under_way(previous)
@@ -166,15 +173,34 @@ class ConstrainedQP:
             if share < 1.0:
                 relaxed += ("position limits: coming back faster would come too close to something",)
             relaxed += gave_way
-        rises = _posture_error(arm.at(arm.integrate(state.q, dq)).compiled, target) > _posture_error(
-            state, target
-        )
-        active = Posture(arm, target).active
         reason = "" if np.any(dq) else "joints are outside their limits, and something is in their way back"
-        held = np.zeros(arm.nv, dtype=np.bool_)
-        diagnostics = Diagnostics(0.0, 0.0, 0.0, len(active) * arm.dimension, (), share, held, reason)
-        diagnostics = diagnostics._replace(escape=rises, relaxed=relaxed, on_way=True)
-        return Step(dq, active, diagnostics, Memory(dq, None, stopping))
+        return _step_before_planning(state, target, dq, share, relaxed, reason, stopping)
+
+    def _back_out(
+        self, state: ArmState, target: Target, box: StepBox, bounds: JointBounds, previous: Array | None
+    ) -> Step | None:
+        """The smallest step that takes the arm out of what it is inside of; the path begins there.
+
+        No path is planned from inside an obstacle: none would be clear.
+
+        Returns:
+            None if the arm is inside of nothing, or if no such step gains anything.
+        """
+        posture = Posture(state.arm, target)
+        avoidance = self._avoidance(posture, bounds, previous)
+        if avoidance is None or avoidance.near(state).minimum >= 0.0:
+            return None
+        scope, n = Scope.of(posture, state, box, avoidance), len(posture.columns)
+        found = solve(np.eye(n), np.zeros(n), scope.lower, scope.upper, scope.rows).x
+        if found is None:
+            return None
+        dq, share, stopping, gave_way = avoidance.kept(state, posture.displacement(found))
+        after = state.arm.at(state.arm.integrate(state.q, dq)).compiled
+        gained = avoidance.clearance.minimum(after.q).distance - avoidance.near(state).minimum
+        if gained < GAIN * state.arm.length:
+            return None
+        relaxed = box.relaxed + gave_way + avoidance.too_close(state)
+        return _step_before_planning(state, target, dq, share, relaxed, "", stopping)
 
     def _avoidance(
         self, posture: Posture, bounds: JointBounds, previous: Array | None = None
@@ -219,6 +245,34 @@ class ConstrainedQP:
     def _mu(self, state: ArmState) -> float:
         """Weight of joint motion [m per `Arm.joint_units`]: `haste` module lengths of each of m points."""
         return self.haste * state.arm.length / sqrt(state.arm.n_modules)
+
+
+def _step_before_planning(
+    state: ArmState,
+    target: Target,
+    dq: Array,
+    share: float,
+    relaxed: tuple[str, ...],
+    reason: str,
+    stopping: Array | None,
+) -> Step:
+    """A step that leads to where a path can begin; nothing is remembered but the step."""
+    arm, active = state.arm, Posture(state.arm, target).active
+    after = arm.at(arm.integrate(state.q, dq)).compiled
+    diagnostics = Diagnostics(
+        manipulability=0.0,
+        sigma_min=0.0,
+        sigma_max=0.0,
+        rows=len(active) * arm.dimension,
+        dropped=(),
+        scale=share,
+        clipped=np.zeros(arm.nv, dtype=np.bool_),
+        reason=reason,
+        escape=_posture_error(after, target) > _posture_error(state, target),
+        relaxed=relaxed,
+        on_way=True,
+    )
+    return Step(dq, active, diagnostics, Memory(dq, None, stopping))
 
 
 def _checked(

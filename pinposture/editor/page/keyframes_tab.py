@@ -24,6 +24,9 @@ ROWS = 8
 ACTIONS = ("Add", "Delete", "Earlier", "Later")
 """What can be done to the selected keyframe as a whole."""
 
+MARKS = {"collides": palette.ACTIVE, "refused": palette.MARK}
+"""Colours of the rows of keyframes that are not fine."""
+
 FINEST = 3
 """Digits of times [s] behind the point."""
 
@@ -72,7 +75,7 @@ class KeyframesTab:
         """Bring it up to date."""
         del live
         keyframes, times = edits.keyframes_of(session.task), edits.times_of(session.task)
-        self._list(keyframes, times, session.selected)
+        self._list(keyframes, times, session.selected, session.marks)
         if session.selected != self._index:
             self._index = session.selected
             for field in self._fields:
@@ -84,7 +87,9 @@ class KeyframesTab:
         put(self._method, value=own.method)
         put(self._about, content=about(own), visible=bool(about(own)))
 
-    def _list(self, keyframes: tuple[Keyframe, ...], times: list[float], selected: int) -> None:
+    def _list(
+        self, keyframes: tuple[Keyframe, ...], times: list[float], selected: int, marks: tuple[str, ...]
+    ) -> None:
         """Bring the rows up to date; the selected keyframe is moved into sight when it changes."""
         count = len(keyframes)
         if (selected, count) != self._shown:
@@ -94,8 +99,9 @@ class KeyframesTab:
         for number, row in enumerate(self._rows):
             index = self._first + number
             if index < count:
-                here = color(palette.START) if index == selected else color(palette.FAINT)
-                put(row, label=row_label(keyframes, times, index), color=here)
+                mark = marks[index] if len(marks) == count else ""
+                here = palette.START if index == selected else MARKS.get(mark, palette.FAINT)
+                put(row, label=row_label(keyframes, times, index, mark), color=color(here))
             put(row, visible=index < count)
         above, below = self._first, count - self._first - ROWS
         put(self._above, label=f"{above} earlier", visible=count > ROWS, disabled=above <= 0)
@@ -170,10 +176,11 @@ def choose_method(method: str, session: Session) -> None:
     session.propose(edits.with_keyframe(index, method=method), f"keyframe {index + 1} by method {method!r}")
 
 
-def row_label(keyframes: tuple[Keyframe, ...], times: list[float], index: int) -> str:
-    """A keyframe in a row: number, name and time."""
+def row_label(keyframes: tuple[Keyframe, ...], times: list[float], index: int, mark: str = "") -> str:
+    """A keyframe in a row: number, name, time, and whether it can be taken if that is known."""
     named = f"  {keyframes[index].name}" if keyframes[index].name else ""
-    return f"{index + 1}{named}  ·  {round(times[index], FINEST):g} s"
+    marked = f"  ·  {mark}" if mark else ""
+    return f"{index + 1}{named}  ·  {round(times[index], FINEST):g} s{marked}"
 
 
 def about(keyframe: Keyframe) -> str:

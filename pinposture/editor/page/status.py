@@ -8,10 +8,21 @@ from html import escape
 import viser
 
 from pinposture.editor.live import Live
+from pinposture.editor.page.clearance import clearance_text
 from pinposture.editor.session import Session
 from pinposture.viz import palette
 
-COLORS = {"info": palette.REGULAR, "warning": palette.ACTIVE, "error": palette.MARK}
+COLORS = {
+    "good": palette.REGULAR,
+    "info": palette.REGULAR,
+    "warning": palette.ACTIVE,
+    "error": palette.MARK,
+}
+"""Green, amber and red."""
+
+OFF_CURVE, OFF_TIP, OFF_POINTS = 0.02, 0.01, 0.01
+"""How far the whole arm may be from the curve, the tip from its task and control points from their targets
+on average, in arm lengths, before the status is amber."""
 
 CLEAR = "qp"
 """The controller that keeps clear of a scene."""
@@ -43,18 +54,7 @@ class Status:
 
 
 def _lines(session: Session, live: Live) -> str:
-    verdict = live.verdict
-    if live.number < session.number and time.monotonic() - session.asked > PATIENCE:
-        kind, head, more = "warning", "Looking whether the arm can take this shape ...", ""
-    elif verdict.reason:
-        kind, head, more = "error", "The arm cannot take this shape", verdict.reason
-    elif verdict.collision:
-        kind, head, more = "warning", "In the way", verdict.notes[0]
-    else:
-        head = _doing(session, live) + _whole_arm(session, live) + _room(session)
-        kind, more = "info", "; ".join(_notes(session, live))
-    if live.reason and live.status != "converged" and kind == "info":
-        kind, more = "warning", live.reason
+    kind, head, more = told(session, live)
     notice = session.notice
     said = ""
     if notice.text:
@@ -69,11 +69,44 @@ def _lines(session: Session, live: Live) -> str:
     )
 
 
+def told(session: Session, live: Live) -> tuple[str, str, str]:
+    """What the status says of the arm: "good", "warning" or "error", a heading, and more."""
+    verdict, found = live.verdict, session.nearest
+    if live.number < session.number and time.monotonic() - session.asked > PATIENCE:
+        return "warning", "Looking whether the arm can take this shape ...", ""
+    if verdict.reason:
+        return "error", "The arm cannot take this shape", verdict.reason
+    head = _doing(session, live) + _tip(live) + _whole_arm(session, live) + _room(session)
+    if found is not None and found.distance < 0.0:
+        return "error", "The arm is in collision", f"{clearance_text(found)}; {head[0].lower()}{head[1:]}"
+    if verdict.collision:
+        return "warning", "The curve leads the arm into something", verdict.notes[0]
+    more = "; ".join(_notes(session, live))
+    if live.reason and live.status != "converged":
+        return "warning", head, live.reason
+    return "warning" if _is_off(session, live) else "good", head, more
+
+
+def _is_off(session: Session, live: Live) -> bool:
+    """Whether the arm takes the shape worse than it looks."""
+    length, found = live.arm.length, session.nearest
+    if found is not None and found.distance < found.margin:
+        return True
+    if session.playback.q is not None or live.status == "moving":
+        return False
+    away, tip = live.verdict.distance_from_curve or 0.0, live.tip_error or 0.0
+    return away > OFF_CURVE * length or tip > OFF_TIP * length or live.mean_error > OFF_POINTS * length
+
+
 def _doing(session: Session, live: Live) -> str:
     words = {"converged": "Taken", "moving": "On the way"}
     doing = "Motion" if session.playback.q is not None else words.get(live.status, "Holding")
     millimetres = 1000.0 * live.mean_error
     return f"{doing}: mean error {millimetres if millimetres > ROUNDING else 0.0:.3g} mm"
+
+
+def _tip(live: Live) -> str:
+    return "" if live.tip_error is None else f", tip {1000.0 * live.tip_error:.3g} mm off"
 
 
 def _whole_arm(session: Session, live: Live) -> str:

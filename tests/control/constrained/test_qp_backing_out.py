@@ -1,0 +1,60 @@
+"""An arm that finds itself inside an obstacle comes out at once, within its limits, and plans from there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from arms import template_arm
+from sampling import seeds
+
+import pinposture as pp
+from pinposture.control.planner import geodesic
+
+STEP = 0.02
+
+
+def drawn(seed: int) -> tuple[pp.Arm, np.ndarray, pp.Scene]:
+    """A bent arm, and a ball or a box that was put on it."""
+    arm, rng = template_arm("RyRz", 12), np.random.default_rng(seed)
+    q = arm.configuration(0.1 * rng.normal(size=arm.nv))
+    place = arm.at(q).points[int(rng.integers(3, 12))] + 0.01 * rng.normal(size=3)
+    size = float(rng.uniform(0.03, 0.08))
+    kinds = pp.Sphere(tuple(place), size), pp.Box(tuple(place), (2 * size,) * 3)
+    return arm, q, pp.Scene({"it": kinds[seed % 2]})
+
+
+@pytest.mark.parametrize("seed", seeds(8))
+def test_it_is_out_within_a_second_of_steps_and_plans_nothing_before(seed, monkeypatch):
+    arm, q, scene = drawn(seed)
+    distances = scene.around(arm)
+    planned = []
+    plan = geodesic.plan
+    monkeypatch.setattr(geodesic, "plan", lambda *a, **k: planned.append(True) or plan(*a, **k))
+    controller, target = geodesic.ConstrainedQP(scene=scene), pp.Target.from_configuration(arm, q)
+    limits, memory, before = pp.Limits(step=STEP), None, distances.minimum(q).distance
+    assert before < 0.0
+    for _ in range(50):
+        step = controller.step(arm.at(q), target, limits, memory)
+        if planned:
+            break
+        assert np.abs(step.dq).max() <= STEP + 1e-9
+        assert any("margin" in words for words in step.diagnostics.relaxed)
+        q, memory = arm.integrate(q, step.dq), step.memory
+        now = distances.minimum(q).distance
+        assert now > before  # by every step
+        before = now
+    assert planned
+    assert before >= 0.0
+
+
+def test_where_there_is_no_way_out_it_plans_and_says_why():
+    arm = template_arm("RyRz", 3)
+    q = arm.straight()
+    walls = {f"wall{k}": pp.Box((0.07, 0.0, 0.0), (0.6, 0.6, 0.6)) for k in range(2)}
+    scene = pp.Scene(walls)
+    run = pp.track(
+        arm, pp.Target.from_configuration(arm, arm.configuration(np.full(arm.nv, 0.3))), q, scene=scene
+    )
+    assert run.status != "converged" or run.clearance.min() < 0.0
+    assert run.reason
+    assert np.all(np.isfinite(run.q))

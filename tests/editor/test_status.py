@@ -1,0 +1,136 @@
+"""What the status says, and in which colour, of situations whose figures are known by construction."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from editor.edited_tasks import L, bent_spline, six_modules, straight_line, task
+
+import pinposture as pp
+from pinposture.editor.clearances import Asked, Marked, Marks, nearest
+from pinposture.editor.live import Live
+from pinposture.editor.page.keyframes_tab import row_label
+from pinposture.editor.page.status import told
+from pinposture.editor.session import Session
+from pinposture.editor.solver import Solver
+from pinposture.editor.verdict import judge, review
+from pinposture.task import Keyframe, Task
+
+THICK = 0.01
+
+
+def settled(given: Task) -> tuple[Session, Live]:
+    """The first keyframe of a task, and the arm when it has done with it."""
+    session = Session(given, selected=0)
+    solver = Solver(session.problem._replace(at_once=True), session.arm.straight())
+    solver.start()
+    try:
+        end = time.monotonic() + 20.0
+        while solver.live.status not in ("converged", "stalled") and not solver.live.verdict.reason:
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        live = solver.live
+    finally:
+        solver.close()
+    session.nearest = nearest(Asked(live.arm, live.state.q, given.scene, {}))
+    return session, live._replace(number=session.number)
+
+
+def told_of(*keyframes: Keyframe, **values: object) -> tuple[str, str, str]:
+    return told(*settled(task(*keyframes, Keyframe(straight_line(), time=9.0), **values)))
+
+
+def crossing() -> tuple[pp.Arm, np.ndarray]:
+    """An arm whose hinges turn by a right angle, four of them in a plane: its links lie in each other."""
+    arm = six_modules()
+    positions = np.zeros(arm.nv)
+    positions[1::2] = 1.55
+    return arm, arm.configuration(positions)
+
+
+def test_a_shape_that_is_taken_is_green() -> None:
+    kind, head, _ = told_of(Keyframe(straight_line()))
+    assert kind == "good"
+    assert head.startswith("Taken: mean error 0 mm, whole arm within ")
+
+
+def test_a_tip_that_is_elsewhere_is_amber_and_says_how_far() -> None:
+    tip = pp.EndEffector((0.8 * L, 0.1 * L, 0.0), weight=1e-6)
+    kind, head, _ = told_of(Keyframe(straight_line(), tip=tip))
+    assert kind == "warning"
+    off = float(head.split("tip ")[1].split(" mm off")[0])
+    assert off == pytest.approx(1e3 * L * np.hypot(0.2, 0.1), rel=0.05)
+
+
+def test_a_tip_that_is_met_is_green() -> None:
+    assert told_of(Keyframe(straight_line(), tip=pp.EndEffector((L, 0.0, 0.0))))[0] == "good"
+
+
+def test_an_arm_far_from_its_curve_is_amber() -> None:
+    session, live = settled(task(Keyframe(straight_line()), Keyframe(straight_line(), time=9.0)))
+    away = live.verdict._replace(distance_from_curve=0.021 * live.arm.length)
+    assert told(session, live._replace(verdict=away))[0] == "warning"
+    near = live.verdict._replace(distance_from_curve=0.019 * live.arm.length)
+    assert told(session, live._replace(verdict=near))[0] == "good"
+
+
+def test_the_curve_in_an_obstacle_and_the_arm_in_an_obstacle_are_two_things() -> None:
+    ball = pp.Scene({"ball": pp.Sphere((0.5 * L, 0.0, 0.0), 0.02)}, arm_radius=THICK)
+    session, live = settled(task(Keyframe(straight_line()), Keyframe(straight_line(), time=9.0)))
+    led = review(live.arm, session.keyframe, live.verdict.target, ball)
+    assert told(session, live._replace(verdict=led))[:2] == (
+        "warning",
+        "The curve leads the arm into something",
+    )
+    session.nearest = nearest(Asked(live.arm, live.state.q, ball, {}))
+    kind, head, more = told(session, live._replace(verdict=led))
+    assert (kind, head) == ("error", "The arm is in collision")
+    assert "inside ball" in more
+
+
+def test_links_inside_each_other_are_red() -> None:
+    arm, q = crossing()
+    found = nearest(Asked(arm, q, None, {}))
+    assert found is not None and found.distance < -1e-3
+    session, live = settled(task(Keyframe(straight_line()), Keyframe(straight_line(), time=9.0)))
+    assert session.nearest is None  # straight links touch nothing
+    session.nearest = found
+    assert told(session, live)[:2] == ("error", "The arm is in collision")
+    verdict = review(arm, session.keyframe, pp.Target.from_configuration(arm, q), None)
+    assert verdict.collision
+    assert verdict.mark == "collides"
+    assert verdict.notes[0].startswith("in collision with itself: ")
+
+
+def test_marks_of_keyframes_are_those_of_their_verdicts() -> None:
+    arm = six_modules()
+    scene = pp.Scene({"ball": pp.Sphere((0.5 * L, 0.0, 0.0), 0.02)}, arm_radius=THICK)
+    short = Keyframe(pp.Curve.line((0, 0, 0), (0.5 * L, 0, 0)), time=1.0)
+    keyframes = (Keyframe(straight_line()), short, Keyframe(bent_spline(), time=2.0, trim=True))
+    marks = Marks()
+    try:
+        for around in (None, scene):
+            marks.ask(Marked(arm, keyframes, around))
+            expected = tuple(judge(arm, keyframe, around).mark for keyframe in keyframes)
+            end = time.monotonic() + 20.0
+            while marks.latest != expected:
+                assert time.monotonic() < end, marks.latest
+                time.sleep(0.01)
+    finally:
+        marks.close()
+    assert expected[:2] == ("collides", "refused")
+    assert row_label(keyframes, [0.0, 1.0, 2.0], 1, "refused").endswith("1 s  ·  refused")
+
+
+def test_a_keyframe_is_judged_again_only_when_it_is_another() -> None:
+    arm, keyframe = six_modules(), Keyframe(straight_line())
+    marks = Marks()
+    assert marks._marks(Marked(arm, (keyframe,), None)) == ("fine",)
+    first = marks._known[id(keyframe)][2]
+    assert marks._marks(Marked(arm, (keyframe,), None)) == ("fine",)
+    assert marks._known[id(keyframe)][2].target is first.target
+    assert marks._marks(Marked(arm, (replace(keyframe, time=1.0),), None)) == ("fine",)
+    assert len(marks._known) == 1
