@@ -134,7 +134,7 @@ def run(
     """
     from pinposture._validation import require_positive
     from pinposture.sim import Servos
-    from pinposture.sim.engine import load_mujoco
+    from pinposture.sim.model import load_mujoco
     from pinposture.storage import check_writable
 
     load_mujoco()  # says at once if there is none

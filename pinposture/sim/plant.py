@@ -1,138 +1,127 @@
-"""The simulated arm, one control cycle after the other.
+"""The plant: the simulated arm with servos and position sensors, advanced by one control cycle at a time.
 
-The servos are sent a configuration in each cycle, and their set-points go along the quadratic B-spline of
-these: at the edges of cycles they are half-way between two of them, their speed is that of the step in
-between, and in a cycle their acceleration is the second difference. So speeds have no jumps, and speeds and
-accelerations keep the limits that the steps keep. The price is half a cycle of delay.
+**Set points.** In each cycle the servos are sent a configuration. Their set points follow the quadratic
+B-spline of these: at the edges of a cycle they are half-way between two of them, with the velocity of the
+step in between; within a cycle their acceleration is constant, the second difference. So velocity is
+continuous, and velocity and acceleration keep the limits that the steps keep. The price is a delay of half a
+cycle.
 
-A servo may not give more than its limit, and a stiff one on a light link would be held to it at every change
-of speed: its torque as it stands at the beginning of a physics step is large, though it is gone within
-microseconds. So the limit is put on the torque that acts over the step, the one at the speed with which the
-step ends. Which servos are at their limit is found by trying; where that goes round in circles, by a program.
+**Actuator saturation.** A stiff servo on a light link asks for a large torque at the beginning of a physics
+step, though its damping removes it within microseconds. Cutting that off would make the servo chatter. The
+limit therefore applies to the torque that acts over the step, which is the one at the velocity at the end of
+the step. The set of saturated servos is found by iteration; where that cycles, by a quadratic program.
 """
 
 from __future__ import annotations
 
 import warnings
+from collections import deque
 from copy import copy
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture._validation import require_positive
+from pinposture._validation import require_positive, require_share, require_whole
 from pinposture.errors import PostureWarning
-from pinposture.sim.engine import load_mujoco, no_log_file
-from pinposture.sim.physics import Physics, full_mass_matrix
-from pinposture.sim.saturation import torques_within_limits
-from pinposture.sim.servos import Servos
+from pinposture.sim.model import PlantModel, full_mass_matrix, load_mujoco, no_log_file
+from pinposture.sim.servos import Servos, torques_within_limits
 
 Array = NDArray[np.float64]
 
 RUNAWAY = 1e3
-"""Joint speed at which a simulation is given up [rad/s or m/s]: 160 turns a second."""
+"""Joint speed at which a simulation is given up as unstable [rad/s or m/s]."""
 
 TRIALS = 6
-"""How often the servos at their limit are guessed and corrected."""
-
-
-class Cycle(NamedTuple):
-    """What a control cycle ended with.
-
-    Attributes:
-        positions: joint positions of the arm, (nv,) [rad or m]; a continuous joint counts its turns.
-        torques: what its servos gave in the last physics step, (nv,) [N m or N].
-        saturated: number of physics steps in which each servo was at its limit, (nv,).
-        failure: why the simulation cannot go on, in words; "" if it can.
-    """
-
-    positions: Array
-    torques: Array
-    saturated: NDArray[np.intp]
-    failure: str
+"""Iterations on the set of saturated servos before the quadratic program is solved."""
 
 
 class Plant:
-    """An arm with servos, sent a configuration in each cycle.
+    """A simulated arm with servos.
 
     Attributes:
-        physics: the arm.
+        model: its model.
         dt: duration of a control cycle [s].
-        substeps: physics steps in each.
+        substeps: physics steps in each cycle.
         cycles: number of cycles since the start.
+        failure: why the simulation cannot go on, in words; "" if it can.
     """
 
-    def __init__(self, physics: Physics, start: Array, dt: float) -> None:
+    def __init__(self, model: PlantModel, start: Array, dt: float) -> None:
         require_positive("dt", dt)
         self._mujoco = load_mujoco()
-        self.physics, self.dt, self.cycles = physics, dt, 0
-        self.substeps = max(1, int(np.ceil(dt / physics.servos.timestep - 1e-9)))
-        self._model = copy(physics.model)  # its time step and servos are ours
+        self.model, self.dt, self.cycles, self.failure = model, dt, 0, ""
+        self.substeps = max(1, int(np.ceil(dt / model.servos.timestep - 1e-9)))
+        self._model = copy(model.model)  # the time step and the servo gains are changed below
         self._model.opt.timestep = dt / self.substeps
         self._model.actuator_gainprm[:, 0] = 1.0
-        self._advice = _too_coarse(physics.servos, dt / self.substeps)
+        self._advice = _too_coarse(model.servos, dt / self.substeps)
         if self._advice:
             warnings.warn(self._advice, PostureWarning, stacklevel=3)
         self._data = self._mujoco.MjData(self._model)
         self._driven = self._model.jnt_dofadr[self._model.actuator_trnid[:, 0]]
-        self._at_limit = np.zeros(self._model.nv)  # 1 or -1 where a servo gives all that it has
-        self._sent = physics.positions(start)
-        self._at = self._sent.copy()  # where set-points are,
-        self._speed = np.zeros(len(self._at))  # and how fast
+        self._at_limit = np.zeros(self._model.nv)  # 1 or -1 where a servo is saturated
+        self._saturated = np.zeros(self._model.nv, dtype=np.intp)  # physics steps in which it was
+        self._sent = model.positions(start)
+        self._at = self._sent.copy()  # the set points
+        self._speed = np.zeros(len(self._at))  # and their velocity
         self._data.qpos[:] = self._at
         self._mujoco.mj_forward(self._model, self._data)
-        most = physics.torque_limits
+        most = model.torque_limits
         self._torques = np.clip(self._data.qfrc_gravcomp, -most, most)
 
     @property
     def positions(self) -> Array:
         """Joint positions of the arm, (nv,) [rad or m]."""
-        return np.array(self._data.qpos[self.physics.columns])
+        return np.array(self._data.qpos[self.model.columns])
 
     @property
     def set_points(self) -> Array:
-        """Where the servos of the arm are to hold it, (nv,) [rad or m]."""
-        return np.array(self._at[self.physics.columns])
+        """Set points of the servos of the arm, (nv,) [rad or m]."""
+        return np.array(self._at[self.model.columns])
 
     @property
     def torques(self) -> Array:
-        """What the servos of the arm give, (nv,) [N m or N]."""
-        return np.array(self._torques[self.physics.columns])
+        """Torques of the servos of the arm, (nv,) [N m or N]."""
+        return np.array(self._torques[self.model.columns])
 
-    def advance(self, sent: Array) -> Cycle:
-        """Simulate one cycle.
+    @property
+    def saturated(self) -> Array:
+        """Share of the physics steps in which each servo of the arm was saturated, (nv,)."""
+        return self._saturated[self.model.columns] / max(self.cycles * self.substeps, 1)
+
+    def advance(self, command: Array) -> bool:
+        """Simulate one control cycle; return False if the arm runs away, see `failure`.
 
         Args:
-            sent: where the servos are sent, (nv,) [rad or m].
+            command: joint positions sent to the servos, (nv,) [rad or m].
         """
-        now = self.physics.positions(sent)
-        begun, first, last = self._at, self._speed, (now - self._sent) / self.dt
-        follows = float(self.physics.servos.speed_reference)
-        saturated = np.zeros(len(now), dtype=np.intp)
-        failure = ""
+        sent = self.model.positions(command)
+        begun, first, last = self._at, self._speed, (sent - self._sent) / self.dt
+        follows = float(self.model.servos.speed_reference)
         with no_log_file(self._mujoco):
             for number in range(self.substeps):
                 share, midst = number / self.substeps, (number + 0.5) / self.substeps
                 at = begun + self.dt * (share * first + share**2 / 2.0 * (last - first))
                 before = np.array(self._data.qpos)
                 self._step(at, follows * (first + midst * (last - first)))
-                saturated += self._at_limit != 0.0
-                # Not (a > b): a speed that is not a number is no speed to go on with.
+                self._saturated += self._at_limit != 0.0
+                # Not (a > b), which would be False for NaN.
                 if not np.abs(self._data.qvel).max() < RUNAWAY:
-                    failure = self._failure((number + 1) * self._model.opt.timestep)
+                    self.failure = self._runaway((number + 1) * self._model.opt.timestep)
                     self._data.qpos[:] = before
                     break
-        self._at = (self._sent + now) / 2.0
-        self._speed, self._sent = last, now
+        self._at = (self._sent + sent) / 2.0
+        self._speed, self._sent = last, sent
         self.cycles += 1
-        return Cycle(self.positions, self.torques, saturated[self.physics.columns], failure)
+        return not self.failure
 
     def _step(self, set_point: Array, speed: Array) -> None:
-        """One physics step, with no servo above its limit."""
-        data, damping, limits = self._data, self.physics.gains.damping, self.physics.torque_limits
+        """Take a physics step in which no servo exceeds its limit."""
+        data, damping, limits = self._data, self.model.gains.damping, self.model.torque_limits
         state = [np.array(part) for part in (data.qpos, data.qvel, data.qacc_warmstart)]
-        borne = np.array(data.qfrc_gravcomp)  # what bears the weight is given by the servos, too
-        spring = self.physics.gains.stiffness * (set_point - state[0]) + damping * speed
+        borne = np.array(data.qfrc_gravcomp)  # gravity compensation counts towards the limits
+        spring = self.model.gains.stiffness * (set_point - state[0]) + damping * speed
         for trial in range(TRIALS):
             free = self._at_limit == 0.0
             most = self._at_limit * np.where(free, 0.0, limits)  # no infinity times 0
@@ -152,7 +141,7 @@ class Plant:
         self._at_limit = np.sign(self._torques) * (np.abs(self._torques) >= limits * (1.0 - 1e-9))
 
     def _try(self, state: list[Array] | None, torques: Array, damping: Array) -> None:
-        """Take a physics step with these torques, less damping times the speed at its end."""
+        """Take a physics step with these torques minus damping times the velocity at its end."""
         data = self._data
         if state is not None:
             data.qpos[:], data.qvel[:], data.qacc_warmstart[:] = state
@@ -161,32 +150,82 @@ class Plant:
         self._mujoco.mj_step(self._model, data)
 
     def _mobility(self) -> Array:
-        """Speed that joints have at the end of a physics step for each unit of torque in it, (n, n)."""
+        """Return the joint velocity at the end of a physics step per unit of torque during it, (n, n)."""
         step = self._model.opt.timestep
         matrix = full_mass_matrix(self._model, self._data)
         inverse = np.linalg.inv(matrix + step * np.diag(self._model.dof_damping))
         return np.asarray(step * (inverse + inverse.T) / 2.0)
 
-    def _failure(self, after: float) -> str:
+    def _runaway(self, after: float) -> str:
+        """Return which joint is fastest, in words, some time after the beginning of the cycle [s]."""
         speeds = np.abs(np.array(self._data.qvel))
         worst = int(np.argmax(np.where(np.isfinite(speeds), speeds, np.inf)))
-        number = int(self._model.joint(int(self._model.dof_jntid[worst])).name.removeprefix("joint_"))
+        name = self._model.joint(int(self._model.dof_jntid[worst])).name
         at = self.cycles * self.dt + after
         how_fast = f"{speeds[worst]:.3g}" if np.isfinite(speeds[worst]) else "no finite number"
         advice = f"; {self._advice}" if self._advice else ""
         return (
-            f"joint {self.physics.joint_names[number]!r} runs away at {at:.6g} s: its speed is {how_fast} "
+            f"joint {name!r} runs away at {at:.6g} s: its speed is {how_fast} "
             f"[rad/s or m/s], above {RUNAWAY:g}{advice}"
         )
 
 
 def _too_coarse(servos: Servos, timestep: float) -> str:
-    """Why servos are not stable in steps of the physics, in words; empty if they are.
+    """Return why servos are unstable with a physics step, in words; "" if they are stable.
 
-    Dampers act at the end of a physics step, springs at its beginning. Of a vibration that is too fast for
-    the step only x' = (1 - h omega / (2 zeta)) x is left, which dies away for h < 4 zeta / omega.
+    Damping is integrated implicitly, stiffness explicitly. A mode that is fast relative to the step h follows
+    x' = (1 - h omega / (2 zeta)) x, which is stable for h < 4 zeta / omega.
     """
     longest = 2.0 * servos.damping / (np.pi * servos.frequency)
     if timestep <= longest:
         return ""
     return f"servos of {servos.frequency:g} Hz need physics steps below {longest:.3g} s to be stable"
+
+
+@dataclass(frozen=True)
+class Sensing:
+    """Sensors of the joint positions; ideal by default.
+
+    Attributes:
+        noise: standard deviation of a measurement [rad or m].
+        resolution: quantisation step of a measurement [rad or m]; 0 for none.
+        dropped: share of the cycles in which no measurement arrives.
+        latency: age of a measurement [cycles].
+        seed: seed of noise and losses.
+    """
+
+    noise: float = 0.0
+    resolution: float = 0.0
+    dropped: float = 0.0
+    latency: int = 0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        require_positive("noise", self.noise, zero=True)
+        require_positive("resolution", self.resolution, zero=True)
+        require_share("dropped", self.dropped)
+        require_whole("latency", self.latency, 0)
+        require_whole("seed", self.seed, 0)
+
+
+class Sensors:
+    """The sensors of an arm during a simulation."""
+
+    def __init__(self, sensing: Sensing) -> None:
+        self._sensing = sensing
+        self._rng = np.random.default_rng(sensing.seed)
+        self._kept: deque[Array] = deque(maxlen=sensing.latency + 1)
+
+    def measure(self, positions: Array) -> Array | None:
+        """Return the measurement that arrives in this cycle, (nv,) [rad or m]; None if none does.
+
+        Args:
+            positions: true joint positions, (nv,) [rad or m].
+        """
+        sensing = self._sensing
+        measured = positions + sensing.noise * self._rng.standard_normal(len(positions))
+        if sensing.resolution > 0.0:
+            measured = sensing.resolution * np.round(measured / sensing.resolution)
+        self._kept.append(measured)
+        # During the first cycles of latency this is the measurement at the start, where the arm is at rest.
+        return None if self._rng.random() < sensing.dropped else self._kept[0]

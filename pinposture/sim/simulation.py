@@ -1,8 +1,8 @@
-"""The result of a simulation: what was asked of the arm, and what it did."""
+"""The recorded motion of a simulated arm: errors, torques, a summary, and its file."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.collision import Scene
+from pinposture.control import Limits
+from pinposture.errors import InvalidValue
+from pinposture.motion.files import ArchiveKind, read_archive, write_archive
 from pinposture.motion.trajectory import closest, faults, verdict
 from pinposture.sim.servos import Servos
 
@@ -20,32 +23,32 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """A motion of a simulated arm. Rows are the ends of control cycles; the first one is the start.
+    """The motion of a simulated arm. Rows are the ends of control cycles; the first one is the start.
 
     Attributes:
         arm: the arm.
-        loop: "open" if its servos were sent a motion, "closed" if a controller was told where the arm was.
-        servos: its servos.
+        loop: "open" if the servos were sent a motion, "closed" if a controller with feedback drove them.
+        servos: the servos.
         gravity: acceleration of free fall, (3,) [m/s^2], world frame.
         dt: duration of a control cycle [s].
-        timestep: step of the physics [s].
-        status: how it ended: "converged" if the arm is where it should be then, "missed" if not, "unstable"
-            if it ran away; the rows end before that. See `pinposture.motion.trajectory`.
+        timestep: physics step [s].
+        status: "converged" if the arm is where it should be at the end, "missed" if not, "unstable" if a
+            joint ran away; the rows end before that. See `pinposture.motion.trajectory`.
         reason: why, in words.
-        commanded: configurations that the set-points of the servos make up, (N, nq).
+        commanded: configurations of the set points of the servos, (N, nq).
         q: configurations of the arm, (N, nq).
-        commanded_points: control points at the former, (N, m, 3) [m], world frame.
-        points: control points of the arm, (N, m, 3) [m], world frame.
-        torques: what the servos gave, (N, nv) [N m or N].
-        torque_limits: the most that they could give, (nv,) [N m or N]; infinite without a limit.
-        saturated: share of the physics steps in which each servo gave all that it had, (nv,).
+        commanded_points: control points at `commanded`, (N, m, 3) [m], world frame.
+        points: control points at `q`, (N, m, 3) [m], world frame.
+        torques: torques of the servos, (N, nv) [N m or N].
+        torque_limits: largest torque of each servo, (nv,) [N m or N]; infinite without a limit.
+        saturated: share of the physics steps in which each servo was saturated, (nv,).
         clearance: smallest distance of the arm to an obstacle, or between its parts, (N,) [m]; negative in
-            penetration, infinite where there was no scene. Links collide with nothing here.
+            penetration, infinite without a scene. The simulation has no contacts.
         targets: where the control points should be, (N, m, 3) [m]; None in open loop.
-        weights: whether each control point has a target, 0 if not, (N, m); None in open loop.
+        weights: 1 for each control point that has a target, else 0, (N, m); None in open loop.
         measured: share of the cycles in which a measurement arrived; 1 in open loop.
-        warnings: what had to be settled in the description of the arm, in words.
-        scene: what those distances are measured to; None if nothing.
+        warnings: the inertias of the description that were corrected, in words.
+        scene: the obstacles of `clearance`; None without.
     """
 
     arm: Arm
@@ -77,7 +80,7 @@ class Simulation:
 
     @property
     def finished(self) -> bool:
-        """True if the simulation came to its end, wherever the arm is then."""
+        """True if the simulation ran to its end, wherever the arm is then."""
         return self.status != "unstable"
 
     @property
@@ -87,32 +90,32 @@ class Simulation:
 
     @cached_property
     def faults(self) -> tuple[str, ...]:
-        """What went wrong, in words; empty if nothing did."""
+        """Why the motion should not be executed, in words; empty if nothing speaks against it."""
         return faults(self)
 
     @property
     def excess(self) -> None:
-        """None: what an arm does in a simulation has no limits but those of its drives."""
+        """None: a simulation is not held to the limits of its motion, which servos overshoot a little."""
 
     @property
     def verdict(self) -> str:
-        """What to think of it, in one line."""
+        """The result in one line."""
         return verdict(self)
 
     @cached_property
     def time(self) -> Array:
-        """When each row is, (N,) [s]."""
+        """Time of each row, (N,) [s]."""
         return np.asarray(self.dt * np.arange(len(self.q), dtype=np.float64))
 
     @cached_property
     def joint_error(self) -> Array:
-        """How far each joint is from its set-point, (N, nv) [rad or m]."""
-        rows = zip(self.q, self.commanded, strict=True)
-        return np.asarray(np.abs(np.array([self.arm.difference(sent, taken) for taken, sent in rows])))
+        """Distance of each joint from its set point, (N, nv) [rad or m]."""
+        rows = zip(self.commanded, self.q, strict=True)
+        return np.asarray(np.abs(np.array([self.arm.difference(*pair) for pair in rows])))
 
     @cached_property
     def point_errors(self) -> Array:
-        """Distance of each control point from where the commanded configuration has it, (N, m) [m]."""
+        """Distance of each control point from its place at the set points, (N, m) [m]."""
         return np.asarray(np.linalg.norm(self.points - self.commanded_points, axis=2))
 
     @cached_property
@@ -129,15 +132,15 @@ class Simulation:
 
     @cached_property
     def torque_share(self) -> Array:
-        """The largest share of its torque limit that any servo gave, (N,); 0 where there are no limits."""
+        """Largest ratio of torque to torque limit of all servos, (N,); 0 without limits."""
         return np.asarray((np.abs(self.torques) / self.torque_limits).max(axis=1))
 
     def summary(self) -> dict[str, Any]:
-        """The simulation in numbers that JSON can hold [rad, m, s, N m]."""
+        """Return the results as data that JSON can hold [rad, m, s, N m]."""
         m = self.arm.n_modules
         mean = self.posture_error / m
         largest = np.unravel_index(int(self.point_errors.argmax()), self.point_errors.shape)
-        told: dict[str, Any] = {
+        results: dict[str, Any] = {
             "verdict": self.verdict,
             "status": self.status,
             "converged": self.converged,
@@ -173,15 +176,15 @@ class Simulation:
         }
         if self.target_errors is not None and self.weights is not None:
             to_target = self.target_errors.sum(axis=1) / np.maximum((self.weights > 0.0).sum(axis=1), 1)
-            told["target_error"] = {
+            results["target_error"] = {
                 "rms": _rms(to_target),
                 "largest": float(to_target.max()),
                 "end": float(to_target[-1]),
             }
-        return told
+        return results
 
     def _joint_summary(self, which: NDArray[np.bool_], unit: str) -> dict[str, Any] | None:
-        """Errors of some of the joints; None if there are none."""
+        """Return the errors of the selected joints; None if none are selected."""
         columns = np.flatnonzero(which)
         if not len(columns):
             return None
@@ -197,7 +200,7 @@ class Simulation:
         }
 
     def _torque_summary(self) -> dict[str, Any]:
-        """The torque that is largest relative to its limit, or where there are none, largest of all."""
+        """Return the torque that is largest relative to its limit; the largest of all without limits."""
         shares = np.abs(self.torques) / self.torque_limits
         sizes = shares if np.any(shares) else np.abs(self.torques)
         row, column = np.unravel_index(int(sizes.argmax()), sizes.shape)
@@ -210,7 +213,7 @@ class Simulation:
         }
 
     def save(self, path: str | Path) -> Path:
-        """Write the simulation to one `.npz` file, all or nothing; it embeds the arm.
+        """Write the simulation with its arm to one `.npz` file, atomically.
 
         Args:
             path: the file; ".npz" is added to a name without ending.
@@ -221,21 +224,69 @@ class Simulation:
         Raises:
             FileError: the name has another ending, or the file cannot be written.
         """
-        from pinposture.sim.files import save_simulation
-
-        return save_simulation(self, Path(path))
+        return write_archive(Path(path), KIND, Limits(step=None, dt=self.dt), *_pack(self))
 
     @classmethod
     def load(cls, path: str | Path) -> Simulation:
-        """Read a simulation that `save` wrote; needs no MuJoCo.
+        """Read a simulation from a file that `save` wrote; MuJoCo is not needed.
 
         Raises:
-            FileError: the file is missing, or is not such a simulation.
+            FileError: the file is missing, or holds no simulation.
         """
-        from pinposture.sim.files import load_simulation
-
-        return load_simulation(Path(path))
+        return read_archive(Path(path), KIND, _unpack)
 
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
+
+
+_ADVICE = {
+    "pinposture-run": "holds a run, not a simulation of it; simulate it with: pinposture simulate FILE",
+    "pinposture-motion": "holds a motion, not a simulation of it; simulate it with: pinposture simulate FILE",
+}
+KIND = ArchiveKind("pinposture-simulation", 2, "simulation", _ADVICE)
+
+_VALUES = ("loop", "timestep", "status", "reason", "measured")
+
+
+def _pack(simulation: Simulation) -> tuple[dict[str, Any], dict[str, Array]]:
+    """Return what a file holds of a simulation: data for JSON, and arrays."""
+    stored = {each.name: getattr(simulation, each.name) for each in fields(simulation)}
+    arrays = {name: value for name, value in stored.items() if isinstance(value, np.ndarray)}
+    about = {name: stored[name] for name in _VALUES}
+    about["arm"] = simulation.arm.to_dict()
+    about["servos"] = vars(simulation.servos)
+    about["warnings"] = list(simulation.warnings)
+    about["scene"] = None if simulation.scene is None else simulation.scene.to_dict()
+    return about, arrays
+
+
+def _unpack(about: dict[str, Any], arrays: dict[str, Any], limits: Limits) -> Simulation:
+    arm = Arm.from_dict(about["arm"])
+    rows, m = len(arrays["q"]), arm.n_modules
+    shapes = {
+        "gravity": (3,),
+        "commanded": (rows, arm.nq),
+        "q": (rows, arm.nq),
+        "commanded_points": (rows, m, 3),
+        "points": (rows, m, 3),
+        "torques": (rows, arm.nv),
+        "torque_limits": (arm.nv,),
+        "saturated": (arm.nv,),
+        "clearance": (rows,),
+        "targets": (rows, m, 3),
+        "weights": (rows, m),
+    }
+    for name, expected in shapes.items():
+        if name in arrays and arrays[name].shape != expected:
+            raise InvalidValue(f"{name} (shape)", arrays[name].shape, str(expected))
+    assert limits.dt is not None  # every simulation has one
+    return Simulation(
+        arm=arm,
+        servos=Servos(**about["servos"]),
+        dt=limits.dt,
+        warnings=tuple(about["warnings"]),
+        scene=None if about["scene"] is None else Scene.from_dict(about["scene"]),
+        **{name: arrays.get(name) for name in shapes},  # type: ignore[arg-type]
+        **{name: about[name] for name in _VALUES},
+    )

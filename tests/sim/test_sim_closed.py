@@ -11,6 +11,7 @@ import pinposture as pp
 from pinposture import sim
 from pinposture.errors import InvalidValue
 from pinposture.motion import Tracker
+from pinposture.sim.plant import Sensors
 
 LIMITS = pp.Limits(dt=0.02, acceleration=10.0)
 
@@ -129,7 +130,7 @@ def test_nothing_is_commanded_before_the_first_measurement_arrives():
 
 
 def _first_losses(seed, count):
-    sensors = sim.sensing.Sensors(sim.Sensing(dropped=0.6, seed=seed))
+    sensors = Sensors(sim.Sensing(dropped=0.6, seed=seed))
     return [sensors.measure(np.zeros(12)) is None for _ in range(count)]
 
 

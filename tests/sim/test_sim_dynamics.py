@@ -33,14 +33,14 @@ def still(arm: pp.Arm, q=None) -> list[np.ndarray]:
 
 def test_without_servos_and_damping_energy_stays():
     arm = pp.Arm.from_template("RyRz", 3)
-    physics = sim.physics_of(arm)  # nothing is sent to its servos, which therefore give nothing
-    model, data, pinocchio = physics.model, mujoco.MjData(physics.model), arm.model.createData()
+    plant = sim.build_plant_model(arm)  # nothing is sent to its servos, which therefore give nothing
+    model, data, pinocchio = plant.model, mujoco.MjData(plant.model), arm.model.createData()
     model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_RK4, 2e-4
-    data.qpos[:] = physics.positions(np.array([0.4, -0.9, 0.3, 0.2, -0.5, 0.8]))
+    data.qpos[:] = plant.positions(np.array([0.4, -0.9, 0.3, 0.2, -0.5, 0.8]))
     energies, places = [], []
     for _ in range(1000):
         mujoco.mj_step(model, data)
-        q, v = np.array(data.qpos[physics.columns]), np.array(data.qvel[physics.columns])
+        q, v = np.array(data.qpos[plant.columns]), np.array(data.qvel[plant.columns])
         energies.append(pin.computeMechanicalEnergy(arm.model, pinocchio, q, v))
         places.append(q)
     assert np.ptp(places, axis=0).min() > 0.1  # it does swing
@@ -65,7 +65,7 @@ def test_a_two_link_arm_has_the_mass_matrix_of_the_textbook():
     second = moment + m * c**2
     coupled = second + m * length * c * np.cos(bend)
     first = moment + m * c**2 + second + m * length**2 + 2.0 * m * length * c * np.cos(bend)
-    found = sim.mass_matrix(sim.physics_of(arm), np.array([0.3, bend]))
+    found = sim.mass_matrix(sim.build_plant_model(arm), np.array([0.3, bend]))
     np.testing.assert_allclose(found, [[first, coupled], [coupled, second]], rtol=1e-12)
 
 
@@ -82,12 +82,12 @@ def test_a_pendulum_sinks_onto_its_servo_as_a_damped_spring_does():
 def test_at_rest_the_sag_is_the_torque_of_the_weight_over_the_stiffness(template):
     arm = pp.Arm.from_template(template, 5)
     q = arm.random(np.random.default_rng(4)) / 3.0
-    physics = sim.physics_of(arm)
+    plant = sim.build_plant_model(arm)
     ended = sim.simulate(arm, still(arm, q), dt=0.02, hold=2.0)
     rest = np.zeros(arm.nv)
     weight = pin.rnea(arm.model, arm.model.createData(), ended.q[-1], rest, rest)
     np.testing.assert_allclose(ended.torques[-1], weight, atol=1e-6 * np.abs(weight).max())
-    sag = (q - ended.q[-1]) * physics.gains.stiffness[physics.columns]
+    sag = (q - ended.q[-1]) * plant.gains.stiffness[plant.columns]
     np.testing.assert_allclose(sag, weight, atol=1e-6 * np.abs(weight).max())
 
 
@@ -152,7 +152,7 @@ def test_torques_of_a_motion_are_those_of_inverse_dynamics():
 
 def test_set_points_go_half_way_between_rows_without_jumps_of_speed():
     arm, dt = pendulum(), 0.02
-    plant = Plant(sim.physics_of(arm, gravity=False), np.zeros(1), dt)
+    plant = Plant(sim.build_plant_model(arm, gravity=False), np.zeros(1), dt)
     rows = np.array([0.0, 0.0, 0.01, 0.03, 0.04, 0.04, 0.04])
     halves = []
     for row in rows[1:]:

@@ -57,50 +57,87 @@ FOREIGN = {
 }
 
 
-def forces(physics: sim.Physics, positions: np.ndarray, speeds: np.ndarray) -> np.ndarray:
+def forces(plant: sim.PlantModel, positions: np.ndarray, speeds: np.ndarray) -> np.ndarray:
     """What it takes to hold the arm at these speeds, by MuJoCo, (nv,)."""
-    data = mujoco.MjData(physics.model)
-    data.qpos[:] = physics.positions(positions)
-    data.qvel[physics.columns] = speeds
-    mujoco.mj_forward(physics.model, data)
-    return np.array(data.qfrc_bias[physics.columns])
+    data = mujoco.MjData(plant.model)
+    data.qpos[:] = plant.positions(positions)
+    data.qvel[plant.columns] = speeds
+    mujoco.mj_forward(plant.model, data)
+    return np.array(data.qfrc_bias[plant.columns])
 
 
 @pytest.mark.parametrize("name", ARMS)
 def test_masses_and_forces_are_those_of_pinocchio(name):
     arm, rng = arm_named(name), np.random.default_rng(1)
-    physics = sim.physics_of(arm)
+    plant = sim.build_plant_model(arm)
     data = arm.model.createData()
     for _ in range(3):
         q, speeds = arm.random(rng), rng.normal(size=arm.nv)
         positions = arm.positions(q)
         expected = mass_matrix(arm, q)
-        found = sim.mass_matrix(physics, positions)[np.ix_(physics.columns, physics.columns)]
+        found = sim.mass_matrix(plant, positions)[np.ix_(plant.columns, plant.columns)]
         np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
         still = np.zeros(arm.nv)
         weight = pin.rnea(arm.model, data, q, still, still)
         np.testing.assert_allclose(
-            forces(physics, positions, still), weight, atol=1e-9 * np.abs(weight).max(initial=1e-3)
+            forces(plant, positions, still), weight, atol=1e-9 * np.abs(weight).max(initial=1e-3)
         )
         moving = pin.rnea(arm.model, data, q, speeds, still)
-        np.testing.assert_allclose(
-            forces(physics, positions, speeds), moving, atol=1e-9 * np.abs(moving).max()
-        )
+        np.testing.assert_allclose(forces(plant, positions, speeds), moving, atol=1e-9 * np.abs(moving).max())
 
 
-def test_mujoco_reading_the_file_by_itself_finds_the_same_masses():
-    arm = arm_named("RyRz")
+def payload() -> pp.Arm:
+    """Fixed links with masses and turned frames, friction, and a gripper that the arm does not move."""
+    turned = {"center": (0.1, -0.2, 0.05), "rpy": (0.3, -0.8, 2.0)}
+    resisted = '<dynamics damping="0.3" friction="0.2"/>'
+    parts = (
+        link("base", inertial()),
+        link("a", inertial(**turned)),
+        link("b", inertial(0.7, moments=(0.004, 0.005, 0.006), **turned)),
+        link("load", inertial(0.4, moments=(0.001, 0.002, 0.0025), **turned)),
+        link("finger", inertial(0.1)),
+        link("tip"),
+        joint("j1", "base", "a", axis=(1, 2, 3), more=resisted),
+        joint("mount", "a", "load", "fixed", at=(0.1, 0.2, 0.3)).replace("<origin", '<origin rpy="1 2 3"'),
+        joint("j2", "a", "b", "prismatic", axis=(0, -1, 1), at=(0.2, 0, 0)),
+        joint("end", "b", "tip", "fixed", at=(0.2, 0, 0)),
+        joint("grip", "b", "finger", "prismatic", axis=(0, 0, 1)),
+    )
+    return quiet(robot(*parts), tip="tip", locked={"grip": 0.3})
+
+
+@pytest.mark.parametrize("name", [*ARMS, "payload"])
+def test_mujoco_reading_the_file_by_itself_finds_the_same_masses(name):
+    arm = payload() if name == "payload" else arm_named(name)
+    plant = sim.build_plant_model(arm)
     own = mujoco.MjSpec.from_string(arm.urdf).compile()
+    order = [own.joint(plant.model.joint(j).name).dofadr[0] for j in range(plant.model.njnt)]
+    assert own.nv == plant.model.nv
     data, positions = mujoco.MjData(own), arm.positions(arm.random(np.random.default_rng(2)))
-    order = [own.joint(name).dofadr[0] for name in arm.joint_names]
-    data.qpos[order] = positions
+    data.qpos[order] = plant.positions(positions)
     mujoco.mj_forward(own, data)
-    expected = np.array([[0.0] * own.nv for _ in range(own.nv)])
+    expected = np.zeros((own.nv, own.nv))
     for row, unit in zip(expected, np.eye(own.nv), strict=True):
         mujoco.mj_mulM(own, data, row, unit)
-    physics = sim.physics_of(arm)
-    found = sim.mass_matrix(physics, positions)[np.ix_(physics.columns, physics.columns)]
-    np.testing.assert_allclose(found, expected[np.ix_(order, order)], atol=1e-9)
+    np.testing.assert_allclose(sim.mass_matrix(plant, positions), expected[np.ix_(order, order)], atol=1e-9)
+    np.testing.assert_array_equal(plant.model.dof_damping, own.dof_damping[order])
+    np.testing.assert_array_equal(plant.model.dof_frictionloss, own.dof_frictionloss[order])
+
+
+@pytest.mark.parametrize("name", [*ARMS, *FOREIGN])
+def test_bodies_are_where_pinocchio_has_the_joints(name):
+    arm = quiet(ROBOTS / name, **FOREIGN[name]) if name in FOREIGN else arm_named(name)
+    plant, rng = sim.build_plant_model(arm), np.random.default_rng(5)
+    data, expected = mujoco.MjData(plant.model), arm.model.createData()
+    for _ in range(3):
+        q = arm.random(rng)
+        data.qpos[:] = plant.positions(arm.positions(q))
+        mujoco.mj_kinematics(plant.model, data)
+        pin.forwardKinematics(arm.model, expected, q)
+        for moved, placement in zip(list(arm.model.names)[1:], list(expected.oMi)[1:], strict=True):
+            body = plant.model.jnt_bodyid[plant.model.joint(moved).id]
+            np.testing.assert_allclose(data.xpos[body], placement.translation, atol=1e-9)
+            np.testing.assert_allclose(data.xmat[body].reshape(3, 3), placement.rotation, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", FOREIGN)
@@ -108,10 +145,10 @@ def test_robots_of_others_have_the_masses_that_pinocchio_finds(name):
     arm = quiet(ROBOTS / name, **FOREIGN[name])
     with warnings.catch_warnings():
         warnings.simplefilter("error", PostureWarning)
-        physics = sim.physics_of(arm)
+        plant = sim.build_plant_model(arm)
     q = arm.random(np.random.default_rng(3))
     expected = mass_matrix(arm, q)
-    found = sim.mass_matrix(physics, arm.positions(q))[np.ix_(physics.columns, physics.columns)]
+    found = sim.mass_matrix(plant, arm.positions(q))[np.ix_(plant.columns, plant.columns)]
     np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(expected).max())
 
 
@@ -119,20 +156,27 @@ def test_an_arm_whose_description_is_another_one_is_refused():
     arm, other = arm_named("placed"), pp.Arm.from_template("RzRy", 6, link_lengths=(0.025, 0.0251))
     mixed = pp.Arm(arm.model, arm.control_points, arm.base_placement, other.urdf)
     with pytest.raises(URDFError, match=r"control point 'module_06'.* is 0\.000\d+ m elsewhere for MuJoCo"):
-        sim.physics_of(mixed)
+        sim.build_plant_model(mixed)
+
+
+def test_an_arm_with_joints_that_its_description_lacks_is_refused():
+    arm, other = arm_named("placed"), arm_named("RyRz")
+    mixed = pp.Arm(arm.model, arm.control_points, arm.base_placement, other.urdf)
+    with pytest.raises(URDFError, match=r"joint 'm01_j1_z': of the arm is not a moving joint"):
+        sim.build_plant_model(mixed)
 
 
 def test_an_arm_without_a_description_is_refused():
     arm = arm_named("placed")
     bare = pp.Arm.from_model(arm.model, arm.control_points)
     with pytest.raises(InvalidValue, match=r"Arm\.from_model has no description to simulate"):
-        sim.physics_of(bare)
+        sim.build_plant_model(bare)
 
 
 def test_without_mujoco_the_error_says_how_to_get_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(sim.MujocoMissing, match=r"pip install 'pinposture\[sim\]'"):
-        sim.physics_of(pendulum())
+        sim.build_plant_model(pendulum())
 
 
 def two_joints(first: str, second: str, **options) -> str:
@@ -151,22 +195,22 @@ def two_joints(first: str, second: str, **options) -> str:
 def test_a_moving_link_without_mass_gets_a_little_and_a_warning():
     arm = quiet(two_joints("", inertial()))
     with pytest.warns(PostureWarning, match="moving link 'a': no mass; taken as a ball of 1 g"):
-        physics = sim.physics_of(arm)
-    added = sim.mass_matrix(physics, np.zeros(2)) - mass_matrix(arm, arm.neutral())
+        plant = sim.build_plant_model(arm)
+    added = sim.mass_matrix(plant, np.zeros(2)) - mass_matrix(arm, arm.neutral())
     np.testing.assert_allclose(added, [[0.4e-7, 0.0], [0.0, 0.0]], atol=1e-12)
-    assert physics.warnings
+    assert plant.warnings
 
 
 def test_moments_of_no_solid_are_raised_with_a_warning():
     arm = quiet(two_joints(inertial(), inertial(moments=(0.001, 0.001, 0.01))))
     with pytest.warns(PostureWarning, match="moving link 'b': moments of no solid"):
-        physics = sim.physics_of(arm)
+        plant = sim.build_plant_model(arm)
     # Turned about y, one of the two that are too small: the least spread that makes zz possible raises it.
-    raised = sim.mass_matrix(physics, np.zeros(2))[1, 1] - mass_matrix(arm, arm.neutral())[1, 1]
+    raised = sim.mass_matrix(plant, np.zeros(2))[1, 1] - mass_matrix(arm, arm.neutral())[1, 1]
     assert raised == pytest.approx(0.004, rel=1e-6)
 
 
-@pytest.mark.parametrize("number", ["nan", "heavy", "-1"])
+@pytest.mark.parametrize("number", ["nan", "heavy", "-1", "1 2", "inf", ""])
 def test_a_mass_that_is_none_is_named(number):
     arm = quiet(two_joints(inertial(), inertial()))
     bad = pp.Arm(
@@ -176,7 +220,7 @@ def test_a_mass_that_is_none_is_named(number):
         arm.urdf.replace('<mass value="1.2"', f'<mass value="{number}"', 1),
     )
     with pytest.raises(URDFError, match="link 'a': <mass> value is"):
-        sim.physics_of(bad)
+        sim.build_plant_model(bad)
 
 
 def test_joints_that_the_arm_does_not_move_are_held_where_it_has_them():
@@ -198,13 +242,9 @@ def test_joints_that_the_arm_does_not_move_are_held_where_it_has_them():
         ),
     )
     arm = quiet(robot(*parts), tip="tip", locked={"j2": -0.7, "grip": 0.3})
-    physics = sim.physics_of(arm)
+    plant = sim.build_plant_model(arm)
     assert arm.joint_names == ("j1", "j3")
-    held = {
-        name: physics.rest[physics.model.joint(f"joint_{number}").dofadr[0]]
-        for number, name in enumerate(physics.joint_names)
-        if name in ("j2", "grip", "follow")
-    }
+    held = {name: plant.rest[plant.model.joint(name).dofadr[0]] for name in ("j2", "grip", "follow")}
     assert held == pytest.approx({"j2": -0.7, "grip": 0.3, "follow": -0.29}, abs=1e-12)
     ended = sim.simulate(arm, [arm.neutral()] * 2, dt=0.02, gravity=False, hold=0.2)
     assert ended.point_errors.max() < 1e-9
@@ -218,22 +258,22 @@ def test_a_base_that_floats_stands_still_and_a_link_may_be_called_world():
     afloat = quiet(floating)
     assert "joint 'float'" in " ".join(afloat.warnings)
     for each in (arm, afloat):
-        assert sim.physics_of(each).model.nv == 2
+        assert sim.build_plant_model(each).model.nv == 2
 
 
 def test_stops_damping_friction_and_efforts_are_those_of_the_description():
     arm = pendulum(more='<dynamics damping="0.3" friction="0.2"/>')
-    physics = sim.physics_of(arm)
-    model = physics.model
+    plant = sim.build_plant_model(arm)
+    model = plant.model
     assert (model.dof_damping[0], model.dof_frictionloss[0]) == (0.3, 0.2)
     assert model.jnt_range[0].tolist() == [-3.0, 3.0]
-    assert physics.torque_limits.tolist() == [50.0]
-    assert sim.physics_of(pendulum(effort=0.0)).torque_limits.tolist() == [np.inf]
-    assert sim.physics_of(arm, sim.Servos(torque_limits=2.0)).torque_limits.tolist() == [2.0]
-    assert sim.physics_of(arm, sim.Servos(torque_limits=False)).torque_limits.tolist() == [np.inf]
+    assert plant.torque_limits.tolist() == [50.0]
+    assert sim.build_plant_model(pendulum(effort=0.0)).torque_limits.tolist() == [np.inf]
+    assert sim.build_plant_model(arm, sim.Servos(torque_limits=2.0)).torque_limits.tolist() == [2.0]
+    assert sim.build_plant_model(arm, sim.Servos(torque_limits=False)).torque_limits.tolist() == [np.inf]
 
 
 @pytest.mark.parametrize("gravity", [[0.0, 0.0], "down", [0.0, np.nan, 0.0]])
 def test_a_gravity_that_is_none_is_refused(gravity):
     with pytest.raises(InvalidValue, match="gravity"):
-        sim.physics_of(pendulum(), gravity=gravity)
+        sim.build_plant_model(pendulum(), gravity=gravity)

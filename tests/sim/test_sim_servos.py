@@ -15,21 +15,21 @@ from simple_arms import INERTIA, mass_matrix, pendulum
 import pinposture as pp
 from pinposture import sim
 from pinposture.errors import InvalidValue
-from pinposture.sim.saturation import torques_within_limits
+from pinposture.sim.servos import torques_within_limits
 
 
 def test_one_joint_swings_at_the_frequency_asked_for():
-    physics = sim.physics_of(pendulum(), sim.Servos(frequency=3.0, damping=0.7))
+    plant = sim.build_plant_model(pendulum(), sim.Servos(frequency=3.0, damping=0.7))
     omega = 6.0 * np.pi
-    np.testing.assert_allclose(physics.gains.stiffness, [omega**2 * INERTIA], rtol=1e-9)
-    np.testing.assert_allclose(physics.gains.damping, [1.4 * omega * INERTIA], rtol=1e-9)
+    np.testing.assert_allclose(plant.gains.stiffness, [omega**2 * INERTIA], rtol=1e-9)
+    np.testing.assert_allclose(plant.gains.damping, [1.4 * omega * INERTIA], rtol=1e-9)
 
 
 def test_no_vibration_of_an_arm_is_slower_and_the_slowest_is_damped_as_asked():
     arm = pp.Arm.from_template("RyRz", 8)
     servos = sim.Servos(frequency=4.0, damping=0.8)
-    physics = sim.physics_of(arm, servos)
-    stiffness, damping = (np.diag(gain[physics.columns]) for gain in physics.gains)
+    plant = sim.build_plant_model(arm, servos)
+    stiffness, damping = (np.diag(gain[plant.columns]) for gain in plant.gains)
     slowest = []
     for q in (arm.straight(), arm.random(np.random.default_rng(5)), arm.random(np.random.default_rng(6))):
         squares, modes = eigh(stiffness, mass_matrix(arm, q))
@@ -42,14 +42,14 @@ def test_no_vibration_of_an_arm_is_slower_and_the_slowest_is_damped_as_asked():
 
 
 def test_rotors_make_servos_stiffer():
-    physics = sim.physics_of(pendulum(), sim.Servos(frequency=3.0, armature=0.5))
+    plant = sim.build_plant_model(pendulum(), sim.Servos(frequency=3.0, armature=0.5))
     omega = 6.0 * np.pi
-    np.testing.assert_allclose(physics.gains.stiffness, [omega**2 * (INERTIA + 0.5)], rtol=1e-9)
+    np.testing.assert_allclose(plant.gains.stiffness, [omega**2 * (INERTIA + 0.5)], rtol=1e-9)
 
 
 def test_servos_are_no_weaker_than_the_friction_of_their_joints():
     arm = pendulum(more='<dynamics damping="100" friction="20"/>')
-    stiffness = sim.physics_of(arm, sim.Servos(frequency=1.0)).gains.stiffness
+    stiffness = sim.build_plant_model(arm, sim.Servos(frequency=1.0)).gains.stiffness
     np.testing.assert_allclose(stiffness, [120.0 / 0.01])
 
 

@@ -1,0 +1,331 @@
+"""Run the plant in open loop, sent a motion, or in closed loop, driven by a controller that measures it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple, Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pinposture._validation import require_positive
+from pinposture.arm import Arm
+from pinposture.collision import Scene
+from pinposture.errors import InvalidValue
+from pinposture.motion import JointTrajectory, Motion, Trajectory
+from pinposture.placement import Target
+from pinposture.sim.model import build_plant_model
+from pinposture.sim.plant import Plant, Sensing, Sensors
+from pinposture.sim.servos import Servos
+from pinposture.sim.simulation import Simulation
+
+Array = NDArray[np.float64]
+
+AnyMotion: TypeAlias = "Trajectory | Motion | JointTrajectory | ArrayLike"
+"""A run, a motion in time, a joint trajectory, or configurations (N, nq)."""
+
+Progress = Callable[[int, int], object]
+"""Called with the number of completed cycles and the number of all cycles."""
+
+UNIFORM = 1e-6
+"""Relative variation up to which sampling periods count as equal."""
+
+TOLERANCE = 0.01
+"""Mean distance of the control points from where they should be at the end that counts as arrived, in arm
+lengths. Servos without integral action sag under gravity by some thousandths."""
+
+
+class SetPoints(NamedTuple):
+    """Set points of the servos of an arm, sampled at a fixed period.
+
+    Attributes:
+        positions: joint positions, (N, nv) [rad or m]; a continuous joint counts its turns.
+        dt: sampling period [s].
+    """
+
+    positions: Array
+    dt: float
+
+    def targets(self, arm: Arm) -> Callable[[float], Target]:
+        """Return the posture of the motion as a function of time [s], for a controller that is to follow it.
+
+        After the end it is the last posture.
+        """
+
+        def at(time: float) -> Target:
+            row = min(round(time / self.dt), len(self.positions) - 1)
+            return Target.from_configuration(arm, arm.configuration(self.positions[row]))
+
+        return at
+
+
+def set_points(arm: Arm, motion: AnyMotion, dt: float | None = None) -> SetPoints:
+    """Sample a motion for the servos of an arm.
+
+    Args:
+        arm: the arm that is to move.
+        motion: the motion; joints of another arm are matched by name.
+        dt: sampling period [s]. Needed for configurations and for a run without one in its limits; other runs
+            accept only their own. A joint trajectory is resampled by cubic polynomials, also where its rows
+            are not equally spaced.
+
+    Raises:
+        InvalidValue: the motion does not fit the arm, or its sampling period is unknown.
+    """
+    if isinstance(motion, Motion | Trajectory):
+        run = motion.run if isinstance(motion, Motion) else motion
+        timed = JointTrajectory.from_run(run, dt, force=True)
+    elif isinstance(motion, JointTrajectory):
+        timed = motion if dt is None else motion.sampled(dt)
+    elif dt is None:
+        raise InvalidValue("dt", None, "the time from one configuration to the next [s]")
+    else:
+        timed = JointTrajectory.from_configurations(arm, motion, dt)
+    timed = timed.matched(arm)
+    periods = np.diff(timed.time)
+    if not len(periods):
+        raise InvalidValue("motion (rows)", len(timed.time), "at least two")
+    if np.ptp(periods) > UNIFORM * periods.max():
+        timed = timed.sampled(float(np.median(periods)))
+        periods = np.diff(timed.time)
+    return SetPoints(timed.positions, float(periods.mean()))
+
+
+class StreamingController(Protocol):
+    """The interface of a controller in closed loop; `Tracker` implements it."""
+
+    def update(self, target: Target) -> object:
+        """Replace the target."""
+
+    def step(self, q_measured: ArrayLike | None, dt: float | None = None) -> Array:
+        """Return the joint step of a cycle, (nv,); `q_measured` is None if no measurement arrived."""
+
+    @property
+    def command(self) -> Array:
+        """The configuration to send to the servos, (nq,)."""
+
+
+def simulate(
+    arm: Arm,
+    motion: AnyMotion,
+    servos: Servos | None = None,
+    gravity: bool | ArrayLike = True,
+    dt: float | None = None,
+    hold: float = 0.5,
+    progress: Progress | None = None,
+    scene: Scene | None = None,
+    tolerance: float | None = None,
+) -> Simulation:
+    """Send a motion to the servos of an arm (open loop).
+
+    At time 0 the arm is at rest at the first configuration, and gravity starts to act. The set points
+    interpolate the rows of the motion smoothly, half a cycle late; see `pinposture.sim.plant`.
+
+    Args:
+        arm: the arm, made from a URDF or from modules.
+        motion: a run, a motion in time, a joint trajectory, or configurations (N, nq).
+        servos: the servos; `Servos()` if None.
+        gravity: whether there is gravity, or its acceleration (3,) [m/s^2] in the world.
+        dt: duration of a control cycle [s], if the motion has none.
+        hold: shortest time for which the last set point is held [s].
+        progress: called after each cycle.
+        scene: obstacles for the clearance of the arm; those of a run or a motion if None.
+        tolerance: mean distance of the control points from the last posture of the motion that counts as
+            arrived [m]; 1 % of the arm length if None.
+
+    Returns:
+        The recorded motion. Its status is "converged" if the arm is within the tolerance at the end and
+        "missed" if not. The simulation ends early with "unstable" if a joint exceeds the speed `RUNAWAY`.
+
+    Raises:
+        InvalidValue: the arm cannot be simulated, or the motion does not fit it.
+        MujocoMissing: MuJoCo is not installed.
+        URDFError: the description of the arm cannot be simulated.
+    """
+    require_positive("hold", hold, zero=True)
+    if tolerance is not None:
+        require_positive("tolerance", tolerance)
+    if scene is None and isinstance(motion, Trajectory | Motion):
+        scene = (motion.run if isinstance(motion, Motion) else motion).scene
+    sampled = set_points(arm, motion, dt)
+    held = np.repeat(sampled.positions[-1:], 1 + int(np.ceil(hold / sampled.dt - 1e-9)), axis=0)
+    rows = np.concatenate([sampled.positions, held])
+    recording = Recording(Plant(build_plant_model(arm, servos, gravity), rows[0], sampled.dt))
+    for number, row in enumerate(rows[1:], start=1):
+        if not recording.advance(row):
+            break
+        if progress is not None:
+            progress(number, len(rows) - 1)
+    return recording.simulation("open", scene, tolerance)
+
+
+def simulate_closed(
+    arm: Arm,
+    tracker: StreamingController,
+    targets: Target | Callable[[float], Target],
+    q0: ArrayLike,
+    duration: float,
+    dt: float,
+    servos: Servos | None = None,
+    gravity: bool | ArrayLike = True,
+    sensing: Sensing | None = None,
+    progress: Progress | None = None,
+    scene: Scene | None = None,
+    tolerance: float | None = None,
+) -> Simulation:
+    """Drive an arm by a controller with position feedback (closed loop).
+
+    In each cycle the controller receives the current target and the measured configuration. The set points
+    interpolate its commands smoothly, half a cycle late; see `pinposture.sim.plant`.
+
+    Args:
+        arm: the arm, made from a URDF or from modules.
+        tracker: the controller.
+        targets: one target, or the target at a time [s].
+        q0: initial configuration, at rest, (nq,).
+        duration: simulated time [s].
+        dt: duration of a control cycle [s].
+        servos: the servos; `Servos()` if None.
+        gravity: whether there is gravity, or its acceleration (3,) [m/s^2] in the world.
+        sensing: the sensors of the joint positions; ideal if None.
+        progress: called after each cycle.
+        scene: obstacles for the clearance of the arm; none if None.
+        tolerance: mean distance of the control points from the last target that counts as arrived [m]; 1 % of
+            the arm length if None.
+
+    Returns:
+        The recorded motion, with the status as for `simulate`.
+
+    Raises:
+        InvalidValue: the arm cannot be simulated, or an invalid start, duration or command.
+        MujocoMissing: MuJoCo is not installed.
+        URDFError: the description of the arm cannot be simulated.
+    """
+    require_positive("duration", duration)
+    require_positive("dt", dt)
+    if tolerance is not None:
+        require_positive("tolerance", tolerance)
+    start = arm.checked_start(q0, "q0")
+    at = (lambda _: targets) if isinstance(targets, Target) else targets
+    if not callable(at):
+        raise InvalidValue("targets", targets, "a Target, or a function of the time [s] that gives one")
+    positions = arm.positions(start)
+    recording = Recording(Plant(build_plant_model(arm, servos, gravity), positions, dt), at(0.0))
+    sensors = Sensors(Sensing() if sensing is None else sensing)
+    cycles, arrived, done = max(1, int(np.ceil(duration / dt - 1e-9))), 0, 0
+    command = start
+    for done in range(1, cycles + 1):
+        measured = sensors.measure(recording.plant.positions)
+        arrived += measured is not None
+        tracker.update(at((done - 1) * dt))
+        if arrived:  # until the first measurement arrives, the servos hold the start
+            tracker.step(None if measured is None else arm.configuration(measured), dt)
+            following = arm.checked(tracker.command, "tracker.command")
+            positions = positions + arm.difference(command, following)
+            command = following
+        if not recording.advance(positions, at(done * dt)):
+            break
+        if progress is not None:
+            progress(done, cycles)
+    return recording.simulation("closed", scene, tolerance, arrived / done)
+
+
+class Recording:
+    """Advances a plant and records set points, measured positions and torques of each cycle.
+
+    Attributes:
+        plant: the simulated arm.
+    """
+
+    def __init__(self, plant: Plant, target: Target | None = None) -> None:
+        self.plant = plant
+        self._set_points, self._positions = [plant.set_points], [plant.positions]
+        self._torques = [plant.torques]
+        self._targets = [] if target is None else [target]
+
+    def advance(self, command: Array, target: Target | None = None) -> bool:
+        """Simulate a cycle; return False, and record nothing of it, if the arm runs away.
+
+        Args:
+            command: joint positions sent to the servos, (nv,) [rad or m].
+            target: where the control points should be at the end of the cycle.
+        """
+        if not self.plant.advance(command):
+            return False
+        self._set_points.append(self.plant.set_points)
+        self._positions.append(self.plant.positions)
+        self._torques.append(self.plant.torques)
+        if target is not None:
+            self._targets.append(target)
+        return True
+
+    def simulation(
+        self, loop: str, scene: Scene | None, tolerance: float | None, measured: float = 1.0
+    ) -> Simulation:
+        """Return the recorded motion.
+
+        Args:
+            loop: "open" or "closed".
+            scene: obstacles for the clearance; none if None.
+            tolerance: mean distance of the control points from where they should be at the end that counts as
+                arrived [m]; 1 % of the arm length if None.
+            measured: share of the cycles in which a measurement arrived.
+        """
+        plant, model = self.plant, self.plant.model
+        arm = model.arm
+        commanded = np.array([arm.configuration(row) for row in self._set_points])
+        q = np.array([arm.configuration(row) for row in self._positions])
+        commanded_points = np.array([arm.at(row).points for row in commanded])
+        points = np.array([arm.at(row).points for row in q])
+        clearance = np.full(len(q), np.inf)
+        if scene is not None:
+            around = scene.around(arm)
+            clearance = np.array([around.minimum(row).distance for row in q])
+        goal = self._targets[-1] if self._targets else Target(commanded_points[-1], np.ones(arm.n_modules))
+        distances = np.linalg.norm((goal.points - points[-1])[goal.placed], axis=1)
+        error = float(distances.sum()) / max(len(distances), 1)
+        tolerance = TOLERANCE * arm.length if tolerance is None else tolerance
+        status, reason = "unstable", plant.failure
+        if not plant.failure:
+            status = "converged" if error <= tolerance else "missed"
+            reason = _final_error(error, tolerance, plant.dt * (len(q) - 1), plant.saturated)
+        targets = weights = None
+        if self._targets:
+            # The points of a target may be NaN where their weight is 0.
+            targets = np.array(
+                [np.where(each.weights[:, None] > 0.0, each.points, 0.0) for each in self._targets]
+            )
+            weights = np.array([each.weights for each in self._targets], dtype=np.float64)
+        return Simulation(
+            arm=arm,
+            loop=loop,
+            servos=model.servos,
+            gravity=model.gravity,
+            dt=plant.dt,
+            timestep=plant.dt / plant.substeps,
+            status=status,
+            reason=reason,
+            commanded=commanded,
+            q=q,
+            commanded_points=commanded_points,
+            points=points,
+            torques=np.array(self._torques),
+            torque_limits=model.torque_limits[model.columns],
+            saturated=plant.saturated,
+            clearance=clearance,
+            targets=targets,
+            weights=weights,
+            measured=measured,
+            warnings=model.warnings,
+            scene=scene,
+        )
+
+
+def _final_error(error: float, tolerance: float, time: float, saturated: Array) -> str:
+    """Say how far the arm is from where it should be at the end, and whether servos were saturated."""
+    off = f"mean point error {error:.3g} m after {time:.6g} s"
+    if error <= tolerance:
+        return f"{off}, within the tolerance of {tolerance:.3g} m"
+    limited = int(np.count_nonzero(saturated))
+    weak = f"; {limited} of {len(saturated)} servos were at their limit" if limited else ""
+    return f"{off}, above the tolerance of {tolerance:.3g} m{weak}"

@@ -1,0 +1,433 @@
+"""The MuJoCo model of an arm: bodies, joints, inertias and servos, built from its Pinocchio model.
+
+The arm itself keeps only the joints of its chain, with everything else fixed. The simulation needs the other
+joints as well, because servos hold them. So Pinocchio reads the description once more, whole, and each joint
+of that model becomes a MuJoCo body with one hinge or slide. There are no shapes and no contacts.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from pinposture._validation import finite_vector
+from pinposture.arm import Arm
+from pinposture.arm.chain import frame_ids
+from pinposture.arm.configurations import UNLIMITED
+from pinposture.arm.urdf_reader import load_text, parse_xml, text_for_pinocchio
+from pinposture.errors import InvalidValue, PostureError, PostureWarning, URDFError
+from pinposture.sim.servos import Gains, Servos
+
+Array = NDArray[np.float64]
+
+COMMAND = "pip install 'pinposture[sim]'"
+"""What installs MuJoCo."""
+
+GRAVITY = (0.0, 0.0, -9.81)
+"""What `gravity=True` means, world frame [m/s^2]."""
+
+POSITION_TOLERANCE = 1e-9
+"""Accepted distance between control points in MuJoCo and in Pinocchio, relative to the arm length or 1 m."""
+
+MAX_DEFLECTION = 0.01
+"""Largest deflection of a servo by friction and damping of its own joint at speed 1, in joint units."""
+
+N_RANDOM_POSTURES = 8
+"""Random configurations at which forward kinematics are compared and mass matrices are evaluated."""
+
+DEFAULT_MASS, DEFAULT_RADIUS = 1e-3, 1e-2
+"""The solid ball that replaces a moving link without mass, centred at its joint [kg], [m]."""
+
+MIN_RADIUS = 1e-4
+"""Moments of inertia are at least those of a ball of the same mass with this radius [m]."""
+
+INERTIA_ROUNDING = 1e-3
+"""Relative violation of physical consistency that counts as rounding and draws no warning."""
+
+MAX_LISTED = 6
+"""How many links with the same fault a warning lists."""
+
+_INERTIAL = {
+    "mass": (("value",), 1, 0.0, "a finite number, 0 or more [kg]"),
+    "inertia": (("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1, -np.finfo(np.float64).max, "a finite number"),
+    "origin": (("xyz", "rpy"), 3, -np.finfo(np.float64).max, "three finite numbers"),
+}
+"""Attributes of the elements of <inertial>: how many numbers each has, the least, and both in words."""
+
+
+class MujocoMissing(PostureError, ImportError):
+    """MuJoCo is not installed, or cannot be loaded here.
+
+    Attributes:
+        reason: the message of the failed import.
+    """
+
+    def __init__(self, reason: str) -> None:
+        self.reason = reason
+        super().__init__(f"physics needs MuJoCo ({reason}); install it with: {COMMAND}")
+
+
+def load_mujoco() -> Any:
+    """Import MuJoCo, an optional dependency.
+
+    Raises:
+        MujocoMissing: it is not installed.
+    """
+    try:
+        return import_module("mujoco")
+    except ImportError as error:
+        raise MujocoMissing(str(error)) from None
+
+
+@contextmanager
+def no_log_file(mujoco: Any) -> Iterator[None]:
+    """Keep MuJoCo from writing MUJOCO_LOG.TXT to the working directory; divergence is reported otherwise."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
+class RigidBody(NamedTuple):
+    """Inertial parameters of a rigid body.
+
+    Attributes:
+        mass: mass [kg].
+        center: centre of mass in the frame of the body, (3,) [m].
+        inertia: inertia tensor about the centre of mass, axes of the body frame, (3, 3) [kg m^2].
+    """
+
+    mass: float
+    center: Array
+    inertia: Array
+
+
+def physically_consistent(body: RigidBody) -> tuple[RigidBody, str]:
+    """Return the nearest inertial parameters that a solid can have, and the fault that was corrected, or "".
+
+    An inertia tensor I is physically consistent if the second moment of mass, trace(I) / 2 - I, is positive
+    semidefinite: then no principal moment exceeds the sum of the other two.
+    """
+    if body.mass <= 0.0:
+        ball = 0.4 * DEFAULT_MASS * DEFAULT_RADIUS**2 * np.eye(3)
+        return RigidBody(DEFAULT_MASS, np.zeros(3), ball), "no mass"
+    moments, axes = np.linalg.eigh(np.trace(body.inertia) / 2.0 * np.eye(3) - body.inertia)
+    # A moment below 1e-12 of the largest could become negative by rounding.
+    least = max(body.mass * MIN_RADIUS**2 / 5.0, 1e-12 * float(moments[2]))
+    if moments[0] >= least:
+        return body, ""
+    second = axes * np.maximum(moments, least) @ axes.T
+    rounded = moments[0] >= -INERTIA_ROUNDING * moments[2] and moments[1] > least
+    inertia = np.trace(second) * np.eye(3) - second
+    return RigidBody(body.mass, body.center, inertia), "" if rounded else "moments of no solid"
+
+
+@dataclass(frozen=True, eq=False)
+class PlantModel:
+    """The MuJoCo model of an arm with its servos. Each joint has one position and one velocity there.
+
+    Attributes:
+        arm: the arm.
+        servos: its servos.
+        gravity: acceleration of free fall, (3,) [m/s^2], world frame.
+        model: the `mujoco.MjModel`, with the joints of the arm and those that servos hold, n in all; they
+            have the names of the description.
+        columns: index of each degree of freedom of the arm among the n joints, (nv,).
+        rest: joint positions with the arm at zero and the other joints where they are held, (n,) [rad or m].
+        gains: stiffness and damping of the servos, (n,) each.
+        torque_limits: largest torque or force of each servo, (n,) [N m or N]; infinite without a limit.
+        sites: index of the site at each control point, (m,).
+        warnings: the inertias that were corrected, in words.
+    """
+
+    arm: Arm
+    servos: Servos
+    gravity: Array
+    model: Any
+    columns: NDArray[np.intp]
+    rest: Array
+    gains: Gains
+    torque_limits: Array
+    sites: NDArray[np.intp]
+    warnings: tuple[str, ...]
+
+    def positions(self, of_arm: Array) -> Array:
+        """Positions of all joints, (n,), for joint positions of the arm, (nv,) [rad or m]."""
+        positions: Array = self.rest.copy()
+        positions[self.columns] = of_arm
+        return positions
+
+
+def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | ArrayLike = True) -> PlantModel:
+    """Build the MuJoCo model of an arm.
+
+    There are no contacts, neither between links nor with obstacles. Joint limits, damping and friction are
+    those of the description.
+
+    Args:
+        arm: the arm, made from a URDF or from modules.
+        servos: its servos; `Servos()` if None.
+        gravity: whether there is gravity, or its acceleration (3,) [m/s^2] in the world.
+
+    Raises:
+        InvalidValue: an arm from `Arm.from_model`, or an invalid gravity.
+        MujocoMissing: MuJoCo is not installed.
+        URDFError: an inertia in the description is not a number, MuJoCo refuses the model, or its control
+            points are not where the arm has them.
+    """
+    mujoco = load_mujoco()
+    servos = Servos() if servos is None else servos
+    acceleration = _gravity(gravity)
+    complete, source = _complete_model(arm)
+    bodies, corrections = _rigid_bodies(complete)
+    for message in corrections:
+        warnings.warn(message, PostureWarning, stacklevel=3)
+    spec = _specification(mujoco, arm, complete, bodies, servos, acceleration)
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        raise URDFError(source, "<robot>", f"is refused by MuJoCo: {error}") from None
+    dofs = {name: int(model.joint(name).dofadr[0]) for name in list(complete.names)[1:]}
+    rest, effort = np.zeros(model.nv), np.zeros(model.nv)
+    for name, position in _held_positions(arm, complete, source).items():
+        rest[dofs[name]] = position
+    for joint in list(complete.joints)[1:]:
+        dof, limit = dofs[complete.names[joint.id]], float(complete.upperEffortLimit[joint.idx_v])
+        effort[dof] = limit if 0.0 < limit < UNLIMITED else math.inf  # 0 stands for an unknown limit
+        # Set here, because the type of these fields of the specification depends on the version of MuJoCo.
+        model.dof_damping[dof] = complete.damping[joint.idx_v]
+        model.dof_frictionloss[dof] = complete.upperDryFrictionLimit[joint.idx_v]
+    columns = np.array([dofs[name] for name in arm.joint_names], dtype=np.intp)
+    sites = np.array([model.site(f"point_{k}").id for k in range(arm.n_modules)], dtype=np.intp)
+    data, matrices = mujoco.MjData(model), []
+    for positions in _sample_positions(arm):
+        data.qpos[:], data.qpos[columns] = rest, positions
+        mujoco.mj_forward(model, data)
+        _check_control_points(arm, positions, data.site_xpos[sites], source)
+        matrices.append(full_mass_matrix(model, data))
+    slides = model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
+    units = np.where(slides, arm.sliding_unit, 1.0)
+    least = (model.dof_frictionloss + model.dof_damping * units) / (MAX_DEFLECTION * units)
+    return PlantModel(
+        arm=arm,
+        servos=servos,
+        gravity=acceleration,
+        model=model,
+        columns=columns,
+        rest=rest,
+        gains=servos.gains(matrices, least),
+        torque_limits=servos.limits(effort),
+        sites=sites,
+        warnings=corrections,
+    )
+
+
+def mass_matrix(plant: PlantModel, positions: Array) -> Array:
+    """Return the mass matrix of all joints, (n, n), for joint positions of the arm, (nv,) [rad or m]."""
+    mujoco = load_mujoco()
+    data = mujoco.MjData(plant.model)
+    data.qpos[:] = plant.positions(positions)
+    mujoco.mj_forward(plant.model, data)
+    return full_mass_matrix(plant.model, data)
+
+
+def full_mass_matrix(model: Any, data: Any) -> Array:
+    """Return the mass matrix that MuJoCo computed last, (n, n).
+
+    It is read column by column, because the signature of `mj_fullM` differs between versions of MuJoCo.
+    """
+    mujoco = load_mujoco()
+    matrix = np.zeros((model.nv, model.nv))
+    for row, unit in zip(matrix, np.eye(model.nv), strict=True):
+        mujoco.mj_mulM(model, data, row, unit)
+    return matrix
+
+
+def _gravity(gravity: bool | ArrayLike) -> Array:
+    if isinstance(gravity, (bool, np.bool_)):
+        return np.array(GRAVITY) if gravity else np.zeros(3)
+    return finite_vector("gravity", gravity, 3)
+
+
+def _complete_model(arm: Arm) -> tuple[pin.Model, str]:
+    """Read every joint of the description of an arm; floating and planar joints are fixed at zero.
+
+    Returns:
+        The model, with the base link at the origin, and the name of the description in messages. Mimic joints
+        are independent.
+    """
+    if arm.urdf is None:
+        allowed = "an arm from a URDF or from modules; one from Arm.from_model has no description to simulate"
+        raise InvalidValue("arm", arm, allowed)
+    text, source = load_text(arm.urdf)
+    _check_inertials(text, source)
+    try:
+        model = pin.buildModelFromXML(text_for_pinocchio(text))
+    except (ValueError, RuntimeError) as error:
+        raise URDFError(source, "<robot>", f"is refused by Pinocchio: {error}") from None
+    fixed = [joint.id for joint in list(model.joints)[1:] if joint.nv != 1]
+    if fixed:
+        model = pin.buildReducedModel(model, fixed, pin.neutral(model))
+    for name in arm.joint_names:
+        if not model.existJointName(name):
+            raise URDFError(source, f"joint {name!r}", "of the arm is not a moving joint of its description")
+    return model, source
+
+
+def _check_inertials(text: str, source: str) -> None:
+    """Raise URDFError for an invalid number in <inertial>; Pinocchio takes NaN and negative masses."""
+    for link in parse_xml(text, source).findall("link"):
+        inertial, name = link.find("inertial"), f"link {link.get('name')!r}"
+        if inertial is None:
+            continue
+        for tag, (attributes, size, least, allowed) in _INERTIAL.items():
+            part = inertial.find(tag)
+            if part is None and tag != "origin":
+                raise URDFError(source, name, f"<inertial> has no <{tag}>")
+            for attribute in attributes:
+                value = None if part is None else part.get(attribute)
+                if value is None and tag == "origin":  # zero
+                    continue
+                try:
+                    numbers = [float(piece) for piece in (value or "").split()]
+                except ValueError:
+                    numbers = []
+                if len(numbers) != size or not all(least <= number < np.inf for number in numbers):
+                    raise URDFError(source, name, f"<{tag}> {attribute} is {value!r}; allowed: {allowed}")
+
+
+def _rigid_bodies(model: pin.Model) -> tuple[list[RigidBody], tuple[str, ...]]:
+    """Return the rigid body that each joint moves, and a warning for each kind of corrected fault."""
+    links = _links_after(model)
+    bodies: list[RigidBody] = []
+    faults: dict[str, list[str]] = {}
+    for name, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True):
+        body, fault = physically_consistent(
+            RigidBody(float(inertia.mass), np.array(inertia.lever), np.array(inertia.inertia))
+        )
+        bodies.append(body)
+        if fault:
+            faults.setdefault(fault, []).append(links[name].name)
+    ball = f"a ball of {1e3 * DEFAULT_MASS:g} g with a radius of {1e2 * DEFAULT_RADIUS:g} cm"
+    correction = {
+        "no mass": f"taken as {ball}",
+        "moments of no solid": "moments raised to the nearest that a solid can have",
+    }
+    return bodies, tuple(f"{_listed(names)}: {fault}; {correction[fault]}" for fault, names in faults.items())
+
+
+def _links_after(model: pin.Model) -> dict[str, pin.Frame]:
+    """Return the frame of the link after each joint, by the name of the joint."""
+    frames = list(model.frames)
+    return {frames[frame.parentFrame].name: frame for frame in frames if frame.type == pin.FrameType.BODY}
+
+
+def _listed(links: list[str]) -> str:
+    more = f" and {len(links) - MAX_LISTED} more" if len(links) > MAX_LISTED else ""
+    return f"moving link{'s' * (len(links) > 1)} {', '.join(map(repr, links[:MAX_LISTED]))}{more}"
+
+
+def _specification(
+    mujoco: Any,
+    arm: Arm,
+    model: pin.Model,
+    bodies: list[RigidBody],
+    servos: Servos,
+    gravity: Array,
+) -> Any:
+    """Build the `mujoco.MjSpec`: a body and a servo for each joint, and a site at each control point."""
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    spec.option.gravity = gravity
+    spec.option.timestep = servos.timestep
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CONTACT
+    added = [spec.worldbody.add_body(**_placement(arm.base_placement))]
+    limits = dict(zip(arm.joint_names, np.transpose([arm.limits.lower, arm.limits.upper]), strict=True))
+    for number, (joint, rigid) in enumerate(zip(list(model.joints)[1:], bodies, strict=True), start=1):
+        xx, xy, yy, xz, yz, zz = rigid.inertia[np.tril_indices(3)]
+        body = added[model.parents[number]].add_body(
+            **_placement(model.jointPlacements[number]),
+            explicitinertial=True,
+            mass=rigid.mass,
+            ipos=rigid.center,
+            fullinertia=[xx, yy, zz, xy, xz, yz],
+            gravcomp=float(servos.gravity_compensation),
+        )
+        added.append(body)
+        motion, name = np.ravel(joint.createData().S), str(model.names[number])
+        slides = bool(np.any(motion[:3]))
+        kind = mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE
+        axis = motion[:3] if slides else motion[3:]
+        moved = body.add_joint(name=name, type=kind, axis=axis, armature=servos.armature)
+        interval = limits.get(name, (-np.inf, np.inf))
+        if np.all(np.isfinite(interval)):
+            moved.limited, moved.range = mujoco.mjtLimited.mjLIMITED_TRUE, interval
+        servo = spec.add_actuator(name=name, target=name)
+        servo.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        servo.gaintype, servo.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+    for k, frame in enumerate(arm.model.frames[i] for i in frame_ids(arm.model, arm.control_points)):
+        body = added[model.getJointId(str(arm.model.names[frame.parentJoint]))]
+        body.add_site(name=f"point_{k}", pos=frame.placement.translation)
+    return spec
+
+
+def _placement(placement: pin.SE3) -> dict[str, Array]:
+    """A placement in the terms of MuJoCo, whose quaternions begin with w."""
+    quaternion = np.roll(pin.Quaternion(placement.rotation).coeffs(), 1)
+    return {"pos": np.array(placement.translation), "quat": quaternion}
+
+
+def _held_positions(arm: Arm, model: pin.Model, source: str) -> dict[str, float]:
+    """Return the position of each joint that is not one of the arm, by its name [rad or m].
+
+    These are joints off the chain, locked joints and mimic joints. In the model of the arm the links before
+    and after such a joint are fixed to each other, which tells its position.
+    """
+    frames, children = list(model.frames), _links_after(model)
+    links = {frame.name: frame for frame in arm.model.frames if frame.type == pin.FrameType.BODY}
+    positions: dict[str, float] = {}
+    for frame in frames:
+        if frame.type != pin.FrameType.JOINT or frame.name in arm.joint_names:
+            continue
+        parent, child = frames[frame.parentFrame], children[frame.name]
+        if parent.name not in links or child.name not in links:
+            raise URDFError(source, f"joint {frame.name!r}", "is not in the model of the arm")
+        before, after = links[parent.name], links[child.name]
+        assert before.parentJoint == after.parentJoint  # both are part of one rigid body
+        origin = parent.placement.actInv(model.jointPlacements[frame.parentJoint])
+        moved = origin.actInv(before.placement.actInv(after.placement))
+        motion = np.ravel(model.joints[frame.parentJoint].createData().S)
+        positions[frame.name] = float(motion @ np.append(moved.translation, pin.log3(moved.rotation)))
+    return positions
+
+
+def _sample_positions(arm: Arm) -> list[Array]:
+    """Joint positions (nv,) to evaluate the model at: straight, nearly straight, and random ones."""
+    rng = np.random.default_rng(0)
+    straight = arm.positions(arm.straight())
+    return [
+        straight,
+        straight + rng.uniform(-0.1, 0.1, arm.nv) * arm.joint_units,
+        *(arm.positions(arm.random(rng)) for _ in range(N_RANDOM_POSTURES)),
+    ]
+
+
+def _check_control_points(arm: Arm, positions: Array, points: Array, source: str) -> None:
+    """Raise URDFError unless the control points in MuJoCo, (m, 3) [m], are where the arm has them."""
+    off = np.linalg.norm(points - arm.at(arm.configuration(positions)).points, axis=1)
+    worst = int(off.argmax())
+    if not off[worst] <= POSITION_TOLERANCE * max(1.0, arm.length):
+        reason = f"is {off[worst]:.3g} m elsewhere for MuJoCo than for Pinocchio; nothing is simulated"
+        raise URDFError(source, f"control point {arm.control_points[worst]!r}", reason)
