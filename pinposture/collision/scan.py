@@ -175,7 +175,7 @@ class Scan:
     Points that are not finite, which scanners write where they saw nothing, are left out and counted, and so
     are the triangles that have them for corners.
 
-        scan = pp.scene.Scan.load("workshop.ply")
+        scan = pp.collision.Scan.load("workshop.ply")
         gap = scan.around(arm).minimum(q)
 
     Attributes:

@@ -249,12 +249,11 @@ def test_notes_on_the_arm_are_told(command, task, tmp_path):
     assert "note: 4 joints off the chain" in result.err
 
 
-def test_a_check_of_a_posture_inside_something_ends_with_code_1(command, task, tmp_path):
-    text = (
-        task.read_text()
-        + '\n[scene.obstacles.ball]\ntype = "sphere"\ncenter = [0.1, 0.0, 0.0]\nradius = 0.03\n'
-    )
+def test_a_check_of_a_posture_inside_something_ends_with_code_1(command, task):
+    arc = 'curve = { type = "helix", radius = "10 cm", pitch = 0, turns = 0.5 }\ntrim = true'
+    text = TASK.replace(arc, 'curve = { type = "line", a = [0, 0, 0], b = [0, 0, 0.2] }')
+    text += '[scene.obstacles.ball]\ntype = "sphere"\ncenter = [0.1, 0, 0]\nradius = 0.03\n'
     task.write_text(text)
     result = command("run", task, "--check")
     assert result.code == 1
-    assert "mm inside something" in result.err
+    assert "straight: the arm is" in result.err and "mm inside something" in result.err

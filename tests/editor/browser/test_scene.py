@@ -109,7 +109,7 @@ def test_a_scan_is_shown_and_told_of(edit: Edit, look: Look, file: Path) -> None
     window.says("added the scan floor.xyz")
     wait_until(lambda: session.nearest is not None, "the clearance is known")
     q = editor.live.state.q
-    gap = pp.scene.Scan.load(file.with_name("floor.xyz")).around(session.arm).minimum(q).distance
+    gap = pp.collision.Scan.load(file.with_name("floor.xyz")).around(session.arm).minimum(q).distance
     wait_until(lambda: abs(millimetres(window) - 1000.0 * gap) < 1.0, "the page tells how near it is")
     assert "floor.xyz" in window.page.locator("#clearance").inner_text()
     window.picture("14-scan")
