@@ -19,7 +19,7 @@ from pinposture.control import ConstrainedQP, Controller, Limits, controller_nam
 from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.motion import Motion
 from pinposture.storage import settled
-from pinposture.task.document import Document, Place, shown
+from pinposture.task.document import Document, shown
 from pinposture.task.follow_leader import Leader, follow_leader
 from pinposture.task.keyframe import Keyframe, usual_placement
 from pinposture.task.keyframes import keyframe_reference
@@ -27,7 +27,8 @@ from pinposture.task.perform import perform
 from pinposture.task.reader import RESULT_FORMATS, check_task, read_task
 from pinposture.task.reference import Outlook, Reference, outlook, require_room
 from pinposture.task.resolving import with_fitting_joints
-from pinposture.task.writer import write_task
+from pinposture.task.toml import Layout, Place
+from pinposture.task.writer import layout_of, write_task
 
 Array = NDArray[np.float64]
 
@@ -62,6 +63,8 @@ class Task:
             itself: what stands for it in a task file, in SI units, a `Path` for each path. For instance
             `{arm: {"urdf": Path("snake.urdf"), "split": 2}, curve: "helix"}`. What is not in it, or no longer
             gives the part, is written out.
+        layout: the TOML file that the task was read from, the comments and layout of which `save` keeps; None
+            if there is none.
 
     Raises:
         PostureError: a value that no task file could hold; see `pinposture.task.reader`.
@@ -78,6 +81,7 @@ class Task:
     name: str = ""
     scans: tuple[Path, ...] = ()
     described: Mapping[Hashable, object] = field(default_factory=dict, repr=False)
+    layout: Layout | None = field(default=None, repr=False)
     # Not among the arguments, so that `replace` leaves it behind.
     _document: Document | None = field(default=None, init=False, repr=False)
 
@@ -122,6 +126,8 @@ class Task:
         except PostureError as error:
             raise document.fault((), str(error)) from error
         task._settle("_document", document)
+        if document.toml is not None:
+            task._settle("layout", layout_of(task, document.path, document.toml))
         return task
 
     def save(self, path: str | Path) -> Path:
@@ -129,8 +135,9 @@ class Task:
 
         Numbers are in SI units. Files that the task names are named relative to the new one. Parts are
         described as `described` says; a curve that is not in it is written with its points, an arm as the
-        template that it is made of, or else as a URDF file beside the task file, of the same name. What a
-        file that is replaced says besides, such as comments, is lost.
+        template that it is made of, or else as a URDF file beside the task file, of the same name. Comments
+        and layout of the TOML file that the task was read from stay, and so do units and order wherever what
+        is said there has not changed.
 
         Args:
             path: .toml or .json.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import warnings
@@ -42,7 +43,7 @@ from pinposture.task.reader import (
     read_task,
     read_tip,
 )
-from pinposture.task.text import json_text, toml_text
+from pinposture.task.toml import Layout, Usual, toml_text
 
 if TYPE_CHECKING:
     from pinposture.task.task import Task
@@ -239,14 +240,15 @@ class Wording:
         file: the file that is to be written.
     """
 
-    def __init__(self, file: Path, described: Mapping[Hashable, object]) -> None:
+    def __init__(self, file: Path, described: Mapping[Hashable, object], read: bool = False) -> None:
         """Prepare for a file.
 
         Args:
             file: the file that is to be written.
             described: as in `Task`.
+            read: whether the descriptions were read just now, and need not be tried again.
         """
-        self.file, self._described = file, described
+        self.file, self._described, self._read = file, described, read
 
     @property
     def folder(self) -> Path:
@@ -271,6 +273,8 @@ class Wording:
         if part not in self._described:
             return None
         plain = plain_in(self._described[part], self.folder)
+        if self._read:
+            return plain
         why = "which gives another one now"
         try:
             if same(read(self.table(key, plain)), part):
@@ -441,7 +445,7 @@ def write_keyframe(keyframe: Keyframe, usual: str, wording: Wording) -> dict[str
     if keyframe.hold:
         described["hold"] = keyframe.hold
     described["curve"] = write_curve(keyframe.curve, "curve", wording)
-    described |= _unusual(keyframe, {"placement": usual, **_USUAL})
+    described |= _placement(keyframe, usual) | _unusual(keyframe, _USUAL)
     if keyframe.region is not None:
         described["region"] = [end + 1 for end in keyframe.region]
     if keyframe.joints is not None:
@@ -454,7 +458,12 @@ def write_keyframe(keyframe: Keyframe, usual: str, wording: Wording) -> dict[str
 def write_leader(leader: Leader, usual: str, wording: Wording) -> dict[str, Any]:
     """A table for what the leader does, without what is as usual; `usual` is how its path would be laid."""
     described: dict[str, Any] = {"path": write_curve(leader.path, "path", wording), "speed": leader.speed}
-    return described | _unusual(leader, {"placement": usual, **_OF_A_LEADER})
+    return described | _placement(leader, usual) | _unusual(leader, _OF_A_LEADER)
+
+
+def _placement(motion: Keyframe | Leader, usual: str) -> dict[str, Any]:
+    """How a curve is laid, which need not be said if it is as usual."""
+    return {"placement": Usual(usual) if motion.placement == usual else motion.placement}
 
 
 def write_curve(curve: Curve, key: str, wording: Wording) -> Any:
@@ -606,8 +615,7 @@ def write_task(task: Task, path: Path) -> Path:
     with _naming(path), _folder(path.parent):  # ways to other files lead through it
         wording = Wording(path, task.described)
         arm = write_arm(task.arm, wording)
-        text = _text(path, _contents(task, arm, wording))
-        _read_back(task, path, text)
+        text = _text(task, path, _contents(task, arm.table, wording))
         if arm.file is not None:
             write_text(arm.file, arm.text)
         try:
@@ -649,15 +657,26 @@ def _folder(folder: Path) -> Iterator[None]:
         raise
 
 
-def _contents(task: Task, arm: WrittenArm, wording: Wording) -> dict[str, Any]:
+def layout_of(task: Task, path: Path, text: str) -> Layout:
+    """What to keep of the TOML file that a task was just read from.
+
+    Args:
+        task: the task.
+        path: the file.
+        text: what it holds.
+    """
+    wording = Wording(path, task.described, read=True)
+    return Layout(text, _contents(task, write_arm(task.arm, wording).table, wording))
+
+
+def _contents(task: Task, arm: dict[str, Any], wording: Wording) -> dict[str, Any]:
     """All tables, in the order in which they stand in the file; without those that say what is as usual."""
     leader = isinstance(task.motion, Leader)
     contents: dict[str, Any] = {"version": VERSION, "kind": "follow_leader" if leader else "keyframes"}
-    if task.name != wording.file.stem:
-        contents["name"] = task.name
+    contents["name"] = task.name if task.name != wording.file.stem else Usual(task.name)
     if task.continuity != "velocity":
         contents["continuity"] = task.continuity
-    contents["arm"] = arm.table
+    contents["arm"] = arm
     contents["limits"] = write_limits(task.limits, task.arm)
     controller = write_controller(task.controller, wording)
     if controller:
@@ -680,26 +699,45 @@ def _contents(task: Task, arm: WrittenArm, wording: Wording) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """The same without what numpy or a number of another kind has put in."""
+    """The same without what numpy has put in; whole numbers without a point, unless they are vast."""
+    if isinstance(value, Usual):
+        return value
     if isinstance(value, dict):
         return {key: _plain(each) for key, each in value.items()}
     if isinstance(value, list | tuple | np.ndarray):
         return [_plain(each) for each in value]
     if isinstance(value, bool | int | str):
         return value
-    return float(value)
+    number = float(value)
+    whole = number.is_integer() and abs(number) < 1e15 and (number != 0.0 or math.copysign(1.0, number) > 0.0)
+    return int(number) if whole else number
 
 
-def _text(path: Path, contents: dict[str, Any]) -> str:
-    text = toml_text(contents) if path.suffix.lower() == ".toml" else json_text(contents)
-    try:
-        text.encode()
-    except UnicodeEncodeError as error:
-        reason = (
-            f"{text[error.start]!r} in a text of the task, half of a surrogate pair, is nothing for a file"
-        )
-        raise FileError(path, reason) from None
+def _text(task: Task, path: Path, contents: dict[str, Any]) -> str:
+    """The text of the file, which reads back as the task; with the layout of the file it was read from.
+
+    Raises:
+        FileError: no text does.
+    """
+    if path.suffix.lower() == ".json":
+        text = json.dumps(_said(contents), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    else:
+        if task.layout is not None:
+            text = toml_text(contents, task.layout)
+            with suppress(FileError):
+                _read_back(task, path, text)
+                return text
+            warnings.warn(f"{path}: its comments and layout could not be kept", PostureWarning, stacklevel=4)
+        text = toml_text(contents)
+    _read_back(task, path, text)
     return text
+
+
+def _said(value: Any) -> Any:
+    """The same without what need not be said."""
+    if isinstance(value, dict):
+        return {key: _said(each) for key, each in value.items() if not isinstance(each, Usual)}
+    return [_said(each) for each in value] if isinstance(value, list) else value
 
 
 def _read_back(task: Task, path: Path, text: str) -> None:
@@ -708,6 +746,11 @@ def _read_back(task: Task, path: Path, text: str) -> None:
     Raises:
         FileError: it would.
     """
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        half = f"{text[error.start]!r} in a text of the task, half of a surrogate pair"
+        raise FileError(path, f"{half}, is nothing for a file") from None
     parts = read_task(Document(path, content_of(path, text)), task.arm)
     wrong = differences(task, parts)
     if wrong:

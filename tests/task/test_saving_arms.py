@@ -223,6 +223,16 @@ def test_what_a_file_says_of_an_arm_stays(tmp_path: Path) -> None:
     assert tomllib.loads(path.read_text())["arm"] == {
         "template": "RyRz",
         "modules": 4,
+        "link_lengths": ["3 cm", 0.02],
+        "joint_limits": ["-90 deg", 2],
+        "feed": {"stroke": "30 cm", "speed": "5 cm/s"},
+        "placement": {"rotation": ["90 deg", 0, "-45 deg"]},
+        "sliding_unit": "3 cm",
+    }
+    task.edited(layout=None).save(path)
+    assert tomllib.loads(path.read_text())["arm"] == {
+        "template": "RyRz",
+        "modules": 4,
         "link_lengths": [0.03, 0.02],
         "joint_limits": [-np.pi / 2, 2],
         "feed": {"stroke": 0.3, "speed": 0.05},

@@ -55,7 +55,7 @@ def test_an_edited_task_tells_of_no_lines(tmp_path: Path) -> None:
         assert "line" not in str(caught.value)
     assert told.value.path == path
     again = pp.Task.load(task.edited(name="another").save(path))
-    with pytest.raises(FileError, match=r"task\.toml: line 31: keyframe 2 'bowed'"):
+    with pytest.raises(FileError, match=r"task\.toml: line 36: keyframe 2 'bowed'"):
         again.reference()
 
 
