@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -10,11 +10,11 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
-from pinposture.arm import Arm, JointSpec, ModuleTemplate, template
+from pinposture.arm import Arm, ArmSpec, FeedSpec, PlacementSpec, template
 from pinposture.arm.manipulability import chosen_points
+from pinposture.arm.specification import OF_A_TEMPLATE, OF_A_URDF
 from pinposture.collision import Scene
 from pinposture.collision.obstacles import KINDS, Obstacle, obstacle_from_dict
 from pinposture.collision.scene import obstacles_around
@@ -38,134 +38,103 @@ if TYPE_CHECKING:
 
 # What a task file says of the arm: a URDF file, or modules of a template, and where it stands.
 
-_DESCRIBED = ("urdf", "base", "tip", "split", "locked", "package_dirs")
-_TEMPLATED = ("template", "modules", "link_lengths", "joint_limits", "feed")
-_FEED = {"length": "length", "stroke": "length", "speed": "speed"}
 _PLACEMENT = {"position": "length", "rotation": "angle"}
-_ARM_QUANTITIES = {"link_lengths": "length", "joint_limits": "angle", "sliding_unit": "length"}
+_ALLOWED = {"split": "a whole number, whole numbers, or names of links"}
 
 MOST_MODULES = 1000
 """The longest arm."""
 
 
-def read_arm(table: Table, load: Callable[..., Arm] = Arm.from_urdf) -> Arm:
-    """The arm: from a URDF file, or of modules of a template, perhaps on a feed.
-
-    Args:
-        table: what the file says of it.
-        load: what makes an arm of a URDF file, called as `Arm.from_urdf`.
-    """
-    table.only(*_DESCRIBED, *_TEMPLATED, "placement", "sliding_unit")
-    kind, other = (_DESCRIBED, _TEMPLATED) if "urdf" in table else (_TEMPLATED, _DESCRIBED)
+def read_arm(table: Table) -> ArmSpec:
+    """What the arm is made from: a URDF file, or modules of a template, perhaps on a feed."""
+    table.only(*OF_A_URDF, *OF_A_TEMPLATE, "placement", "sliding_unit")
+    kind, other = (OF_A_URDF, OF_A_TEMPLATE) if "urdf" in table else (OF_A_TEMPLATE, OF_A_URDF)
     for key in other:
         if key in table:
             raise table.fault(key, f"does not go with {kind[0]!r}")
-    placement = read_placement(table.table("placement")) if "placement" in table else None
+    values: dict[str, Any] = {"sliding_unit": table.above_zero("sliding_unit", "length", default=None)}
+    if "placement" in table:
+        values["placement"] = read_placement(table.table("placement"))
     if "urdf" in table:
-        arm = _described(table, placement, load)
-    elif "template" in table:
-        arm = _templated(table, placement)
-    else:
-        raise table.fault(None, "needs one of the keys 'urdf', 'template'")
-    unit = table.above_zero("sliding_unit", "length", default=None)
-    return table.says(arm if unit is None else arm.with_sliding_unit(unit), _in_si(table))
-
-
-def _templated(table: Table, placement: pin.SE3 | None) -> Arm:
-    """The arm of equal modules, called as `Arm.from_template` calls it."""
-    name = table.text("template")
-    with table.blaming("template"):
-        module = template(name)
-    if "link_lengths" in table:
-        lengths = table.quantities("link_lengths", ["length"] * len(module.joints))
-        with table.blaming("link_lengths"):
-            module = module.with_lengths(lengths)
-    if "joint_limits" in table:
-        lower, upper = table.quantities("joint_limits", ["angle"] * 2)
-        with table.blaming("joint_limits"):
-            module = module.with_limits(lower, upper)
-    count = table.whole("modules", 1, MOST_MODULES)
-    modules = [module] * count
-    if "feed" in table:
-        modules.insert(0, _feed(table.table("feed"), module))
-    with table.blaming():
-        return Arm.from_modules(modules, base_placement=placement, name=f"{name}_{count}")
-
-
-def _described(table: Table, placement: pin.SE3 | None, load: Callable[..., Arm]) -> Arm:
-    """The arm of a URDF file, with what `Arm.from_urdf` takes besides."""
-    given: dict[str, Any] = {"base": table.text("base", None), "tip": table.text("tip", None)}
-    folders = table.value("package_dirs", None)
-    if folders is not None:
+        folders = table.value("package_dirs", [])
         if not isinstance(folders, list) or not all(isinstance(each, str) for each in folders):
             raise table.fault("package_dirs", f"is {shown(folders)}; allowed: a list of folders")
-        folders = [table.place("package_dirs", each) for each in folders]
-    given |= {"modules": table.value("split", None), "locked": _locked(table), "package_dirs": folders}
-    path = table.path("urdf", table.text("urdf"))
+        held, split = table.table("locked"), table.value("split", None)
+        values |= {
+            "urdf": table.place("urdf", table.text("urdf")),
+            "base": table.text("base", None),
+            "tip": table.text("tip", None),
+            "split": [split] if isinstance(split, str) else split,
+            "locked": {name: held.quantity(name, "angle", "length") for name in held.plain()},
+            "package_dirs": [table.place("package_dirs", each) for each in folders],
+        }
+    elif "template" in table:
+        name = table.text("template")
+        with table.blaming("template"):
+            joints = len(template(name).joints)
+        values |= {
+            "template": name,
+            "modules": table.whole("modules", 1, MOST_MODULES),
+            "link_lengths": table.quantities("link_lengths", ["length"] * joints, default=None),
+            "joint_limits": table.quantities("joint_limits", ["angle"] * 2, default=None),
+            "feed": _read_feed(table.table("feed")) if "feed" in table else None,
+        }
+    else:
+        raise table.fault(None, "needs one of the keys 'urdf', 'template'")
     try:
-        return load(path, **given, base_placement=placement)
+        return ArmSpec(**values)
+    except InvalidValue as error:  # such as split.int, for every kind that it may be
+        key = error.name.partition(".")[0]
+        allowed = _ALLOWED.get(key, error.allowed)
+        raise table.fault(key, f"is {shown(table.value(key))}; allowed: {allowed}") from error
+
+
+def _read_feed(table: Table) -> FeedSpec:
+    """A slide along the axis of the arm, with the link that it pushes."""
+    table.only("length", "stroke", "speed")
+    stroke = table.above_zero("stroke", "length")
+    length = table.quantity("length", "length", default=None)
+    return FeedSpec(stroke=stroke, length=length, speed=table.above_zero("speed", "speed", default=0.1))
+
+
+def make_arm(table: Table, spec: ArmSpec) -> Arm:
+    """The arm that a table describes.
+
+    Args:
+        table: the table.
+        spec: what `read_arm` made of it.
+    """
+    try:
+        return Arm.from_spec(spec)
     except PostureError as error:
         key, reason = _named_by(error, table), str(error)
-        if key == "split" and isinstance(error, InvalidValue):
-            reason = f"is {shown(error.value)}; allowed: {error.allowed}"
+        if key is not None and key in table and isinstance(error, InvalidValue):
+            value = error.value if key == "split" else table.value(key)
+            reason = f"is {shown(value)}; allowed: {error.allowed}"
         raise table.fault(key, reason) from error
 
 
-def _locked(table: Table) -> dict[str, float]:
-    held = table.table("locked")
-    return {name: held.quantity(name, "angle", "length") for name in held.plain()}
-
-
-def _named_by(error: PostureError, table: Table) -> str:
-    """The key that an error of `Arm.from_urdf` is about."""
-    if isinstance(error, InvalidValue) and error.name.startswith("modules"):
-        return "split"
+def _named_by(error: PostureError, table: Table) -> str | None:
+    """The key that an error of `Arm.from_spec` is about."""
+    if isinstance(error, InvalidValue):
+        key = "split" if error.name.startswith("modules") and "urdf" in table else error.name
+        if key in table:
+            return key
     if isinstance(error, UnknownName):
         for key in ("base", "tip", "split", "locked"):
             value = table.value(key, None)
             if error.name == value or (isinstance(value, list | dict) and error.name in value):
                 return key
-    return "urdf"
+    return "urdf" if "urdf" in table else None
 
 
-def _feed(table: Table, module: ModuleTemplate) -> ModuleTemplate:
-    """A slide along the axis of the arm, with the link that it pushes."""
-    table.only(*_FEED)
-    stroke = table.above_zero("stroke", "length")
-    length = table.quantity("length", "length", default=module.length)
-    speed = table.above_zero("speed", "speed", default=0.1)
-    with table.blaming():
-        slide = JointSpec("x", "prismatic", 0.0, stroke, velocity=speed)
-        return ModuleTemplate("Feed", (slide,), (length,), module.radius)
-
-
-def read_placement(table: Table) -> pin.SE3:
+def read_placement(table: Table) -> PlacementSpec:
     """A placement in the world: a position, and roll, pitch and yaw."""
     table.only(*_PLACEMENT)
-    position = table.quantities("position", ["length"] * 3, default=[0.0, 0.0, 0.0])
-    angles = table.quantities("rotation", ["angle"] * 3, default=[0.0, 0.0, 0.0])
-    return pin.SE3(pin.rpy.rpyToMatrix(*angles), np.array(position))
-
-
-def placement_in_si(table: Table) -> dict[str, Any]:
-    """What a table with a placement holds, in SI units."""
-    return table.in_si(_PLACEMENT)
-
-
-def _in_si(table: Table) -> dict[str, Any]:
-    """The description as it is, in SI units and with absolute paths."""
-    plain = table.in_si(_ARM_QUANTITIES)
-    if "placement" in table:
-        plain["placement"] = placement_in_si(table.table("placement"))
-    if "feed" in table:
-        plain["feed"] = table.table("feed").in_si(_FEED)
-    if "locked" in table:
-        plain["locked"] = _locked(table)
-    if "urdf" in table:
-        plain["urdf"] = table.place("urdf", table.text("urdf"))
-    if "package_dirs" in table:
-        plain["package_dirs"] = [table.place("package_dirs", each) for each in table.value("package_dirs")]
-    return plain
+    return PlacementSpec(
+        position=table.quantities("position", ["length"] * 3, default=(0.0, 0.0, 0.0)),
+        rotation=table.quantities("rotation", ["angle"] * 3, default=(0.0, 0.0, 0.0)),
+    )
 
 
 # What a task file says of the motion: keyframes, or the path that the leader takes.
@@ -248,7 +217,7 @@ def read_tip(table: Table) -> EndEffector:
         point -= point > 0  # the library counts from 0
     if "position" not in table:
         raise table.fault(None, "the key 'position' is missing; 'rotation' goes with it, if it matters")
-    where = read_placement(table.part("position", "rotation"))
+    where = read_placement(table.part("position", "rotation")).build()
     options = {
         "point": point,
         "weight": table.number("weight", 1.0),
@@ -259,7 +228,7 @@ def read_tip(table: Table) -> EndEffector:
     place = {"pose": where} if "rotation" in table else {"position": where.translation}
     with table.blaming():
         tip = EndEffector(**place, **options)
-    plain = placement_in_si(table)
+    plain = table.in_si(_PLACEMENT)
     if "length" in table:
         plain["length"] = tip.length
     return table.says(tip, plain)
@@ -333,7 +302,7 @@ RESULT_FORMATS = ("npz", "csv", "json", "png", "html")
 LONGEST_CYCLE = 60.0
 """The longest control cycle [s]."""
 
-DESCRIBED = (Arm, Curve, EndEffector, Scene, *KINDS.values())
+DESCRIBED = (Curve, EndEffector, Scene, *KINDS.values())
 """The parts of a task that a file may describe in several ways."""
 
 
@@ -360,7 +329,7 @@ def check_task(task: Task) -> None:
         raise InvalidValue("name", task.name, "text")
     described = task.described
     if not isinstance(described, Mapping) or not all(isinstance(each, DESCRIBED) for each in described):
-        allowed = "a mapping from an arm, curves, tips, a scene or obstacles to what a file says of them"
+        allowed = "a mapping from curves, tips, a scene or obstacles to what a file says of them"
         raise InvalidValue("described", described, allowed)
     if isinstance(task.motion, Leader):
         check_leader(task.motion, task.arm)
@@ -540,7 +509,7 @@ def read_task(document: Document, arm: Arm | None = None) -> dict[str, Any]:
 
     Args:
         document: the file.
-        arm: the arm, if what the file says of it is not to be read.
+        arm: the arm, if it is there already and need not be made.
 
     Raises:
         FileError: what the file says cannot be; names the line, the key, the value and what is allowed.
@@ -554,12 +523,14 @@ def read_task(document: Document, arm: Arm | None = None) -> dict[str, Any]:
             if key in root and kind != other:
                 raise root.fault(key, f"goes with kind = {other!r}; the kind is {kind!r}")
     root.only(*_COMMON, *_OWN[kind])
-    arm = read_arm(root.table("arm")) if arm is None else arm
+    spec = read_arm(root.table("arm"))
+    arm = make_arm(root.table("arm"), spec) if arm is None else arm
     scene = read_surroundings(root.table("scene"), document.path.parent)
     usual, motion = usual_placement(scene), None
     if kind == "follow_leader":
         motion = read_leader(root.table("leader"), usual)
     parts = {
+        "spec": spec,
         "arm": arm,
         "motion": read_keyframes(root.tables("keyframes"), usual, arm) if motion is None else motion,
         "limits": read_limits(root.table("limits"), arm),

@@ -59,10 +59,10 @@ class Task:
         name: what to call it.
         scans: files of surfaces and point clouds that an editor shows, absolute; nobody keeps clear of them,
             and they need not be there.
-        described: what `save` may write of an arm, a curve, a tip, a scene or an obstacle, by that part
-            itself: what stands for it in a task file, in SI units, a `Path` for each path. For instance
-            `{arm: {"urdf": Path("snake.urdf"), "split": 2}, curve: "helix"}`. What is not in it, or no longer
-            gives the part, is written out.
+        described: what `save` may write of a curve, a tip, a scene or an obstacle, by that part itself: what
+            stands for it in a task file, in SI units, a `Path` for each path. For instance
+            `{curve: "helix", path: Path("path.csv")}`. What is not in it, or no longer gives the part, is
+            written out.
         layout: the TOML file that the task was read from, the comments and layout of which `save` keeps; None
             if there is none.
 
@@ -121,6 +121,7 @@ class Task:
         """
         document = Document(Path(path))
         parts = read_task(document)
+        del parts["spec"]  # which the arm keeps
         try:
             task = cls(**parts)
         except PostureError as error:
@@ -134,8 +135,9 @@ class Task:
         """Write a task file, from which `load` makes an equal task; whole or not at all. Returns its path.
 
         Numbers are in SI units. Files that the task names are named relative to the new one. Parts are
-        described as `described` says; a curve that is not in it is written with its points, an arm as the
-        template that it is made of, or else as a URDF file beside the task file, of the same name. Comments
+        described as `described` says; a curve that is not in it is written with its points. An arm is
+        written as what it was made from (`Arm.spec`): a template, a URDF file that still is the same, or else
+        its URDF in a file beside the task file, of the same name. Comments
         and layout of the TOML file that the task was read from stay, and so do units and order wherever what
         is said there has not changed.
 

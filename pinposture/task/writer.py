@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 import warnings
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -17,17 +16,15 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pinposture.arm import Arm
-from pinposture.arm.chain import joint_axes, neutral_placements
-from pinposture.arm.loading import LoadReport, held_positions, load_model
-from pinposture.arm.template import TEMPLATES, modules_to_urdf
-from pinposture.arm.urdf_reader import CHAIN_JOINTS, Description, JointDescription, read_description
+from pinposture.arm import Arm, ArmSpec
+from pinposture.arm.specification import roll_pitch_yaw
+from pinposture.arm.urdf_reader import load_text
 from pinposture.collision import Mesh, Scene
 from pinposture.collision.obstacles import Obstacle
 from pinposture.control import CONTROLLERS, ConstrainedQP, Controller, EndEffector, Limits
 from pinposture.curve import Curve
 from pinposture.errors import FileError, PostureError, PostureWarning
-from pinposture.storage import check_writable, read_text, relative, settled, write_text
+from pinposture.storage import check_writable, relative, settled, write_text
 from pinposture.task.document import Content, Document, Table, check_format, content_of, shown
 from pinposture.task.follow_leader import Leader
 from pinposture.task.keyframe import Keyframe, usual_placement
@@ -36,7 +33,6 @@ from pinposture.task.reader import (
     RESULT_FORMATS,
     UNLIMITED,
     VERSION,
-    read_arm,
     read_curve,
     read_obstacle,
     read_surroundings,
@@ -49,147 +45,12 @@ if TYPE_CHECKING:
     from pinposture.task.task import Task
 
 
-# What an arm no longer says of how it was loaded: locked joints, and the links at which modules end.
-
-ROUNDED = 1e-12
-"""How far places and joint positions may be apart that are the same [rad or m]."""
-
-
-def locked_joints(arm: Arm, description: Description, base: str, tip: str) -> dict[str, float]:
-    """Positions of the joints that have to be locked for the arm to come out as it is [rad or m].
-
-    Those are the joints on the chain that could move and do not, and others that are elsewhere than they
-    would be by themselves.
-
-    Args:
-        arm: the arm.
-        description: what it was made of.
-        base: link at which it begins.
-        tip: link at which it ends.
-    """
-    whole = pin.buildModelFromXML(description.text)
-    moving, chain = set(arm.joint_names), {joint.name for joint in description.chain(base, tip)}
-    held = {
-        joint.name: _position(arm.model, whole, joint)
-        for joint in description.joints
-        if joint.type in CHAIN_JOINTS and joint.name not in moving
-    }
-    needed = {joint.name for joint in description.joints if joint.moves} & chain
-    locked = {name: at for name, at in held.items() if name in needed}
-    usual = held_positions(description, locked)
-    return locked | {name: at for name, at in held.items() if abs(at - usual[name]) > ROUNDED}
-
-
-def _position(model: pin.Model, whole: pin.Model, joint: JointDescription) -> float:
-    """Where a joint is that a model holds still [rad or m].
-
-    Args:
-        model: the model, the base of which may have been moved.
-        whole: the same robot, all of its joints free, in its neutral configuration.
-        joint: the joint.
-    """
-
-    def between(frames: pin.Model) -> tuple[pin.SE3, pin.SE3]:
-        ids = (frames.getFrameId(link, pin.FrameType.BODY) for link in (joint.parent, joint.child))
-        parent, child = (frames.frames[index].placement for index in ids)
-        return parent, child
-
-    index = whole.getJointId(joint.name)
-    parent, child = between(whole)
-    begin, end = between(model)
-    moved = whole.jointPlacements[index].actInv(parent * begin.actInv(end)) * child.inverse()
-    axis = joint_axes(whole, [index])[0]
-    if joint.type == "prismatic":
-        return _short(float(axis @ moved.translation))
-    turn = moved.rotation
-    sine = 0.5 * float(axis @ (turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]))
-    return _short(math.atan2(sine, 0.5 * (float(np.trace(turn)) - 1.0)))
-
-
-def _short(number: float) -> float:
-    """The same number but for rounding, with as many digits as a person would have given it."""
-    return next((r for digits in range(3, 13) if abs((r := round(number, digits)) - number) < 1e-14), number)
-
-
-def links_of_modules(arm: Arm) -> list[str] | None:
-    """Links at whose origins modules end; None if there is no such link for each."""
-    model, placements = arm.model, neutral_placements(arm.model)
-    places = {
-        str(frame.name): (placements[frame.parentJoint] * frame.placement).translation
-        for frame in model.frames
-        if frame.type == pin.FrameType.BODY
-    }
-    found = []
-    for point in arm.chain.points:
-        near = [link for link, at in places.items() if np.abs(at - point).max() <= ROUNDED * arm.length]
-        if not near:
-            return None
-        found.append(near[-1])
-    return found
-
-
-# Placements in a task file: a position, and roll, pitch and yaw.
-
 Array = NDArray[np.float64]
-
-ANGLE_ROUNDING = 1e-15
-"""How far what three angles say may be from a rotation matrix, entry by entry."""
-
-
-def write_placement(placement: pin.SE3) -> dict[str, Any]:
-    """What stands in a file for a placement; nothing for what is zero."""
-    described: dict[str, Any] = {}
-    if np.any(placement.translation):
-        described["position"] = placement.translation.tolist()
-    if not np.array_equal(placement.rotation, np.eye(3)):
-        described["rotation"] = roll_pitch_yaw(placement.rotation)
-    return described
-
-
-def roll_pitch_yaw(rotation: Array) -> list[float]:
-    """The angles of a rotation matrix (3, 3) [rad], with no more digits than it takes to find it again."""
-    angles = np.asarray(pin.rpy.matrixToRpy(rotation))
-    for digits in range(3, 17):
-        rounded = np.round(angles, digits) + 0.0  # and no zero below zero
-        if np.abs(pin.rpy.rpyToMatrix(*rounded) - rotation).max() <= ANGLE_ROUNDING:
-            return [float(angle) for angle in rounded]
-    return [float(angle) for angle in angles]
-
 
 # Whether what was read back from a file is what was written.
 
 CLOSE = 1e-12
 """How far what angles say in a file may be apart: rotations do not survive them to the last bit."""
-
-
-def same_arm(one: Arm, other: Arm) -> bool:
-    """Whether two arms have the same joints, limits, inertias and control points, and stand in one place."""
-    a, b = one.model, other.model
-    names = [(arm.model.name, arm.nq, arm.joint_names, arm.control_points) for arm in (one, other)]
-    if names[0] != names[1]:
-        return False
-    limits = zip((*one.limits, a.effortLimit), (*other.limits, b.effortLimit), strict=True)
-    if not all(map(np.array_equal, *zip(*limits, strict=True))):
-        return False
-    numbers = zip(_numbers(one), _numbers(other), strict=True)
-    return all(_close(x, y) for x, y in numbers)
-
-
-def _numbers(arm: Arm) -> tuple[Array, ...]:
-    model = arm.model
-    frames = [model.frames[model.getFrameId(name)] for name in arm.control_points]
-    placements = [
-        *list(model.jointPlacements)[1:],
-        *(frame.placement for frame in frames),
-        arm.base_placement,
-    ]
-    return (
-        np.array([placement.homogeneous for placement in placements]),
-        np.array([frame.parentJoint for frame in frames]),
-        np.array([inertia.toDynamicParameters() for inertia in model.inertias]),
-        arm.chain.axes,
-        np.array([arm.sliding_unit]),
-    )
 
 
 def differences(task: Task, parts: Mapping[str, Any]) -> list[str]:
@@ -201,6 +62,17 @@ def differences(task: Task, parts: Mapping[str, Any]) -> list[str]:
     plain = ("limits", "controller", "scene", "continuity", "formats", "name", "scans")
     tests |= {key: getattr(task, key) == parts[key] for key in plain}
     return [key for key, same in tests.items() if not same]
+
+
+def _same_spec(one: ArmSpec, other: ArmSpec) -> bool:
+    """Whether two arms are made from the same; files may be named by way of links."""
+
+    def named(spec: ArmSpec) -> ArmSpec:
+        folders = tuple(each.resolve() for each in spec.package_dirs)
+        file = None if spec.urdf is None else Path(spec.urdf).resolve()
+        return spec.model_copy(update={"urdf": file, "package_dirs": folders})
+
+    return named(one) == named(other)
 
 
 def _same_motion(one: tuple[Keyframe, ...] | Leader, other: tuple[Keyframe, ...] | Leader) -> bool:
@@ -238,6 +110,7 @@ class Wording:
 
     Attributes:
         file: the file that is to be written.
+        read: whether the descriptions were read just now, and need not be tried again.
     """
 
     def __init__(self, file: Path, described: Mapping[Hashable, object], read: bool = False) -> None:
@@ -248,7 +121,7 @@ class Wording:
             described: as in `Task`.
             read: whether the descriptions were read just now, and need not be tried again.
         """
-        self.file, self._described, self._read = file, described, read
+        self.file, self._described, self.read = file, described, read
 
     @property
     def folder(self) -> Path:
@@ -273,7 +146,7 @@ class Wording:
         if part not in self._described:
             return None
         plain = plain_in(self._described[part], self.folder)
-        if self._read:
+        if self.read:
             return plain
         why = "which gives another one now"
         try:
@@ -301,125 +174,61 @@ def plain_in(value: Any, folder: Path) -> Any:
     return value
 
 
-# What stands in a task file for the arm: as it was described, a template, or a URDF file beside it.
-
-_TEMPLATED = re.compile(r"(.+)_(\d{1,4})")
+# What stands in a task file for the arm: what it was made from, with a URDF file beside it if need be.
 
 
 class WrittenArm(NamedTuple):
     """What stands in a task file for an arm, and what has to stand beside it.
 
     Attributes:
-        table: its table.
+        spec: what it is made from, in a file.
         file: the URDF file beside it, if there has to be a new one.
         text: what that file holds.
     """
 
-    table: dict[str, Any]
+    spec: ArmSpec
     file: Path | None = None
     text: str = ""
 
 
 def write_arm(arm: Arm, wording: Wording) -> WrittenArm:
-    """Describe an arm.
+    """Describe an arm by what it was made from.
 
     Raises:
-        FileError: it has no description, none that a file could hold, or its URDF file would take the place
-            of another.
+        FileError: it was made of a Pinocchio model, or its URDF file would take the place of another.
     """
-    told = wording.told(arm, "arm", lambda table: read_arm(table.table("arm"), _load), same_arm)
-    if told is not None:
-        return WrittenArm(told)
-    more: dict[str, Any] = {}
-    placement = write_placement(arm.base_placement)
-    if placement:
-        more["placement"] = placement
-    if arm.sliding_unit != float(arm.chain.module_lengths.mean()):
-        more["sliding_unit"] = arm.sliding_unit
-    template = _template(arm)
-    if template is not None and _gives_arm(template | more, arm, wording):
-        return WrittenArm(template | more)
-    return _beside(arm, more, wording)
-
-
-def _template(arm: Arm) -> dict[str, Any] | None:
-    """The template that an arm is made of, if it is one of `Arm.from_template`, with the lengths of links."""
-    named = _TEMPLATED.fullmatch(str(arm.model.name))
-    if named is None or named[1] not in TEMPLATES or not 1 <= int(named[2]) <= MOST_MODULES:
-        return None
-    module, count = TEMPLATES[named[1]], int(named[2])
-    joints = len(module.joints)
-    if arm.model.njoints != joints * count + 1:
-        return None
-    ends = [arm.model.jointPlacements[joint].translation[0] for joint in range(2, arm.model.njoints)]
-    ends.append(arm.model.frames[arm.model.getFrameId(arm.control_points[-1])].placement.translation[0])
-    lengths = [float(length) for length in ends[:joints]]
-    try:
-        module = module.with_lengths(lengths)
-    except PostureError:
-        return None
-    if modules_to_urdf([module] * count, str(arm.model.name)) != arm.urdf:
-        return None
-    own = {} if module == TEMPLATES[named[1]] else {"link_lengths": lengths}
-    return {"template": named[1], "modules": count, **own}
-
-
-def _beside(arm: Arm, more: dict[str, Any], wording: Wording) -> WrittenArm:
-    """The arm as a URDF file beside the task."""
-    if arm.urdf is None or arm.report is None:
+    spec = arm.spec
+    if spec is None or arm.urdf is None or arm.report is None:
         reason = "it was made of a Pinocchio model and has no URDF; load it by Arm.from_urdf"
         raise FileError(wording.file, f"arm: no file can describe it: {reason}")
-    file = wording.file.with_suffix(".urdf")
-    for described in _described(arm, arm.report, file):
-        table = plain_in(described | more, wording.folder)
-        if _gives_arm(table, arm, wording, arm.urdf):
-            there = file.exists()
-            if there and read_text(file) != arm.urdf:
-                reason = "is there already, and holds something else than the arm of the task"
-                raise FileError(file, f"{reason}; allowed: a name for the task beside which there is room")
-            return WrittenArm(table) if there else WrittenArm(table, file, arm.urdf)
-    reason = "its URDF does not lead to the same control points again; say how by `described`"
-    raise FileError(wording.file, f"arm: no file can describe it: {reason}")
+    if spec.template is not None and spec.modules is not None and spec.modules > MOST_MODULES:
+        place, unit = spec.placement, spec.sliding_unit
+        spec = ArmSpec(urdf=arm.urdf, split=arm.report.segmentation.sizes, placement=place, sliding_unit=unit)
+    file = spec.urdf
+    if file is None or (isinstance(file, Path) and (wording.read or _still(file, arm.urdf, wording))):
+        return WrittenArm(spec)
+    file = settled(wording.file.with_suffix(".urdf"))
+    folders = [Path(each) for each in arm.report.package_dirs if settled(each) != file.parent]
+    spec = spec.model_copy(update={"urdf": file, "package_dirs": tuple(folders)})
+    if not file.exists():
+        return WrittenArm(spec, file, arm.urdf)
+    if load_text(file)[0] != arm.urdf:
+        reason = "is there already, and holds something else than the arm of the task"
+        raise FileError(file, f"{reason}; allowed: a name for the task beside which there is room")
+    return WrittenArm(spec)
 
 
-def _described(arm: Arm, report: LoadReport, file: Path) -> Iterator[dict[str, Any]]:
-    """Descriptions that may give the arm again: modules by their joints, or by the links where they end."""
-    assert arm.urdf is not None
-    description = read_description(arm.urdf)
-    described: dict[str, Any] = {"urdf": file}
-    if report.base != description.root:
-        described["base"] = report.base
-    described["tip"] = report.tip
-    sizes = list(report.segmentation.sizes)
-    split = sizes[0] if len(set(sizes)) == 1 else sizes
-    locked = locked_joints(arm, description, report.base, report.tip)
-    rest: dict[str, Any] = {"locked": locked} if locked else {}
-    folders = [Path(each) for each in report.package_dirs if settled(each) != settled(file.parent)]
-    if folders:
-        rest["package_dirs"] = folders
-    yield described | {"split": split} | rest
-    links = links_of_modules(arm)
-    if links is not None:
-        yield described | {"split": links} | rest
-
-
-def _gives_arm(table: dict[str, Any], arm: Arm, wording: Wording, text: str | None = None) -> bool:
-    """Whether a description gives an arm back."""
-
-    def load(path: Path, **given: Any) -> Arm:
-        return _load(path if text is None else text, **given)
-
+def _still(file: Path, text: str, wording: Wording) -> bool:
+    """Whether a URDF file still holds what an arm was made from; a warning says why not."""
+    why = "which gives another one now"
     try:
-        return same_arm(read_arm(wording.table("arm", table).table("arm"), load), arm)
-    except PostureError:
-        return False
-
-
-def _load(source: str | Path, **given: Any) -> Arm:
-    """As `Arm.from_urdf`, without the warnings: they were told when the arm was made."""
-    locked, placement = given.pop("locked") or {}, given.pop("base_placement") or pin.SE3.Identity()
-    loaded = load_model(source, **given, locked=locked, base_placement=placement)
-    return Arm(loaded.model, loaded.control_points, placement, loaded.text, loaded.report)
+        if load_text(file)[0] == text:
+            return True
+    except PostureError as error:
+        why = f"but {getattr(error, 'reason', error)}"
+    message = f"{wording.file}: arm was {shown(relative(file, wording.folder))}, {why}; it is written out"
+    warnings.warn(message, PostureWarning, stacklevel=5)
+    return False
 
 
 # What stands in a task file for keyframes, or for the path that the leader takes.
@@ -615,7 +424,7 @@ def write_task(task: Task, path: Path) -> Path:
     with _naming(path), _folder(path.parent):  # ways to other files lead through it
         wording = Wording(path, task.described)
         arm = write_arm(task.arm, wording)
-        text = _text(task, path, _contents(task, arm.table, wording))
+        text = _text(task, arm.spec, path, _contents(task, arm.spec, wording))
         if arm.file is not None:
             write_text(arm.file, arm.text)
         try:
@@ -666,17 +475,17 @@ def layout_of(task: Task, path: Path, text: str) -> Layout:
         text: what it holds.
     """
     wording = Wording(path, task.described, read=True)
-    return Layout(text, _contents(task, write_arm(task.arm, wording).table, wording))
+    return Layout(text, _contents(task, write_arm(task.arm, wording).spec, wording))
 
 
-def _contents(task: Task, arm: dict[str, Any], wording: Wording) -> dict[str, Any]:
+def _contents(task: Task, arm: ArmSpec, wording: Wording) -> dict[str, Any]:
     """All tables, in the order in which they stand in the file; without those that say what is as usual."""
     leader = isinstance(task.motion, Leader)
     contents: dict[str, Any] = {"version": VERSION, "kind": "follow_leader" if leader else "keyframes"}
     contents["name"] = task.name if task.name != wording.file.stem else Usual(task.name)
     if task.continuity != "velocity":
         contents["continuity"] = task.continuity
-    contents["arm"] = arm
+    contents["arm"] = plain_in(arm.said(), wording.folder)
     contents["limits"] = write_limits(task.limits, task.arm)
     controller = write_controller(task.controller, wording)
     if controller:
@@ -713,7 +522,7 @@ def _plain(value: Any) -> Any:
     return int(number) if whole else number
 
 
-def _text(task: Task, path: Path, contents: dict[str, Any]) -> str:
+def _text(task: Task, arm: ArmSpec, path: Path, contents: dict[str, Any]) -> str:
     """The text of the file, which reads back as the task; with the layout of the file it was read from.
 
     Raises:
@@ -725,11 +534,11 @@ def _text(task: Task, path: Path, contents: dict[str, Any]) -> str:
         if task.layout is not None:
             text = toml_text(contents, task.layout)
             with suppress(FileError):
-                _read_back(task, path, text)
+                _read_back(task, arm, path, text)
                 return text
             warnings.warn(f"{path}: its comments and layout could not be kept", PostureWarning, stacklevel=4)
         text = toml_text(contents)
-    _read_back(task, path, text)
+    _read_back(task, arm, path, text)
     return text
 
 
@@ -740,7 +549,7 @@ def _said(value: Any) -> Any:
     return [_said(each) for each in value] if isinstance(value, list) else value
 
 
-def _read_back(task: Task, path: Path, text: str) -> None:
+def _read_back(task: Task, arm: ArmSpec, path: Path, text: str) -> None:
     """Refuse to write what would be read as something else.
 
     Raises:
@@ -753,5 +562,7 @@ def _read_back(task: Task, path: Path, text: str) -> None:
         raise FileError(path, f"{half}, is nothing for a file") from None
     parts = read_task(Document(path, content_of(path, text)), task.arm)
     wrong = differences(task, parts)
+    if not _same_spec(arm, parts["spec"]):
+        wrong.append("arm")
     if wrong:
         raise FileError(path, f"cannot hold the task: {', '.join(wrong)} would be read as something else")

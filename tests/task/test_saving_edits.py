@@ -137,7 +137,7 @@ def test_attributes_are_settled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         ({"scans": (3,)}, InvalidValue, "scans is"),
         ({"scans": ("",)}, InvalidValue, "scans is"),
         ({"scans": ("a\0.ply",)}, InvalidValue, "scans is"),
-        ({"described": {"arm": {}}}, InvalidValue, "described is .*; allowed: a mapping from an arm"),
+        ({"described": {"arm": {}}}, InvalidValue, "described is .*; allowed: a mapping from curves"),
         ({"described": []}, InvalidValue, "described is"),
         (
             lambda: {"motion": leader(), "continuity": "acceleration"},
