@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,9 +32,7 @@ from pinposture.task.keyframe import CONTINUITIES, Keyframe, naming, title, usua
 from pinposture.task.perform import CYCLE
 from pinposture.thesis.curves import CURVES
 
-if TYPE_CHECKING:
-    from pinposture.task.task import Task
-
+Array = NDArray[np.float64]
 
 # What a task file says of the arm: a URDF file, or modules of a template, and where it stands.
 
@@ -294,7 +292,24 @@ def check_path(table: Table, leader: Leader, arm: Arm) -> None:
         raise table.fault("pipe", f"is {shown(table.value('pipe'))}; allowed: {allowed}")
 
 
-# What can be seen to be wrong with a task before anything is searched for.
+# What a task consists of, and what can be seen to be wrong with it before anything is searched for.
+
+
+class TaskParts(NamedTuple):
+    """What stands in a task file, as `pinposture.task.Task` has it under the same names."""
+
+    arm: Arm
+    motion: tuple[Keyframe, ...] | Leader
+    limits: Limits
+    controller: Controller
+    scene: Scene | None
+    start: Array | None
+    continuity: Literal["velocity", "acceleration"]
+    formats: tuple[str, ...]
+    name: str
+    scans: tuple[Path, ...]
+    described: Mapping[Hashable, object]
+
 
 RESULT_FORMATS = ("npz", "csv", "json", "png", "html")
 """What may be kept of the result of a task."""
@@ -306,7 +321,7 @@ DESCRIBED = (Curve, EndEffector, Scene, *KINDS.values())
 """The parts of a task that a file may describe in several ways."""
 
 
-def check_task(task: Task) -> None:
+def check_task(task: TaskParts) -> None:
     """Refuse a task that no file could hold.
 
     Raises:
@@ -374,8 +389,6 @@ def _check_point(arm: Arm, point: int | str) -> None:
 
 
 # What a task file says of an arm's limits, its controller, what surrounds it, and where it begins.
-
-Array = NDArray[np.float64]
 
 _SCENE = ("version", "obstacles", "self_collision", "margin", "arm_radius")
 _LIMIT_QUANTITIES = dict.fromkeys(
@@ -504,12 +517,12 @@ _COMMON = ("version", "kind", "name", "arm", "limits", "controller", "scene", "s
 _OWN = {"keyframes": ("keyframes", "continuity"), "follow_leader": ("leader",)}
 
 
-def read_task(document: Document, arm: Arm | None = None) -> dict[str, Any]:
-    """The parts of a task, by the names that `Task` has for them.
+def read_task(document: Document, arm: Arm | None = None) -> TaskParts:
+    """The parts of a task.
 
     Args:
         document: the file.
-        arm: the arm, if it is there already and need not be made.
+        arm: the arm, if it is there already: it is not made of what the file says.
 
     Raises:
         FileError: what the file says cannot be; names the line, the key, the value and what is allowed.
@@ -523,33 +536,32 @@ def read_task(document: Document, arm: Arm | None = None) -> dict[str, Any]:
             if key in root and kind != other:
                 raise root.fault(key, f"goes with kind = {other!r}; the kind is {kind!r}")
     root.only(*_COMMON, *_OWN[kind])
-    spec = read_arm(root.table("arm"))
-    arm = make_arm(root.table("arm"), spec) if arm is None else arm
+    if arm is None:
+        arm = make_arm(root.table("arm"), read_arm(root.table("arm")))
     scene = read_surroundings(root.table("scene"), document.path.parent)
-    usual, motion = usual_placement(scene), None
-    if kind == "follow_leader":
-        motion = read_leader(root.table("leader"), usual)
-    parts = {
-        "spec": spec,
-        "arm": arm,
-        "motion": read_keyframes(root.tables("keyframes"), usual, arm) if motion is None else motion,
-        "limits": read_limits(root.table("limits"), arm),
-        "controller": read_controller(root.table("controller")),
-        "scene": scene,
-        "start": read_start(root.table("start"), arm),
-        "continuity": root.text("continuity", "velocity", CONTINUITIES),
-        "formats": _formats(root.table("output")),
-        "name": root.text("name", document.path.stem),
-        "scans": _scans(root.table("editor")),
-        "described": document.described,
-    }
+    usual, leads = usual_placement(scene), kind == "follow_leader"
+    parts = TaskParts(
+        arm=arm,
+        motion=read_leader(root.table("leader"), usual)
+        if leads
+        else read_keyframes(root.tables("keyframes"), usual, arm),
+        limits=read_limits(root.table("limits"), arm),
+        controller=read_controller(root.table("controller")),
+        scene=scene,
+        start=read_start(root.table("start"), arm),
+        continuity=root.text("continuity", "velocity", CONTINUITIES),
+        formats=_formats(root.table("output")),
+        name=root.text("name", document.path.stem),
+        scans=_scans(root.table("editor")),
+        described=document.described,
+    )
     _check(root, parts)
     return parts
 
 
-def _check(root: Table, parts: dict[str, Any]) -> None:
+def _check(root: Table, parts: TaskParts) -> None:
     """Refuse what can be seen to be wrong without a search."""
-    arm, motion, scene = parts["arm"], parts["motion"], parts["scene"]
+    arm, motion = parts.arm, parts.motion
     if isinstance(motion, Leader):
         check_path(root.table("leader"), motion, arm)
     else:
@@ -559,7 +571,7 @@ def _check(root: Table, parts: dict[str, Any]) -> None:
             raise root.fault("keyframes", reason)
         for keyframe, table in zip(motion, root.tables("keyframes"), strict=True):
             check_points(table, keyframe, arm)
-    for name in around_base(scene, arm):
+    for name in around_base(parts.scene, arm):
         raise root.table("scene").table("obstacles").fault(name, where_base_is(arm))
 
 

@@ -24,7 +24,7 @@ from pinposture.task.follow_leader import Leader, follow_leader
 from pinposture.task.keyframe import Keyframe, usual_placement
 from pinposture.task.keyframes import keyframe_reference
 from pinposture.task.perform import perform
-from pinposture.task.reader import RESULT_FORMATS, check_task, read_task
+from pinposture.task.reader import RESULT_FORMATS, TaskParts, check_task, read_task
 from pinposture.task.reference import Outlook, Reference, outlook, require_room
 from pinposture.task.resolving import with_fitting_joints
 from pinposture.task.toml import Layout, Place
@@ -96,7 +96,7 @@ class Task:
             if not isinstance(scan, str | Path) or not str(scan).strip() or "\0" in str(scan):
                 raise InvalidValue("scans", self.scans, "paths of files")
         self._settle("scans", tuple(map(settled, scans)))
-        check_task(self)
+        check_task(self._parts())
         self._settle("motion", _placed(self.arm, self.motion, usual_placement(self.scene)))
         self._settle("formats", tuple(each for each in RESULT_FORMATS if each in formats))
         self._settle("described", dict(self.described))
@@ -107,6 +107,9 @@ class Task:
 
     def _settle(self, name: str, value: object) -> None:
         object.__setattr__(self, name, value)
+
+    def _parts(self) -> TaskParts:
+        return TaskParts(*(getattr(self, name) for name in TaskParts._fields))
 
     @classmethod
     def load(cls, path: str | Path) -> Task:
@@ -121,14 +124,13 @@ class Task:
         """
         document = Document(Path(path))
         parts = read_task(document)
-        del parts["spec"]  # which the arm keeps
         try:
-            task = cls(**parts)
+            task = cls(**parts._asdict())
         except PostureError as error:
             raise document.fault((), str(error)) from error
         task._settle("_document", document)
         if document.toml is not None:
-            task._settle("layout", layout_of(task, document.path, document.toml))
+            task._settle("layout", layout_of(parts, document.path, document.toml))
         return task
 
     def save(self, path: str | Path) -> Path:
@@ -149,7 +151,7 @@ class Task:
                 another one, or something that no task file can say: an arm without URDF, a controller with
                 parameters of its own.
         """
-        return write_task(self, Path(path))
+        return write_task(self._parts(), Path(path), self.layout)
 
     def edited(self, **changes: Any) -> Task:
         """The task with other attributes, as by `dataclasses.replace`; it belongs to no file.

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from operator import eq
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -33,6 +33,8 @@ from pinposture.task.reader import (
     RESULT_FORMATS,
     UNLIMITED,
     VERSION,
+    TaskParts,
+    read_arm,
     read_curve,
     read_obstacle,
     read_surroundings,
@@ -40,10 +42,6 @@ from pinposture.task.reader import (
     read_tip,
 )
 from pinposture.task.toml import Layout, Usual, toml_text
-
-if TYPE_CHECKING:
-    from pinposture.task.task import Task
-
 
 Array = NDArray[np.float64]
 
@@ -53,14 +51,14 @@ CLOSE = 1e-12
 """How far what angles say in a file may be apart: rotations do not survive them to the last bit."""
 
 
-def differences(task: Task, parts: Mapping[str, Any]) -> list[str]:
+def differences(task: TaskParts, parts: TaskParts) -> list[str]:
     """Names of the attributes in which a task differs from what was read, arm and descriptions aside."""
     tests = {
-        "motion": _same_motion(task.motion, parts["motion"]),
-        "start": _same_start(task.start, parts["start"]),
+        "motion": _same_motion(task.motion, parts.motion),
+        "start": _same_start(task.start, parts.start),
     }
     plain = ("limits", "controller", "scene", "continuity", "formats", "name", "scans")
-    tests |= {key: getattr(task, key) == parts[key] for key in plain}
+    tests |= {key: getattr(task, key) == getattr(parts, key) for key in plain}
     return [key for key, same in tests.items() if not same]
 
 
@@ -418,13 +416,19 @@ def write_start(start: Array, arm: Arm) -> dict[str, Any]:
 # A whole task file: what stands in it, and that it gives the task back before it is put in its place.
 
 
-def write_task(task: Task, path: Path) -> Path:
-    """Write a task file, and a URDF file beside it if it takes one; see `Task.save`."""
+def write_task(task: TaskParts, path: Path, layout: Layout | None = None) -> Path:
+    """Write a task file, and a URDF file beside it if it takes one; see `Task.save`.
+
+    Args:
+        task: what to write.
+        path: the file.
+        layout: the TOML file whose comments and layout are to stay.
+    """
     check_format(path)
     with _naming(path), _folder(path.parent):  # ways to other files lead through it
         wording = Wording(path, task.described)
         arm = write_arm(task.arm, wording)
-        text = _text(task, arm.spec, path, _contents(task, arm.spec, wording))
+        text = _text(task, arm.spec, path, _contents(task, arm.spec, wording), layout)
         if arm.file is not None:
             write_text(arm.file, arm.text)
         try:
@@ -466,7 +470,7 @@ def _folder(folder: Path) -> Iterator[None]:
         raise
 
 
-def layout_of(task: Task, path: Path, text: str) -> Layout:
+def layout_of(task: TaskParts, path: Path, text: str) -> Layout:
     """What to keep of the TOML file that a task was just read from.
 
     Args:
@@ -478,7 +482,7 @@ def layout_of(task: Task, path: Path, text: str) -> Layout:
     return Layout(text, _contents(task, write_arm(task.arm, wording).spec, wording))
 
 
-def _contents(task: Task, arm: ArmSpec, wording: Wording) -> dict[str, Any]:
+def _contents(task: TaskParts, arm: ArmSpec, wording: Wording) -> dict[str, Any]:
     """All tables, in the order in which they stand in the file; without those that say what is as usual."""
     leader = isinstance(task.motion, Leader)
     contents: dict[str, Any] = {"version": VERSION, "kind": "follow_leader" if leader else "keyframes"}
@@ -522,7 +526,7 @@ def _plain(value: Any) -> Any:
     return int(number) if whole else number
 
 
-def _text(task: Task, arm: ArmSpec, path: Path, contents: dict[str, Any]) -> str:
+def _text(task: TaskParts, arm: ArmSpec, path: Path, contents: dict[str, Any], layout: Layout | None) -> str:
     """The text of the file, which reads back as the task; with the layout of the file it was read from.
 
     Raises:
@@ -531,8 +535,8 @@ def _text(task: Task, arm: ArmSpec, path: Path, contents: dict[str, Any]) -> str
     if path.suffix.lower() == ".json":
         text = json.dumps(_said(contents), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     else:
-        if task.layout is not None:
-            text = toml_text(contents, task.layout)
+        if layout is not None:
+            text = toml_text(contents, layout)
             with suppress(FileError):
                 _read_back(task, arm, path, text)
                 return text
@@ -549,7 +553,7 @@ def _said(value: Any) -> Any:
     return [_said(each) for each in value] if isinstance(value, list) else value
 
 
-def _read_back(task: Task, arm: ArmSpec, path: Path, text: str) -> None:
+def _read_back(task: TaskParts, arm: ArmSpec, path: Path, text: str) -> None:
     """Refuse to write what would be read as something else.
 
     Raises:
@@ -560,9 +564,10 @@ def _read_back(task: Task, arm: ArmSpec, path: Path, text: str) -> None:
     except UnicodeEncodeError as error:
         half = f"{text[error.start]!r} in a text of the task, half of a surrogate pair"
         raise FileError(path, f"{half}, is nothing for a file") from None
-    parts = read_task(Document(path, content_of(path, text)), task.arm)
+    document = Document(path, content_of(path, text))
+    parts = read_task(document, task.arm)
     wrong = differences(task, parts)
-    if not _same_spec(arm, parts["spec"]):
+    if not _same_spec(arm, read_arm(document.root.table("arm"))):
         wrong.append("arm")
     if wrong:
         raise FileError(path, f"cannot hold the task: {', '.join(wrong)} would be read as something else")
