@@ -186,7 +186,7 @@ def _templated(
     """An arm of a template, and what to call it."""
     from pinposture.arm import Arm
     from pinposture.arm.template import TEMPLATES
-    from pinposture.task.reader import MOST_MODULES
+    from pinposture.task.specification import MOST_MODULES
 
     if source not in TEMPLATES:
         raise UnknownName("task file, robot description or template", source, TEMPLATES)

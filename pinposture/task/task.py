@@ -24,9 +24,10 @@ from pinposture.task.follow_leader import Leader, follow_leader
 from pinposture.task.keyframe import Keyframe, usual_placement
 from pinposture.task.keyframes import keyframe_reference
 from pinposture.task.perform import perform
-from pinposture.task.reader import RESULT_FORMATS, TaskParts, check_task, read_task
+from pinposture.task.reader import TaskParts, check_task, read_task
 from pinposture.task.reference import Outlook, Reference, outlook, require_room
 from pinposture.task.resolving import with_fitting_joints
+from pinposture.task.specification import RESULT_FORMATS
 from pinposture.task.toml import Layout, Place
 from pinposture.task.writer import layout_of, write_task
 

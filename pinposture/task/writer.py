@@ -25,21 +25,27 @@ from pinposture.control import CONTROLLERS, ConstrainedQP, Controller, EndEffect
 from pinposture.curve import Curve
 from pinposture.errors import FileError, PostureError, PostureWarning
 from pinposture.storage import check_writable, relative, settled, write_text
-from pinposture.task.document import Content, Document, Table, check_format, content_of, shown
+from pinposture.task.document import Content, Document, check_format, content_of, shown
 from pinposture.task.follow_leader import Leader
 from pinposture.task.keyframe import Keyframe, usual_placement
 from pinposture.task.reader import (
+    TaskParts,
+    make_curve,
+    make_obstacle,
+    make_scene,
+    make_tip,
+    read_arm,
+    read_task,
+)
+from pinposture.task.specification import (
     MOST_MODULES,
     RESULT_FORMATS,
     UNLIMITED,
     VERSION,
-    TaskParts,
-    read_arm,
-    read_curve,
-    read_obstacle,
-    read_surroundings,
-    read_task,
-    read_tip,
+    CurveSpec,
+    ObstacleSpec,
+    SceneSpec,
+    TipSpec,
 )
 from pinposture.task.toml import Layout, Usual, toml_text
 
@@ -130,7 +136,7 @@ class Wording:
         self,
         part: Part,
         key: str,
-        read: Callable[[Table], object],
+        read: Callable[[Document], object],
         same: Callable[[Any, Part], bool] = eq,
     ) -> Any:
         """What is to stand in the file for a part, if that was said and is still true; else None.
@@ -138,7 +144,7 @@ class Wording:
         Args:
             part: the part.
             key: what it stands under.
-            read: what makes the part of a table with that key.
+            read: what makes the part of a file that holds nothing but that key.
             same: whether two parts are equal.
         """
         if part not in self._described:
@@ -148,17 +154,13 @@ class Wording:
             return plain
         why = "which gives another one now"
         try:
-            if same(read(self.table(key, plain)), part):
+            if same(read(Document(self.file, Content({key: plain}, None))), part):
                 return plain
         except PostureError as error:
             why = f"but {getattr(error, 'reason', error)}"
         message = f"{self.file}: {key} was {shown(plain)}, {why}; it is written out"
         warnings.warn(message, PostureWarning, stacklevel=5)
         return None
-
-    def table(self, key: str, plain: object) -> Table:
-        """A table of the file that holds nothing but this."""
-        return Document(self.file, Content({key: plain}, None)).root
 
 
 def plain_in(value: Any, folder: Path) -> Any:
@@ -275,7 +277,7 @@ def _placement(motion: Keyframe | Leader, usual: str) -> dict[str, Any]:
 
 def write_curve(curve: Curve, key: str, wording: Wording) -> Any:
     """A curve as it was described, or by its control points, or by its knots and coefficients."""
-    told = wording.told(curve, key, lambda table: read_curve(table, key))
+    told = wording.told(curve, key, lambda file: make_curve(file, (key,), file.read(CurveSpec, (key,))))
     if told is not None:
         return told
     points = curve.control_points
@@ -300,7 +302,7 @@ def _gives_curve(described: dict[str, Any], curve: Curve) -> bool:
 
 
 def _write_tip(tip: EndEffector, wording: Wording) -> Any:
-    told = wording.told(tip, "tip", lambda table: read_tip(table.table("tip")))
+    told = wording.told(tip, "tip", lambda file: make_tip(file, ("tip",), file.read(TipSpec, ("tip",))))
     if told is not None:
         return told
     described: dict[str, Any] = {}
@@ -377,7 +379,9 @@ def write_controller(controller: Controller, wording: Wording) -> dict[str, Any]
 
 def write_scene(scene: Scene, wording: Wording) -> Any:
     """A table for the scene: the file that it came from, or what is in it."""
-    told = wording.told(scene, "scene", lambda table: read_surroundings(table.table("scene"), wording.folder))
+    told = wording.told(
+        scene, "scene", lambda file: make_scene(file, ("scene",), file.read(SceneSpec, ("scene",)))
+    )
     if told is not None:
         return told
     described: dict[str, Any] = {"margin": scene.margin}
@@ -392,7 +396,9 @@ def write_scene(scene: Scene, wording: Wording) -> Any:
 
 def _obstacle(obstacle: Obstacle, wording: Wording) -> Any:
     told = wording.told(
-        obstacle, "obstacle", lambda table: read_obstacle(table.table("obstacle"), wording.folder)
+        obstacle,
+        "obstacle",
+        lambda file: make_obstacle(file, ("obstacle",), file.read(ObstacleSpec, ("obstacle",))),
     )
     if told is not None:
         return told
@@ -567,7 +573,7 @@ def _read_back(task: TaskParts, arm: ArmSpec, path: Path, text: str) -> None:
     document = Document(path, content_of(path, text))
     parts = read_task(document, task.arm)
     wrong = differences(task, parts)
-    if not _same_spec(arm, read_arm(document.root.table("arm"))):
+    if not _same_spec(arm, read_arm(document)):
         wrong.append("arm")
     if wrong:
         raise FileError(path, f"cannot hold the task: {', '.join(wrong)} would be read as something else")
