@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from pydantic import (
@@ -50,9 +50,19 @@ MOTION_KINDS = ("keyframes", "follow_leader")
 
 # Kinds of values.
 
+Read = TypeVar("Read")
+
 
 def _wrong(value: object, allowed: str, hint: str = "") -> ValueError:
     return ValueError(f"is {shown(value)}{hint}; allowed: {allowed}")
+
+
+def _within(key: str | int, read: Callable[..., Read], *arguments: Any) -> Read:
+    """What `read` returns; a mistake that it finds is in this key."""
+    try:
+        return read(*arguments)
+    except ValueError as error:
+        raise Misplaced(str(error), key, *getattr(error, "within", ())) from None
 
 
 def _did_you_mean(value: object, known: Sequence[str]) -> str:
@@ -97,14 +107,16 @@ def _whole(value: object) -> object:
     return value
 
 
-def _quantity(kind: str, above_zero: bool = False) -> BeforeValidator:
-    def read(value: object) -> float:
-        number = read_quantity(value, kind)
-        if above_zero and number <= 0.0:
-            raise _wrong(value, "more than 0")
-        return number
+def _above_zero(value: object, kind: str) -> float:
+    number = read_quantity(value, kind)
+    if number <= 0.0:
+        raise _wrong(value, "more than 0")
+    return number
 
-    return BeforeValidator(read)
+
+def _quantity(kind: str, above_zero: bool = False) -> BeforeValidator:
+    read = _above_zero if above_zero else read_quantity
+    return BeforeValidator(lambda value: read(value, kind))
 
 
 def read_quantities(value: object, kinds: Sequence[str], unlimited: bool = False) -> list[float]:
@@ -120,13 +132,10 @@ def read_quantities(value: object, kinds: Sequence[str], unlimited: bool = False
     """
     if not isinstance(value, list | tuple) or len(value) != len(kinds):
         raise _wrong(value, f"a list of {len(kinds)}")
-    numbers = []
-    for index, (each, kind) in enumerate(zip(value, kinds, strict=True)):
-        try:
-            numbers.append(math.inf if unlimited and each == UNLIMITED else read_quantity(each, kind))
-        except ValueError as error:
-            raise Misplaced(str(error), index) from None
-    return numbers
+    return [
+        math.inf if unlimited and each == UNLIMITED else _within(index, read_quantity, each, kind)
+        for index, (each, kind) in enumerate(zip(value, kinds, strict=True))
+    ]
 
 
 def _quantities(kind: str, count: int) -> BeforeValidator:
@@ -140,13 +149,10 @@ def _in_si(kinds: Mapping[str, str]) -> Callable[[Mapping[str, Any]], dict[str, 
         plain = dict(table)
         for key, kind in kinds.items():
             value = plain.get(key)
-            try:
-                if isinstance(value, str):
-                    plain[key] = read_quantity(value, kind)
-                elif isinstance(value, list) and any(isinstance(each, str) for each in value):
-                    plain[key] = read_quantities(value, [kind] * len(value))
-            except ValueError as error:
-                raise Misplaced(str(error), key, *getattr(error, "within", ())) from None
+            if isinstance(value, str):
+                plain[key] = _within(key, read_quantity, value, kind)
+            elif isinstance(value, list) and any(isinstance(each, str) for each in value):
+                plain[key] = _within(key, read_quantities, value, [kind] * len(value))
         return plain
 
     return read
@@ -318,12 +324,10 @@ class ArmTable(TableSpec):
     def _positions(cls, value: object) -> object:
         if not isinstance(value, Mapping):
             raise _wrong(value, "a table")
-        for name, position in value.items():
-            try:
-                read_quantity(position, "angle", "length")
-            except ValueError as error:
-                raise Misplaced(str(error), name) from None
-        return {name: read_quantity(position, "angle", "length") for name, position in value.items()}
+        return {
+            name: _within(name, read_quantity, position, "angle", "length")
+            for name, position in value.items()
+        }
 
     @field_validator("package_dirs", mode="before")
     @classmethod
@@ -374,13 +378,7 @@ class LimitsSpec(TableSpec):
                 hint = _did_you_mean(name, list(parts))
                 raise Misplaced(f"there is no such key{hint}; allowed: turning, sliding", name)
             kind, joints = parts[name]
-            try:
-                number = read_quantity(each, kind)
-                if number <= 0.0:
-                    raise _wrong(each, "more than 0")
-            except ValueError as error:
-                raise Misplaced(str(error), name) from None
-            limit[joints] = number
+            limit[joints] = _within(name, _above_zero, each, kind)
         if info.field_name == "velocity":  # what is not said is as the description has it
             limit = np.where(np.isinf(limit), arm.limits.velocity, limit)
         return limit

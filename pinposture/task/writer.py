@@ -8,7 +8,6 @@ import warnings
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from operator import eq
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -137,7 +136,6 @@ class Wording:
         part: Part,
         key: str,
         read: Callable[[Document], object],
-        same: Callable[[Any, Part], bool] = eq,
     ) -> Any:
         """What is to stand in the file for a part, if that was said and is still true; else None.
 
@@ -145,7 +143,6 @@ class Wording:
             part: the part.
             key: what it stands under.
             read: what makes the part of a file that holds nothing but that key.
-            same: whether two parts are equal.
         """
         if part not in self._described:
             return None
@@ -154,7 +151,7 @@ class Wording:
             return plain
         why = "which gives another one now"
         try:
-            if same(read(Document(self.file, Content({key: plain}, None))), part):
+            if read(Document(self.file, Content({key: plain}, None))) == part:
                 return plain
         except PostureError as error:
             why = f"but {getattr(error, 'reason', error)}"
