@@ -245,6 +245,8 @@ def _sections(text: str) -> _Section:
         blank = (at for at in range(entries, end) if not lines[at].strip())
         lead = end if number == len(ends) - 1 else next(blank, entries - 1) + 1
         section.body, section.tail = "".join(lines[begin:entries]), "".join(lines[entries:lead])
+        if section is root and not section.body:  # what stands above all else stays there
+            section.header, section.tail, lead = "".join(lines[:end]), "", end
         if number < len(scan.headers):
             section = _within(root, scan.headers[number][1])
             section.header = "".join(lines[lead : end + 1])
@@ -300,7 +302,8 @@ class _Pieces:
         at = (section.number, 0)
         if section.written:
             body = section.body if said == own else _changed(section.body, said, own)
-            self._pieces[at] = (section.header + body + section.tail, False)
+            begun = not place and bool(body) and not section.body
+            self._pieces[at] = (section.header + body + section.tail, begun)
         else:
             at = (min(each.number for each in section.all() if each.written) - 1, next(self._count))
             if _said(own).keys() & new:

@@ -337,6 +337,14 @@ def test_line_ends_and_json(commented: pp.Task, tmp_path: Path) -> None:
     assert_same(pp.Task.load(path), commented)
 
 
+@pytest.mark.parametrize("above", ["# A coil.\n", "# A coil.\n\n", "", "\n# A\n\n# coil.\n"])
+def test_what_stands_above_all_else_stays_there(above: str) -> None:
+    text, says = f"{above}[arm]  # long\nmodules = 6\n", {"arm": {"modules": 6}}
+    assert toml_text(says, Layout(text, says)) == text
+    expected = f"{above}name = 3\n\n[arm]  # long\nmodules = 6\n"
+    assert toml_text({"name": 3, **says}, Layout(text, says)) == expected
+
+
 def test_what_need_not_be_said_is_said_only_where_it_stands_and_differs() -> None:
     text = "b = 1 # here\n"
     assert toml_text({"a": Usual(3), "b": Usual(1)}, Layout(text, {"b": Usual(1)})) == text
