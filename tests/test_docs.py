@@ -74,7 +74,7 @@ def test_tasks_are_saved_as_shown(in_a_folder: Path) -> None:
     run(described)
     text = (in_a_folder / "coil.toml").read_text()
     assert 'urdf = "snake.urdf"\nsplit = 2\n' in text
-    assert 'curve = { type = "helix", radius = 0.05, pitch = 0.05, turns = 1.2 }' in text
+    assert 'curve = {type = "helix", radius = 0.05, pitch = 0.05, turns = 1.2}' in text
     assert pp.Task.load("coil.toml").arm.nv == 12
 
 

@@ -4,6 +4,7 @@ from pinposture.arm.arm import Arm
 from pinposture.arm.configurations import JointLimits
 from pinposture.arm.feasibility import Adequacy, Violation
 from pinposture.arm.manipulability import ControlPoints, Ellipsoid
+from pinposture.arm.specification import ArmSpec, FeedSpec, PlacementSpec
 from pinposture.arm.state import ArmState
 from pinposture.arm.template import TEMPLATES, JointSpec, ModuleTemplate, template
 
@@ -11,12 +12,15 @@ __all__ = [
     "TEMPLATES",
     "Adequacy",
     "Arm",
+    "ArmSpec",
     "ArmState",
     "ControlPoints",
     "Ellipsoid",
+    "FeedSpec",
     "JointLimits",
     "JointSpec",
     "ModuleTemplate",
+    "PlacementSpec",
     "Violation",
     "template",
 ]

@@ -18,7 +18,7 @@ from pinposture.arm.feasibility import Adequacy, CurveShape, adequacy
 from pinposture.arm.kinematics import MOST_IN_DATA, FrameReader, Kinematics
 from pinposture.arm.loading import LoadReport
 from pinposture.arm.segmentation import Segmentation
-from pinposture.arm.specification import Blueprint
+from pinposture.arm.specification import ArmSpec, Blueprint
 from pinposture.arm.state import ArmState
 from pinposture.errors import InvalidValue
 
@@ -42,6 +42,7 @@ class Arm(Blueprint):
         chain: the kinematic chain at the neutral configuration.
         urdf: the description it was loaded from, or None.
         report: what was decided while it was loaded (base, tip, warnings, ...); None if it was not.
+        spec: what it was made from; None if that was a Pinocchio model.
         segmentation: how its joints are grouped into modules, and why.
         kinematics: the chain as kernels see it.
         frames: reads the control points from Pinocchio; None if the arm is too long for that.
@@ -59,8 +60,9 @@ class Arm(Blueprint):
         urdf: str | None = None,
         report: LoadReport | None = None,
         sliding_unit: float | None = None,
+        spec: ArmSpec | None = None,
     ) -> None:
-        super().__init__(model, control_points, base_placement, urdf, report, sliding_unit)
+        super().__init__(model, control_points, base_placement, urdf, report, sliding_unit, spec)
         if not self.control_points:
             raise InvalidValue("control_points", list(control_points), "at least one frame name")
         self.chain: Chain = read_chain(model, self.control_points)
@@ -295,13 +297,14 @@ class Arm(Blueprint):
         """
         if not (isinstance(sliding_unit, Real) and np.isfinite(sliding_unit) and sliding_unit > 0.0):
             raise InvalidValue("sliding_unit", sliding_unit, "a finite length above 0 [m]")
-        return Arm(
-            self.model, self.control_points, self.base_placement, self.urdf, self.report, float(sliding_unit)
-        )
+        unit = float(sliding_unit)
+        spec = None if self.spec is None else self.spec.model_copy(update={"sliding_unit": unit})
+        parts = (self.model, self.control_points, self.base_placement, self.urdf, self.report)
+        return Arm(*parts, unit, spec)
 
     def __reduce__(self) -> tuple[Any, ...]:
         parts = (self.model, self.control_points, self.base_placement, self.urdf, self.report)
-        return Arm, (*parts, self.sliding_unit)
+        return Arm, (*parts, self.sliding_unit, self.spec)
 
     def __repr__(self) -> str:
         kind = "planar" if self.dimension == 2 else "spatial"

@@ -3,20 +3,175 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
+from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_validator
 
 from pinposture._validation import rigid_placement
 from pinposture.arm.configurations import ConfigurationSpace
 from pinposture.arm.loading import LoadReport, Modules, load_model, place_base
-from pinposture.arm.template import ModuleTemplate, modules_to_urdf, template
+from pinposture.arm.template import JointSpec, ModuleTemplate, modules_to_urdf, template
 from pinposture.errors import InvalidValue, PostureWarning
+from pinposture.specification import Specification
+from pinposture.storage import settled
 
 Made = TypeVar("Made", bound="Blueprint")
+
+# What an arm is made from, as data.
+
+Vector: TypeAlias = tuple[float, float, float]
+
+ANGLE_ROUNDING = 1e-15
+"""How far what three angles say may be from a rotation matrix, entry by entry."""
+
+
+class PlacementSpec(Specification):
+    """A placement in the world.
+
+    Attributes:
+        position: x, y, z [m].
+        rotation: roll, pitch and yaw [rad].
+    """
+
+    position: Vector = (0.0, 0.0, 0.0)
+    rotation: Vector = (0.0, 0.0, 0.0)
+
+    def build(self) -> pin.SE3:
+        """The placement."""
+        return pin.SE3(pin.rpy.rpyToMatrix(*self.rotation), np.array(self.position))
+
+    @classmethod
+    def of(cls, placement: pin.SE3) -> PlacementSpec:
+        """What says a placement, its rotation to 1e-15."""
+        return cls(position=placement.translation.tolist(), rotation=roll_pitch_yaw(placement.rotation))
+
+
+def roll_pitch_yaw(rotation: NDArray[np.float64]) -> Vector:
+    """The angles of a rotation matrix (3, 3) [rad], with no more digits than it takes to find it again."""
+    angles = np.asarray(pin.rpy.matrixToRpy(rotation))
+    for digits in range(3, 17):
+        rounded = np.round(angles, digits) + 0.0  # and no zero below zero
+        if np.abs(pin.rpy.rpyToMatrix(*rounded) - rotation).max() <= ANGLE_ROUNDING:
+            angles = rounded
+            break
+    roll, pitch, yaw = map(float, angles)
+    return roll, pitch, yaw
+
+
+class FeedSpec(Specification):
+    """A slide along the axis of an arm, which pushes all of it.
+
+    Attributes:
+        stroke: how far [m].
+        length: of the link that it pushes [m]; that of a module if None.
+        speed: the largest [m/s].
+    """
+
+    stroke: PositiveFloat
+    length: float | None = None
+    speed: PositiveFloat = 0.1
+
+
+OF_A_TEMPLATE = ("template", "modules", "link_lengths", "joint_limits", "feed")
+OF_A_URDF = ("urdf", "base", "tip", "split", "locked", "package_dirs")
+
+
+class ArmSpec(Specification):
+    """What an arm is made from: modules of a template, or a URDF. `Arm.from_spec` makes the arm.
+
+        spec = ArmSpec(template="RyRz", modules=20)
+        spec = ArmSpec(urdf=Path("snake.urdf"), tip="head", split=2)
+
+    Attributes:
+        template: name of a module template.
+        modules: how many of them.
+        link_lengths: length of the link after each joint of a module [m]; the template's own if None.
+        joint_limits: smallest and largest position of each revolute joint [rad]; the template's own if None.
+        feed: a slide below the first module, if there is one.
+        urdf: a URDF file, or the text of one.
+        base: link at which the arm begins; the root if None.
+        tip: link at which it ends, as for `Arm.from_urdf`.
+        split: how the chain is cut into modules, as `modules` of `Arm.from_urdf`.
+        locked: joints that are held still, and where [rad or m].
+        package_dirs: folders in which viewers look for meshes.
+        placement: where the base stands in the world; at the origin if None.
+        sliding_unit: the slide that weighs as much as a turn of one radian [m]; the mean module length if
+            None.
+    """
+
+    template: str | None = None
+    modules: PositiveInt | None = None
+    link_lengths: tuple[float, ...] | None = None
+    joint_limits: tuple[float, float] | None = None
+    feed: FeedSpec | None = None
+    urdf: Path | str | None = None
+    base: str | None = None
+    tip: str | None = None
+    split: int | tuple[int, ...] | tuple[str, ...] | None = None
+    locked: dict[str, float] = Field(default_factory=dict)
+    package_dirs: tuple[Path, ...] = ()
+    placement: PlacementSpec | None = None
+    sliding_unit: PositiveFloat | None = None
+
+    @field_validator("urdf")
+    @classmethod
+    def _file_or_text(cls, source: Path | str | None) -> Path | str | None:
+        return Path(source) if isinstance(source, str) and not is_urdf_text(source) else source
+
+    @model_validator(mode="after")
+    def _one_source(self) -> ArmSpec:
+        kind, other = (OF_A_URDF, OF_A_TEMPLATE) if self.urdf is not None else (OF_A_TEMPLATE, OF_A_URDF)
+        for key in other:
+            if getattr(self, key) not in (None, {}, ()):
+                raise ValueError(f"{key!r} does not go with {kind[0]!r}")
+        return self
+
+    def module_templates(self) -> list[ModuleTemplate]:
+        """The modules from base to tip, those of a template with all that is said of them.
+
+        Raises:
+            UnknownName: no such template.
+            InvalidValue: a value that makes no module; has its name here.
+        """
+        if self.template is None or self.modules is None:
+            raise InvalidValue("template", self.template, "the name of a template, and a number of modules")
+        module = template(self.template)
+        if self.link_lengths is not None:
+            with _naming("link_lengths"):
+                module = module.with_lengths(self.link_lengths)
+        if self.joint_limits is not None:
+            with _naming("joint_limits"):
+                module = module.with_limits(*self.joint_limits)
+        modules = [module] * self.modules
+        if self.feed is None:
+            return modules
+        length = module.length if self.feed.length is None else self.feed.length
+        with _naming("feed"):
+            slide = JointSpec("x", "prismatic", 0.0, self.feed.stroke, velocity=self.feed.speed)
+            return [ModuleTemplate("Feed", (slide,), (length,), module.radius), *modules]
+
+
+@contextmanager
+def _naming(key: str) -> Iterator[None]:
+    """Say of a wrong value which key of a specification it is in."""
+    try:
+        yield
+    except InvalidValue as error:
+        raise InvalidValue(key, error.value, error.allowed) from None
+
+
+def is_urdf_text(source: object) -> bool:
+    """Whether it is the text of a URDF, and not the path of a file."""
+    return isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<")
+
+
+# The ways to make an arm.
 
 
 class Blueprint(ConfigurationSpace):
@@ -27,6 +182,7 @@ class Blueprint(ConfigurationSpace):
         base_placement: where the base link stands in the world.
         urdf: the description it was loaded from, or None.
         report: what was decided while it was loaded (base, tip, warnings, ...); None if it was not.
+        spec: what it was made from; None if that was a Pinocchio model.
         sliding_unit: the slide that weighs as much as a turn of one radian [m].
     """
 
@@ -40,11 +196,12 @@ class Blueprint(ConfigurationSpace):
         urdf: str | None = None,
         report: LoadReport | None = None,
         sliding_unit: float | None = None,
+        spec: ArmSpec | None = None,
     ) -> None:
         super().__init__(model)
         self.control_points = tuple(control_points)
         self.base_placement = pin.SE3.Identity() if base_placement is None else base_placement
-        self.urdf, self.report = urdf, report
+        self.urdf, self.report, self.spec = urdf, report, spec
         if sliding_unit is not None:
             self.sliding_unit = sliding_unit
 
@@ -86,7 +243,36 @@ class Blueprint(ConfigurationSpace):
         module = template(name)
         if link_lengths is not None:
             module = module.with_lengths(link_lengths)
-        return cls.from_modules([module] * modules, base_placement=base_placement, name=f"{name}_{modules}")
+        lengths = None if link_lengths is None else tuple(module.link_lengths)
+        spec = ArmSpec(template=name, modules=modules, link_lengths=lengths)
+        return cls._from_templates(spec, spec.module_templates(), base_placement)
+
+    @classmethod
+    def from_spec(cls: type[Made], spec: ArmSpec) -> Made:
+        """Build an arm of what it is said to be made from.
+
+        Args:
+            spec: a template or a URDF, and how to make an arm of it.
+
+        Returns:
+            The arm; what `spec` says of it is kept.
+
+        Raises:
+            PostureError: as `from_template` and `from_urdf`, or neither a template nor a URDF is named.
+        """
+        placement = None if spec.placement is None else spec.placement.build()
+        if spec.urdf is None:
+            return cls._from_templates(spec, spec.module_templates(), placement)
+        given = (spec.urdf, spec.base, spec.tip, spec.split, spec.locked, spec.package_dirs)
+        return cls._loaded(spec, *given, base_placement=placement)
+
+    @classmethod
+    def _from_templates(
+        cls: type[Made], spec: ArmSpec, modules: Sequence[ModuleTemplate], base_placement: pin.SE3 | None
+    ) -> Made:
+        text = modules_to_urdf(modules, f"{spec.template}_{spec.modules}")
+        sizes = [len(module.joints) for module in modules]
+        return cls._loaded(spec, text, modules=sizes, base_placement=base_placement)
 
     @classmethod
     def from_modules(
@@ -146,11 +332,40 @@ class Blueprint(ConfigurationSpace):
             UnknownName: `base`, `tip` or a locked joint does not exist.
             InvalidValue: `modules` does not fit the chain, or a value that is none.
         """
+        return cls._loaded(None, source, base, tip, modules, locked, package_dirs, base_placement)
+
+    @classmethod
+    def _loaded(
+        cls: type[Made],
+        spec: ArmSpec | None,
+        source: str | Path,
+        base: str | None = None,
+        tip: str | None = None,
+        modules: Modules = None,
+        locked: Mapping[str, float] | None = None,
+        package_dirs: Sequence[str | Path] | None = None,
+        base_placement: pin.SE3 | None = None,
+    ) -> Made:
+        """The arm of a URDF; if `spec` is None, it is what the arguments say."""
         placement = rigid_placement("base_placement", base_placement)
         loaded = load_model(source, base, tip, modules, dict(locked or {}), placement, package_dirs)
         for message in loaded.report.warnings:
-            warnings.warn(message, PostureWarning, stacklevel=2)
-        return cls(loaded.model, loaded.control_points, placement, loaded.text, loaded.report)
+            warnings.warn(message, PostureWarning, stacklevel=3)
+        if spec is None:
+            if isinstance(package_dirs, str | Path):
+                package_dirs = [package_dirs]
+            spec = ArmSpec(
+                urdf=loaded.text if is_urdf_text(source) else settled(source),
+                base=base,
+                tip=tip,
+                split=_split(modules),
+                locked={name: float(position) for name, position in (locked or {}).items()},
+                package_dirs=tuple(settled(folder) for folder in package_dirs or ()),
+            )
+        if base_placement is not None and spec.placement is None:
+            spec = spec.model_copy(update={"placement": PlacementSpec.of(placement)})
+        parts = (loaded.model, loaded.control_points, placement, loaded.text, loaded.report)
+        return cls(*parts, spec.sliding_unit, spec)
 
     @classmethod
     def from_model(
@@ -187,6 +402,10 @@ class Blueprint(ConfigurationSpace):
         described["urdf"] = self.urdf
         described["report"] = self.report.to_dict() if self.report else None
         described["sliding_unit"] = self.sliding_unit
+        if self.spec is not None:
+            described["spec"] = self.spec.model_dump(mode="json", exclude_defaults=True)
+            if isinstance(self.spec.urdf, str):  # which stands above
+                del described["spec"]["urdf"]
         described["model"] = self.model.saveToString()
         return described
 
@@ -198,4 +417,14 @@ class Blueprint(ConfigurationSpace):
         placement = pin.SE3(np.array(described["base_placement"]))
         report = LoadReport.from_dict(described["report"]) if described.get("report") else None
         points, urdf, unit = (described[key] for key in ("control_points", "urdf", "sliding_unit"))
-        return cls(model, points, placement, urdf, report, unit)
+        spec = described.get("spec")
+        if spec is not None:
+            spec = ArmSpec(**({} if "template" in spec else {"urdf": urdf}) | spec)
+        return cls(model, points, placement, urdf, report, unit, spec)
+
+
+def _split(modules: Modules) -> Any:
+    """How a chain was cut into modules, as plain data."""
+    if modules is None:
+        return None
+    return (modules,) if isinstance(modules, str) else np.asarray(modules).tolist()

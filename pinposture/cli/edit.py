@@ -17,8 +17,6 @@ from pinposture.cli.inputs import (
     PackageDirOption,
     TipOption,
     read_arm,
-    read_locked,
-    read_modules,
     refuse_given,
 )
 from pinposture.cli.output import print_note
@@ -163,19 +161,10 @@ def read_task(
         return (Task.load(path) if left is None or left.task is None else left.task), path
     from pinposture.editor.first_task import first_task
 
-    described: dict[str, object] | None
     if suffix in (".urdf", ".xml", ".xacro") or version_of(Path(source)):
         arm, name = read_arm(source, base, tip, modules, locked, package_dir), Path(source).stem
-        asked: dict[str, object] = {
-            "base": base,
-            "tip": tip,
-            "split": None if modules is None else read_modules(modules),
-            "locked": read_locked(locked) or None,
-            "package_dirs": [each.absolute() for each in package_dir or ()] or None,
-        }
-        described = {"urdf": Path(source).absolute()} | {k: v for k, v in asked.items() if v is not None}
     else:
-        (arm, name), described = _templated(source, base, tip, modules, locked, package_dir), None
+        arm, name = _templated(source, base, tip, modules, locked, package_dir)
     path = ((folder or Path()) / f"{name}.toml" if save_as is None else save_as).absolute()
     if path.suffix.lower() not in SUFFIXES:
         raise FileError(path, f"the name ends in {path.suffix!r}; allowed: {', '.join(SUFFIXES)}")
@@ -183,7 +172,7 @@ def read_task(
         raise FileError(
             path, f"exists already; edit it (pinposture edit {path.name}), or give another --save-as"
         )
-    return first_task(arm, name, described), path
+    return first_task(arm, name), path
 
 
 def _templated(
@@ -197,7 +186,7 @@ def _templated(
     """An arm of a template, and what to call it."""
     from pinposture.arm import Arm
     from pinposture.arm.template import TEMPLATES
-    from pinposture.task.reader import MOST_MODULES
+    from pinposture.task.specification import MOST_MODULES
 
     if source not in TEMPLATES:
         raise UnknownName("task file, robot description or template", source, TEMPLATES)

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from threading import Thread
 
+from pinposture.arm import Arm
 from pinposture.editor.autosave import Autosave, Recovered, put_aside, recover, version_of
 from pinposture.editor.edits import keyframes_of
 from pinposture.editor.session import Session
 from pinposture.errors import FileError, PostureError
 from pinposture.storage import settled
 from pinposture.task import Task
-from pinposture.task.writer import same_arm
 
 logger = logging.getLogger(__name__)
 
@@ -160,15 +160,19 @@ def _unreadable(left: Recovered) -> str:
 def _kept_of(task: Task, there: Task, kept: Path) -> Task:
     """A task that was kept, with the arm that is there if it is the same one: it need not begin anew then.
 
-    A description of the arm that was kept beside the task goes when that is saved, and is not relied on.
+    A URDF file that was kept beside the task goes when that is saved, and is not relied on.
     """
-    arm, told = task.arm, task.described.get(task.arm)
-    if same_arm(arm, there.arm):
-        arm, told = there.arm, there.described.get(there.arm)
-    elif isinstance(told, Mapping) and told.get("urdf") == settled(kept.with_suffix(".urdf")):
-        told = None
-    described = {part: each for part, each in task.described.items() if part is not task.arm}
-    return task.edited(arm=arm, described=described if told is None else described | {arm: told})
+    arm, other = task.arm, there.arm
+    if arm.spec is None or other.spec is None:
+        return task
+    aside = {"urdf": arm.urdf, "package_dirs": ()}
+    if arm.urdf == other.urdf and arm.spec.model_copy(update=aside) == other.spec.model_copy(update=aside):
+        return task.edited(arm=other)
+    if arm.spec.urdf == settled(kept.with_suffix(".urdf")):
+        spec = arm.spec.model_copy(update={"urdf": arm.urdf})
+        parts = (arm.model, arm.control_points, arm.base_placement, arm.urdf, arm.report, arm.sliding_unit)
+        return task.edited(arm=Arm(*parts, spec))
+    return task
 
 
 def within(folder: Path, name: str, start: Path | None = None) -> Path:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -39,13 +37,12 @@ TIME = 3.0
 """When it is to be taken [s]."""
 
 
-def first_task(arm: Arm, name: str = "", described: Mapping[str, object] | None = None) -> Task:
+def first_task(arm: Arm, name: str = "") -> Task:
     """A task for an arm that nothing is known of: straight, and three seconds later bent.
 
     Args:
         arm: the arm.
         name: what to call it.
-        described: how a task file describes the arm, as in `Task.described`; None if that can be found out.
 
     Raises:
         TaskError: no shape was found that the arm can take.
@@ -63,7 +60,6 @@ def first_task(arm: Arm, name: str = "", described: Mapping[str, object] | None 
         motion=keyframes,
         limits=Limits(step=None, dt=CYCLE, acceleration=ACCELERATION),
         name=name,
-        described={} if described is None else {arm: described},
     )
 
 

@@ -1,4 +1,4 @@
-"""TOML and JSON files as tables that know their lines, so that errors can name them."""
+"""TOML and JSON files as plain data that knows its lines, so that errors can name them."""
 
 from __future__ import annotations
 
@@ -6,137 +6,23 @@ import json
 import math
 import re
 import sys
-from bisect import bisect_right
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager
-from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar
 
-from pinposture.errors import FileError, InvalidValue, PostureError
-from pinposture.storage import read_text, settled
+from pydantic import TypeAdapter, ValidationError
 
-# On which line of a TOML file each of its tables, keys and list items begins.
+from pinposture.errors import FileError, InvalidValue, PostureError
+from pinposture.storage import read_text
+from pinposture.task.toml import Place, lines_of_toml
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
-
-Place = tuple[str | int, ...]
-"""A way through a file: names of keys, and numbers of list items from 0."""
-
-_BASIC, _LITERAL = r'"(?:[^"\\\n]|\\.)*"', r"'[^'\n]*'"
-_NAME = rf"(?:[A-Za-z0-9_-]+|{_BASIC}|{_LITERAL})"
-_KEY = re.compile(rf"{_NAME}(?:[ \t]*\.[ \t]*{_NAME})*")
-_STRING = re.compile(
-    r'"""(?:[^\\]|\\.)*?""""{0,2}' + r"|'''.*?''''{0,2}" + rf"|{_BASIC}|{_LITERAL}", re.DOTALL
-)
-_BARE = re.compile(r"[^,\]}#\n]*")
-_BETWEEN = re.compile(r"(?:\s|,|#[^\n]*)*")
-
-
-def lines_of_toml(text: str) -> dict[Place, int]:
-    """Find where everything begins in a file that is known to be TOML.
-
-    A table that is begun several times, as dotted keys do, counts from where it is first seen.
-
-    Args:
-        text: what the file holds; lines end in a line feed.
-
-    Returns:
-        Lines, the first of which is 1.
-    """
-    scan = _Scan(text)
-    scan.file()
-    return scan.found
-
-
-class _Scan:
-    """One passage through a file, which is not checked on the way."""
-
-    def __init__(self, text: str) -> None:
-        self.found: dict[Place, int] = {}
-        self._text, self._at = text, 0
-        self._breaks = [match.start() for match in re.finditer("\n", text)]
-        self._last: dict[Place, int] = {}  # the last of each list of tables so far
-
-    def file(self) -> None:
-        inside: Place = ()
-        self._pass(_BETWEEN)
-        while self._at < len(self._text):
-            if self._text[self._at] == "[":
-                inside = self._header()
-            else:
-                self._entry(inside)
-            self._pass(_BETWEEN)
-
-    def _header(self) -> Place:
-        brackets = 2 if self._text.startswith("[[", self._at) else 1
-        place: Place = ()
-        line = self._line()
-        self._at += brackets
-        self._pass(_BETWEEN)
-        names = self._key()
-        for number, name in enumerate(names, start=1):
-            place = (*place, name)
-            self.found.setdefault(place, line)
-            if brackets == 2 and number == len(names):
-                self._last[place] = self._last.get(place, -1) + 1
-            if place in self._last:
-                place = (*place, self._last[place])
-            self.found.setdefault(place, line)
-        self._pass(_BETWEEN)
-        self._at += brackets
-        return place
-
-    def _entry(self, inside: Place) -> None:
-        line = self._line()
-        for name in self._key():
-            inside = (*inside, name)
-            self.found.setdefault(inside, line)
-        self._at = self._text.index("=", self._at) + 1
-        self._value(inside)
-
-    def _value(self, place: Place) -> None:
-        self._pass(_BETWEEN)
-        begin = self._text[self._at]
-        if begin in "[{":
-            self._at += 1
-            self._pass(_BETWEEN)
-            number = 0
-            while self._text[self._at] not in "]}":
-                if begin == "{":
-                    self._entry(place)
-                else:
-                    item = (*place, number)
-                    self.found[item] = self._line()
-                    self._value(item)
-                    number += 1
-                self._pass(_BETWEEN)
-            self._at += 1
-        else:
-            self._pass(_STRING if begin in "\"'" else _BARE)
-
-    def _key(self) -> list[str]:
-        begin = self._at
-        self._pass(_KEY)
-        table, names = tomllib.loads(f"{self._text[begin : self._at]} = 0"), []
-        while isinstance(table, dict):
-            ((name, table),) = table.items()
-            names.append(name)
-        return names
-
-    def _line(self) -> int:
-        return bisect_right(self._breaks, self._at) + 1
-
-    def _pass(self, what: re.Pattern[str]) -> None:
-        match = what.match(self._text, self._at)
-        assert match is not None  # the file was read before
-        self._at = match.end()
-
 
 # What a file says, shown in a message: on one line, and not all of it.
 
@@ -161,11 +47,6 @@ def cut(text: str) -> str:
 
 # A TOML or JSON file as plain data, refused if that is not fit to be read on.
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
 DEEPEST = 20
 """Tables and lists within each other; three times what a task has."""
 
@@ -180,7 +61,7 @@ class Content(NamedTuple):
 
     Attributes:
         values: keys and values.
-        toml: the text if it is TOML, lines ending in a line feed; None if it is JSON.
+        toml: the text if it is TOML; None if it is JSON.
     """
 
     values: dict[str, Any]
@@ -194,7 +75,7 @@ def read_content(path: Path) -> Content:
         FileError: it is missing, unreadable, of another format, malformed, or holds no table; names the line.
     """
     check_format(path)
-    return content_of(path, read_text(path).replace("\r\n", "\n"))
+    return content_of(path, read_text(path))
 
 
 def content_of(path: Path, text: str) -> Content:
@@ -337,203 +218,32 @@ def _finite(number: float, value: object, allowed: str) -> float:
     return number
 
 
-# A TOML or JSON file as tables that know where they stand in it, so that errors can say so.
+# A file that was read, and where in it a mistake is.
 
+Spec = TypeVar("Spec")
 Made = TypeVar("Made")
-Part = TypeVar("Part", bound=Hashable)
-
-_REQUIRED: Any = object()
-_NO_WORDS: Mapping[str, float] = MappingProxyType({})
 
 
-class Table:
-    """A table of a file, read key by key.
+class Misplaced(ValueError):
+    """A mistake in a part of a value.
 
-    Every method that reads raises a FileError that names the file, the key, its line where that is known, the
-    value, and what was allowed.
+    Attributes:
+        within: the way from the value to the part.
     """
 
-    def __init__(self, values: Mapping[str, Any], where: Place, document: Document) -> None:
-        self._values, self._where, self._document = values, where, document
-
-    def __contains__(self, key: str) -> bool:
-        return key in self._values
-
-    def only(self, *allowed: str) -> Table:
-        """Refuse keys other than these; returns the table itself."""
-        for key in self._values:
-            if key not in allowed:
-                close = get_close_matches(key, allowed, n=1)
-                hint = f" (did you mean {close[0]!r}?)" if close else ""
-                raise self.fault(key, f"there is no such key{hint}; allowed: {', '.join(allowed)}")
-        return self
-
-    def fault(self, key: str | None, reason: str, *within: str | int) -> FileError:
-        """An error that says what is wrong with a key, or with something within it, or with the table."""
-        where = self._where if key is None else (*self._where, key, *within)
-        return self._document.fault(where, reason)
-
-    @contextmanager
-    def blaming(self, key: str | None = None) -> Iterator[None]:
-        """Say of an error of the library that it is this key's fault, or that of the key it names."""
-        try:
-            yield
-        except InvalidValue as error:
-            if error.name not in self._values:
-                raise self.fault(key, str(error)) from error
-            reason = f"is {shown(self._values[error.name])}; allowed: {error.allowed}"
-            raise self.fault(error.name, reason) from error
-        except PostureError as error:
-            raise self.fault(key, str(error)) from error
-
-    def value(self, key: str, default: Any = _REQUIRED) -> Any:
-        """Whatever is there."""
-        if key not in self._values and default is _REQUIRED:
-            raise self.fault(None, f"the key {key!r} is missing")
-        return self._values.get(key, default)
-
-    def text(self, key: str, default: Any = _REQUIRED, allowed: Sequence[str] = ()) -> Any:
-        """Text, one of some words if those are given."""
-        value = self.value(key, default)
-        if key in self._values and (not isinstance(value, str) or (allowed and value not in allowed)):
-            close = get_close_matches(value, allowed, n=1) if isinstance(value, str) else []
-            hint = f" (did you mean {close[0]!r}?)" if close else ""
-            words = ", ".join(map(repr, allowed)) or "text"
-            raise self.fault(key, f"is {shown(value)}{hint}; allowed: {words}")
-        return value
-
-    def flag(self, key: str, default: bool) -> bool:
-        """True or false."""
-        value = self.value(key, default)
-        if not isinstance(value, bool):
-            raise self.fault(key, f"is {shown(value)}; allowed: true, false")
-        return value
-
-    def whole(self, key: str, least: int, most: int) -> int:
-        """A whole number."""
-        value = self.value(key)
-        if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-            raise self.fault(key, f"is {shown(value)}; allowed: a whole number, {least} to {most}")
-        return value
-
-    def number(self, key: str, default: Any = _REQUIRED) -> Any:
-        """A finite number that has no unit."""
-        value = self.value(key, default)
-        if key in self._values:
-            number = isinstance(value, int | float) and not isinstance(value, bool)
-            if not number or not math.isfinite(value):
-                raise self.fault(key, f"is {shown(value)}; allowed: a number")
-        return value
-
-    def quantity(self, key: str, *kinds: str, default: Any = _REQUIRED) -> Any:
-        """A quantity in SI units; see `read_quantity`."""
-        if key not in self._values:
-            return self.value(key, default)
-        return self._quantity(self._values[key], kinds, key)
-
-    def above_zero(self, key: str, kind: str, default: Any = _REQUIRED) -> Any:
-        """A quantity in SI units that is more than 0."""
-        value = self.quantity(key, kind, default=default)
-        if key in self._values and value <= 0.0:
-            raise self.fault(key, f"is {shown(self._values[key])}; allowed: more than 0")
-        return value
-
-    def quantities(
-        self,
-        key: str,
-        kinds: Sequence[str],
-        default: Any = _REQUIRED,
-        words: Mapping[str, float] = _NO_WORDS,
-    ) -> Any:
-        """A list of quantities, one of each of these kinds, or words that stand for one."""
-        value = self.value(key, default)
-        if key not in self._values:
-            return value
-        if not isinstance(value, list) or len(value) != len(kinds):
-            wanted = f"a list of {len(kinds)}"
-            raise self.fault(key, f"is {shown(value)}; allowed: {wanted}")
-        listed = enumerate(zip(value, kinds, strict=True))
-        return [
-            words[each]
-            if isinstance(each, str) and each in words
-            else self._quantity(each, (kind,), key, number)
-            for number, (each, kind) in listed
-        ]
-
-    def _quantity(self, value: object, kinds: Sequence[str], key: str, *within: int) -> float:
-        try:
-            return read_quantity(value, *kinds)
-        except ValueError as error:
-            raise self.fault(key, str(error), *within) from None
-
-    def table(self, key: str) -> Table:
-        """A table within this one; empty if there is none."""
-        value = self._values.get(key, {})
-        if not isinstance(value, Mapping):
-            raise self.fault(key, f"is {shown(value)}; allowed: a table")
-        return Table(value, (*self._where, key), self._document)
-
-    def tables(self, key: str) -> list[Table]:
-        """Tables of the same name, in order."""
-        value = self._values.get(key, [])
-        if not isinstance(value, list) or not all(isinstance(each, Mapping) for each in value):
-            raise self.fault(key, f"is {shown(value)}; allowed: a list of tables, each begun by [[{key}]]")
-        return [Table(each, (*self._where, key, i), self._document) for i, each in enumerate(value)]
-
-    def part(self, *keys: str) -> Table:
-        """The same table with some of its keys only."""
-        return Table({k: v for k, v in self._values.items() if k in keys}, self._where, self._document)
-
-    def in_si(self, kinds: Mapping[str, str]) -> dict[str, Any]:
-        """What the table holds, as it is but for text in these keys, alone or listed: that is quantities."""
-        plain = self.plain()
-        for key, kind in kinds.items():
-            value = plain.get(key)
-            if isinstance(value, str):
-                plain[key] = self.quantity(key, kind)
-            elif isinstance(value, list) and any(isinstance(each, str) for each in value):
-                plain[key] = self.quantities(key, [kind] * len(value))
-        return plain
-
-    def says(self, part: Part, plain: object) -> Part:
-        """Remember how the file describes a part of the task; returns the part itself.
-
-        Args:
-            part: what was made of it.
-            plain: the description, as plain data in SI units; paths in it are absolute, and a `Path` each.
-        """
-        self._document.described[part] = plain
-        return part
-
-    def plain(self) -> dict[str, Any]:
-        """What the table holds, as it is."""
-        return dict(self._values)
-
-    def file(self, key: str, read: Callable[[Path], Made]) -> Made:
-        """What a file holds that is named here; its path begins where the file lies that names it."""
-        path = self.path(key, self.text(key))
-        with self.blaming(key):
-            return read(path)
-
-    def path(self, key: str, name: str) -> Path:
-        """A path that is named in the file; it begins where the file lies."""
-        try:
-            return self._document.path.parent / Path(name).expanduser()
-        except RuntimeError as error:  # the home of somebody unknown
-            raise self.fault(key, f"is {shown(name)}, which cannot be found ({error})") from None
-
-    def place(self, key: str, name: str) -> Path:
-        """The same, absolute."""
-        return settled(self.path(key, name))
+    def __init__(self, reason: str, *within: str | int) -> None:
+        super().__init__(reason)
+        self.within = within
 
 
 class Document:
-    """A file that was read.
+    """A file that was read. What is wrong with it is told as a FileError that names the line, key and value.
 
     Attributes:
         path: the file.
-        root: what it holds.
-        described: parts of the task that were made of it, and what it says of each; see `Table.says`.
+        values: what it holds.
+        described: parts of the task that were made of it, and what it says of each: plain data in SI units;
+            paths in it are absolute, and a `Path` each.
     """
 
     def __init__(self, path: Path, content: Content | None = None) -> None:
@@ -545,8 +255,74 @@ class Document:
         """
         self.path = path
         self._content = read_content(path) if content is None else content
-        self.root = Table(self._content.values, (), self)
+        self.values = self._content.values
         self.described: dict[Hashable, object] = {}
+
+    @property
+    def toml(self) -> str | None:
+        """The text if the file is TOML; None if it is JSON."""
+        return self._content.toml
+
+    def at(self, where: Place) -> Any:
+        """What the file holds at a place; None if there is nothing."""
+        value: Any = self.values
+        for key in where:
+            there = key in value if isinstance(value, Mapping) else isinstance(key, int) and key < len(value)
+            if not there:
+                return None
+            value = value[key]
+        return value
+
+    def read(self, kind: type[Spec] | Any, where: Place, context: Mapping[str, Any] | None = None) -> Spec:
+        """What the file says at a place, an empty table if nothing, checked and in SI units.
+
+        Args:
+            kind: the specification that it has to be.
+            where: the place.
+            context: what the specification needs to know besides.
+        """
+        value = self.at(where)
+        try:
+            spec: Spec = TypeAdapter(kind).validate_python({} if value is None else value, context=context)
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            reason = f"is {shown(first['input'])}; allowed: {first['msg']}"
+            cause = first.get("ctx", {}).get("error")
+            inside: Place = tuple(key for key in first["loc"])
+            if cause is not None:
+                reason, inside = str(cause), (*inside, *getattr(cause, "within", ()))
+            raise self.fault((*where, *inside), reason) from None
+        return spec
+
+    @contextmanager
+    def blaming(self, where: Place, key: str | None = None) -> Iterator[None]:
+        """Say of an error of the library that it is the fault of the key it names, or else of this one."""
+        table = self.at(where)
+        named = where if key is None else (*where, key)
+        try:
+            yield
+        except InvalidValue as error:
+            if not isinstance(table, Mapping) or error.name not in table:
+                raise self.fault(named, str(error)) from error
+            reason = f"is {shown(table[error.name])}; allowed: {error.allowed}"
+            raise self.fault((*where, error.name), reason) from error
+        except PostureError as error:
+            raise self.fault(named, str(error)) from error
+
+    def named(self, where: Place, name: str) -> Path:
+        """A path that is named in the file; it begins where the file lies."""
+        try:
+            return self.path.parent / Path(name).expanduser()
+        except RuntimeError as error:  # the home of somebody unknown
+            raise self.fault(where, f"is {shown(name)}, which cannot be found ({error})") from None
+
+    def file(self, where: Place, read: Callable[[Path], Made]) -> Made:
+        """What a file holds that is named at a place."""
+        path = self.named(where, self.at(where))
+        try:
+            return read(path)
+        except PostureError as error:
+            raise self.fault(where, str(error)) from error
 
     def line(self, where: Place) -> int | None:
         """The line of a place, or of what it is within; None if no line is known, as in JSON."""
@@ -563,4 +339,4 @@ class Document:
 
     @cached_property
     def _lines(self) -> dict[Place, int]:
-        return {} if self._content.toml is None else lines_of_toml(self._content.toml)
+        return {} if self._content.toml is None else lines_of_toml(self._content.toml.replace("\r\n", "\n"))

@@ -19,15 +19,17 @@ from pinposture.control import ConstrainedQP, Controller, Limits, controller_nam
 from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.motion import Motion
 from pinposture.storage import settled
-from pinposture.task.document import Document, Place, shown
+from pinposture.task.document import Document, shown
 from pinposture.task.follow_leader import Leader, follow_leader
 from pinposture.task.keyframe import Keyframe, usual_placement
 from pinposture.task.keyframes import keyframe_reference
 from pinposture.task.perform import perform
-from pinposture.task.reader import RESULT_FORMATS, check_task, read_task
+from pinposture.task.reader import TaskParts, check_task, read_task
 from pinposture.task.reference import Outlook, Reference, outlook, require_room
 from pinposture.task.resolving import with_fitting_joints
-from pinposture.task.writer import write_task
+from pinposture.task.specification import RESULT_FORMATS
+from pinposture.task.toml import Layout, Place
+from pinposture.task.writer import layout_of, write_task
 
 Array = NDArray[np.float64]
 
@@ -58,10 +60,12 @@ class Task:
         name: what to call it.
         scans: files of surfaces and point clouds that an editor shows, absolute; nobody keeps clear of them,
             and they need not be there.
-        described: what `save` may write of an arm, a curve, a tip, a scene or an obstacle, by that part
-            itself: what stands for it in a task file, in SI units, a `Path` for each path. For instance
-            `{arm: {"urdf": Path("snake.urdf"), "split": 2}, curve: "helix"}`. What is not in it, or no longer
-            gives the part, is written out.
+        described: what `save` may write of a curve, a tip, a scene or an obstacle, by that part itself: what
+            stands for it in a task file, in SI units, a `Path` for each path. For instance
+            `{curve: "helix", path: Path("path.csv")}`. What is not in it, or no longer gives the part, is
+            written out.
+        layout: the TOML file that the task was read from, the comments and layout of which `save` keeps; None
+            if there is none.
 
     Raises:
         PostureError: a value that no task file could hold; see `pinposture.task.reader`.
@@ -78,6 +82,7 @@ class Task:
     name: str = ""
     scans: tuple[Path, ...] = ()
     described: Mapping[Hashable, object] = field(default_factory=dict, repr=False)
+    layout: Layout | None = field(default=None, repr=False)
     # Not among the arguments, so that `replace` leaves it behind.
     _document: Document | None = field(default=None, init=False, repr=False)
 
@@ -92,7 +97,7 @@ class Task:
             if not isinstance(scan, str | Path) or not str(scan).strip() or "\0" in str(scan):
                 raise InvalidValue("scans", self.scans, "paths of files")
         self._settle("scans", tuple(map(settled, scans)))
-        check_task(self)
+        check_task(self._parts())
         self._settle("motion", _placed(self.arm, self.motion, usual_placement(self.scene)))
         self._settle("formats", tuple(each for each in RESULT_FORMATS if each in formats))
         self._settle("described", dict(self.described))
@@ -103,6 +108,9 @@ class Task:
 
     def _settle(self, name: str, value: object) -> None:
         object.__setattr__(self, name, value)
+
+    def _parts(self) -> TaskParts:
+        return TaskParts(*(getattr(self, name) for name in TaskParts._fields))
 
     @classmethod
     def load(cls, path: str | Path) -> Task:
@@ -118,19 +126,23 @@ class Task:
         document = Document(Path(path))
         parts = read_task(document)
         try:
-            task = cls(**parts)
+            task = cls(**parts._asdict())
         except PostureError as error:
             raise document.fault((), str(error)) from error
         task._settle("_document", document)
+        if document.toml is not None:
+            task._settle("layout", layout_of(parts, document.path, document.toml))
         return task
 
     def save(self, path: str | Path) -> Path:
         """Write a task file, from which `load` makes an equal task; whole or not at all. Returns its path.
 
         Numbers are in SI units. Files that the task names are named relative to the new one. Parts are
-        described as `described` says; a curve that is not in it is written with its points, an arm as the
-        template that it is made of, or else as a URDF file beside the task file, of the same name. What a
-        file that is replaced says besides, such as comments, is lost.
+        described as `described` says; a curve that is not in it is written with its points. An arm is
+        written as what it was made from (`Arm.spec`): a template, a URDF file that still is the same, or else
+        its URDF in a file beside the task file, of the same name. Comments
+        and layout of the TOML file that the task was read from stay, and so do units and order wherever what
+        is said there has not changed.
 
         Args:
             path: .toml or .json.
@@ -140,7 +152,7 @@ class Task:
                 another one, or something that no task file can say: an arm without URDF, a controller with
                 parameters of its own.
         """
-        return write_task(self, Path(path))
+        return write_task(self._parts(), Path(path), self.layout)
 
     def edited(self, **changes: Any) -> Task:
         """The task with other attributes, as by `dataclasses.replace`; it belongs to no file.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import pickle
 import sys
 import warnings
 from collections.abc import Callable
@@ -12,13 +14,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arm.awkward import SILENT, WARNED
-from arm.describing import LINK, Y, Z, arm_text, links, moving, pairs
+from arm.describing import LINK, arm_text, links, moving, pairs
 from arm.test_example_robots import LOADED, ROBOTS
 from arms import template_arm
 from task.same_tasks import assert_same_arms
 
 import pinposture as pp
-from pinposture.errors import FileError, PostureWarning
+from pinposture.arm import ArmSpec
+from pinposture.errors import FileError, InvalidValue, PostureWarning
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -118,9 +121,12 @@ def test_robots_that_others_wrote(tmp_path: Path, name: str) -> None:
     again, _ = saved(arm, tmp_path / "task.toml")
     assert_same_arms(again, arm)
     assert set(arm.package_dirs) <= set(again.package_dirs)  # meshes are found where they were
-    again, written = saved(arm, tmp_path / "other" / "task.toml", described={arm: {"urdf": ROBOTS / name}})
-    assert list(written) == ["urdf"] if tip is None else ["urdf", "tip", "split"]
+    again, written = saved(arm, tmp_path / "other" / "task.toml")
+    assert list(written) == ["urdf", "tip"][: 1 + (tip is not None)]
     assert_same_arms(again, arm)
+    beside, written = saved(arm_of(arm.urdf, tip=tip), tmp_path / "other" / "text.toml")
+    assert written["urdf"] == "text.urdf"
+    assert_same_arms(beside, arm)
 
 
 def test_locked_joints_are_found_where_they_are(tmp_path: Path) -> None:
@@ -141,31 +147,67 @@ def test_a_file_that_the_caller_knows_is_named(tmp_path: Path) -> None:
     file.write_text(arm_text(pairs(3)))
     arm = pp.Arm.from_urdf(file, modules=3, locked={"j1": np.pi / 4}, tip="l4")
     table = {"urdf": file, "split": 3, "locked": {"j1": np.pi / 4}, "tip": "l4"}
-    again, written = saved(arm, tmp_path / "tasks" / "task.toml", described={arm: table})
+    again, written = saved(arm, tmp_path / "tasks" / "task.toml")
     assert written == {**table, "urdf": "../robots/~arm 1.urdf"}
     assert_same_arms(again, arm)
-    again, written = saved(arm, tmp_path / "robots" / "task.toml", described={arm: table})
+    again, written = saved(arm, tmp_path / "robots" / "task.toml")
     assert written["urdf"] == str(file)  # "~arm 1.urdf" would be in the home of a user
     assert_same_arms(again, arm)
 
 
+def test_a_file_that_is_gone_is_told_and_not_named(tmp_path: Path) -> None:
+    file = tmp_path / "snake.urdf"
+    file.write_text(arm_text(pairs(3)))
+    arm = pp.Arm.from_urdf(file, modules=3)
+    file.unlink()
+    with pytest.warns(PostureWarning, match=r"arm was 'snake.urdf', but no such file; it is written out"):
+        again, written = saved(arm, tmp_path / "task.toml")
+    assert written == {"urdf": "task.urdf", "split": 3}
+    assert_same_arms(again, arm)
+
+
 @pytest.mark.parametrize(
-    ("table", "why"),
+    "make",
     [
-        ({"template": "RyRz", "modules": 7}, "which gives another one now"),
-        ({"template": "RyRs", "modules": 6}, "did you mean 'RyRz'"),
-        ({"urdf": Path("/nowhere/a.urdf")}, "no such file"),
-        ("RyRz", "allowed: a table"),
+        lambda: pp.Arm.from_template("RyRz", 3, (0.1, 0.2)),
+        lambda: pp.Arm.from_modules([pp.template("RyRz"), pp.template("Rz")]),
+        lambda: pp.Arm.from_urdf(arm_text(pairs(3)), modules=[2, 4], locked={}),
+        lambda: pp.Arm.from_urdf(arm_text(pairs(3)), modules=["l2", "tip"]),
+        lambda: pp.Arm.from_template("Rz", 2).with_sliding_unit(0.3),
     ],
 )
-def test_a_description_that_does_not_hold_is_told_and_not_written(
-    tmp_path: Path, table: object, why: str
-) -> None:
-    arm = six_modules()
-    with pytest.warns(PostureWarning, match=rf"task\.toml: arm was .*{why}.*; it is written out"):
-        again, written = saved(arm, tmp_path / "task.toml", described={arm: table})
-    assert written == {"template": "RyRz", "modules": 6}
-    assert_same_arms(again, arm)
+def test_an_arm_keeps_what_it_was_made_from(make: Callable[[], pp.Arm]) -> None:
+    arm = make()
+    assert_same_arms(pp.Arm.from_spec(arm.spec), arm)
+    assert pp.Arm.from_spec(arm.spec).spec == arm.spec
+    assert pickle.loads(pickle.dumps(arm)).spec == arm.spec
+    assert pp.Arm.from_dict(json.loads(json.dumps(arm.to_dict()))).spec == arm.spec
+    assert ArmSpec.model_validate_json(arm.spec.model_dump_json()) == arm.spec
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"template": 3}, "template is 3; allowed: Input should be a valid string"),
+        ({"template": "RyRz", "modules": 0}, "modules is 0"),
+        ({"template": "RyRz", "urdf": "a.urdf"}, "'template' does not go with 'urdf'"),
+        ({"template": "RyRz", "modules": 2, "tip": "x"}, "'tip' does not go with 'template'"),
+        ({"template": "RyRz", "module": 2}, "module is 2"),
+        (
+            {"template": "RyRz", "modules": 2, "link_lengths": (0.1,)},
+            "link_lengths is .*; allowed: 2 lengths",
+        ),
+        (
+            {"template": "RyRz", "modules": 2, "joint_limits": (1, -1)},
+            "joint_limits is .*; allowed: lower < upper",
+        ),
+        ({"template": "RyRz"}, "modules"),
+        ({}, "template is None"),
+    ],
+)
+def test_what_makes_no_arm_is_refused(values: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidValue, match=message):
+        pp.Arm.from_spec(ArmSpec(**values))
 
 
 def test_a_file_that_changed_after_it_was_read_is_not_named(tmp_path: Path) -> None:
@@ -201,11 +243,6 @@ def test_an_arm_without_urdf_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FileError, match=r"task\.toml: arm: no file can describe it: it was made of"):
         task_of(arm).save(tmp_path / "task.toml")
     assert not any(tmp_path.iterdir())
-    # It has one if somebody says how.
-    (tmp_path / "arm.urdf").write_text(arm_text([("revolute", Y, LINK), ("revolute", Z, LINK)]))
-    other = pp.Arm.from_urdf(tmp_path / "arm.urdf")
-    again, _ = saved(other, tmp_path / "task.toml", described={other: {"urdf": tmp_path / "arm.urdf"}})
-    assert_same_arms(again, other)
 
 
 def test_what_a_file_says_of_an_arm_stays(tmp_path: Path) -> None:
@@ -220,6 +257,16 @@ def test_what_a_file_says_of_an_arm_stays(tmp_path: Path) -> None:
     assert task.arm.sliding_unit == 0.03
     assert task.arm.model.name == "RyRz_4"
     path = task.save(tmp_path / "other" / "task.toml")
+    assert tomllib.loads(path.read_text())["arm"] == {
+        "template": "RyRz",
+        "modules": 4,
+        "link_lengths": ["3 cm", 0.02],
+        "joint_limits": ["-90 deg", 2],
+        "feed": {"stroke": "30 cm", "speed": "5 cm/s"},
+        "placement": {"rotation": ["90 deg", 0, "-45 deg"]},
+        "sliding_unit": "3 cm",
+    }
+    task.edited(layout=None).save(path)
     assert tomllib.loads(path.read_text())["arm"] == {
         "template": "RyRz",
         "modules": 4,

@@ -55,7 +55,7 @@ def test_an_edited_task_tells_of_no_lines(tmp_path: Path) -> None:
         assert "line" not in str(caught.value)
     assert told.value.path == path
     again = pp.Task.load(task.edited(name="another").save(path))
-    with pytest.raises(FileError, match=r"task\.toml: line 31: keyframe 2 'bowed'"):
+    with pytest.raises(FileError, match=r"task\.toml: line 36: keyframe 2 'bowed'"):
         again.reference()
 
 
@@ -137,7 +137,7 @@ def test_attributes_are_settled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         ({"scans": (3,)}, InvalidValue, "scans is"),
         ({"scans": ("",)}, InvalidValue, "scans is"),
         ({"scans": ("a\0.ply",)}, InvalidValue, "scans is"),
-        ({"described": {"arm": {}}}, InvalidValue, "described is .*; allowed: a mapping from an arm"),
+        ({"described": {"arm": {}}}, InvalidValue, "described is .*; allowed: a mapping from curves"),
         ({"described": []}, InvalidValue, "described is"),
         (
             lambda: {"motion": leader(), "continuity": "acceleration"},

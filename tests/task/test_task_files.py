@@ -14,6 +14,9 @@ from task_texts import LEADER, VALID
 
 import pinposture as pp
 from pinposture.errors import FileError
+from pinposture.task.document import Document
+from pinposture.task.reader import read_arm
+from pinposture.task.specification import TaskSpec
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -156,3 +159,24 @@ def test_a_task_in_python_needs_no_file() -> None:
     task = pp.Task(arm, keyframes, pp.Limits(step=None, dt=0.02))
     with pytest.raises(pp.errors.TaskError, match=r"^keyframe 2: the curve is 1 m long"):
         task.reference()
+
+
+def test_specifications_hold_what_a_file_says_in_si_units(tmp_path: Path) -> None:
+    path = tmp_path / "task.toml"
+    path.write_text(VALID)
+    document = Document(path)
+    arm = read_arm(document)
+    assert (arm.template, arm.modules, arm.link_lengths) == ("RyRz", 6, (0.025, 0.025))
+    assert arm.joint_limits == (pytest.approx(-170 * np.pi / 180), 3.0)
+    spec = document.read(TaskSpec, (), {"arm": pp.Arm.from_spec(arm)})
+    assert spec.limits.said() == {"cycle": 0.02, "velocity": np.pi / 2, "acceleration": 10.0}
+    assert spec.controller.said() == {"name": "qp", "haste": 0.2}
+    assert spec.scene.said() == {
+        "margin": 0.005,
+        "obstacles": {"ball": {"type": "sphere", "center": [0.0, 0.0, -0.5], "radius": 0.1}},
+    }
+    first, second = spec.keyframes
+    assert first.said() == {"name": "straight", "curve": {"type": "line", "a": [0, 0, 0], "b": [0.3, 0, 0]}}
+    assert (second.time, second.hold, second.placement, second.trim) == (1.0, 0.1, "align", True)
+    assert second.curve == {"type": "helix", "radius": 0.1, "pitch": 0, "turns": 0.6}
+    assert TaskSpec.model_validate(document.values, context={"arm": pp.Arm.from_spec(arm)}) == spec
