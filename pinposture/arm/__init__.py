@@ -1,7 +1,7 @@
 """What the robot is: module templates, URDF, loading, the arm and its state."""
 
 from pinposture.arm.arm import Arm
-from pinposture.arm.configurations import JointLimits
+from pinposture.arm.configurations import JointLimits, smooth_configuration
 from pinposture.arm.feasibility import Adequacy, Violation
 from pinposture.arm.manipulability import ControlPoints, Ellipsoid
 from pinposture.arm.state import ArmState
@@ -18,5 +18,6 @@ __all__ = [
     "JointSpec",
     "ModuleTemplate",
     "Violation",
+    "smooth_configuration",
     "template",
 ]

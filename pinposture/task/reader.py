@@ -21,6 +21,7 @@ from pinposture.collision.scene import obstacles_around
 from pinposture.control import CONTROLLERS, ConstrainedQP, Controller, EndEffector, Limits, controller_named
 from pinposture.control.limits import cycle_of
 from pinposture.curve import Curve
+from pinposture.curve.presets import CURVES
 from pinposture.errors import InvalidValue, PostureError, TaskError, UnknownName
 from pinposture.placement.resolve import METHODS, PLACEMENTS
 from pinposture.storage import settled
@@ -30,7 +31,6 @@ from pinposture.task.follow_leader import PATH_METHODS as WINDOWS
 from pinposture.task.follow_leader import PATH_PLACEMENTS as ENTRIES
 from pinposture.task.keyframe import CONTINUITIES, Keyframe, naming, title, usual_placement
 from pinposture.task.perform import CYCLE
-from pinposture.thesis.curves import CURVES
 
 if TYPE_CHECKING:
     from pinposture.task.task import Task
