@@ -46,7 +46,7 @@ pictures: $(VENV)/test-all.stamp
 
 # The generated robot descriptions under urdf/; a test fails when they are stale.
 urdf: $(VENV)/base.stamp
-	$(RUN) -m pinposture.thesis.arms urdf
+	$(RUN) -m pinposture.study urdf
 
 # Our controllers and others on the same cases; makes environments for the others under build/bench.
 # Options: make bench ARGS="--quick"

@@ -33,8 +33,8 @@ import numpy as np
 
 import pinposture as pp
 from pinposture.study import study
-from pinposture.thesis.arms import ARMS
-from pinposture.thesis.scenarios import PLANAR_SCENARIOS, SCENARIOS, SPATIAL_SCENARIOS, Scenario
+from pinposture.study.scenarios import PLANAR_SCENARIOS, SCENARIOS, SPATIAL_SCENARIOS, Scenario
+from pinposture.study.thesis_arms import ARMS
 
 SEEDS = range(1000, 1020)
 FLOOR = 1e-6

@@ -26,10 +26,10 @@ from rich.markup import escape
 from rich.table import Table
 
 import pinposture as pp
+from pinposture.arm import smooth_configuration
 from pinposture.collision import Scene, Sphere
 from pinposture.control import ConstrainedQP, JointPosture
 from pinposture.control.planner import avoidance, follow
-from pinposture.study import smooth_configuration
 
 Array = np.ndarray
 SITUATIONS = ("free", "joint limits", "acceleration", "obstacles")

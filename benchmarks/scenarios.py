@@ -121,7 +121,7 @@ def points_at(q: Array) -> Array:
 
 
 def smooth_configuration(modules: int, rng: np.random.Generator, amplitude: float) -> Array:
-    """Joints along three sine waves, (2 m,) [rad], as `pinposture.study.smooth_configuration` has them."""
+    """Joints along three sine waves, (2 m,) [rad], as `pinposture.arm.smooth_configuration` has them."""
     along = np.linspace(0.0, 1.0, modules)
     q = np.zeros((modules, 2))
     for place in range(2):

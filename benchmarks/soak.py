@@ -18,8 +18,8 @@ from collections import Counter
 import numpy as np
 
 import pinposture as pp
+from pinposture.arm import smooth_configuration
 from pinposture.motion import Tracker
-from pinposture.study import smooth_configuration
 
 DT, LAG, SAG = 0.01, 0.05, 0.02
 SPEED, ACCELERATION = 2.0, 10.0

@@ -3,7 +3,7 @@
     python benchmarks/switching.py                      # print the table
     python benchmarks/switching.py --save benchmarks/results/switching.json
 
-A family is an arm with a kind of start and a kind of target (`pinposture.thesis.scenarios.FAMILIES`); the
+A family is an arm with a kind of start and a kind of target (`pinposture.study.scenarios.FAMILIES`); the
 seed draws what the family leaves open. Harsh starts, every joint uniform within 1.5 rad (spatial arm) or
 0.5 rad (planar arm), are added to the smooth ones. |dq| <= 0.1 rad per step, at most 400 steps. An arm has
 arrived if its mean point error is below 1e-3 of its length. Worse than the better one: by how much the mean
@@ -27,8 +27,8 @@ from rich.table import Table
 
 import pinposture as pp
 from pinposture.study import case
-from pinposture.thesis.arms import ARMS
-from pinposture.thesis.scenarios import FAMILIES, Scenario
+from pinposture.study.scenarios import FAMILIES, Scenario
+from pinposture.study.thesis_arms import ARMS
 
 CONTROLLERS = ("selection", "projection", "switching")
 STEPS = 400

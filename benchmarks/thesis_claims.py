@@ -20,7 +20,7 @@ from rich.table import Table
 
 import pinposture as pp
 from pinposture.study import Outcome, study
-from pinposture.thesis.scenarios import SPATIAL_SCENARIOS
+from pinposture.study.scenarios import SPATIAL_SCENARIOS
 
 STEPS = 200
 SUBSET = 10

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import pinposture as pp
-from pinposture.study import smooth_configuration
+from pinposture.arm import smooth_configuration
 
 # An arm of 20 modules, each with two crossed hinges: 40 degrees of freedom, 1 m long.
 arm = pp.Arm.from_template("RyRz", modules=20)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import pinposture as pp
-from pinposture.study import smooth_configuration
+from pinposture.arm import smooth_configuration
 
 arm = pp.Arm.from_template("RyRz", modules=20)
 out = Path("out/your_own_curve")

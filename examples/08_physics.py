@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 import pinposture as pp
+from pinposture.arm import smooth_configuration
+from pinposture.curve.presets import HELIX
 from pinposture.motion import Tracker
 from pinposture.sim import Servos, simulate, simulate_closed
-from pinposture.study import smooth_configuration
-from pinposture.thesis.curves import HELIX
 from pinposture.viz.simulation import plot_simulation
 
 # The arm of the thesis, a random smooth start, and a motion of cycles of 20 ms to the helix.

@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import pinposture as pp
-from pinposture.study import smooth_configuration
+from pinposture.arm import smooth_configuration
 
 if __name__ == "__main__":  # other processes read this file, too
     # An arm of 10 modules, 20 degrees of freedom, 0.5 m long, and 40 postures that it can take.

@@ -12,7 +12,7 @@ from rich.table import Table
 
 import pinposture as pp
 from pinposture.study import case
-from pinposture.thesis.scenarios import PLANAR_SCENARIOS, SPATIAL_SCENARIOS
+from pinposture.study.scenarios import PLANAR_SCENARIOS, SPATIAL_SCENARIOS
 
 SEED = 17
 OUT = Path("out")

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 import pinposture as pp
-from pinposture.study import smooth_configuration
+from pinposture.arm import smooth_configuration
 
 ALLOWED = 1e-9
 

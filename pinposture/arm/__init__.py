@@ -1,7 +1,7 @@
 """What the robot is: module templates, URDF, loading, the arm and its state."""
 
 from pinposture.arm.arm import Arm
-from pinposture.arm.configurations import JointLimits
+from pinposture.arm.configurations import JointLimits, smooth_configuration
 from pinposture.arm.feasibility import Adequacy, Violation
 from pinposture.arm.manipulability import ControlPoints, Ellipsoid
 from pinposture.arm.specification import ArmSpec, FeedSpec, PlacementSpec
@@ -22,5 +22,6 @@ __all__ = [
     "ModuleTemplate",
     "PlacementSpec",
     "Violation",
+    "smooth_configuration",
     "template",
 ]

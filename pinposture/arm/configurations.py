@@ -313,3 +313,38 @@ def check_joint_positions(
         turns = f"{wound} joints without limits are wound by more than {WOUND / TURN:g} turns"
         text = f"{name}: {turns}, {joints[most]!r} at {positions[most]:.4g} rad; {_ADVICE}"
         warnings.warn(text, PostureWarning, stacklevel=4)
+
+
+def smooth_configuration(arm: Arm, rng: np.random.Generator, amplitude: float) -> Array:
+    """A random configuration that varies smoothly along the arm, as a relaxed arm would lie.
+
+    The joints at the same place in their modules follow a sum of three sine waves along the arm with
+    random phases; the largest angle is the amplitude.
+
+    Args:
+        arm: the arm.
+        rng: source of randomness.
+        amplitude: largest joint position [rad or m].
+
+    Returns:
+        Configuration within the limits of the arm, (nq,).
+
+    Raises:
+        InvalidValue: an amplitude that is no finite number >= 0.
+    """
+    if not (np.isfinite(amplitude) and amplitude >= 0.0):
+        raise InvalidValue("amplitude", amplitude, "a finite number >= 0 [rad or m]")
+    along = np.linspace(0.0, 1.0, arm.n_modules)
+    places = max(len(joints) for joints in arm.module_joints)
+    waves = np.zeros((arm.n_modules, places))
+    for place in range(places):
+        for number in (1, 2, 3):
+            waves[:, place] += (
+                rng.normal() / number * np.sin(np.pi * number * along + rng.uniform(0, 2 * np.pi))
+            )
+    positions = np.zeros(arm.nv)
+    for wave, joints in zip(waves, arm.chain.module_slices, strict=True):
+        columns = arm.columns[joints]
+        positions[columns] = wave[: len(columns)]
+    positions *= amplitude / max(float(np.abs(positions).max()), 1e-300)
+    return arm.configuration(np.clip(positions, arm.limits.lower, arm.limits.upper))

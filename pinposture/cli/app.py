@@ -3,30 +3,23 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
-from types import ModuleType
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
 from pinposture.cli import (
-    arms,
     compile,
-    cycles,
     edit,
     export,
     generate,
-    headings,
     inspect,
-    leader,
     many,
-    methods,
-    postures,
     reproduce,
     run,
-    scenes,
     simulate,
+    studies,
     track,
     view,
 )
@@ -119,26 +112,25 @@ def _paragraphs(docstring: str) -> str:
     return "\n\n".join(" ".join(paragraph.split()) for paragraph in docstring.split("\n\n"))
 
 
-studies = typer.Typer()
+study = typer.Typer()
 
 
-@studies.callback(invoke_without_command=True)
+@study.callback(invoke_without_command=True)
 def _study(ctx: typer.Context) -> None:
     """Many arms, or many methods: what works in one picture may not work in the next."""
     if ctx.invoked_subcommand is None:
         typer.echo(ctx.get_help())
 
 
-def _add(verb: ModuleType, group: typer.Typer) -> None:
-    name, kind = verb.__name__.rpartition(".")[2], verb_with_examples(verb.EXAMPLES)
-    group.command(name, cls=kind, help=_paragraphs(verb.run.__doc__ or ""))(verb.run)
+def _add(name: str, run: Callable[..., None], examples: tuple[str, ...], group: typer.Typer) -> None:
+    group.command(name, cls=verb_with_examples(examples), help=_paragraphs(run.__doc__ or ""))(run)
 
 
 for module in (generate, inspect, track, many, run, edit, view, export, simulate, reproduce, compile):
-    _add(module, app)
-for module in (arms, methods, postures, headings, scenes, cycles, leader):
-    _add(module, studies)
-app.add_typer(studies, name="study")
+    _add(module.__name__.rpartition(".")[2], module.run, module.EXAMPLES, app)
+for name, (verb, examples) in studies.VERBS.items():
+    _add(name, verb, examples, study)
+app.add_typer(study, name="study")
 
 
 def main() -> None:

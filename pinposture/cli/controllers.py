@@ -46,6 +46,7 @@ def check_controller(name: str, only_qp: Mapping[str, object]) -> None:
         UnknownName: there is no such controller.
         InvalidValue: it is not the qp, and one of the options is given.
     """
+    import pinposture.study.baselines  # noqa: F401  # so that they have names
     from pinposture.control import controller_named
 
     controller_named(name)
@@ -61,6 +62,7 @@ def build_controller(name: str, haste: float | None, task: ControlTask | None) -
         UnknownName: there is no such controller.
         InvalidValue: a haste that is not a positive number.
     """
+    import pinposture.study.baselines  # noqa: F401  # so that they have names
     from pinposture.control import ConstrainedQP, controller_named
 
     chosen = controller_named(name)

@@ -158,7 +158,7 @@ def read_curve(name: str) -> Curve:
         FileError: a file that holds no curve.
     """
     from pinposture.curve import Curve
-    from pinposture.thesis.curves import CURVES
+    from pinposture.curve.presets import CURVES
 
     if name in CURVES:
         return CURVES[name]
@@ -187,7 +187,7 @@ def read_start(arm: Arm, text: str, seed: int, degrees: bool) -> NDArray[np.floa
     """
     import numpy as np
 
-    from pinposture.study import smooth_configuration
+    from pinposture.arm import smooth_configuration
 
     if seed < 0:
         raise InvalidValue("--seed", seed, "a whole number of at least 0")

@@ -64,8 +64,7 @@ def run(
 
 def _list(as_json: bool) -> None:
     """Say what there is to reproduce."""
-    from pinposture.thesis.claims import CLAIMS
-    from pinposture.thesis.figures import FIGURES
+    from pinposture.study.claims import CLAIMS, FIGURES
 
     rows: list[tuple[str, str, str]] = [
         (number, each.title, f"Section {each.section}") for number, each in FIGURES.items()
@@ -81,7 +80,7 @@ def _list(as_json: bool) -> None:
 
 def _print(done: Reproduction) -> None:
     """The tables at the end."""
-    from pinposture.study.reproduce.report import span
+    from pinposture.study.reproduce.reproduction import span
 
     runs = [
         (

@@ -181,9 +181,8 @@ def summarize(motion: Trajectory) -> dict[str, Any]:
     import numpy as np
 
     from pinposture.motion.trajectory import closest
-    from pinposture.study import outcome
 
-    result, target = outcome(motion, "", "", 0), motion.target
+    target, errors, points = motion.target, motion.posture_error, motion.active.sum(axis=1)
     off = None if target.residual is None else float(target.residual[target.placed].max())
     return {
         "verdict": motion.verdict,
@@ -191,19 +190,19 @@ def summarize(motion: Trajectory) -> dict[str, Any]:
         "converged": motion.converged,
         "reason": motion.reason,
         "faults": list(motion.faults),
-        "steps": result.steps,
-        "start_error": result.start_error,
-        "final_error": result.final_error,
-        "lowest_error": result.lowest_error,
-        "mean_error": result.mean_share * motion.arm.length,
+        "steps": motion.steps,
+        "start_error": float(errors[0]),
+        "final_error": float(errors[-1]),
+        "lowest_error": float(errors.min()),
+        "mean_error": float(errors[-1]) / int(target.placed.sum()),
         "arm_length": motion.arm.length,
         "control_points": motion.arm.n_modules,
         "placed_points": int(target.placed.sum()),
         "placed_by": target.method,
         "largest_residual": off,
         "distance_from_curve": motion.distance_from_curve,
-        "first_active_points": result.first_points,
-        "last_active_points": result.last_points,
+        "first_active_points": int(points[0]) if len(points) else 0,
+        "last_active_points": int(points[-1]) if len(points) else 0,
         "switches": [switch._asdict() for switch in motion.switches],
         "path_excess": motion.sweep,
         "escape_share": float(motion.escape.mean()) if motion.steps else 0.0,

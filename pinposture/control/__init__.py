@@ -1,6 +1,7 @@
 """How the arm moves: limits, the constrained controller, Selection, Projection, both by turns, and others."""
 
 from pinposture.control.controller import Controller, Diagnostics, Memory, Step
+from pinposture.control.joint_interpolation import JointInterpolation
 from pinposture.control.limits import Limits, StepBox
 from pinposture.control.planner import ConstrainedQP
 from pinposture.control.registry import CONTROLLERS, controller_named
@@ -17,6 +18,7 @@ __all__ = [
     "Controller",
     "Diagnostics",
     "EndEffector",
+    "JointInterpolation",
     "JointPosture",
     "Limits",
     "Memory",

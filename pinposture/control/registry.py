@@ -4,16 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from pinposture.control.baselines import (
-    AugmentedJacobian,
-    DampedLeastSquares,
-    ExtendedJacobian,
-    JointInterpolation,
-    LevenbergMarquardt,
-    PseudoInverse,
-    TaskConstraints,
-)
 from pinposture.control.controller import Controller
+from pinposture.control.joint_interpolation import JointInterpolation
 from pinposture.control.planner import ConstrainedQP
 from pinposture.control.thesis.projection import Projection
 from pinposture.control.thesis.selection import Selection
@@ -26,14 +18,10 @@ CONTROLLERS: dict[str, Callable[[], Controller]] = {
     "projection": Projection,
     "switching": Switching,
     "joint": JointInterpolation,
-    "pinv": PseudoInverse,
-    "task-constraints": TaskConstraints,
-    "extended": ExtendedJacobian,
-    "augmented": AugmentedJacobian,
-    "dls": DampedLeastSquares,
-    "lm": LevenbergMarquardt,
 }
-"""Every controller with its default parameters, by the name that `track` and the command line take."""
+"""Every controller with its default parameters, by the name that `track` and the command line take.
+
+`pinposture.study.baselines` adds those that exist to be compared with, once it is imported."""
 
 
 def controller_named(controller: str | Controller) -> Controller:

@@ -17,10 +17,10 @@ from pinposture.errors import InvalidValue, UnknownName
 from pinposture.motion import track
 from pinposture.motion.processes import in_order
 from pinposture.placement import Target
-from pinposture.study.cases import arbitrary_configuration
-from pinposture.study.families import Subject
+from pinposture.study.arms import Subject
 from pinposture.study.postures import Progress
 from pinposture.study.record import MAX_STEPS, STEP
+from pinposture.study.scenarios import arbitrary_configuration
 
 Array = NDArray[np.float64]
 

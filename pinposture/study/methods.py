@@ -10,13 +10,12 @@ import pinocchio as pin
 from joblib import delayed
 from numpy.typing import NDArray
 
-from pinposture.arm import Arm
+from pinposture.arm import Arm, smooth_configuration
 from pinposture.control import Controller, Limits, controller_named
 from pinposture.errors import InvalidValue
 from pinposture.motion import track
 from pinposture.motion.processes import in_order
 from pinposture.placement import Target
-from pinposture.study.cases import smooth_configuration
 
 Array = NDArray[np.float64]
 

@@ -1,21 +1,32 @@
-"""What is kept of one run of a study, and the making of such runs."""
+"""What is kept of a run of a study, its summary in a table, and its files."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import csv
+import io
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from time import perf_counter
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.control import Controller, Limits
-from pinposture.errors import PostureError
+from pinposture.errors import FileError, PostureError
 from pinposture.motion import Trajectory, track
 from pinposture.placement import Target
-from pinposture.study.families import Subject
-from pinposture.study.reproduce.measures import displacements
-from pinposture.study.turns import largest_turn
+from pinposture.storage import write_bytes, write_text
+from pinposture.study.arms import UNIFORM, Subject
+from pinposture.study.reproduce.runs import displacements
+from pinposture.study.scenarios import largest_turn
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+# What is kept of one run of a study, and the making of such runs.
 
 Array = NDArray[np.float64]
 
@@ -208,3 +219,240 @@ def _refused(
         violation=0.0,
         stride=0.0,
     )
+
+
+# What many runs say together: shares, medians, and what the worst tenth does.
+
+GROUPS = ("smooth", "harsh", "straight and noise", "folds")
+
+
+class Spread(NamedTuple):
+    """A quantity over many runs.
+
+    Attributes:
+        median: its median.
+        high: its 90th percentile.
+    """
+
+    median: float
+    high: float
+
+
+class SummaryRow(NamedTuple):
+    """What one controller made of a group of cases.
+
+    What a motion was like is told of the runs that moved and came near (`Record.near`): one that never moved,
+    or gave up, tells nothing of the way. It is None where there is no such run.
+
+    Attributes:
+        arm: name of the arm.
+        group: name of the group.
+        controller: name of the controller.
+        runs: number of runs.
+        arrived: share of them that ended within 1e-6 of the arm length.
+        near: share of them that ended within 1e-3.
+        refused: number of runs that the controller would not begin.
+        steps: number of steps.
+        rising: share of steps on which the posture error rises, escapes included.
+        escaping: share of steps on which it does and that were flagged as an escape.
+        peak: largest posture error on the way, relative to that of the start.
+        path: length of the paths of the control points, relative to the direct distances.
+        seconds: time of a step [s].
+        violation: farthest outside the position limits that any joint was in any run, in `Arm.joint_units`.
+        stride: largest |dq| of any joint in any run, relative to the step limit.
+    """
+
+    arm: str
+    group: str
+    controller: str
+    runs: int
+    arrived: float
+    near: float
+    refused: int
+    steps: Spread | None
+    rising: Spread | None
+    escaping: Spread | None
+    peak: Spread | None
+    path: Spread | None
+    seconds: Spread | None
+    violation: float
+    stride: float
+
+    @property
+    def lawful(self) -> bool:
+        """Whether no joint of any run left its position limits, and no step its own."""
+        return is_lawful(self.violation, self.stride)
+
+
+def group_of(record: Record) -> str:
+    """The group of a run: "folds" if the target is one, else by its start."""
+    if record.target == "folded":
+        return "folds"
+    if record.start == "smooth":
+        return "smooth"
+    return "harsh" if record.start in UNIFORM else "straight and noise"
+
+
+def family_of(record: Record) -> str:
+    """The family of a run, in words."""
+    return f"{record.start} -> {record.target}"
+
+
+def summarise(records: Sequence[Record], families: bool = False) -> list[SummaryRow]:
+    """Summarise runs by arm, group and controller.
+
+    Args:
+        records: the runs.
+        families: group them by their families; else by `GROUPS`.
+
+    Returns:
+        One row for each controller in each group of each arm; arms, controllers and families in the order in
+        which they first appear, groups in that of `GROUPS`.
+    """
+    name = family_of if families else group_of
+    present = distinct(map(name, records))
+    groups = present if families else [group for group in GROUPS if group in present]
+    rows = []
+    for arm in distinct(record.arm for record in records):
+        for group in groups:
+            those = [record for record in records if (record.arm, name(record)) == (arm, group)]
+            for controller in distinct(record.controller for record in those):
+                runs = [record for record in those if record.controller == controller]
+                rows.append(_row(arm, group, controller, runs))
+    return rows
+
+
+def distinct(names: Iterable[str]) -> list[str]:
+    """Each name once, in the order in which they first appear."""
+    return list(dict.fromkeys(names))
+
+
+def telling(records: Iterable[Record]) -> list[Record]:
+    """The runs that tell what the way to a target is like: they moved, and came near it."""
+    return [record for record in records if record.near and record.steps]
+
+
+def spread(records: Iterable[Record], measure: Callable[[Record], float]) -> Spread | None:
+    """Median and 90th percentile of a measure over the runs that moved and came near; None if none did."""
+    values = [measure(record) for record in telling(records)]
+    if not values:
+        return None
+    return Spread(float(np.median(values)), float(np.percentile(values, 90)))
+
+
+def _row(arm: str, group: str, controller: str, runs: list[Record]) -> SummaryRow:
+    return SummaryRow(
+        arm=arm,
+        group=group,
+        controller=controller,
+        runs=len(runs),
+        arrived=float(np.mean([run.arrived for run in runs])),
+        near=float(np.mean([run.near for run in runs])),
+        refused=sum(run.status == "refused" for run in runs),
+        steps=spread(runs, lambda run: run.steps),
+        rising=spread(runs, lambda run: run.rising),
+        escaping=spread(runs, lambda run: run.escaping),
+        peak=spread(runs, lambda run: run.peak),
+        path=spread(runs, lambda run: run.path),
+        seconds=spread(runs, lambda run: run.seconds),
+        violation=max(run.violation for run in runs),
+        stride=max(run.stride for run in runs),
+    )
+
+
+# Records of runs as files: a CSV of one row for each run, a summary as JSON, a picture.
+
+CASES, SUMMARY = "cases.csv", "summary.json"
+
+_PARSERS: dict[object, Callable[[str], Any]] = {
+    str: str,
+    int: int,
+    float: float,
+    float | None: lambda text: float(text) if text else None,
+}
+
+
+def write_records(
+    records: Iterable[tuple[Any, ...]], path: str | Path, fields: Sequence[str] = Record._fields
+) -> Path:
+    """Write one row for each run, under a row of field names; no digit is lost.
+
+    Args:
+        records: the runs, named tuples with those fields.
+        path: the file.
+        fields: names of the fields; those of `Record` unless told otherwise.
+
+    Returns:
+        The path written.
+
+    Raises:
+        FileError: the file cannot be written.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(fields)
+    # csv writes floats by repr, which reads back as the same number, and None as nothing.
+    writer.writerows(records)
+    write_text(Path(path), text.getvalue())
+    return Path(path)
+
+
+def read_records(path: str | Path) -> list[Record]:
+    """Read what `write_records` wrote.
+
+    Raises:
+        FileError: the file is missing, has other columns, or a row that is no record; names the line.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise FileError(path, f"cannot be read ({error.strerror or error})") from error
+    except UnicodeDecodeError as error:
+        raise FileError(path, "is not a table of runs (not UTF-8 text)") from error
+    rows = csv.reader(io.StringIO(text))
+    if next(rows, None) != list(Record._fields):
+        raise FileError(path, f"is not a table of runs; allowed: the columns {', '.join(Record._fields)}")
+    kinds = get_type_hints(Record)
+    parsers = [_PARSERS[kinds[name]] for name in Record._fields]
+    records = []
+    for row in rows:
+        try:
+            records.append(Record(*(parse(cell) for parse, cell in zip(parsers, row, strict=True))))
+        except ValueError as error:
+            raise FileError(path, f"line {rows.line_num}: is not a run ({error})") from error
+    return records
+
+
+def keep_study(
+    directory: str | Path,
+    records: Iterable[tuple[Any, ...]],
+    summary: Mapping[str, Any],
+    figures: Mapping[str, Figure],
+    fields: Sequence[str] = Record._fields,
+) -> list[Path]:
+    """Leave a study in a directory, which is made if need be; each file appears whole or not at all.
+
+    Args:
+        directory: where to.
+        records: its runs, for cases.csv.
+        summary: what is said of them, as data that JSON can hold, for summary.json.
+        figures: pictures by the names of their files, written as PNG.
+        fields: names of the fields of a run; those of `Record` unless told otherwise.
+
+    Returns:
+        Paths of the files.
+
+    Raises:
+        FileError: a file cannot be written.
+    """
+    directory = Path(directory)
+    files = [write_records(records, directory / CASES, fields)]
+    for name, figure in figures.items():
+        picture = io.BytesIO()
+        figure.savefig(picture, format="png")
+        files.append(directory / name)
+        write_bytes(files[-1], picture.getvalue())
+    files.append(directory / SUMMARY)  # last: where it is, the rest is
+    write_text(files[-1], json.dumps(summary, indent=1, allow_nan=False) + "\n")
+    return files

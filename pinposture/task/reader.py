@@ -20,6 +20,7 @@ from pinposture.collision.scene import obstacles_around
 from pinposture.control import ConstrainedQP, Controller, EndEffector, Limits, controller_named
 from pinposture.control.limits import cycle_of
 from pinposture.curve import Curve
+from pinposture.curve.presets import CURVES
 from pinposture.errors import InvalidValue, PostureError, TaskError, UnknownName
 from pinposture.storage import settled
 from pinposture.task.document import Document, shown
@@ -39,7 +40,6 @@ from pinposture.task.specification import (
     TipSpec,
 )
 from pinposture.task.toml import Place
-from pinposture.thesis.curves import CURVES
 
 Array = NDArray[np.float64]
 

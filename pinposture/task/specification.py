@@ -25,13 +25,13 @@ from pydantic import (
 from pinposture.arm import Arm, template
 from pinposture.arm.specification import OF_A_TEMPLATE, OF_A_URDF
 from pinposture.control import CONTROLLERS
+from pinposture.curve.presets import CURVES
 from pinposture.errors import UnknownName
 from pinposture.placement.resolve import METHODS, PLACEMENTS
 from pinposture.task.document import Misplaced, read_quantity, shown
 from pinposture.task.follow_leader import PATH_METHODS, PATH_PLACEMENTS
 from pinposture.task.keyframe import CONTINUITIES
 from pinposture.task.perform import CYCLE
-from pinposture.thesis.curves import CURVES
 
 MOST_MODULES = 1000
 """The longest arm."""

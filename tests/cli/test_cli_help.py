@@ -11,9 +11,9 @@ import pinposture
 from pinposture.collision import Cylinder, Scene
 from pinposture.collision.obstacles import KINDS
 from pinposture.control import CONTROLLERS
+from pinposture.curve.presets import CURVES
 from pinposture.editor.session import Session
 from pinposture.placement.resolve import METHODS, PLACEMENTS
-from pinposture.thesis.curves import CURVES
 
 QUICK = ("generate", "inspect", "track", "many", "run", "edit", "view", "export", "study arms", "compile")
 STUDIES = ("methods", "postures", "headings", "scenes", "cycles")  # these take minutes, as does reproduce

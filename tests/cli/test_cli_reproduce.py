@@ -8,9 +8,8 @@ import pytest
 
 from pinposture.cli.reproduce import EXAMPLES
 from pinposture.study import reproduce as package
+from pinposture.study.claims import CLAIMS, FIGURES
 from pinposture.study.reproduce import NAMES
-from pinposture.thesis.claims import CLAIMS
-from pinposture.thesis.figures import FIGURES
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +72,7 @@ def test_json_is_the_file(command, done, tmp_path):
 
 
 def test_verdicts_are_a_table(command, monkeypatch, tmp_path):
-    from pinposture.study.reproduce.verdicts import Finding, Share
+    from pinposture.study.reproduce.claims import Finding, Share
 
     claim = CLAIMS["tracks-singular"]
     finding = Finding({"a": Share(1, 4), "b": Share(4, 4)}, {}, "")

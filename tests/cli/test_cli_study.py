@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from pinposture.cli.arms import compressed
+from pinposture.cli.studies import compressed
 from pinposture.study import ArmSurvey, survey_arms
 
 

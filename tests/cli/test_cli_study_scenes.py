@@ -9,9 +9,7 @@ import pytest
 
 from pinposture.study import built_subject
 from pinposture.study.cycles import study_cycles
-from pinposture.study.scene_record import SceneRun
-from pinposture.study.scenes import by_scene, study_scenes
-from pinposture.study.situations import SITUATIONS
+from pinposture.study.scenes import SITUATIONS, SceneRun, by_scene, study_scenes
 
 SCENES = ("inside", "post")
 

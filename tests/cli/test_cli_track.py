@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import pinposture as pp
-from pinposture.study import smooth_configuration
-from pinposture.thesis.curves import CURVES
+from pinposture.arm import smooth_configuration
+from pinposture.curve.presets import CURVES
 
 
 def track(command, arm_file, *options):

@@ -15,8 +15,7 @@ from sampling import examples
 from scipy.optimize import minimize
 
 import pinposture as pp
-from pinposture.control.baselines import ExtendedJacobian, PseudoInverse, objective_gradient
-from pinposture.control.baselines.tasks import end_effector_task
+from pinposture.study.baselines import ExtendedJacobian, PseudoInverse, end_effector_task, objective_gradient
 
 FREE = pp.Limits(step=None)
 SLIDE = pp.JointSpec("x", type="prismatic", lower=-0.09, upper=0.1)

@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 from sampling import examples
 
 import pinposture as pp
-from pinposture.control.baselines.derivatives import PositionDerivatives, joint_axes
-from pinposture.control.baselines.objectives import (
+from pinposture.study.baseline_objectives import (
     NEAREST,
     OBJECTIVES,
+    PositionDerivatives,
+    joint_axes,
     objective_gradient,
     objective_hessian,
     objective_value,

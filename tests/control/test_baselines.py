@@ -16,7 +16,8 @@ from scipy.optimize import lsq_linear
 
 import pinposture as pp
 from pinposture.control import controller_named
-from pinposture.control.baselines import (
+from pinposture.errors import InvalidValue, UnknownName
+from pinposture.study.baselines import (
     AugmentedJacobian,
     DampedLeastSquares,
     ExtendedJacobian,
@@ -25,7 +26,6 @@ from pinposture.control.baselines import (
     TaskConstraints,
     objective_gradient,
 )
-from pinposture.errors import InvalidValue, UnknownName
 
 FREE = pp.Limits(step=None)
 PLACEMENT = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -2.0, 0.7]))

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from sampling import examples
 
 import pinposture as pp
+from pinposture.arm import smooth_configuration
 from pinposture.control import CONTROLLERS, Memory, controller_named
+from pinposture.curve.presets import HELIX, LINE
 from pinposture.errors import InvalidValue
-from pinposture.study import smooth_configuration
-from pinposture.thesis.curves import HELIX, LINE
 
 
 @pytest.fixture(scope="session")

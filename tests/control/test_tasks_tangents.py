@@ -20,7 +20,7 @@ from task_arms import ARMS, STATES, arm_called, derivative, gauss_newton, state_
 import pinposture as pp
 from pinposture.control import Tangents
 from pinposture.control.orientation import bearing, link_directions
-from pinposture.thesis.curves import HELIX
+from pinposture.curve.presets import HELIX
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "arm"))
 

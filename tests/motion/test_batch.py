@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 from sampling import examples
 
 import pinposture as pp
+from pinposture.arm import smooth_configuration
+from pinposture.curve.presets import HELIX
 from pinposture.errors import InvalidValue, PostureWarning, UnknownName
-from pinposture.study import smooth_configuration
-from pinposture.thesis.curves import HELIX
 
 Asked = tuple[pp.Arm, list[pp.Target], np.ndarray]
 

@@ -11,8 +11,8 @@ import pytest
 from arms import template_arm
 
 import pinposture as pp
+from pinposture.curve.presets import HELIX, LINE
 from pinposture.errors import FileError, InvalidValue, UnknownName
-from pinposture.thesis.curves import HELIX, LINE
 
 START = 0.4 * np.sin(np.arange(40))
 

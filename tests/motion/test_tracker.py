@@ -10,10 +10,10 @@ import pytest
 from arms import template_arm
 
 import pinposture as pp
+from pinposture.arm import smooth_configuration
 from pinposture.errors import InvalidValue, PostureError, UnknownName
 from pinposture.motion import Tracker
 from pinposture.placement import Target
-from pinposture.study import smooth_configuration
 
 LIMITS = pp.Limits(step=None, velocity=2.0, dt=0.02, acceleration=10.0)
 

@@ -8,8 +8,8 @@ import pytest
 from scipy.optimize import least_squares
 
 import pinposture as pp
+from pinposture.curve.presets import HELIX
 from pinposture.errors import CurveBendsTooMuch, CurveEndsEarly
-from pinposture.thesis.curves import HELIX
 
 PLACEMENT = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -2.0, 0.7]))
 J = pp.JointSpec

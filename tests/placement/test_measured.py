@@ -9,8 +9,8 @@ from sampling import seeds
 from scipy.optimize import minimize
 
 import pinposture as pp
+from pinposture.arm import smooth_configuration
 from pinposture.errors import InvalidValue
-from pinposture.study import smooth_configuration
 
 
 @pytest.fixture(scope="session")

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pinposture as pp
+from pinposture.curve.presets import HELIX, LINE
 from pinposture.errors import (
     CurveBendsTooMuch,
     CurveEndsEarly,
@@ -19,7 +20,6 @@ from pinposture.errors import (
     UnknownName,
     UnsupportedModule,
 )
-from pinposture.thesis.curves import HELIX, LINE
 
 PLACEMENT = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -2.0, 0.7]))
 

@@ -6,8 +6,7 @@ import numpy as np
 
 import pinposture as pp
 from pinposture.study import Outcome
-from pinposture.study.reproduce.measures import Descent, Steps
-from pinposture.study.reproduce.runs import MeasuredRun
+from pinposture.study.reproduce.runs import Descent, MeasuredRun, Steps
 
 
 def made(arm, q, target=None, active=None, **fields) -> pp.Trajectory:

@@ -7,7 +7,7 @@ import pytest
 
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.study.leader import ARMS, MODULE, MODULES, SHAPES, bent_path, fed_arm, study_leader
-from pinposture.study.leader_picture import draw_leader
+from pinposture.study.pictures import draw_leader
 
 
 @pytest.fixture(scope="module")

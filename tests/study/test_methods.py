@@ -7,9 +7,10 @@ import pytest
 from arms import template_arm
 
 import pinposture as pp
-from pinposture.control.baselines import LevenbergMarquardt, PseudoInverse
+from pinposture.arm import smooth_configuration
 from pinposture.errors import InvalidValue, UnknownName
-from pinposture.study import MethodResult, compare_methods, smooth_configuration
+from pinposture.study import MethodResult, compare_methods
+from pinposture.study.baselines import LevenbergMarquardt, PseudoInverse
 from pinposture.study.methods import DISTANCES
 
 NAMES = ("joint", "pinv", "lm", "selection", "extended")

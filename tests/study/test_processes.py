@@ -9,7 +9,7 @@ from joblib import delayed
 from pinposture.errors import InvalidValue
 from pinposture.motion.processes import in_order
 from pinposture.study import compare_methods, study, survey_arms
-from pinposture.thesis.scenarios import SPATIAL_SCENARIOS
+from pinposture.study.scenarios import SPATIAL_SCENARIOS
 
 
 @pytest.mark.parametrize("jobs", [1, 2, -1])

@@ -10,12 +10,10 @@ from hypothesis import strategies as st
 from sampling import examples
 from study.handmade import one
 
-from pinposture.study.reproduce import evaluate, postures
-from pinposture.study.reproduce.measures import Descent
-from pinposture.study.reproduce.reading import DEFAULT, READINGS, Reading
-from pinposture.study.reproduce.runs import VARIANTS
-from pinposture.study.reproduce.verdicts import RULES, Share, judge, share
-from pinposture.thesis.claims import CLAIMS
+from pinposture.study.claims import CLAIMS
+from pinposture.study.reproduce import evaluate
+from pinposture.study.reproduce.claims import RULES, Share, judge, share
+from pinposture.study.reproduce.runs import DEFAULT, READINGS, VARIANTS, Descent, Reading
 
 USUALLY = RULES["usually"]
 
@@ -51,8 +49,8 @@ def test_shares_count(truths):
 
 
 def test_every_claim_has_one_measure_a_rule_and_the_runs_it_needs():
-    assert set(evaluate.MEASURES) | set(postures.MEASURES) == set(CLAIMS)
-    assert not set(evaluate.MEASURES) & set(postures.MEASURES)
+    assert set(evaluate.MEASURES) | set(evaluate.POSTURES_MEASURES) == set(CLAIMS)
+    assert not set(evaluate.MEASURES) & set(evaluate.POSTURES_MEASURES)
     for claim in CLAIMS.values():
         assert claim.rule in RULES
         assert re.search(r"\d|Abstract|Appendix", claim.where)

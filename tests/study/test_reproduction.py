@@ -9,10 +9,9 @@ import pytest
 
 from pinposture.control import CONTROLLERS
 from pinposture.errors import FileError, InvalidValue, UnknownName
+from pinposture.study.claims import CLAIMS, FIGURES
 from pinposture.study.reproduce import NAMES, reproduce, run_figures
-from pinposture.study.reproduce.figures import count_runs
-from pinposture.thesis.claims import CLAIMS
-from pinposture.thesis.figures import FIGURES
+from pinposture.study.reproduce.reproduction import count_runs
 
 VERDICTS = {"holds", "holds partly", "does not hold", "not seen"}
 
@@ -166,7 +165,7 @@ def test_what_does_not_exist_or_makes_no_sense_is_refused(tmp_path):
 
 
 def test_figures_name_scenarios_and_controllers_that_exist():
-    from pinposture.thesis.scenarios import SCENARIOS
+    from pinposture.study.scenarios import SCENARIOS
 
     assert list(FIGURES) == [f"6.{number}" for number in range(3, 13)]
     for number, figure in FIGURES.items():

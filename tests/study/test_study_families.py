@@ -10,7 +10,7 @@ import pytest
 import pinposture as pp
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.study import Family, Subject, built_subject, draw_case, loaded_subject
-from pinposture.study.families import STARTS
+from pinposture.study.arms import START_KINDS
 
 NAMES = ("ryrz20", "planar45")
 
@@ -79,7 +79,7 @@ def test_starts_have_the_size_that_their_names_say():
     subject = subject_named("ryrz20")
     drawn = {
         start: np.array([draw_case(subject, Family(start, "random"), seed)[0] for seed in range(10)])
-        for start in STARTS
+        for start in START_KINDS
     }
     for start, width in (("uniform-0.6", 0.6), ("uniform-1.5", 1.5), ("noise", 1e-3)):
         assert 0.95 * width < drawn[start].max() <= width

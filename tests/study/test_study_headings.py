@@ -18,8 +18,8 @@ from pinposture.study import (
     largest_turn,
     study_headings,
 )
-from pinposture.study.cases import curve_along
-from pinposture.study.headings import BINS, HEADING, bin_of, draw_pair
+from pinposture.study.postures import BINS, HEADING, bin_of, draw_pair
+from pinposture.study.scenarios import curve_along
 
 NAMES = ("planar45", "ryrz20")
 

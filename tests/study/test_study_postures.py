@@ -17,7 +17,7 @@ from pinposture.study import (
     summarise,
 )
 from pinposture.study.postures import CONTROLLERS
-from pinposture.study.table import GROUPS, Spread
+from pinposture.study.record import GROUPS, Spread
 
 NAMES = ("joint", "lm")
 

@@ -13,11 +13,20 @@ from study.handmade import made
 import pinposture as pp
 from pinposture.collision import Box, HalfSpace, Scene
 from pinposture.errors import InvalidValue, UnknownName
-from pinposture.study import situations
-from pinposture.study.record_files import keep_study
-from pinposture.study.scene_record import ROUNDING, blamed, record_scene_run
-from pinposture.study.scenes import SceneRun, by_scene, study_scenes
-from pinposture.study.situations import SITUATIONS, Situation, draw_situation, situation_arm
+from pinposture.study import scenes
+from pinposture.study.record import keep_study
+from pinposture.study.scenes import (
+    ROUNDING,
+    SITUATIONS,
+    SceneRun,
+    Situation,
+    blamed,
+    by_scene,
+    draw_situation,
+    record_scene_run,
+    situation_arm,
+    study_scenes,
+)
 
 NAMES = tuple(SITUATIONS)
 QUICK = tuple(name for name in NAMES if name not in ("narrow", "pipe"))  # these take long
@@ -135,7 +144,7 @@ def test_starts_and_goals_are_as_clear_as_they_claim(arm: pp.Arm, name: str) -> 
         ):
             distance = around.minimum(q).distance
             assert distance >= margin if clear else distance < 0.0
-            assert np.abs(arm.positions(q) - middle).max() == pytest.approx(situations.AMPLITUDE, abs=1e-12)
+            assert np.abs(arm.positions(q) - middle).max() == pytest.approx(scenes.AMPLITUDE, abs=1e-12)
             np.testing.assert_array_equal(q, same)
         seen += [draw.start, draw.goal]
     assert len({q.tobytes() for q in seen}) == 8
@@ -166,10 +175,10 @@ def test_the_slot_and_the_pipe_are_passed_at_the_goal(arm: pp.Arm) -> None:
     pipe = SITUATIONS["pipe"]
     for q in (pipe.start, pipe.goal):
         points = arm.at(q).points
-        inside = points[(points[:, 0] > 0.2) & (np.abs(points[:, 1]) < situations.PIPE)]
+        inside = points[(points[:, 0] > 0.2) & (np.abs(points[:, 1]) < scenes.PIPE)]
         assert len(inside) >= 5
-    between = 2.0 * situations.PIPE * np.sin(np.pi / situations.STAVES)
-    assert between < 2.0 * situations.STAVE
+    between = 2.0 * scenes.PIPE * np.sin(np.pi / scenes.STAVES)
+    assert between < 2.0 * scenes.STAVE
 
 
 def test_draws_that_are_not_clear_enough_are_counted_and_given_up(arm: pp.Arm) -> None:

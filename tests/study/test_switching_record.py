@@ -9,7 +9,7 @@ from types import ModuleType
 
 import pytest
 
-from pinposture.thesis.scenarios import FAMILIES
+from pinposture.study.scenarios import FAMILIES
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 REPEATED = ("ryrz20: smooth -> helix", "ryrz20: straight -> helix", "planar45: smooth -> line")

@@ -10,8 +10,9 @@ import pytest
 from arms import template_arm
 
 import pinposture as pp
-from pinposture.study import Outcome, case, smooth_configuration, study
-from pinposture.thesis.scenarios import SPATIAL_SCENARIOS
+from pinposture.arm import smooth_configuration
+from pinposture.study import Outcome, case, study
+from pinposture.study.scenarios import SPATIAL_SCENARIOS
 
 pytestmark = pytest.mark.reproduction
 

@@ -9,12 +9,22 @@ from hypothesis import strategies as st
 from sampling import examples, seeds
 
 import pinposture as pp
+from pinposture.arm import smooth_configuration
 from pinposture.errors import InvalidValue
-from pinposture.study import case, smooth_configuration
-from pinposture.study.cases import HEADINGS, NEARLY, SLIGHT_HEADINGS, bent_configuration
+from pinposture.study import case
 from pinposture.study.reproduce.runs import thesis_arm
-from pinposture.thesis.arms import ARMS
-from pinposture.thesis.scenarios import FAMILIES, SCENARIOS, SPATIAL_SCENARIOS, STARTS, family
+from pinposture.study.scenarios import (
+    FAMILIES,
+    HEADINGS,
+    NEARLY,
+    SCENARIOS,
+    SLIGHT_HEADINGS,
+    SPATIAL_SCENARIOS,
+    STARTS,
+    bent_configuration,
+    family,
+)
+from pinposture.study.thesis_arms import ARMS
 
 
 def planar():

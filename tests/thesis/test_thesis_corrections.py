@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from sampling import examples, seeds
 
 import pinposture as pp
+from pinposture.arm import smooth_configuration
 from pinposture.control import candidate_sets
 from pinposture.control.controller import task_errors
-from pinposture.study import smooth_configuration
-from pinposture.thesis.curves import LINE
+from pinposture.curve.presets import LINE
 
 SEEDS = st.integers(0, 10**6)
 

@@ -8,7 +8,7 @@ from pkgutil import resolve_name
 
 import pytest
 
-from pinposture.thesis.claims import CLAIMS
+from pinposture.study.claims import CLAIMS
 
 TESTS = Path(__file__).resolve().parents[1]
 PAGE = (TESTS.parent / "docs/thesis.md").read_text()

@@ -1,8 +1,14 @@
 """The experiments of chapter 6 once more, with numbers where the thesis has pictures, and its claims."""
 
 from pinposture.study.reproduce.evaluate import Evidence, JudgedClaim, gather, judge_claims
-from pinposture.study.reproduce.figures import FigureRuns, draw_figure, run_figures
-from pinposture.study.reproduce.reproduction import NAMES, Reproduction, reproduce
+from pinposture.study.reproduce.reproduction import (
+    NAMES,
+    FigureRuns,
+    Reproduction,
+    draw_figure,
+    reproduce,
+    run_figures,
+)
 
 __all__ = [
     "NAMES",

@@ -1,35 +1,265 @@
-"""Every claim of the thesis, measured and judged."""
+"""Claims measured on postures, and all claims judged."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
-from pinposture.study.reproduce import choosing, moving, postures, singular, tracking
-from pinposture.study.reproduce.postures import Counted, count_postures
-from pinposture.study.reproduce.reading import DEFAULT, READINGS, Reading
-from pinposture.study.reproduce.runs import MAX_STEPS, Pool, RunSet, make_pool
-from pinposture.study.reproduce.verdicts import RULES, Finding, Verdict, judge
-from pinposture.thesis.claims import CLAIMS, Claim
+import numpy as np
+from joblib import delayed
+from numpy.typing import NDArray
+
+from pinposture.arm import Arm, ArmState
+from pinposture.motion.processes import in_order
+from pinposture.study.claims import CLAIMS, Claim
+from pinposture.study.reproduce import claims
+from pinposture.study.reproduce.claims import RULES, Finding, Share, Verdict, judge, share
+from pinposture.study.reproduce.runs import (
+    BUNDLE,
+    DEFAULT,
+    MAX_STEPS,
+    READINGS,
+    Pool,
+    Reading,
+    RunSet,
+    make_pool,
+    thesis_arm,
+)
+from pinposture.study.scenarios import arbitrary_configuration
+
+# Claims on postures and sets of control points, counted over random ones; nothing moves here.
+
+Array = NDArray[np.float64]
+
+ARM_NAMES = {"ryrz20": "spatial", "planar45": "planar"}
+KINDS = ("smooth", "any")
+"""Postures as the arbitrary ones of the runs, and with every joint anywhere within its limits."""
+
+THRESHOLDS = (1e-3, 1e-2, 1e-1)
+"""Thresholds of both conditions that are tried; the thesis names none, Selection's own is the first."""
+
+CONDITIONING = 1e-4
+"""Smallest singular value, per arm length, of a matrix that counts as far from singular [1/rad]."""
+
+DRAWS = 3
+"""Postures of each kind that one seed draws."""
+
+
+class Counted(NamedTuple):
+    """What was counted at one posture, at one threshold of both conditions.
+
+    Attributes:
+        arm: name of the arm.
+        kind: kind of posture.
+        threshold: what indices must exceed to clear a condition.
+        carried: whether no control point fails the absolute condition after an earlier one cleared it.
+        drawn: whether a candidate control set could be drawn.
+        pairs_clear: whether all pairs in it clear the relative condition.
+        full_rank: whether its posture control matrix has full row rank.
+        sigma_min: smallest singular value of that matrix, per arm length [1/rad]; 0 if there is none.
+        section_deficient: whether two control points with a singular section between them stack to a matrix
+            of less than full row rank.
+    """
+
+    arm: str
+    kind: str
+    threshold: float
+    carried: bool
+    drawn: bool
+    pairs_clear: bool
+    full_rank: bool
+    sigma_min: float
+    section_deficient: bool
+
+
+def count_postures(seeds: int, jobs: int = 1) -> list[Counted]:
+    """Count over random postures of both arms; the result depends on the number of seeds alone."""
+    bundles = [
+        (name, range(first, min(first + BUNDLE, seeds)))
+        for name in ARM_NAMES
+        for first in range(0, seeds, BUNDLE)
+    ]
+    found = in_order((delayed(_count)(name, bundle) for name, bundle in bundles), jobs)
+    return [each for listed in found for each in listed]
+
+
+def _count(name: str, seeds: Iterable[int]) -> list[Counted]:
+    arm, counted = thesis_arm(name), []
+    for seed in seeds:
+        rng = np.random.default_rng((seed, 2))
+        for kind in KINDS:
+            for _ in range(DRAWS):
+                q = arbitrary_configuration(arm, rng) if kind == "smooth" else arm.random(rng)
+                counted.extend(count_posture(arm, name, kind, q, rng))
+    return counted
+
+
+def count_posture(arm: Arm, name: str, kind: str, q: Array, rng: np.random.Generator) -> list[Counted]:
+    """Count at one posture, once for each of THRESHOLDS; the generator draws sets and a section."""
+    state, counted = arm.at(q), []
+    indices = state.manipulability()
+    deficient = _section_is_deficient(arm, q, rng)
+    for threshold in THRESHOLDS:
+        chosen = random_set(indices, threshold, rng)
+        inside = indices[np.ix_(chosen, chosen)][np.triu_indices(len(chosen), 1)]
+        matrix = stacked(state, [k - 1 for k in chosen])
+        sigma = np.linalg.svd(matrix, compute_uv=False)
+        counted.append(
+            Counted(
+                arm=name,
+                kind=kind,
+                threshold=threshold,
+                carried=carries_over(indices[0, 1:], threshold),
+                drawn=len(chosen) > 0,
+                pairs_clear=bool(np.all(inside > threshold)),
+                full_rank=has_full_rank(matrix),
+                sigma_min=float(sigma[-1]) / arm.length if len(sigma) else 0.0,
+                section_deficient=deficient,
+            )
+        )
+    return counted
+
+
+def carries_over(indices: Array, threshold: float) -> bool:
+    """Whether no entry falls to the threshold after an earlier one exceeded it."""
+    clears = indices > threshold
+    return bool(np.all(clears[int(np.argmax(clears)) :])) if clears.any() else True
+
+
+def random_set(indices: Array, threshold: float, rng: np.random.Generator) -> list[int]:
+    """A random candidate control set, as rows of the index matrix (1 is the first control point).
+
+    Each next point is drawn from the nearest few that may follow, so that sets have many points.
+    """
+    clears = indices[0] > threshold
+    chosen: list[int] = []
+    may = np.flatnonzero(clears)
+    while len(may):
+        chosen.append(int(rng.choice(may[:3])))
+        may = np.flatnonzero(clears & (indices[chosen[-1]] > threshold))
+    return chosen
+
+
+def stacked(state: ArmState, points: list[int]) -> Array:
+    """Stacked Jacobians of control points (0-based), without the columns that move none of them."""
+    matrix = state.task_jacobians[points].reshape(-1, state.arm.nv)
+    return np.asarray(matrix[:, np.any(matrix != 0.0, axis=0)])
+
+
+def has_full_rank(matrix: Array) -> bool:
+    """Whether the rows of a matrix are linearly independent, as far as numbers can tell."""
+    return len(matrix) == 0 or int(np.linalg.matrix_rank(matrix)) == len(matrix)
+
+
+def _section_is_deficient(arm: Arm, q: Array, rng: np.random.Generator) -> bool:
+    """Stack two control points between which the section is singular.
+
+    That section is one module of the spatial arm, which has two joints for three directions, and two modules
+    of the planar arm, of which the second is stretched.
+    """
+    positions, apart = arm.positions(q).copy(), 1 if arm.dimension == 3 else 2
+    first = int(rng.integers(arm.n_modules // 4, arm.n_modules - apart))
+    if apart == 2:
+        positions[arm.columns[arm.module_starts[first + 2]]] = 0.0
+    state = arm.at(arm.configuration(positions))
+    return not has_full_rank(stacked(state, [first, first + apart]))
+
+
+def _groups(counted: Iterable[Counted], by_threshold: bool = True) -> dict[str, list[Counted]]:
+    words = {"smooth": "smooth postures", "any": "any postures"}
+    groups: dict[str, list[Counted]] = {}
+    for each in counted:
+        name = f"{ARM_NAMES[each.arm]}, {words[each.kind]}"
+        if by_threshold:
+            name += f", threshold {each.threshold:g}"
+        elif each.threshold != THRESHOLDS[0]:
+            continue
+        groups.setdefault(name, []).append(each)
+    return groups
+
+
+def _of_sets(groups: Mapping[str, list[Counted]], true: Callable[[Counted], bool]) -> dict[str, Share]:
+    return {name: share(true(each) for each in listed if each.drawn) for name, listed in groups.items()}
+
+
+def _carries(counted: list[Counted]) -> Finding:
+    shares = {name: share(each.carried for each in listed) for name, listed in _groups(counted).items()}
+    total = Share(sum(each.true for each in shares.values()), sum(each.cases for each in shares.values()))
+    text = f"It fails in {total.cases - total.true} of {total.cases} cases: every point must be tested."
+    return Finding(shares, {}, text)
+
+
+def _pairs(counted: list[Counted]) -> Finding:
+    shares = _of_sets(_groups(counted), lambda each: each.pairs_clear)
+    failing = sum(each.cases - each.true for each in shares.values())
+    text = f"In {failing} of {sum(each.cases for each in shares.values())} sets some pair does not clear it. "
+    return Finding(shares, {}, text + "None needs to: neighbours suffice for full rank.")
+
+
+def _full_rank_share(counted: list[Counted]) -> Finding:
+    return Finding(_of_sets(_groups(counted), lambda each: each.full_rank), {}, "")
+
+
+def _away(counted: list[Counted]) -> Finding:
+    groups = _groups(counted)
+    lowest = {
+        name: min((each.sigma_min for each in listed if each.drawn), default=0.0)
+        for name, listed in groups.items()
+    }
+    return Finding(
+        _of_sets(groups, lambda each: each.sigma_min > CONDITIONING),
+        {f"smallest of all, per arm length [1/rad]: {name}": value for name, value in lowest.items()},
+        "Full rank is not yet good conditioning: the smallest singular value of all sets is "
+        f"{min(lowest.values()):.1g} "
+        "of the arm length per rad. Selection here drops points until the matrix itself is far enough "
+        "from singular.",
+    )
+
+
+def _section(counted: list[Counted]) -> Finding:
+    groups = _groups(counted, by_threshold=False)
+    return Finding(
+        {name: share(each.section_deficient for each in listed) for name, listed in groups.items()},
+        {},
+        "The proof is for planar arms, and holds for them. In space a section of one module has an index "
+        "of 0, "
+        "and its ends can be moved independently all the same: the condition is sufficient, not necessary.",
+    )
+
+
+POSTURES_MEASURES: Mapping[str, Callable[[list[Counted]], Finding]] = {
+    "absolute-carries-over": _carries,
+    "neighbours-suffice": _pairs,
+    "conditions-give-full-rank": _full_rank_share,
+    "conditions-keep-away": _away,
+    "singular-section": _section,
+}
+"""How each claim of `pinposture.study.claims.POSTURES` is measured."""
+
+
+# Every claim of the thesis, measured and judged.
 
 MEASURES: Mapping[str, Callable[[Reading], Finding]] = (
-    dict(tracking.MEASURES) | dict(moving.MEASURES) | dict(singular.MEASURES) | dict(choosing.MEASURES)
+    dict(claims.TRACKING_MEASURES)
+    | dict(claims.MOVING_MEASURES)
+    | dict(claims.SINGULAR_MEASURES)
+    | dict(claims.CHOOSING_MEASURES)
 )
-"""How each claim is measured on runs; those on postures are in `postures.MEASURES`."""
+"""How each claim is measured on runs; those on postures are in `POSTURES_MEASURES`."""
 
 _FOUR = ("selection", "projection", "projection, local", "switching")
 _FREE = ("selection, free joints", "projection, free joints")
 
 BATCHES: tuple[RunSet, ...] = (
-    *(RunSet(s, v, twins=True) for s in moving.TWINS for v in _FOUR),
+    *(RunSet(s, v, twins=True) for s in claims.TWINS for v in _FOUR),
     *(RunSet(s, v) for s in ("random", "line", "planar-near-line") for v in _FOUR),
-    *(RunSet(s, "switching, no waypoints", twins=s in moving.TWINS) for s in choosing.SWITCHED),
-    *(RunSet(s, v) for s in tracking.FROM_STRAIGHT for v in _FOUR[:3]),
-    *(RunSet(s, v) for s in tracking.ACROSS for v in tracking.BOTH),
-    *(RunSet(s, "selection") for s in tracking.FROM_NEAR_STRAIGHT),
+    *(RunSet(s, "switching, no waypoints", twins=s in claims.TWINS) for s in claims.SWITCHED),
+    *(RunSet(s, v) for s in claims.FROM_STRAIGHT for v in _FOUR[:3]),
+    *(RunSet(s, v) for s in claims.ACROSS for v in claims.BOTH),
+    *(RunSet(s, "selection") for s in claims.FROM_NEAR_STRAIGHT),
     *(RunSet(s, "selection, (4.8)") for s in ("planar-random", "planar-near-line")),
     *(RunSet(s, v) for s in ("helix", "line") for v in _FREE),
-    *(RunSet(s, f"{method}, any step") for s in tracking.SINGULAR for method in tracking.BOTH),
+    *(RunSet(s, f"{method}, any step") for s in claims.SINGULAR for method in claims.BOTH),
 )
 """The runs that the claims are judged by."""
 
@@ -91,8 +321,8 @@ def judge_claims(evidence: Evidence) -> list[JudgedClaim]:
 
 def _judged(claim: Claim, evidence: Evidence) -> JudgedClaim:
     rule = RULES[claim.rule]
-    if claim.id in postures.MEASURES:
-        finding = postures.MEASURES[claim.id](evidence.counted)
+    if claim.id in POSTURES_MEASURES:
+        finding = POSTURES_MEASURES[claim.id](evidence.counted)
         return JudgedClaim(claim, judge(finding.shares, rule), finding, {})
     found: dict[str, tuple[Verdict, Finding]] = {}
     for name, variants in READINGS.items():

@@ -8,10 +8,10 @@ from arms import template_arm
 from sampling import seeds
 
 import pinposture as pp
+from pinposture.arm import smooth_configuration
 from pinposture.control import Memory
 from pinposture.control.planner.path import Course, JointPath
 from pinposture.placement import Target
-from pinposture.study import smooth_configuration
 
 
 def arm() -> pp.Arm:

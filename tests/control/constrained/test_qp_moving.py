@@ -10,11 +10,11 @@ from arms import template_arm
 from sampling import seeds
 
 import pinposture as pp
+from pinposture.arm import smooth_configuration
 from pinposture.control import Memory
 from pinposture.control.planner import geodesic, plan
 from pinposture.control.planner.path import Course
 from pinposture.placement import Target
-from pinposture.study import smooth_configuration
 
 LIMITS = pp.Limits(step=0.04)
 

@@ -1,4 +1,4 @@
-"""The arms of the thesis, and one that mixes modules; `python -m pinposture.thesis.arms urdf` writes them."""
+"""The arms of the thesis and a mixed one; `python -m pinposture.study urdf` writes them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ARMS: Mapping[str, tuple[ModuleTemplate, ...]] = MappingProxyType(
 
 def urdf_files() -> dict[str, str]:
     """The generated robot descriptions: file name -> URDF text."""
-    command = "python -m pinposture.thesis.arms"
+    command = "python -m pinposture.study"
     return {f"{name}.urdf": modules_to_urdf(modules, name, command) for name, modules in ARMS.items()}
 
 
@@ -57,7 +57,7 @@ def write_urdf_files(directory: str | Path) -> list[Path]:
 def main(arguments: Sequence[str]) -> int:
     """Write the files into the directory given, and say so. Returns the exit status."""
     if len(arguments) != 1 or arguments[0].startswith("-"):
-        sys.stderr.write("usage: python -m pinposture.thesis.arms DIRECTORY\n")
+        sys.stderr.write("usage: python -m pinposture.study DIRECTORY\n")
         return 2
     try:
         paths = write_urdf_files(arguments[0])
@@ -66,7 +66,3 @@ def main(arguments: Sequence[str]) -> int:
         return 1
     sys.stdout.write(f"wrote {', '.join(map(str, paths))}\n")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

@@ -1,26 +1,167 @@
-"""Many starts and targets at once: what a controller does over a hundred seeds, not in one picture."""
+"""Scenarios of the thesis, their cases, and what controllers make of many seeds."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
+import pinocchio as pin
 from joblib import delayed
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from pinposture.arm import Arm
+from pinposture.arm import Arm, smooth_configuration
 from pinposture.control import Controller, Limits, controller_named
 from pinposture.curve import Curve
+from pinposture.curve.presets import HELIX, LINE, PLANAR_LINE
 from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory, track
 from pinposture.motion.processes import in_order
 from pinposture.placement import Target, resolve_targets
-from pinposture.study.turns import link_headings
-from pinposture.thesis.curves import TARGET_CURVES
-from pinposture.thesis.scenarios import Scenario
+
+# The tracking scenarios of chapter 6, and the families that they belong to, as data.
+
+StartKind = Literal["smooth", "near-straight", "straight"]
+TargetKind = Literal["helix", "line", "near-line", "random", "opposite"]
+
+STARTS: tuple[StartKind, ...] = get_args(StartKind)
+TARGETS: tuple[TargetKind, ...] = get_args(TargetKind)
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """What an arm starts from and what it should become; a seed settles what is left open.
+
+    Attributes:
+        name: short name.
+        title: what happens, in words.
+        section: where the thesis describes it; empty if it does not.
+        start: "smooth" for an arbitrary non-singular posture, "near-straight" for one that is almost
+            singular, "straight" for the singular one.
+        target: "helix" (6.17), "line" (6.16), "near-line" for a curve that is almost straight, "random" for
+            an arbitrary non-singular posture, "opposite" for the start with all joints reversed, on the other
+            side of the straight posture.
+        arm: name of the arm, one of `pinposture.study.thesis_arms.ARMS`.
+    """
+
+    name: str
+    title: str
+    section: str
+    start: StartKind
+    target: TargetKind
+    arm: str = "ryrz20"
+
+
+SPATIAL_SCENARIOS = (
+    Scenario("helix", "random -> helix", "6.1.2", "smooth", "helix"),
+    Scenario("line", "random -> line", "6.1.3", "smooth", "line"),
+    Scenario("from-straight", "straight -> helix", "6.1.4", "straight", "helix"),
+)
+"""The spatial arm; one seed gives the first two the same start, as Section 6.1.3 has it."""
+
+PLANAR_SCENARIOS = (
+    Scenario("planar-random", "random -> random", "6.2.1", "smooth", "random", "planar45"),
+    Scenario("planar-near-line", "random -> near line", "6.2.2", "smooth", "near-line", "planar45"),
+    Scenario("planar-from-straight", "straight -> random", "6.2.3", "straight", "random", "planar45"),
+)
+"""The planar arm; Section 6.2.4 takes the second once more."""
+
+FURTHER_SCENARIOS = (
+    Scenario("random", "random -> random", "", "smooth", "random"),
+    Scenario("opposite", "random -> opposite", "", "smooth", "opposite"),
+    Scenario("near-straight", "near-straight -> helix", "", "near-straight", "helix"),
+    Scenario("planar-opposite", "random -> opposite", "", "smooth", "opposite", "planar45"),
+    Scenario("planar-near-straight", "near-straight -> random", "", "near-straight", "random", "planar45"),
+)
+"""What the thesis speaks of and does not show: other targets, leaving and passing singular postures."""
+
+SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
+    {each.name: each for each in SPATIAL_SCENARIOS + PLANAR_SCENARIOS + FURTHER_SCENARIOS}
+)
+"""All of the above by name."""
+
+
+def family(arm: str, start: StartKind, target: TargetKind) -> Scenario:
+    """The scenario of an arm with that kind of start and of target, named after the three."""
+    return Scenario(f"{arm}: {start} -> {target}", f"{start} -> {target}", "", start, target, arm)
+
+
+_CHOICES: tuple[tuple[str, tuple[TargetKind, ...]], ...] = (
+    ("ryrz20", ("helix", "line", "random")),
+    ("planar45", ("line", "random")),
+)
+
+FAMILIES = tuple(
+    family(arm, start, target)
+    for arm, targets in _CHOICES
+    for start in STARTS
+    for target in targets
+    if (start, target) != ("straight", "line")  # there is nothing to do
+)
+"""Every kind of start with every kind of target that the arm can take: a helix is not for a planar arm."""
+
+
+TARGET_CURVES: Mapping[tuple[str, str], Curve] = MappingProxyType(
+    {("ryrz20", "helix"): HELIX, ("ryrz20", "line"): LINE, ("planar45", "line"): PLANAR_LINE}
+)
+"""The curve of each arm for each kind of target that is the same for every seed."""
+
+
+# How far the parts of an arm have to turn on the way from one posture to another.
+#
+# Where a link ends up is no question of angles modulo a full turn: it hangs on the links before it, and they
+# on the base, so that turns add up along the arm. A link that has to turn by more than pi cannot go the
+# short way round. This is what defeats least squares on the control points.
 
 Array = NDArray[np.float64]
+
+
+def link_headings(arm: Arm, positions: Array) -> Array:
+    """How far each link of a planar arm is turned about the normal of its plane, counted from the base.
+
+    Args:
+        arm: a planar arm.
+        positions: joint positions, or a displacement of the joints, (nv,) [rad or m].
+
+    Returns:
+        Sum of the joint angles up to each joint of the chain, full turns included, (n,) [rad].
+    """
+    senses = np.sign(arm.chain.axes @ np.cross(*arm.plane)) * arm.chain.revolute
+    return np.asarray(np.cumsum(senses * positions[arm.columns]))
+
+
+def largest_turn(arm: Arm, start: Array, goal: Array) -> float:
+    """The largest change of heading of any part of the arm between two configurations [rad].
+
+    Of a planar arm, the largest change of the heading of any link, full turns included. Of a spatial arm, the
+    same for its modules: from each module to the next, the change of orientation differs by a small rotation,
+    and the rotation vectors of these, added up along the arm from the base, tell how far a module has turned.
+    For a planar arm that is the change of heading at the module ends, as long as no single module bends by
+    more than pi.
+
+    Args:
+        arm: the arm.
+        start: configuration, (nq,).
+        goal: configuration, (nq,).
+    """
+    if arm.dimension == 2:
+        turns = link_headings(arm, np.asarray(pin.difference(arm.model, start, goal)))
+        return float(np.abs(turns).max())
+    return float(np.linalg.norm(_module_turns(arm, start, goal), axis=1).max())
+
+
+def _module_turns(arm: Arm, start: Array, goal: Array) -> Array:
+    """Rotation vectors of the modules between two configurations, added up along the arm, (m, 3) [rad]."""
+    changes = arm.at(goal).rotations @ arm.at(start).rotations.transpose(0, 2, 1)
+    before = np.concatenate([np.eye(3)[None], changes[:-1]])
+    own = Rotation.from_matrix(changes @ before.transpose(0, 2, 1)).as_rotvec()
+    return np.asarray(np.cumsum(own, axis=0))
+
+
+# Many starts and targets at once: what a controller does over a hundred seeds, not in one picture.
 
 AMPLITUDES = (0.2, 1.0)
 """Range of the largest joint position of an arbitrary posture of a spatial arm [rad or m]."""
@@ -70,38 +211,6 @@ class Outcome(NamedTuple):
     def ratio(self) -> float:
         """Final posture error relative to the one at the start; 0 if there was none."""
         return self.final_error / self.start_error if self.start_error else 0.0
-
-
-def smooth_configuration(arm: Arm, rng: np.random.Generator, amplitude: float) -> Array:
-    """A random configuration that varies smoothly along the arm, as a relaxed arm would lie.
-
-    The joints at the same place in their modules follow a sum of three sine waves along the arm with
-    random phases; the largest angle is the amplitude.
-
-    Args:
-        arm: the arm.
-        rng: source of randomness.
-        amplitude: largest joint position [rad or m].
-
-    Returns:
-        Configuration within the limits of the arm, (nq,).
-    """
-    if not (np.isfinite(amplitude) and amplitude >= 0.0):
-        raise InvalidValue("amplitude", amplitude, "a finite number >= 0 [rad or m]")
-    along = np.linspace(0.0, 1.0, arm.n_modules)
-    places = max(len(joints) for joints in arm.module_joints)
-    waves = np.zeros((arm.n_modules, places))
-    for place in range(places):
-        for number in (1, 2, 3):
-            waves[:, place] += (
-                rng.normal() / number * np.sin(np.pi * number * along + rng.uniform(0, 2 * np.pi))
-            )
-    positions = np.zeros(arm.nv)
-    for wave, joints in zip(waves, arm.chain.module_slices, strict=True):
-        columns = arm.columns[joints]
-        positions[columns] = wave[: len(columns)]
-    positions *= amplitude / max(float(np.abs(positions).max()), 1e-300)
-    return arm.configuration(np.clip(positions, arm.limits.lower, arm.limits.upper))
 
 
 def bent_configuration(arm: Arm, rng: np.random.Generator, heading: float) -> Array:

@@ -1,9 +1,6 @@
-"""The target curves of chapter 6, in metres."""
+"""Curves by name: the target curves of chapter 6 of the thesis, in metres."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping
-from types import MappingProxyType
 
 from pinposture.curve import Curve
 
@@ -20,8 +17,3 @@ PLANAR_LINE = Curve.line((0.0, 0.0, 0.0), (7.425, 0.0, 0.0))
 
 CURVES = {"line": LINE, "helix": HELIX}
 """The curves by the names that the command line takes."""
-
-TARGET_CURVES: Mapping[tuple[str, str], Curve] = MappingProxyType(
-    {("ryrz20", "helix"): HELIX, ("ryrz20", "line"): LINE, ("planar45", "line"): PLANAR_LINE}
-)
-"""The curve of each arm for each kind of target that is the same for every seed."""

@@ -1,0 +1,7 @@
+"""`python -m pinposture.study DIRECTORY` writes the robot descriptions of the thesis's arms."""
+
+import sys
+
+from pinposture.study.thesis_arms import main
+
+sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,239 @@
+"""Objectives for the null space (2.7), (2.8), and the derivatives that they need."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from pinposture.arm import ArmState
+from pinposture.errors import UnknownName
+
+# Second and third derivatives of the position of a control point, in closed form.
+#
+# Let w_u be the axis of joint u in the world (zero if it slides) and J_u the column of the position
+# Jacobian. Joint u turns everything after it, and with it every column that belongs to a later joint; moving
+# the point changes the columns of the joints before. For joints in the order of the chain, a <= b <= c,
+#
+# d2 p / dq_a dq_b = w_a x J_b, d3 p / dq_a dq_b dq_c = w_a x (w_b x J_c).
+
+Array = NDArray[np.float64]
+
+
+def joint_axes(state: ArmState) -> Array:
+    """Axes of the joints of the chain in the world, from base to tip, (n, 3); zero for joints that slide."""
+    chain = state.arm.chain
+    angles = state.arm.positions(state.q)[chain.columns] * chain.revolute
+    turns = Rotation.from_rotvec(angles[:, None] * chain.axes).as_matrix()
+    axes, turned = np.zeros_like(chain.axes), np.eye(3)
+    for u, turn in enumerate(turns):
+        axes[u] = turned @ chain.axes[u]
+        turned = turned @ turn
+    return np.asarray(axes * chain.revolute[:, None])
+
+
+class PositionDerivatives:
+    """Derivatives of the position of one control point by the joints that move it, in `Arm.joint_units`.
+
+    Columns are in the order of the chain.
+
+    Attributes:
+        columns: tangent space indices of those joints, (n,).
+        axes: their axes in the world, (n, 3); zero for joints that slide.
+        jacobian: position Jacobian, (3, n) [m per unit], world axes.
+        plane: directions of the task, (d, 3), orthonormal: see `Arm.plane`.
+    """
+
+    def __init__(self, state: ArmState, point: int) -> None:
+        arm = state.arm
+        n = int(arm.support[point].sum())
+        self.columns = arm.columns[:n]
+        self.axes = joint_axes(state)[:n]
+        self.jacobian = state.jacobians[point][:, self.columns] * arm.joint_units[self.columns]
+        self.plane = arm.plane
+
+    def second(self) -> Array:
+        """Second derivatives of the position along the task directions, (n, n, d) [m]."""
+        crossed = np.cross(self.axes[:, None], self.jacobian.T[None])  # (n, n, 3): w_u x J_v
+        return np.asarray(_symmetric(crossed) @ self.plane.T)
+
+    def third(self, weights: Array) -> Array:
+        """Third derivatives, summed over one of the joints with weights.
+
+        The triple product a x (b x c) = b (a . c) - c (a . b) splits every term into factors of one joint
+        each, so that running sums over the chain replace the sum.
+
+        Args:
+            weights: one vector for each joint, (d, n), along the task directions.
+
+        Returns:
+            Array (n, n): sum over t of weights[:, t] . d3 p / dq_u dq_v dq_t.
+        """
+        axes, columns = self.axes, self.jacobian.T
+        lifted = weights.T @ self.plane  # (n, 3)
+        outer = columns[:, :, None] * lifted[:, None, :]
+        after = np.cumsum(outer[::-1], axis=0)[::-1]  # sum of J P^T over t >= v
+        outer = axes[:, :, None] * lifted[:, None, :]
+        before = np.cumsum(outer, axis=0) - outer  # sum of w P^T over t < v
+        trace_after, trace_before = (np.trace(a, axis1=1, axis2=2)[:, None] for a in (after, before))
+        late = _each(after, axes) - trace_after * axes - _each(before, columns) + trace_before * columns
+        early = _each(before, axes) - trace_before * axes
+        return _symmetric(axes @ late.T + early @ columns.T)
+
+
+def _each(matrices: Array, vectors: Array) -> Array:
+    """One matrix times one vector for each joint, (n, 3)."""
+    return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])
+
+
+def _symmetric(upper: Array) -> Array:
+    """The symmetric array (n, n, ...) of which only the part u <= v is right so far."""
+    n = len(upper)
+    earlier = np.triu(np.ones((n, n), dtype=np.bool_)).reshape(n, n, *([1] * (upper.ndim - 2)))
+    return np.asarray(np.where(earlier, upper, upper.swapaxes(0, 1)))
+
+
+RANK = 1e-12
+"""Singular values up to this share of the largest one count as zero: they are rounding errors."""
+
+
+# The manipulability measure (3.3) of a control point, and its first two derivatives.
+
+
+def manipulability_measure(state: ArmState, point: int) -> float:
+    """Product w of the singular values of the position Jacobian (3.3), relative to length^d of the arm.
+
+    Args:
+        state: where the arm is.
+        point: control point, 0-based.
+    """
+    sigma = np.linalg.svd(state.task_jacobians[point], compute_uv=False)
+    return float(np.prod(sigma / state.arm.length))
+
+
+def measure_gradient(state: ArmState, point: int) -> Array:
+    """Gradient of the manipulability measure.
+
+    dw/dq_u = w tr(dJ/dq_u J^+); in w J^+ every singular value is replaced by the product of the others.
+
+    Returns:
+        Array (nv,), per unit of joint motion. Where J is singular w is zero and has no gradient, as |x| has
+        none at 0: then zero.
+    """
+    gradient = np.zeros(state.arm.nv)
+    known = _decomposed(state, point)
+    if known is not None:
+        derivatives, inverse, measure = known
+        gradient[derivatives.columns] = measure * np.einsum("uva,va->u", derivatives.second(), inverse)
+    return gradient
+
+
+def measure_hessian(state: ArmState, point: int) -> Array:
+    """Second derivatives of the manipulability measure.
+
+    With D_u = dJ/dq_u and G = J J^T, those of log w are
+
+        tr(dD_u/dq_v J^+) - tr(D_u J^+ D_v J^+) + tr(D_u (I - J^+J) D_v^T G^-1).
+
+    Returns:
+        Array (nv, nv), per unit of joint motion squared; zero where J is singular.
+    """
+    hessian = np.zeros((state.arm.nv, state.arm.nv))
+    known = _decomposed(state, point)
+    if known is None:
+        return hessian
+    derivatives, inverse, measure = known  # inverse is J^+, (n, d)
+    changes = derivatives.second().swapaxes(1, 2)  # D, (n, d, n)
+    n = len(changes)
+    products = changes @ inverse  # D_u J^+, (n, d, d)
+    slope = np.trace(products, axis1=1, axis2=2)
+    null = changes - products @ (derivatives.plane @ derivatives.jacobian)
+    curved = inverse.T @ inverse @ changes  # G^-1 D_v
+    logarithmic = (
+        derivatives.third(inverse.T)
+        - np.einsum("uab,vba->uv", products, products)
+        + null.reshape(n, -1) @ curved.reshape(n, -1).T
+    )
+    hessian[np.ix_(derivatives.columns, derivatives.columns)] = measure * (
+        logarithmic + np.outer(slope, slope)
+    )
+    return hessian
+
+
+def _decomposed(state: ArmState, point: int) -> tuple[PositionDerivatives, Array, float] | None:
+    """Derivatives, J^+ (n, d) and w relative to length^d; None where J is singular."""
+    derivatives = PositionDerivatives(state, point)
+    jacobian = derivatives.plane @ derivatives.jacobian
+    left, sigma, right = np.linalg.svd(jacobian, full_matrices=False)
+    if len(sigma) < len(jacobian) or sigma[-1] <= RANK * sigma[0]:
+        return None
+    return derivatives, (right.T / sigma) @ left.T, float(np.prod(sigma / state.arm.length))
+
+
+# Objective functions that a redundant arm can improve while its end-effector does its task (2.7).
+
+Objective = Literal["manipulability", "joint_limits"]
+
+OBJECTIVES: tuple[Objective, ...] = ("manipulability", "joint_limits")
+"""Names of the objective functions. Both are written such that more is better.
+
+"manipulability" is the manipulability measure (3.3) of the end-effector, relative to length^d of the arm.
+
+"joint_limits" is minus (2.8): that expression grows without bound as a joint nears a limit, so it is to be
+minimised, not maximised. Joint positions are counted in `Arm.joint_units`. A limit at infinity adds nothing,
+and joints that move no control point are left out. At a limit (2.8) is not defined, and beyond one its
+gradient points outwards; so from `NEAREST` on it goes on along its tangent, finite and pushing back from
+either side.
+"""
+
+NEAREST = 0.1
+"""Distance to a limit, in `Arm.joint_units`, within which (2.8) is continued along its tangent."""
+
+
+def require_objective(objective: str | None) -> None:
+    """Raise UnknownName unless it is the name of an objective function, or None."""
+    if objective is not None and objective not in OBJECTIVES:
+        raise UnknownName("objective", objective, OBJECTIVES)
+
+
+def objective_value(objective: Objective, state: ArmState, end_effector: int) -> float:
+    """Value h of an objective function; more is better.
+
+    Args:
+        objective: its name.
+        state: where the arm is.
+        end_effector: the control point that does the task, 0-based.
+    """
+    if objective == "manipulability":
+        return manipulability_measure(state, end_effector)
+    rooms = np.concatenate(_rooms(state))
+    barrier = 0.5 * np.maximum(rooms, NEAREST) ** -2.0
+    return -float(np.sum(barrier + np.maximum(NEAREST - rooms, 0.0) * NEAREST**-3.0))
+
+
+def objective_gradient(objective: Objective, state: ArmState, end_effector: int) -> Array:
+    """Gradient dh/dq of an objective function, (nv,), per unit of joint motion."""
+    if objective == "manipulability":
+        return measure_gradient(state, end_effector)
+    below, above = _rooms(state)
+    return np.asarray(np.maximum(below, NEAREST) ** -3.0 - np.maximum(above, NEAREST) ** -3.0)
+
+
+def objective_hessian(objective: Objective, state: ArmState, end_effector: int) -> Array:
+    """Second derivatives of an objective function, (nv, nv), per unit of joint motion squared."""
+    if objective == "manipulability":
+        return measure_hessian(state, end_effector)
+    curvatures = [np.where(room > NEAREST, np.maximum(room, NEAREST) ** -4.0, 0.0) for room in _rooms(state)]
+    return np.diag(-3.0 * (curvatures[0] + curvatures[1]))
+
+
+def _rooms(state: ArmState) -> tuple[Array, Array]:
+    """Distance of each joint from its lower and from its upper limit, (nv,) each, in `Arm.joint_units`."""
+    arm = state.arm
+    positions, columns = arm.positions(state.q), arm.columns
+    below, above = np.full((2, arm.nv), np.inf)  # joints off the chain are not to be moved
+    below[columns] = (positions - arm.limits.lower)[columns] / arm.joint_units[columns]
+    above[columns] = (arm.limits.upper - positions)[columns] / arm.joint_units[columns]
+    return below, above

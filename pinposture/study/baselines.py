@@ -1,0 +1,459 @@
+"""Controllers of the literature to compare with: (2.6) and (2.9) to (2.16), damped least squares."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture._validation import require_positive, require_whole
+from pinposture.arm import ArmState
+from pinposture.control.controller import Controller, Diagnostics, Memory, Step, stack_rows, task_errors
+from pinposture.control.limits import Limits
+from pinposture.control.registry import CONTROLLERS
+from pinposture.control.thesis.posture_matrix import Decomposition, decompose, pseudo_inverse_step
+from pinposture.errors import UnknownName
+from pinposture.placement import Target
+from pinposture.study.baseline_objectives import (
+    RANK,
+    Objective,
+    PositionDerivatives,
+    objective_gradient,
+    objective_hessian,
+    require_objective,
+)
+
+# What the baselines have in common: the task they solve, and how a step is finished.
+
+Array = NDArray[np.float64]
+
+
+class BaselineTask(NamedTuple):
+    """Control points to be moved, J dq = dp.
+
+    Attributes:
+        points: the control points, 0-based and increasing; the last of them is the end-effector.
+        jacobian: their stacked position Jacobians, (r, nv) [m per unit of joint motion].
+        errors: their stacked errors c - p, (r,) [m].
+    """
+
+    points: tuple[int, ...]
+    jacobian: Array
+    errors: Array
+
+    @property
+    def end_effector(self) -> int:
+        """The last control point of the task."""
+        return self.points[-1]
+
+
+def task_of(state: ArmState, target: Target, points: NDArray[np.intp]) -> BaselineTask:
+    """The task of moving some control points (N,) to their targets."""
+    jacobian = stack_rows(state.task_jacobians[points])
+    return BaselineTask(tuple(int(k) for k in points), jacobian, task_errors(state, target)[points].ravel())
+
+
+def end_effector_task(state: ArmState, target: Target) -> BaselineTask:
+    """The task of the end-effector alone, which is the last control point that has a target."""
+    return task_of(state, target, np.flatnonzero(target.placed)[-1:])
+
+
+def all_points_task(state: ArmState, target: Target) -> BaselineTask:
+    """The task of all control points that have a target, stacked (2.15)."""
+    return task_of(state, target, np.flatnonzero(target.placed))
+
+
+def regular_part(matrix: Decomposition) -> Decomposition:
+    """The decomposition without its zero singular values: what a pseudo-inverse inverts."""
+    rank = int(np.count_nonzero(matrix.sigma > RANK * matrix.sigma[0]))
+    return Decomposition(matrix.left[:, :rank], matrix.sigma[:rank], matrix.right[:rank])
+
+
+def damped_step(matrix: Decomposition, velocity: Array, damping: float) -> Array:
+    """The dq that minimises |J dq - dr|^2 + damping |dq|^2, for damping > 0.
+
+    Args:
+        matrix: decomposition of J.
+        velocity: desired velocities of the rows dr, (r,).
+        damping: weight of the step, in the units of J squared.
+
+    Returns:
+        Joint displacement (nv,) in the units of the columns of J.
+    """
+    share = matrix.sigma / (matrix.sigma**2 + damping)
+    return np.asarray(matrix.right.T @ (share * (matrix.left.T @ velocity)))
+
+
+def finished(
+    state: ArmState,
+    points: tuple[int, ...],
+    rows: int,
+    sigma: Array,
+    asked: Array,
+    limits: Limits,
+    previous: Array | None,
+) -> Step:
+    """Bring a step within the limits, and describe it.
+
+    Args:
+        state: where the step begins.
+        points: the control points that it moves.
+        rows: number of rows of the matrix that was inverted.
+        sigma: its singular values in any order, at least one [m/rad].
+        asked: joint displacement asked for, (nv,), in `Arm.joint_units`.
+        limits: what the step may not exceed.
+        previous: the step before, (nv,) [rad or m]; None: there was none.
+
+    Returns:
+        The step. Its manipulability index is the smallest of its points relative to the base.
+    """
+    arm = state.arm
+    # Joints off the chain have zero columns, and singular vectors round zero.
+    moved = asked * arm.joint_units * arm.moved
+    limited = limits.apply(state, moved, previous)
+    diagnostics = Diagnostics(
+        manipulability=float(state.manipulability()[0, np.array(points) + 1].min()),
+        sigma_min=float(sigma.min()),
+        sigma_max=float(sigma.max()),
+        rows=rows,
+        dropped=(),
+        scale=limited.scale,
+        clipped=limited.clipped,
+        reason="",
+    )
+    return Step(limited.dq, points, diagnostics, Memory(limited.dq))
+
+
+def held(state: ArmState, reason: str, limits: Limits, previous: Array | None) -> Step:
+    """A step that only brakes, if there is anything to brake, and why."""
+    still = limits.hold(state, previous)
+    none = Diagnostics(0.0, 0.0, 0.0, 0, (), still.scale, still.clipped, reason)
+    return Step(still.dq, (), none, Memory(still.dq))
+
+
+# What all baselines that invert a Jacobian do first, and those with a null-space term alike.
+
+
+class Baseline(ABC):
+    """A method that remembers nothing but its step, and stands still if no control point has a target."""
+
+    def step(
+        self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
+    ) -> Step:
+        """Compute one step; see `Controller.step`."""
+        limits = Limits() if limits is None else limits
+        previous = memory.dq if memory is not None else None
+        if not np.any(target.placed):
+            return held(state, "no control point has a target", limits, previous)
+        return self._step(state, target, limits, previous)
+
+    @abstractmethod
+    def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:
+        """Compute one step; some control point has a target."""
+
+
+@dataclass(frozen=True)
+class NullSpaceMethod(Baseline):
+    """The step J^+ K dp + (I - J^+J) k grad h of a task, (2.6), (2.7) and (2.16).
+
+    Attributes:
+        objective: what the null space is used for, see `objectives.OBJECTIVES`; None: nothing, the shortest
+            step.
+        gain: share of its error that each point of the task is asked to cover in one step.
+        null_gain: the factor k of (2.7), positive for better. Joints take null_gain times the slope of h.
+    """
+
+    objective: Objective | None = None
+    gain: float = 1.0
+    null_gain: float = 0.1
+
+    def __post_init__(self) -> None:
+        require_objective(self.objective)
+        require_positive("gain", self.gain)
+        require_positive("null_gain", self.null_gain, zero=True)
+
+    @abstractmethod
+    def _task(self, state: ArmState, target: Target) -> BaselineTask:
+        """What is to be moved."""
+
+    def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:
+        task = self._task(state, target)
+        matrix = decompose(task.jacobian)
+        kappa = np.zeros(state.arm.nv)
+        if self.objective is not None:
+            kappa = self.null_gain * objective_gradient(self.objective, state, task.end_effector)
+        asked = pseudo_inverse_step(regular_part(matrix), self.gain * task.errors, kappa)
+        return finished(state, task.points, len(task.errors), matrix.sigma, asked, limits, previous)
+
+
+# The pseudo-inverse of the end-effector Jacobian, with an objective function in its null space.
+
+
+@dataclass(frozen=True)
+class PseudoInverse(NullSpaceMethod):
+    """Moves the end-effector alone: dq = J^+ dp + (I - J^+J) k grad h, (2.6) and (2.7).
+
+    The end-effector is the last control point that has a target; where the others go is nobody's concern.
+    Nothing is damped: near a singular posture the step grows as 1 / sigma_min, and at one the directions
+    that are lost are left out. Its parameters are those of `NullSpaceMethod`.
+    """
+
+    name: str = "pinv"
+
+    def _task(self, state: ArmState, target: Target) -> BaselineTask:
+        return end_effector_task(state, target)
+
+
+# All control points at once by plain pseudo-inverse: what Section 4.3 warns of.
+
+
+@dataclass(frozen=True)
+class AugmentedJacobian(NullSpaceMethod):
+    """Stacks the Jacobians of all control points that have a target, (2.15), and inverts the lot, (2.16).
+
+    There are usually more rows than joints: the step is then the least-squares one. Nothing is damped, so
+    wherever rows of different points nearly agree, which they often do while each point on its own moves
+    freely (an algorithmic singularity, Section 3.1.3), the step is huge. Its parameters are those of
+    `NullSpaceMethod`.
+    """
+
+    name: str = "augmented"
+
+    def _task(self, state: ArmState, target: Target) -> BaselineTask:
+        return all_points_task(state, target)
+
+
+# All control points at once, with constant damping.
+
+
+@dataclass(frozen=True)
+class DampedLeastSquares(Baseline):
+    """Moves all control points that have a target: dq minimises |J dq - K e|^2 + lambda^2 |dq|^2.
+
+    No step is longer than |K e| / (2 lambda), singular or not; in exchange, directions with singular values
+    below lambda hardly move, also where they could.
+
+    Attributes:
+        damping: lambda relative to the arm length [1/rad].
+        gain: share of its error that each point is asked to cover in one step (K).
+    """
+
+    damping: float = 0.02
+    gain: float = 1.0
+    name: str = "dls"
+
+    def __post_init__(self) -> None:
+        require_positive("damping", self.damping)
+        require_positive("gain", self.gain)
+
+    def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:
+        task = all_points_task(state, target)
+        matrix = decompose(task.jacobian)
+        damping = (self.damping * state.arm.length) ** 2
+        asked = damped_step(matrix, self.gain * task.errors, damping)
+        return finished(state, task.points, len(task.errors), matrix.sigma, asked, limits, previous)
+
+
+# All control points at once, damped the more the farther they are from their targets.
+
+
+@dataclass(frozen=True)
+class LevenbergMarquardt(Baseline):
+    """Moves all control points that have a target, with the damping of Sugihara (2011).
+
+    Each step solves (J^T W J + lambda I) dq = J^T W e, with W = diag(weights) / length^2 of the arm and
+    lambda = e^T W e / 2 + bias: careful from afar, nearly Gauss-Newton close by, regular everywhere.
+
+    The singular values of its diagnostics are those of diag(weights)^(1/2) J.
+
+    Attributes:
+        bias: damping that stays at the target, in squared arm lengths [1/rad^2].
+    """
+
+    bias: float = 1e-6
+    name: str = "lm"
+
+    def __post_init__(self) -> None:
+        require_positive("bias", self.bias)
+
+    def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:
+        task = all_points_task(state, target)
+        weights = np.repeat(np.sqrt(target.weights[list(task.points)]), state.arm.dimension)
+        matrix = decompose(weights[:, None] * task.jacobian)
+        errors, length = weights * task.errors, state.arm.length
+        damping = 0.5 * float(errors @ errors) + self.bias * length**2
+        asked = damped_step(matrix, errors, damping)
+        return finished(state, task.points, len(task.errors), matrix.sigma, asked, limits, previous)
+
+
+# The end-effector first, other control points in what room it leaves.
+
+
+@dataclass(frozen=True)
+class TaskConstraints(Baseline):
+    """Moves the end-effector, and other control points in its null space, (2.6) with (2.11).
+
+        dq = J^+ dp + (I - J^+J) (J_c (I - J^+J))^+ (dp_c - J_c J^+ dp)
+
+    The end-effector is the last control point that has a target. The others come strictly second: whatever
+    is asked of them, the end-effector moves as if they were not there. (2.9) allows alpha <= n - m rows
+    for them, where n joints move the end-effector and m is the rank of J: so many of them are taken, spread
+    evenly along the arm. They may still ask for more than the null space can do; then the step is the
+    least-squares one, and where it nearly can it is huge, for nothing is damped.
+
+    The singular values of its diagnostics are those of J and of J_c (I - J^+J).
+
+    Attributes:
+        constraints: how many other control points to move at most; None: as many as (2.9) allows.
+        gain: share of its error that each point is asked to cover in one step.
+    """
+
+    constraints: int | None = None
+    gain: float = 1.0
+    name: str = "task-constraints"
+
+    def __post_init__(self) -> None:
+        if self.constraints is not None:
+            require_whole("constraints", self.constraints, 0)
+        require_positive("gain", self.gain)
+
+    def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:
+        primary = end_effector_task(state, target)
+        left, every, right = np.linalg.svd(primary.jacobian)
+        matrix = regular_part(Decomposition(left, every, right[: len(every)]))
+        rank = len(matrix.sigma)
+        null = right[rank:]  # basis of the null space, (nv - rank, nv)
+        asked = matrix.right.T @ ((matrix.left.T @ (self.gain * primary.errors)) / matrix.sigma)
+        secondary = self._constraints(state, target, primary, rank)
+        if not secondary.points:
+            return finished(state, primary.points, len(primary.errors), every, asked, limits, previous)
+        # J_c (I - J^+J) has the singular values of J_c V with V the basis, and needs no projection after.
+        projected = decompose(secondary.jacobian @ null.T)
+        inverted = regular_part(projected)
+        missing = self.gain * secondary.errors - secondary.jacobian @ asked
+        asked = asked + null.T @ (inverted.right.T @ ((inverted.left.T @ missing) / inverted.sigma))
+        rows = len(primary.errors) + len(secondary.errors)
+        sigma = np.concatenate([every, projected.sigma])
+        return finished(state, secondary.points + primary.points, rows, sigma, asked, limits, previous)
+
+    def _constraints(self, state: ArmState, target: Target, primary: BaselineTask, rank: int) -> BaselineTask:
+        """The other control points that (2.9) has room for."""
+        others = np.flatnonzero(target.placed)[:-1]
+        joints = int(state.arm.support[primary.end_effector].sum())
+        room = (joints - rank) // state.arm.dimension
+        count = min(len(others), room, len(others) if self.constraints is None else self.constraints)
+        spread = np.linspace(0, len(others), count + 2)[1:-1].astype(np.intp)
+        return task_of(state, target, others[spread])
+
+
+# The extended Jacobian: an end-effector task and the conditions of an extremum, as one square matrix.
+
+
+@dataclass(frozen=True)
+class ExtendedJacobian(Baseline):
+    """Moves the end-effector and stays where an objective function is extremal, (2.12)-(2.14).
+
+    At an extremum under the task, f_c = N^T grad h = 0 for a basis N of the null space of J (2.12). Both
+    together make a square system, J_e dq = [dp; 0] with J_c = d f_c / dq, solved by its inverse.
+
+    For J_c to exist, N must be a differentiable function of q. Singular vectors are not: they turn
+    arbitrarily within the null space. From J N = 0 follows dN = -J^+ dJ N + N A with any skew matrix A: a
+    choice of basis, which adds A^T f_c to the derivative. Take A = 0, the basis that does not turn within
+    the null space. Then, with the multipliers l = J^{+T} grad h and the second derivatives D_a of the task
+    coordinates,
+
+        J_c = N^T (hess h - sum_a l_a D_a),
+
+    the reduced Hessian of Newton's method for extrema under constraints. J_c changes with N by a rotation of
+    its rows only, so that the step is the same for every orthonormal basis, also that of the singular
+    vectors of the moment; and at f_c = 0 the choice of A does not matter. Both objective functions are
+    differentiated in closed form, at O(n^2 d) for the derivatives and O(n^3) for the inverse.
+
+    As the method goes, f_c is held at the value that it has, zero or not: started off an extremum, it never
+    gets to one, unless `restore` asks for it. J_e is singular where J is, and also where an extremum meets
+    another or is flat (algorithmic singularities); near that, steps are huge. At one the step is held.
+
+    The singular values of its diagnostics are those of J_e, see `system`.
+
+    Attributes:
+        objective: what is extremal, see `objectives.OBJECTIVES`.
+        gain: share of its error that the end-effector is asked to cover in one step.
+        restore: share of f_c that is taken back in one step. 0 is (2.14) as printed.
+    """
+
+    objective: Objective = "manipulability"
+    gain: float = 1.0
+    restore: float = 0.0
+    name: str = "extended"
+
+    def __post_init__(self) -> None:
+        if self.objective is None:
+            raise UnknownName("objective", None, ("manipulability", "joint_limits"))
+        require_objective(self.objective)
+        require_positive("gain", self.gain)
+        require_positive("restore", self.restore, zero=True)
+
+    def _step(self, state: ArmState, target: Target, limits: Limits, previous: Array | None) -> Step:
+        task = end_effector_task(state, target)
+        columns, extended, constraint = self.system(state, task)
+        if len(extended) < len(columns):
+            return held(
+                state,
+                "the Jacobian of the end-effector is singular: there is no extended Jacobian",
+                limits,
+                previous,
+            )
+        matrix = decompose(extended)
+        if matrix.sigma[-1] <= RANK * matrix.sigma[0]:
+            return held(
+                state,
+                f"the extended Jacobian is singular: {self.objective} has no single extremum",
+                limits,
+                previous,
+            )
+        velocity = np.concatenate([self.gain * task.errors, -self.restore * constraint])
+        asked = np.zeros(state.arm.nv)
+        asked[columns] = pseudo_inverse_step(matrix, velocity, np.zeros(len(columns)))
+        return finished(state, task.points, len(extended), matrix.sigma, asked, limits, previous)
+
+    def system(self, state: ArmState, task: BaselineTask) -> tuple[NDArray[np.intp], Array, Array]:
+        """The extended Jacobian J_e and the constraint f_c.
+
+        Returns:
+            Tangent space indices of the n joints that move the end-effector; J_e (n, n) [m per unit], the
+            last n - d rows of which are those of f_c; and f_c (n - d,) [m], times the arm length to be of one
+            kind with J. Where J is singular, J_e is empty.
+        """
+        derivatives = PositionDerivatives(state, task.end_effector)
+        columns, length = derivatives.columns, state.arm.length
+        jacobian = task.jacobian[:, columns]
+        left, sigma, right = np.linalg.svd(jacobian)
+        rank = int(np.count_nonzero(sigma > RANK * sigma[0]))
+        if rank < len(jacobian):
+            return columns, np.zeros((0, len(columns))), np.zeros(0)
+        null = right[rank:]  # N^T, (n - d, n)
+        gradient = objective_gradient(self.objective, state, task.end_effector)[columns]
+        hessian = objective_hessian(self.objective, state, task.end_effector)[np.ix_(columns, columns)]
+        multipliers = left @ ((right[:rank] @ gradient) / sigma)
+        reduced = null @ (hessian - derivatives.second() @ multipliers)
+        return columns, np.vstack([jacobian, length * reduced]), length * (null @ gradient)
+
+
+# What others would use, in the same protocol.
+
+
+BASELINES: dict[str, Callable[[], Controller]] = {
+    "pinv": PseudoInverse,
+    "task-constraints": TaskConstraints,
+    "extended": ExtendedJacobian,
+    "augmented": AugmentedJacobian,
+    "dls": DampedLeastSquares,
+    "lm": LevenbergMarquardt,
+}
+"""The baselines with their default parameters, by name; `controller_named` knows them as well from now on."""
+
+CONTROLLERS.update(BASELINES)

@@ -1,0 +1,519 @@
+"""What the thesis claims, in our words, and its figures, as data; `study.reproduce` measures them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal
+
+# What a claim of the thesis is.
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One claim.
+
+    Attributes:
+        id: short name.
+        where: where the thesis says so.
+        text: what it says, in our words.
+        measured: in what share of which cases it is true.
+        rule: how large that share must be: "always" for what is guaranteed or said of every case, "usually"
+            for how a method works in general, "rather" for comparisons and tendencies.
+        methods: the methods that it speaks of: of "selection", "projection", "switching".
+    """
+
+    id: str
+    where: str
+    text: str
+    measured: str
+    rule: Literal["always", "usually", "rather"]
+    methods: tuple[str, ...] = ()
+
+
+# Claims on where the arm gets to.
+
+TRACKING = (
+    Claim(
+        "tracks-arbitrary",
+        "Abstract; 1.2; 6.3 (1); 7",
+        "Both methods take the arm from one arbitrary non-singular posture to another.",
+        "runs that end with a mean point error of at most 1 % of the arm length",
+        "usually",
+        ("selection", "projection"),
+    ),
+    Claim(
+        "tracks-singular",
+        "4.7; 6.3 (2); 7",
+        "Both methods also reach target postures that are singular or nearly so.",
+        "runs that end with a mean point error of at most 1 % of the arm length",
+        "usually",
+        ("selection", "projection"),
+    ),
+    Claim(
+        "similar-performance",
+        "6.3 (1)",
+        "Both methods track non-singular targets with similar performance.",
+        "seeds whose final errors by the two methods differ by at most a factor of 2, or are both at most "
+        "0.1 % of the arm length",
+        "rather",
+        ("selection", "projection"),
+    ),
+    Claim(
+        "projection-lower-non-singular",
+        "5.3; 6.1.2",
+        "On non-singular targets Projection ends with a lower posture error than Selection.",
+        "seeds with a lower final error by Projection, or both at most 1e-6 of the arm length",
+        "rather",
+        ("selection", "projection"),
+    ),
+    Claim(
+        "projection-lower-singular",
+        "4.7; 6.3 (2); 7 (3)",
+        "On singular targets Projection ends with a lower posture error than Selection.",
+        "seeds with a lower final error by Projection, or both at most 1e-6 of the arm length",
+        "rather",
+        ("selection", "projection"),
+    ),
+    Claim(
+        "projection-converges",
+        "6.1.2",
+        "The posture error of Projection eventually converges to zero.",
+        "runs that end with a mean point error of at most 0.1 % of the arm length",
+        "usually",
+        ("projection",),
+    ),
+    Claim(
+        "selection-few-steps",
+        "6.2.1",
+        "On the planar arm Selection converges within a few iterations, with little residual error.",
+        "runs that come to a mean point error of 1 % of the arm length within 50 steps, and end there",
+        "usually",
+        ("selection",),
+    ),
+    Claim(
+        "selection-cannot-start",
+        "5; 6.1.4; 6.2.3; 7 (1)",
+        "Selection cannot start at a singular posture.",
+        "runs from the straight posture that find no control point for their first step",
+        "always",
+        ("selection",),
+    ),
+    Claim(
+        "selection-cannot-start-near",
+        "5; 7 (1)",
+        "Selection cannot start in the vicinity of a singular posture either.",
+        "runs from postures whose joints are within 1e-3 rad of straight that find no control point for "
+        "their "
+        "first step",
+        "usually",
+        ("selection",),
+    ),
+    Claim(
+        "projection-departs",
+        "6.1.4; 6.2.3; 6.3 (3)",
+        "Projection departs from a singular posture.",
+        "runs from the straight posture that at least halve the posture error",
+        "usually",
+        ("projection",),
+    ),
+    Claim(
+        "projection-converges-from-singular",
+        "6.1.4",
+        "From a singular posture Projection converges to the target.",
+        "runs from the straight posture that end with a mean point error of at most 1 % of the arm length",
+        "usually",
+        ("projection",),
+    ),
+    Claim(
+        "selection-cannot-pass",
+        "6.3 (3); 7 (2)",
+        "Selection cannot traverse a singular posture or pass near one.",
+        "runs to the posture with all joints reversed, on the other side of the straight one, that do "
+        "not end "
+        "with a mean point error of at most 1 % of the arm length",
+        "usually",
+        ("selection",),
+    ),
+    Claim(
+        "projection-passes",
+        "6.3 (3)",
+        "Projection can traverse a singular posture.",
+        "runs to the posture with all joints reversed, on the other side of the straight one, that end "
+        "with a "
+        "mean point error of at most 1 % of the arm length",
+        "usually",
+        ("projection",),
+    ),
+    Claim(
+        "targets-on-curve",
+        "4.1; 4.2; 4.6",
+        "An adequate segmentation, one joint per module in the plane and two in space, puts the end of every "
+        "module on the target curve.",
+        "cases with all control point targets within 1e-5 of the arm length of the curve, which is sampled",
+        "always",
+    ),
+)
+"""Where the arm gets to."""
+
+
+# Claims on how the arm moves.
+
+MOVING = (
+    Claim(
+        "selection-monotone",
+        "6.1.2; 6.2.1",
+        "The posture error of Selection falls monotonically.",
+        "runs on none of whose steps the posture error rises",
+        "usually",
+        ("selection",),
+    ),
+    Claim(
+        "null-space-descends",
+        "4.5 (4.7)",
+        "The null-space term of (4.7) makes the posture error fall with each iteration.",
+        "steps on which the posture error does not rise",
+        "always",
+        ("selection", "projection"),
+    ),
+    Claim(
+        "active-points-descend",
+        "4.5 (4.7); 6.1.2",
+        "Active control points move so that their own errors fall.",
+        "active control points whose errors do not rise in a step, over all steps",
+        "always",
+        ("selection",),
+    ),
+    Claim(
+        "point-errors-not-monotone",
+        "6.1.2",
+        "The errors of single control points do not fall monotonically under Selection.",
+        "runs in which the error of some control point rises in some step",
+        "usually",
+        ("selection",),
+    ),
+    Claim(
+        "projection-not-monotone",
+        "6.1.2; 6.2.1",
+        "The posture error of Projection is not monotone.",
+        "runs in which the posture error rises on some step",
+        "usually",
+        ("projection",),
+    ),
+    Claim(
+        "selection-predictable",
+        "6.3 (5); 7",
+        "The intermediate postures of Selection are predictable.",
+        "runs whose control points move at most 1.5 times the direct distances, and from which a start "
+        "nudged by "
+        "1e-6 rad leads at most 0.1 % of the arm length away",
+        "usually",
+        ("selection",),
+    ),
+    Claim(
+        "projection-unpredictable",
+        "6.2.1; 6.3 (4); 7",
+        "The intermediate postures of Projection are unpredictable.",
+        "runs whose control points move more than 1.5 times the direct distances, or from which a start "
+        "nudged "
+        "by 1e-6 rad leads more than 0.1 % of the arm length away",
+        "usually",
+        ("projection",),
+    ),
+    Claim(
+        "selection-more-predictable",
+        "6.3 (4, 5); 7",
+        "The intermediate postures of Selection are more predictable than those of Projection.",
+        "seeds on which the control points take a shorter way under Selection; and seeds on which a "
+        "nudge of the "
+        "start leads less far away under Selection",
+        "rather",
+        ("selection", "projection"),
+    ),
+    Claim(
+        "stable-near-singular",
+        "Abstract; 1.2; 3; 6.1.3",
+        "Near singular postures no unacceptably large joint velocities are asked for.",
+        "steps near a singular posture (smallest singular value of the tip's Jacobian at most 0.03 of "
+        "the arm "
+        "length per rad) that ask no joint for more than half a turn",
+        "always",
+        ("selection", "projection"),
+    ),
+    Claim(
+        "no-blow-up",
+        "Abstract; 1.2; 3.4",
+        "Operation is stable in the vicinity of singular postures.",
+        "runs to singular targets that come near a singular posture and whose posture error never again "
+        "exceeds "
+        "twice what it was there",
+        "usually",
+        ("selection", "projection"),
+    ),
+    Claim(
+        "smooth-near-singular",
+        "1.2",
+        "Operation is smooth in and around singular postures.",
+        "steps near a singular posture whose joint displacement differs from the one before by at most "
+        "half of "
+        "the larger of the two",
+        "usually",
+        ("selection", "projection"),
+    ),
+    Claim(
+        "stable-without-step-limit",
+        "4.5; 4.7; 5",
+        "The methods need no step limit to approach a singular posture safely; (4.7) has none.",
+        "runs without a step limit, at gains of 1, that end with a mean point error of at most 1 % of "
+        "the arm length",
+        "usually",
+    ),
+)
+"""How it moves."""
+
+
+# Claims on which control points are used, and on switching between the methods.
+
+POINTS = (
+    Claim(
+        "many-points",
+        "6.2.1",
+        "On the planar arm both methods use a lot of control points in every step.",
+        "steps with at least a quarter of all control points active",
+        "usually",
+        ("selection", "projection"),
+    ),
+    Claim(
+        "selection-runs-out",
+        "5; 6.1.3; 6.2.2",
+        "Selection runs out of control points as it approaches a singular posture.",
+        "runs to singular targets that end with at most half of the control points they began with",
+        "usually",
+        ("selection",),
+    ),
+    Claim(
+        "selection-stranded",
+        "6.1.3",
+        "Near a singular target Selection finds no control point any more, and is stranded.",
+        "runs to singular targets that end for want of a control point",
+        "usually",
+        ("selection",),
+    ),
+    Claim(
+        "projection-keeps-points",
+        "6.1.3; 6.2.2",
+        "Projection keeps many control points near a singular target, and after it got there.",
+        "runs to singular targets with at least half of all control points active in every step",
+        "always",
+        ("projection",),
+    ),
+    Claim(
+        "projection-uses-all",
+        "6.1.2",
+        "Projection uses all control points, always.",
+        "steps with all control points active",
+        "always",
+        ("projection",),
+    ),
+    Claim(
+        "projection-more-points",
+        "5.3",
+        "Projection uses more control points at a time than Selection.",
+        "seeds with more active control points, on average over the steps",
+        "always",
+        ("selection", "projection"),
+    ),
+    Claim(
+        "selection-full-rank",
+        "4.3; 4.5; 7",
+        "The posture control matrix of Selection always has full row rank.",
+        "steps whose posture control matrix has full row rank",
+        "always",
+        ("selection",),
+    ),
+    Claim(
+        "projection-full-rank",
+        "5; 5.2; 7",
+        "The posture control matrix of Projection always has full row rank.",
+        "steps whose posture control matrix has full row rank",
+        "always",
+        ("projection",),
+    ),
+)
+"""Which control points it uses."""
+
+SWITCHING = (
+    Claim(
+        "switching-lower",
+        "6.2.4; 6.3 (5)",
+        "Switching between the methods ends with a smaller error than either of them alone.",
+        "seeds with a smaller final error than by both, or all at most 1e-6 of the arm length",
+        "rather",
+        ("switching",),
+    ),
+    Claim(
+        "switching-predictable",
+        "6.3 (5)",
+        "Switching keeps the predictable nature of Selection.",
+        "seeds on which the control points take a way at most 1.2 times that under Selection; and seeds "
+        "on which a "
+        "nudge of the start leads at most 10 times as far away, or at most 0.1 % of the arm length",
+        "rather",
+        ("switching",),
+    ),
+    Claim(
+        "switching-mostly-selection",
+        "4.6.2",
+        "Projection takes over only briefly.",
+        "runs in which Projection makes at most half of the steps",
+        "usually",
+        ("switching",),
+    ),
+)
+"""What comes of switching between the two."""
+
+CHOOSING = POINTS + SWITCHING
+"""Both."""
+
+
+# Claims on postures and sets of control points, whatever moves the arm.
+
+POSTURES = (
+    Claim(
+        "absolute-carries-over",
+        "4.3",
+        "If one control point clears the absolute manipulability condition, all later ones do.",
+        "random postures and thresholds for which no control point fails the condition after an earlier one "
+        "cleared it",
+        "always",
+    ),
+    Claim(
+        "neighbours-suffice",
+        "4.3",
+        "If neighbours in a set clear the relative manipulability condition, all pairs in it do.",
+        "random candidate control sets of which all pairs clear the condition",
+        "always",
+    ),
+    Claim(
+        "conditions-give-full-rank",
+        "4.3",
+        "The posture control matrix of a set that clears both conditions has full row rank.",
+        "random candidate control sets whose matrix has full row rank",
+        "always",
+    ),
+    Claim(
+        "conditions-keep-away",
+        "4.3; 4.4",
+        "The posture control matrix of a set that clears both conditions is far from singular.",
+        "random candidate control sets whose matrix has no singular value below 1e-4 of the arm length "
+        "per rad",
+        "always",
+    ),
+    Claim(
+        "singular-section",
+        "Appendix A",
+        "If the section between two neighbours of a set is singular, so is the posture control matrix.",
+        "random postures at which the Jacobians of two control points with a singular section between "
+        "them stack "
+        "to a matrix of less than full row rank",
+        "always",
+    ),
+)
+"""What is true of postures and sets of control points, whatever moves the arm."""
+
+
+# What the thesis claims of its methods, in our words, as data; `pinposture.study.reproduce` measures it.
+
+CLAIMS: Mapping[str, Claim] = MappingProxyType(
+    {claim.id: claim for claim in TRACKING + MOVING + CHOOSING + POSTURES}
+)
+"""All claims by their ids."""
+
+
+# Figures 6.3 to 6.12 of the thesis, as data: which runs each shows, and how.
+
+
+@dataclass(frozen=True)
+class ThesisFigure:
+    """One figure.
+
+    Attributes:
+        number: its number in the thesis.
+        title: what it shows, in our words.
+        section: where the thesis discusses it.
+        layout: "postures" shows initial posture, target and final postures; "errors" shows errors and control
+            points against steps; "planar" shows all of these.
+        scenario: name of the scenario, one of `pinposture.study.scenarios.SCENARIOS`.
+        controllers: names of the controllers, one run each.
+        compared: names of controllers whose posture error is drawn beside for comparison.
+        seed: what start and target are drawn from. The thesis does not give its own.
+    """
+
+    number: str
+    title: str
+    section: str
+    layout: Literal["postures", "errors", "planar"]
+    scenario: str
+    controllers: tuple[str, ...]
+    compared: tuple[str, ...] = ()
+    seed: int = 0
+
+
+BOTH = ("selection", "projection")
+ALONE = ("projection",)
+
+SPATIAL_SEED = 17
+PLANAR_SEED = 84
+"""Seeds whose runs end near the medians over 100 seeds."""
+
+_LISTED = (
+    ThesisFigure(
+        "6.3", "Spatial arm, non-singular target", "6.1.2", "postures", "helix", BOTH, seed=SPATIAL_SEED
+    ),
+    ThesisFigure(
+        "6.4", "Spatial arm, non-singular target", "6.1.2", "errors", "helix", BOTH, seed=SPATIAL_SEED
+    ),
+    ThesisFigure("6.5", "Spatial arm, singular target", "6.1.3", "postures", "line", BOTH, seed=SPATIAL_SEED),
+    ThesisFigure("6.6", "Spatial arm, singular target", "6.1.3", "errors", "line", BOTH, seed=SPATIAL_SEED),
+    ThesisFigure(
+        "6.7", "Spatial arm, singular start", "6.1.4", "postures", "from-straight", ALONE, seed=SPATIAL_SEED
+    ),
+    ThesisFigure(
+        "6.8", "Spatial arm, singular start", "6.1.4", "errors", "from-straight", ALONE, seed=SPATIAL_SEED
+    ),
+    ThesisFigure(
+        "6.9", "Planar arm, non-singular target", "6.2.1", "planar", "planar-random", BOTH, seed=PLANAR_SEED
+    ),
+    ThesisFigure(
+        "6.10",
+        "Planar arm, nearly singular target",
+        "6.2.2",
+        "planar",
+        "planar-near-line",
+        BOTH,
+        seed=PLANAR_SEED,
+    ),
+    ThesisFigure(
+        "6.11",
+        "Planar arm, singular start",
+        "6.2.3",
+        "planar",
+        "planar-from-straight",
+        ALONE,
+        seed=PLANAR_SEED,
+    ),
+    ThesisFigure(
+        "6.12",
+        "Planar arm, nearly singular target, switching",
+        "6.2.4",
+        "planar",
+        "planar-near-line",
+        ("switching",),
+        BOTH,
+        PLANAR_SEED,
+    ),
+)
+
+FIGURES: Mapping[str, ThesisFigure] = MappingProxyType({figure.number: figure for figure in _LISTED})
+"""The figures by their numbers in the thesis."""

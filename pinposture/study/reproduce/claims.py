@@ -1,0 +1,746 @@
+"""Claims of the thesis measured on runs, and the verdict on each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import pairwise
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.study.reproduce.runs import MeasuredRun, Reading, label, median
+
+# How a claim is judged: by the shares of cases in which it is true, against thresholds fixed beforehand.
+
+Verdict = Literal["holds", "holds partly", "does not hold", "not seen"]
+
+
+class Rule(NamedTuple):
+    """What share of cases a claim must be true in.
+
+    Attributes:
+        words: what kind of claim the rule is for.
+        holds: least share at which the claim holds.
+        partly: least share at which it holds partly.
+    """
+
+    words: str
+    holds: float
+    partly: float
+
+
+RULES: Mapping[str, Rule] = {
+    "always": Rule("guaranteed, or said of every case", 1.0, 0.5),
+    "usually": Rule("said of how the method works in general", 0.9, 0.5),
+    "rather": Rule("a comparison or a tendency", 0.75, 0.5),
+}
+"""The rules by name; the claims of `pinposture.study.claims` name theirs."""
+
+
+class Share(NamedTuple):
+    """In how many of the cases a claim is true.
+
+    Attributes:
+        true: number of cases in which it is.
+        cases: number of cases.
+    """
+
+    true: int
+    cases: int
+
+    @property
+    def value(self) -> float:
+        """The share; 0 if there are no cases."""
+        return self.true / self.cases if self.cases else 0.0
+
+
+def share(truths: Iterable[bool]) -> Share:
+    """The share of true ones."""
+    listed = [bool(truth) for truth in truths]
+    return Share(sum(listed), len(listed))
+
+
+class Class(NamedTuple):
+    """Something about the steps that lie within one class of nearness to a singular posture.
+
+    Attributes:
+        quantity: what it is, with its unit.
+        group: what was tried.
+        low: least nearness of the class: smallest singular value of the tip's Jacobian per arm length.
+        high: where the class ends.
+        steps: number of steps in it.
+        median: median over them.
+        largest: largest value.
+    """
+
+    quantity: str
+    group: str
+    low: float
+    high: float
+    steps: int
+    median: float
+    largest: float
+
+
+class Finding(NamedTuple):
+    """What was measured for a claim.
+
+    Attributes:
+        shares: in how many cases it is true, by what was tried; these decide.
+        figures: further numbers that tell how it is, by name.
+        instead: what holds, in words; said where the claim does not hold throughout.
+        by_nearness: how it depends on the distance to the nearest singular posture, where that was measured.
+    """
+
+    shares: Mapping[str, Share]
+    figures: Mapping[str, float]
+    instead: str
+    by_nearness: Sequence[Class] = ()
+
+
+def judge(shares: Mapping[str, Share], rule: Rule) -> Verdict:
+    """The verdict on a claim.
+
+    It holds if it does in everything that was tried, does not if it does not even partly in any, and else
+    holds partly. What no case was found for does not count; without any case at all it was not seen.
+    """
+    values = [each.value for each in shares.values() if each.cases]
+    if not values:
+        return "not seen"
+    if min(values) >= rule.holds:
+        return "holds"
+    return "does not hold" if max(values) < rule.partly else "holds partly"
+
+
+# Claims on where the arm gets to.
+
+THERE = 1e-2
+"""Mean point error per arm length at which an arm has the target posture to the eye."""
+
+CLOSE = 1e-3
+"""The same at which little is left."""
+
+EXACT = 1e-6
+"""The same at which a run has converged and stops."""
+
+ON_CURVE = 1e-5
+"""Distance from a curve per arm length that sampling accounts for."""
+
+FEW = 50
+"""Steps that count as a few, at 0.1 rad per step."""
+
+NON_SINGULAR = ("helix", "random", "planar-random")
+SINGULAR = ("line", "planar-near-line")
+FROM_STRAIGHT = ("from-straight", "planar-from-straight")
+FROM_NEAR_STRAIGHT = ("near-straight", "planar-near-straight")
+ACROSS = ("opposite", "planar-opposite")
+BOTH = ("selection", "projection")
+
+
+def final(run: MeasuredRun) -> float:
+    """Mean point error at the end, per arm length."""
+    return float(run.mean_errors[-1])
+
+
+def arrived(run: MeasuredRun, within: float = THERE) -> bool:
+    """Whether a run ends with a mean point error of at most that, per arm length."""
+    return final(run) <= within
+
+
+def lower(run: MeasuredRun, others: Sequence[MeasuredRun]) -> bool:
+    """Whether a run ends with a lower error than others, or all of them have converged."""
+    return all(final(run) < final(other) or max(final(run), final(other)) <= EXACT for other in others)
+
+
+def errors_of(groups: Mapping[str, Sequence[MeasuredRun]]) -> dict[str, float]:
+    """Median final errors, by what was tried."""
+    return {
+        f"median final error per arm length: {k}": median([final(r) for r in v]) for k, v in groups.items()
+    }
+
+
+def _shares(
+    groups: Mapping[str, Sequence[MeasuredRun]], true: Callable[[MeasuredRun], bool]
+) -> dict[str, Share]:
+    return {name: share(true(run) for run in runs) for name, runs in groups.items()}
+
+
+def _in_words(shares: Mapping[str, Share]) -> str:
+    return "; ".join(f"{name}: {each.value:.0%}" for name, each in shares.items())
+
+
+def _arrives(scenarios: Sequence[str], methods: Sequence[str]) -> Callable[[Reading], Finding]:
+    def find(reading: Reading) -> Finding:
+        groups = reading.each(scenarios, methods)
+        close = _shares(groups, lambda run: arrived(run, CLOSE))
+        halved = _shares(groups, lambda run: run.outcome.ratio <= 0.5)
+        figures = errors_of(groups) | {f"within 0.1 %: {name}": each.value for name, each in close.items()}
+        return Finding(
+            _shares(groups, arrived), figures, f"The posture error is at least halved in {_in_words(halved)}."
+        )
+
+    return find
+
+
+def _similar(reading: Reading) -> Finding:
+    def alike(one: MeasuredRun, other: MeasuredRun) -> bool:
+        low, high = sorted((final(one), final(other)))
+        return high <= max(2.0 * low, CLOSE)
+
+    pairs = reading.pairs(NON_SINGULAR, *BOTH)
+    factors = {
+        name: median([np.log10(max(final(b), EXACT) / max(final(a), EXACT)) for a, b in runs])
+        for name, runs in pairs.items()
+    }
+    told = "; ".join(f"{name}: {10.0**value:.2g}" for name, value in factors.items())
+    return Finding(
+        {name: share(alike(a, b) for a, b in runs) for name, runs in pairs.items()},
+        {f"median of log10(Projection / Selection): {name}": value for name, value in factors.items()},
+        f"Final error of Projection relative to that of Selection, the median: {told}.",
+    )
+
+
+def _projection_lower(scenarios: Sequence[str]) -> Callable[[Reading], Finding]:
+    def find(reading: Reading) -> Finding:
+        pairs = reading.pairs(scenarios, *BOTH)
+        shares = {name: share(lower(b, [a]) for a, b in runs) for name, runs in pairs.items()}
+        figures = errors_of(reading.each(scenarios, BOTH))
+        parts = [
+            f"{name}: {median([final(a) for a, _ in runs]):.2g} by Selection, "
+            f"{median([final(b) for _, b in runs]):.2g} by Projection"
+            for name, runs in pairs.items()
+        ]
+        return Finding(shares, figures, f"Median final errors per arm length: {'; '.join(parts)}.")
+
+    return find
+
+
+def _converges(reading: Reading) -> Finding:
+    groups = reading.each((*NON_SINGULAR, *SINGULAR), ("projection",))
+    there = _shares(groups, arrived)
+    return Finding(
+        _shares(groups, lambda run: arrived(run, CLOSE)),
+        errors_of(groups),
+        f"A mean point error of at most 1 % of the arm length is reached in {_in_words(there)}.",
+    )
+
+
+def _few_steps(reading: Reading) -> Finding:
+    groups = reading.each(("planar-random",), ("selection",))
+
+    def steps(run: MeasuredRun) -> float:
+        below = np.flatnonzero(run.mean_errors <= THERE)
+        return float(below[0]) if len(below) else np.inf
+
+    needed = [steps(run) for runs in groups.values() for run in runs]
+    reached = [count for count in needed if np.isfinite(count)]
+    return Finding(
+        _shares(groups, lambda run: steps(run) <= FEW and arrived(run)),
+        {"median steps to 1 %, of runs that come there": median(reached)} | errors_of(groups),
+        f"{len(reached)} of {len(needed)} runs come within 1 %, in {median(reached):.0f} steps (median).",
+    )
+
+
+def _cannot_start(scenarios: Sequence[str]) -> Callable[[Reading], Finding]:
+    def find(reading: Reading) -> Finding:
+        groups = reading.each(scenarios, ("selection",))
+        there = _shares(groups, arrived)
+        figures = {f"end within 1 %: {name}": each.value for name, each in there.items()}
+        text = f"Of all runs, these end within 1 % of the arm length: {_in_words(there)}."
+        return Finding(_shares(groups, lambda run: run.outcome.steps == 0), figures, text)
+
+    return find
+
+
+def _departs(reading: Reading) -> Finding:
+    groups = reading.each(FROM_STRAIGHT, ("projection",))
+    ratios = {name: median([run.outcome.ratio for run in runs]) for name, runs in groups.items()}
+    told = "; ".join(f"{name}: {value:.2g}" for name, value in ratios.items())
+    return Finding(
+        _shares(groups, lambda run: run.outcome.ratio <= 0.5),
+        {f"median ratio of final to first posture error: {name}": value for name, value in ratios.items()},
+        f"Median ratio of the final posture error to the first: {told}.",
+    )
+
+
+def _cannot_pass(reading: Reading) -> Finding:
+    groups = reading.each(ACROSS, ("selection",))
+    there = _shares(groups, arrived)
+    nearest = {
+        name: median([run.steps.nearness.min(initial=1.0) for run in runs]) for name, runs in groups.items()
+    }
+    stranded = _shares(groups, lambda run: run.outcome.status == "no_control_points")
+    figures = {f"median of the smallest nearness on the way [1/rad]: {k}": v for k, v in nearest.items()}
+    figures |= {f"out of control points: {name}": each.value for name, each in stranded.items()}
+    return Finding(
+        _shares(groups, lambda run: not arrived(run)),
+        figures,
+        f"It gets there in {_in_words(there)}, and ends for want of control points in {_in_words(stranded)}.",
+    )
+
+
+def _on_curve(reading: Reading) -> Finding:
+    groups = {
+        label(scenario): reading.runs(scenario, "selection")
+        for scenario in ("helix", "line", "planar-random", "planar-near-line")
+    }
+    off = {
+        name: [run.off_curve for run in runs if run.off_curve is not None] for name, runs in groups.items()
+    }
+    farthest = {name: max(values, default=0.0) for name, values in off.items()}
+    told = "; ".join(f"{name}: {value:.2g}" for name, value in farthest.items())
+    return Finding(
+        {name: share(value <= ON_CURVE for value in values) for name, values in off.items()},
+        {f"farthest off, per arm length: {name}": value for name, value in farthest.items()},
+        f"The farthest that a target is off the curve, per arm length: {told}.",
+    )
+
+
+TRACKING_MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
+    "tracks-arbitrary": _arrives(NON_SINGULAR, BOTH),
+    "tracks-singular": _arrives(SINGULAR, BOTH),
+    "similar-performance": _similar,
+    "projection-lower-non-singular": _projection_lower(NON_SINGULAR),
+    "projection-lower-singular": _projection_lower(SINGULAR),
+    "projection-converges": _converges,
+    "selection-few-steps": _few_steps,
+    "selection-cannot-start": _cannot_start(FROM_STRAIGHT),
+    "selection-cannot-start-near": _cannot_start(FROM_NEAR_STRAIGHT),
+    "projection-departs": _departs,
+    "projection-converges-from-singular": _arrives(FROM_STRAIGHT, ("projection",)),
+    "selection-cannot-pass": _cannot_pass,
+    "projection-passes": _arrives(ACROSS, ("projection",)),
+    "targets-on-curve": _on_curve,
+}
+"""How each claim of `pinposture.study.claims.TRACKING` is measured."""
+
+
+# Claims on how the arm moves near singular postures.
+
+NEAR = 0.03
+"""Smallest singular value of the tip's Jacobian, per arm length, up to which a posture is nearly singular."""
+
+BINS = (0.0, 0.003, 0.01, 0.03, 0.1, np.inf)
+"""Limits of the classes of nearness for which figures are given."""
+
+HALF_TURN = float(np.pi)
+"""The most that a joint may be asked for in one step [rad]; beyond that it might turn the other way."""
+
+ABRUPT = 0.5
+"""Change of the joint displacement, per size, above which a motion is not smooth."""
+
+
+def _near(
+    runs: Sequence[MeasuredRun], name: str, low: float = 0.0, high: float = NEAR
+) -> NDArray[np.float64]:
+    """Something about the steps of runs that are that near a singular posture."""
+    parts = [
+        getattr(run.steps, name)[(run.steps.nearness >= low) & (run.steps.nearness < high)] for run in runs
+    ]
+    return np.concatenate([np.zeros(0), *parts])
+
+
+def _by_nearness(groups: Mapping[str, Sequence[MeasuredRun]], name: str, quantity: str) -> list[Class]:
+    """Medians and largest values of something about the steps, by nearness."""
+    classes = []
+    for group, runs in groups.items():
+        for low, high in pairwise(BINS):
+            values = _near(runs, name, low, high)
+            if len(values):
+                largest = float(values.max())
+                classes.append(Class(quantity, group, low, high, len(values), median(values), largest))
+    return classes
+
+
+def _asked(reading: Reading) -> Finding:
+    groups = reading.each(SINGULAR, BOTH)
+    largest = {name: float(_near(runs, "asked").max(initial=0.0)) for name, runs in groups.items()}
+    told = "; ".join(f"{name}: {value:.3g} rad" for name, value in largest.items())
+    return Finding(
+        {name: share(_near(runs, "asked") <= HALF_TURN) for name, runs in groups.items()},
+        {
+            f"largest |dq| asked for near a singular posture [rad]: {name}": most
+            for name, most in largest.items()
+        },
+        f"The most that was asked of a joint in one step near a singular posture: {told}. "
+        "A step limit takes care of it.",
+        _by_nearness(groups, "asked", "largest motion of a joint asked for [rad]"),
+    )
+
+
+def _no_blow_up(reading: Reading) -> Finding:
+    groups = reading.each(SINGULAR, BOTH)
+
+    def worst(run: MeasuredRun) -> float | None:
+        near = np.flatnonzero(run.steps.nearness <= NEAR)
+        if not len(near):
+            return None
+        after = run.mean_errors[near[0] :]
+        return float(after.max() / max(float(after[0]), 1e-300))
+
+    growth = {
+        name: [value for run in runs if (value := worst(run)) is not None] for name, runs in groups.items()
+    }
+    return Finding(
+        {name: share(value <= 2.0 for value in values) for name, values in growth.items()},
+        {f"largest growth: {name}": max(values, default=1.0) for name, values in growth.items()}
+        | {f"runs that come near: {name}": float(len(values)) for name, values in growth.items()},
+        f"Runs that come near a singular posture at all: "
+        f"{'; '.join(f'{name}: {len(values)}' for name, values in growth.items())}.",
+    )
+
+
+def _smooth(reading: Reading) -> Finding:
+    groups = reading.each(SINGULAR, BOTH)
+    far = {name: median(_near(runs, "turn", NEAR, np.inf)) for name, runs in groups.items()}
+    near = {name: median(_near(runs, "turn")) for name, runs in groups.items()}
+    told = "; ".join(f"{name}: {near[name]:.2f} near, {far[name]:.2f} elsewhere" for name in groups)
+    return Finding(
+        {name: share(_near(runs, "turn") <= ABRUPT) for name, runs in groups.items()},
+        {f"median change of dq per size, near: {name}": change for name, change in near.items()},
+        f"Median change of the joint displacement from step to step, per size: {told}.",
+        _by_nearness(groups, "turn", "change of dq from step to step, per size")
+        + _by_nearness(groups, "change", "share of the active set exchanged from step to step"),
+    )
+
+
+def _any_step(reading: Reading) -> Finding:
+    # A variant of its own: the default runs have a step limit.
+    groups = {
+        label(scenario, f"{method}, any step"): runs
+        for scenario in SINGULAR
+        for method in BOTH
+        if (runs := reading.pool.get((scenario, f"{method}, any step"), ()))
+    }
+    shares = {name: share(arrived(run) for run in runs) for name, runs in groups.items()}
+    told = "; ".join(f"{name}: {each.value:.0%}" for name, each in shares.items())
+    return Finding(shares, errors_of(groups), f"Of runs without a step limit these arrive: {told}.")
+
+
+SINGULAR_MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
+    "stable-near-singular": _asked,
+    "no-blow-up": _no_blow_up,
+    "smooth-near-singular": _smooth,
+    "stable-without-step-limit": _any_step,
+}
+"""How claims of `pinposture.study.claims.MOVING` are measured where they are on singular postures."""
+
+
+# Claims on how the arm moves.
+
+DIRECT = 1.5
+"""Length of the paths of the control points per direct distance up to which a motion counts as direct."""
+
+CALM = 1e-3
+"""How far a nudge of 1e-6 rad may lead, per arm length, for a motion to count as predictable."""
+
+VISIBLE = 0.01
+"""Rise of the posture error, relative to the first, that a picture shows."""
+
+TWINS = ("helix", "planar-random")
+"""Scenarios whose runs have twins."""
+
+
+def predictable(run: MeasuredRun) -> bool:
+    """Whether a run went directly, and would have gone the same way from a start beside its own."""
+    return run.sweep <= DIRECT and run.separation is not None and run.separation <= CALM
+
+
+def _largest_rise(run: MeasuredRun) -> float:
+    """The most that the posture error rises in one step, relative to the first."""
+    return max(float(np.diff(run.mean_errors).max(initial=0.0)) / max(float(run.mean_errors[0]), 1e-300), 0.0)
+
+
+def _monotone(method: str, expected: bool) -> Callable[[Reading], Finding]:
+    def find(reading: Reading) -> Finding:
+        groups = reading.each((*NON_SINGULAR, *SINGULAR), (method,))
+        rising = {
+            name: median([run.descent.rose / max(run.descent.steps, 1) for run in runs])
+            for name, runs in groups.items()
+        }
+        to_the_eye = {
+            name: share(_largest_rise(run) <= VISIBLE for run in runs) for name, runs in groups.items()
+        }
+        told = "; ".join(f"{name}: {rising[name]:.0%}, {to_the_eye[name].value:.0%}" for name in groups)
+        return Finding(
+            {
+                name: share((run.descent.rose == 0) is expected for run in runs)
+                for name, runs in groups.items()
+            },
+            {f"median share of rising steps: {name}": value for name, value in rising.items()}
+            | {f"runs without a visible rise: {name}": each.value for name, each in to_the_eye.items()},
+            "Median share of the steps of a run on which the posture error rises, and share of the runs "
+            "in which "
+            f"it never rises by more than 1 % of what it was at first: {told}.",
+        )
+
+    return find
+
+
+def _null_space(reading: Reading) -> Finding:
+    groups = reading.each((*NON_SINGULAR, *SINGULAR), BOTH)
+    steps = {name: sum(run.descent.steps for run in runs) for name, runs in groups.items()}
+    uphill = {
+        name: sum(run.descent.uphill for run in runs) / max(steps[name], 1) for name, runs in groups.items()
+    }
+    told = "; ".join(f"{name}: {value:.1%}" for name, value in uphill.items())
+    return Finding(
+        {
+            name: Share(steps[name] - sum(run.descent.rose for run in runs), steps[name])
+            for name, runs in groups.items()
+        },
+        {f"steps uphill however short: {name}": value for name, value in uphill.items()},
+        "The sum runs over all control points and its sign is that of descent, without which it would not "
+        f"lower the posture error at all. Steps that would raise it however short they were made: {told}.",
+    )
+
+
+def _active_points(reading: Reading) -> Finding:
+    groups = reading.each((*NON_SINGULAR, *SINGULAR), ("selection",))
+    counted = {
+        name: tuple(
+            sum(getattr(run.descent, field) for run in runs)
+            for field in ("active", "active_rose", "active_free", "active_uphill", "steps", "clipped")
+        )
+        for name, runs in groups.items()
+    }
+    free = sum(count[2] for count in counted.values())
+    uphill = sum(count[3] for count in counted.values())
+    return Finding(
+        {name: Share(count[0] - count[1], count[0]) for name, count in counted.items()},
+        {f"steps with a joint at its limit: {k}": c[5] / max(c[4], 1) for k, c in counted.items()},
+        f"Where no joint is stopped at its limit, {uphill} of {free} active control points would move "
+        "away from "
+        "their targets if the step were short: errors rise because steps are long and joints have limits.",
+    )
+
+
+def _points_rise(reading: Reading) -> Finding:
+    groups = reading.each((*NON_SINGULAR, *SINGULAR), ("selection",))
+    return Finding(
+        {name: share(run.descent.points_rose > 0 for run in runs) for name, runs in groups.items()}, {}, ""
+    )
+
+
+def _predictability(groups: Mapping[str, Sequence[MeasuredRun]]) -> dict[str, float]:
+    figures = {}
+    for name, runs in groups.items():
+        figures[f"median path per direct distance: {name}"] = median([run.sweep for run in runs])
+        apart = [run.separation for run in runs if run.separation is not None]
+        figures[f"median separation of twins, per arm length: {name}"] = median(apart)
+    return figures
+
+
+def _predictable(method: str, expected: bool) -> Callable[[Reading], Finding]:
+    def find(reading: Reading) -> Finding:
+        groups = {
+            name: [run for run in runs if run.separation is not None]
+            for name, runs in reading.each(TWINS, (method,)).items()
+        }
+        told = "; ".join(
+            f"{name}: direct in {share(run.sweep <= DIRECT for run in runs).value:.0%}, insensitive to the "
+            f"nudge in {share((run.separation or 0.0) <= CALM for run in runs).value:.0%}"
+            for name, runs in groups.items()
+        )
+        shares = {name: share(predictable(run) is expected for run in runs) for name, runs in groups.items()}
+        return Finding(shares, _predictability(groups), f"{told[:1].upper()}{told[1:]}.")
+
+    return find
+
+
+def _more_predictable(reading: Reading) -> Finding:
+    pairs = reading.pairs(TWINS, *BOTH)
+    shares = {f"{name}: way": share(a.sweep < b.sweep for a, b in runs) for name, runs in pairs.items()}
+    for name, runs in pairs.items():
+        both = [(a.separation, b.separation) for a, b in runs]
+        shares[f"{name}: nudge"] = share(a < b for a, b in both if a is not None and b is not None)
+    figures = _predictability(reading.each(TWINS, BOTH))
+    told = "; ".join(f"{name}: {each.value:.0%}" for name, each in shares.items())
+    return Finding(shares, figures, f"Seeds on which Selection is the better: {told}.")
+
+
+MOVING_MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
+    "selection-monotone": _monotone("selection", True),
+    "null-space-descends": _null_space,
+    "active-points-descend": _active_points,
+    "point-errors-not-monotone": _points_rise,
+    "projection-not-monotone": _monotone("projection", False),
+    "selection-predictable": _predictable("selection", True),
+    "projection-unpredictable": _predictable("projection", False),
+    "selection-more-predictable": _more_predictable,
+}
+"""How claims of `pinposture.study.claims.MOVING` are measured; others are in `singular.MEASURES`."""
+
+
+# Claims on which control points are used, and on switching between the methods.
+
+MANY = 0.25
+"""Share of all control points that counts as a lot."""
+
+SWITCHED = ("planar-near-line", "line", "planar-random", "helix", "random")
+"""Scenarios on which switching is compared with its parts; the thesis shows the first."""
+
+
+def _steps_with(runs: Sequence[MeasuredRun], part: float) -> Share:
+    """Steps in which at least a part of all control points is active."""
+    counts = np.concatenate([np.zeros(0), *(run.points / run.modules for run in runs)])
+    return share(counts >= part)
+
+
+def _mean_points(groups: Mapping[str, Sequence[MeasuredRun]]) -> dict[str, float]:
+    return {
+        f"median of the mean number of active points: {name}": median(
+            [float(run.points.mean()) for run in runs if len(run.points)]
+        )
+        for name, runs in groups.items()
+    }
+
+
+def _many(reading: Reading) -> Finding:
+    groups = reading.each(("planar-random",), BOTH)
+    fewest = {
+        name: min((int(run.points.min()) for run in runs if len(run.points)), default=0)
+        for name, runs in groups.items()
+    }
+    told = "; ".join(f"{name}: {count}" for name, count in fewest.items())
+    return Finding(
+        {name: _steps_with(runs, MANY) for name, runs in groups.items()},
+        _mean_points(groups),
+        f"The fewest points in any step: {told}.",
+    )
+
+
+def _runs_out(reading: Reading) -> Finding:
+    groups = reading.each(SINGULAR, ("selection",))
+    figures = {}
+    for name, runs in groups.items():
+        figures[f"median points at first: {name}"] = median([run.outcome.first_points for run in runs])
+        figures[f"median points at last: {name}"] = median([run.outcome.last_points for run in runs])
+    told = "; ".join(f"{name}: {value:g}" for name, value in figures.items())
+    return Finding(
+        {
+            name: share(
+                run.outcome.status == "no_control_points"
+                or run.outcome.last_points <= run.outcome.first_points / 2
+                for run in runs
+            )
+            for name, runs in groups.items()
+        },
+        figures,
+        f"{told[:1].upper()}{told[1:]}.",
+    )
+
+
+def _stranded(reading: Reading) -> Finding:
+    groups = reading.each(SINGULAR, ("selection",))
+    return Finding(
+        {
+            name: share(run.outcome.status == "no_control_points" for run in runs)
+            for name, runs in groups.items()
+        },
+        errors_of(groups),
+        "Median final errors per arm length: "
+        + "; ".join(f"{name}: {median([final(run) for run in runs]):.2g}" for name, runs in groups.items())
+        + ".",
+    )
+
+
+def _keeps(reading: Reading) -> Finding:
+    groups = reading.each(SINGULAR, ("projection",))
+    return Finding(
+        {
+            name: share(run.points.min(initial=run.modules) >= 0.5 * run.modules for run in runs)
+            for name, runs in groups.items()
+        },
+        _mean_points(groups),
+        "",
+    )
+
+
+def _all(reading: Reading) -> Finding:
+    groups = reading.each((*NON_SINGULAR, *SINGULAR, *FROM_STRAIGHT), ("projection",))
+    return Finding({name: _steps_with(runs, 1.0) for name, runs in groups.items()}, _mean_points(groups), "")
+
+
+def _more(reading: Reading) -> Finding:
+    pairs = reading.pairs((*NON_SINGULAR, *SINGULAR), *BOTH)
+    return Finding(
+        {
+            name: share(b.points.mean() > a.points.mean() for a, b in runs if len(a.points) and len(b.points))
+            for name, runs in pairs.items()
+        },
+        _mean_points(reading.each((*NON_SINGULAR, *SINGULAR), BOTH)),
+        "",
+    )
+
+
+def _full_rank(method: str) -> Callable[[Reading], Finding]:
+    def find(reading: Reading) -> Finding:
+        groups = reading.each((*NON_SINGULAR, *SINGULAR, *FROM_STRAIGHT), (method,))
+        steps = {name: sum(run.descent.steps for run in runs) for name, runs in groups.items()}
+        shares = {
+            name: Share(steps[name] - sum(run.deficient for run in runs), steps[name])
+            for name, runs in groups.items()
+        }
+        missing = sum(each.cases - each.true for each in shares.values())
+        return Finding(shares, {"steps of less than full rank": float(missing)}, "")
+
+    return find
+
+
+def _switching_lower(reading: Reading) -> Finding:
+    shares = {}
+    for scenario in SWITCHED:
+        runs = [reading.runs(scenario, method) for method in ("switching", *BOTH)]
+        if all(runs):
+            shares[label(scenario)] = share(lower(ours, parts) for ours, *parts in zip(*runs, strict=True))
+    groups = reading.each(SWITCHED, (*BOTH, "switching"))
+    told = "; ".join(f"{name}: {median([final(run) for run in runs]):.2g}" for name, runs in groups.items())
+    return Finding(shares, errors_of(groups), f"Median final errors per arm length: {told}.")
+
+
+def _switching_predictable(reading: Reading) -> Finding:
+    pairs = reading.pairs(TWINS, "switching", "selection")
+    shares = {
+        f"{name}: way": share(a.sweep <= 1.2 * b.sweep for a, b in runs) for name, runs in pairs.items()
+    }
+    for name, runs in pairs.items():
+        both = [(a.separation, b.separation) for a, b in runs]
+        shares[f"{name}: nudge"] = share(
+            a <= max(10.0 * b, CALM) for a, b in both if a is not None and b is not None
+        )
+    told = "; ".join(
+        f"{name}: {median([a.sweep for a, _ in runs]):.2f} against {median([b.sweep for _, b in runs]):.2f}"
+        for name, runs in pairs.items()
+    )
+    return Finding(
+        shares, {}, f"Path per direct distance by switching against Selection, the medians: {told}."
+    )
+
+
+def _mostly_selection(reading: Reading) -> Finding:
+    groups = reading.each(SWITCHED, ("switching",))
+    parts = {name: median([run.by_projection for run in runs]) for name, runs in groups.items()}
+    told = "; ".join(f"{name}: {value:.0%}" for name, value in parts.items())
+    return Finding(
+        {name: share(run.by_projection <= 0.5 for run in runs) for name, runs in groups.items()},
+        {f"median share of steps by Projection: {name}": value for name, value in parts.items()},
+        f"Steps that Projection makes, the median: {told}.",
+    )
+
+
+CHOOSING_MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
+    "many-points": _many,
+    "selection-runs-out": _runs_out,
+    "selection-stranded": _stranded,
+    "projection-keeps-points": _keeps,
+    "projection-uses-all": _all,
+    "projection-more-points": _more,
+    "selection-full-rank": _full_rank("selection"),
+    "projection-full-rank": _full_rank("projection"),
+    "switching-lower": _switching_lower,
+    "switching-predictable": _switching_predictable,
+    "switching-mostly-selection": _mostly_selection,
+}
+"""How each claim of `pinposture.study.claims.CHOOSING` is measured."""

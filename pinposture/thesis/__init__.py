@@ -1,1 +1,0 @@
-"""The arms, curves and scenarios of the thesis, as data."""

@@ -1,0 +1,38 @@
+"""The library does not depend on its evidence."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import pinposture
+
+ROOT = Path(pinposture.__file__).parent
+LIBRARY = sorted(
+    path for path in ROOT.rglob("*.py") if path.relative_to(ROOT).parts[0] not in ("study", "cli")
+)
+
+
+def test_no_module_of_the_library_imports_studies():
+    assert len(LIBRARY) > 100
+    for path in LIBRARY:
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            assert not any(name.startswith("pinposture.study") for name in names), path
+
+
+@pytest.mark.process
+def test_baselines_have_names_once_they_are_imported():
+    code = (
+        "from pinposture.control import CONTROLLERS\n"
+        "before = set(CONTROLLERS)\n"
+        "from pinposture.study.baselines import BASELINES\n"
+        "assert before == {'qp', 'selection', 'projection', 'switching', 'joint'}, before\n"
+        "assert set(CONTROLLERS) == before | set(BASELINES)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
