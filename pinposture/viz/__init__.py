@@ -2,10 +2,10 @@
 
 from pinposture.viz.anatomy import plot_arm
 from pinposture.viz.html import save_html
+from pinposture.viz.meshcat import Viewer, view
 from pinposture.viz.panels import plot_active_points, plot_clearance, plot_point_errors, plot_posture_error
 from pinposture.viz.plots import plot, plot_comparison
 from pinposture.viz.postures import plot_postures
-from pinposture.viz.viewer import Viewer, view
 
 __all__ = [
     "Viewer",

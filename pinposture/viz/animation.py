@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
+import umsgpack
+from meshcat.animation import Animation, AnimationClip
+from meshcat.path import Path
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -13,25 +18,73 @@ from pinposture.arm import Arm
 from pinposture.errors import InvalidValue
 from pinposture.motion import Motion, Trajectory
 from pinposture.viz import palette
-from pinposture.viz.axes import Place
 from pinposture.viz.body import bodies, body_poses
-from pinposture.viz.drawing import (
-    IDLE_SIZE,
-    POINT_SIZE,
-    ROOT,
-    Command,
-    Track,
-    body_path,
-    draw,
-    link_radius,
-    point_path,
-    transform,
-)
-from pinposture.viz.mesh import TriangleMesh, tube
 
-# A run or a motion as it passes before the eyes: which configurations are shown, and when.
+# How objects of meshcat's scene move. An animation means the objects by their paths.
 
 Array = NDArray[np.float64]
+
+ROOT = "/pinposture"
+
+POINT_SIZE = 1.9
+"""Radius of an active control point, relative to that of the bars of the arm."""
+
+IDLE_SIZE = 0.75
+"""Size of a control point that is not active, relative to one that is."""
+
+
+def body_path(index: int) -> str:
+    """Path in the viewer of the body that joint `index` of the chain moves."""
+    return f"{ROOT}/arm/body_{index + 1:03d}"
+
+
+def point_path(index: int) -> str:
+    """Path in the viewer of the control point on the body that joint `index` of the chain moves."""
+    return f"{body_path(index)}/point"
+
+
+class Track(NamedTuple):
+    """How one property of one object changes with time, in place of `meshcat.animation.AnimationTrack`.
+
+    That one packs a value of its own for each number of each frame, in three times the space, and cannot hold
+    a value until the next.
+
+    Attributes:
+        path: the object in the viewer.
+        name: the property, for instance "position".
+        kind: "vector3", "quaternion" (x, y, z, w) or "color" (red, green, blue in [0, 1]).
+        times: (n,) increasing, in frames.
+        values: (n, 3) or (n, 4).
+        smooth: whether values in between are interpolated, or hold until the next.
+    """
+
+    path: str
+    name: str
+    kind: str
+    times: Array
+    values: Array
+    smooth: bool
+
+    def lower(self) -> dict[str, Any]:
+        """The track as meshcat's viewer receives it: numbers packed in single precision."""
+        lowered: dict[str, Any] = {"name": f".{self.name}", "type": self.kind}
+        for name, numbers in (("times", self.times), ("values", self.values)):
+            lowered[name] = umsgpack.Ext(0x17, numbers.astype("<f4").tobytes())
+        if not self.smooth:
+            lowered["interpolation"] = 2300  # three.js's InterpolateDiscrete
+        return lowered
+
+
+def animation(tracks: Sequence[Track], fps: float) -> Animation:
+    """The animation that plays tracks."""
+    whole = Animation()
+    for track in tracks:
+        clip = whole.clips.setdefault(Path().append(track.path), AnimationClip(fps=fps, name="run"))
+        clip.tracks[track.name] = track
+    return whole
+
+
+# Which configurations of a run or a motion are shown, and when.
 
 REST_BEFORE, REST_AFTER = 0.6, 1.6
 """How long the first and the last posture stand still [s]."""
@@ -161,37 +214,8 @@ def _activity(path: str, times: Array, on: NDArray[np.bool_]) -> list[Track]:
 
 # The targets of a motion in the browser: hoops that go where the control points should be.
 
-HOOP, WIRE = 1.35, 0.14
-"""Radius of a hoop, and of the wire that it is made of, relative to that of a control point."""
-
-SIDES = 32
-"""Corners of the polygon that stands for a hoop."""
-
-THIN = 0.25
-"""Radius of a line through the targets at a named place, relative to that of the bars of the arm."""
-
 GONE = 1e-3
 """Size of a hoop that is not there."""
-
-
-def moving_target_commands(motion: Motion, places: list[Place]) -> list[Command]:
-    """Draw the targets of a motion where it starts, and thin lines through those at named places."""
-    arm, radius = motion.arm, link_radius(motion.arm)
-    commands = []
-    for number, place in enumerate(places):
-        line = _line(arm, motion.targets[place.row][motion.asked[place.row]])
-        if len(line) > 1:
-            path = f"{ROOT}/target/place_{number + 1:03d}"
-            commands.append(draw(path, tube(line, THIN * radius), place.color))
-    turns = hoop_turns(arm, motion.targets[:1], motion.asked[:1])
-    for k in _ever_asked(motion):
-        matrix = np.eye(4)
-        size = 1.0 if motion.asked[0, k] else GONE
-        matrix[:3, :3] = size * Rotation.from_quat(turns[0, k]).as_matrix()
-        matrix[:3, 3] = motion.targets[0, k]
-        hoop = draw(hoop_path(k), _hoop(POINT_SIZE * radius), palette.TARGET)
-        commands += [hoop, transform(hoop_path(k), matrix)]
-    return commands
 
 
 def moving_target_tracks(motion: Motion, film: Film) -> list[Track]:
@@ -200,7 +224,7 @@ def moving_target_tracks(motion: Motion, film: Film) -> list[Track]:
     targets, asked = motion.targets[film.rows], motion.asked[film.rows]
     turns = hoop_turns(motion.arm, targets, asked)
     listed = []
-    for k in _ever_asked(motion):
+    for k in ever_asked(motion):
         path = hoop_path(k)
         listed.append(Track(path, "position", "vector3", times, targets[held, k], smooth=True))
         listed.append(Track(path, "quaternion", "quaternion", times, turns[held, k], smooth=True))
@@ -268,19 +292,6 @@ def _least(before: Array, after: Array) -> Rotation:
     return turns
 
 
-def _ever_asked(motion: Motion) -> NDArray[np.intp]:
+def ever_asked(motion: Motion) -> NDArray[np.intp]:
     """Control points, 0-based, that have a target at some time."""
     return np.asarray(np.flatnonzero(motion.asked.any(axis=0)))
-
-
-def _line(arm: Arm, points: Array) -> Array:
-    """From the base through target points, no two in a row equal, (n, 3)."""
-    line = np.vstack([arm.chain.base, points])
-    apart = np.linalg.norm(np.diff(line, axis=0), axis=1) > 1e-9 * arm.length
-    return np.asarray(line[np.concatenate([[True], apart])])
-
-
-def _hoop(inner: float) -> TriangleMesh:
-    around = 2.0 * np.pi * np.arange(SIDES + 1) / SIDES
-    circle = np.stack([np.cos(around), np.sin(around), np.zeros(SIDES + 1)], axis=1)
-    return tube(HOOP * inner * circle, WIRE * inner)

@@ -1,12 +1,11 @@
-"""What the browser draws: arm, targets, obstacles and camera, as meshcat commands."""
+"""What pictures of an arm show: from where, which line of the target, which obstacles, what surfaces."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
-import umsgpack
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
@@ -14,8 +13,7 @@ from pinposture.collision import HalfSpace, Scene
 from pinposture.errors import InvalidValue
 from pinposture.motion import Motion, Trajectory
 from pinposture.placement import Target
-from pinposture.viz import palette
-from pinposture.viz.body import DrawnBody, backbone, bodies, body_meshes, body_poses
+from pinposture.viz.body import DrawnBody, backbone, bodies, body_meshes
 from pinposture.viz.mesh import (
     TriangleMesh,
     ball,
@@ -30,133 +28,7 @@ from pinposture.viz.mesh import (
     within,
 )
 
-# What the meshcat viewer in the browser understands: drawing commands, as its protocol describes them.
-#
-# Commands are plain data. A server passes them on to browsers, a page can hold them; both take them packed.
-
 Array = NDArray[np.float64]
-Command = dict[str, Any]
-
-ANIMATION = "/pinposture/animation"
-
-# Numbers by which the protocol marks packed arrays.
-_FLOATS, _INDICES = 0x17, 0x16
-
-_DISCRETE = 2300  # three.js's name for a value that holds until the next one
-
-
-class Track(NamedTuple):
-    """How one property of one object changes with time.
-
-    Attributes:
-        path: the object in the scene.
-        name: the property, for instance "position".
-        kind: "vector3", "quaternion" (x, y, z, w) or "color" (red, green, blue in [0, 1]).
-        times: (n,) increasing, in frames.
-        values: (n, 3) or (n, 4).
-        smooth: whether values in between are interpolated, or hold until the next.
-    """
-
-    path: str
-    name: str
-    kind: str
-    times: Array
-    values: Array
-    smooth: bool
-
-
-def draw(path: str, mesh: TriangleMesh, color: str, opacity: float = 1.0) -> Command:
-    """Draw a surface [m] of one colour "#RRGGBB", which may let through what is behind it."""
-    # Names within one command only have to differ from those of other objects in the scene.
-    geometry = {
-        "uuid": f"{path}/geometry",
-        "type": "BufferGeometry",
-        "data": {
-            "attributes": {"position": _packed(mesh.vertices, "Float32Array")},
-            "index": _packed(mesh.faces, "Uint32Array"),
-        },
-    }
-    material: dict[str, Any] = {
-        "uuid": f"{path}/material",
-        "type": "MeshPhongMaterial",
-        "color": int(color.lstrip("#"), 16),
-        "shininess": 40,
-        "side": 2,
-    }
-    if opacity < 1.0:  # what shines through must not hide what is drawn later
-        material.update(transparent=True, opacity=opacity, depthWrite=False)
-    shape = {
-        "uuid": f"{path}/mesh",
-        "type": "Mesh",
-        "geometry": geometry["uuid"],
-        "material": material["uuid"],
-        "matrix": np.eye(4).ravel().tolist(),
-    }
-    lowered = {
-        "metadata": {"version": 4.5, "type": "Object"},
-        "geometries": [geometry],
-        "materials": [material],
-        "object": shape,
-    }
-    return {"type": "set_object", "path": path, "object": lowered}
-
-
-def transform(path: str, matrix: Array) -> Command:
-    """Place an object: a transform (4, 4) to the frame of its parent [m]."""
-    return {"type": "set_transform", "path": path, "matrix": matrix.T.ravel().tolist()}
-
-
-def set_property(path: str, name: str, value: Any) -> Command:
-    """Set a property of an object."""
-    return {"type": "set_property", "path": path, "property": name, "value": value}
-
-
-def delete(path: str) -> Command:
-    """Remove an object and all below it."""
-    return {"type": "delete", "path": path}
-
-
-def animate(tracks: Sequence[Track], fps: float) -> Command:
-    """Play tracks over and over, in place of what was played before; no tracks: stop."""
-    clips: dict[str, list[dict[str, Any]]] = {}
-    for track in tracks:
-        lowered: dict[str, Any] = {
-            "name": f".{track.name}",
-            "type": track.kind,
-            "times": umsgpack.Ext(_FLOATS, track.times.astype("<f4").tobytes()),
-            "values": umsgpack.Ext(_FLOATS, track.values.astype("<f4").tobytes()),
-        }
-        if not track.smooth:
-            lowered["interpolation"] = _DISCRETE
-        clips.setdefault(track.path, []).append(lowered)
-    return {
-        "type": "set_animation",
-        # Where a server keeps it for browsers that come later: it sends what it got first, first, and an
-        # animation means nothing before the objects that it moves are there.
-        "path": ANIMATION,
-        "animations": [
-            {"path": path, "clip": {"fps": fps, "name": "run", "tracks": listed}}
-            for path, listed in clips.items()
-        ],
-        "options": {"play": True, "repetitions": float("inf")},
-    }
-
-
-def pack(command: Command) -> bytes:
-    """A command as the viewer receives it."""
-    packed: bytes = umsgpack.packb(command)
-    return packed
-
-
-def _packed(array: NDArray[Any], kind: str) -> dict[str, Any]:
-    code, dtype = (_FLOATS, "<f4") if kind == "Float32Array" else (_INDICES, "<u4")
-    return {
-        "itemSize": array.shape[1],
-        "type": kind,
-        "array": umsgpack.Ext(code, array.astype(dtype).tobytes()),
-        "normalized": False,
-    }
-
 
 # Where to look from, so that what happens fills the picture.
 
@@ -312,34 +184,7 @@ def _merged(spans: list[tuple[Number, Number]]) -> list[tuple[Number, Number]]:
     return merged
 
 
-# What the browser is told to draw: arm, target, camera, as commands of the meshcat viewer.
-
-ROOT = "/pinposture"
-
-FIELD_OF_VIEW = 35.0
-"""Vertical opening of the camera [deg]; narrower than usual, so that what is near does not bulge."""
-
-ASPECT = 4.0 / 3.0
-"""Narrowest window, width relative to height, for which the camera is placed."""
-
-MARGIN = 1.15
-"""How much farther off than needed the camera is."""
-
-POINT_SIZE = 1.9
-"""Radius of an active control point, relative to that of the bars of the arm."""
-
-IDLE_SIZE = 0.75
-"""Size of a control point that is not active, relative to one that is."""
-
-
-def body_path(index: int) -> str:
-    """Path in the scene of the body that joint `index` of the chain moves."""
-    return f"{ROOT}/arm/body_{index + 1:03d}"
-
-
-def point_path(index: int) -> str:
-    """Path in the scene of the control point on the body that joint `index` of the chain moves."""
-    return f"{body_path(index)}/point"
+# What an arm looks like.
 
 
 def link_radius(arm: Arm) -> float:
@@ -385,40 +230,6 @@ def arm_surfaces(arm: Arm) -> Surfaces:
     return Surfaces(own.base or _base_mesh(arm, radius), tuple(surfaces))
 
 
-def arm_commands(arm: Arm, q: Array) -> list[Command]:
-    """Draw the arm at a configuration (nq,): one mesh for each body, control points fixed to theirs."""
-    radius, surfaces = link_radius(arm), arm_surfaces(arm)
-    commands = [draw(f"{ROOT}/arm/base", surfaces.base, palette.BASE)]
-    for u, body in enumerate(bodies(arm)):
-        shade = palette.MODULES[body.module % len(palette.MODULES)]
-        commands.append(draw(f"{body_path(u)}/link", surfaces.bodies[u], shade))
-        if body.point is not None:
-            commands.append(draw(point_path(u), ball(np.zeros(3), POINT_SIZE * radius), palette.IDLE))
-            commands.append(transform(point_path(u), _placed(body.point, IDLE_SIZE)))
-    return commands + pose_commands(arm, q)
-
-
-def pose_commands(arm: Arm, q: Array) -> list[Command]:
-    """Move the arm, drawn before, to a configuration (nq,)."""
-    return [transform(body_path(u), pose) for u, pose in enumerate(body_poses(arm, q))]
-
-
-def target_commands(arm: Arm, target: Target) -> list[Command]:
-    """Draw the line that the target posture lies on, as far as it is known, and the target points."""
-    radius = 0.3 * link_radius(arm)
-    commands = []
-    colors = {"covered": palette.TARGET, "rest": palette.REST}
-    for part, lines in outline(arm, target)._asdict().items():
-        paths = [path for path in map(_without_repeats, lines) if len(path) > 1]
-        if paths:
-            tubes = merge([tube(path, radius) for path in paths])
-            commands.append(draw(f"{ROOT}/target/{part}", tubes, colors[part]))
-    dots = [ball(point, 2.8 * radius, rings=6) for point in target.points[target.placed]]
-    if dots:
-        commands.append(draw(f"{ROOT}/target/points", merge(dots), palette.TARGET))
-    return commands
-
-
 def stage_points(arm: Arm, run: Trajectory | None, target: Target | None) -> Array:
     """What the camera should see: the whole motion and the target, (n, 3) [m], world frame."""
     points = [arm.chain.base[None]]
@@ -432,38 +243,6 @@ def stage_points(arm: Arm, run: Trajectory | None, target: Target | None) -> Arr
         # The arm may be shown anywhere later on; leave room around its base.
         points.append(arm.chain.base + 0.35 * arm.length * np.vstack([np.eye(3), -np.eye(3)]))
     return np.vstack(points)
-
-
-def stage_commands(arm: Arm, points: Array) -> list[Command]:
-    """Set up light, floor and camera so that points (n, 3) [m] of the world are in view.
-
-    The viewer turns about the origin of its scene, so the world is shifted until the middle of the points
-    is there.
-    """
-    framing = frame_points(points)
-    floor = np.diag([*(0.4 * _round_down(framing.radius) * np.ones(3)), 1.0])
-    floor[2, 3] = points[:, 2].min() - framing.center[2] - 3.0 * link_radius(arm)
-    distance = MARGIN * framing.distance(points, np.radians(FIELD_OF_VIEW), ASPECT)
-    x, y, z = distance * framing.axes[2]
-    camera = "/Cameras/default/rotated/<object>"
-    properties: list[tuple[str, str, Any]] = [
-        ("/Background", "top_color", [1.0, 1.0, 1.0]),
-        ("/Background", "bottom_color", [0.90, 0.92, 0.94]),
-        ("/Grid", "color", [1.0, 1.0, 1.0, 0.18]),
-        ("/Axes", "visible", False),
-        ("/Lights/AmbientLight/<object>", "intensity", 0.42),
-        ("/Lights/FillLight/<object>", "intensity", 0.25),
-        # These two would fade out after 10 m.
-        ("/Lights/PointLightNegativeX/<object>", "distance", 0.0),
-        ("/Lights/PointLightPositiveX/<object>", "distance", 0.0),
-        (camera, "fov", FIELD_OF_VIEW),
-        (camera, "near", 0.01 * distance),
-        (camera, "far", 100.0 * distance),
-        # The camera lives in axes of its own, in which y points up.
-        (camera, "position", [x, z, -y]),
-    ]
-    placed = [transform(ROOT, _placed(-framing.center)), transform("/Grid", floor)]
-    return placed + [set_property(path, name, value) for path, name, value in properties]
 
 
 def _body_mesh(body: DrawnBody, radius: float, closed: bool) -> TriangleMesh:
@@ -487,23 +266,6 @@ def _base_mesh(arm: Arm, radius: float) -> TriangleMesh:
     length = float(np.linalg.norm(reach))
     axis = reach / length if length > 1e-9 * arm.length else np.array([0.0, 0.0, 1.0])
     return disc(joint - axis * radius, axis, 3.0 * radius, radius)
-
-
-def _placed(position: Array, scale: float = 1.0) -> Array:
-    matrix = np.diag([scale, scale, scale, 1.0])
-    matrix[:3, 3] = position
-    return matrix
-
-
-def _round_down(length: float) -> float:
-    """The next smaller of 1, 2, 5, 10, ... times a power of ten."""
-    power = 10.0 ** np.floor(np.log10(length))
-    return float(max(step for step in (1.0, 2.0, 5.0) if step * power <= length * (1.0 + 1e-9)) * power)
-
-
-def _without_repeats(line: Array) -> Array:
-    legs = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    return np.asarray(line[np.concatenate([[True], legs > 1e-9])])
 
 
 # Which obstacles are in a picture, and how much of them.
@@ -583,15 +345,6 @@ def near_corners(shown: Sequence[Shown]) -> Array:
     """Corners of boxes around the parts of obstacles in the picture, (n, 3) [m], world frame."""
     parts = [each.near for each in shown if len(each.near)]
     return np.vstack([np.zeros((0, 3)), *(box_corners(part.min(axis=0), part.max(axis=0)) for part in parts)])
-
-
-def obstacle_commands(shown: Sequence[Shown]) -> list[Command]:
-    """Draw obstacles in the browser; the walls of a pipe, for instance, hide what is in it but a little."""
-    opacity = palette.SHEER if len(shown) > MANY else palette.SEE_THROUGH
-    return [
-        draw(f"{ROOT}/obstacles/obstacle_{k + 1:03d}", each.surface, palette.OBSTACLE, opacity)
-        for k, each in enumerate(shown)
-    ]
 
 
 def _patches(

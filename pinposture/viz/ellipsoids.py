@@ -14,9 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm, Ellipsoid
 from pinposture.viz import palette
-from pinposture.viz.animation import Film
-from pinposture.viz.drawing import ROOT, Command, Track, draw, link_radius, transform
-from pinposture.viz.mesh import TriangleMesh, ball
+from pinposture.viz.animation import ROOT, Film, Track
+from pinposture.viz.drawing import link_radius
 from pinposture.viz.postures import PosturePanel
 
 # How manipulability ellipsoids are drawn: at what scale, in what colour, and into figures.
@@ -144,8 +143,6 @@ def _circle() -> Array:
 
 # Manipulability ellipsoids in the browser: balls that are stretched and turned as the arm moves.
 
-OPACITY = 0.5
-
 THINNEST = 0.3
 """Least radius of a ball, relative to that of the bars of the arm: a flat one is drawn as a disc or a rod."""
 
@@ -192,18 +189,6 @@ def ball_ends(shown: Balls) -> Array:
     return ends.reshape(-1, 3)
 
 
-def ball_commands(shown: Balls) -> list[Command]:
-    """Draw the ellipsoids of the first configuration, or draw them anew."""
-    commands = []
-    for p, point in enumerate(shown.points):
-        drawing = draw(_path(point), _BALL, palette.index_color(shown.indices[0, p]), OPACITY)
-        matrix = np.eye(4)
-        matrix[:3, :3] = (shown.frames[0, p] * shown.radii[0, p, :, None]).T
-        matrix[:3, 3] = shown.centers[0, p]
-        commands += [drawing, transform(_path(point), matrix)]
-    return commands
-
-
 def ball_tracks(shown: Balls, film: Film) -> list[Track]:
     """How ellipsoids that have been drawn move, stretch and change their colour.
 
@@ -216,7 +201,7 @@ def ball_tracks(shown: Balls, film: Film) -> list[Track]:
     for p, point in enumerate(shown.points):
         turns = _turns(shown.frames[:, p])
         colors = np.array([palette.rgb(palette.index_color(index)) for index in shown.indices[:, p]])
-        path = _path(point)
+        path = ellipsoid_path(point)
         listed += [
             Track(path, "position", "vector3", times, shown.centers[held, p], smooth=True),
             Track(path, "quaternion", "quaternion", times, turns[held], smooth=True),
@@ -248,21 +233,8 @@ def carried_on(frames: Array, radii: Array) -> tuple[Array, Array]:
     return frames, radii
 
 
-def _rounder(mesh: TriangleMesh) -> TriangleMesh:
-    """The unit ball with each triangle cut into four: large ones show their corners."""
-    sides = np.sort(mesh.faces[:, [[1, 2], [2, 0], [0, 1]]], axis=2)  # opposite each corner
-    distinct, number = np.unique(sides.reshape(-1, 2), axis=0, return_inverse=True)
-    middles = mesh.vertices[distinct].sum(axis=1)
-    middles /= np.linalg.norm(middles, axis=1, keepdims=True)
-    (a, b, c), (d, e, f) = mesh.faces.T, len(mesh.vertices) + number.reshape(-1, 3).T
-    faces = np.concatenate([np.stack(corners, 1) for corners in ((a, f, e), (b, d, f), (c, e, d), (d, e, f))])
-    return TriangleMesh(np.vstack([mesh.vertices, middles]), faces)
-
-
-_BALL = _rounder(ball(np.zeros(3), 1.0))
-
-
-def _path(point: int) -> str:
+def ellipsoid_path(point: int) -> str:
+    """Path in the viewer of the ellipsoid of a control point, 0-based."""
     return f"{ROOT}/ellipsoids/point_{point + 1:03d}"
 
 

@@ -4,25 +4,26 @@ from __future__ import annotations
 
 import base64
 import html
-import importlib.util
 import json
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 from string import Template
 
+from meshcat import Visualizer
+from meshcat.servers.zmqserver import VIEWER_ROOT
+
 from pinposture.arm import Arm, ControlPoints
 from pinposture.arm.manipulability import chosen_points
-from pinposture.errors import FileError
 from pinposture.motion import Motion, Trajectory
 from pinposture.placement import Target
 from pinposture.storage import with_suffix, write_text
 from pinposture.viz import palette
 from pinposture.viz.animation import Film, film
 from pinposture.viz.axes import controller_name, ending, ending_in_time, is_slowed, moved_curves
-from pinposture.viz.drawing import ASPECT, animate, pack, require_fitting
+from pinposture.viz.drawing import require_fitting
 from pinposture.viz.ellipsoids import KEY, scale_in_words
-from pinposture.viz.meshcat import Staged, staged
+from pinposture.viz.meshcat import ASPECT, DrawnScene, Recording, draw_scene, play_animation
 from pinposture.viz.panels import has_clearance
 
 # What the page of an animation says: under each configuration, and of the colours.
@@ -62,12 +63,12 @@ def _moment(motion: Motion, row: int) -> str:
     return f"{text}, posture error {motion.run.posture_error[row]:.3g} m"
 
 
-def legend(shown: Film, setting: Staged, target: bool, scale: str) -> str:
+def legend(shown: Film, drawn: DrawnScene, target: bool, scale: str) -> str:
     """What the colours mean, and how fast a motion is shown, as HTML.
 
     Args:
         shown: what is shown.
-        setting: what is drawn of it.
+        drawn: what is drawn of it.
         target: whether a target is drawn that stays where it is.
         scale: the scale of ellipsoids, in words; empty if there are none.
     """
@@ -78,11 +79,11 @@ def legend(shown: Film, setting: Staged, target: bool, scale: str) -> str:
         entries += [("active control point", palette.ACTIVE), ("idle", palette.IDLE)]
     else:
         entries.append(("control point", palette.IDLE))
-    if setting.obstacles:
+    if drawn.obstacles:
         entries.append(("obstacle", palette.OBSTACLE))
     lines = [_dots(entries)]
     if shown.motion is not None:
-        lines.append(_in_time(shown, setting))
+        lines.append(_in_time(shown, drawn))
     moved = moved_curves(shown.run if shown.motion is None else shown.motion)
     if moved:
         lines.append(html.escape(moved))
@@ -92,9 +93,9 @@ def legend(shown: Film, setting: Staged, target: bool, scale: str) -> str:
     return "<br>".join(lines)
 
 
-def _in_time(shown: Film, setting: Staged) -> str:
+def _in_time(shown: Film, drawn: DrawnScene) -> str:
     speed = "shown in real time" if shown.pace == 1.0 else f"shown {shown.pace:.0f} times as fast as it was"
-    named = [(", ".join(place.name for place in group), group[0].color) for group in setting.places]
+    named = [(", ".join(place.name for place in group), group[0].color) for group in drawn.places]
     return f"{speed}; targets at {_dots(named)}" if named else speed
 
 
@@ -159,16 +160,18 @@ def save_html(
 
 def _page(arm: Arm, shown: Film, target: Target | None, points: tuple[int, ...]) -> str:
     run, motion = shown.run, shown.motion
-    setting = staged(arm, shown, target, run.scene, points)
-    commands = [*setting.drawn, animate(setting.tracks, shown.fps)]
-    packed = [base64.b64encode(pack(command)).decode("ascii") for command in commands]
+    recording = Recording()
+    viewer = Visualizer(window=recording)
+    drawn = draw_scene(viewer, arm, shown, target, run.scene, points)
+    play_animation(viewer, drawn.tracks, shown.fps)
+    packed = [base64.b64encode(command).decode("ascii") for command in recording.packed]
     described = {"times": (shown.times / shown.fps).round(6).tolist(), "texts": texts(shown)}
     template = resources.files("pinposture.viz").joinpath("page.html").read_text(encoding="utf-8")
     ended = ending(run) if motion is None else ending_in_time(motion)
     return Template(template).substitute(
         title=html.escape(f"{controller_name(run)} {ended}"),
         reason=html.escape(run.reason),
-        legend=legend(shown, setting, target is not None, scale_in_words(arm, points) if points else ""),
+        legend=legend(shown, drawn, target is not None, scale_in_words(arm, points) if points else ""),
         ink=palette.INK,
         end=shown.end / shown.fps,
         aspect=ASPECT,
@@ -180,9 +183,4 @@ def _page(arm: Arm, shown: Film, target: Target | None, points: tuple[int, ...])
 
 def _viewer_script() -> str:
     """The script of the meshcat viewer, as the package ships it for its own pages."""
-    spec = importlib.util.find_spec("meshcat")  # found without being imported, which would take a while
-    for folder in (spec.submodule_search_locations or []) if spec is not None else []:
-        script = Path(folder) / "viewer" / "dist" / "main.min.js"
-        if script.is_file():
-            return script.read_text(encoding="utf-8")
-    raise FileError("meshcat/viewer/dist/main.min.js", "no such file in the installed meshcat package")
+    return Path(VIEWER_ROOT, "main.min.js").read_text(encoding="utf-8")

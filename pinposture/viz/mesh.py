@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from itertools import product
 from typing import NamedTuple, TypeAlias
 
@@ -39,24 +40,18 @@ def merge(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
     return TriangleMesh(np.vstack([mesh.vertices for mesh in meshes]), np.vstack(faces))
 
 
-def ball(center: Array, radius: float, rings: int = SIDES // 2) -> TriangleMesh:
-    """A sphere about a centre (3,) [m]."""
-    polar = np.pi * np.arange(1, rings) / rings
-    height, width = np.cos(polar), np.sin(polar)
-    around = 2.0 * np.pi * np.arange(SIDES) / SIDES
-    circles = np.stack(
-        [np.outer(width, np.cos(around)), np.outer(width, np.sin(around)), np.outer(height, np.ones(SIDES))],
-        -1,
-    )
-    vertices = np.vstack([circles.reshape(-1, 3), [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]])
-    top, bottom, last = len(vertices) - 2, len(vertices) - 1, (rings - 2) * SIDES
-    here = np.arange(SIDES)
-    beyond = (here + 1) % SIDES
-    caps = [
-        np.stack([np.full(SIDES, top), here, beyond], 1),
-        np.stack([np.full(SIDES, bottom), last + beyond, last + here], 1),
-    ]
-    return TriangleMesh(np.asarray(center) + radius * vertices, np.vstack([_sheet(rings - 1), *caps]))
+@cache
+def _unit_ball(subdivisions: int) -> TriangleMesh:
+    from trimesh.creation import icosphere  # here, because most figures need none
+
+    sphere = icosphere(subdivisions=subdivisions)
+    return TriangleMesh(np.asarray(sphere.vertices), np.asarray(sphere.faces, dtype=np.intp))
+
+
+def ball(center: Array, radius: float, subdivisions: int = 2) -> TriangleMesh:
+    """A sphere about a centre (3,) [m], of 20 * 4^subdivisions triangles."""
+    unit = _unit_ball(subdivisions)
+    return TriangleMesh(np.asarray(center) + radius * unit.vertices, unit.faces)
 
 
 def tube(path: Array, radius: float) -> TriangleMesh:
@@ -82,17 +77,11 @@ def tube(path: Array, radius: float) -> TriangleMesh:
 
 def disc(center: Array, axis: Array, radius: float, thickness: float) -> TriangleMesh:
     """A round plate about a centre (3,) [m], its faces across a unit axis (3,)."""
+    from trimesh.creation import cylinder
+
     half = axis * thickness / 2.0
-    rim = tube(np.array([center - half, center + half]), radius)
-    plates = []
-    for sign in (-1.0, 1.0):
-        ring = rim.vertices[:SIDES] if sign < 0 else rim.vertices[SIDES:]
-        here = np.arange(SIDES)
-        fan = np.stack([np.full(SIDES, SIDES), here, (here + 1) % SIDES], 1)
-        plates.append(
-            TriangleMesh(np.vstack([ring, center + sign * half]), fan if sign > 0 else fan[:, ::-1])
-        )
-    return merge([rim, *plates])
+    plate = cylinder(radius, segment=[center - half, center + half], sections=SIDES)
+    return TriangleMesh(np.asarray(plate.vertices), np.asarray(plate.faces, dtype=np.intp))
 
 
 def _sheet(rings: int) -> NDArray[np.intp]:
@@ -288,28 +277,17 @@ def _arc(radius: float, first: float, last: float) -> Array:
 
 
 def _revolved(origin: Array, axis: Array, profile: Array) -> TriangleMesh:
-    """The surface that a line sweeps when it turns about an axis.
+    """The surface of revolution of a line.
 
     Args:
         origin: a point of the axis, (3,) [m].
         axis: unit vector along it, (3,).
         profile: distance from the axis and height above the origin, upwards, (n, 2) [m].
     """
-    side = np.cross(np.eye(3)[np.abs(axis).argmin()], axis)
-    side /= np.linalg.norm(side)
-    around = 2.0 * np.pi * np.arange(CYLINDER_SIDES) / CYLINDER_SIDES
-    spokes = np.outer(np.cos(around), side) + np.outer(np.sin(around), np.cross(axis, side))
-    vertices = origin + profile[:, 0, None, None] * spokes + profile[:, 1, None, None] * axis
-    ring, corner = np.meshgrid(np.arange(len(profile) - 1), np.arange(CYLINDER_SIDES), indexing="ij")
-    a, b = (
-        (ring * CYLINDER_SIDES + corner).ravel(),
-        (ring * CYLINDER_SIDES + (corner + 1) % CYLINDER_SIDES).ravel(),
-    )
-    faces = np.vstack(
-        [np.stack([a, b, b + CYLINDER_SIDES], 1), np.stack([a, b + CYLINDER_SIDES, a + CYLINDER_SIDES], 1)]
-    )
-    vertices = vertices.reshape(-1, 3)
-    # Where the line meets the axis, or goes over one circle twice, there is nothing between its corners.
-    p, q, r = vertices[faces].transpose(1, 0, 2)
-    area = np.linalg.norm(np.cross(q - p, r - p), axis=1)
-    return TriangleMesh(vertices, faces[area > 1e-9 * area.max()])
+    from trimesh.creation import revolve
+    from trimesh.geometry import align_vectors
+
+    placement: Array = align_vectors([0.0, 0.0, 1.0], axis)  # type: ignore[no-untyped-call]
+    placement[:3, 3] = origin
+    turned = revolve(profile, sections=CYLINDER_SIDES, transform=placement, process=False)
+    return TriangleMesh(np.asarray(turned.vertices), np.asarray(turned.faces, dtype=np.intp))

@@ -7,18 +7,18 @@ from functools import cache
 
 import numpy as np
 import pytest
-import umsgpack
 from arms import template_arm
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from viz.listening import told
 
 from pinposture import Arm, Target, Trajectory, track
 from pinposture.errors import InvalidValue
 from pinposture.viz import palette
 from pinposture.viz.animation import film, tracks
 from pinposture.viz.body import body_poses
-from pinposture.viz.drawing import animate, pack
+from pinposture.viz.meshcat import play_animation
 
 
 def four_modules() -> Arm:
@@ -126,7 +126,7 @@ def test_a_film_with_skipped_steps_shows_the_active_set_of_the_configuration_sho
 def test_packed_tracks_hold_their_numbers_as_flat_single_precision_floats():
     shown = film(some_run(), 20.0, 240)
     listed = tracks(four_modules(), shown)
-    command = umsgpack.unpackb(pack(animate(listed, shown.fps)))
+    (command,) = told(play_animation, listed, shown.fps)
     assert command["options"] == {"play": True, "repetitions": np.inf}
     clips = {item["path"]: item["clip"] for item in command["animations"]}
     assert len(clips) == len({item.path for item in listed})

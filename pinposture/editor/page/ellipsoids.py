@@ -35,7 +35,7 @@ class Ellipsoids:
         self._length = drawn_length(arm, self.points)
         self._thinnest = THINNEST * link_radius(arm)
         self._steps, self._visible = -1, False
-        surface = ball(np.zeros(3), 1.0, rings=12)
+        surface = ball(np.zeros(3), 1.0, 3)
         self._balls = server.scene.add_batched_meshes_simple(
             "/ellipsoids",
             *surface,
