@@ -256,10 +256,14 @@ def hoop_turns(arm: Arm, targets: Array, asked: NDArray[np.bool_]) -> Array:
         ahead = _tangents(arm, targets[row], asked[row], normals)
         turn = _least(normals, ahead) * turn
         normals, turns[row] = ahead, turn.as_quat()
-    products = np.einsum("fmi,fmi->fm", turns[1:], turns[:-1])
-    signs = np.cumprod(np.vstack([np.ones(asked.shape[1]), np.where(products < 0.0, -1.0, 1.0)]), axis=0)
-    steady: Array = turns * signs[..., None]
-    return steady
+    return same_signs(turns)
+
+
+def same_signs(turns: Array) -> Array:
+    """Quaternions (f, ..., 4) with signs such that each is on the side of the one before."""
+    flips = np.ones(turns.shape[:-1])
+    flips[1:] = np.where(np.sum(turns[1:] * turns[:-1], axis=-1) < 0.0, -1.0, 1.0)
+    return np.asarray(turns * np.cumprod(flips, axis=0)[..., None])
 
 
 def _tangents(arm: Arm, points: Array, asked: NDArray[np.bool_], known: Array) -> Array:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator, NullFormatter
@@ -119,6 +121,22 @@ def _mark(
         bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
         annotation_clip=False,
     )
+
+
+def colors_along(count: int) -> tuple[LinearSegmentedColormap, Normalize]:
+    """Colours of things numbered from base to tip, 1 to `count`."""
+    return LinearSegmentedColormap.from_list("along the arm", palette.ALONG), Normalize(1, max(count, 2))
+
+
+def add_colorbar(panels: Sequence[Axes], count: int, label: str, **options: Any) -> None:
+    """Tell beside panels what `colors_along` means in them."""
+    colors, norm = colors_along(count)
+    figure: Any = panels[0].figure
+    bar = figure.colorbar(ScalarMappable(norm, colors), ax=panels, **options)
+    bar.set_ticks(MaxNLocator(nbins=8, integer=True, min_n_ticks=1) if count > 1 else [1])
+    bar.set_label(label, fontsize=9)
+    bar.ax.tick_params(labelsize=8)
+    bar.outline.set_visible(False)
 
 
 # How figures are laid out: postures on the left, panels that share an axis on the right, words around.

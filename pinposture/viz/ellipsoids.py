@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm, Ellipsoid
 from pinposture.viz import palette
-from pinposture.viz.animation import ROOT, Film, Track
+from pinposture.viz.animation import ROOT, Film, Track, same_signs
 from pinposture.viz.drawing import link_radius
 from pinposture.viz.postures import PosturePanel
 
@@ -199,12 +199,12 @@ def ball_tracks(shown: Balls, film: Film) -> list[Track]:
     held, times = film.held, film.moments
     listed = []
     for p, point in enumerate(shown.points):
-        turns = _turns(shown.frames[:, p])
+        turns = Rotation.from_matrix(shown.frames[:, p].transpose(0, 2, 1)).as_quat()
         colors = np.array([palette.rgb(palette.index_color(index)) for index in shown.indices[:, p]])
         path = ellipsoid_path(point)
         listed += [
             Track(path, "position", "vector3", times, shown.centers[held, p], smooth=True),
-            Track(path, "quaternion", "quaternion", times, turns[held], smooth=True),
+            Track(path, "quaternion", "quaternion", times, same_signs(turns)[held], smooth=True),
             Track(path, "scale", "vector3", times, shown.radii[held, p], smooth=True),
             Track(f"{path}/<object>", "material.color", "color", times, colors[held], smooth=True),
         ]
@@ -243,10 +243,3 @@ def frame_of(one: Ellipsoid) -> Array:
     if len(one.directions) == 3:
         return one.directions
     return np.vstack([one.directions, np.cross(*one.directions)])
-
-
-def _turns(frames: Array) -> Array:
-    """Frames (f, 3, 3), axes in rows, as quaternions (x, y, z, w) that keep their sign, (f, 4)."""
-    turns = np.asarray(Rotation.from_matrix(frames.transpose(0, 2, 1)).as_quat())
-    products = np.einsum("fi,fi->f", turns[1:], turns[:-1])
-    return turns * np.cumprod(np.concatenate([[1.0], np.where(products < 0.0, -1.0, 1.0)]))[:, None]

@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
@@ -20,6 +18,8 @@ from pinposture.viz import palette
 from pinposture.viz.axes import (
     LONGEST_NAME,
     Place,
+    add_colorbar,
+    colors_along,
     dress,
     dress_steps,
     dress_time,
@@ -29,6 +29,8 @@ from pinposture.viz.axes import (
     scale_counts,
     scale_values,
 )
+
+Array = NDArray[np.float64]
 
 # Single panels of a run against steps; each draws into axes that it is given.
 
@@ -77,19 +79,14 @@ def plot_point_errors(run: Trajectory, ax: Axes) -> None:
         ax: where to draw.
     """
     m = run.arm.n_modules
-    colors = LinearSegmentedColormap.from_list("along the arm", palette.ALONG)
-    norm = Normalize(1, max(m, 2))
+    colors, norm = colors_along(m)
     for k in np.flatnonzero(run.target.placed):
         marker = "" if run.steps else "o"
         steps = np.arange(run.steps + 1)
         ax.plot(steps, run.point_errors[:, k], color=colors(norm(k + 1)), lw=1.0, marker=marker, ms=3)
     dress_steps(ax, "point errors [m]")
     scale_values(ax)
-    bar = ax.figure.colorbar(ScalarMappable(norm, colors), ax=ax, pad=0.02, aspect=16)
-    bar.set_ticks(MaxNLocator(nbins=5, integer=True, min_n_ticks=1) if m > 1 else [1])
-    bar.set_label("control point", fontsize=9)
-    bar.ax.tick_params(labelsize=8)
-    bar.outline.set_visible(False)
+    add_colorbar([ax], m, "control point", pad=0.02, aspect=16)
     free = m - int(np.count_nonzero(run.target.placed))
     if free:
         note = f"{free} of {m} control points have no target"
@@ -105,23 +102,27 @@ def plot_active_points(run: Trajectory, ax: Axes) -> None:
         run: the run.
         ax: where to draw.
     """
-    color = palette.controller_color(run.controller)
-    steps = np.arange(1, run.steps + 1)
-    marker = "o" if run.steps == 1 else ""
-    ax.plot(steps, run.active.sum(axis=1), color=color, lw=1.6, drawstyle="steps-mid", marker=marker)
-    dress_steps(ax, "active control points")
-    scale_counts(ax, run.arm.n_modules)
-    ax.yaxis.label.set_color(color)
+    plot_point_count(run, ax)
+    ax.yaxis.label.set_color(palette.controller_color(run.controller))
     if not run.steps:
         ax.set_title("no step was taken", fontsize=8, loc="right", color=palette.INK)
-    if not is_conditioned(run):
-        return
-    other = ax.twinx()
-    other.plot(steps, run.sigma_min, color=palette.INK, lw=1.0, ls=(0, (4, 1.5)), marker=marker, ms=3)
-    scale_values(other)
-    other.set_ylabel(r"$\sigma_{\min}$ [m/rad]", fontsize=9, color=palette.INK)
-    other.tick_params(labelsize=8)
-    other.spines[["top", "left", "bottom"]].set_visible(False)
+    if is_conditioned(run):
+        _plot_beside(run, ax, run.sigma_min, r"$\sigma_{\min}$ [m/rad]")
+
+
+def plot_points_and_index(run: Trajectory, ax: Axes) -> None:
+    """Draw how many control points were active in each step, and the smallest index among their conditions.
+
+    A second axis holds the manipulability index, unless the controller has no posture control matrix.
+
+    Args:
+        run: the run.
+        ax: where to draw.
+    """
+    plot_point_count(run, ax)
+    ax.yaxis.label.set_color(palette.controller_color(run.controller))
+    if is_conditioned(run) or not run.steps:
+        _plot_beside(run, ax, run.index, "manipulability index")
 
 
 def plot_point_count(run: Trajectory, ax: Axes, color: str | None = None) -> None:
@@ -129,15 +130,27 @@ def plot_point_count(run: Trajectory, ax: Axes, color: str | None = None) -> Non
 
     Args:
         run: the run.
-        ax: where to draw.
+        ax: where to draw. Lines that are there already stay.
         color: colour of the line; that of the controller if None.
     """
     color = palette.controller_color(run.controller) if color is None else color
-    steps = np.arange(1, run.steps + 1)
     marker = "o" if run.steps == 1 else ""
-    ax.plot(steps, run.active.sum(axis=1), color=color, lw=1.4, drawstyle="steps-mid", marker=marker)
+    style: dict[str, Any] = {"lw": 1.6, "drawstyle": "steps-mid", "marker": marker}
+    ax.plot(np.arange(1, run.steps + 1), run.active.sum(axis=1), color=color, **style)
     dress_steps(ax, "active control points")
     scale_counts(ax, run.arm.n_modules)
+
+
+def _plot_beside(run: Trajectory, ax: Axes, values: Array, label: str) -> None:
+    """Draw a value of each step as a dashed line, with an axis of its own on the right."""
+    other = ax.twinx()
+    marker = "o" if run.steps == 1 else ""
+    style: dict[str, Any] = {"color": palette.INK, "lw": 1.0, "ls": (0, (4, 1.5)), "marker": marker, "ms": 3}
+    other.plot(np.arange(1, run.steps + 1), values, **style)
+    scale_values(other)
+    other.set_ylabel(label, fontsize=9, color=palette.INK)
+    other.tick_params(labelsize=8)
+    other.spines[["top", "left", "bottom"]].set_visible(False)
 
 
 def plot_used_points(run: Trajectory, ax: Axes) -> None:
@@ -157,29 +170,6 @@ def plot_used_points(run: Trajectory, ax: Axes) -> None:
     ax.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True, min_n_ticks=1))
 
 
-def plot_points_and_index(run: Trajectory, ax: Axes) -> None:
-    """Draw how many control points were active in each step, and the smallest index among their conditions.
-
-    A second axis holds the manipulability index, unless the controller has no posture control matrix.
-
-    Args:
-        run: the run.
-        ax: where to draw.
-    """
-    plot_point_count(run, ax)
-    ax.yaxis.label.set_color(palette.controller_color(run.controller))
-    if run.steps and not is_conditioned(run):
-        return
-    other = ax.twinx()
-    marker = "o" if run.steps == 1 else ""
-    style: dict[str, Any] = {"color": palette.INK, "lw": 1.0, "ls": (0, (4, 1.5)), "marker": marker, "ms": 3}
-    other.plot(np.arange(1, run.steps + 1), run.index, **style)
-    scale_values(other)
-    other.set_ylabel("manipulability index", fontsize=9, color=palette.INK)
-    other.tick_params(labelsize=8)
-    other.spines[["top", "left", "bottom"]].set_visible(False)
-
-
 def mark_method(run: Trajectory, ax: Axes, method: str = "projection") -> None:
     """Mark the steps that a controller of several methods left to one of them, by red dots on the step axis.
 
@@ -190,22 +180,11 @@ def mark_method(run: Trajectory, ax: Axes, method: str = "projection") -> None:
     """
     steps = np.flatnonzero(run.method == method) + 1
     where: dict[str, Any] = {"transform": ax.get_xaxis_transform(), "clip_on": False, "zorder": 6}
-    ax.plot(
-        steps,
-        np.zeros(len(steps)),
-        ls="none",
-        marker="o",
-        ms=3.2,
-        mew=0.0,
-        color=palette.MARK,
-        label=method,
-        **where,
-    )
+    style: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 3.2, "mew": 0.0, "color": palette.MARK}
+    ax.plot(steps, np.zeros(len(steps)), label=method, **style, **where)
 
 
 # How near a run came to something, and what it had to allow itself: in panels against steps or time.
-
-Array = NDArray[np.float64]
 
 LONGEST_REASON = 44
 """Characters of what gave way that a legend has room for."""

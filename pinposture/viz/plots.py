@@ -16,7 +16,6 @@ from pinposture.viz import palette
 from pinposture.viz.axes import (
     alike,
     controller_name,
-    dress_steps,
     ending,
     ending_in_time,
     footnote,
@@ -41,6 +40,7 @@ from pinposture.viz.panels import (
     plot_clock,
     plot_error,
     plot_joint_rates,
+    plot_point_count,
     plot_point_errors,
     plot_posture_error,
 )
@@ -217,10 +217,7 @@ def plot_comparison(runs: Mapping[str, Trajectory]) -> Figure:
     )
     for (label, run), color in zip(runs.items(), colors, strict=True):
         plot_posture_error(run, errors, color, label)
-        steps = np.arange(1, run.steps + 1)
-        marker = "o" if run.steps == 1 else ""
-        counts.plot(steps, run.active.sum(axis=1), color=color, lw=1.6, drawstyle="steps-mid", marker=marker)
-    dress_steps(counts, "active control points")
+        plot_point_count(run, counts, color)
     scale_counts(counts, max(run.arm.n_modules for run in runs.values()))
     if near:
         for run, color in zip(runs.values(), colors, strict=True):
