@@ -248,14 +248,19 @@ def _placed(mesh: TriangleMesh, visual: VisualMesh, link: pin.SE3, origin: Array
     return TriangleMesh(vertices, mesh.faces[:, ::-1] if np.prod(visual.scale) < 0.0 else mesh.faces)
 
 
-def _links(arm: Arm) -> dict[str, tuple[int, pin.SE3]]:
-    """The joint that moves each link, and where the link is in the world at the neutral configuration."""
-    model = arm.model
+def joint_placements(arm: Arm) -> list[pin.SE3]:
+    """Where the joints of the model are in the world at the neutral configuration, the universe first."""
     # Every joint of a chain is the identity there, so this needs no pin.Data, which is huge for long arms.
-    places = [pin.SE3.Identity()]
+    model, places = arm.model, [pin.SE3.Identity()]
     for joint in range(1, model.njoints):
         places.append(places[model.parents[joint]] * model.jointPlacements[joint])
-    frames = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
+    return places
+
+
+def _links(arm: Arm) -> dict[str, tuple[int, pin.SE3]]:
+    """The joint that moves each link, and where the link is in the world at the neutral configuration."""
+    places = joint_placements(arm)
+    frames = [frame for frame in arm.model.frames if frame.type == pin.FrameType.BODY]
     # Links that never move are placed relative to the root link, the first, which stands where the base is.
     places[0] = arm.base_placement * frames[0].placement.inverse()
     return {

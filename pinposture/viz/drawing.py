@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple, TypeVar
 
+import coal
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
@@ -13,7 +15,8 @@ from pinposture.collision import HalfSpace, Scene
 from pinposture.errors import InvalidValue
 from pinposture.motion import Motion, Trajectory
 from pinposture.placement import Target
-from pinposture.viz.body import DrawnBody, backbone, bodies, body_meshes
+from pinposture.viz import palette
+from pinposture.viz.body import DrawnBody, backbone, bodies, body_meshes, joint_placements
 from pinposture.viz.mesh import (
     TriangleMesh,
     ball,
@@ -228,6 +231,37 @@ def arm_surfaces(arm: Arm) -> Surfaces:
         closed = u + 1 < len(listed) and bool(arm.chain.revolute[u + 1])
         surfaces.append(own.bodies[u] or _body_mesh(body, radius, closed))
     return Surfaces(own.base or _base_mesh(arm, radius), tuple(surfaces))
+
+
+def visual_model(arm: Arm) -> pin.GeometryModel:
+    """The drawn bodies of an arm as geometry that Pinocchio's visualizers show.
+
+    For instance `pinocchio.visualize.MeshcatVisualizer(arm.model, visual_model=visual_model(arm))`. These
+    compute with a `pin.Data`, whose size grows with the square of the number of joints; `view` does without.
+
+    Args:
+        arm: the arm.
+
+    Returns:
+        One object for the base and one for each joint of the chain, with the shapes and colours of `view`.
+    """
+    surfaces, places, model = arm_surfaces(arm), joint_placements(arm), pin.GeometryModel()
+    drawn = [("base", 0, surfaces.base, palette.BASE, pin.SE3.Identity())]
+    for u, (body, mesh) in enumerate(zip(bodies(arm), surfaces.bodies, strict=True)):
+        joint, shade = arm.model.getJointId(body.joint), palette.MODULES[body.module % len(palette.MODULES)]
+        # Surfaces have the axes of the world at the neutral configuration.
+        placement = pin.SE3(places[joint].rotation.T, np.zeros(3))
+        drawn.append((f"body_{u + 1:03d}", joint, mesh, shade, placement))
+    for name, joint, mesh, color, placement in drawn:
+        geometry = coal.BVHModelOBBRSS()
+        geometry.beginModel(len(mesh.faces), len(mesh.vertices))
+        geometry.addVertices(mesh.vertices)
+        geometry.addTriangles(mesh.faces)
+        geometry.endModel()
+        shape = pin.GeometryObject(name, joint, placement, geometry)
+        shape.meshColor = np.array([*palette.rgb(color), 1.0])
+        model.addGeometryObject(shape)
+    return model
 
 
 def stage_points(arm: Arm, run: Trajectory | None, target: Target | None) -> Array:
