@@ -1,6 +1,6 @@
 """How people see a run: figures, a viewer in the browser, animations in a file."""
 
-from pinposture.viz.anatomy import plot_arm
+from pinposture.viz.arm_figure import plot_arm
 from pinposture.viz.drawing import visual_model
 from pinposture.viz.html import save_html
 from pinposture.viz.meshcat import Viewer, view

@@ -97,7 +97,7 @@ LONGEST = 60.0
 
 
 @dataclass(frozen=True)
-class Film:
+class Playback:
     """The configurations of a run or a motion that are shown, one after the other.
 
     Attributes:
@@ -107,7 +107,7 @@ class Film:
         times: when each is reached, (f,), in frames.
         end: when it is over and starts again, in frames.
         fps: frames per second.
-        pace: how many times as fast as it was a motion is shown; 1 in real time.
+        speedup: how many times as fast as it was a motion is shown; 1 in real time.
     """
 
     run: Trajectory
@@ -116,15 +116,15 @@ class Film:
     times: Array
     end: float
     fps: float
-    pace: float = 1.0
+    speedup: float = 1.0
 
     @property
-    def held(self) -> NDArray[np.intp]:
-        """Which of `rows` is seen at each of `moments`, (f + 2,)."""
+    def key_rows(self) -> NDArray[np.intp]:
+        """Which of `rows` is seen at each of `key_times`, (f + 2,)."""
         return np.concatenate([[0], np.arange(len(self.rows)), [len(self.rows) - 1]])
 
     @property
-    def moments(self) -> Array:
+    def key_times(self) -> Array:
         """`times` with beginning and end, (f + 2,), in frames.
 
         The first and the last configuration are held, so that one sees them before all starts again.
@@ -132,7 +132,7 @@ class Film:
         return np.concatenate([[0.0], self.times, [self.end]])
 
 
-def film(shown: Trajectory | Motion, fps: float, max_frames: int) -> Film:
+def playback(shown: Trajectory | Motion, fps: float, max_frames: int) -> Playback:
     """Choose what to show: every configuration, or as many as allowed, evenly spaced.
 
     A motion is shown in real time, unless that takes longer than `LONGEST`. Then it is shown 2, 5, 10, ...
@@ -140,7 +140,7 @@ def film(shown: Trajectory | Motion, fps: float, max_frames: int) -> Film:
 
     Args:
         shown: a run, or a motion in time.
-        fps: configurations of a motion per second of the film, fewer if it has fewer; steps of a run per
+        fps: configurations of a motion per second of playback, fewer if it has fewer; steps of a run per
             second, fewer if it would be over too soon.
         max_frames: number of configurations at most, at least 2.
 
@@ -157,26 +157,26 @@ def film(shown: Trajectory | Motion, fps: float, max_frames: int) -> Film:
     fps = min(fps, max(count - 1, 1) / SHORTEST)
     rows = np.round(np.linspace(0, shown.steps, count)).astype(np.intp)
     times = REST_BEFORE * fps + np.arange(count, dtype=np.float64)
-    return Film(shown, None, rows, times, float(times[-1] + REST_AFTER * fps), float(fps))
+    return Playback(shown, None, rows, times, float(times[-1] + REST_AFTER * fps), float(fps))
 
 
-def _in_time(motion: Motion, fps: float, max_frames: int) -> Film:
+def _in_time(motion: Motion, fps: float, max_frames: int) -> Playback:
     """Rows of a motion and when to show them; `fps` is but the unit of time then."""
-    pace = _pace(float(motion.time[-1]))
-    frames = int(np.ceil(motion.time[-1] / pace * fps))
+    speedup = _speedup(float(motion.time[-1]))
+    frames = int(np.ceil(motion.time[-1] / speedup * fps))
     count = min(frames, motion.steps, max_frames - 1) + 1
     rows = np.round(np.linspace(0, motion.steps, count)).astype(np.intp)
-    times = (REST_BEFORE + motion.time[rows] / pace) * fps
-    return Film(motion.run, motion, rows, times, float(times[-1] + REST_AFTER * fps), fps, pace)
+    times = (REST_BEFORE + motion.time[rows] / speedup) * fps
+    return Playback(motion.run, motion, rows, times, float(times[-1] + REST_AFTER * fps), fps, speedup)
 
 
-def _pace(seconds: float) -> float:
+def _speedup(seconds: float) -> float:
     """How many times as fast to show a motion: the least of 1, 2, 5, 10, 20, ... that makes it short."""
     paces = (digit * 10.0**power for power in itertools.count() for digit in (1.0, 2.0, 5.0))
-    return next(pace for pace in paces if seconds <= LONGEST * pace * (1.0 + 1e-9))
+    return next(speedup for speedup in paces if seconds <= LONGEST * speedup * (1.0 + 1e-9))
 
 
-def tracks(arm: Arm, shown: Film) -> list[Track]:
+def tracks(arm: Arm, shown: Playback) -> list[Track]:
     """How the bodies of the arm move and its control points change, for an arm that has been drawn.
 
     Args:
@@ -186,7 +186,7 @@ def tracks(arm: Arm, shown: Film) -> list[Track]:
     """
     run = shown.run
     poses = body_poses(arm, run.q[shown.rows])  # (f, n, 4, 4)
-    held, times = shown.held, shown.moments
+    held, times = shown.key_rows, shown.key_times
     listed = []
     for u in range(poses.shape[1]):
         turns = Rotation.from_matrix(poses[:, u, :3, :3]).as_quat()
@@ -196,11 +196,11 @@ def tracks(arm: Arm, shown: Film) -> list[Track]:
         active = run.active[np.minimum(shown.rows, run.steps - 1)][held]  # (f + 2, m)
         ends = [u for u, body in enumerate(bodies(arm)) if body.point is not None]
         for u, on in zip(ends, active.T, strict=True):
-            listed.extend(_activity(point_path(u), times, on))
+            listed.extend(_activity_tracks(point_path(u), times, on))
     return listed
 
 
-def _activity(path: str, times: Array, on: NDArray[np.bool_]) -> list[Track]:
+def _activity_tracks(path: str, times: Array, on: NDArray[np.bool_]) -> list[Track]:
     """Colour and size of a control point that is active at some times, told only where that changes."""
     told = np.concatenate([[True], on[1:] != on[:-1]])
     told[-1] = True  # all tracks end together, or those that end early would start again early
@@ -218,13 +218,13 @@ GONE = 1e-3
 """Size of a hoop that is not there."""
 
 
-def moving_target_tracks(motion: Motion, film: Film) -> list[Track]:
+def moving_target_tracks(motion: Motion, playback: Playback) -> list[Track]:
     """How targets that have been drawn move, come and go."""
-    held, times = film.held, film.moments
-    targets, asked = motion.targets[film.rows], motion.asked[film.rows]
+    held, times = playback.key_rows, playback.key_times
+    targets, asked = motion.targets[playback.rows], motion.asked[playback.rows]
     turns = hoop_turns(motion.arm, targets, asked)
     listed = []
-    for k in ever_asked(motion):
+    for k in targeted_points(motion):
         path = hoop_path(k)
         listed.append(Track(path, "position", "vector3", times, targets[held, k], smooth=True))
         listed.append(Track(path, "quaternion", "quaternion", times, turns[held, k], smooth=True))
@@ -254,7 +254,7 @@ def hoop_turns(arm: Arm, targets: Array, asked: NDArray[np.bool_]) -> Array:
     turn = Rotation.identity(asked.shape[1])
     for row in range(len(targets)):
         ahead = _tangents(arm, targets[row], asked[row], normals)
-        turn = _least(normals, ahead) * turn
+        turn = _shortest_rotations(normals, ahead) * turn
         normals, turns[row] = ahead, turn.as_quat()
     return same_signs(turns)
 
@@ -285,7 +285,7 @@ def _unit(vectors: Array) -> Array:
     return np.asarray(vectors / np.maximum(lengths, 1e-12))
 
 
-def _least(before: Array, after: Array) -> Rotation:
+def _shortest_rotations(before: Array, after: Array) -> Rotation:
     """The least rotations that take unit vectors (m, 3) to others."""
     axes = np.cross(before, after)
     sines = np.linalg.norm(axes, axis=1, keepdims=True)
@@ -296,6 +296,6 @@ def _least(before: Array, after: Array) -> Rotation:
     return turns
 
 
-def ever_asked(motion: Motion) -> NDArray[np.intp]:
+def targeted_points(motion: Motion) -> NDArray[np.intp]:
     """Control points, 0-based, that have a target at some time."""
     return np.asarray(np.flatnonzero(motion.asked.any(axis=0)))

@@ -29,29 +29,29 @@ DEEPEST = 12.0
 """Powers of ten below the largest value that a logarithmic axis shows at most; below that is rounding."""
 
 
-def dress_steps(ax: Axes, label: str) -> None:
+def format_step_axes(ax: Axes, label: str) -> None:
     """Give axes against steps, from 0 to the last step drawn, their ticks, grid and labels."""
-    steps = _dress(ax, "step", label)
+    steps = _format_axes(ax, "step", label)
     ax.set_xlim(0.0 if steps else -1.0, max(steps, 1.0))
     ax.xaxis.set_major_locator(MaxNLocator(nbins=8, integer=True, min_n_ticks=1))
 
 
-def dress(ax: Axes, label: str, time: NDArray[np.float64] | None) -> None:
+def format_axes(ax: Axes, label: str, time: NDArray[np.float64] | None) -> None:
     """Dress axes against steps, or against time if there is one."""
     if time is None:
-        dress_steps(ax, label)
+        format_step_axes(ax, label)
     else:
-        dress_time(ax, label)
+        format_time_axes(ax, label)
 
 
-def dress_time(ax: Axes, label: str) -> None:
+def format_time_axes(ax: Axes, label: str) -> None:
     """Give axes against time, from 0 to the last moment drawn, their ticks, grid and labels."""
-    end = _dress(ax, "time [s]", label)
+    end = _format_axes(ax, "time [s]", label)
     ax.set_xlim(0.0 if end else -1.0, end or 1.0)
     ax.xaxis.set_major_locator(MaxNLocator(nbins=8, min_n_ticks=1))
 
 
-def _dress(ax: Axes, across: str, label: str) -> float:
+def _format_axes(ax: Axes, across: str, label: str) -> float:
     """Labels, grid and edges of axes; returns the largest number drawn on the horizontal one."""
     ax.set_xlabel(across, fontsize=9)
     ax.set_ylabel(label, fontsize=9)
@@ -145,7 +145,7 @@ WIDTH, HEIGHT = 12.0, 7.2
 """Size of a figure [inch]; 1200 pixels wide at the default resolution."""
 
 
-def lay_out(arm: Arm, rows: int) -> tuple[Figure, Axes, list[Axes]]:
+def new_figure(arm: Arm, rows: int) -> tuple[Figure, Axes, list[Axes]]:
     """A figure with axes for postures of an arm, and so many panels beside them, one below the other."""
     size = WIDTH, HEIGHT + max(0, rows - 3)
     figure = Figure(figsize=size, layout=ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.09, wspace=0.04))
@@ -176,7 +176,7 @@ def footnote(figure: Figure, text: str) -> None:
 # A run or a motion in words, for titles.
 
 
-def moved_curves(run: Trajectory | Motion) -> str:
+def placement_text(run: Trajectory | Motion) -> str:
     """How curves were moved from where they were drawn, in words; empty if none was."""
     if isinstance(run, Motion):
         told = [f"{place.name} {place.moved}" for place in run.passed if place.moved]
@@ -193,17 +193,17 @@ def controller_name(run: Trajectory) -> str:
     return run.controller.partition("(")[0].strip() or "The run"
 
 
-def ending(run: Trajectory) -> str:
+def ending_text(run: Trajectory) -> str:
     """How and when a run ended, as what is said of its controller."""
     return f"{ENDINGS[run.status]} after {run.steps} step{'s' * (run.steps != 1)}"
 
 
-def ending_in_time(motion: Motion) -> str:
+def motion_ending_text(motion: Motion) -> str:
     """How and when a motion ended, as what is said of its controller."""
-    return f"{ENDINGS[motion.run.status]} after {motion.time[-1]:.4g} s{slower(motion)}"
+    return f"{ENDINGS[motion.run.status]} after {motion.time[-1]:.4g} s{slowdown_text(motion)}"
 
 
-def slower(motion: Motion) -> str:
+def slowdown_text(motion: Motion) -> str:
     """How much a motion was slowed down, after a comma; empty if it was not, or did not get to its end."""
     if motion.clock[-1] < motion.planned or not is_slowed(motion):
         return ""
@@ -252,7 +252,7 @@ def shown_places(motion: Motion) -> list[Place]:
     return [Place(_short(name), row, color) for (name, row), color in zip(reached, colors, strict=True)]
 
 
-def alike(motion: Motion, places: Sequence[Place]) -> list[list[Place]]:
+def group_alike(motion: Motion, places: Sequence[Place]) -> list[list[Place]]:
     """The places in order, those together where the arm looked the same."""
     points, apart = motion.run.points, SAME * motion.arm.length
     groups: list[list[Place]] = []

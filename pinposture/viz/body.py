@@ -209,13 +209,13 @@ def body_meshes(arm: Arm, most_triangles: int = MOST_TRIANGLES) -> BodyMeshes:
     most = _most_of_a_body([len(mesh.faces) for mesh in merged.values()], most_triangles)
     many = f"all meshes together having {total} triangles, more than {most_triangles}"
     for owner in [owner for owner, mesh in merged.items() if len(mesh.faces) > most]:
-        thinned = _thinned(merged.pop(owner), most)
+        thinned = _decimated(merged.pop(owner), most)
         if thinned is not None:
             merged[owner] = thinned
         how = "is left out" if thinned is None else f"is drawn with {len(thinned.faces)} triangles"
         faults.update(dict.fromkeys(files[owner], f"{how}, {many}"))
     if faults:
-        warnings.warn(_described(faults), PostureWarning, stacklevel=2)
+        warnings.warn(_warning_text(faults), PostureWarning, stacklevel=2)
     return BodyMeshes(merged.get(len(joints)), tuple(merged.get(u) for u in range(len(joints))))
 
 
@@ -230,9 +230,9 @@ def visual_meshes(arm: Arm) -> list[VisualMesh]:
             if mesh is None:
                 continue
             place = {} if origin is None else origin.attrib
-            turn = pin.rpy.rpyToMatrix(_three(place.get("rpy", "0 0 0")))
-            placement = pin.SE3(turn, _three(place.get("xyz", "0 0 0")))
-            scale = _three(mesh.get("scale", "1 1 1"))
+            turn = pin.rpy.rpyToMatrix(_three_numbers(place.get("rpy", "0 0 0")))
+            placement = pin.SE3(turn, _three_numbers(place.get("xyz", "0 0 0")))
+            scale = _three_numbers(mesh.get("scale", "1 1 1"))
             listed.append(VisualMesh(link.get("name", ""), mesh.get("filename", ""), scale, placement))
     return listed
 
@@ -278,7 +278,7 @@ def _most_of_a_body(counts: Sequence[int], most_triangles: int) -> int:
     return most_triangles
 
 
-def _thinned(mesh: TriangleMesh, most: int) -> TriangleMesh | None:
+def _decimated(mesh: TriangleMesh, most: int) -> TriangleMesh | None:
     """The mesh with at most so many triangles, close corners made one; None if no triangle would be left."""
     points = min(most, len(mesh.vertices) - 1)
     while points > 2:
@@ -290,14 +290,14 @@ def _thinned(mesh: TriangleMesh, most: int) -> TriangleMesh | None:
     return None
 
 
-def _described(faults: Mapping[str, str]) -> str:
+def _warning_text(faults: Mapping[str, str]) -> str:
     named = [f"{name} {reason}" for name, reason in list(faults.items())[:_LISTED]]
     if len(faults) > _LISTED:
         named.append(f"and {len(faults) - _LISTED} more")
     return f"links are not drawn as their meshes have them: {'; '.join(named)}"
 
 
-def _three(text: str) -> Array:
+def _three_numbers(text: str) -> Array:
     """Three numbers; not a number, which is noticed later, if the text is something else."""
     try:
         numbers = np.array([float(word) for word in text.split()])

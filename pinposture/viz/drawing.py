@@ -21,14 +21,14 @@ from pinposture.viz.mesh import (
     TriangleMesh,
     ball,
     box_corners,
-    cut,
+    clip_to_box,
+    cut_by_plane,
     disc,
     faceted,
     hull_faces,
     merge,
     surface,
     tube,
-    within,
 )
 
 Array = NDArray[np.float64]
@@ -61,7 +61,7 @@ class Framing(NamedTuple):
     @property
     def axes(self) -> Array:
         """Unit vectors to the right, up, and towards the eye, (3, 3), world frame."""
-        return look(self.azimuth, self.elevation)
+        return view_axes(self.azimuth, self.elevation)
 
     def distance(self, points: Array, opening: float, aspect: float) -> float:
         """How far from the centre the eye must be to see all points.
@@ -94,14 +94,14 @@ def frame_points(points: Array) -> Framing:
     chosen, largest = (0.0, 0.0), 0.0
     for elevation in ELEVATIONS:
         for azimuth in AZIMUTHS:
-            screen = look(float(azimuth), float(elevation))[:2]
+            screen = view_axes(float(azimuth), float(elevation))[:2]
             area = float(np.sqrt(np.linalg.det(screen @ scatter @ screen.T)))
             if area > BETTER * largest:
                 chosen, largest = (float(azimuth), float(elevation)), area
     return Framing(center, radius, *chosen)
 
 
-def look(azimuth: float, elevation: float) -> Array:
+def view_axes(azimuth: float, elevation: float) -> Array:
     """Unit vectors to the right, up, and towards an eye that stands there [rad], (3, 3), world frame."""
     eye = np.array(
         [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
@@ -142,7 +142,7 @@ def outline(arm: Arm, target: Target) -> Outline:
         return Outline((curve.at(np.linspace(0.0, length, SAMPLES)),), ())
     places = np.clip(np.append(0.0, target.parameters), 0.0, length)
     end = float(np.max(places[1:][target.placed], initial=0.0))
-    spans = [(float(places[run].min()), float(places[run].max())) for run in _runs(target.placed)]
+    spans = [(float(places[run].min()), float(places[run].max())) for run in _consecutive(target.placed)]
     covered = _merged(spans)
     edges = [0.0, *(edge for span in covered for edge in span), min(length, end + BEYOND * arm.length)]
     # Less than this of a line cannot be seen, and may not have a direction.
@@ -161,7 +161,7 @@ def _posture(arm: Arm, q: Array, placed: NDArray[np.bool_]) -> Outline:
         if body.point is not None:
             ends.append(count + int(np.linalg.norm(body.nodes - body.point, axis=1).argmin()))
         count += len(body.nodes)
-    spans = _merged([(ends[run[0]], ends[run[-1]]) for run in _runs(placed)])
+    spans = _merged([(ends[run[0]], ends[run[-1]]) for run in _consecutive(placed)])
     edges = [0, *(edge for span in spans for edge in span), ends[-1]]
     pieces = [
         tuple(line[a : b + 1] for a, b in parts if b > a)
@@ -170,7 +170,7 @@ def _posture(arm: Arm, q: Array, placed: NDArray[np.bool_]) -> Outline:
     return Outline(*pieces)
 
 
-def _runs(placed: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
+def _consecutive(placed: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
     """Points that have a target and follow each other; 0 is the base, which is where it should be."""
     here = np.flatnonzero(np.append(True, placed))
     return np.split(here, np.flatnonzero(np.diff(here) > 1) + 1)
@@ -264,7 +264,7 @@ def visual_model(arm: Arm) -> pin.GeometryModel:
     return model
 
 
-def stage_points(arm: Arm, run: Trajectory | None, target: Target | None) -> Array:
+def scene_points(arm: Arm, run: Trajectory | None, target: Target | None) -> Array:
     """What the camera should see: the whole motion and the target, (n, 3) [m], world frame."""
     points = [arm.chain.base[None]]
     if run is not None:
@@ -320,7 +320,7 @@ WIDTH = 0.3
 """Least width of such a patch, relative to that size."""
 
 
-class Shown(NamedTuple):
+class ShownObstacle(NamedTuple):
     """An obstacle, and the part of it that belongs into the picture.
 
     Attributes:
@@ -336,7 +336,7 @@ class Shown(NamedTuple):
     cut: bool
 
 
-def shown_obstacles(scene: Scene | None, points: Array) -> list[Shown]:
+def shown_obstacles(scene: Scene | None, points: Array) -> list[ShownObstacle]:
     """What a picture shows of a scene: of what is near all, of what is huge a part, of what is far nothing.
 
     Args:
@@ -351,39 +351,39 @@ def shown_obstacles(scene: Scene | None, points: Array) -> list[Shown]:
     low, high = points.min(axis=0), points.max(axis=0)
     size = max(float(np.max(high - low)), 1e-9)
     region = low - ROOM * size, high + ROOM * size
-    listed: dict[str, Shown] = {}
+    listed: dict[str, ShownObstacle] = {}
     for name, obstacle in scene.obstacles.items():
         if not isinstance(obstacle, HalfSpace):
             whole = surface(obstacle)
-            part = _near(whole.vertices, low, high, size)
-            listed[name] = Shown(name, whole, part, part is not whole.vertices)
+            part = _part_in_view(whole.vertices, low, high, size)
+            listed[name] = ShownObstacle(name, whole, part, part is not whole.vertices)
     planes = {name: each for name, each in scene.obstacles.items() if isinstance(each, HalfSpace)}
     if planes:
-        seen = np.vstack([points, near_corners(list(listed.values()))])
-        listed.update(_patches(planes, seen, size, region))
+        seen = np.vstack([points, shown_corners(list(listed.values()))])
+        listed.update(_half_space_patches(planes, seen, size, region))
     return [listed[name] for name in scene.obstacles if name in listed]
 
 
-def _near(corners: Array, low: Array, high: Array, size: float) -> Array:
+def _part_in_view(corners: Array, low: Array, high: Array, size: float) -> Array:
     """Corners of what is shown of a solid: all of it, if it is near, or as little as tells where it is."""
     region = low - ROOM * size, high + ROOM * size
-    part = within(corners, *region)
+    part = clip_to_box(corners, *region)
     if part is corners or not len(part):
         return part
     least = np.minimum(low, part.max(axis=0)) - INTO * size
     most = np.maximum(high, part.min(axis=0)) + INTO * size
-    return within(part, np.maximum(least, region[0]), np.minimum(most, region[1]))
+    return clip_to_box(part, np.maximum(least, region[0]), np.minimum(most, region[1]))
 
 
-def near_corners(shown: Sequence[Shown]) -> Array:
+def shown_corners(shown: Sequence[ShownObstacle]) -> Array:
     """Corners of boxes around the parts of obstacles in the picture, (n, 3) [m], world frame."""
     parts = [each.near for each in shown if len(each.near)]
     return np.vstack([np.zeros((0, 3)), *(box_corners(part.min(axis=0), part.max(axis=0)) for part in parts)])
 
 
-def _patches(
+def _half_space_patches(
     planes: dict[str, HalfSpace], seen: Array, size: float, region: tuple[Array, Array]
-) -> dict[str, Shown]:
+) -> dict[str, ShownObstacle]:
     """Of each half-space that reaches into a region a plate, as large as what is seen, under its surface."""
     middle, half = (seen.min(axis=0) + seen.max(axis=0)) / 2.0, np.ptp(seen, axis=0) / 2.0
     half = np.maximum(half, WIDTH * size / 2.0)
@@ -401,8 +401,8 @@ def _patches(
     room = box_corners(reach.min(axis=0) - THICKNESS * size, reach.max(axis=0) + THICKNESS * size)
     shown = {}
     for name in planes:
-        plate = cut(room, normals[name], offsets[name])
-        plate = cut(plate, -normals[name], THICKNESS * size - offsets[name]) if len(plate) else plate
+        plate = cut_by_plane(room, normals[name], offsets[name])
+        plate = cut_by_plane(plate, -normals[name], THICKNESS * size - offsets[name]) if len(plate) else plate
         if len(plate):
-            shown[name] = Shown(name, faceted(plate, hull_faces(plate)), plate, True)
+            shown[name] = ShownObstacle(name, faceted(plate, hull_faces(plate)), plate, True)
     return shown

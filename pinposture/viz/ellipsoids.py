@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm, Ellipsoid
 from pinposture.viz import palette
-from pinposture.viz.animation import ROOT, Film, Track, same_signs
+from pinposture.viz.animation import ROOT, Playback, Track, same_signs
 from pinposture.viz.drawing import link_radius
 from pinposture.viz.postures import PosturePanel
 
@@ -50,7 +50,7 @@ def drawn_length(arm: Arm, points: Sequence[int]) -> float:
         A round length [m] at which the largest of them is well seen beside the arm.
     """
     # A joint that turns moves a point by the length of the arm between them at most, per radian.
-    fastest = max((float(np.linalg.norm(_levers(arm, point))) for point in points), default=0.0)
+    fastest = max((float(np.linalg.norm(_lever_arms(arm, point))) for point in points), default=0.0)
     # In space joints share out their motion over two directions across the arm.
     radius = max(fastest / np.sqrt(arm.dimension - 1.0), 0.01 * arm.length)
     length = LARGEST * arm.length / radius
@@ -126,7 +126,7 @@ def _drawn(panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> Iterator[tup
         yield palette.index_color(one.index), one.center, length * one.semi_axes
 
 
-def _levers(arm: Arm, point: int) -> Array:
+def _lever_arms(arm: Arm, point: int) -> Array:
     """How far each joint can move a control point per unit of its motion at most, (n,) [m]."""
     chain = arm.chain
     end = chain.module_slices[point].stop
@@ -150,7 +150,7 @@ THINNEST = 0.3
 _RENAMINGS = np.rint(Rotation.create_group("O").as_matrix())
 
 
-class Balls(NamedTuple):
+class EllipsoidMotion(NamedTuple):
     """Ellipsoids of p control points at f configurations, as unit balls that are stretched and turned.
 
     Attributes:
@@ -169,34 +169,34 @@ class Balls(NamedTuple):
     indices: Array
 
 
-def balls(arm: Arm, points: tuple[int, ...], rows: Array) -> Balls:
+def ellipsoid_motion(arm: Arm, points: tuple[int, ...], rows: Array) -> EllipsoidMotion:
     """The ellipsoids of control points, 0-based, at configurations (f, nq), one after the other."""
     shape = (len(rows), len(points))
     listed = [one for q in rows for one in arm.at(q).ellipsoids(points)] if points else []
     centers = np.array([one.center for one in listed]).reshape(*shape, 3)
-    frames = np.array([frame_of(one) for one in listed]).reshape(*shape, 3, 3)
+    frames = np.array([principal_frame(one) for one in listed]).reshape(*shape, 3, 3)
     # An ellipse in a plane has no third radius.
     radii = np.array([np.append(one.radii, 0.0)[:3] for one in listed]).reshape(*shape, 3)
     indices = np.array([one.index for one in listed]).reshape(shape)
     drawn = np.maximum(drawn_length(arm, points) * radii, THINNEST * link_radius(arm))
-    return Balls(points, centers, *carried_on(frames, drawn), indices)
+    return EllipsoidMotion(points, centers, *continue_axes(frames, drawn), indices)
 
 
-def ball_ends(shown: Balls) -> Array:
+def axis_ends(shown: EllipsoidMotion) -> Array:
     """The ends of the principal axes at all configurations, (n, 3) [m], world frame."""
     axes = shown.frames * shown.radii[..., None]
     ends = shown.centers[..., None, :] + np.stack([axes, -axes])
     return ends.reshape(-1, 3)
 
 
-def ball_tracks(shown: Balls, film: Film) -> list[Track]:
+def ellipsoid_tracks(shown: EllipsoidMotion, playback: Playback) -> list[Track]:
     """How ellipsoids that have been drawn move, stretch and change their colour.
 
     Args:
-        shown: the ellipsoids at the configurations of the film.
-        film: what else is shown.
+        shown: the ellipsoids at the configurations that are played.
+        playback: when they are shown.
     """
-    held, times = film.held, film.moments
+    held, times = playback.key_rows, playback.key_times
     listed = []
     for p, point in enumerate(shown.points):
         turns = Rotation.from_matrix(shown.frames[:, p].transpose(0, 2, 1)).as_quat()
@@ -211,7 +211,7 @@ def ball_tracks(shown: Balls, film: Film) -> list[Track]:
     return listed
 
 
-def carried_on(frames: Array, radii: Array) -> tuple[Array, Array]:
+def continue_axes(frames: Array, radii: Array) -> tuple[Array, Array]:
     """Name the axes of each frame such that they continue those of the one before.
 
     An ellipsoid has no order of its axes, and no signs: where two radii pass each other, or anywhere, they
@@ -238,7 +238,7 @@ def ellipsoid_path(point: int) -> str:
     return f"{ROOT}/ellipsoids/point_{point + 1:03d}"
 
 
-def frame_of(one: Ellipsoid) -> Array:
+def principal_frame(one: Ellipsoid) -> Array:
     """Principal axes, one per row, right-handed, (3, 3); that of an ellipse in a plane is completed."""
     if len(one.directions) == 3:
         return one.directions

@@ -19,26 +19,26 @@ from pinposture.motion import Motion, Trajectory
 from pinposture.placement import Target
 from pinposture.storage import with_suffix, write_text
 from pinposture.viz import palette
-from pinposture.viz.animation import Film, film
-from pinposture.viz.axes import controller_name, ending, ending_in_time, is_slowed, moved_curves
+from pinposture.viz.animation import Playback, playback
+from pinposture.viz.axes import controller_name, ending_text, is_slowed, motion_ending_text, placement_text
 from pinposture.viz.drawing import require_fitting
 from pinposture.viz.ellipsoids import KEY, scale_in_words
-from pinposture.viz.meshcat import ASPECT, DrawnScene, Recording, draw_scene, play_animation
+from pinposture.viz.meshcat import ASPECT, CommandRecorder, DrawnScene, draw_scene, play_animation
 from pinposture.viz.panels import has_clearance
 
 # What the page of an animation says: under each configuration, and of the colours.
 
 
-def texts(shown: Film) -> list[str]:
+def texts(shown: Playback) -> list[str]:
     """What is written under each configuration that is shown."""
     listed, run = [], shown.run
     for row in shown.rows:
-        text = _step(shown, row) if shown.motion is None else _moment(shown.motion, row)
+        text = _step_text(shown, row) if shown.motion is None else _motion_text(shown.motion, row)
         listed.append(text + (f", clearance {run.clearance[row]:.3g} m" if has_clearance(run) else ""))
     return listed
 
 
-def _step(shown: Film, row: int) -> str:
+def _step_text(shown: Playback, row: int) -> str:
     """A configuration of a run in words."""
     run = shown.run
     text = f"step {row} of {run.steps}, posture error {run.posture_error[row]:.3g} m"
@@ -50,7 +50,7 @@ def _step(shown: Film, row: int) -> str:
     return text
 
 
-def _moment(motion: Motion, row: int) -> str:
+def _motion_text(motion: Motion, row: int) -> str:
     """A configuration of a motion in words."""
     text = f"{motion.time[row]:.2f} of {motion.time[-1]:.2f} s"
     if is_slowed(motion):
@@ -63,7 +63,7 @@ def _moment(motion: Motion, row: int) -> str:
     return f"{text}, posture error {motion.run.posture_error[row]:.3g} m"
 
 
-def legend(shown: Film, drawn: DrawnScene, target: bool, scale: str) -> str:
+def legend_html(shown: Playback, drawn: DrawnScene, target: bool, scale: str) -> str:
     """What the colours mean, and how fast a motion is shown, as HTML.
 
     Args:
@@ -84,7 +84,7 @@ def legend(shown: Film, drawn: DrawnScene, target: bool, scale: str) -> str:
     lines = [_dots(entries)]
     if shown.motion is not None:
         lines.append(_in_time(shown, drawn))
-    moved = moved_curves(shown.run if shown.motion is None else shown.motion)
+    moved = placement_text(shown.run if shown.motion is None else shown.motion)
     if moved:
         lines.append(html.escape(moved))
     if scale:
@@ -93,8 +93,10 @@ def legend(shown: Film, drawn: DrawnScene, target: bool, scale: str) -> str:
     return "<br>".join(lines)
 
 
-def _in_time(shown: Film, drawn: DrawnScene) -> str:
-    speed = "shown in real time" if shown.pace == 1.0 else f"shown {shown.pace:.0f} times as fast as it was"
+def _in_time(shown: Playback, drawn: DrawnScene) -> str:
+    speed = (
+        "shown in real time" if shown.speedup == 1.0 else f"shown {shown.speedup:.0f} times as fast as it was"
+    )
     named = [(", ".join(place.name for place in group), group[0].color) for group in drawn.places]
     return f"{speed}; targets at {_dots(named)}" if named else speed
 
@@ -154,24 +156,24 @@ def save_html(
     points = chosen_points(arm.control_points, ellipsoids)
     if max_frames is None:
         max_frames = MOST_IN_TIME if isinstance(run, Motion) else MOST
-    write_text(path, _page(arm, film(run, fps, max_frames), target, points))
+    write_text(path, _page(arm, playback(run, fps, max_frames), target, points))
     return path
 
 
-def _page(arm: Arm, shown: Film, target: Target | None, points: tuple[int, ...]) -> str:
+def _page(arm: Arm, shown: Playback, target: Target | None, points: tuple[int, ...]) -> str:
     run, motion = shown.run, shown.motion
-    recording = Recording()
+    recording = CommandRecorder()
     viewer = Visualizer(window=recording)
     drawn = draw_scene(viewer, arm, shown, target, run.scene, points)
     play_animation(viewer, drawn.tracks, shown.fps)
     packed = [base64.b64encode(command).decode("ascii") for command in recording.packed]
     described = {"times": (shown.times / shown.fps).round(6).tolist(), "texts": texts(shown)}
     template = resources.files("pinposture.viz").joinpath("page.html").read_text(encoding="utf-8")
-    ended = ending(run) if motion is None else ending_in_time(motion)
+    ended = ending_text(run) if motion is None else motion_ending_text(motion)
     return Template(template).substitute(
         title=html.escape(f"{controller_name(run)} {ended}"),
         reason=html.escape(run.reason),
-        legend=legend(shown, drawn, target is not None, scale_in_words(arm, points) if points else ""),
+        legend=legend_html(shown, drawn, target is not None, scale_in_words(arm, points) if points else ""),
         ink=palette.INK,
         end=shown.end / shown.fps,
         aspect=ASPECT,

@@ -117,7 +117,7 @@ def box_corners(low: Array, high: Array) -> Array:
     return np.array(list(product(*zip(low, high, strict=True))))
 
 
-def cut(corners: Array, normal: Array, offset: float) -> Array:
+def cut_by_plane(corners: Array, normal: Array, offset: float) -> Array:
     """The part of a solid on the lower side of a plane.
 
     Args:
@@ -142,12 +142,12 @@ def cut(corners: Array, normal: Array, offset: float) -> Array:
     return left if _has_volume(left) else np.zeros((0, 3))
 
 
-def within(corners: Array, low: Array, high: Array) -> Array:
-    """The part of a solid inside a box along the axes of the world, as corners (k, 3) [m]; see `cut`."""
+def clip_to_box(corners: Array, low: Array, high: Array) -> Array:
+    """The part of a solid inside a box along the axes of the world, as corners (k, 3) [m]."""
     for axis in range(3):
         for sign, side in ((1.0, high), (-1.0, low)):
             if len(corners):
-                corners = cut(corners, sign * np.eye(3)[axis], sign * float(side[axis]))
+                corners = cut_by_plane(corners, sign * np.eye(3)[axis], sign * float(side[axis]))
     return corners
 
 
@@ -193,12 +193,12 @@ def section(corners: Array, origin: Array, plane: Array) -> Array:
     low, high = (corners @ normal - offset).min(), (corners @ normal - offset).max()
     if not low < -FLAT * size < FLAT * size < high:
         return np.zeros((0, 2))
-    lower = cut(corners, normal, offset)
+    lower = cut_by_plane(corners, normal, offset)
     face = lower[np.abs(lower @ normal - offset) <= FLAT * size]
-    return rim(face @ plane.T)
+    return convex_outline(face @ plane.T)
 
 
-def rim(flat: Array) -> Array:
+def convex_outline(flat: Array) -> Array:
     """The corners of the convex hull of points in a plane (n, 2), in order; none if they lie on a line."""
     spread = np.linalg.svd(flat - flat.mean(axis=0), compute_uv=False) if len(flat) > 2 else np.zeros(2)
     if spread[-1] <= FLAT * spread[0]:
@@ -206,7 +206,7 @@ def rim(flat: Array) -> Array:
     return np.asarray(flat[ConvexHull(flat).vertices])
 
 
-def hidden(points: Array, corners: Array, eye: Array) -> NDArray[np.bool_]:
+def is_hidden(points: Array, corners: Array, eye: Array) -> NDArray[np.bool_]:
     """Which points a solid hides from an eye far away, or holds within itself.
 
     Args:

@@ -34,33 +34,39 @@ from pinposture.viz.animation import (
     IDLE_SIZE,
     POINT_SIZE,
     ROOT,
-    Film,
+    Playback,
     Track,
     animation,
     body_path,
-    ever_asked,
-    film,
     hoop_path,
     hoop_turns,
     moving_target_tracks,
+    playback,
     point_path,
+    targeted_points,
     tracks,
 )
-from pinposture.viz.axes import Place, alike, shown_places
+from pinposture.viz.axes import Place, group_alike, shown_places
 from pinposture.viz.body import bodies, body_poses
 from pinposture.viz.drawing import (
     MANY,
-    Shown,
+    ShownObstacle,
     arm_surfaces,
     frame_points,
     link_radius,
-    near_corners,
     outline,
     require_fitting,
+    scene_points,
+    shown_corners,
     shown_obstacles,
-    stage_points,
 )
-from pinposture.viz.ellipsoids import Balls, ball_ends, ball_tracks, balls, ellipsoid_path
+from pinposture.viz.ellipsoids import (
+    EllipsoidMotion,
+    axis_ends,
+    ellipsoid_motion,
+    ellipsoid_path,
+    ellipsoid_tracks,
+)
 from pinposture.viz.mesh import TriangleMesh, ball, merge, tube
 
 logger = logging.getLogger(__name__)
@@ -142,7 +148,7 @@ class Connection(ViewerWindow):  # type: ignore[misc]
             raise ViewerError(self._name, reason) from None
 
 
-class Recording:
+class CommandRecorder:
     """Takes the commands of a `meshcat.Visualizer` in place of a connection.
 
     Attributes:
@@ -247,21 +253,21 @@ def add_moving_targets(viewer: Visualizer, motion: Motion, places: Sequence[Plac
     circle = np.stack([np.cos(around), np.sin(around), np.zeros(HOOP_SIDES + 1)], axis=1)
     hoop = tube(HOOP_RADIUS * POINT_SIZE * radius * circle, WIRE_RADIUS * POINT_SIZE * radius)
     turns = hoop_turns(arm, motion.targets[:1], motion.asked[:1])
-    for k in ever_asked(motion):
+    for k in targeted_points(motion):
         size = 1.0 if motion.asked[0, k] else GONE
         turn = Rotation.from_quat(turns[0, k]).as_matrix()
         add(viewer, hoop_path(k), hoop, palette.TARGET)
         viewer[hoop_path(k)].set_transform(_transform(motion.targets[0, k], size * turn))
 
 
-def add_obstacles(viewer: Visualizer, shown: Sequence[Shown]) -> None:
+def add_obstacles(viewer: Visualizer, shown: Sequence[ShownObstacle]) -> None:
     """Draw obstacles; the walls of a pipe, for instance, hide what is in it but a little."""
     opacity = palette.SHEER if len(shown) > MANY else palette.SEE_THROUGH
     for number, each in enumerate(shown, start=1):
         add(viewer, f"{ROOT}/obstacles/obstacle_{number:03d}", each.surface, palette.OBSTACLE, opacity)
 
 
-def add_ellipsoids(viewer: Visualizer, shown: Balls) -> None:
+def add_ellipsoids(viewer: Visualizer, shown: EllipsoidMotion) -> None:
     """Draw the ellipsoids of the first configuration, or draw them anew."""
     unit = ball(np.zeros(3), 1.0, 3)
     for p, point in enumerate(shown.points):
@@ -356,7 +362,7 @@ class DrawnScene(NamedTuple):
 def draw_scene(
     viewer: Visualizer,
     arm: Arm,
-    shown: Film | None,
+    shown: Playback | None,
     target: Target | None,
     scene: Scene | None,
     points: tuple[int, ...],
@@ -373,14 +379,14 @@ def draw_scene(
     """
     rows = arm.neutral()[None] if shown is None else shown.run.q[shown.rows]
     run, motion = (None, None) if shown is None else (shown.run, shown.motion)
-    ellipsoids = balls(arm, points, rows)
-    seen = np.vstack([stage_points(arm, run, target), ball_ends(ellipsoids)])
+    ellipsoids = ellipsoid_motion(arm, points, rows)
+    seen = np.vstack([scene_points(arm, run, target), axis_ends(ellipsoids)])
     places: list[list[Place]] = []
     if motion is not None:
         seen = np.vstack([seen, motion.targets[motion.asked]])
-        places = alike(motion, shown_places(motion))
+        places = group_alike(motion, shown_places(motion))
     obstacles = shown_obstacles(scene, seen)
-    set_camera(viewer, arm, np.vstack([seen, near_corners(obstacles)]))
+    set_camera(viewer, arm, np.vstack([seen, shown_corners(obstacles)]))
     add_arm(viewer, arm, rows[0])
     if target is not None:
         add_target(viewer, arm, target)
@@ -390,7 +396,7 @@ def draw_scene(
     add_ellipsoids(viewer, ellipsoids)
     moving: list[Track] = []
     if shown is not None:
-        moving = [*tracks(arm, shown), *ball_tracks(ellipsoids, shown)]
+        moving = [*tracks(arm, shown), *ellipsoid_tracks(ellipsoids, shown)]
         moving += [] if motion is None else moving_target_tracks(motion, shown)
     return DrawnScene(moving, bool(obstacles), places)
 
@@ -429,12 +435,14 @@ class Viewer:
         require_fitting(arm, run, target)
         self.arm, self.run, self.target, self.scene = arm, run, target, scene
         self.ellipsoids = chosen_points(arm.control_points, ellipsoids)
-        self._film = None if run is None else film(run, fps, MOST_FRAMES)
+        self._playback = None if run is None else playback(run, fps, MOST_FRAMES)
         self._playing = False
         self.meshcat = Visualizer(window=Connection(url))
         try:
             self.meshcat[ROOT].delete()
-            self._tracks = draw_scene(self.meshcat, arm, self._film, target, scene, self.ellipsoids).tracks
+            self._tracks = draw_scene(
+                self.meshcat, arm, self._playback, target, scene, self.ellipsoids
+            ).tracks
             if run is not None:
                 self.play()
         except BaseException:
@@ -463,11 +471,11 @@ class Viewer:
             ViewerError: the viewer was closed, or its server does not answer.
         """
         q = self.arm.checked(q)
-        if self._playing and self._film is not None:
-            play_animation(self.meshcat, [], self._film.fps)
+        if self._playing and self._playback is not None:
+            play_animation(self.meshcat, [], self._playback.fps)
             self._playing = False
         pose_arm(self.meshcat, self.arm, q)
-        add_ellipsoids(self.meshcat, balls(self.arm, self.ellipsoids, q[None]))
+        add_ellipsoids(self.meshcat, ellipsoid_motion(self.arm, self.ellipsoids, q[None]))
 
     def play(self) -> None:
         """Play the run from its start, over and over; the browser does so on its own.
@@ -476,9 +484,9 @@ class Viewer:
             InvalidValue: there is no run.
             ViewerError: the viewer was closed, or its server does not answer.
         """
-        if self._film is None:
+        if self._playback is None:
             raise InvalidValue("run", None, "a run to play, as in view(arm, run)")
-        play_animation(self.meshcat, self._tracks, self._film.fps)
+        play_animation(self.meshcat, self._tracks, self._playback.fps)
         self._playing = True
 
     def close(self) -> None:

@@ -20,9 +20,9 @@ from pinposture.viz.axes import (
     Place,
     add_colorbar,
     colors_along,
-    dress,
-    dress_steps,
-    dress_time,
+    format_axes,
+    format_step_axes,
+    format_time_axes,
     mark_end,
     mark_least,
     mark_start,
@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 # Single panels of a run against steps; each draws into axes that it is given.
 
 
-def is_conditioned(run: Trajectory) -> bool:
+def has_singular_values(run: Trajectory) -> bool:
     """Whether the controller inverted a posture control matrix, whose singular values were recorded."""
     return bool(np.any(run.sigma_max > 0.0))
 
@@ -43,7 +43,7 @@ def is_conditioned(run: Trajectory) -> bool:
 def chooses_points(run: Trajectory) -> bool:
     """Whether there is something to tell of the control points that were active: a choice, or conditions."""
     counts = run.active.sum(axis=1)
-    return not run.steps or is_conditioned(run) or bool(np.any(counts != counts[0]))
+    return not run.steps or has_singular_values(run) or bool(np.any(counts != counts[0]))
 
 
 def plot_posture_error(run: Trajectory, ax: Axes, color: str | None = None, label: str | None = None) -> None:
@@ -61,7 +61,7 @@ def plot_posture_error(run: Trajectory, ax: Axes, color: str | None = None, labe
     ax.plot(
         steps, run.posture_error, color=color, lw=1.8, label=label, marker=marker, clip_on=bool(run.steps)
     )
-    dress_steps(ax, "posture error [m]")
+    format_step_axes(ax, "posture error [m]")
     scale_values(ax)
     if label is None:
         mark_start(ax, float(run.posture_error[0]), color, "m")
@@ -84,7 +84,7 @@ def plot_point_errors(run: Trajectory, ax: Axes) -> None:
         marker = "" if run.steps else "o"
         steps = np.arange(run.steps + 1)
         ax.plot(steps, run.point_errors[:, k], color=colors(norm(k + 1)), lw=1.0, marker=marker, ms=3)
-    dress_steps(ax, "point errors [m]")
+    format_step_axes(ax, "point errors [m]")
     scale_values(ax)
     add_colorbar([ax], m, "control point", pad=0.02, aspect=16)
     free = m - int(np.count_nonzero(run.target.placed))
@@ -106,7 +106,7 @@ def plot_active_points(run: Trajectory, ax: Axes) -> None:
     ax.yaxis.label.set_color(palette.controller_color(run.controller))
     if not run.steps:
         ax.set_title("no step was taken", fontsize=8, loc="right", color=palette.INK)
-    if is_conditioned(run):
+    if has_singular_values(run):
         _plot_beside(run, ax, run.sigma_min, r"$\sigma_{\min}$ [m/rad]")
 
 
@@ -121,7 +121,7 @@ def plot_points_and_index(run: Trajectory, ax: Axes) -> None:
     """
     plot_point_count(run, ax)
     ax.yaxis.label.set_color(palette.controller_color(run.controller))
-    if is_conditioned(run) or not run.steps:
+    if has_singular_values(run) or not run.steps:
         _plot_beside(run, ax, run.index, "manipulability index")
 
 
@@ -137,7 +137,7 @@ def plot_point_count(run: Trajectory, ax: Axes, color: str | None = None) -> Non
     marker = "o" if run.steps == 1 else ""
     style: dict[str, Any] = {"lw": 1.6, "drawstyle": "steps-mid", "marker": marker}
     ax.plot(np.arange(1, run.steps + 1), run.active.sum(axis=1), color=color, **style)
-    dress_steps(ax, "active control points")
+    format_step_axes(ax, "active control points")
     scale_counts(ax, run.arm.n_modules)
 
 
@@ -164,7 +164,7 @@ def plot_used_points(run: Trajectory, ax: Axes) -> None:
     steps, points = np.nonzero(run.active)
     size = float(np.clip(260.0 / max(run.steps, 1), 1.2, 4.0))
     ax.plot(steps + 1, points + 1, ls="none", marker="o", ms=size, mew=0.0, color=color)
-    dress_steps(ax, "control point, from base to tip")
+    format_step_axes(ax, "control point, from base to tip")
     ax.set_xlim(0.0, run.steps + 1.0)
     ax.set_ylim(0.0, run.arm.n_modules + 1.0)
     ax.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True, min_n_ticks=1))
@@ -224,7 +224,7 @@ def plot_clearance(
         if margin not in known:
             ends = [0.0, places[-1] or 1.0]
             ax.plot(ends, [run.scene.margin] * 2, color=palette.INK, lw=1.0, ls=(0, (4, 2)), label=margin)
-    dress(ax, "clearance [m]", time)
+    format_axes(ax, "clearance [m]", time)
     scale_values(ax)
     drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=np.float64) for line in ax.get_lines()])
     low, high = float(np.nanmin(drawn)), float(np.nanmax(drawn))
@@ -234,7 +234,7 @@ def plot_clearance(
     if np.isfinite(values).any():
         least = int(np.nanargmin(values))
         mark_least(ax, float(places[least]), float(values[least]), color, "m")
-    explain(ax)
+    add_legend(ax)
 
 
 def mark_escapes(run: Trajectory, ax: Axes, time: Array | None = None) -> None:
@@ -262,7 +262,7 @@ def mark_relaxed(run: Trajectory, ax: Axes, time: Array | None = None) -> None:
         ax.plot(places[steps + 1], np.zeros(len(steps)), label=label, **style, **where)
 
 
-def explain(ax: Axes, columns: int = 1, inside: bool = False) -> None:
+def add_legend(ax: Axes, columns: int = 1, inside: bool = False) -> None:
     """Write a legend above the axes, on the right, if anything in them has a name.
 
     Args:
@@ -309,7 +309,7 @@ def plot_error(motion: Motion, ax: Axes) -> None:
     values = np.where(run.posture_error > floor, run.posture_error, 0.0)
     marker = "" if run.steps else "o"
     ax.plot(motion.time, values, color=color, lw=1.8, marker=marker)
-    dress_time(ax, "posture error [m]")
+    format_time_axes(ax, "posture error [m]")
     scale_values(ax)
     if not values.any():
         ax.set_yticks([0.0])
@@ -328,7 +328,7 @@ def plot_error(motion: Motion, ax: Axes) -> None:
     if motion.set_out:
         style: dict[str, Any] = {"color": palette.FAINT, "alpha": 0.5, "lw": 0.0, "zorder": 0.4}
         ax.axvspan(0.0, motion.time[motion.set_out], label="coming to the first posture", **style)
-    explain(ax, inside=True)
+    add_legend(ax, inside=True)
 
 
 def plot_joint_rates(motion: Motion, ax: Axes) -> None:
@@ -353,12 +353,12 @@ def plot_joint_rates(motion: Motion, ax: Axes) -> None:
         most = max(most, float(speeds.max(initial=0.0)))
     ends = [0.0, float(motion.time[-1]) or 1.0]
     ax.plot(ends, [1.0, 1.0], color=palette.INK, lw=1.0, ls=DASHES, label="limit")
-    dress_time(ax, "largest of all joints\n[share of limit]")
+    format_time_axes(ax, "largest of all joints\n[share of limit]")
     ax.set_ylim(-0.03 * most, 1.12 * most)
-    explain(ax, columns=3)
+    add_legend(ax, columns=3)
 
 
-def plot_clock(motion: Motion, ax: Axes) -> None:
+def plot_plan_time(motion: Motion, ax: Axes) -> None:
     """Draw the time of the plan against the real one, and what it would be if nothing had slowed the motion.
 
     Args:
@@ -370,9 +370,9 @@ def plot_clock(motion: Motion, ax: Axes) -> None:
     ax.plot(plan, [0.0, 0.0, motion.planned], color=palette.INK, lw=1.0, ls=DASHES, label="as planned")
     label = f"as it was, {motion.slowing:.3g} times as long"
     ax.plot(motion.time, motion.clock, color=palette.SPARE[1], lw=1.6, label=label)
-    dress_time(ax, "time of the plan [s]")
+    format_time_axes(ax, "time of the plan [s]")
     ax.set_xlim(0.0, float(motion.time[-1]) or 1.0)
-    explain(ax, columns=2)
+    add_legend(ax, columns=2)
 
 
 def mark_places(places: Sequence[Place], panels: Sequence[Axes], time: Sequence[float]) -> None:

@@ -16,8 +16,8 @@ from pinposture.viz.axes import (
     WIDTH,
     add_colorbar,
     colors_along,
-    dress_time,
     footnote,
+    format_time_axes,
     mark_end,
     scale_values,
     share_axis,
@@ -66,7 +66,7 @@ def plot_joint_error(simulation: Simulation, ax: Axes) -> None:
         ax: where to draw.
     """
     _plot_joints(simulation, simulation.joint_error, ax)
-    dress_time(ax, f"joint error [{_unit(simulation, 'rad', 'm')}]")
+    format_time_axes(ax, f"joint error [{_unit(simulation, 'rad', 'm')}]")
     scale_values(ax)
     low, high = ax.get_ylim()
     if ax.get_yscale() == "log":  # where an error changes sign it falls deep, which means nothing
@@ -86,7 +86,7 @@ def plot_posture_errors(simulation: Simulation, ax: Axes) -> None:
     marker = "o" if len(simulation.time) == 1 else ""
     for label, (values, color) in lines.items():
         ax.plot(simulation.time, values, color=color, lw=1.8, label=label, marker=marker)
-    dress_time(ax, "posture error [m]")
+    format_time_axes(ax, "posture error [m]")
     scale_values(ax)
     for values, color in lines.values():
         mark_end(ax, simulation.time[-1], float(values[-1]), color, "m")
@@ -104,7 +104,7 @@ def plot_torques(simulation: Simulation, ax: Axes) -> None:
     limited = np.isfinite(simulation.torque_limits)
     if np.any(limited[simulation.arm.columns]):
         _plot_joints(simulation, 100.0 * simulation.torques / simulation.torque_limits, ax)
-        dress_time(ax, "torque [% of limit]")
+        format_time_axes(ax, "torque [% of limit]")
         largest = float(np.abs(100.0 * simulation.torques / simulation.torque_limits).max())
         for side in (-100.0, 100.0) if largest > 50.0 else ():
             ax.axhline(side, color=palette.REST, lw=1.0, zorder=0)
@@ -112,7 +112,7 @@ def plot_torques(simulation: Simulation, ax: Axes) -> None:
             ax.set_title("joints without a limit at 0", fontsize=8, loc="right", color=palette.INK)
     else:
         _plot_joints(simulation, simulation.torques, ax)
-        dress_time(ax, f"torque [{_unit(simulation, 'N m', 'N')}]")
+        format_time_axes(ax, f"torque [{_unit(simulation, 'N m', 'N')}]")
 
 
 def _plot_joints(simulation: Simulation, values: Array, ax: Axes) -> None:

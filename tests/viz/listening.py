@@ -9,7 +9,7 @@ import umsgpack
 import zmq
 from meshcat import Visualizer
 
-from pinposture.viz.meshcat import Recording
+from pinposture.viz.meshcat import CommandRecorder
 
 
 def held(address: str) -> list[dict]:
@@ -26,6 +26,6 @@ def held(address: str) -> list[dict]:
 
 def told(draw, *args) -> list[dict]:
     """The commands of a function that draws into a viewer."""
-    recording = Recording()
+    recording = CommandRecorder()
     draw(Visualizer(window=recording), *args)
     return [umsgpack.unpackb(command) for command in recording.packed]
