@@ -20,7 +20,7 @@ from pinposture.motion import Motion, Trajectory
 from pinposture.viz import palette
 from pinposture.viz.body import bodies, body_poses
 
-# How objects of meshcat's scene move. An animation means the objects by their paths.
+# Paths of objects in the viewer, and how their properties change with time.
 
 Array = NDArray[np.float64]
 
@@ -84,7 +84,7 @@ def animation(tracks: Sequence[Track], fps: float) -> Animation:
     return whole
 
 
-# Which configurations of a run or a motion are shown, and when.
+# Which configurations are shown, and when.
 
 REST_BEFORE, REST_AFTER = 0.6, 1.6
 """How long the first and the last posture stand still [s]."""
@@ -152,7 +152,7 @@ def playback(shown: Trajectory | Motion, fps: float, max_frames: int) -> Playbac
     if isinstance(max_frames, bool) or not isinstance(max_frames, int) or max_frames < 2:
         raise InvalidValue("max_frames", max_frames, "a whole number of at least 2")
     if isinstance(shown, Motion):
-        return _in_time(shown, float(fps), max_frames)
+        return _motion_playback(shown, float(fps), max_frames)
     count = min(shown.steps + 1, max_frames)
     fps = min(fps, max(count - 1, 1) / SHORTEST)
     rows = np.round(np.linspace(0, shown.steps, count)).astype(np.intp)
@@ -160,7 +160,7 @@ def playback(shown: Trajectory | Motion, fps: float, max_frames: int) -> Playbac
     return Playback(shown, None, rows, times, float(times[-1] + REST_AFTER * fps), float(fps))
 
 
-def _in_time(motion: Motion, fps: float, max_frames: int) -> Playback:
+def _motion_playback(motion: Motion, fps: float, max_frames: int) -> Playback:
     """Rows of a motion and when to show them; `fps` is but the unit of time then."""
     speedup = _speedup(float(motion.time[-1]))
     frames = int(np.ceil(motion.time[-1] / speedup * fps))
@@ -172,8 +172,8 @@ def _in_time(motion: Motion, fps: float, max_frames: int) -> Playback:
 
 def _speedup(seconds: float) -> float:
     """How many times as fast to show a motion: the least of 1, 2, 5, 10, 20, ... that makes it short."""
-    paces = (digit * 10.0**power for power in itertools.count() for digit in (1.0, 2.0, 5.0))
-    return next(speedup for speedup in paces if seconds <= LONGEST * speedup * (1.0 + 1e-9))
+    allowed = (digit * 10.0**power for power in itertools.count() for digit in (1.0, 2.0, 5.0))
+    return next(speedup for speedup in allowed if seconds <= LONGEST * speedup * (1.0 + 1e-9))
 
 
 def tracks(arm: Arm, shown: Playback) -> list[Track]:
@@ -212,9 +212,9 @@ def _activity_tracks(path: str, times: Array, on: NDArray[np.bool_]) -> list[Tra
     ]
 
 
-# The targets of a motion in the browser: hoops that go where the control points should be.
+# The targets of a motion: a hoop for each control point, where it should be.
 
-GONE = 1e-3
+NO_SIZE = 1e-3
 """Size of a hoop that is not there."""
 
 
@@ -229,7 +229,7 @@ def moving_target_tracks(motion: Motion, playback: Playback) -> list[Track]:
         listed.append(Track(path, "position", "vector3", times, targets[held, k], smooth=True))
         listed.append(Track(path, "quaternion", "quaternion", times, turns[held, k], smooth=True))
         if not asked[:, k].all():
-            sizes = np.where(asked[held, k, None], 1.0, GONE) * np.ones(3)
+            sizes = np.where(asked[held, k, None], 1.0, NO_SIZE) * np.ones(3)
             listed.append(Track(path, "scale", "vector3", times, sizes, smooth=False))
     return listed
 

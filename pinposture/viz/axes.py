@@ -20,7 +20,7 @@ from pinposture.motion import Motion, Trajectory
 from pinposture.motion.trajectory import ENDINGS
 from pinposture.viz import palette
 
-# How axes against steps or time look: scales, ticks, labels.
+# Scales, ticks and labels of axes against steps or time.
 
 DECADES = 1.5
 """Range of values, in powers of ten, from which on a logarithmic axis shows more than a linear one."""
@@ -139,7 +139,7 @@ def add_colorbar(panels: Sequence[Axes], count: int, label: str, **options: Any)
     bar.outline.set_visible(False)
 
 
-# How figures are laid out: postures on the left, panels that share an axis on the right, words around.
+# Layout of figures: postures on the left, panels that share an axis on the right.
 
 WIDTH, HEIGHT = 12.0, 7.2
 """Size of a figure [inch]; 1200 pixels wide at the default resolution."""
@@ -173,7 +173,7 @@ def footnote(figure: Figure, text: str) -> None:
     figure.supxlabel(text, fontsize=8, x=0.012, ha="left", color=palette.QUIET, parse_math=False)
 
 
-# A run or a motion in words, for titles.
+# Words for titles.
 
 
 def placement_text(run: Trajectory | Motion) -> str:
@@ -216,7 +216,7 @@ def is_slowed(motion: Motion) -> bool:
     return motion.slowing > SLOWED
 
 
-# The named places of a motion, as pictures show them: which, and in what colour.
+# Named places of a motion.
 
 MOST = 8
 """How many places a picture shows at most; of more, some are left out."""

@@ -18,7 +18,7 @@ from pinposture.collision.scan import between_cubes, representatives
 from pinposture.errors import FileError, PostureWarning
 from pinposture.viz.mesh import TriangleMesh, merge
 
-# The bodies of an arm: how each runs from its joint to the next, and where each is at a configuration.
+# Shape and pose of each body.
 
 Array = NDArray[np.float64]
 
@@ -130,9 +130,7 @@ def _distinct(nodes: list[Array], length: float) -> Array:
     return np.array(kept)
 
 
-# The meshes that a robot description gives its links, put on the bodies that carry them.
-#
-# Only drawing asks for them: where a mesh is missing or cannot be read, a body keeps its stand-in shape.
+# Visual meshes. Only drawing reads them: a body whose mesh is missing or cannot be read is drawn as bars.
 
 MOST_TRIANGLES = 200_000
 """Triangles of all meshes together that are drawn at most, for a browser to turn them smoothly."""

@@ -33,7 +33,7 @@ from pinposture.viz.mesh import (
 
 Array = NDArray[np.float64]
 
-# Where to look from, so that what happens fills the picture.
+# Camera.
 
 AZIMUTHS = np.radians([-70.0, -110.0, -45.0, -135.0])
 ELEVATIONS = np.radians([22.0, 38.0, 60.0])
@@ -110,7 +110,7 @@ def view_axes(azimuth: float, elevation: float) -> Array:
     return np.array([right, np.cross(eye, right), eye])
 
 
-# The line that a target posture lies on.
+# Target.
 
 Number = TypeVar("Number", int, float)
 
@@ -187,7 +187,7 @@ def _merged(spans: list[tuple[Number, Number]]) -> list[tuple[Number, Number]]:
     return merged
 
 
-# What an arm looks like.
+# Surfaces of the arm.
 
 
 def link_radius(arm: Arm) -> float:
@@ -302,7 +302,7 @@ def _base_mesh(arm: Arm, radius: float) -> TriangleMesh:
     return disc(joint - axis * radius, axis, 3.0 * radius, radius)
 
 
-# Which obstacles are in a picture, and how much of them.
+# Obstacles.
 
 ROOM = 0.5
 """How far around what is shown a picture may grow to show obstacles, relative to the size of that."""

@@ -18,14 +18,14 @@ from pinposture.viz.animation import ROOT, Playback, Track, same_signs
 from pinposture.viz.drawing import link_radius
 from pinposture.viz.postures import PosturePanel
 
-# How manipulability ellipsoids are drawn: at what scale, in what colour, and into figures.
+# Scale, colours and figures.
 
 Array = NDArray[np.float64]
 
 LARGEST = 0.2
 """Largest radius that is drawn, relative to the length of the arm, or not much above."""
 
-STEPS = (7.0, 5.0, 3.0, 2.0, 1.5, 1.0)
+SCALE_DIGITS = (7.0, 5.0, 3.0, 2.0, 1.5, 1.0)
 """First digits that a scale may have."""
 
 KEY = {
@@ -55,7 +55,7 @@ def drawn_length(arm: Arm, points: Sequence[int]) -> float:
     radius = max(fastest / np.sqrt(arm.dimension - 1.0), 0.01 * arm.length)
     length = LARGEST * arm.length / radius
     power = 10.0 ** np.floor(np.log10(length))
-    return float(next(step for step in STEPS if step * power <= length * (1.0 + 1e-9)) * power)
+    return float(next(step for step in SCALE_DIGITS if step * power <= length * (1.0 + 1e-9)) * power)
 
 
 def scale_in_words(arm: Arm, points: Sequence[int]) -> str:
@@ -141,17 +141,17 @@ def _circle() -> Array:
     return np.column_stack([np.cos(around), np.sin(around)])
 
 
-# Manipulability ellipsoids in the browser: balls that are stretched and turned as the arm moves.
+# In the browser: unit spheres that are scaled and turned as the arm moves.
 
 THINNEST = 0.3
 """Least radius of a ball, relative to that of the bars of the arm: a flat one is drawn as a disc or a rod."""
 
-# The ways to name the axes of a right-handed frame anew, signs included, as rotations (24, 3, 3).
-_RENAMINGS = np.rint(Rotation.create_group("O").as_matrix())
+# Permutations of the axes of a right-handed frame, signs included, as rotations (24, 3, 3).
+_AXIS_PERMUTATIONS = np.rint(Rotation.create_group("O").as_matrix())
 
 
 class EllipsoidMotion(NamedTuple):
-    """Ellipsoids of p control points at f configurations, as unit balls that are stretched and turned.
+    """Ellipsoids of p control points at f configurations, as unit spheres that are scaled and turned.
 
     Attributes:
         points: indices of the control points, 0-based, (p,).
@@ -226,10 +226,10 @@ def continue_axes(frames: Array, radii: Array) -> tuple[Array, Array]:
     """
     frames, radii = frames.copy(), radii.copy()
     for before, now, lengths in zip(frames[:-1], frames[1:], radii[1:], strict=True):
-        renamed = _RENAMINGS[:, None] @ now  # (24, p, 3, 3)
+        renamed = _AXIS_PERMUTATIONS[:, None] @ now  # (24, p, 3, 3)
         best = np.einsum("gpij,pij->gp", renamed, before).argmax(axis=0)
         now[:] = renamed[best, np.arange(len(best))]
-        lengths[:] = np.einsum("pij,pj->pi", np.abs(_RENAMINGS[best]), lengths)
+        lengths[:] = np.einsum("pij,pj->pi", np.abs(_AXIS_PERMUTATIONS[best]), lengths)
     return frames, radii
 
 

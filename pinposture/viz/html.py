@@ -26,10 +26,10 @@ from pinposture.viz.ellipsoids import KEY, scale_in_words
 from pinposture.viz.meshcat import ASPECT, CommandRecorder, DrawnScene, draw_scene, play_animation
 from pinposture.viz.panels import has_clearance
 
-# What the page of an animation says: under each configuration, and of the colours.
+# Captions and legend.
 
 
-def texts(shown: Playback) -> list[str]:
+def captions(shown: Playback) -> list[str]:
     """What is written under each configuration that is shown."""
     listed, run = [], shown.run
     for row in shown.rows:
@@ -81,34 +81,34 @@ def legend_html(shown: Playback, drawn: DrawnScene, target: bool, scale: str) ->
         entries.append(("control point", palette.IDLE))
     if drawn.obstacles:
         entries.append(("obstacle", palette.OBSTACLE))
-    lines = [_dots(entries)]
+    lines = [_color_key(entries)]
     if shown.motion is not None:
-        lines.append(_in_time(shown, drawn))
+        lines.append(_speed_html(shown, drawn))
     moved = placement_text(shown.run if shown.motion is None else shown.motion)
     if moved:
         lines.append(html.escape(moved))
     if scale:
         listed = [(f"index {meaning}", color) for color, meaning in KEY.items()]
-        lines.append(f"ellipsoids, {scale}: {_dots(listed)}")
+        lines.append(f"ellipsoids, {scale}: {_color_key(listed)}")
     return "<br>".join(lines)
 
 
-def _in_time(shown: Playback, drawn: DrawnScene) -> str:
+def _speed_html(shown: Playback, drawn: DrawnScene) -> str:
     speed = (
         "shown in real time" if shown.speedup == 1.0 else f"shown {shown.speedup:.0f} times as fast as it was"
     )
     named = [(", ".join(place.name for place in group), group[0].color) for group in drawn.places]
-    return f"{speed}; targets at {_dots(named)}" if named else speed
+    return f"{speed}; targets at {_color_key(named)}" if named else speed
 
 
-def _dots(entries: Sequence[tuple[str, str]]) -> str:
+def _color_key(entries: Sequence[tuple[str, str]]) -> str:
     dots = [
         f'<span class="dot" style="background: {color}"></span>{html.escape(name)}' for name, color in entries
     ]
     return "".join(dots)
 
 
-# A run or a motion as one HTML file: an animation that opens in any browser, without server or network.
+# The page.
 
 MOST, MOST_IN_TIME = 240, 1200
 """Configurations of a run and of a motion that a file holds at most."""
@@ -156,18 +156,18 @@ def save_html(
     points = chosen_points(arm.control_points, ellipsoids)
     if max_frames is None:
         max_frames = MOST_IN_TIME if isinstance(run, Motion) else MOST
-    write_text(path, _page(arm, playback(run, fps, max_frames), target, points))
+    write_text(path, _page_html(arm, playback(run, fps, max_frames), target, points))
     return path
 
 
-def _page(arm: Arm, shown: Playback, target: Target | None, points: tuple[int, ...]) -> str:
+def _page_html(arm: Arm, shown: Playback, target: Target | None, points: tuple[int, ...]) -> str:
     run, motion = shown.run, shown.motion
     recording = CommandRecorder()
     viewer = Visualizer(window=recording)
     drawn = draw_scene(viewer, arm, shown, target, run.scene, points)
     play_animation(viewer, drawn.tracks, shown.fps)
     packed = [base64.b64encode(command).decode("ascii") for command in recording.packed]
-    described = {"times": (shown.times / shown.fps).round(6).tolist(), "texts": texts(shown)}
+    described = {"times": (shown.times / shown.fps).round(6).tolist(), "texts": captions(shown)}
     template = resources.files("pinposture.viz").joinpath("page.html").read_text(encoding="utf-8")
     ended = ending_text(run) if motion is None else motion_ending_text(motion)
     return Template(template).substitute(

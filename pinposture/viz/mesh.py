@@ -13,8 +13,6 @@ from scipy.spatial import ConvexHull
 
 from pinposture.collision import Box, Capsule, Cylinder, Mesh, Sphere
 
-# Triangle meshes: the round bars and balls that an arm is drawn with.
-
 Array = NDArray[np.float64]
 
 SIDES = 16
@@ -106,7 +104,7 @@ def _perpendicular(direction: Array) -> Array:
     return np.asarray(across / np.linalg.norm(across))
 
 
-# Convex solids, given by their corners: cut by planes, seen from afar, and what they hide.
+# Convex solids, given by their corners.
 
 FLAT = 1e-7
 """Thickness relative to the size below which a solid is none any more."""
@@ -233,7 +231,7 @@ def _has_volume(corners: Array) -> bool:
     return bool(spread[-1] > FLAT * spread[0])
 
 
-# The surfaces of obstacles, as triangles.
+# Surfaces of obstacles.
 
 Solid: TypeAlias = "Sphere | Capsule | Cylinder | Box | Mesh"
 

@@ -30,8 +30,8 @@ from pinposture.motion import Motion, Trajectory
 from pinposture.placement import Target
 from pinposture.viz import palette
 from pinposture.viz.animation import (
-    GONE,
     IDLE_SIZE,
+    NO_SIZE,
     POINT_SIZE,
     ROOT,
     Playback,
@@ -254,7 +254,7 @@ def add_moving_targets(viewer: Visualizer, motion: Motion, places: Sequence[Plac
     hoop = tube(HOOP_RADIUS * POINT_SIZE * radius * circle, WIRE_RADIUS * POINT_SIZE * radius)
     turns = hoop_turns(arm, motion.targets[:1], motion.asked[:1])
     for k in targeted_points(motion):
-        size = 1.0 if motion.asked[0, k] else GONE
+        size = 1.0 if motion.asked[0, k] else NO_SIZE
         turn = Rotation.from_quat(turns[0, k]).as_matrix()
         add(viewer, hoop_path(k), hoop, palette.TARGET)
         viewer[hoop_path(k)].set_transform(_transform(motion.targets[0, k], size * turn))

@@ -32,7 +32,7 @@ from pinposture.viz.axes import (
 
 Array = NDArray[np.float64]
 
-# Single panels of a run against steps; each draws into axes that it is given.
+# A run against steps.
 
 
 def has_singular_values(run: Trajectory) -> bool:
@@ -184,7 +184,7 @@ def mark_method(run: Trajectory, ax: Axes, method: str = "projection") -> None:
     ax.plot(steps, np.zeros(len(steps)), label=method, **style, **where)
 
 
-# How near a run came to something, and what it had to allow itself: in panels against steps or time.
+# Clearance, escapes and violated constraints.
 
 LONGEST_REASON = 44
 """Characters of what gave way that a legend has room for."""
@@ -281,7 +281,7 @@ def add_legend(ax: Axes, columns: int = 1, inside: bool = False) -> None:
             text.set_parse_math(False)
 
 
-# Single panels of a motion against time; each draws into axes that it is given.
+# A motion against time.
 
 LETTER = 4.6
 """Width of a letter of the names above the axes, on average [pt]."""

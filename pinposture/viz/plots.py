@@ -55,7 +55,7 @@ from pinposture.viz.postures import (
     plot_postures,
 )
 
-# A motion in time in one figure: the postures on its way, and how it went.
+# A motion.
 
 FEW = 3
 """So many named places tell what the way was like; where there are fewer, postures in between are drawn."""
@@ -149,7 +149,7 @@ def _add_legends(ax: Axes) -> None:
         text.set_parse_math(False)
 
 
-# Figures: one run told in one picture, and several runs side by side.
+# Runs.
 
 
 def plot(run: Trajectory | Motion) -> Figure:

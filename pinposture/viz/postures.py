@@ -28,7 +28,7 @@ from pinposture.viz.drawing import (
 )
 from pinposture.viz.mesh import convex_outline, facets, is_hidden, section
 
-# The posture panel: postures of an arm and its target, in space or in the plane of the arm.
+# Postures and target, in space or in the plane of a planar arm.
 
 Array = NDArray[np.float64]
 
@@ -201,7 +201,7 @@ def box_extent(ax: Any) -> Array:
     return np.asarray(np.ptp(flat, axis=0))
 
 
-# Obstacles in figures: shaded in space, cut open in the plane of a planar arm.
+# Obstacles: shaded in space, cut open in the plane.
 
 VEIL = 0.6
 """Share of the colour of an obstacle in that of a line behind it."""
@@ -331,7 +331,7 @@ def _draw_sections(panel: PosturePanel, near: Sequence[Array]) -> None:
             ax.fill(*outline.T, fill=False, ls=(0, (1, 2)), zorder=0.6, **edge)
 
 
-# Where the arm started, where it should be, where it ended, and what was in its way.
+# Runs.
 
 BETWEEN = 8
 """How many of the postures on the way are drawn where there is something to get around."""
