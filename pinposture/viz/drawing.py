@@ -24,8 +24,7 @@ from pinposture.viz.mesh import (
     clip_to_box,
     cut_by_plane,
     disc,
-    faceted,
-    hull_faces,
+    hull_surface,
     merge,
     surface,
     tube,
@@ -404,5 +403,5 @@ def _half_space_patches(
         plate = cut_by_plane(room, normals[name], offsets[name])
         plate = cut_by_plane(plate, -normals[name], THICKNESS * size - offsets[name]) if len(plate) else plate
         if len(plate):
-            shown[name] = ShownObstacle(name, faceted(plate, hull_faces(plate)), plate, True)
+            shown[name] = ShownObstacle(name, hull_surface(plate), plate, True)
     return shown

@@ -149,14 +149,12 @@ def clip_to_box(corners: Array, low: Array, high: Array) -> Array:
     return corners
 
 
-def hull_faces(corners: Array) -> NDArray[np.intp]:
-    """Triangles around a solid, as indices of its corners, counter-clockwise from outside, (t, 3)."""
-    hull = ConvexHull(corners)
-    faces = np.array(hull.simplices, dtype=np.intp)
-    a, b, c = corners[faces].transpose(1, 0, 2)
-    inward = np.einsum("ti,ti->t", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
-    faces[inward] = faces[inward][:, ::-1]
-    return faces
+def hull_surface(corners: Array) -> TriangleMesh:
+    """The surface of a solid; no triangles share corners, so that each is shaded as flat as it is."""
+    from trimesh.convex import convex_hull
+
+    triangles = np.asarray(convex_hull(corners).triangles)
+    return TriangleMesh(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
 
 
 def facets(corners: Array) -> list[tuple[Array, Array]]:
@@ -258,13 +256,7 @@ def surface(obstacle: Solid) -> TriangleMesh:
         corners = box_corners(-half, half)
     else:
         corners = np.array(obstacle.vertices)
-    placed = corners @ np.array(obstacle.rotation).T + obstacle.center
-    return faceted(placed, hull_faces(placed))
-
-
-def faceted(corners: Array, faces: NDArray[np.intp]) -> TriangleMesh:
-    """A surface none of whose triangles share corners, so that each is shaded as the flat face it is."""
-    return TriangleMesh(corners[faces].reshape(-1, 3), np.arange(3 * len(faces)).reshape(-1, 3))
+    return hull_surface(corners @ np.array(obstacle.rotation).T + obstacle.center)
 
 
 def _arc(radius: float, first: float, last: float) -> Array:
