@@ -29,7 +29,7 @@ from PIL import Image
 import pinposture as pp
 from pinposture.task.reference import Reference
 from pinposture.viz import palette
-from pinposture.viz.axes import dress_time
+from pinposture.viz.axes import format_time_axes
 from pinposture.viz.ellipsoids import draw_ellipsoids, ellipsoid_key, shade_ellipsoids
 from pinposture.viz.panels import plot_clearance
 from pinposture.viz.postures import PosturePanel, draw_runs
@@ -192,7 +192,7 @@ def limits() -> Figure:
             ax.plot(joints.time, line, lw=0.8, color=palette.ALONG[k * len(palette.ALONG) // values.shape[1]])
         for sign in (-1.0, 1.0):
             ax.axhline(sign * bound, color=palette.MARK, lw=1.0, ls=(0, (4, 2)))
-        dress_time(ax, label)
+        format_time_axes(ax, label)
         ax.set_ylim(-1.15 * bound, 1.15 * bound)
     figure.suptitle("20 joints, from base (dark) to tip (light); red: the limits", **WORDS)
     return figure

@@ -11,7 +11,7 @@ import pytest
 
 import pinposture as pp
 from pinposture.cli import app
-from pinposture.viz import viewer
+from pinposture.viz import view
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
@@ -31,7 +31,7 @@ def test_the_snippet_runs_and_the_arm_gets_there(
     assert capsys.readouterr().out.startswith("converged ")
     assert {path.name for path in tmp_path.iterdir()} >= {"run.png", "run.html", "run.npz"}
     assert len(shown) == 1
-    inspect.signature(viewer.view).bind(*shown[0][0], **shown[0][1])
+    inspect.signature(view).bind(*shown[0][0], **shown[0][1])
 
 
 def test_the_commands_shown_exist() -> None:

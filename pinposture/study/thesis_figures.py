@@ -17,7 +17,7 @@ from matplotlib.ticker import NullFormatter
 from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory
 from pinposture.viz import palette
-from pinposture.viz.axes import DEEPEST, ending
+from pinposture.viz.axes import DEEPEST, ending_text
 from pinposture.viz.panels import (
     mark_method,
     plot_point_count,
@@ -26,7 +26,7 @@ from pinposture.viz.panels import (
     plot_posture_error,
     plot_used_points,
 )
-from pinposture.viz.postures import PosturePanel, draw_runs, draw_way
+from pinposture.viz.postures import PosturePanel, draw_intermediate_postures, draw_runs
 
 WIDTH = 12.0
 """Width of a figure [inch]; 1200 pixels at the default resolution."""
@@ -132,7 +132,7 @@ def draw_planar(
     handles, labels = ax.get_legend_handles_labels()
     words = figure.add_subplot(top[1])
     words.axis("off")
-    lines = [f"{name} {ending(run)}:\nposture error {_change(run)}" for name, run in runs.items()]
+    lines = [f"{name} {ending_text(run)}:\nposture error {_change(run)}" for name, run in runs.items()]
     lines += [f"{name} alone: posture error {_change(run)}" for name, run in (compared or {}).items()]
     words.text(0.02, 0.0, "\n".join(lines), fontsize=9, color=palette.INK, va="bottom", linespacing=1.5)
     finals = []
@@ -210,7 +210,7 @@ def _draw_way(run: Trajectory, ax: Axes) -> None:
     """The final posture and the target, with some of the postures on the way."""
     panel, color = PosturePanel(run.arm, ax), palette.controller_color(run.controller)
     steps = np.unique(np.geomspace(1, max(run.steps, 1), BETWEEN).round().astype(np.intp))
-    draw_way(panel, run, color, steps[steps < run.steps])
+    draw_intermediate_postures(panel, run, color, steps[steps < run.steps])
     panel.target(run.target)
     panel.posture(run.q[-1], color, "final posture", width=2.0)
     panel.finish()

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
+import umsgpack
+from meshcat.animation import Animation, AnimationClip
+from meshcat.path import Path
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -13,25 +18,73 @@ from pinposture.arm import Arm
 from pinposture.errors import InvalidValue
 from pinposture.motion import Motion, Trajectory
 from pinposture.viz import palette
-from pinposture.viz.axes import Place
 from pinposture.viz.body import bodies, body_poses
-from pinposture.viz.drawing import (
-    IDLE_SIZE,
-    POINT_SIZE,
-    ROOT,
-    Command,
-    Track,
-    body_path,
-    draw,
-    link_radius,
-    point_path,
-    transform,
-)
-from pinposture.viz.mesh import TriangleMesh, tube
 
-# A run or a motion as it passes before the eyes: which configurations are shown, and when.
+# Paths of objects in the viewer, and how their properties change with time.
 
 Array = NDArray[np.float64]
+
+ROOT = "/pinposture"
+
+POINT_SIZE = 1.9
+"""Radius of an active control point, relative to that of the bars of the arm."""
+
+IDLE_SIZE = 0.75
+"""Size of a control point that is not active, relative to one that is."""
+
+
+def body_path(index: int) -> str:
+    """Path in the viewer of the body that joint `index` of the chain moves."""
+    return f"{ROOT}/arm/body_{index + 1:03d}"
+
+
+def point_path(index: int) -> str:
+    """Path in the viewer of the control point on the body that joint `index` of the chain moves."""
+    return f"{body_path(index)}/point"
+
+
+class Track(NamedTuple):
+    """How one property of one object changes with time, in place of `meshcat.animation.AnimationTrack`.
+
+    That one packs a value of its own for each number of each frame, in three times the space, and cannot hold
+    a value until the next.
+
+    Attributes:
+        path: the object in the viewer.
+        name: the property, for instance "position".
+        kind: "vector3", "quaternion" (x, y, z, w) or "color" (red, green, blue in [0, 1]).
+        times: (n,) increasing, in frames.
+        values: (n, 3) or (n, 4).
+        smooth: whether values in between are interpolated, or hold until the next.
+    """
+
+    path: str
+    name: str
+    kind: str
+    times: Array
+    values: Array
+    smooth: bool
+
+    def lower(self) -> dict[str, Any]:
+        """The track as meshcat's viewer receives it: numbers packed in single precision."""
+        lowered: dict[str, Any] = {"name": f".{self.name}", "type": self.kind}
+        for name, numbers in (("times", self.times), ("values", self.values)):
+            lowered[name] = umsgpack.Ext(0x17, numbers.astype("<f4").tobytes())
+        if not self.smooth:
+            lowered["interpolation"] = 2300  # three.js's InterpolateDiscrete
+        return lowered
+
+
+def animation(tracks: Sequence[Track], fps: float) -> Animation:
+    """The animation that plays tracks."""
+    whole = Animation()
+    for track in tracks:
+        clip = whole.clips.setdefault(Path().append(track.path), AnimationClip(fps=fps, name="run"))
+        clip.tracks[track.name] = track
+    return whole
+
+
+# Which configurations are shown, and when.
 
 REST_BEFORE, REST_AFTER = 0.6, 1.6
 """How long the first and the last posture stand still [s]."""
@@ -44,7 +97,7 @@ LONGEST = 60.0
 
 
 @dataclass(frozen=True)
-class Film:
+class Playback:
     """The configurations of a run or a motion that are shown, one after the other.
 
     Attributes:
@@ -54,7 +107,7 @@ class Film:
         times: when each is reached, (f,), in frames.
         end: when it is over and starts again, in frames.
         fps: frames per second.
-        pace: how many times as fast as it was a motion is shown; 1 in real time.
+        speedup: how many times as fast as it was a motion is shown; 1 in real time.
     """
 
     run: Trajectory
@@ -63,15 +116,15 @@ class Film:
     times: Array
     end: float
     fps: float
-    pace: float = 1.0
+    speedup: float = 1.0
 
     @property
-    def held(self) -> NDArray[np.intp]:
-        """Which of `rows` is seen at each of `moments`, (f + 2,)."""
+    def key_rows(self) -> NDArray[np.intp]:
+        """Which of `rows` is seen at each of `key_times`, (f + 2,)."""
         return np.concatenate([[0], np.arange(len(self.rows)), [len(self.rows) - 1]])
 
     @property
-    def moments(self) -> Array:
+    def key_times(self) -> Array:
         """`times` with beginning and end, (f + 2,), in frames.
 
         The first and the last configuration are held, so that one sees them before all starts again.
@@ -79,7 +132,7 @@ class Film:
         return np.concatenate([[0.0], self.times, [self.end]])
 
 
-def film(shown: Trajectory | Motion, fps: float, max_frames: int) -> Film:
+def playback(shown: Trajectory | Motion, fps: float, max_frames: int) -> Playback:
     """Choose what to show: every configuration, or as many as allowed, evenly spaced.
 
     A motion is shown in real time, unless that takes longer than `LONGEST`. Then it is shown 2, 5, 10, ...
@@ -87,7 +140,7 @@ def film(shown: Trajectory | Motion, fps: float, max_frames: int) -> Film:
 
     Args:
         shown: a run, or a motion in time.
-        fps: configurations of a motion per second of the film, fewer if it has fewer; steps of a run per
+        fps: configurations of a motion per second of playback, fewer if it has fewer; steps of a run per
             second, fewer if it would be over too soon.
         max_frames: number of configurations at most, at least 2.
 
@@ -99,31 +152,31 @@ def film(shown: Trajectory | Motion, fps: float, max_frames: int) -> Film:
     if isinstance(max_frames, bool) or not isinstance(max_frames, int) or max_frames < 2:
         raise InvalidValue("max_frames", max_frames, "a whole number of at least 2")
     if isinstance(shown, Motion):
-        return _in_time(shown, float(fps), max_frames)
+        return _motion_playback(shown, float(fps), max_frames)
     count = min(shown.steps + 1, max_frames)
     fps = min(fps, max(count - 1, 1) / SHORTEST)
     rows = np.round(np.linspace(0, shown.steps, count)).astype(np.intp)
     times = REST_BEFORE * fps + np.arange(count, dtype=np.float64)
-    return Film(shown, None, rows, times, float(times[-1] + REST_AFTER * fps), float(fps))
+    return Playback(shown, None, rows, times, float(times[-1] + REST_AFTER * fps), float(fps))
 
 
-def _in_time(motion: Motion, fps: float, max_frames: int) -> Film:
+def _motion_playback(motion: Motion, fps: float, max_frames: int) -> Playback:
     """Rows of a motion and when to show them; `fps` is but the unit of time then."""
-    pace = _pace(float(motion.time[-1]))
-    frames = int(np.ceil(motion.time[-1] / pace * fps))
+    speedup = _speedup(float(motion.time[-1]))
+    frames = int(np.ceil(motion.time[-1] / speedup * fps))
     count = min(frames, motion.steps, max_frames - 1) + 1
     rows = np.round(np.linspace(0, motion.steps, count)).astype(np.intp)
-    times = (REST_BEFORE + motion.time[rows] / pace) * fps
-    return Film(motion.run, motion, rows, times, float(times[-1] + REST_AFTER * fps), fps, pace)
+    times = (REST_BEFORE + motion.time[rows] / speedup) * fps
+    return Playback(motion.run, motion, rows, times, float(times[-1] + REST_AFTER * fps), fps, speedup)
 
 
-def _pace(seconds: float) -> float:
+def _speedup(seconds: float) -> float:
     """How many times as fast to show a motion: the least of 1, 2, 5, 10, 20, ... that makes it short."""
-    paces = (digit * 10.0**power for power in itertools.count() for digit in (1.0, 2.0, 5.0))
-    return next(pace for pace in paces if seconds <= LONGEST * pace * (1.0 + 1e-9))
+    allowed = (digit * 10.0**power for power in itertools.count() for digit in (1.0, 2.0, 5.0))
+    return next(speedup for speedup in allowed if seconds <= LONGEST * speedup * (1.0 + 1e-9))
 
 
-def tracks(arm: Arm, shown: Film) -> list[Track]:
+def tracks(arm: Arm, shown: Playback) -> list[Track]:
     """How the bodies of the arm move and its control points change, for an arm that has been drawn.
 
     Args:
@@ -133,7 +186,7 @@ def tracks(arm: Arm, shown: Film) -> list[Track]:
     """
     run = shown.run
     poses = body_poses(arm, run.q[shown.rows])  # (f, n, 4, 4)
-    held, times = shown.held, shown.moments
+    held, times = shown.key_rows, shown.key_times
     listed = []
     for u in range(poses.shape[1]):
         turns = Rotation.from_matrix(poses[:, u, :3, :3]).as_quat()
@@ -143,11 +196,11 @@ def tracks(arm: Arm, shown: Film) -> list[Track]:
         active = run.active[np.minimum(shown.rows, run.steps - 1)][held]  # (f + 2, m)
         ends = [u for u, body in enumerate(bodies(arm)) if body.point is not None]
         for u, on in zip(ends, active.T, strict=True):
-            listed.extend(_activity(point_path(u), times, on))
+            listed.extend(_activity_tracks(point_path(u), times, on))
     return listed
 
 
-def _activity(path: str, times: Array, on: NDArray[np.bool_]) -> list[Track]:
+def _activity_tracks(path: str, times: Array, on: NDArray[np.bool_]) -> list[Track]:
     """Colour and size of a control point that is active at some times, told only where that changes."""
     told = np.concatenate([[True], on[1:] != on[:-1]])
     told[-1] = True  # all tracks end together, or those that end early would start again early
@@ -159,53 +212,24 @@ def _activity(path: str, times: Array, on: NDArray[np.bool_]) -> list[Track]:
     ]
 
 
-# The targets of a motion in the browser: hoops that go where the control points should be.
+# The targets of a motion: a hoop for each control point, where it should be.
 
-HOOP, WIRE = 1.35, 0.14
-"""Radius of a hoop, and of the wire that it is made of, relative to that of a control point."""
-
-SIDES = 32
-"""Corners of the polygon that stands for a hoop."""
-
-THIN = 0.25
-"""Radius of a line through the targets at a named place, relative to that of the bars of the arm."""
-
-GONE = 1e-3
+NO_SIZE = 1e-3
 """Size of a hoop that is not there."""
 
 
-def moving_target_commands(motion: Motion, places: list[Place]) -> list[Command]:
-    """Draw the targets of a motion where it starts, and thin lines through those at named places."""
-    arm, radius = motion.arm, link_radius(motion.arm)
-    commands = []
-    for number, place in enumerate(places):
-        line = _line(arm, motion.targets[place.row][motion.asked[place.row]])
-        if len(line) > 1:
-            path = f"{ROOT}/target/place_{number + 1:03d}"
-            commands.append(draw(path, tube(line, THIN * radius), place.color))
-    turns = hoop_turns(arm, motion.targets[:1], motion.asked[:1])
-    for k in _ever_asked(motion):
-        matrix = np.eye(4)
-        size = 1.0 if motion.asked[0, k] else GONE
-        matrix[:3, :3] = size * Rotation.from_quat(turns[0, k]).as_matrix()
-        matrix[:3, 3] = motion.targets[0, k]
-        hoop = draw(hoop_path(k), _hoop(POINT_SIZE * radius), palette.TARGET)
-        commands += [hoop, transform(hoop_path(k), matrix)]
-    return commands
-
-
-def moving_target_tracks(motion: Motion, film: Film) -> list[Track]:
+def moving_target_tracks(motion: Motion, playback: Playback) -> list[Track]:
     """How targets that have been drawn move, come and go."""
-    held, times = film.held, film.moments
-    targets, asked = motion.targets[film.rows], motion.asked[film.rows]
+    held, times = playback.key_rows, playback.key_times
+    targets, asked = motion.targets[playback.rows], motion.asked[playback.rows]
     turns = hoop_turns(motion.arm, targets, asked)
     listed = []
-    for k in _ever_asked(motion):
+    for k in targeted_points(motion):
         path = hoop_path(k)
         listed.append(Track(path, "position", "vector3", times, targets[held, k], smooth=True))
         listed.append(Track(path, "quaternion", "quaternion", times, turns[held, k], smooth=True))
         if not asked[:, k].all():
-            sizes = np.where(asked[held, k, None], 1.0, GONE) * np.ones(3)
+            sizes = np.where(asked[held, k, None], 1.0, NO_SIZE) * np.ones(3)
             listed.append(Track(path, "scale", "vector3", times, sizes, smooth=False))
     return listed
 
@@ -230,12 +254,16 @@ def hoop_turns(arm: Arm, targets: Array, asked: NDArray[np.bool_]) -> Array:
     turn = Rotation.identity(asked.shape[1])
     for row in range(len(targets)):
         ahead = _tangents(arm, targets[row], asked[row], normals)
-        turn = _least(normals, ahead) * turn
+        turn = _shortest_rotations(normals, ahead) * turn
         normals, turns[row] = ahead, turn.as_quat()
-    products = np.einsum("fmi,fmi->fm", turns[1:], turns[:-1])
-    signs = np.cumprod(np.vstack([np.ones(asked.shape[1]), np.where(products < 0.0, -1.0, 1.0)]), axis=0)
-    steady: Array = turns * signs[..., None]
-    return steady
+    return same_signs(turns)
+
+
+def same_signs(turns: Array) -> Array:
+    """Quaternions (f, ..., 4) with signs such that each is on the side of the one before."""
+    flips = np.ones(turns.shape[:-1])
+    flips[1:] = np.where(np.sum(turns[1:] * turns[:-1], axis=-1) < 0.0, -1.0, 1.0)
+    return np.asarray(turns * np.cumprod(flips, axis=0)[..., None])
 
 
 def _tangents(arm: Arm, points: Array, asked: NDArray[np.bool_], known: Array) -> Array:
@@ -257,7 +285,7 @@ def _unit(vectors: Array) -> Array:
     return np.asarray(vectors / np.maximum(lengths, 1e-12))
 
 
-def _least(before: Array, after: Array) -> Rotation:
+def _shortest_rotations(before: Array, after: Array) -> Rotation:
     """The least rotations that take unit vectors (m, 3) to others."""
     axes = np.cross(before, after)
     sines = np.linalg.norm(axes, axis=1, keepdims=True)
@@ -268,19 +296,6 @@ def _least(before: Array, after: Array) -> Rotation:
     return turns
 
 
-def _ever_asked(motion: Motion) -> NDArray[np.intp]:
+def targeted_points(motion: Motion) -> NDArray[np.intp]:
     """Control points, 0-based, that have a target at some time."""
     return np.asarray(np.flatnonzero(motion.asked.any(axis=0)))
-
-
-def _line(arm: Arm, points: Array) -> Array:
-    """From the base through target points, no two in a row equal, (n, 3)."""
-    line = np.vstack([arm.chain.base, points])
-    apart = np.linalg.norm(np.diff(line, axis=0), axis=1) > 1e-9 * arm.length
-    return np.asarray(line[np.concatenate([[True], apart])])
-
-
-def _hoop(inner: float) -> TriangleMesh:
-    around = 2.0 * np.pi * np.arange(SIDES + 1) / SIDES
-    circle = np.stack([np.cos(around), np.sin(around), np.zeros(SIDES + 1)], axis=1)
-    return tube(HOOP * inner * circle, WIRE * inner)

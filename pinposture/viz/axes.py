@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator, NullFormatter
@@ -18,7 +20,7 @@ from pinposture.motion import Motion, Trajectory
 from pinposture.motion.trajectory import ENDINGS
 from pinposture.viz import palette
 
-# How axes against steps or time look: scales, ticks, labels.
+# Scales, ticks and labels of axes against steps or time.
 
 DECADES = 1.5
 """Range of values, in powers of ten, from which on a logarithmic axis shows more than a linear one."""
@@ -27,29 +29,29 @@ DEEPEST = 12.0
 """Powers of ten below the largest value that a logarithmic axis shows at most; below that is rounding."""
 
 
-def dress_steps(ax: Axes, label: str) -> None:
+def format_step_axes(ax: Axes, label: str) -> None:
     """Give axes against steps, from 0 to the last step drawn, their ticks, grid and labels."""
-    steps = _dress(ax, "step", label)
+    steps = _format_axes(ax, "step", label)
     ax.set_xlim(0.0 if steps else -1.0, max(steps, 1.0))
     ax.xaxis.set_major_locator(MaxNLocator(nbins=8, integer=True, min_n_ticks=1))
 
 
-def dress(ax: Axes, label: str, time: NDArray[np.float64] | None) -> None:
+def format_axes(ax: Axes, label: str, time: NDArray[np.float64] | None) -> None:
     """Dress axes against steps, or against time if there is one."""
     if time is None:
-        dress_steps(ax, label)
+        format_step_axes(ax, label)
     else:
-        dress_time(ax, label)
+        format_time_axes(ax, label)
 
 
-def dress_time(ax: Axes, label: str) -> None:
+def format_time_axes(ax: Axes, label: str) -> None:
     """Give axes against time, from 0 to the last moment drawn, their ticks, grid and labels."""
-    end = _dress(ax, "time [s]", label)
+    end = _format_axes(ax, "time [s]", label)
     ax.set_xlim(0.0 if end else -1.0, end or 1.0)
     ax.xaxis.set_major_locator(MaxNLocator(nbins=8, min_n_ticks=1))
 
 
-def _dress(ax: Axes, across: str, label: str) -> float:
+def _format_axes(ax: Axes, across: str, label: str) -> float:
     """Labels, grid and edges of axes; returns the largest number drawn on the horizontal one."""
     ax.set_xlabel(across, fontsize=9)
     ax.set_ylabel(label, fontsize=9)
@@ -121,13 +123,29 @@ def _mark(
     )
 
 
-# How figures are laid out: postures on the left, panels that share an axis on the right, words around.
+def colors_along(count: int) -> tuple[LinearSegmentedColormap, Normalize]:
+    """Colours of things numbered from base to tip, 1 to `count`."""
+    return LinearSegmentedColormap.from_list("along the arm", palette.ALONG), Normalize(1, max(count, 2))
+
+
+def add_colorbar(panels: Sequence[Axes], count: int, label: str, **options: Any) -> None:
+    """Tell beside panels what `colors_along` means in them."""
+    colors, norm = colors_along(count)
+    figure: Any = panels[0].figure
+    bar = figure.colorbar(ScalarMappable(norm, colors), ax=panels, **options)
+    bar.set_ticks(MaxNLocator(nbins=8, integer=True, min_n_ticks=1) if count > 1 else [1])
+    bar.set_label(label, fontsize=9)
+    bar.ax.tick_params(labelsize=8)
+    bar.outline.set_visible(False)
+
+
+# Layout of figures: postures on the left, panels that share an axis on the right.
 
 WIDTH, HEIGHT = 12.0, 7.2
 """Size of a figure [inch]; 1200 pixels wide at the default resolution."""
 
 
-def lay_out(arm: Arm, rows: int) -> tuple[Figure, Axes, list[Axes]]:
+def new_figure(arm: Arm, rows: int) -> tuple[Figure, Axes, list[Axes]]:
     """A figure with axes for postures of an arm, and so many panels beside them, one below the other."""
     size = WIDTH, HEIGHT + max(0, rows - 3)
     figure = Figure(figsize=size, layout=ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.09, wspace=0.04))
@@ -155,10 +173,10 @@ def footnote(figure: Figure, text: str) -> None:
     figure.supxlabel(text, fontsize=8, x=0.012, ha="left", color=palette.QUIET, parse_math=False)
 
 
-# A run or a motion in words, for titles.
+# Words for titles.
 
 
-def moved_curves(run: Trajectory | Motion) -> str:
+def placement_text(run: Trajectory | Motion) -> str:
     """How curves were moved from where they were drawn, in words; empty if none was."""
     if isinstance(run, Motion):
         told = [f"{place.name} {place.moved}" for place in run.passed if place.moved]
@@ -175,17 +193,17 @@ def controller_name(run: Trajectory) -> str:
     return run.controller.partition("(")[0].strip() or "The run"
 
 
-def ending(run: Trajectory) -> str:
+def ending_text(run: Trajectory) -> str:
     """How and when a run ended, as what is said of its controller."""
     return f"{ENDINGS[run.status]} after {run.steps} step{'s' * (run.steps != 1)}"
 
 
-def ending_in_time(motion: Motion) -> str:
+def motion_ending_text(motion: Motion) -> str:
     """How and when a motion ended, as what is said of its controller."""
-    return f"{ENDINGS[motion.run.status]} after {motion.time[-1]:.4g} s{slower(motion)}"
+    return f"{ENDINGS[motion.run.status]} after {motion.time[-1]:.4g} s{slowdown_text(motion)}"
 
 
-def slower(motion: Motion) -> str:
+def slowdown_text(motion: Motion) -> str:
     """How much a motion was slowed down, after a comma; empty if it was not, or did not get to its end."""
     if motion.clock[-1] < motion.planned or not is_slowed(motion):
         return ""
@@ -198,7 +216,7 @@ def is_slowed(motion: Motion) -> bool:
     return motion.slowing > SLOWED
 
 
-# The named places of a motion, as pictures show them: which, and in what colour.
+# Named places of a motion.
 
 MOST = 8
 """How many places a picture shows at most; of more, some are left out."""
@@ -234,7 +252,7 @@ def shown_places(motion: Motion) -> list[Place]:
     return [Place(_short(name), row, color) for (name, row), color in zip(reached, colors, strict=True)]
 
 
-def alike(motion: Motion, places: Sequence[Place]) -> list[list[Place]]:
+def group_alike(motion: Motion, places: Sequence[Place]) -> list[list[Place]]:
     """The places in order, those together where the arm looked the same."""
     points, apart = motion.run.points, SAME * motion.arm.length
     groups: list[list[Place]] = []

@@ -18,7 +18,7 @@ from pinposture.collision.scan import between_cubes, representatives
 from pinposture.errors import FileError, PostureWarning
 from pinposture.viz.mesh import TriangleMesh, merge
 
-# The bodies of an arm: how each runs from its joint to the next, and where each is at a configuration.
+# Shape and pose of each body.
 
 Array = NDArray[np.float64]
 
@@ -130,9 +130,7 @@ def _distinct(nodes: list[Array], length: float) -> Array:
     return np.array(kept)
 
 
-# The meshes that a robot description gives its links, put on the bodies that carry them.
-#
-# Only drawing asks for them: where a mesh is missing or cannot be read, a body keeps its stand-in shape.
+# Visual meshes. Only drawing reads them: a body whose mesh is missing or cannot be read is drawn as bars.
 
 MOST_TRIANGLES = 200_000
 """Triangles of all meshes together that are drawn at most, for a browser to turn them smoothly."""
@@ -209,13 +207,13 @@ def body_meshes(arm: Arm, most_triangles: int = MOST_TRIANGLES) -> BodyMeshes:
     most = _most_of_a_body([len(mesh.faces) for mesh in merged.values()], most_triangles)
     many = f"all meshes together having {total} triangles, more than {most_triangles}"
     for owner in [owner for owner, mesh in merged.items() if len(mesh.faces) > most]:
-        thinned = _thinned(merged.pop(owner), most)
+        thinned = _decimated(merged.pop(owner), most)
         if thinned is not None:
             merged[owner] = thinned
         how = "is left out" if thinned is None else f"is drawn with {len(thinned.faces)} triangles"
         faults.update(dict.fromkeys(files[owner], f"{how}, {many}"))
     if faults:
-        warnings.warn(_described(faults), PostureWarning, stacklevel=2)
+        warnings.warn(_warning_text(faults), PostureWarning, stacklevel=2)
     return BodyMeshes(merged.get(len(joints)), tuple(merged.get(u) for u in range(len(joints))))
 
 
@@ -230,9 +228,9 @@ def visual_meshes(arm: Arm) -> list[VisualMesh]:
             if mesh is None:
                 continue
             place = {} if origin is None else origin.attrib
-            turn = pin.rpy.rpyToMatrix(_three(place.get("rpy", "0 0 0")))
-            placement = pin.SE3(turn, _three(place.get("xyz", "0 0 0")))
-            scale = _three(mesh.get("scale", "1 1 1"))
+            turn = pin.rpy.rpyToMatrix(_three_numbers(place.get("rpy", "0 0 0")))
+            placement = pin.SE3(turn, _three_numbers(place.get("xyz", "0 0 0")))
+            scale = _three_numbers(mesh.get("scale", "1 1 1"))
             listed.append(VisualMesh(link.get("name", ""), mesh.get("filename", ""), scale, placement))
     return listed
 
@@ -248,14 +246,19 @@ def _placed(mesh: TriangleMesh, visual: VisualMesh, link: pin.SE3, origin: Array
     return TriangleMesh(vertices, mesh.faces[:, ::-1] if np.prod(visual.scale) < 0.0 else mesh.faces)
 
 
-def _links(arm: Arm) -> dict[str, tuple[int, pin.SE3]]:
-    """The joint that moves each link, and where the link is in the world at the neutral configuration."""
-    model = arm.model
+def joint_placements(arm: Arm) -> list[pin.SE3]:
+    """Where the joints of the model are in the world at the neutral configuration, the universe first."""
     # Every joint of a chain is the identity there, so this needs no pin.Data, which is huge for long arms.
-    places = [pin.SE3.Identity()]
+    model, places = arm.model, [pin.SE3.Identity()]
     for joint in range(1, model.njoints):
         places.append(places[model.parents[joint]] * model.jointPlacements[joint])
-    frames = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
+    return places
+
+
+def _links(arm: Arm) -> dict[str, tuple[int, pin.SE3]]:
+    """The joint that moves each link, and where the link is in the world at the neutral configuration."""
+    places = joint_placements(arm)
+    frames = [frame for frame in arm.model.frames if frame.type == pin.FrameType.BODY]
     # Links that never move are placed relative to the root link, the first, which stands where the base is.
     places[0] = arm.base_placement * frames[0].placement.inverse()
     return {
@@ -273,7 +276,7 @@ def _most_of_a_body(counts: Sequence[int], most_triangles: int) -> int:
     return most_triangles
 
 
-def _thinned(mesh: TriangleMesh, most: int) -> TriangleMesh | None:
+def _decimated(mesh: TriangleMesh, most: int) -> TriangleMesh | None:
     """The mesh with at most so many triangles, close corners made one; None if no triangle would be left."""
     points = min(most, len(mesh.vertices) - 1)
     while points > 2:
@@ -285,14 +288,14 @@ def _thinned(mesh: TriangleMesh, most: int) -> TriangleMesh | None:
     return None
 
 
-def _described(faults: Mapping[str, str]) -> str:
+def _warning_text(faults: Mapping[str, str]) -> str:
     named = [f"{name} {reason}" for name, reason in list(faults.items())[:_LISTED]]
     if len(faults) > _LISTED:
         named.append(f"and {len(faults) - _LISTED} more")
     return f"links are not drawn as their meshes have them: {'; '.join(named)}"
 
 
-def _three(text: str) -> Array:
+def _three_numbers(text: str) -> Array:
     """Three numbers; not a number, which is noticed later, if the text is something else."""
     try:
         numbers = np.array([float(word) for word in text.split()])

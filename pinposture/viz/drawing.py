@@ -1,12 +1,13 @@
-"""What the browser draws: arm, targets, obstacles and camera, as meshcat commands."""
+"""What pictures of an arm show: from where, which line of the target, which obstacles, what surfaces."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
+import coal
 import numpy as np
-import umsgpack
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
@@ -15,150 +16,23 @@ from pinposture.errors import InvalidValue
 from pinposture.motion import Motion, Trajectory
 from pinposture.placement import Target
 from pinposture.viz import palette
-from pinposture.viz.body import DrawnBody, backbone, bodies, body_meshes, body_poses
+from pinposture.viz.body import DrawnBody, backbone, bodies, body_meshes, joint_placements
 from pinposture.viz.mesh import (
     TriangleMesh,
     ball,
     box_corners,
-    cut,
+    clip_to_box,
+    cut_by_plane,
     disc,
-    faceted,
-    hull_faces,
+    hull_surface,
     merge,
     surface,
     tube,
-    within,
 )
 
-# What the meshcat viewer in the browser understands: drawing commands, as its protocol describes them.
-#
-# Commands are plain data. A server passes them on to browsers, a page can hold them; both take them packed.
-
 Array = NDArray[np.float64]
-Command = dict[str, Any]
 
-ANIMATION = "/pinposture/animation"
-
-# Numbers by which the protocol marks packed arrays.
-_FLOATS, _INDICES = 0x17, 0x16
-
-_DISCRETE = 2300  # three.js's name for a value that holds until the next one
-
-
-class Track(NamedTuple):
-    """How one property of one object changes with time.
-
-    Attributes:
-        path: the object in the scene.
-        name: the property, for instance "position".
-        kind: "vector3", "quaternion" (x, y, z, w) or "color" (red, green, blue in [0, 1]).
-        times: (n,) increasing, in frames.
-        values: (n, 3) or (n, 4).
-        smooth: whether values in between are interpolated, or hold until the next.
-    """
-
-    path: str
-    name: str
-    kind: str
-    times: Array
-    values: Array
-    smooth: bool
-
-
-def draw(path: str, mesh: TriangleMesh, color: str, opacity: float = 1.0) -> Command:
-    """Draw a surface [m] of one colour "#RRGGBB", which may let through what is behind it."""
-    # Names within one command only have to differ from those of other objects in the scene.
-    geometry = {
-        "uuid": f"{path}/geometry",
-        "type": "BufferGeometry",
-        "data": {
-            "attributes": {"position": _packed(mesh.vertices, "Float32Array")},
-            "index": _packed(mesh.faces, "Uint32Array"),
-        },
-    }
-    material: dict[str, Any] = {
-        "uuid": f"{path}/material",
-        "type": "MeshPhongMaterial",
-        "color": int(color.lstrip("#"), 16),
-        "shininess": 40,
-        "side": 2,
-    }
-    if opacity < 1.0:  # what shines through must not hide what is drawn later
-        material.update(transparent=True, opacity=opacity, depthWrite=False)
-    shape = {
-        "uuid": f"{path}/mesh",
-        "type": "Mesh",
-        "geometry": geometry["uuid"],
-        "material": material["uuid"],
-        "matrix": np.eye(4).ravel().tolist(),
-    }
-    lowered = {
-        "metadata": {"version": 4.5, "type": "Object"},
-        "geometries": [geometry],
-        "materials": [material],
-        "object": shape,
-    }
-    return {"type": "set_object", "path": path, "object": lowered}
-
-
-def transform(path: str, matrix: Array) -> Command:
-    """Place an object: a transform (4, 4) to the frame of its parent [m]."""
-    return {"type": "set_transform", "path": path, "matrix": matrix.T.ravel().tolist()}
-
-
-def set_property(path: str, name: str, value: Any) -> Command:
-    """Set a property of an object."""
-    return {"type": "set_property", "path": path, "property": name, "value": value}
-
-
-def delete(path: str) -> Command:
-    """Remove an object and all below it."""
-    return {"type": "delete", "path": path}
-
-
-def animate(tracks: Sequence[Track], fps: float) -> Command:
-    """Play tracks over and over, in place of what was played before; no tracks: stop."""
-    clips: dict[str, list[dict[str, Any]]] = {}
-    for track in tracks:
-        lowered: dict[str, Any] = {
-            "name": f".{track.name}",
-            "type": track.kind,
-            "times": umsgpack.Ext(_FLOATS, track.times.astype("<f4").tobytes()),
-            "values": umsgpack.Ext(_FLOATS, track.values.astype("<f4").tobytes()),
-        }
-        if not track.smooth:
-            lowered["interpolation"] = _DISCRETE
-        clips.setdefault(track.path, []).append(lowered)
-    return {
-        "type": "set_animation",
-        # Where a server keeps it for browsers that come later: it sends what it got first, first, and an
-        # animation means nothing before the objects that it moves are there.
-        "path": ANIMATION,
-        "animations": [
-            {"path": path, "clip": {"fps": fps, "name": "run", "tracks": listed}}
-            for path, listed in clips.items()
-        ],
-        "options": {"play": True, "repetitions": float("inf")},
-    }
-
-
-def pack(command: Command) -> bytes:
-    """A command as the viewer receives it."""
-    packed: bytes = umsgpack.packb(command)
-    return packed
-
-
-def _packed(array: NDArray[Any], kind: str) -> dict[str, Any]:
-    code, dtype = (_FLOATS, "<f4") if kind == "Float32Array" else (_INDICES, "<u4")
-    return {
-        "itemSize": array.shape[1],
-        "type": kind,
-        "array": umsgpack.Ext(code, array.astype(dtype).tobytes()),
-        "normalized": False,
-    }
-
-
-# Where to look from, so that what happens fills the picture.
+# Camera.
 
 AZIMUTHS = np.radians([-70.0, -110.0, -45.0, -135.0])
 ELEVATIONS = np.radians([22.0, 38.0, 60.0])
@@ -186,7 +60,7 @@ class Framing(NamedTuple):
     @property
     def axes(self) -> Array:
         """Unit vectors to the right, up, and towards the eye, (3, 3), world frame."""
-        return look(self.azimuth, self.elevation)
+        return view_axes(self.azimuth, self.elevation)
 
     def distance(self, points: Array, opening: float, aspect: float) -> float:
         """How far from the centre the eye must be to see all points.
@@ -219,14 +93,14 @@ def frame_points(points: Array) -> Framing:
     chosen, largest = (0.0, 0.0), 0.0
     for elevation in ELEVATIONS:
         for azimuth in AZIMUTHS:
-            screen = look(float(azimuth), float(elevation))[:2]
+            screen = view_axes(float(azimuth), float(elevation))[:2]
             area = float(np.sqrt(np.linalg.det(screen @ scatter @ screen.T)))
             if area > BETTER * largest:
                 chosen, largest = (float(azimuth), float(elevation)), area
     return Framing(center, radius, *chosen)
 
 
-def look(azimuth: float, elevation: float) -> Array:
+def view_axes(azimuth: float, elevation: float) -> Array:
     """Unit vectors to the right, up, and towards an eye that stands there [rad], (3, 3), world frame."""
     eye = np.array(
         [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
@@ -235,7 +109,7 @@ def look(azimuth: float, elevation: float) -> Array:
     return np.array([right, np.cross(eye, right), eye])
 
 
-# The line that a target posture lies on.
+# Target.
 
 Number = TypeVar("Number", int, float)
 
@@ -267,7 +141,7 @@ def outline(arm: Arm, target: Target) -> Outline:
         return Outline((curve.at(np.linspace(0.0, length, SAMPLES)),), ())
     places = np.clip(np.append(0.0, target.parameters), 0.0, length)
     end = float(np.max(places[1:][target.placed], initial=0.0))
-    spans = [(float(places[run].min()), float(places[run].max())) for run in _runs(target.placed)]
+    spans = [(float(places[run].min()), float(places[run].max())) for run in _consecutive(target.placed)]
     covered = _merged(spans)
     edges = [0.0, *(edge for span in covered for edge in span), min(length, end + BEYOND * arm.length)]
     # Less than this of a line cannot be seen, and may not have a direction.
@@ -286,7 +160,7 @@ def _posture(arm: Arm, q: Array, placed: NDArray[np.bool_]) -> Outline:
         if body.point is not None:
             ends.append(count + int(np.linalg.norm(body.nodes - body.point, axis=1).argmin()))
         count += len(body.nodes)
-    spans = _merged([(ends[run[0]], ends[run[-1]]) for run in _runs(placed)])
+    spans = _merged([(ends[run[0]], ends[run[-1]]) for run in _consecutive(placed)])
     edges = [0, *(edge for span in spans for edge in span), ends[-1]]
     pieces = [
         tuple(line[a : b + 1] for a, b in parts if b > a)
@@ -295,7 +169,7 @@ def _posture(arm: Arm, q: Array, placed: NDArray[np.bool_]) -> Outline:
     return Outline(*pieces)
 
 
-def _runs(placed: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
+def _consecutive(placed: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
     """Points that have a target and follow each other; 0 is the base, which is where it should be."""
     here = np.flatnonzero(np.append(True, placed))
     return np.split(here, np.flatnonzero(np.diff(here) > 1) + 1)
@@ -312,34 +186,7 @@ def _merged(spans: list[tuple[Number, Number]]) -> list[tuple[Number, Number]]:
     return merged
 
 
-# What the browser is told to draw: arm, target, camera, as commands of the meshcat viewer.
-
-ROOT = "/pinposture"
-
-FIELD_OF_VIEW = 35.0
-"""Vertical opening of the camera [deg]; narrower than usual, so that what is near does not bulge."""
-
-ASPECT = 4.0 / 3.0
-"""Narrowest window, width relative to height, for which the camera is placed."""
-
-MARGIN = 1.15
-"""How much farther off than needed the camera is."""
-
-POINT_SIZE = 1.9
-"""Radius of an active control point, relative to that of the bars of the arm."""
-
-IDLE_SIZE = 0.75
-"""Size of a control point that is not active, relative to one that is."""
-
-
-def body_path(index: int) -> str:
-    """Path in the scene of the body that joint `index` of the chain moves."""
-    return f"{ROOT}/arm/body_{index + 1:03d}"
-
-
-def point_path(index: int) -> str:
-    """Path in the scene of the control point on the body that joint `index` of the chain moves."""
-    return f"{body_path(index)}/point"
+# Surfaces of the arm.
 
 
 def link_radius(arm: Arm) -> float:
@@ -385,41 +232,39 @@ def arm_surfaces(arm: Arm) -> Surfaces:
     return Surfaces(own.base or _base_mesh(arm, radius), tuple(surfaces))
 
 
-def arm_commands(arm: Arm, q: Array) -> list[Command]:
-    """Draw the arm at a configuration (nq,): one mesh for each body, control points fixed to theirs."""
-    radius, surfaces = link_radius(arm), arm_surfaces(arm)
-    commands = [draw(f"{ROOT}/arm/base", surfaces.base, palette.BASE)]
-    for u, body in enumerate(bodies(arm)):
-        shade = palette.MODULES[body.module % len(palette.MODULES)]
-        commands.append(draw(f"{body_path(u)}/link", surfaces.bodies[u], shade))
-        if body.point is not None:
-            commands.append(draw(point_path(u), ball(np.zeros(3), POINT_SIZE * radius), palette.IDLE))
-            commands.append(transform(point_path(u), _placed(body.point, IDLE_SIZE)))
-    return commands + pose_commands(arm, q)
+def visual_model(arm: Arm) -> pin.GeometryModel:
+    """The drawn bodies of an arm as geometry that Pinocchio's visualizers show.
+
+    For instance `pinocchio.visualize.MeshcatVisualizer(arm.model, visual_model=visual_model(arm))`. These
+    compute with a `pin.Data`, which takes 40 MB for 100 joints and seven times as much for twice as many;
+    `view` does without.
+
+    Args:
+        arm: the arm.
+
+    Returns:
+        One object for the base and one for each joint of the chain, with the shapes and colours of `view`.
+    """
+    surfaces, places, model = arm_surfaces(arm), joint_placements(arm), pin.GeometryModel()
+    drawn = [("base", 0, surfaces.base, palette.BASE, pin.SE3.Identity())]
+    for u, (body, mesh) in enumerate(zip(bodies(arm), surfaces.bodies, strict=True)):
+        joint, shade = arm.model.getJointId(body.joint), palette.MODULES[body.module % len(palette.MODULES)]
+        # Surfaces have the axes of the world at the neutral configuration.
+        placement = pin.SE3(places[joint].rotation.T, np.zeros(3))
+        drawn.append((f"body_{u + 1:03d}", joint, mesh, shade, placement))
+    for name, joint, mesh, color, placement in drawn:
+        geometry = coal.BVHModelOBBRSS()
+        geometry.beginModel(len(mesh.faces), len(mesh.vertices))
+        geometry.addVertices(mesh.vertices)
+        geometry.addTriangles(mesh.faces)
+        geometry.endModel()
+        shape = pin.GeometryObject(name, joint, placement, geometry)
+        shape.meshColor = np.array([*palette.rgb(color), 1.0])
+        model.addGeometryObject(shape)
+    return model
 
 
-def pose_commands(arm: Arm, q: Array) -> list[Command]:
-    """Move the arm, drawn before, to a configuration (nq,)."""
-    return [transform(body_path(u), pose) for u, pose in enumerate(body_poses(arm, q))]
-
-
-def target_commands(arm: Arm, target: Target) -> list[Command]:
-    """Draw the line that the target posture lies on, as far as it is known, and the target points."""
-    radius = 0.3 * link_radius(arm)
-    commands = []
-    colors = {"covered": palette.TARGET, "rest": palette.REST}
-    for part, lines in outline(arm, target)._asdict().items():
-        paths = [path for path in map(_without_repeats, lines) if len(path) > 1]
-        if paths:
-            tubes = merge([tube(path, radius) for path in paths])
-            commands.append(draw(f"{ROOT}/target/{part}", tubes, colors[part]))
-    dots = [ball(point, 2.8 * radius, rings=6) for point in target.points[target.placed]]
-    if dots:
-        commands.append(draw(f"{ROOT}/target/points", merge(dots), palette.TARGET))
-    return commands
-
-
-def stage_points(arm: Arm, run: Trajectory | None, target: Target | None) -> Array:
+def scene_points(arm: Arm, run: Trajectory | None, target: Target | None) -> Array:
     """What the camera should see: the whole motion and the target, (n, 3) [m], world frame."""
     points = [arm.chain.base[None]]
     if run is not None:
@@ -432,38 +277,6 @@ def stage_points(arm: Arm, run: Trajectory | None, target: Target | None) -> Arr
         # The arm may be shown anywhere later on; leave room around its base.
         points.append(arm.chain.base + 0.35 * arm.length * np.vstack([np.eye(3), -np.eye(3)]))
     return np.vstack(points)
-
-
-def stage_commands(arm: Arm, points: Array) -> list[Command]:
-    """Set up light, floor and camera so that points (n, 3) [m] of the world are in view.
-
-    The viewer turns about the origin of its scene, so the world is shifted until the middle of the points
-    is there.
-    """
-    framing = frame_points(points)
-    floor = np.diag([*(0.4 * _round_down(framing.radius) * np.ones(3)), 1.0])
-    floor[2, 3] = points[:, 2].min() - framing.center[2] - 3.0 * link_radius(arm)
-    distance = MARGIN * framing.distance(points, np.radians(FIELD_OF_VIEW), ASPECT)
-    x, y, z = distance * framing.axes[2]
-    camera = "/Cameras/default/rotated/<object>"
-    properties: list[tuple[str, str, Any]] = [
-        ("/Background", "top_color", [1.0, 1.0, 1.0]),
-        ("/Background", "bottom_color", [0.90, 0.92, 0.94]),
-        ("/Grid", "color", [1.0, 1.0, 1.0, 0.18]),
-        ("/Axes", "visible", False),
-        ("/Lights/AmbientLight/<object>", "intensity", 0.42),
-        ("/Lights/FillLight/<object>", "intensity", 0.25),
-        # These two would fade out after 10 m.
-        ("/Lights/PointLightNegativeX/<object>", "distance", 0.0),
-        ("/Lights/PointLightPositiveX/<object>", "distance", 0.0),
-        (camera, "fov", FIELD_OF_VIEW),
-        (camera, "near", 0.01 * distance),
-        (camera, "far", 100.0 * distance),
-        # The camera lives in axes of its own, in which y points up.
-        (camera, "position", [x, z, -y]),
-    ]
-    placed = [transform(ROOT, _placed(-framing.center)), transform("/Grid", floor)]
-    return placed + [set_property(path, name, value) for path, name, value in properties]
 
 
 def _body_mesh(body: DrawnBody, radius: float, closed: bool) -> TriangleMesh:
@@ -489,24 +302,7 @@ def _base_mesh(arm: Arm, radius: float) -> TriangleMesh:
     return disc(joint - axis * radius, axis, 3.0 * radius, radius)
 
 
-def _placed(position: Array, scale: float = 1.0) -> Array:
-    matrix = np.diag([scale, scale, scale, 1.0])
-    matrix[:3, 3] = position
-    return matrix
-
-
-def _round_down(length: float) -> float:
-    """The next smaller of 1, 2, 5, 10, ... times a power of ten."""
-    power = 10.0 ** np.floor(np.log10(length))
-    return float(max(step for step in (1.0, 2.0, 5.0) if step * power <= length * (1.0 + 1e-9)) * power)
-
-
-def _without_repeats(line: Array) -> Array:
-    legs = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    return np.asarray(line[np.concatenate([[True], legs > 1e-9])])
-
-
-# Which obstacles are in a picture, and how much of them.
+# Obstacles.
 
 ROOM = 0.5
 """How far around what is shown a picture may grow to show obstacles, relative to the size of that."""
@@ -524,7 +320,7 @@ WIDTH = 0.3
 """Least width of such a patch, relative to that size."""
 
 
-class Shown(NamedTuple):
+class ShownObstacle(NamedTuple):
     """An obstacle, and the part of it that belongs into the picture.
 
     Attributes:
@@ -540,7 +336,7 @@ class Shown(NamedTuple):
     cut: bool
 
 
-def shown_obstacles(scene: Scene | None, points: Array) -> list[Shown]:
+def shown_obstacles(scene: Scene | None, points: Array) -> list[ShownObstacle]:
     """What a picture shows of a scene: of what is near all, of what is huge a part, of what is far nothing.
 
     Args:
@@ -555,48 +351,39 @@ def shown_obstacles(scene: Scene | None, points: Array) -> list[Shown]:
     low, high = points.min(axis=0), points.max(axis=0)
     size = max(float(np.max(high - low)), 1e-9)
     region = low - ROOM * size, high + ROOM * size
-    listed: dict[str, Shown] = {}
+    listed: dict[str, ShownObstacle] = {}
     for name, obstacle in scene.obstacles.items():
         if not isinstance(obstacle, HalfSpace):
             whole = surface(obstacle)
-            part = _near(whole.vertices, low, high, size)
-            listed[name] = Shown(name, whole, part, part is not whole.vertices)
+            part = _part_in_view(whole.vertices, low, high, size)
+            listed[name] = ShownObstacle(name, whole, part, part is not whole.vertices)
     planes = {name: each for name, each in scene.obstacles.items() if isinstance(each, HalfSpace)}
     if planes:
-        seen = np.vstack([points, near_corners(list(listed.values()))])
-        listed.update(_patches(planes, seen, size, region))
+        seen = np.vstack([points, shown_corners(list(listed.values()))])
+        listed.update(_half_space_patches(planes, seen, size, region))
     return [listed[name] for name in scene.obstacles if name in listed]
 
 
-def _near(corners: Array, low: Array, high: Array, size: float) -> Array:
+def _part_in_view(corners: Array, low: Array, high: Array, size: float) -> Array:
     """Corners of what is shown of a solid: all of it, if it is near, or as little as tells where it is."""
     region = low - ROOM * size, high + ROOM * size
-    part = within(corners, *region)
+    part = clip_to_box(corners, *region)
     if part is corners or not len(part):
         return part
     least = np.minimum(low, part.max(axis=0)) - INTO * size
     most = np.maximum(high, part.min(axis=0)) + INTO * size
-    return within(part, np.maximum(least, region[0]), np.minimum(most, region[1]))
+    return clip_to_box(part, np.maximum(least, region[0]), np.minimum(most, region[1]))
 
 
-def near_corners(shown: Sequence[Shown]) -> Array:
+def shown_corners(shown: Sequence[ShownObstacle]) -> Array:
     """Corners of boxes around the parts of obstacles in the picture, (n, 3) [m], world frame."""
     parts = [each.near for each in shown if len(each.near)]
     return np.vstack([np.zeros((0, 3)), *(box_corners(part.min(axis=0), part.max(axis=0)) for part in parts)])
 
 
-def obstacle_commands(shown: Sequence[Shown]) -> list[Command]:
-    """Draw obstacles in the browser; the walls of a pipe, for instance, hide what is in it but a little."""
-    opacity = palette.SHEER if len(shown) > MANY else palette.SEE_THROUGH
-    return [
-        draw(f"{ROOT}/obstacles/obstacle_{k + 1:03d}", each.surface, palette.OBSTACLE, opacity)
-        for k, each in enumerate(shown)
-    ]
-
-
-def _patches(
+def _half_space_patches(
     planes: dict[str, HalfSpace], seen: Array, size: float, region: tuple[Array, Array]
-) -> dict[str, Shown]:
+) -> dict[str, ShownObstacle]:
     """Of each half-space that reaches into a region a plate, as large as what is seen, under its surface."""
     middle, half = (seen.min(axis=0) + seen.max(axis=0)) / 2.0, np.ptp(seen, axis=0) / 2.0
     half = np.maximum(half, WIDTH * size / 2.0)
@@ -614,8 +401,8 @@ def _patches(
     room = box_corners(reach.min(axis=0) - THICKNESS * size, reach.max(axis=0) + THICKNESS * size)
     shown = {}
     for name in planes:
-        plate = cut(room, normals[name], offsets[name])
-        plate = cut(plate, -normals[name], THICKNESS * size - offsets[name]) if len(plate) else plate
+        plate = cut_by_plane(room, normals[name], offsets[name])
+        plate = cut_by_plane(plate, -normals[name], THICKNESS * size - offsets[name]) if len(plate) else plate
         if len(plate):
-            shown[name] = Shown(name, faceted(plate, hull_faces(plate)), plate, True)
+            shown[name] = ShownObstacle(name, hull_surface(plate), plate, True)
     return shown

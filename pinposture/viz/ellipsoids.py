@@ -14,19 +14,18 @@ from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm, Ellipsoid
 from pinposture.viz import palette
-from pinposture.viz.animation import Film
-from pinposture.viz.drawing import ROOT, Command, Track, draw, link_radius, transform
-from pinposture.viz.mesh import TriangleMesh, ball
+from pinposture.viz.animation import ROOT, Playback, Track, same_signs
+from pinposture.viz.drawing import link_radius
 from pinposture.viz.postures import PosturePanel
 
-# How manipulability ellipsoids are drawn: at what scale, in what colour, and into figures.
+# Scale, colours and figures.
 
 Array = NDArray[np.float64]
 
 LARGEST = 0.2
 """Largest radius that is drawn, relative to the length of the arm, or not much above."""
 
-STEPS = (7.0, 5.0, 3.0, 2.0, 1.5, 1.0)
+SCALE_DIGITS = (7.0, 5.0, 3.0, 2.0, 1.5, 1.0)
 """First digits that a scale may have."""
 
 KEY = {
@@ -51,12 +50,12 @@ def drawn_length(arm: Arm, points: Sequence[int]) -> float:
         A round length [m] at which the largest of them is well seen beside the arm.
     """
     # A joint that turns moves a point by the length of the arm between them at most, per radian.
-    fastest = max((float(np.linalg.norm(_levers(arm, point))) for point in points), default=0.0)
+    fastest = max((float(np.linalg.norm(_lever_arms(arm, point))) for point in points), default=0.0)
     # In space joints share out their motion over two directions across the arm.
     radius = max(fastest / np.sqrt(arm.dimension - 1.0), 0.01 * arm.length)
     length = LARGEST * arm.length / radius
     power = 10.0 ** np.floor(np.log10(length))
-    return float(next(step for step in STEPS if step * power <= length * (1.0 + 1e-9)) * power)
+    return float(next(step for step in SCALE_DIGITS if step * power <= length * (1.0 + 1e-9)) * power)
 
 
 def scale_in_words(arm: Arm, points: Sequence[int]) -> str:
@@ -127,7 +126,7 @@ def _drawn(panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> Iterator[tup
         yield palette.index_color(one.index), one.center, length * one.semi_axes
 
 
-def _levers(arm: Arm, point: int) -> Array:
+def _lever_arms(arm: Arm, point: int) -> Array:
     """How far each joint can move a control point per unit of its motion at most, (n,) [m]."""
     chain = arm.chain
     end = chain.module_slices[point].stop
@@ -142,19 +141,17 @@ def _circle() -> Array:
     return np.column_stack([np.cos(around), np.sin(around)])
 
 
-# Manipulability ellipsoids in the browser: balls that are stretched and turned as the arm moves.
-
-OPACITY = 0.5
+# In the browser: unit spheres that are scaled and turned as the arm moves.
 
 THINNEST = 0.3
 """Least radius of a ball, relative to that of the bars of the arm: a flat one is drawn as a disc or a rod."""
 
-# The ways to name the axes of a right-handed frame anew, signs included, as rotations (24, 3, 3).
-_RENAMINGS = np.rint(Rotation.create_group("O").as_matrix())
+# Permutations of the axes of a right-handed frame, signs included, as rotations (24, 3, 3).
+_AXIS_PERMUTATIONS = np.rint(Rotation.create_group("O").as_matrix())
 
 
-class Balls(NamedTuple):
-    """Ellipsoids of p control points at f configurations, as unit balls that are stretched and turned.
+class EllipsoidMotion(NamedTuple):
+    """Ellipsoids of p control points at f configurations, as unit spheres that are scaled and turned.
 
     Attributes:
         points: indices of the control points, 0-based, (p,).
@@ -172,61 +169,49 @@ class Balls(NamedTuple):
     indices: Array
 
 
-def balls(arm: Arm, points: tuple[int, ...], rows: Array) -> Balls:
+def ellipsoid_motion(arm: Arm, points: tuple[int, ...], rows: Array) -> EllipsoidMotion:
     """The ellipsoids of control points, 0-based, at configurations (f, nq), one after the other."""
     shape = (len(rows), len(points))
     listed = [one for q in rows for one in arm.at(q).ellipsoids(points)] if points else []
     centers = np.array([one.center for one in listed]).reshape(*shape, 3)
-    frames = np.array([frame_of(one) for one in listed]).reshape(*shape, 3, 3)
+    frames = np.array([principal_frame(one) for one in listed]).reshape(*shape, 3, 3)
     # An ellipse in a plane has no third radius.
     radii = np.array([np.append(one.radii, 0.0)[:3] for one in listed]).reshape(*shape, 3)
     indices = np.array([one.index for one in listed]).reshape(shape)
     drawn = np.maximum(drawn_length(arm, points) * radii, THINNEST * link_radius(arm))
-    return Balls(points, centers, *carried_on(frames, drawn), indices)
+    return EllipsoidMotion(points, centers, *continue_axes(frames, drawn), indices)
 
 
-def ball_ends(shown: Balls) -> Array:
+def axis_ends(shown: EllipsoidMotion) -> Array:
     """The ends of the principal axes at all configurations, (n, 3) [m], world frame."""
     axes = shown.frames * shown.radii[..., None]
     ends = shown.centers[..., None, :] + np.stack([axes, -axes])
     return ends.reshape(-1, 3)
 
 
-def ball_commands(shown: Balls) -> list[Command]:
-    """Draw the ellipsoids of the first configuration, or draw them anew."""
-    commands = []
-    for p, point in enumerate(shown.points):
-        drawing = draw(_path(point), _BALL, palette.index_color(shown.indices[0, p]), OPACITY)
-        matrix = np.eye(4)
-        matrix[:3, :3] = (shown.frames[0, p] * shown.radii[0, p, :, None]).T
-        matrix[:3, 3] = shown.centers[0, p]
-        commands += [drawing, transform(_path(point), matrix)]
-    return commands
-
-
-def ball_tracks(shown: Balls, film: Film) -> list[Track]:
+def ellipsoid_tracks(shown: EllipsoidMotion, playback: Playback) -> list[Track]:
     """How ellipsoids that have been drawn move, stretch and change their colour.
 
     Args:
-        shown: the ellipsoids at the configurations of the film.
-        film: what else is shown.
+        shown: the ellipsoids at the configurations that are played.
+        playback: when they are shown.
     """
-    held, times = film.held, film.moments
+    held, times = playback.key_rows, playback.key_times
     listed = []
     for p, point in enumerate(shown.points):
-        turns = _turns(shown.frames[:, p])
+        turns = Rotation.from_matrix(shown.frames[:, p].transpose(0, 2, 1)).as_quat()
         colors = np.array([palette.rgb(palette.index_color(index)) for index in shown.indices[:, p]])
-        path = _path(point)
+        path = ellipsoid_path(point)
         listed += [
             Track(path, "position", "vector3", times, shown.centers[held, p], smooth=True),
-            Track(path, "quaternion", "quaternion", times, turns[held], smooth=True),
+            Track(path, "quaternion", "quaternion", times, same_signs(turns)[held], smooth=True),
             Track(path, "scale", "vector3", times, shown.radii[held, p], smooth=True),
             Track(f"{path}/<object>", "material.color", "color", times, colors[held], smooth=True),
         ]
     return listed
 
 
-def carried_on(frames: Array, radii: Array) -> tuple[Array, Array]:
+def continue_axes(frames: Array, radii: Array) -> tuple[Array, Array]:
     """Name the axes of each frame such that they continue those of the one before.
 
     An ellipsoid has no order of its axes, and no signs: where two radii pass each other, or anywhere, they
@@ -241,40 +226,20 @@ def carried_on(frames: Array, radii: Array) -> tuple[Array, Array]:
     """
     frames, radii = frames.copy(), radii.copy()
     for before, now, lengths in zip(frames[:-1], frames[1:], radii[1:], strict=True):
-        renamed = _RENAMINGS[:, None] @ now  # (24, p, 3, 3)
+        renamed = _AXIS_PERMUTATIONS[:, None] @ now  # (24, p, 3, 3)
         best = np.einsum("gpij,pij->gp", renamed, before).argmax(axis=0)
         now[:] = renamed[best, np.arange(len(best))]
-        lengths[:] = np.einsum("pij,pj->pi", np.abs(_RENAMINGS[best]), lengths)
+        lengths[:] = np.einsum("pij,pj->pi", np.abs(_AXIS_PERMUTATIONS[best]), lengths)
     return frames, radii
 
 
-def _rounder(mesh: TriangleMesh) -> TriangleMesh:
-    """The unit ball with each triangle cut into four: large ones show their corners."""
-    sides = np.sort(mesh.faces[:, [[1, 2], [2, 0], [0, 1]]], axis=2)  # opposite each corner
-    distinct, number = np.unique(sides.reshape(-1, 2), axis=0, return_inverse=True)
-    middles = mesh.vertices[distinct].sum(axis=1)
-    middles /= np.linalg.norm(middles, axis=1, keepdims=True)
-    (a, b, c), (d, e, f) = mesh.faces.T, len(mesh.vertices) + number.reshape(-1, 3).T
-    faces = np.concatenate([np.stack(corners, 1) for corners in ((a, f, e), (b, d, f), (c, e, d), (d, e, f))])
-    return TriangleMesh(np.vstack([mesh.vertices, middles]), faces)
-
-
-_BALL = _rounder(ball(np.zeros(3), 1.0))
-
-
-def _path(point: int) -> str:
+def ellipsoid_path(point: int) -> str:
+    """Path in the viewer of the ellipsoid of a control point, 0-based."""
     return f"{ROOT}/ellipsoids/point_{point + 1:03d}"
 
 
-def frame_of(one: Ellipsoid) -> Array:
+def principal_frame(one: Ellipsoid) -> Array:
     """Principal axes, one per row, right-handed, (3, 3); that of an ellipse in a plane is completed."""
     if len(one.directions) == 3:
         return one.directions
     return np.vstack([one.directions, np.cross(*one.directions)])
-
-
-def _turns(frames: Array) -> Array:
-    """Frames (f, 3, 3), axes in rows, as quaternions (x, y, z, w) that keep their sign, (f, 4)."""
-    turns = np.asarray(Rotation.from_matrix(frames.transpose(0, 2, 1)).as_quat())
-    products = np.einsum("fi,fi->f", turns[1:], turns[:-1])
-    return turns * np.cumprod(np.concatenate([[1.0], np.where(products < 0.0, -1.0, 1.0)]))[:, None]

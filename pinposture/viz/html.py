@@ -4,40 +4,41 @@ from __future__ import annotations
 
 import base64
 import html
-import importlib.util
 import json
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 from string import Template
 
+from meshcat import Visualizer
+from meshcat.servers.zmqserver import VIEWER_ROOT
+
 from pinposture.arm import Arm, ControlPoints
 from pinposture.arm.manipulability import chosen_points
-from pinposture.errors import FileError
 from pinposture.motion import Motion, Trajectory
 from pinposture.placement import Target
 from pinposture.storage import with_suffix, write_text
 from pinposture.viz import palette
-from pinposture.viz.animation import Film, film
-from pinposture.viz.axes import controller_name, ending, ending_in_time, is_slowed, moved_curves
-from pinposture.viz.drawing import ASPECT, animate, pack, require_fitting
+from pinposture.viz.animation import Playback, playback
+from pinposture.viz.axes import controller_name, ending_text, is_slowed, motion_ending_text, placement_text
+from pinposture.viz.drawing import require_fitting
 from pinposture.viz.ellipsoids import KEY, scale_in_words
-from pinposture.viz.meshcat import Staged, staged
+from pinposture.viz.meshcat import ASPECT, CommandRecorder, DrawnScene, draw_scene, play_animation
 from pinposture.viz.panels import has_clearance
 
-# What the page of an animation says: under each configuration, and of the colours.
+# Captions and legend.
 
 
-def texts(shown: Film) -> list[str]:
+def captions(shown: Playback) -> list[str]:
     """What is written under each configuration that is shown."""
     listed, run = [], shown.run
     for row in shown.rows:
-        text = _step(shown, row) if shown.motion is None else _moment(shown.motion, row)
+        text = _step_text(shown, row) if shown.motion is None else _motion_text(shown.motion, row)
         listed.append(text + (f", clearance {run.clearance[row]:.3g} m" if has_clearance(run) else ""))
     return listed
 
 
-def _step(shown: Film, row: int) -> str:
+def _step_text(shown: Playback, row: int) -> str:
     """A configuration of a run in words."""
     run = shown.run
     text = f"step {row} of {run.steps}, posture error {run.posture_error[row]:.3g} m"
@@ -49,7 +50,7 @@ def _step(shown: Film, row: int) -> str:
     return text
 
 
-def _moment(motion: Motion, row: int) -> str:
+def _motion_text(motion: Motion, row: int) -> str:
     """A configuration of a motion in words."""
     text = f"{motion.time[row]:.2f} of {motion.time[-1]:.2f} s"
     if is_slowed(motion):
@@ -62,12 +63,12 @@ def _moment(motion: Motion, row: int) -> str:
     return f"{text}, posture error {motion.run.posture_error[row]:.3g} m"
 
 
-def legend(shown: Film, setting: Staged, target: bool, scale: str) -> str:
+def legend_html(shown: Playback, drawn: DrawnScene, target: bool, scale: str) -> str:
     """What the colours mean, and how fast a motion is shown, as HTML.
 
     Args:
         shown: what is shown.
-        setting: what is drawn of it.
+        drawn: what is drawn of it.
         target: whether a target is drawn that stays where it is.
         scale: the scale of ellipsoids, in words; empty if there are none.
     """
@@ -78,34 +79,36 @@ def legend(shown: Film, setting: Staged, target: bool, scale: str) -> str:
         entries += [("active control point", palette.ACTIVE), ("idle", palette.IDLE)]
     else:
         entries.append(("control point", palette.IDLE))
-    if setting.obstacles:
+    if drawn.obstacles:
         entries.append(("obstacle", palette.OBSTACLE))
-    lines = [_dots(entries)]
+    lines = [_color_key(entries)]
     if shown.motion is not None:
-        lines.append(_in_time(shown, setting))
-    moved = moved_curves(shown.run if shown.motion is None else shown.motion)
+        lines.append(_speed_html(shown, drawn))
+    moved = placement_text(shown.run if shown.motion is None else shown.motion)
     if moved:
         lines.append(html.escape(moved))
     if scale:
         listed = [(f"index {meaning}", color) for color, meaning in KEY.items()]
-        lines.append(f"ellipsoids, {scale}: {_dots(listed)}")
+        lines.append(f"ellipsoids, {scale}: {_color_key(listed)}")
     return "<br>".join(lines)
 
 
-def _in_time(shown: Film, setting: Staged) -> str:
-    speed = "shown in real time" if shown.pace == 1.0 else f"shown {shown.pace:.0f} times as fast as it was"
-    named = [(", ".join(place.name for place in group), group[0].color) for group in setting.places]
-    return f"{speed}; targets at {_dots(named)}" if named else speed
+def _speed_html(shown: Playback, drawn: DrawnScene) -> str:
+    speed = (
+        "shown in real time" if shown.speedup == 1.0 else f"shown {shown.speedup:.0f} times as fast as it was"
+    )
+    named = [(", ".join(place.name for place in group), group[0].color) for group in drawn.places]
+    return f"{speed}; targets at {_color_key(named)}" if named else speed
 
 
-def _dots(entries: Sequence[tuple[str, str]]) -> str:
+def _color_key(entries: Sequence[tuple[str, str]]) -> str:
     dots = [
         f'<span class="dot" style="background: {color}"></span>{html.escape(name)}' for name, color in entries
     ]
     return "".join(dots)
 
 
-# A run or a motion as one HTML file: an animation that opens in any browser, without server or network.
+# The page.
 
 MOST, MOST_IN_TIME = 240, 1200
 """Configurations of a run and of a motion that a file holds at most."""
@@ -153,22 +156,24 @@ def save_html(
     points = chosen_points(arm.control_points, ellipsoids)
     if max_frames is None:
         max_frames = MOST_IN_TIME if isinstance(run, Motion) else MOST
-    write_text(path, _page(arm, film(run, fps, max_frames), target, points))
+    write_text(path, _page_html(arm, playback(run, fps, max_frames), target, points))
     return path
 
 
-def _page(arm: Arm, shown: Film, target: Target | None, points: tuple[int, ...]) -> str:
+def _page_html(arm: Arm, shown: Playback, target: Target | None, points: tuple[int, ...]) -> str:
     run, motion = shown.run, shown.motion
-    setting = staged(arm, shown, target, run.scene, points)
-    commands = [*setting.drawn, animate(setting.tracks, shown.fps)]
-    packed = [base64.b64encode(pack(command)).decode("ascii") for command in commands]
-    described = {"times": (shown.times / shown.fps).round(6).tolist(), "texts": texts(shown)}
+    recording = CommandRecorder()
+    viewer = Visualizer(window=recording)
+    drawn = draw_scene(viewer, arm, shown, target, run.scene, points)
+    play_animation(viewer, drawn.tracks, shown.fps)
+    packed = [base64.b64encode(command).decode("ascii") for command in recording.packed]
+    described = {"times": (shown.times / shown.fps).round(6).tolist(), "texts": captions(shown)}
     template = resources.files("pinposture.viz").joinpath("page.html").read_text(encoding="utf-8")
-    ended = ending(run) if motion is None else ending_in_time(motion)
+    ended = ending_text(run) if motion is None else motion_ending_text(motion)
     return Template(template).substitute(
         title=html.escape(f"{controller_name(run)} {ended}"),
         reason=html.escape(run.reason),
-        legend=legend(shown, setting, target is not None, scale_in_words(arm, points) if points else ""),
+        legend=legend_html(shown, drawn, target is not None, scale_in_words(arm, points) if points else ""),
         ink=palette.INK,
         end=shown.end / shown.fps,
         aspect=ASPECT,
@@ -180,9 +185,4 @@ def _page(arm: Arm, shown: Film, target: Target | None, points: tuple[int, ...])
 
 def _viewer_script() -> str:
     """The script of the meshcat viewer, as the package ships it for its own pages."""
-    spec = importlib.util.find_spec("meshcat")  # found without being imported, which would take a while
-    for folder in (spec.submodule_search_locations or []) if spec is not None else []:
-        script = Path(folder) / "viewer" / "dist" / "main.min.js"
-        if script.is_file():
-            return script.read_text(encoding="utf-8")
-    raise FileError("meshcat/viewer/dist/main.min.js", "no such file in the installed meshcat package")
+    return Path(VIEWER_ROOT, "main.min.js").read_text(encoding="utf-8")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from itertools import product
 from typing import NamedTuple, TypeAlias
 
@@ -11,8 +12,6 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from pinposture.collision import Box, Capsule, Cylinder, Mesh, Sphere
-
-# Triangle meshes: the round bars and balls that an arm is drawn with.
 
 Array = NDArray[np.float64]
 
@@ -39,24 +38,18 @@ def merge(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
     return TriangleMesh(np.vstack([mesh.vertices for mesh in meshes]), np.vstack(faces))
 
 
-def ball(center: Array, radius: float, rings: int = SIDES // 2) -> TriangleMesh:
-    """A sphere about a centre (3,) [m]."""
-    polar = np.pi * np.arange(1, rings) / rings
-    height, width = np.cos(polar), np.sin(polar)
-    around = 2.0 * np.pi * np.arange(SIDES) / SIDES
-    circles = np.stack(
-        [np.outer(width, np.cos(around)), np.outer(width, np.sin(around)), np.outer(height, np.ones(SIDES))],
-        -1,
-    )
-    vertices = np.vstack([circles.reshape(-1, 3), [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]])
-    top, bottom, last = len(vertices) - 2, len(vertices) - 1, (rings - 2) * SIDES
-    here = np.arange(SIDES)
-    beyond = (here + 1) % SIDES
-    caps = [
-        np.stack([np.full(SIDES, top), here, beyond], 1),
-        np.stack([np.full(SIDES, bottom), last + beyond, last + here], 1),
-    ]
-    return TriangleMesh(np.asarray(center) + radius * vertices, np.vstack([_sheet(rings - 1), *caps]))
+@cache
+def _unit_ball(subdivisions: int) -> TriangleMesh:
+    from trimesh.creation import icosphere  # here, because most figures need none
+
+    sphere = icosphere(subdivisions=subdivisions)
+    return TriangleMesh(np.asarray(sphere.vertices), np.asarray(sphere.faces, dtype=np.intp))
+
+
+def ball(center: Array, radius: float, subdivisions: int = 2) -> TriangleMesh:
+    """A sphere about a centre (3,) [m], of 20 * 4^subdivisions triangles."""
+    unit = _unit_ball(subdivisions)
+    return TriangleMesh(np.asarray(center) + radius * unit.vertices, unit.faces)
 
 
 def tube(path: Array, radius: float) -> TriangleMesh:
@@ -82,17 +75,11 @@ def tube(path: Array, radius: float) -> TriangleMesh:
 
 def disc(center: Array, axis: Array, radius: float, thickness: float) -> TriangleMesh:
     """A round plate about a centre (3,) [m], its faces across a unit axis (3,)."""
+    from trimesh.creation import cylinder
+
     half = axis * thickness / 2.0
-    rim = tube(np.array([center - half, center + half]), radius)
-    plates = []
-    for sign in (-1.0, 1.0):
-        ring = rim.vertices[:SIDES] if sign < 0 else rim.vertices[SIDES:]
-        here = np.arange(SIDES)
-        fan = np.stack([np.full(SIDES, SIDES), here, (here + 1) % SIDES], 1)
-        plates.append(
-            TriangleMesh(np.vstack([ring, center + sign * half]), fan if sign > 0 else fan[:, ::-1])
-        )
-    return merge([rim, *plates])
+    plate = cylinder(radius, segment=[center - half, center + half], sections=SIDES)
+    return TriangleMesh(np.asarray(plate.vertices), np.asarray(plate.faces, dtype=np.intp))
 
 
 def _sheet(rings: int) -> NDArray[np.intp]:
@@ -117,7 +104,7 @@ def _perpendicular(direction: Array) -> Array:
     return np.asarray(across / np.linalg.norm(across))
 
 
-# Convex solids, given by their corners: cut by planes, seen from afar, and what they hide.
+# Convex solids, given by their corners.
 
 FLAT = 1e-7
 """Thickness relative to the size below which a solid is none any more."""
@@ -128,7 +115,7 @@ def box_corners(low: Array, high: Array) -> Array:
     return np.array(list(product(*zip(low, high, strict=True))))
 
 
-def cut(corners: Array, normal: Array, offset: float) -> Array:
+def cut_by_plane(corners: Array, normal: Array, offset: float) -> Array:
     """The part of a solid on the lower side of a plane.
 
     Args:
@@ -153,23 +140,21 @@ def cut(corners: Array, normal: Array, offset: float) -> Array:
     return left if _has_volume(left) else np.zeros((0, 3))
 
 
-def within(corners: Array, low: Array, high: Array) -> Array:
-    """The part of a solid inside a box along the axes of the world, as corners (k, 3) [m]; see `cut`."""
+def clip_to_box(corners: Array, low: Array, high: Array) -> Array:
+    """The part of a solid inside a box along the axes of the world, as corners (k, 3) [m]."""
     for axis in range(3):
         for sign, side in ((1.0, high), (-1.0, low)):
             if len(corners):
-                corners = cut(corners, sign * np.eye(3)[axis], sign * float(side[axis]))
+                corners = cut_by_plane(corners, sign * np.eye(3)[axis], sign * float(side[axis]))
     return corners
 
 
-def hull_faces(corners: Array) -> NDArray[np.intp]:
-    """Triangles around a solid, as indices of its corners, counter-clockwise from outside, (t, 3)."""
-    hull = ConvexHull(corners)
-    faces = np.array(hull.simplices, dtype=np.intp)
-    a, b, c = corners[faces].transpose(1, 0, 2)
-    inward = np.einsum("ti,ti->t", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
-    faces[inward] = faces[inward][:, ::-1]
-    return faces
+def hull_surface(corners: Array) -> TriangleMesh:
+    """The surface of a solid; no triangles share corners, so that each is shaded as flat as it is."""
+    from trimesh.convex import convex_hull
+
+    triangles = np.asarray(convex_hull(corners).triangles)
+    return TriangleMesh(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
 
 
 def facets(corners: Array) -> list[tuple[Array, Array]]:
@@ -204,12 +189,12 @@ def section(corners: Array, origin: Array, plane: Array) -> Array:
     low, high = (corners @ normal - offset).min(), (corners @ normal - offset).max()
     if not low < -FLAT * size < FLAT * size < high:
         return np.zeros((0, 2))
-    lower = cut(corners, normal, offset)
+    lower = cut_by_plane(corners, normal, offset)
     face = lower[np.abs(lower @ normal - offset) <= FLAT * size]
-    return rim(face @ plane.T)
+    return convex_outline(face @ plane.T)
 
 
-def rim(flat: Array) -> Array:
+def convex_outline(flat: Array) -> Array:
     """The corners of the convex hull of points in a plane (n, 2), in order; none if they lie on a line."""
     spread = np.linalg.svd(flat - flat.mean(axis=0), compute_uv=False) if len(flat) > 2 else np.zeros(2)
     if spread[-1] <= FLAT * spread[0]:
@@ -217,7 +202,7 @@ def rim(flat: Array) -> Array:
     return np.asarray(flat[ConvexHull(flat).vertices])
 
 
-def hidden(points: Array, corners: Array, eye: Array) -> NDArray[np.bool_]:
+def is_hidden(points: Array, corners: Array, eye: Array) -> NDArray[np.bool_]:
     """Which points a solid hides from an eye far away, or holds within itself.
 
     Args:
@@ -244,7 +229,7 @@ def _has_volume(corners: Array) -> bool:
     return bool(spread[-1] > FLAT * spread[0])
 
 
-# The surfaces of obstacles, as triangles.
+# Surfaces of obstacles.
 
 Solid: TypeAlias = "Sphere | Capsule | Cylinder | Box | Mesh"
 
@@ -271,13 +256,7 @@ def surface(obstacle: Solid) -> TriangleMesh:
         corners = box_corners(-half, half)
     else:
         corners = np.array(obstacle.vertices)
-    placed = corners @ np.array(obstacle.rotation).T + obstacle.center
-    return faceted(placed, hull_faces(placed))
-
-
-def faceted(corners: Array, faces: NDArray[np.intp]) -> TriangleMesh:
-    """A surface none of whose triangles share corners, so that each is shaded as the flat face it is."""
-    return TriangleMesh(corners[faces].reshape(-1, 3), np.arange(3 * len(faces)).reshape(-1, 3))
+    return hull_surface(corners @ np.array(obstacle.rotation).T + obstacle.center)
 
 
 def _arc(radius: float, first: float, last: float) -> Array:
@@ -288,28 +267,17 @@ def _arc(radius: float, first: float, last: float) -> Array:
 
 
 def _revolved(origin: Array, axis: Array, profile: Array) -> TriangleMesh:
-    """The surface that a line sweeps when it turns about an axis.
+    """The surface of revolution of a line.
 
     Args:
         origin: a point of the axis, (3,) [m].
         axis: unit vector along it, (3,).
         profile: distance from the axis and height above the origin, upwards, (n, 2) [m].
     """
-    side = np.cross(np.eye(3)[np.abs(axis).argmin()], axis)
-    side /= np.linalg.norm(side)
-    around = 2.0 * np.pi * np.arange(CYLINDER_SIDES) / CYLINDER_SIDES
-    spokes = np.outer(np.cos(around), side) + np.outer(np.sin(around), np.cross(axis, side))
-    vertices = origin + profile[:, 0, None, None] * spokes + profile[:, 1, None, None] * axis
-    ring, corner = np.meshgrid(np.arange(len(profile) - 1), np.arange(CYLINDER_SIDES), indexing="ij")
-    a, b = (
-        (ring * CYLINDER_SIDES + corner).ravel(),
-        (ring * CYLINDER_SIDES + (corner + 1) % CYLINDER_SIDES).ravel(),
-    )
-    faces = np.vstack(
-        [np.stack([a, b, b + CYLINDER_SIDES], 1), np.stack([a, b + CYLINDER_SIDES, a + CYLINDER_SIDES], 1)]
-    )
-    vertices = vertices.reshape(-1, 3)
-    # Where the line meets the axis, or goes over one circle twice, there is nothing between its corners.
-    p, q, r = vertices[faces].transpose(1, 0, 2)
-    area = np.linalg.norm(np.cross(q - p, r - p), axis=1)
-    return TriangleMesh(vertices, faces[area > 1e-9 * area.max()])
+    from trimesh.creation import revolve
+    from trimesh.geometry import align_vectors
+
+    placement: Array = align_vectors([0.0, 0.0, 1.0], axis)  # type: ignore[no-untyped-call]
+    placement[:3, 3] = origin
+    turned = revolve(profile, sections=CYLINDER_SIDES, transform=placement, process=False)
+    return TriangleMesh(np.asarray(turned.vertices), np.asarray(turned.faces, dtype=np.intp))

@@ -1,172 +1,376 @@
-"""The arm in the browser by way of a meshcat server."""
+"""An arm, its motion, targets and surroundings in meshcat, live or recorded for a page."""
 
 from __future__ import annotations
 
-import contextlib
 import io
+import logging
 import subprocess
 import webbrowser
-from collections.abc import Iterable
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, redirect_stdout
 from types import TracebackType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import umsgpack
 import zmq
+from meshcat import Visualizer
+from meshcat.commands import SetAnimation
+from meshcat.geometry import Geometry, Mesh, MeshPhongMaterial, TriangularMeshGeometry
+from meshcat.geometry import Sphere as BallGeometry
+from meshcat.visualizer import ViewerWindow
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm, ControlPoints
 from pinposture.arm.manipulability import chosen_points
 from pinposture.collision import Scene
-from pinposture.errors import InvalidValue, ViewerError
+from pinposture.errors import InvalidValue, UnknownName, ViewerError
 from pinposture.motion import Motion, Trajectory
 from pinposture.placement import Target
-from pinposture.viz.animation import Film, film, moving_target_commands, moving_target_tracks, tracks
-from pinposture.viz.axes import Place, alike, shown_places
-from pinposture.viz.drawing import (
+from pinposture.viz import palette
+from pinposture.viz.animation import (
+    IDLE_SIZE,
+    NO_SIZE,
+    POINT_SIZE,
     ROOT,
-    Command,
+    Playback,
     Track,
-    animate,
-    arm_commands,
-    delete,
-    near_corners,
-    obstacle_commands,
-    pack,
-    pose_commands,
-    require_fitting,
-    shown_obstacles,
-    stage_commands,
-    stage_points,
-    target_commands,
+    animation,
+    body_path,
+    hoop_path,
+    hoop_turns,
+    moving_target_tracks,
+    playback,
+    point_path,
+    targeted_points,
+    tracks,
 )
-from pinposture.viz.ellipsoids import ball_commands, ball_ends, ball_tracks, balls
+from pinposture.viz.axes import Place, group_alike, shown_places
+from pinposture.viz.body import bodies, body_poses
+from pinposture.viz.drawing import (
+    MANY,
+    ShownObstacle,
+    arm_surfaces,
+    frame_points,
+    link_radius,
+    outline,
+    require_fitting,
+    scene_points,
+    shown_corners,
+    shown_obstacles,
+)
+from pinposture.viz.ellipsoids import (
+    EllipsoidMotion,
+    axis_ends,
+    ellipsoid_motion,
+    ellipsoid_path,
+    ellipsoid_tracks,
+)
+from pinposture.viz.mesh import TriangleMesh, ball, merge, tube
 
-# The line to a meshcat server, which passes drawing commands on to browsers.
+logger = logging.getLogger(__name__)
 
-PATIENCE = 10_000
-"""How long to wait for an answer [ms]."""
+Array = NDArray[np.float64]
+
+# Where meshcat's commands go: to a server, or into a list for a page.
+
+TIMEOUT = 10_000
+"""How long to wait for an answer of a server [ms]."""
 
 
-class Server:
-    """A meshcat server: one that runs already, or one of our own that ends with us.
+class Connection(ViewerWindow):  # type: ignore[misc]
+    """meshcat's connection to its server, with a limit to waiting.
 
     Args:
         address: where a server listens for commands, as in "tcp://127.0.0.1:6000"; None to start one, which
             takes commands from this machine only; its page is served to others, too (see SECURITY.md).
 
-    Attributes:
-        address: where it listens for commands.
-        url: what to open in a browser.
-
     Raises:
-        ViewerError: it cannot be started or does not answer.
+        ViewerError: the server cannot be started or does not answer.
     """
 
     def __init__(self, address: str | None = None) -> None:
-        self._process: subprocess.Popen[bytes] | None = None
-        self._socket: zmq.Socket[bytes] | None = None
-        if address is None:
-            self._process, self.address, self.url = _start()
-        else:
-            self.address = address
-            self._socket = self._connect()
-            self.url = self._answer([b"url"])
-            # The server does not take commands on a line on which it was asked for its address.
-            self._socket.close()
-        self._socket = self._connect()
+        self.server_proc: subprocess.Popen[bytes] | None = None
+        self.zmq_socket: zmq.Socket[bytes] | None = None
+        self._name = "meshcat server" if address is None else f"meshcat server at {address!r}"
+        printed = io.StringIO()
+        try:
+            with self._reported(), redirect_stdout(printed):
+                super().__init__(address, address is None, [])
+        except ViewerError:
+            raise
+        except (RuntimeError, OSError, ValueError) as error:
+            last = printed.getvalue().strip().splitlines()[-1:]
+            raise ViewerError(self._name, f"cannot be started ({'; '.join([str(error), *last])})") from error
 
-    def send(self, commands: Iterable[Command]) -> None:
-        """Have every browser, now and later, carry out commands.
+    def connect_zmq(self) -> None:
+        """Connect, anew if there is a connection already."""
+        self._disconnect()
+        socket = self.zmq_socket = self.context.socket(zmq.REQ)
+        for option, value in ((zmq.RCVTIMEO, TIMEOUT), (zmq.SNDTIMEO, TIMEOUT), (zmq.LINGER, 0)):
+            socket.setsockopt(option, value)
+        socket.connect(self.zmq_url)
+
+    def send(self, command: Any) -> None:
+        """Have every browser, now and later, carry out a command of meshcat.
 
         Raises:
-            ViewerError: the server does not answer, or was closed.
+            ViewerError: the server does not answer, or the connection was closed.
         """
-        for command in commands:
-            kind, place = str(command["type"]), str(command["path"])
-            answer = self._answer([kind.encode(), place.encode(), pack(command)])
-            if answer != "ok":
-                raise ViewerError(f"meshcat server at {self.address}", f"refused {kind!r}: {answer}")
+        if self.zmq_socket is None:
+            raise ViewerError(self._name, "the viewer was closed")
+        with self._reported():
+            super().send(command)
 
     def close(self) -> None:
-        """Hang up, and end the server if it is our own."""
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
-        if self._process is not None:
-            self._process.kill()
-            self._process.communicate()
-            self._process = None
+        """Disconnect, and end the server if it was started here."""
+        self._disconnect()
+        if self.server_proc is not None:
+            self.server_proc.kill()
+            self.server_proc.communicate()
+            self.server_proc = None
 
-    def _connect(self) -> zmq.Socket[bytes]:
-        socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.REQ)
-        socket.setsockopt(zmq.LINGER, 0)
-        socket.setsockopt(zmq.RCVTIMEO, PATIENCE)
-        socket.setsockopt(zmq.SNDTIMEO, PATIENCE)
-        try:
-            socket.connect(self.address)
-        except zmq.ZMQError as error:
-            socket.close()
-            raise ViewerError(
-                f"meshcat server at {self.address!r}", f"{error}; e.g. tcp://127.0.0.1:6000"
-            ) from None
-        return socket
+    def _disconnect(self) -> None:
+        if self.zmq_socket is not None:
+            self.zmq_socket.close()
+            self.zmq_socket = None
 
-    def _answer(self, message: list[bytes]) -> str:
-        if self._socket is None:
-            raise ViewerError(f"meshcat server at {self.address}", "the viewer was closed")
+    @contextmanager
+    def _reported(self) -> Iterator[None]:
         try:
-            self._socket.send_multipart(message)
-            return self._socket.recv().decode()
+            yield
         except zmq.ZMQError as error:
             self.close()
-            late = isinstance(error, zmq.Again)
-            reason = f"no answer within {PATIENCE / 1000:.0f} s" if late else str(error)
-            raise ViewerError(f"meshcat server at {self.address}", reason) from None
+            reason = f"{error}; an address is, for instance, tcp://127.0.0.1:6000"
+            if isinstance(error, zmq.Again):
+                reason = f"no answer within {TIMEOUT / 1000:g} s"
+            raise ViewerError(self._name, reason) from None
 
 
-def _start() -> tuple[subprocess.Popen[bytes], str, str]:
-    # Imported late: meshcat brings IPython along, which takes longer to load than all the rest.
-    from meshcat.servers.zmqserver import start_zmq_server_as_subprocess
-
-    said = io.StringIO()
-    try:
-        with contextlib.redirect_stdout(said):  # where it says why it could not start
-            process, address, url = start_zmq_server_as_subprocess()
-    except (RuntimeError, OSError, ValueError) as error:
-        last = said.getvalue().strip().splitlines()[-1:]
-        raise ViewerError(
-            "meshcat server", f"cannot be started ({'; '.join([str(error), *last])})"
-        ) from error
-    return process, address, url
-
-
-# All that the browser is to draw and to move: an arm, its run or motion, targets, obstacles, ellipsoids.
-
-Array = NDArray[np.float64]
-
-
-class Staged(NamedTuple):
-    """What the browser is told.
+class CommandRecorder:
+    """Takes the commands of a `meshcat.Visualizer` in place of a connection.
 
     Attributes:
-        drawn: what to draw, the first configuration of the arm included.
-        tracks: how that moves; nothing if there is nothing to play.
+        packed: the commands as the viewer in a browser receives them.
+    """
+
+    def __init__(self) -> None:
+        self.packed: list[bytes] = []
+
+    def send(self, command: Any) -> None:
+        """Record a command."""
+        self.packed.append(umsgpack.packb(command.lower()))
+
+
+class PlayAnimation(SetAnimation):  # type: ignore[misc]
+    """Play an animation over and over, in place of the one before.
+
+    A server keeps commands by path and tells them to later browsers parents first. An animation means nothing
+    before the objects that it moves are there, so its path is after theirs.
+    """
+
+    def lower(self) -> dict[str, Any]:
+        """The command as the viewer receives it."""
+        return {**super().lower(), "path": f"{ROOT}/animation"}
+
+
+def play_animation(viewer: Visualizer, moving: Sequence[Track], fps: float) -> None:
+    """Play tracks over and over, in place of what was played before; no tracks: stop."""
+    viewer.window.send(PlayAnimation(animation(moving, fps), repetitions=float("inf")))
+
+
+# Objects of the scene.
+
+ELLIPSOID_OPACITY = 0.5
+
+HOOP_RADIUS, WIRE_RADIUS = 1.35, 0.14
+"""Radius of a hoop, and of the wire that it is made of, relative to that of a control point."""
+
+HOOP_SIDES = 32
+"""Corners of the polygon that stands for a hoop."""
+
+LINE_RADIUS = 0.25
+"""Radius of a line through the targets at a named place, relative to that of the bars of the arm."""
+
+
+def add(
+    viewer: Visualizer, path: str, shape: TriangleMesh | Geometry, color: str, opacity: float = 1.0
+) -> None:
+    """Add a shape [m] of one colour "#RRGGBB", which may let through what is behind it."""
+    geometry = TriangularMeshGeometry(*shape) if isinstance(shape, TriangleMesh) else shape
+    see_through = opacity < 1.0  # what shines through must not hide what is drawn later
+    material = MeshPhongMaterial(
+        int(color.lstrip("#"), 16), opacity=opacity, shininess=40, depthWrite=not see_through
+    )
+    mesh = Mesh(geometry, material)
+    # meshcat draws random names; these make the same scene the same page.
+    mesh.uuid, geometry.uuid, material.uuid = (f"{path}/{part}" for part in ("mesh", "geometry", "material"))
+    viewer[path].set_object(mesh)
+
+
+def add_arm(viewer: Visualizer, arm: Arm, q: Array) -> None:
+    """Draw the arm at a configuration (nq,): one mesh for each body, control points fixed to theirs."""
+    radius, surfaces = link_radius(arm), arm_surfaces(arm)
+    add(viewer, f"{ROOT}/arm/base", surfaces.base, palette.BASE)
+    for u, body in enumerate(bodies(arm)):
+        shade = palette.MODULES[body.module % len(palette.MODULES)]
+        add(viewer, f"{body_path(u)}/link", surfaces.bodies[u], shade)
+        if body.point is not None:
+            add(viewer, point_path(u), BallGeometry(POINT_SIZE * radius), palette.IDLE)
+            viewer[point_path(u)].set_transform(_transform(body.point, IDLE_SIZE))
+    pose_arm(viewer, arm, q)
+
+
+def pose_arm(viewer: Visualizer, arm: Arm, q: Array) -> None:
+    """Move the arm, drawn before, to a configuration (nq,)."""
+    for u, pose in enumerate(body_poses(arm, q)):
+        viewer[body_path(u)].set_transform(pose)
+
+
+def add_target(viewer: Visualizer, arm: Arm, target: Target) -> None:
+    """Draw the line that the target posture lies on, as far as it is known, and the target points."""
+    radius = 0.3 * link_radius(arm)
+    colors = {"covered": palette.TARGET, "rest": palette.REST}
+    for part, lines in outline(arm, target)._asdict().items():
+        paths = [path for path in map(_without_repeats, lines) if len(path) > 1]
+        if paths:
+            add(viewer, f"{ROOT}/target/{part}", merge([tube(path, radius) for path in paths]), colors[part])
+    dots = [ball(point, 2.8 * radius, 1) for point in target.points[target.placed]]
+    if dots:
+        add(viewer, f"{ROOT}/target/points", merge(dots), palette.TARGET)
+
+
+def add_moving_targets(viewer: Visualizer, motion: Motion, places: Sequence[Place]) -> None:
+    """Draw the targets of a motion where it starts, and thin lines through those at named places."""
+    arm, radius = motion.arm, link_radius(motion.arm)
+    for number, place in enumerate(places, start=1):
+        points = motion.targets[place.row][motion.asked[place.row]]
+        line = _without_repeats(np.vstack([arm.chain.base, points]), 1e-9 * arm.length)
+        if len(line) > 1:
+            add(viewer, f"{ROOT}/target/place_{number:03d}", tube(line, LINE_RADIUS * radius), place.color)
+    around = 2.0 * np.pi * np.arange(HOOP_SIDES + 1) / HOOP_SIDES
+    circle = np.stack([np.cos(around), np.sin(around), np.zeros(HOOP_SIDES + 1)], axis=1)
+    hoop = tube(HOOP_RADIUS * POINT_SIZE * radius * circle, WIRE_RADIUS * POINT_SIZE * radius)
+    turns = hoop_turns(arm, motion.targets[:1], motion.asked[:1])
+    for k in targeted_points(motion):
+        size = 1.0 if motion.asked[0, k] else NO_SIZE
+        turn = Rotation.from_quat(turns[0, k]).as_matrix()
+        add(viewer, hoop_path(k), hoop, palette.TARGET)
+        viewer[hoop_path(k)].set_transform(_transform(motion.targets[0, k], size * turn))
+
+
+def add_obstacles(viewer: Visualizer, shown: Sequence[ShownObstacle]) -> None:
+    """Draw obstacles; the walls of a pipe, for instance, hide what is in it but a little."""
+    opacity = palette.SHEER if len(shown) > MANY else palette.SEE_THROUGH
+    for number, each in enumerate(shown, start=1):
+        add(viewer, f"{ROOT}/obstacles/obstacle_{number:03d}", each.surface, palette.OBSTACLE, opacity)
+
+
+def add_ellipsoids(viewer: Visualizer, shown: EllipsoidMotion) -> None:
+    """Draw the ellipsoids of the first configuration, or draw them anew."""
+    unit = ball(np.zeros(3), 1.0, 3)
+    for p, point in enumerate(shown.points):
+        path, axes = ellipsoid_path(point), (shown.frames[0, p] * shown.radii[0, p, :, None]).T
+        add(viewer, path, unit, palette.index_color(shown.indices[0, p]), ELLIPSOID_OPACITY)
+        viewer[path].set_transform(_transform(shown.centers[0, p], axes))
+
+
+def _transform(position: Array, linear: Array | float = 1.0) -> Array:
+    """Homogeneous transform (4, 4) of a position (3,) [m] and a matrix (3, 3), or a scale."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = linear * np.eye(3) if np.ndim(linear) == 0 else linear
+    matrix[:3, 3] = position
+    return matrix
+
+
+def _without_repeats(line: Array, least: float = 1e-9) -> Array:
+    """The points of a line (n, 3) [m] that are farther than that from the one before."""
+    legs = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    return np.asarray(line[np.concatenate([[True], legs > least])])
+
+
+# Light, floor and camera.
+
+FIELD_OF_VIEW = 35.0
+"""Vertical opening of the camera [deg]; narrower than usual, so that what is near does not bulge."""
+
+ASPECT = 4.0 / 3.0
+"""Narrowest window, width relative to height, for which the camera is placed."""
+
+CAMERA_MARGIN = 1.15
+"""How much farther off than needed the camera is."""
+
+
+def set_camera(viewer: Visualizer, arm: Arm, points: Array) -> None:
+    """Set up light, floor and camera so that points (n, 3) [m] of the world are in view.
+
+    The viewer turns about the origin of its scene, so the world is shifted until the middle of the points
+    is there.
+    """
+    framing = frame_points(points)
+    floor = points[:, 2].min() - framing.center[2] - 3.0 * link_radius(arm)
+    viewer[ROOT].set_transform(_transform(-framing.center))
+    grid = _transform(np.array([0.0, 0.0, floor]), 0.4 * _round_down(framing.radius))
+    viewer["/Grid"].set_transform(grid)
+    distance = CAMERA_MARGIN * framing.distance(points, np.radians(FIELD_OF_VIEW), ASPECT)
+    x, y, z = distance * framing.axes[2]
+    camera = "/Cameras/default/rotated/<object>"
+    properties: list[tuple[str, str, Any]] = [
+        ("/Background", "top_color", [1.0, 1.0, 1.0]),
+        ("/Background", "bottom_color", [0.90, 0.92, 0.94]),
+        ("/Grid", "color", [1.0, 1.0, 1.0, 0.18]),
+        ("/Axes", "visible", False),
+        ("/Lights/AmbientLight/<object>", "intensity", 0.42),
+        ("/Lights/FillLight/<object>", "intensity", 0.25),
+        # These two would fade out after 10 m.
+        ("/Lights/PointLightNegativeX/<object>", "distance", 0.0),
+        ("/Lights/PointLightPositiveX/<object>", "distance", 0.0),
+        (camera, "fov", FIELD_OF_VIEW),
+        (camera, "near", 0.01 * distance),
+        (camera, "far", 100.0 * distance),
+        # The camera lives in axes of its own, in which y points up.
+        (camera, "position", [x, z, -y]),
+    ]
+    for path, name, value in properties:
+        viewer[path].set_property(name, value)
+
+
+def _round_down(length: float) -> float:
+    """The next smaller of 1, 2, 5, 10, ... times a power of ten."""
+    power = 10.0 ** np.floor(np.log10(length))
+    return float(max(step for step in (1.0, 2.0, 5.0) if step * power <= length * (1.0 + 1e-9)) * power)
+
+
+# The whole scene.
+
+
+class DrawnScene(NamedTuple):
+    """What was drawn, as far as it matters later.
+
+    Attributes:
+        tracks: how it moves; nothing if there is nothing to play.
         obstacles: whether there are obstacles in the picture.
         places: the named places of a motion with lines of their own, those that look alike together.
     """
 
-    drawn: list[Command]
     tracks: list[Track]
     obstacles: bool
     places: list[list[Place]]
 
 
-def staged(
-    arm: Arm, shown: Film | None, target: Target | None, scene: Scene | None, points: tuple[int, ...]
-) -> Staged:
-    """Set up a scene.
+def draw_scene(
+    viewer: Visualizer,
+    arm: Arm,
+    shown: Playback | None,
+    target: Target | None,
+    scene: Scene | None,
+    points: tuple[int, ...],
+) -> DrawnScene:
+    """Draw an arm and all around it.
 
     Args:
+        viewer: where to draw.
         arm: the arm.
         shown: what to play; None to show the arm at its neutral configuration.
         target: a target that stays where it is; None if there is none.
@@ -175,36 +379,36 @@ def staged(
     """
     rows = arm.neutral()[None] if shown is None else shown.run.q[shown.rows]
     run, motion = (None, None) if shown is None else (shown.run, shown.motion)
-    ellipsoids = balls(arm, points, rows)
-    stage = np.vstack([stage_points(arm, run, target), ball_ends(ellipsoids)])
+    ellipsoids = ellipsoid_motion(arm, points, rows)
+    seen = np.vstack([scene_points(arm, run, target), axis_ends(ellipsoids)])
     places: list[list[Place]] = []
     if motion is not None:
-        stage = np.vstack([stage, motion.targets[motion.asked]])
-        places = alike(motion, shown_places(motion))
-    obstacles = shown_obstacles(scene, stage)
-    drawn = [
-        *stage_commands(arm, np.vstack([stage, near_corners(obstacles)])),
-        *arm_commands(arm, rows[0]),
-        *([] if target is None else target_commands(arm, target)),
-        *([] if motion is None else moving_target_commands(motion, [group[0] for group in places])),
-        *obstacle_commands(obstacles),
-        *ball_commands(ellipsoids),
-    ]
+        seen = np.vstack([seen, motion.targets[motion.asked]])
+        places = group_alike(motion, shown_places(motion))
+    obstacles = shown_obstacles(scene, seen)
+    set_camera(viewer, arm, np.vstack([seen, shown_corners(obstacles)]))
+    add_arm(viewer, arm, rows[0])
+    if target is not None:
+        add_target(viewer, arm, target)
+    if motion is not None:
+        add_moving_targets(viewer, motion, [group[0] for group in places])
+    add_obstacles(viewer, obstacles)
+    add_ellipsoids(viewer, ellipsoids)
     moving: list[Track] = []
     if shown is not None:
-        moving = [*tracks(arm, shown), *ball_tracks(ellipsoids, shown)]
+        moving = [*tracks(arm, shown), *ellipsoid_tracks(ellipsoids, shown)]
         moving += [] if motion is None else moving_target_tracks(motion, shown)
-    return Staged(drawn, moving, bool(obstacles), places)
+    return DrawnScene(moving, bool(obstacles), places)
 
 
-# The arm in the browser, by way of a meshcat server.
+# The viewer.
 
 MOST_FRAMES = 2000
 """Configurations of a run or a motion that are sent to the browser at most."""
 
 
-class MeshcatViewer:
-    """An arm in the browser; see `pinposture.viz.view`.
+class Viewer:
+    """An arm in the browser, by way of a meshcat server; see `pinposture.viz.view`.
 
     Also a context manager that closes itself. The scene is shifted so that what happens is in its middle,
     because that is what the viewer's camera turns about.
@@ -215,6 +419,7 @@ class MeshcatViewer:
         target: the target shown, or None.
         scene: what surrounds the arm, or None.
         ellipsoids: indices of the control points with an ellipsoid, 0-based.
+        meshcat: the `meshcat.Visualizer`, to draw more; what is below "/pinposture" is in the world frame.
     """
 
     def __init__(
@@ -230,23 +435,24 @@ class MeshcatViewer:
         require_fitting(arm, run, target)
         self.arm, self.run, self.target, self.scene = arm, run, target, scene
         self.ellipsoids = chosen_points(arm.control_points, ellipsoids)
-        self._film = None if run is None else film(run, fps, MOST_FRAMES)
-        setting = staged(arm, self._film, target, scene, self.ellipsoids)
-        self._tracks = setting.tracks
+        self._playback = None if run is None else playback(run, fps, MOST_FRAMES)
         self._playing = False
-        self._server = Server(url)
+        self.meshcat = Visualizer(window=Connection(url))
         try:
-            self._server.send([delete(ROOT), *setting.drawn])
+            self.meshcat[ROOT].delete()
+            self._tracks = draw_scene(
+                self.meshcat, arm, self._playback, target, scene, self.ellipsoids
+            ).tracks
             if run is not None:
                 self.play()
         except BaseException:
-            self._server.close()
+            self.close()
             raise
 
     @property
     def url(self) -> str:
         """What to open in a browser; any number of them may, at any time."""
-        return self._server.url
+        return str(self.meshcat.url())
 
     def open(self) -> None:
         """Open a browser on this computer."""
@@ -265,11 +471,11 @@ class MeshcatViewer:
             ViewerError: the viewer was closed, or its server does not answer.
         """
         q = self.arm.checked(q)
-        commands = [*pose_commands(self.arm, q), *ball_commands(balls(self.arm, self.ellipsoids, q[None]))]
-        if self._playing and self._film is not None:
-            commands = [animate([], self._film.fps), *commands]
+        if self._playing and self._playback is not None:
+            play_animation(self.meshcat, [], self._playback.fps)
             self._playing = False
-        self._server.send(commands)
+        pose_arm(self.meshcat, self.arm, q)
+        add_ellipsoids(self.meshcat, ellipsoid_motion(self.arm, self.ellipsoids, q[None]))
 
     def play(self) -> None:
         """Play the run from its start, over and over; the browser does so on its own.
@@ -278,16 +484,16 @@ class MeshcatViewer:
             InvalidValue: there is no run.
             ViewerError: the viewer was closed, or its server does not answer.
         """
-        if self._film is None:
+        if self._playback is None:
             raise InvalidValue("run", None, "a run to play, as in view(arm, run)")
-        self._server.send([animate(self._tracks, self._film.fps)])
+        play_animation(self.meshcat, self._tracks, self._playback.fps)
         self._playing = True
 
     def close(self) -> None:
         """End the viewer, and its server if that was started for it."""
-        self._server.close()
+        self.meshcat.close()
 
-    def __enter__(self) -> MeshcatViewer:
+    def __enter__(self) -> Viewer:
         return self
 
     def __exit__(
@@ -296,4 +502,63 @@ class MeshcatViewer:
         self.close()
 
     def __repr__(self) -> str:
-        return f"MeshcatViewer({self.url})"
+        return f"Viewer({self.url})"
+
+
+def view(
+    arm: Arm,
+    run: Trajectory | Motion | None = None,
+    target: Target | None = None,
+    viewer: str = "meshcat",
+    open_browser: bool = False,
+    fps: float = 20.0,
+    url: str | None = None,
+    ellipsoids: ControlPoints = (),
+    scene: Scene | None = None,
+) -> Viewer:
+    """Show an arm in the browser: at its neutral configuration, or playing a run or a motion.
+
+    The arm is drawn with the visual meshes of its description where there are any that can be read, elsewhere
+    from its kinematics, in two shades that take turns from module to module. Control points that are active
+    are coloured and large. One `PostureWarning` names the meshes that are not drawn.
+
+    A motion in time plays in real time, unless it takes longer than a minute: then 2, 5, 10, ... times as
+    fast. Hoops go where its control points should be, and thin lines are its targets at named places.
+
+    Args:
+        arm: the arm.
+        run: a run, or a motion in time, to play over and over; None to show the arm at rest.
+        target: a target to show, which stays where it is; if None that of the run, if there is one.
+        viewer: what draws it: "meshcat".
+        open_browser: whether to open a browser on this computer. Without, open the viewer's `url`.
+        fps: steps of the run shown per second; fewer if it is so short that it would last under 2 s. Of a
+            motion in time, configurations shown per second.
+        url: where a server that runs already listens for commands, as in "tcp://127.0.0.1:6000"; None to
+            start one. It takes commands from this machine only, and shows its page to others, too.
+        ellipsoids: control points to show the manipulability ellipsoids of (Section 3.3), by their indices,
+            0-based or from the tip as -1, or by their names. They follow the arm. In a singular posture they
+            are red and flat, far from one green, in between yellow.
+        scene: what surrounds the arm; that of the run, if there is one, if None. Obstacles are translucent;
+            of a half-space there is a patch.
+
+    Returns:
+        The viewer: `show(q)` shows a configuration, `play()` plays the run again, `close()` ends it, and
+        `meshcat` is the `meshcat.Visualizer` to draw more with. It lives until it is closed or Python ends.
+
+    Raises:
+        UnknownName: no viewer has that name, or no control point.
+        InvalidValue: a run or target of another arm, `fps`, or no choice of control points.
+        ViewerError: the server cannot be started or reached.
+    """
+    if viewer != "meshcat":
+        raise UnknownName("viewer", viewer, ("meshcat",))
+    own = run.run if isinstance(run, Motion) else run
+    if target is None and own is run and own is not None:
+        target = own.target
+    if scene is None and own is not None:
+        scene = own.scene
+    shown = Viewer(arm, run, target, fps, url, ellipsoids, scene)
+    logger.info("%s viewer at %s", viewer, shown.url)
+    if open_browser:
+        shown.open()
+    return shown

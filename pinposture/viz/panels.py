@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
@@ -20,9 +18,11 @@ from pinposture.viz import palette
 from pinposture.viz.axes import (
     LONGEST_NAME,
     Place,
-    dress,
-    dress_steps,
-    dress_time,
+    add_colorbar,
+    colors_along,
+    format_axes,
+    format_step_axes,
+    format_time_axes,
     mark_end,
     mark_least,
     mark_start,
@@ -30,10 +30,12 @@ from pinposture.viz.axes import (
     scale_values,
 )
 
-# Single panels of a run against steps; each draws into axes that it is given.
+Array = NDArray[np.float64]
+
+# A run against steps.
 
 
-def is_conditioned(run: Trajectory) -> bool:
+def has_singular_values(run: Trajectory) -> bool:
     """Whether the controller inverted a posture control matrix, whose singular values were recorded."""
     return bool(np.any(run.sigma_max > 0.0))
 
@@ -41,7 +43,7 @@ def is_conditioned(run: Trajectory) -> bool:
 def chooses_points(run: Trajectory) -> bool:
     """Whether there is something to tell of the control points that were active: a choice, or conditions."""
     counts = run.active.sum(axis=1)
-    return not run.steps or is_conditioned(run) or bool(np.any(counts != counts[0]))
+    return not run.steps or has_singular_values(run) or bool(np.any(counts != counts[0]))
 
 
 def plot_posture_error(run: Trajectory, ax: Axes, color: str | None = None, label: str | None = None) -> None:
@@ -59,7 +61,7 @@ def plot_posture_error(run: Trajectory, ax: Axes, color: str | None = None, labe
     ax.plot(
         steps, run.posture_error, color=color, lw=1.8, label=label, marker=marker, clip_on=bool(run.steps)
     )
-    dress_steps(ax, "posture error [m]")
+    format_step_axes(ax, "posture error [m]")
     scale_values(ax)
     if label is None:
         mark_start(ax, float(run.posture_error[0]), color, "m")
@@ -77,19 +79,14 @@ def plot_point_errors(run: Trajectory, ax: Axes) -> None:
         ax: where to draw.
     """
     m = run.arm.n_modules
-    colors = LinearSegmentedColormap.from_list("along the arm", palette.ALONG)
-    norm = Normalize(1, max(m, 2))
+    colors, norm = colors_along(m)
     for k in np.flatnonzero(run.target.placed):
         marker = "" if run.steps else "o"
         steps = np.arange(run.steps + 1)
         ax.plot(steps, run.point_errors[:, k], color=colors(norm(k + 1)), lw=1.0, marker=marker, ms=3)
-    dress_steps(ax, "point errors [m]")
+    format_step_axes(ax, "point errors [m]")
     scale_values(ax)
-    bar = ax.figure.colorbar(ScalarMappable(norm, colors), ax=ax, pad=0.02, aspect=16)
-    bar.set_ticks(MaxNLocator(nbins=5, integer=True, min_n_ticks=1) if m > 1 else [1])
-    bar.set_label("control point", fontsize=9)
-    bar.ax.tick_params(labelsize=8)
-    bar.outline.set_visible(False)
+    add_colorbar([ax], m, "control point", pad=0.02, aspect=16)
     free = m - int(np.count_nonzero(run.target.placed))
     if free:
         note = f"{free} of {m} control points have no target"
@@ -105,56 +102,12 @@ def plot_active_points(run: Trajectory, ax: Axes) -> None:
         run: the run.
         ax: where to draw.
     """
-    color = palette.controller_color(run.controller)
-    steps = np.arange(1, run.steps + 1)
-    marker = "o" if run.steps == 1 else ""
-    ax.plot(steps, run.active.sum(axis=1), color=color, lw=1.6, drawstyle="steps-mid", marker=marker)
-    dress_steps(ax, "active control points")
-    scale_counts(ax, run.arm.n_modules)
-    ax.yaxis.label.set_color(color)
+    plot_point_count(run, ax)
+    ax.yaxis.label.set_color(palette.controller_color(run.controller))
     if not run.steps:
         ax.set_title("no step was taken", fontsize=8, loc="right", color=palette.INK)
-    if not is_conditioned(run):
-        return
-    other = ax.twinx()
-    other.plot(steps, run.sigma_min, color=palette.INK, lw=1.0, ls=(0, (4, 1.5)), marker=marker, ms=3)
-    scale_values(other)
-    other.set_ylabel(r"$\sigma_{\min}$ [m/rad]", fontsize=9, color=palette.INK)
-    other.tick_params(labelsize=8)
-    other.spines[["top", "left", "bottom"]].set_visible(False)
-
-
-def plot_point_count(run: Trajectory, ax: Axes, color: str | None = None) -> None:
-    """Draw how many control points were active in each step.
-
-    Args:
-        run: the run.
-        ax: where to draw.
-        color: colour of the line; that of the controller if None.
-    """
-    color = palette.controller_color(run.controller) if color is None else color
-    steps = np.arange(1, run.steps + 1)
-    marker = "o" if run.steps == 1 else ""
-    ax.plot(steps, run.active.sum(axis=1), color=color, lw=1.4, drawstyle="steps-mid", marker=marker)
-    dress_steps(ax, "active control points")
-    scale_counts(ax, run.arm.n_modules)
-
-
-def plot_used_points(run: Trajectory, ax: Axes) -> None:
-    """Draw a dot for each control point that was active in a step.
-
-    Args:
-        run: the run.
-        ax: where to draw.
-    """
-    color = palette.controller_color(run.controller)
-    steps, points = np.nonzero(run.active)
-    size = float(np.clip(260.0 / max(run.steps, 1), 1.2, 4.0))
-    ax.plot(steps + 1, points + 1, ls="none", marker="o", ms=size, mew=0.0, color=color)
-    dress_steps(ax, "control point, from base to tip")
-    ax.set_xlim(0.0, run.steps + 1.0)
-    ax.set_ylim(0.0, run.arm.n_modules + 1.0)
-    ax.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True, min_n_ticks=1))
+    if has_singular_values(run):
+        _plot_beside(run, ax, run.sigma_min, r"$\sigma_{\min}$ [m/rad]")
 
 
 def plot_points_and_index(run: Trajectory, ax: Axes) -> None:
@@ -168,16 +121,53 @@ def plot_points_and_index(run: Trajectory, ax: Axes) -> None:
     """
     plot_point_count(run, ax)
     ax.yaxis.label.set_color(palette.controller_color(run.controller))
-    if run.steps and not is_conditioned(run):
-        return
+    if has_singular_values(run) or not run.steps:
+        _plot_beside(run, ax, run.index, "manipulability index")
+
+
+def plot_point_count(run: Trajectory, ax: Axes, color: str | None = None) -> None:
+    """Draw how many control points were active in each step.
+
+    Args:
+        run: the run.
+        ax: where to draw. Lines that are there already stay.
+        color: colour of the line; that of the controller if None.
+    """
+    color = palette.controller_color(run.controller) if color is None else color
+    marker = "o" if run.steps == 1 else ""
+    style: dict[str, Any] = {"lw": 1.6, "drawstyle": "steps-mid", "marker": marker}
+    ax.plot(np.arange(1, run.steps + 1), run.active.sum(axis=1), color=color, **style)
+    format_step_axes(ax, "active control points")
+    scale_counts(ax, run.arm.n_modules)
+
+
+def _plot_beside(run: Trajectory, ax: Axes, values: Array, label: str) -> None:
+    """Draw a value of each step as a dashed line, with an axis of its own on the right."""
     other = ax.twinx()
     marker = "o" if run.steps == 1 else ""
     style: dict[str, Any] = {"color": palette.INK, "lw": 1.0, "ls": (0, (4, 1.5)), "marker": marker, "ms": 3}
-    other.plot(np.arange(1, run.steps + 1), run.index, **style)
+    other.plot(np.arange(1, run.steps + 1), values, **style)
     scale_values(other)
-    other.set_ylabel("manipulability index", fontsize=9, color=palette.INK)
+    other.set_ylabel(label, fontsize=9, color=palette.INK)
     other.tick_params(labelsize=8)
     other.spines[["top", "left", "bottom"]].set_visible(False)
+
+
+def plot_used_points(run: Trajectory, ax: Axes) -> None:
+    """Draw a dot for each control point that was active in a step.
+
+    Args:
+        run: the run.
+        ax: where to draw.
+    """
+    color = palette.controller_color(run.controller)
+    steps, points = np.nonzero(run.active)
+    size = float(np.clip(260.0 / max(run.steps, 1), 1.2, 4.0))
+    ax.plot(steps + 1, points + 1, ls="none", marker="o", ms=size, mew=0.0, color=color)
+    format_step_axes(ax, "control point, from base to tip")
+    ax.set_xlim(0.0, run.steps + 1.0)
+    ax.set_ylim(0.0, run.arm.n_modules + 1.0)
+    ax.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True, min_n_ticks=1))
 
 
 def mark_method(run: Trajectory, ax: Axes, method: str = "projection") -> None:
@@ -190,22 +180,11 @@ def mark_method(run: Trajectory, ax: Axes, method: str = "projection") -> None:
     """
     steps = np.flatnonzero(run.method == method) + 1
     where: dict[str, Any] = {"transform": ax.get_xaxis_transform(), "clip_on": False, "zorder": 6}
-    ax.plot(
-        steps,
-        np.zeros(len(steps)),
-        ls="none",
-        marker="o",
-        ms=3.2,
-        mew=0.0,
-        color=palette.MARK,
-        label=method,
-        **where,
-    )
+    style: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 3.2, "mew": 0.0, "color": palette.MARK}
+    ax.plot(steps, np.zeros(len(steps)), label=method, **style, **where)
 
 
-# How near a run came to something, and what it had to allow itself: in panels against steps or time.
-
-Array = NDArray[np.float64]
+# Clearance, escapes and violated constraints.
 
 LONGEST_REASON = 44
 """Characters of what gave way that a legend has room for."""
@@ -245,7 +224,7 @@ def plot_clearance(
         if margin not in known:
             ends = [0.0, places[-1] or 1.0]
             ax.plot(ends, [run.scene.margin] * 2, color=palette.INK, lw=1.0, ls=(0, (4, 2)), label=margin)
-    dress(ax, "clearance [m]", time)
+    format_axes(ax, "clearance [m]", time)
     scale_values(ax)
     drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=np.float64) for line in ax.get_lines()])
     low, high = float(np.nanmin(drawn)), float(np.nanmax(drawn))
@@ -255,7 +234,7 @@ def plot_clearance(
     if np.isfinite(values).any():
         least = int(np.nanargmin(values))
         mark_least(ax, float(places[least]), float(values[least]), color, "m")
-    explain(ax)
+    add_legend(ax)
 
 
 def mark_escapes(run: Trajectory, ax: Axes, time: Array | None = None) -> None:
@@ -283,7 +262,7 @@ def mark_relaxed(run: Trajectory, ax: Axes, time: Array | None = None) -> None:
         ax.plot(places[steps + 1], np.zeros(len(steps)), label=label, **style, **where)
 
 
-def explain(ax: Axes, columns: int = 1, inside: bool = False) -> None:
+def add_legend(ax: Axes, columns: int = 1, inside: bool = False) -> None:
     """Write a legend above the axes, on the right, if anything in them has a name.
 
     Args:
@@ -302,7 +281,7 @@ def explain(ax: Axes, columns: int = 1, inside: bool = False) -> None:
             text.set_parse_math(False)
 
 
-# Single panels of a motion against time; each draws into axes that it is given.
+# A motion against time.
 
 LETTER = 4.6
 """Width of a letter of the names above the axes, on average [pt]."""
@@ -330,7 +309,7 @@ def plot_error(motion: Motion, ax: Axes) -> None:
     values = np.where(run.posture_error > floor, run.posture_error, 0.0)
     marker = "" if run.steps else "o"
     ax.plot(motion.time, values, color=color, lw=1.8, marker=marker)
-    dress_time(ax, "posture error [m]")
+    format_time_axes(ax, "posture error [m]")
     scale_values(ax)
     if not values.any():
         ax.set_yticks([0.0])
@@ -349,7 +328,7 @@ def plot_error(motion: Motion, ax: Axes) -> None:
     if motion.set_out:
         style: dict[str, Any] = {"color": palette.FAINT, "alpha": 0.5, "lw": 0.0, "zorder": 0.4}
         ax.axvspan(0.0, motion.time[motion.set_out], label="coming to the first posture", **style)
-    explain(ax, inside=True)
+    add_legend(ax, inside=True)
 
 
 def plot_joint_rates(motion: Motion, ax: Axes) -> None:
@@ -374,12 +353,12 @@ def plot_joint_rates(motion: Motion, ax: Axes) -> None:
         most = max(most, float(speeds.max(initial=0.0)))
     ends = [0.0, float(motion.time[-1]) or 1.0]
     ax.plot(ends, [1.0, 1.0], color=palette.INK, lw=1.0, ls=DASHES, label="limit")
-    dress_time(ax, "largest of all joints\n[share of limit]")
+    format_time_axes(ax, "largest of all joints\n[share of limit]")
     ax.set_ylim(-0.03 * most, 1.12 * most)
-    explain(ax, columns=3)
+    add_legend(ax, columns=3)
 
 
-def plot_clock(motion: Motion, ax: Axes) -> None:
+def plot_plan_time(motion: Motion, ax: Axes) -> None:
     """Draw the time of the plan against the real one, and what it would be if nothing had slowed the motion.
 
     Args:
@@ -391,9 +370,9 @@ def plot_clock(motion: Motion, ax: Axes) -> None:
     ax.plot(plan, [0.0, 0.0, motion.planned], color=palette.INK, lw=1.0, ls=DASHES, label="as planned")
     label = f"as it was, {motion.slowing:.3g} times as long"
     ax.plot(motion.time, motion.clock, color=palette.SPARE[1], lw=1.6, label=label)
-    dress_time(ax, "time of the plan [s]")
+    format_time_axes(ax, "time of the plan [s]")
     ax.set_xlim(0.0, float(motion.time[-1]) or 1.0)
-    explain(ax, columns=2)
+    add_legend(ax, columns=2)
 
 
 def mark_places(places: Sequence[Place], panels: Sequence[Axes], time: Sequence[float]) -> None:

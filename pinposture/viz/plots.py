@@ -14,23 +14,22 @@ from pinposture.motion import Motion, Trajectory
 from pinposture.motion.trajectory import limit_shares
 from pinposture.viz import palette
 from pinposture.viz.axes import (
-    alike,
     controller_name,
-    dress_steps,
-    ending,
-    ending_in_time,
+    ending_text,
     footnote,
+    group_alike,
     is_slowed,
-    lay_out,
-    moved_curves,
+    motion_ending_text,
+    new_figure,
+    placement_text,
     scale_counts,
     share_axis,
     shown_places,
     title,
 )
 from pinposture.viz.panels import (
+    add_legend,
     chooses_points,
-    explain,
     has_clearance,
     mark_escapes,
     mark_method,
@@ -38,24 +37,25 @@ from pinposture.viz.panels import (
     mark_relaxed,
     plot_active_points,
     plot_clearance,
-    plot_clock,
     plot_error,
     plot_joint_rates,
+    plot_plan_time,
+    plot_point_count,
     plot_point_errors,
     plot_posture_error,
 )
 from pinposture.viz.postures import (
     BETWEEN,
     PosturePanel,
+    draw_intermediate_postures,
     draw_obstacles,
     draw_runs,
-    draw_way,
-    evenly,
+    evenly_spaced_rows,
+    make_room_for,
     plot_postures,
-    surround,
 )
 
-# A motion in time in one figure: the postures on its way, and how it went.
+# A motion.
 
 FEW = 3
 """So many named places tell what the way was like; where there are fewer, postures in between are drawn."""
@@ -79,7 +79,7 @@ def plot_motion(motion: Motion) -> Figure:
     run, time = motion.run, motion.time
     rated = any(share is not None for share in limit_shares(motion.run))
     near = has_clearance(run)
-    figure, postures, panels = lay_out(motion.arm, 1 + rated + is_slowed(motion) + near)
+    figure, postures, panels = new_figure(motion.arm, 1 + rated + is_slowed(motion) + near)
     plot_places(motion, postures)
     left = iter(panels)
     error = next(left)
@@ -87,7 +87,7 @@ def plot_motion(motion: Motion) -> Figure:
     if rated:
         plot_joint_rates(motion, next(left))
     if is_slowed(motion):
-        plot_clock(motion, next(left))
+        plot_plan_time(motion, next(left))
     if near:
         plot_clearance(run, next(left), time=time)
     places = shown_places(motion)
@@ -96,8 +96,8 @@ def plot_motion(motion: Motion) -> Figure:
     detours = [f"Detour: {text}" for text in motion.detours[:MOST_DETOURS]]
     if len(motion.detours) > MOST_DETOURS:
         detours.append(f"and {len(motion.detours) - MOST_DETOURS} more")
-    title(figure, [f"{controller_name(run)} {ending_in_time(motion)}: {run.reason}", *detours])
-    footnote(figure, "; ".join(filter(None, [moved_curves(motion), run.controller])))
+    title(figure, [f"{controller_name(run)} {motion_ending_text(motion)}: {run.reason}", *detours])
+    footnote(figure, "; ".join(filter(None, [placement_text(motion), run.controller])))
     figure.draw_without_rendering()  # the layout of a high legend settles in the second drawing only
     return figure
 
@@ -113,7 +113,7 @@ def plot_places(motion: Motion, ax: Axes) -> None:
         InvalidValue: plain axes for an arm that moves in space.
     """
     run, panel = motion.run, PosturePanel(motion.arm, ax)
-    groups = alike(motion, shown_places(motion))
+    groups = group_alike(motion, shown_places(motion))
     rows = [group[0].row for group in groups]
     targets = [motion.targets[row][motion.asked[row]] for row in rows or [motion.steps]]
     rings: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 4.6, "mfc": "white", "mew": 0.8}
@@ -126,14 +126,16 @@ def plot_places(motion: Motion, ax: Axes) -> None:
     if not groups:
         panel.posture(run.q[-1], palette.controller_color(run.controller), "final posture", 2.2)
     if run.scene is not None or len(groups) < FEW:
-        draw_way(panel, run, palette.controller_color(run.controller), evenly(run, BETWEEN))
-    shown = surround(panel, run.scene)
+        draw_intermediate_postures(
+            panel, run, palette.controller_color(run.controller), evenly_spaced_rows(run, BETWEEN)
+        )
+    shown = make_room_for(panel, run.scene)
     panel.finish()
     draw_obstacles(panel, shown)
-    _explain(ax)
+    _add_legends(ax)
 
 
-def _explain(ax: Axes) -> None:
+def _add_legends(ax: Axes) -> None:
     """Write the legend above the axes, in as many columns as fit."""
     handles, labels = ax.get_legend_handles_labels()
     for columns in (3, 2, 1):
@@ -147,7 +149,7 @@ def _explain(ax: Axes) -> None:
         text.set_parse_math(False)
 
 
-# Figures: one run told in one picture, and several runs side by side.
+# Runs.
 
 
 def plot(run: Trajectory | Motion) -> Figure:
@@ -179,19 +181,19 @@ def plot(run: Trajectory | Motion) -> Figure:
         draws.append(plot_active_points)
     if has_clearance(run):
         draws.append(plot_clearance)
-    figure, postures, panels = lay_out(run.arm, len(draws))
+    figure, postures, panels = new_figure(run.arm, len(draws))
     plot_postures(run, postures)
     for draw, panel in zip(draws, panels, strict=True):
         draw(run, panel)
     mark_escapes(run, panels[0])
     mark_relaxed(run, panels[0])
-    explain(panels[0])
+    add_legend(panels[0])
     share_axis(panels)
     if run.switches:
         mark_method(run, panels[-1])
         panels[-1].set_xlabel("step (red: steps by Projection)")
-    title(figure, [f"{controller_name(run)} {ending(run)}: {run.reason}"])
-    footnote(figure, "; ".join(filter(None, [moved_curves(run), run.controller])))
+    title(figure, [f"{controller_name(run)} {ending_text(run)}: {run.reason}"])
+    footnote(figure, "; ".join(filter(None, [placement_text(run), run.controller])))
     return figure
 
 
@@ -210,23 +212,20 @@ def plot_comparison(runs: Mapping[str, Trajectory]) -> Figure:
     _require_same_target(runs)
     colors = palette.distinct_colors(run.controller for run in runs.values())
     near = any(has_clearance(run) for run in runs.values())
-    figure, postures, panels = lay_out(next(iter(runs.values())).arm, 2 + near)
+    figure, postures, panels = new_figure(next(iter(runs.values())).arm, 2 + near)
     errors, counts = panels[:2]
     draw_runs(
         [(run, label, color) for (label, run), color in zip(runs.items(), colors, strict=True)], postures
     )
     for (label, run), color in zip(runs.items(), colors, strict=True):
         plot_posture_error(run, errors, color, label)
-        steps = np.arange(1, run.steps + 1)
-        marker = "o" if run.steps == 1 else ""
-        counts.plot(steps, run.active.sum(axis=1), color=color, lw=1.6, drawstyle="steps-mid", marker=marker)
-    dress_steps(counts, "active control points")
+        plot_point_count(run, counts, color)
     scale_counts(counts, max(run.arm.n_modules for run in runs.values()))
     if near:
         for run, color in zip(runs.values(), colors, strict=True):
             plot_clearance(run, panels[2], color)
     share_axis(panels)
-    title(figure, [f"{label} {ending(run)}: {run.reason}" for label, run in runs.items()])
+    title(figure, [f"{label} {ending_text(run)}: {run.reason}" for label, run in runs.items()])
     return figure
 
 

@@ -18,10 +18,17 @@ from pinposture.motion import Trajectory
 from pinposture.placement import Target
 from pinposture.viz import palette
 from pinposture.viz.body import backbone
-from pinposture.viz.drawing import Shown, frame_points, look, near_corners, outline, shown_obstacles
-from pinposture.viz.mesh import facets, hidden, rim, section
+from pinposture.viz.drawing import (
+    ShownObstacle,
+    frame_points,
+    outline,
+    shown_corners,
+    shown_obstacles,
+    view_axes,
+)
+from pinposture.viz.mesh import convex_outline, facets, is_hidden, section
 
-# The posture panel: postures of an arm and its target, in space or in the plane of the arm.
+# Postures and target, in space or in the plane of a planar arm.
 
 Array = NDArray[np.float64]
 
@@ -76,7 +83,7 @@ class PosturePanel:
         if not self.spatial:
             return self._plane
         view: Any = self.ax
-        right, up, _ = look(np.radians(view.azim), np.radians(view.elev))
+        right, up, _ = view_axes(np.radians(view.azim), np.radians(view.elev))
         return np.array([right, up])
 
     @property
@@ -194,7 +201,7 @@ def box_extent(ax: Any) -> Array:
     return np.asarray(np.ptp(flat, axis=0))
 
 
-# Obstacles in figures: shaded in space, cut open in the plane of a planar arm.
+# Obstacles: shaded in space, cut open in the plane.
 
 VEIL = 0.6
 """Share of the colour of an obstacle in that of a line behind it."""
@@ -206,7 +213,7 @@ EDGE = palette.mixed(palette.OBSTACLE, palette.INK, 0.35)
 """Outlines of obstacles."""
 
 
-def surround(panel: PosturePanel, *scenes: Scene | None) -> list[Shown]:
+def make_room_for(panel: PosturePanel, *scenes: Scene | None) -> list[ShownObstacle]:
     """Make room in a panel for the obstacles near what was drawn; call it before the panel is finished.
 
     Args:
@@ -219,11 +226,11 @@ def surround(panel: PosturePanel, *scenes: Scene | None) -> list[Shown]:
     distinct = list(dict.fromkeys(scene for scene in scenes if scene is not None))
     points = np.vstack([panel.drawn, panel.arm.chain.base])
     shown = [each for scene in distinct for each in shown_obstacles(scene, points)]
-    panel.make_room(near_corners(shown))
+    panel.make_room(shown_corners(shown))
     return shown
 
 
-def draw_obstacles(panel: PosturePanel, shown: Sequence[Shown]) -> None:
+def draw_obstacles(panel: PosturePanel, shown: Sequence[ShownObstacle]) -> None:
     """Draw obstacles into a panel that is finished, with an entry for the legend.
 
     In space they are translucent, and lines that they hide are veiled. In the plane of a planar arm they are
@@ -231,14 +238,14 @@ def draw_obstacles(panel: PosturePanel, shown: Sequence[Shown]) -> None:
 
     Args:
         panel: the panel.
-        shown: what `surround` returned.
+        shown: what `make_room_for` returned.
     """
     near = [each.near for each in shown if len(each.near)]
     if not shown:
         return
     if panel.spatial:
         _draw_solids(panel, near)
-        _veil(panel, near)
+        _dim_hidden_lines(panel, near)
     else:
         _draw_sections(panel, near)
     away = len(shown) - len(near)
@@ -261,7 +268,7 @@ def _draw_solids(panel: PosturePanel, near: Sequence[Array]) -> None:
         seen = [(face, normal) for face, normal in facets(solid) if normal @ panel.eye > 0.0]
         faces.extend(face for face, _ in seen)
         shades.extend(_shade(float(normal @ light)) for _, normal in seen)
-        outline = rim(solid @ panel.screen.T)
+        outline = convex_outline(solid @ panel.screen.T)
         if len(outline):
             depth = float((solid @ panel.eye).mean())
             line = np.vstack([outline, outline[:1]]) @ panel.screen + depth * panel.eye
@@ -279,7 +286,7 @@ def _shade(level: float) -> tuple[float, float, float, float]:
     return (*palette.rgb(palette.mixed(palette.OBSTACLE, other, 0.55 * abs(level))), palette.SEE_THROUGH)
 
 
-def _veil(panel: PosturePanel, near: Sequence[Array]) -> None:
+def _dim_hidden_lines(panel: PosturePanel, near: Sequence[Array]) -> None:
     """Draw anew, in a colour between theirs and that of obstacles, what these hide of the lines."""
     finest = float(np.ptp(panel.drawn, axis=0).max()) / FINE
     for line in list(panel.lines):
@@ -287,11 +294,11 @@ def _veil(panel: PosturePanel, near: Sequence[Array]) -> None:
         if dashed or "alpha" in line.style:  # too faint already to be veiled
             continue
         dots = line.style.get("ls") == "none"
-        points = line.points if dots else _finer(line, finest)
+        points = line.points if dots else _subdivided(line, finest)
         behind = np.zeros(len(points), dtype=np.bool_)
         known = np.isfinite(points).all(axis=1)
         for solid in near:
-            behind[known] |= hidden(points[known], solid, panel.eye)
+            behind[known] |= is_hidden(points[known], solid, panel.eye)
         if behind.any():
             style = {**line.style, "label": "_", "zorder": line.style["zorder"] + 0.001}
             for key in ("color", "mfc", "mec"):
@@ -300,7 +307,7 @@ def _veil(panel: PosturePanel, near: Sequence[Array]) -> None:
             panel.ax.plot(*panel.coordinates(np.where(behind[:, None], points, np.nan)), **style)
 
 
-def _finer(line: DrawnPosture, finest: float) -> Array:
+def _subdivided(line: DrawnPosture, finest: float) -> Array:
     """Points along a line no farther from each other than that [m], its own among them."""
     pieces = [line.points[:1]]
     for a, b in zip(line.points[:-1], line.points[1:], strict=True):
@@ -319,12 +326,12 @@ def _draw_sections(panel: PosturePanel, near: Sequence[Array]) -> None:
         if len(cross):
             ax.fill(*cross.T, facecolor=face, zorder=0.6, **edge)
             continue
-        outline = rim(solid @ panel.screen.T)
+        outline = convex_outline(solid @ panel.screen.T)
         if len(outline):
             ax.fill(*outline.T, fill=False, ls=(0, (1, 2)), zorder=0.6, **edge)
 
 
-# Where the arm started, where it should be, where it ended, and what was in its way.
+# Runs.
 
 BETWEEN = 8
 """How many of the postures on the way are drawn where there is something to get around."""
@@ -364,14 +371,14 @@ def draw_runs(runs: Sequence[tuple[Trajectory, str, str]], ax: Axes) -> None:
     for i, (run, label, color) in enumerate(runs):
         panel.posture(run.q[-1], color, label, width=2.2 + 1.2 * (len(runs) - 1 - i))
     if len(runs) == 1 and first.scene is not None:
-        draw_way(panel, first, runs[0][2], evenly(first, BETWEEN))
-    shown = surround(panel, *(run.scene for run, _, _ in runs))
+        draw_intermediate_postures(panel, first, runs[0][2], evenly_spaced_rows(first, BETWEEN))
+    shown = make_room_for(panel, *(run.scene for run, _, _ in runs))
     panel.finish()
     draw_obstacles(panel, shown)
     ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=9, frameon=False, ncols=3)
 
 
-def evenly(run: Trajectory, count: int) -> NDArray[np.intp]:
+def evenly_spaced_rows(run: Trajectory, count: int) -> NDArray[np.intp]:
     """Rows of `run.q` between which the control points move about equally far, without the first and last."""
     moved = np.linalg.norm(np.diff(run.points, axis=0), axis=2).mean(axis=1)
     way = np.concatenate([[0.0], np.cumsum(moved)])
@@ -379,7 +386,9 @@ def evenly(run: Trajectory, count: int) -> NDArray[np.intp]:
     return np.unique(rows[(rows > 0) & (rows < run.steps)])
 
 
-def draw_way(panel: PosturePanel, run: Trajectory, color: str, rows: NDArray[np.intp]) -> None:
+def draw_intermediate_postures(
+    panel: PosturePanel, run: Trajectory, color: str, rows: NDArray[np.intp]
+) -> None:
     """Draw some of the postures between the first and the last of a run.
 
     Args:

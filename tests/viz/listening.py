@@ -1,4 +1,4 @@
-"""What a browser would be told by a meshcat server."""
+"""What a browser would be told, by a meshcat server or by a page."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ import re
 
 import umsgpack
 import zmq
+from meshcat import Visualizer
+
+from pinposture.viz.meshcat import CommandRecorder
 
 
 def held(address: str) -> list[dict]:
@@ -19,3 +22,10 @@ def held(address: str) -> list[dict]:
         page = line.recv().decode()
     packed = re.findall(r'fetch\("data:application/octet-binary;base64,([^"]*)"\)', page)
     return [umsgpack.unpackb(base64.b64decode(data)) for data in packed]
+
+
+def told(draw, *args) -> list[dict]:
+    """The commands of a function that draws into a viewer."""
+    recording = CommandRecorder()
+    draw(Visualizer(window=recording), *args)
+    return [umsgpack.unpackb(command) for command in recording.packed]

@@ -155,13 +155,13 @@ def test_a_motion_of_another_arm_is_refused(tmp_path):
 
 def test_the_viewer_plays_a_motion_with_its_targets(running):
     motion = some_motion(scene=around_a_ball())
-    with pp.view(five_modules(), motion, url=running.address) as viewer:
-        commands = held(running.address)
+    with pp.view(five_modules(), motion, url=running.zmq_url) as viewer:
+        commands = held(running.zmq_url)
         drawn = {c["path"] for c in commands if c["type"] == "set_object"}
         assert "/pinposture/obstacles/obstacle_001" in drawn
         assert "/pinposture/target/hoop_005" in clips(commands)
         assert "/pinposture/target/points" not in drawn
         viewer.show(motion.q[-1])
-        assert clips(held(running.address)) == {}
+        assert clips(held(running.zmq_url)) == {}
         viewer.play()
-        assert "/pinposture/arm/body_001" in clips(held(running.address))
+        assert "/pinposture/arm/body_001" in clips(held(running.zmq_url))

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 import pinposture as pp
 from pinposture.errors import InvalidValue
 from pinposture.viz import palette
-from pinposture.viz.anatomy import anatomy
+from pinposture.viz.arm_figure import arm_parts
 
 
 def spatial() -> pp.Arm:
@@ -71,7 +71,7 @@ def pixels(figure: Figure) -> np.ndarray:
 def test_the_parts_are_where_pinocchio_has_them(rng, make):
     arm = make()
     q = arm.random(rng)
-    parts = anatomy(arm, q)
+    parts = arm_parts(arm, q)
     model, data = arm.model, arm.model.createData()
     pin.forwardKinematics(model, data, q)
     for u, name in enumerate(arm.chain.joints):
@@ -84,7 +84,7 @@ def test_the_parts_are_where_pinocchio_has_them(rng, make):
 
 def test_modules_join_end_to_end_from_base_to_tip(rng):
     arm = spatial()
-    parts = anatomy(arm, arm.random(rng))
+    parts = arm_parts(arm, arm.random(rng))
     np.testing.assert_array_equal(parts.modules[0][0], arm.chain.base)
     for before, after in zip(parts.modules, parts.modules[1:], strict=False):
         np.testing.assert_array_equal(before[-1], after[0])
@@ -134,7 +134,7 @@ def test_a_bar_lies_along_each_axis_about_its_joint(rng):
     arm = spatial()
     q = arm.random(rng)
     bars = flat_points(pp.plot_arm(arm, q), "axis of a joint that turns")
-    parts = anatomy(arm, q)
+    parts = arm_parts(arm, q)
     ends = bars.reshape(arm.nv, 3, 3)  # both ends, and a gap
     np.testing.assert_allclose(ends[:, :2].mean(axis=1), parts.joints, atol=1e-12)
     along = ends[:, 1] - ends[:, 0]
@@ -151,14 +151,14 @@ def test_a_planar_arm_is_drawn_in_its_plane_with_rings_for_axes_seen_from_the_en
     (ax,) = figure.axes
     assert ax.name == "rectilinear"
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("x [m]", "z [m]")
-    places = anatomy(arm, arm.configuration([0.3, 0.2, -0.5, 0.1, 0.4])).joints[:, [0, 2]]
+    places = arm_parts(arm, arm.configuration([0.3, 0.2, -0.5, 0.1, 0.4])).joints[:, [0, 2]]
     np.testing.assert_allclose(flat_points(figure, "axis of a joint that turns"), places, atol=1e-12)
 
 
 def test_joints_that_slide_are_told_from_those_that_turn():
     arm = sliding(["0 0 1", "0 1 0", "0 1 0"], ["revolute", "prismatic", "revolute"])
     assert arm.dimension == 3
-    figure, parts = pp.plot_arm(arm), anatomy(arm, arm.neutral())
+    figure, parts = pp.plot_arm(arm), arm_parts(arm, arm.neutral())
     for name, joints in (("slides", [1]), ("turns", [0, 2])):
         bars = flat_points(figure, f"axis of a joint that {name}").reshape(-1, 3, 3)[:, :2]
         np.testing.assert_allclose(bars.mean(axis=1), parts.joints[joints], atol=1e-12)

@@ -7,18 +7,18 @@ from functools import cache
 
 import numpy as np
 import pytest
-import umsgpack
 from arms import template_arm
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from viz.listening import told
 
 from pinposture import Arm, Target, Trajectory, track
 from pinposture.errors import InvalidValue
 from pinposture.viz import palette
-from pinposture.viz.animation import film, tracks
+from pinposture.viz.animation import playback, tracks
 from pinposture.viz.body import body_poses
-from pinposture.viz.drawing import animate, pack
+from pinposture.viz.meshcat import play_animation
 
 
 def four_modules() -> Arm:
@@ -51,8 +51,8 @@ def value_while(item, times):
 
 
 @given(steps=st.integers(0, 60), most=st.integers(2, 40), fps=st.floats(0.5, 60.0))
-def test_a_film_goes_from_the_first_to_the_last_configuration_in_even_strides(steps, most, fps):
-    shown = film(some_run(steps), fps, most)
+def test_playback_goes_from_the_first_to_the_last_configuration_in_even_strides(steps, most, fps):
+    shown = playback(some_run(steps), fps, most)
     assert len(shown.rows) <= most
     assert shown.rows[0] == 0
     assert shown.rows[-1] == steps
@@ -67,13 +67,13 @@ def test_a_film_goes_from_the_first_to_the_last_configuration_in_even_strides(st
 
 @pytest.mark.parametrize(("steps", "fps", "seconds"), [(4, 20.0, 2.0), (100, 20.0, 5.0), (100, 10.0, 10.0)])
 def test_a_motion_lasts_as_long_as_its_steps_but_at_least_two_seconds(steps, fps, seconds):
-    shown = film(some_run(steps), fps, 240)
+    shown = playback(some_run(steps), fps, 240)
     assert (shown.times[-1] - shown.times[0]) / shown.fps == pytest.approx(seconds)
 
 
 def test_bodies_are_where_they_were_in_the_run():
     arm, run = four_modules(), some_run()
-    shown = film(run, 20.0, 240)
+    shown = playback(run, 20.0, 240)
     listed = tracks(arm, shown)
     poses = body_poses(arm, run.q)
     for u in range(arm.nv):
@@ -90,7 +90,7 @@ def test_bodies_are_where_they_were_in_the_run():
 
 def test_control_points_are_coloured_and_large_while_they_are_active():
     run = some_run()
-    shown = film(run, 20.0, 240)
+    shown = playback(run, 20.0, 240)
     listed = tracks(four_modules(), shown)
     active = np.vstack([run.active, run.active[-1:]])
     for k in range(4):
@@ -108,15 +108,15 @@ def test_control_points_are_coloured_and_large_while_they_are_active():
 
 
 def test_all_tracks_begin_and_end_together_so_that_they_stay_in_step_when_repeated():
-    shown = film(some_run(), 20.0, 240)
+    shown = playback(some_run(), 20.0, 240)
     listed = tracks(four_modules(), shown)
     assert {(item.times[0], item.times[-1]) for item in listed} == {(0.0, shown.end)}
     assert all(np.all(np.diff(item.times) > 0.0) for item in listed)
 
 
-def test_a_film_with_skipped_steps_shows_the_active_set_of_the_configuration_shown():
+def test_playback_with_skipped_steps_shows_the_active_set_of_the_configuration_shown():
     run = some_run(50)
-    shown = film(run, 20.0, 12)
+    shown = playback(run, 20.0, 12)
     listed = tracks(four_modules(), shown)
     color = values_at(listed, "/pinposture/arm/body_004/point/<object>", "material.color")
     on = np.all(value_while(color, shown.times) == palette.rgb(palette.ACTIVE), axis=1)
@@ -124,9 +124,9 @@ def test_a_film_with_skipped_steps_shows_the_active_set_of_the_configuration_sho
 
 
 def test_packed_tracks_hold_their_numbers_as_flat_single_precision_floats():
-    shown = film(some_run(), 20.0, 240)
+    shown = playback(some_run(), 20.0, 240)
     listed = tracks(four_modules(), shown)
-    command = umsgpack.unpackb(pack(animate(listed, shown.fps)))
+    (command,) = told(play_animation, listed, shown.fps)
     assert command["options"] == {"play": True, "repetitions": np.inf}
     clips = {item["path"]: item["clip"] for item in command["animations"]}
     assert len(clips) == len({item.path for item in listed})
@@ -143,10 +143,10 @@ def test_packed_tracks_hold_their_numbers_as_flat_single_precision_floats():
 @pytest.mark.parametrize("fps", [0.0, -1.0, np.nan, np.inf])
 def test_impossible_speeds_are_refused(fps):
     with pytest.raises(InvalidValue, match="fps"):
-        film(some_run(), fps, 240)
+        playback(some_run(), fps, 240)
 
 
 @pytest.mark.parametrize("most", [1, 0, True, 2.5])
 def test_impossible_numbers_of_frames_are_refused(most):
     with pytest.raises(InvalidValue, match="max_frames"):
-        film(some_run(), 20.0, most)
+        playback(some_run(), 20.0, most)

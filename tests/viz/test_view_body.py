@@ -9,10 +9,14 @@ import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pinocchio.visualize import MeshcatVisualizer
+from viz.listening import told
 
 from pinposture import Arm, JointSpec, ModuleTemplate
 from pinposture.errors import InvalidValue
+from pinposture.viz import palette, visual_model
 from pinposture.viz.body import backbone, bodies, body_poses
+from pinposture.viz.drawing import arm_surfaces
 
 TILTED = pin.SE3(pin.rpy.rpyToMatrix(0.3, -0.8, 1.9), np.array([0.2, -0.1, 0.4]))
 SLIDING = ModuleTemplate(
@@ -139,3 +143,30 @@ def test_a_slide_without_a_limit_has_no_rod():
 def test_configurations_that_do_not_fit_are_refused(q):
     with pytest.raises(InvalidValue):
         body_poses(arm_named("RyRz"), q)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_pinocchios_visualizer_shows_the_drawn_bodies_where_they_are(name):
+    arm = arm_named(name)
+    q = arm.random(np.random.default_rng(5))
+
+    def show(viewer):
+        shown = MeshcatVisualizer(arm.model, visual_model=visual_model(arm))
+        shown.initViewer(viewer)
+        shown.loadViewerModel("arm")
+        shown.display(q)
+
+    commands = told(show)
+    drawn = {c["path"].rpartition("/")[2]: c["object"] for c in commands if c["type"] == "set_object"}
+    placed = {c["path"].rpartition("/")[2]: c["matrix"] for c in commands if c["type"] == "set_transform"}
+    names = [f"body_{u + 1:03d}" for u in range(len(arm.chain.joints))]
+    assert list(drawn) == ["base", *names]
+    np.testing.assert_allclose(np.reshape(placed["base"], (4, 4)), np.eye(4), atol=1e-12)
+    poses = np.array([np.reshape(placed[each], (4, 4)).T for each in names])
+    np.testing.assert_allclose(poses, body_poses(arm, q), atol=1e-12)
+    surfaces = arm_surfaces(arm)
+    for each, mesh in zip(["base", *names], [surfaces.base, *surfaces.bodies], strict=True):
+        packed = drawn[each]["geometries"][0]["data"]["attributes"]["position"]["array"].data
+        np.testing.assert_allclose(np.frombuffer(packed, "<f4").reshape(-1, 3), mesh.vertices, atol=1e-6)
+    color = drawn["base"]["materials"][0]["color"].to_bytes(3, "big")
+    np.testing.assert_allclose(list(color), np.multiply(palette.rgb(palette.BASE), 255.0), atol=1.01)

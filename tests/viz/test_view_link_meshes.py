@@ -272,8 +272,12 @@ def drawn(path) -> dict[str, np.ndarray]:
     shapes = {}
     for command in commands:
         if command["type"] == "set_object":
-            position = command["object"]["geometries"][0]["data"]["attributes"]["position"]
-            shapes[command["path"]] = np.frombuffer(position["array"].data, "<f4").reshape(-1, 3)
+            (geometry,) = command["object"]["geometries"]
+            if geometry["type"] == "SphereGeometry":
+                shapes[command["path"]] = np.array([geometry["radius"]])
+            else:
+                position = geometry["data"]["attributes"]["position"]
+                shapes[command["path"]] = np.frombuffer(position["array"].data, "<f4").reshape(-1, 3)
     return shapes
 
 

@@ -39,8 +39,8 @@ def animations(commands: list[dict]) -> list[dict]:
 
 
 def test_an_arm_alone_is_shown_at_rest_and_then_wherever_it_is_told(arm, running):
-    viewer = pp.view(arm, url=running.address)
-    commands = held(running.address)
+    viewer = pp.view(arm, url=running.zmq_url)
+    commands = held(running.zmq_url)
     drawn = [c["path"] for c in commands if c["type"] == "set_object"]
     assert sum(path.endswith("/link") for path in drawn) == arm.nv
     assert sum(path.endswith("/point") for path in drawn) == 3
@@ -48,14 +48,14 @@ def test_an_arm_alone_is_shown_at_rest_and_then_wherever_it_is_told(arm, running
     np.testing.assert_allclose(shown_poses(commands), body_poses(arm, arm.neutral()), atol=1e-12)
     q = arm.random(np.random.default_rng(1))
     viewer.show(q)
-    np.testing.assert_allclose(shown_poses(held(running.address)), body_poses(arm, q), atol=1e-12)
+    np.testing.assert_allclose(shown_poses(held(running.zmq_url)), body_poses(arm, q), atol=1e-12)
     viewer.close()
 
 
 def test_a_run_is_played_after_all_that_it_moves_is_drawn(arm, running):
     run = some_run()
-    with pp.view(arm, run, url=running.address) as viewer:
-        commands = held(running.address)
+    with pp.view(arm, run, url=running.zmq_url) as viewer:
+        commands = held(running.zmq_url)
         kinds = [(c["type"], c["path"]) for c in commands]
         assert [kind for kind, _ in kinds].count("set_animation") == 1
         played = next(i for i, (kind, _) in enumerate(kinds) if kind == "set_animation")
@@ -63,25 +63,25 @@ def test_a_run_is_played_after_all_that_it_moves_is_drawn(arm, running):
         moved = {item["path"].removesuffix("/<object>") for item in animations(commands)}
         assert all(min(i for p, i in objects.items() if p.startswith(path)) < played for path in moved)
         assert "/pinposture/target/points" in objects
-        assert viewer.url == running.url
+        assert viewer.url == running.web_url
 
 
 def test_showing_a_configuration_stops_the_run_and_playing_starts_it_again(arm, running):
     run = some_run()
-    viewer = pp.view(arm, run, url=running.address)
+    viewer = pp.view(arm, run, url=running.zmq_url)
     viewer.show(run.q[-1])
-    commands = held(running.address)
+    commands = held(running.zmq_url)
     assert animations(commands) == []
     np.testing.assert_allclose(shown_poses(commands), body_poses(arm, run.q[-1]), atol=1e-12)
     viewer.play()
-    assert len(animations(held(running.address))) > arm.nv
+    assert len(animations(held(running.zmq_url))) > arm.nv
     viewer.close()
 
 
 def test_a_second_view_on_the_same_server_replaces_the_first(arm, running):
-    pp.view(arm, some_run(), url=running.address).close()
-    pp.view(pp.Arm.from_template("Rz", modules=2), url=running.address).close()
-    drawn = [c["path"] for c in held(running.address) if c["type"] == "set_object"]
+    pp.view(arm, some_run(), url=running.zmq_url).close()
+    pp.view(pp.Arm.from_template("Rz", modules=2), url=running.zmq_url).close()
+    drawn = [c["path"] for c in held(running.zmq_url) if c["type"] == "set_object"]
     assert sum(path.endswith("/link") for path in drawn) == 2
 
 
@@ -96,7 +96,7 @@ def test_a_viewer_starts_a_server_on_this_machine_only_and_ends_it(arm, running,
 
 
 def test_what_does_not_fit_is_refused(arm, running):
-    with pp.view(arm, url=running.address) as viewer:
+    with pp.view(arm, url=running.zmq_url) as viewer:
         with pytest.raises(InvalidValue):
             viewer.show(np.zeros(arm.nq + 1))
         with pytest.raises(InvalidValue):
@@ -104,16 +104,16 @@ def test_what_does_not_fit_is_refused(arm, running):
         with pytest.raises(InvalidValue, match="run"):
             viewer.play()
     with pytest.raises(InvalidValue, match=r"run\.q"):
-        pp.view(pp.Arm.from_template("RyRz", modules=4), some_run(), url=running.address)
+        pp.view(pp.Arm.from_template("RyRz", modules=4), some_run(), url=running.zmq_url)
 
 
 def test_a_browser_is_opened_only_when_asked_for(arm, running, monkeypatch):
     opened = []
     monkeypatch.setattr("webbrowser.open", lambda url, **options: opened.append(url))
-    pp.view(arm, url=running.address).close()
+    pp.view(arm, url=running.zmq_url).close()
     assert opened == []
-    pp.view(arm, url=running.address, open_browser=True).close()
-    assert opened == [running.url]
+    pp.view(arm, url=running.zmq_url, open_browser=True).close()
+    assert opened == [running.web_url]
 
 
 def test_unknown_viewers_are_refused_by_name(arm):
@@ -124,7 +124,7 @@ def test_unknown_viewers_are_refused_by_name(arm):
 
 @pytest.mark.parametrize("address", ["nonsense", "tcp://127.0.0.1:1"])
 def test_a_server_that_is_not_there_is_an_error_not_a_wait(arm, address, monkeypatch):
-    monkeypatch.setattr(meshcat, "PATIENCE", 200)
+    monkeypatch.setattr(meshcat, "TIMEOUT", 200)
     with pytest.raises(ViewerError, match=re.escape(address)) as caught:
         pp.view(arm, url=address)
     assert isinstance(caught.value, PostureError)

@@ -16,22 +16,22 @@ from hypothesis import strategies as st
 from sampling import examples
 from scipy.spatial.transform import Rotation
 from viz.ellipsoid_shapes import gram, levels, planar, some_run, spatial
-from viz.listening import held
+from viz.listening import held, told
 
 import pinposture as pp
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.viz import palette
-from pinposture.viz.animation import film
+from pinposture.viz.animation import playback
 from pinposture.viz.ellipsoids import (
     KEY,
-    Balls,
-    ball_commands,
-    ball_ends,
-    ball_tracks,
-    balls,
-    carried_on,
+    EllipsoidMotion,
+    axis_ends,
+    continue_axes,
     drawn_length,
+    ellipsoid_motion,
+    ellipsoid_tracks,
 )
+from pinposture.viz.meshcat import add_ellipsoids
 
 
 @pytest.fixture
@@ -53,7 +53,7 @@ def test_the_ball_that_is_drawn_has_the_surface_of_the_ellipsoid(rng, make):
     arm = make()
     q = arm.configuration(rng.uniform(0.6, 1.0, arm.nv))
     chosen = (2, 5) if make is spatial else (2, 4)
-    commands = ball_commands(balls(arm, chosen, q[None]))
+    commands = told(add_ellipsoids, ellipsoid_motion(arm, chosen, q[None]))
     scale = drawn_length(arm, chosen)
     for point, color in zip(chosen, arm.at(q).ellipsoids(chosen), strict=True):
         path = f"/pinposture/ellipsoids/point_{point + 1:03d}"
@@ -74,7 +74,7 @@ def test_the_ball_that_is_drawn_has_the_surface_of_the_ellipsoid(rng, make):
 
 def test_a_flat_ellipsoid_is_a_plate_and_no_degenerate_surface():
     arm = spatial()
-    shown = balls(arm, (0, 5), arm.neutral()[None])
+    shown = ellipsoid_motion(arm, (0, 5), arm.neutral()[None])
     assert shown.radii.min() > 0.0005 * arm.length
     assert shown.radii[0, 1].min() < 0.05 * shown.radii[0, 1].max()
     np.testing.assert_allclose(np.abs(shown.frames[0, 1, 2]), [1.0, 0.0, 0.0], atol=1e-12)
@@ -91,8 +91,8 @@ def track_of(listed, point: int, name: str):
 def test_tracks_carry_the_ellipsoid_of_every_configuration(make):
     arm = make()
     run, point = some_run(arm), arm.n_modules - 1
-    shown = film(run, 20.0, 240)
-    listed = ball_tracks(balls(arm, (point,), run.q[shown.rows]), shown)
+    shown = playback(run, 20.0, 240)
+    listed = ellipsoid_tracks(ellipsoid_motion(arm, (point,), run.q[shown.rows]), shown)
     place, turn, size, color = (
         track_of(listed, point, name) for name in ("position", "quaternion", "scale", "material.color")
     )
@@ -117,14 +117,14 @@ def test_tracks_carry_the_ellipsoid_of_every_configuration(make):
 def test_axes_do_not_jump_from_one_frame_to_the_next(make):
     arm = make()
     run, chosen = some_run(arm, 400), tuple(range(1, arm.n_modules))
-    shown = film(run, 20.0, 500)
-    moving = balls(arm, chosen, run.q[shown.rows])
+    shown = playback(run, 20.0, 500)
+    moving = ellipsoid_motion(arm, chosen, run.q[shown.rows])
     axes = moving.frames * moving.radii[..., None]
     largest = moving.radii.max()
     assert np.linalg.norm(np.diff(axes, axis=0), axis=-1).max() < 0.1 * largest
     np.testing.assert_allclose(np.linalg.det(moving.frames), 1.0)
     for point in chosen:
-        turns = track_of(ball_tracks(moving, shown), point, "quaternion").values
+        turns = track_of(ellipsoid_tracks(moving, shown), point, "quaternion").values
         assert np.einsum("fi,fi->f", turns[1:], turns[:-1]).min() > 0.0
 
 
@@ -132,7 +132,7 @@ def test_axes_keep_their_names_where_radii_pass_each_other():
     # Two links, l1 = sqrt(2) l2: the ellipse is a circle at 135 degrees, longer the other way beyond.
     arm = pp.Arm.from_modules([pp.template("Rz").with_lengths([x]) for x in (np.sqrt(2.0), 1.0)])
     rows = np.column_stack([np.zeros(200), np.radians(np.linspace(115.0, 155.0, 200))])
-    moving = balls(arm, (1,), rows)
+    moving = ellipsoid_motion(arm, (1,), rows)
     raw = [arm.at(q).ellipsoids(1)[0] for q in rows]
     turned = [abs(before.directions[0] @ after.directions[0]) for before, after in itertools.pairwise(raw)]
     assert min(turned) < 0.1  # the longer axis is another one from there on
@@ -153,20 +153,22 @@ def test_axes_in_whatever_order_and_sign_are_carried_on_as_they_were(seed):
         order, signs = rng.permutation(3), rng.choice([-1.0, 1.0], 3)
         frames[k, 0], lengths[k, 0] = signs[:, None] * frame[order], radii[order]
         frames[k, 0, 0] *= np.linalg.det(frames[k, 0])
-    again, along = carried_on(frames, lengths)
+    again, along = continue_axes(frames, lengths)
     np.testing.assert_allclose(again, np.broadcast_to(frames[0], again.shape), atol=1e-12)
     np.testing.assert_array_equal(along, np.broadcast_to(lengths[0], along.shape))
 
 
 def test_quaternions_do_not_jump_while_an_ellipsoid_turns_round_twice():
     run = some_run(spatial())
-    shown = film(run, 20.0, 240)
+    shown = playback(run, 20.0, 240)
     count = len(shown.rows)
     for axis in np.vstack([np.eye(3), [0.6, 0.0, 0.8], [-0.48, 0.6, 0.64]]):
         turns = Rotation.from_rotvec(np.linspace(0.0, 4.0 * np.pi, count)[:, None] * axis).as_matrix()
         frames = turns.transpose(0, 2, 1)[:, None]
-        moving = Balls((5,), np.zeros((count, 1, 3)), frames, np.ones((count, 1, 3)), np.zeros((count, 1)))
-        values = track_of(ball_tracks(moving, shown), 5, "quaternion").values[1:-1]
+        moving = EllipsoidMotion(
+            (5,), np.zeros((count, 1, 3)), frames, np.ones((count, 1, 3)), np.zeros((count, 1))
+        )
+        values = track_of(ellipsoid_tracks(moving, shown), 5, "quaternion").values[1:-1]
         assert np.einsum("fi,fi->f", values[1:], values[:-1]).min() > np.cos(2.0 * np.pi / (count - 1)) - 1e-9
         np.testing.assert_allclose(Rotation.from_quat(values).as_matrix(), turns, atol=1e-12)
 
@@ -189,10 +191,10 @@ def test_the_camera_steps_back_so_that_they_are_in_the_picture(tmp_path):
 def test_the_ends_of_the_axes_are_what_the_camera_must_see(rng):
     arm = spatial()
     q = arm.configuration(rng.uniform(-1.0, 1.0, arm.nv))
-    ends = ball_ends(balls(arm, (5,), q[None]))
+    ends = axis_ends(ellipsoid_motion(arm, (5,), q[None]))
     np.testing.assert_allclose(levels(ends, arm, q, 5, drawn_length(arm, [5])), 1.0, atol=1e-4)
     np.testing.assert_allclose(ends.mean(axis=0), arm.at(q).points[5], atol=1e-12)
-    assert ball_ends(balls(arm, (), q[None])).shape == (0, 3)
+    assert axis_ends(ellipsoid_motion(arm, (), q[None])).shape == (0, 3)
 
 
 def page_commands(text: str) -> list[dict]:
@@ -229,13 +231,13 @@ def test_without_ellipsoids_the_page_is_what_it_was(tmp_path):
 
 def test_the_live_viewer_shows_them_wherever_the_arm_goes_and_keeps_nothing_of_before(rng, running):
     arm = spatial()
-    with pp.view(arm, url=running.address, ellipsoids=[5]) as viewer:
-        at_first = len(held(running.address))
+    with pp.view(arm, url=running.zmq_url, ellipsoids=[5]) as viewer:
+        at_first = len(held(running.zmq_url))
         scale = drawn_length(arm, [5])
         for _ in range(3):
             q = arm.configuration(rng.uniform(-1.0, 1.0, arm.nv))
             viewer.show(q)
-            commands = held(running.address)
+            commands = held(running.zmq_url)
             (drawing,) = by_kind(commands, "set_object").values()
             (placing,) = by_kind(commands, "set_transform").values()
             matrix = np.reshape(placing["matrix"], (4, 4)).T
@@ -249,13 +251,13 @@ def test_the_live_viewer_shows_them_wherever_the_arm_goes_and_keeps_nothing_of_b
 def test_the_live_viewer_plays_them_and_stops_when_told_to_show(running):
     arm = spatial()
     run = some_run(arm)
-    with pp.view(arm, run, url=running.address, ellipsoids=[0, 5]) as viewer:
+    with pp.view(arm, run, url=running.zmq_url, ellipsoids=[0, 5]) as viewer:
         assert viewer.ellipsoids == (0, 5)
-        (animation,) = [c for c in held(running.address) if c["type"] == "set_animation"]
+        (animation,) = [c for c in held(running.zmq_url) if c["type"] == "set_animation"]
         moved = {item["path"] for item in animation["animations"]}
         assert {f"/pinposture/ellipsoids/point_00{k}" for k in (1, 6)} <= moved
         viewer.show(run.q[-1])
-        (animation,) = [c for c in held(running.address) if c["type"] == "set_animation"]
+        (animation,) = [c for c in held(running.zmq_url) if c["type"] == "set_animation"]
         assert animation["animations"] == []
 
 
@@ -269,5 +271,5 @@ def test_points_that_there_are_not_are_refused_everywhere(points, kind, tmp_path
     with pytest.raises(kind):
         pp.save_html(arm, some_run(arm), tmp_path / "run.html", ellipsoids=points)
     with pytest.raises(kind):
-        pp.view(arm, url=running.address, ellipsoids=points)
+        pp.view(arm, url=running.zmq_url, ellipsoids=points)
     assert list(tmp_path.iterdir()) == []

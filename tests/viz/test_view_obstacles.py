@@ -23,7 +23,16 @@ from viz.obstacle_scenes import SOLIDS
 import pinposture as pp
 from pinposture.viz import palette, plot_postures
 from pinposture.viz.drawing import shown_obstacles
-from pinposture.viz.mesh import CYLINDER_SIDES, box_corners, cut, facets, hidden, section, surface, within
+from pinposture.viz.mesh import (
+    CYLINDER_SIDES,
+    box_corners,
+    clip_to_box,
+    cut_by_plane,
+    facets,
+    is_hidden,
+    section,
+    surface,
+)
 
 STAGE = box_corners(np.array([0.0, -0.4, -0.3]), np.array([0.8, 0.4, 0.5]))
 FLOOR = pp.HalfSpace((0.0, 0.0, -0.45), (0, 0, 1))
@@ -93,13 +102,13 @@ def test_a_surface_is_closed_faces_outwards_and_holds_the_volume(name):
 
 
 def test_the_browser_is_told_of_every_kind_of_obstacle(scene, arm, running):
-    with pp.view(arm, scene=scene, url=running.address):
-        check_all(drawn_in(held(running.address)))
-    with pp.view(arm, still(arm, scene), url=running.address) as viewer:
-        check_all(drawn_in(held(running.address)))
+    with pp.view(arm, scene=scene, url=running.zmq_url):
+        check_all(drawn_in(held(running.zmq_url)))
+    with pp.view(arm, still(arm, scene), url=running.zmq_url) as viewer:
+        check_all(drawn_in(held(running.zmq_url)))
         assert viewer.scene is scene
-    with pp.view(arm, url=running.address):
-        assert drawn_in(held(running.address)) == []
+    with pp.view(arm, url=running.zmq_url):
+        assert drawn_in(held(running.zmq_url)) == []
 
 
 def test_the_page_holds_every_kind_of_obstacle_and_says_how_near_they_are(scene, arm, tmp_path):
@@ -191,8 +200,8 @@ def test_a_half_space_that_ends_far_away_is_not_shown(arm):
 
 def test_half_spaces_reach_the_browser(arm, running):
     scene = pp.Scene({"wall": pp.HalfSpace((0.6, 0, 0), (-1, 0, 0))})
-    with pp.view(arm, scene=scene, url=running.address):
-        ((vertices, _),) = drawn_in(held(running.address))
+    with pp.view(arm, scene=scene, url=running.zmq_url):
+        ((vertices, _),) = drawn_in(held(running.zmq_url))
     assert vertices[:, 0].min() == pytest.approx(0.6)
     assert np.all(np.ptp(vertices, axis=0)[1:] > 0.3)
 
@@ -287,7 +296,7 @@ def test_cutting_keeps_what_is_below_the_plane_and_nothing_else(points, seed):
     normal = rng.normal(size=3)
     normal /= np.linalg.norm(normal)
     offset = float(rng.uniform(-0.5, 0.5))
-    part = cut(points, normal, offset)
+    part = cut_by_plane(points, normal, offset)
     assert np.all(part @ normal <= offset + 1e-9)
     inside = rng.dirichlet(np.ones(len(points)), 40) @ points  # points of the solid
     for point in inside[inside @ normal < offset - 1e-9]:
@@ -311,7 +320,7 @@ def test_what_a_solid_hides_is_behind_it(points, seed):
     eye /= np.linalg.norm(eye)
     asked = rng.normal(size=(10, 3)) * 2.0
     ways = np.linspace(0.0, 12.0, 400)
-    for point, found in zip(asked, hidden(asked, points, eye), strict=True):
+    for point, found in zip(asked, is_hidden(asked, points, eye), strict=True):
         met = any(is_inside(point + way * eye, points) for way in ways[::4])
         assert found or not met  # a graze between two samples may be found, never the other way round
 
@@ -319,7 +328,9 @@ def test_what_a_solid_hides_is_behind_it(points, seed):
 def test_what_holds_a_point_or_stands_before_it_hides_it():
     cube = box_corners(np.zeros(3), np.ones(3))
     asked = np.array([[0.5, 0.5, -1.0], [0.5, 0.5, 0.5], [0.5, 0.5, 2.0], [1.5, 0.5, -1.0]])
-    np.testing.assert_array_equal(hidden(asked, cube, np.array([0.0, 0.0, 1.0])), [True, True, False, False])
+    np.testing.assert_array_equal(
+        is_hidden(asked, cube, np.array([0.0, 0.0, 1.0])), [True, True, False, False]
+    )
 
 
 def test_faces_of_a_box_are_six_squares():
@@ -346,7 +357,7 @@ def test_a_section_of_a_cube_across_its_diagonal_is_a_regular_hexagon():
 
 def test_what_lies_within_a_box_is_kept_as_it_is_and_the_rest_is_cut():
     cube = box_corners(np.zeros(3), np.ones(3))
-    assert within(cube, -np.ones(3), 2.0 * np.ones(3)) is cube
-    part = within(cube, np.array([0.5, -1.0, -1.0]), np.array([2.0, 0.25, 2.0]))
+    assert clip_to_box(cube, -np.ones(3), 2.0 * np.ones(3)) is cube
+    part = clip_to_box(cube, np.array([0.5, -1.0, -1.0]), np.array([2.0, 0.25, 2.0]))
     np.testing.assert_allclose([part.min(axis=0), part.max(axis=0)], [[0.5, 0.0, 0.0], [1.0, 0.25, 1.0]])
-    assert len(within(cube, 2.0 * np.ones(3), 3.0 * np.ones(3))) == 0
+    assert len(clip_to_box(cube, 2.0 * np.ones(3), 3.0 * np.ones(3))) == 0

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import umsgpack
 from arms import template_arm
 from matplotlib.figure import Figure
+from viz.listening import told
 
 import pinposture as pp
 from pinposture.viz.body import backbone
-from pinposture.viz.drawing import outline, pack, target_commands
+from pinposture.viz.drawing import outline
+from pinposture.viz.meshcat import add_target
 from pinposture.viz.postures import PosturePanel
 
 
@@ -87,6 +88,5 @@ def test_both_parts_are_named_once_and_shown_in_the_browser(arm, whole, bent, na
     panel.target(target.region(3, 6))
     _, labels = panel.ax.get_legend_handles_labels()
     assert labels == [f"target {name}", f"rest of the {name}", "target points"]
-    commands = target_commands(arm, target.region(3, 6))
-    paths = [umsgpack.unpackb(pack(command))["path"] for command in commands]
+    paths = [command["path"] for command in told(add_target, arm, target.region(3, 6))]
     assert paths == [f"/pinposture/target/{part}" for part in ("covered", "rest", "points")]

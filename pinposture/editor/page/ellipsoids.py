@@ -10,7 +10,7 @@ from pinposture.arm import Arm, ArmState
 from pinposture.editor.page.part import color
 from pinposture.viz import palette
 from pinposture.viz.drawing import link_radius
-from pinposture.viz.ellipsoids import THINNEST, drawn_length, frame_of
+from pinposture.viz.ellipsoids import THINNEST, drawn_length, principal_frame
 from pinposture.viz.mesh import ball
 
 MOST = 8
@@ -35,7 +35,7 @@ class Ellipsoids:
         self._length = drawn_length(arm, self.points)
         self._thinnest = THINNEST * link_radius(arm)
         self._steps, self._visible = -1, False
-        surface = ball(np.zeros(3), 1.0, rings=12)
+        surface = ball(np.zeros(3), 1.0, 3)
         self._balls = server.scene.add_batched_meshes_simple(
             "/ellipsoids",
             *surface,
@@ -65,7 +65,7 @@ class Ellipsoids:
             return
         self._steps = steps
         listed = state.ellipsoids(self.points)
-        frames = np.array([frame_of(one) for one in listed])
+        frames = np.array([principal_frame(one) for one in listed])
         radii = np.array([np.append(one.radii, 0.0)[:3] for one in listed]) * self._length
         turns = Rotation.from_matrix(frames.transpose(0, 2, 1)).as_quat()[:, [3, 0, 1, 2]]
         self._balls.batched_positions = np.array([one.center for one in listed], dtype=np.float32)

@@ -16,7 +16,7 @@ from pinposture.collision import Scene
 from pinposture.viz import palette
 from pinposture.viz.body import bodies, body_poses
 from pinposture.viz.ellipsoids import draw_ellipsoids, ellipsoid_key, scale_in_words, shade_ellipsoids
-from pinposture.viz.postures import PosturePanel, box_extent, draw_obstacles, surround
+from pinposture.viz.postures import PosturePanel, box_extent, draw_obstacles, make_room_for
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ CROWDED = 0.017
 """Distance between two numbers, relative to the size of the arm, below which one of them is left out."""
 
 
-class Anatomy(NamedTuple):
+class ArmParts(NamedTuple):
     """Where the parts of an arm are at a configuration, world frame.
 
     Attributes:
@@ -50,7 +50,7 @@ class Anatomy(NamedTuple):
     points: Array
 
 
-def anatomy(arm: Arm, q: ArrayLike) -> Anatomy:
+def arm_parts(arm: Arm, q: ArrayLike) -> ArmParts:
     """Find the parts of an arm at a configuration (nq,).
 
     Raises:
@@ -64,7 +64,7 @@ def anatomy(arm: Arm, q: ArrayLike) -> Anatomy:
     starts = np.vstack([arm.chain.base, points[:-1]])
     own = [joints[joint] for joint in arm.chain.module_slices]
     modules = tuple(np.vstack(line) for line in zip(starts, own, points, strict=True))
-    return Anatomy(modules, joints, axes, points)
+    return ArmParts(modules, joints, axes, points)
 
 
 def plot_arm(
@@ -91,7 +91,7 @@ def plot_arm(
         UnknownName: a name that no control point has.
     """
     shown = arm.neutral() if q is None else q
-    parts, chosen = anatomy(arm, shown), arm.at(shown).ellipsoids(ellipsoids)
+    parts, chosen = arm_parts(arm, shown), arm.at(shown).ellipsoids(ellipsoids)
     half = _half_bar(arm)
     planar = arm.dimension == 2
     figure = Figure(figsize=(WIDTH, HEIGHTS[0]))
@@ -105,14 +105,14 @@ def plot_arm(
     _draw_axes(panel, arm, parts, half)
     dots = {"ls": "none", "marker": "o", "ms": 4.2, "mfc": "white", "mec": palette.INK, "mew": 0.9}
     panel.line(parts.points[:-1], label="control points", zorder=6, **dots)
-    surroundings = surround(panel, scene)
+    surroundings = make_room_for(panel, scene)
     panel.finish()
     draw_obstacles(panel, surroundings)
     panel.line(parts.points[-1:], ls="none", marker="D", ms=6.0, color=palette.INK, label="tip", zorder=7)
     shade_ellipsoids(panel, chosen)
     _fit(figure, panel)
     _number(panel, parts.points, arm.chain.base, 1.3 * half)
-    _explain(figure, panel, chosen)
+    _add_legends(figure, panel, chosen)
     kind = "planar" if planar else "spatial"
     modules = "1 module" if arm.n_modules == 1 else f"{arm.n_modules} modules"
     where = ", neutral configuration" if q is None else ""
@@ -142,7 +142,7 @@ def _fit(figure: Figure, panel: PosturePanel) -> None:
     panel.ax.set_position((0.5 - side / WIDTH / 2, 0.5 - side / height / 2, side / WIDTH, side / height))
 
 
-def _draw_axes(panel: PosturePanel, arm: Arm, parts: Anatomy, half: float) -> None:
+def _draw_axes(panel: PosturePanel, arm: Arm, parts: ArmParts, half: float) -> None:
     turns = arm.chain.revolute
     facing = (np.linalg.norm(parts.axes @ panel.screen.T, axis=1) < 0.1) & (not panel.spatial)
     rings: dict[str, Any] = {
@@ -169,7 +169,7 @@ def _draw_axes(panel: PosturePanel, arm: Arm, parts: Anatomy, half: float) -> No
             panel.line(joints, label=label, zorder=5, **style)
 
 
-def _explain(figure: Figure, panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> None:
+def _add_legends(figure: Figure, panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> None:
     """Write the legends: below what the arm is made of, at the top on the right what the ellipsoids say."""
     shades = palette.MODULES[: panel.arm.n_modules]
     for name, shade in zip(("odd modules", "even modules"), shades, strict=False):

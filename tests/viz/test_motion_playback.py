@@ -11,20 +11,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sampling import examples
 from scipy.spatial.transform import Rotation
+from viz.listening import told
 from viz.motions import five_modules, some_motion
 
 import pinposture as pp
 from pinposture.motion.motion import Motion, Passed
 from pinposture.viz.animation import (
     REST_BEFORE,
-    film,
     hoop_turns,
-    moving_target_commands,
     moving_target_tracks,
+    playback,
     tracks,
 )
-from pinposture.viz.axes import MOST, alike, shown_places
+from pinposture.viz.axes import MOST, group_alike, shown_places
 from pinposture.viz.body import body_poses
+from pinposture.viz.meshcat import add_moving_targets
 
 
 @cache
@@ -46,20 +47,20 @@ def track_of(listed, path, name):
 @examples(40)
 def test_each_configuration_is_seen_when_it_was(steps, dt, fps, most):
     motion = known_motion(steps, dt)
-    shown = film(motion, fps, most)
+    shown = playback(motion, fps, most)
     assert (shown.rows[0], shown.rows[-1]) == (0, steps)
     assert len(shown.rows) <= most
     seconds = shown.times / shown.fps - REST_BEFORE
-    np.testing.assert_allclose(seconds * shown.pace, dt * shown.rows, atol=1e-9)
+    np.testing.assert_allclose(seconds * shown.speedup, dt * shown.rows, atol=1e-9)
     assert np.all(np.diff(shown.rows) >= 1)
     # As smooth as asked for, where that many configurations are there and allowed.
     if steps and len(shown.rows) < most:
-        assert np.diff(seconds).max() <= max(1.0 / fps, dt) + dt / shown.pace + 1e-9
+        assert np.diff(seconds).max() <= max(1.0 / fps, dt) + dt / shown.speedup + 1e-9
     assert shown.end > shown.times[-1]
 
 
 @pytest.mark.parametrize(
-    ("seconds", "pace"),
+    ("seconds", "speedup"),
     [
         (1.0, 1),
         (60.0, 1),
@@ -72,16 +73,16 @@ def test_each_configuration_is_seen_when_it_was(steps, dt, fps, most):
         (2e4, 500),
     ],
 )
-def test_only_what_takes_longer_than_a_minute_is_shown_faster(seconds, pace):
+def test_only_what_takes_longer_than_a_minute_is_shown_faster(seconds, speedup):
     motion = known_motion(60, seconds / 60)
-    shown = film(motion, 20.0, 1200)
-    assert shown.pace == pace
-    assert (shown.times[-1] - shown.times[0]) / shown.fps == pytest.approx(seconds / pace)
+    shown = playback(motion, 20.0, 1200)
+    assert shown.speedup == speedup
+    assert (shown.times[-1] - shown.times[0]) / shown.fps == pytest.approx(seconds / speedup)
 
 
 def test_bodies_are_where_they_were_in_the_rows_that_are_shown():
     arm, motion = five_modules(), known_motion()
-    shown = film(motion, 7.0, 1200)
+    shown = playback(motion, 7.0, 1200)
     assert 2 < len(shown.rows) < 60
     poses = body_poses(arm, motion.q[shown.rows])
     for u in range(arm.nv):
@@ -91,7 +92,7 @@ def test_bodies_are_where_they_were_in_the_rows_that_are_shown():
 
 def test_hoops_are_where_the_targets_of_the_moment_are_and_play_along_with_the_arm():
     arm, motion = five_modules(), known_motion()
-    shown = film(motion, 20.0, 1200)
+    shown = playback(motion, 20.0, 1200)
     listed = moving_target_tracks(motion, shown)
     for k in range(arm.n_modules):
         position = track_of(listed, f"/pinposture/target/hoop_{k + 1:03d}", "position")
@@ -103,9 +104,9 @@ def test_hoops_are_where_the_targets_of_the_moment_are_and_play_along_with_the_a
 
 def test_everything_that_moves_was_drawn_where_it_starts():
     motion = known_motion()
-    commands = moving_target_commands(motion, [])
+    commands = told(add_moving_targets, motion, [])
     drawn = {command["path"] for command in commands if command["type"] == "set_object"}
-    assert {each.path for each in moving_target_tracks(motion, film(motion, 20.0, 1200))} == drawn
+    assert {each.path for each in moving_target_tracks(motion, playback(motion, 20.0, 1200))} == drawn
     placed = {c["path"]: np.reshape(c["matrix"], (4, 4)).T for c in commands if c["type"] == "set_transform"}
     for k in range(5):
         matrix = placed[f"/pinposture/target/hoop_{k + 1:03d}"]
@@ -119,7 +120,7 @@ def test_hoops_of_points_without_a_target_are_not_seen():
     asked[:, 0] = False
     asked[20:40, 2] = False
     motion = replace(motion, asked=asked)
-    shown = film(motion, 20.0, 1200)
+    shown = playback(motion, 20.0, 1200)
     listed = moving_target_tracks(motion, shown)
     assert not any("hoop_001" in each.path for each in listed)
     size = track_of(listed, "/pinposture/target/hoop_003", "scale")
@@ -198,5 +199,5 @@ def test_places_where_the_arm_looked_the_same_go_together():
     points = motion.run.points.copy()
     points[-1] = points[0]
     motion = replace(motion, run=replace(motion.run, points=points))
-    groups = alike(motion, shown_places(motion))
+    groups = group_alike(motion, shown_places(motion))
     assert [[place.name for place in group] for group in groups] == [["a", "c"], ["b"]]
