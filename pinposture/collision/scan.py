@@ -8,7 +8,7 @@ from functools import cached_property
 from numbers import Real
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -19,15 +19,11 @@ from pinposture._validation import LARGEST_LENGTH, SMALLEST_LENGTH, is_count, le
 from pinposture.arm import Arm
 from pinposture.arm.configurations import ConfigurationSpace
 from pinposture.collision.bodies import Body, bodies_of
-from pinposture.collision.clearance import LeftOut, placements_of
+from pinposture.collision.model import MAX_MODELS, ExcludedPair, joint_placements
 from pinposture.collision.obstacles import Sphere, solid
 from pinposture.collision.scan_distances import ScanDistances, ScanTree
 from pinposture.collision.scan_files import read_scan
 from pinposture.errors import FileError, InvalidValue, PostureWarning
-
-if TYPE_CHECKING:
-    from pinposture.arm import Arm
-
 
 # Checks of the arrays that a scan is made of.
 
@@ -169,14 +165,14 @@ WIDE = 30.0
 class Scan:
     """A surface or a cloud of points that a scanner saw, world frame.
 
-    A scan is shown, and the distance of an arm from it is told (`around`). It is no obstacle: controllers do
-    not keep clear of it. What they are to keep clear of belongs into a `Scene`.
+    A scan is shown, and `ScanClearance` tells the distance of an arm from it. It is no obstacle:
+    controllers do not keep clear of it. What they are to keep clear of belongs into a `Scene`.
 
     Points that are not finite, which scanners write where they saw nothing, are left out and counted, and so
     are the triangles that have them for corners.
 
-        scan = pp.scene.Scan.load("workshop.ply")
-        gap = scan.around(arm).minimum(q)
+        scan = pp.collision.Scan.load("workshop.ply")
+        gap = pp.collision.ScanClearance(arm, scan).minimum(q)
 
     Attributes:
         points: the points, or the corners of the triangles, (n, 3) [m]; read-only.
@@ -295,19 +291,6 @@ class Scan:
             warnings.simplefilter("ignore", PostureWarning)  # of its width was warned before
             return Scan(self.points[kept], faces, colors, self.name, self.path)
 
-    def around(self, arm: Arm, arm_radius: float | None = None) -> ScanClearance:
-        """What tells the distance of an arm from this scan; takes a moment to prepare, so keep it.
-
-        Args:
-            arm: the arm.
-            arm_radius: radius of capsules that stand in for whatever its description says [m], as in `Scene`;
-                if None, that.
-
-        Raises:
-            InvalidValue: not an arm, or one of too many degrees of freedom; not a radius.
-        """
-        return ScanClearance(self, arm, arm_radius)
-
     @cached_property
     def tree(self) -> ScanTree:
         """The points or triangles by where they are; made when first asked for."""
@@ -358,33 +341,56 @@ class ScanGap(NamedTuple):
 
 
 class ScanClearance:
-    """The distance of an arm from a scan; make one with `Scan.around`. May be shared between threads.
+    """The distance of an arm from a scan; may be shared between threads.
+
+    An arm remembers it for each scan and radius.
 
     It is exact, for points and for triangles; how deep a triangle goes into a body that is neither a ball nor
     a capsule is found to within 0.01 mm.
 
     Attributes:
         bodies: names of the bodies that are looked at, from base to tip.
-        left_out: bodies that are not: those that no joint moves, and those that have a point that stands
-            still within `MOUNTED` of the scan, which is what the arm is mounted on.
+        excluded_pairs: bodies that are not: those that no joint moves, and those that have a point that
+            stands still within `MOUNTED` of the scan, which is what the arm is mounted on.
     """
 
-    def __init__(self, scan: Scan, arm: Arm, arm_radius: float | None = None) -> None:
-        # Neither the arm nor the scan itself: what remembers clearances by them would never forget them.
+    def __new__(cls, arm: Arm, scan: Scan, arm_radius: float | None = None) -> ScanClearance:
+        """Find or make what tells the distance of an arm from a scan.
+
+        Args:
+            arm: the arm.
+            scan: the scan.
+            arm_radius: radius of capsules that stand in for whatever the arm's description says [m], as in
+                `Scene`; if None, that.
+
+        Raises:
+            InvalidValue: not an arm, or one of more than 300 degrees of freedom; not a scan; not a radius.
+        """
         if not isinstance(arm, Arm):
             raise InvalidValue("arm", arm, "an Arm")
+        if not isinstance(scan, Scan):
+            raise InvalidValue("scan", scan, "a Scan")
         radius = None if arm_radius is None else length("arm_radius", arm_radius)
-        self._model, self._space, self._places = (
-            arm.model,
-            ConfigurationSpace(arm.model),
-            placements_of(arm),
-        )
+        scans: WeakKeyDictionary[Scan, dict[float | None, ScanClearance]]
+        scans = arm.cache.setdefault(cls, WeakKeyDictionary())
+        made = scans.setdefault(scan, {})
+        if radius not in made:
+            if len(made) >= MAX_MODELS:
+                made.clear()
+            made[radius] = super().__new__(cls)
+            made[radius]._prepare(arm, scan, radius)
+        return made[radius]
+
+    def _prepare(self, arm: Arm, scan: Scan, radius: float | None) -> None:
+        # Without the scan itself, which is forgotten with its last user.
+        self._model, self._space = arm.model, ConfigurationSpace(arm.model)
+        self._places = joint_placements(arm)
         listed = bodies_of(arm, radius)
         moved = [body for body in listed if body.joint]
         standing = self._standing(scan, arm, moved)
         reasons = {body.name: "no joint moves it" for body in listed if not body.joint}
         reasons |= {moved[k].name: "the arm is mounted on the scan" for k in standing}
-        self.left_out = tuple(LeftOut(name, scan.name, why) for name, why in reasons.items())
+        self.excluded_pairs = tuple(ExcludedPair(name, scan.name, why) for name, why in reasons.items())
         left = [body for k, body in enumerate(moved) if k not in standing]
         self.bodies = tuple(body.name for body in left)
         self._joints = [body.joint for body in left]
@@ -402,8 +408,8 @@ class ScanClearance:
         pin.forwardKinematics(self._model, self._places.data, self._space.checked(q))
         if self._distances is None:
             return ScanGap(np.inf, None, None, None)
-        turns, shifts = self._places.rotations[self._joints], self._places.positions[self._joints]
-        found = self._distances.nearest(turns, shifts)
+        rotations, positions = self._places.read()
+        found = self._distances.nearest(rotations[self._joints], positions[self._joints])
         return ScanGap(found.distance, self.bodies[found.body], found.on_body, found.on_scan)
 
     def _standing(self, scan: Scan, arm: Arm, bodies: list[Body]) -> set[int]:
@@ -414,7 +420,8 @@ class ScanClearance:
             return set()
         for q in (arm.neutral(), arm.random(rng), arm.random(rng)):
             pin.forwardKinematics(arm.model, self._places.data, q)
-            turns, shifts = self._places.rotations[joints], self._places.positions[joints]
+            rotations, positions = self._places.read()
+            turns, shifts = rotations[joints], positions[joints]
             found.append(ends @ turns.swapaxes(1, 2) + shifts[:, None])
         still = np.ptp(found, axis=0).max(axis=2) <= _STILL * arm.length  # (bodies, 2)
         mounted = set()
@@ -425,31 +432,3 @@ class ScanClearance:
             if place.distance <= MOUNTED:
                 mounted.add(int(body))
         return mounted
-
-
-_SCAN_CLEARANCES: WeakKeyDictionary[Scan, WeakKeyDictionary[Arm, dict[float | None, ScanClearance]]]
-_SCAN_CLEARANCES = WeakKeyDictionary()
-_MOST_POINTS = 16  # radii with which one arm is remembered
-
-
-def scan_clearance(arm: Arm, scan: Scan, q: ArrayLike, arm_radius: float | None = None) -> ScanGap:
-    """How far an arm is from a scan at a configuration, and where; what this takes to prepare is remembered.
-
-    Args:
-        arm: the arm.
-        scan: the scan.
-        q: configuration, (nq,) [rad or m].
-        arm_radius: as in `Scan.around`.
-
-    Raises:
-        InvalidValue: as in `Scan.around` and `ScanClearance.minimum`.
-    """
-    for name, value, kind in (("scan", scan, Scan), ("arm", arm, Arm)):
-        if not isinstance(value, kind):
-            raise InvalidValue(name, value, "an Arm" if kind is Arm else "a Scan")
-    known = _SCAN_CLEARANCES.setdefault(scan, WeakKeyDictionary()).setdefault(arm, {})
-    if arm_radius not in known:
-        if len(known) >= _MOST_POINTS:
-            known.clear()
-        known[arm_radius] = ScanClearance(scan, arm, arm_radius)
-    return known[arm_radius].minimum(q)

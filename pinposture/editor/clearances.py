@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ArmState
-from pinposture.collision import Scene
-from pinposture.collision.scan import Scan, scan_clearance
+from pinposture.collision import CollisionModel, Scene
+from pinposture.collision.scan import Scan, ScanClearance
 from pinposture.errors import PostureError
 
 Array = NDArray[np.float64]
@@ -144,7 +144,8 @@ def _of_obstacles(state: ArmState, scene: Scene | None) -> Nearest | None:
     if scene is None or not scene.obstacles:
         return None
     # Without the arm itself: links next but one to each other are always near, and would hide the rest.
-    clearance = (replace(scene, self_collision=False) if scene.self_collision else scene).around(state.arm)
+    alone = replace(scene, self_collision=False) if scene.self_collision else scene
+    clearance = CollisionModel(state.arm, alone)
     least = clearance.minimum(state.q)
     if least.pair is None:
         return None
@@ -157,7 +158,7 @@ def _of_obstacles(state: ArmState, scene: Scene | None) -> Nearest | None:
 
 
 def _of_scan(state: ArmState, name: str, scan: Scan, radius: float | None) -> Nearest | None:
-    gap = scan_clearance(state.arm, scan, state.q, radius)
+    gap = ScanClearance(state.arm, scan, radius).minimum(state.q)
     if gap.body is None or gap.on_arm is None or gap.on_scan is None:
         return None
     return Nearest(gap.distance, gap.body, name, gap.on_arm, gap.on_scan, 0.0, scanned=True)

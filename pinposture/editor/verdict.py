@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pinposture.arm import Arm
-from pinposture.collision import Scene
+from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.scene import obstacles_around
 from pinposture.errors import (
     CurveBendsTooMuch,
@@ -137,7 +137,7 @@ def _touching(arm: Arm, target: Target, scene: Scene | None) -> list[str]:
         return [f"in collision: {around[0]} stands where the base of the arm is"]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PostureWarning)
-        closest = scene.around(arm).minimum(target.q)
+        closest = CollisionModel(arm, scene).minimum(target.q)
     if closest.pair is None or closest.distance >= scene.margin:
         return []
     body, other = closest.pair

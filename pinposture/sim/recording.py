@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture.collision import Scene
+from pinposture.collision import CollisionModel, Scene
 from pinposture.placement import Target
 from pinposture.sim.plant import Cycle, Plant
 from pinposture.sim.simulation import Simulation
@@ -68,7 +68,7 @@ class Recording:
         q = np.array([arm.configuration(row) for row in self._taken])
         clearance = np.full(len(q), np.inf)
         if scene is not None:
-            around = scene.around(arm)
+            around = CollisionModel(arm, scene)
             clearance = np.array([around.minimum(row).distance for row in q])
         # Targets may be without a place where their weight is 0.
         targets = [np.where(each.weights[:, None] > 0.0, each.points, 0.0) for each in self._targets]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pinposture.collision import Scene
+from pinposture.collision import CollisionModel, Scene
 from pinposture.motion import Trajectory
 from pinposture.study.record import RISE, TOLERANCE
 from pinposture.study.reproduce.measures import displacements
@@ -100,7 +100,7 @@ def record_scene_run(
         refused: how many draws were refused.
         seconds: time that the run took [s].
     """
-    around, margin = situation.scene.around(run.arm), situation.scene.margin
+    around, margin = CollisionModel(run.arm, situation.scene), situation.scene.margin
     at = np.array([around.minimum(q).distance for q in run.q])
     ways = zip(run.q[:-1], displacements(run), strict=True)
     between = np.array([around.minimum_between(q, dq, SAMPLES).distance for q, dq in ways])

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture.arm import Arm
-from pinposture.collision import Box, Capsule, Clearance, Cylinder, HalfSpace, Obstacle, Scene, Sphere
+from pinposture.collision import Box, Capsule, CollisionModel, Cylinder, HalfSpace, Obstacle, Scene, Sphere
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.study.cases import smooth_configuration
 from pinposture.study.families import built_subject
@@ -92,7 +92,7 @@ def draw_situation(arm: Arm, situation: Situation, seed: int) -> Draw:
         InvalidValue: none of `DRAWS` draws is as clear as it should be.
     """
     rng = np.random.default_rng([seed, *situation.name.encode()])
-    around = situation.scene.around(arm)
+    around = CollisionModel(arm, situation.scene)
     found, refused = [], 0
     for what, positions, clear in (
         ("start", situation.start, situation.start_clear),
@@ -111,7 +111,7 @@ def draw_situation(arm: Arm, situation: Situation, seed: int) -> Draw:
     return Draw(found[0], found[1], refused)
 
 
-def _as_clear(around: Clearance, q: Array, clear: bool) -> bool:
+def _as_clear(around: CollisionModel, q: Array, clear: bool) -> bool:
     distance = around.minimum(q).distance
     return distance >= around.scene.margin if clear else distance < 0.0
 
