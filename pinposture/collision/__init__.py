@@ -12,7 +12,8 @@ from pinposture.collision.obstacles import (
     obstacle_from_dict,
 )
 from pinposture.collision.pipe import Bend, pipe, pipe_axis, pipe_walls
-from pinposture.collision.scan import Scan, ScanClearance, ScanGap
+from pinposture.collision.scan import Scan
+from pinposture.collision.scan_clearance import ScanClearance, ScanGap
 from pinposture.collision.scene import Scene
 
 __all__ = [

@@ -9,19 +9,13 @@ from numbers import Real
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
-from weakref import WeakKeyDictionary
 
+import coal
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
-from pinposture._validation import LARGEST_LENGTH, SMALLEST_LENGTH, is_count, length
-from pinposture.arm import Arm
-from pinposture.arm.configurations import ConfigurationSpace
-from pinposture.collision.bodies import Body, bodies_of
-from pinposture.collision.model import MAX_MODELS, ExcludedPair, joint_placements
-from pinposture.collision.obstacles import Sphere, solid
-from pinposture.collision.scan_distances import ScanDistances, ScanTree
+from pinposture._validation import LARGEST_LENGTH, SMALLEST_LENGTH, is_count
 from pinposture.collision.scan_files import read_scan
 from pinposture.errors import FileError, InvalidValue, PostureWarning
 
@@ -161,6 +155,20 @@ WIDE = 30.0
 """A scan that is wider than this is warned of [m]: its unit is probably another."""
 
 
+class ScanGeometry(NamedTuple):
+    """A scan prepared for distances.
+
+    Attributes:
+        points: the points, (n, 3) [m].
+        tree: the same.
+        surface: the triangles in a tree of boxes; None for a cloud of points.
+    """
+
+    points: Array
+    tree: cKDTree
+    surface: coal.BVHModelOBBRSS | None
+
+
 @dataclass(frozen=True, eq=False)
 class Scan:
     """A surface or a cloud of points that a scanner saw, world frame.
@@ -229,7 +237,7 @@ class Scan:
     def load(cls, path: str | Path, scale: float = 1.0) -> Scan:
         """Read a scan from a file.
 
-        Clouds of points: .ply, .pcd (ascii, binary), .xyz, .txt and .csv (columns named x, y and z, else the
+        Clouds of points: .ply, .xyz, .txt and .csv (columns named x, y and z, else the
         first three), .npy, .npz (`points`, with `faces` and `colors` if it likes). Surfaces: .ply, .stl,
         .obj, .off, .glb. Axes are left as they are in the file; in .glb files y commonly points up.
 
@@ -292,9 +300,16 @@ class Scan:
             return Scan(self.points[kept], faces, colors, self.name, self.path)
 
     @cached_property
-    def tree(self) -> ScanTree:
-        """The points or triangles by where they are; made when first asked for."""
-        return ScanTree(self.points[:, None] if self.faces is None else self.points[self.faces])
+    def geometry(self) -> ScanGeometry:
+        """The scan prepared for distances; made when first asked for."""
+        surface = None
+        if self.faces is not None:
+            surface = coal.BVHModelOBBRSS()
+            surface.beginModel(len(self.faces), len(self.points))
+            surface.addVertices(self.points)
+            surface.addTriangles(self.faces.astype(np.int64))
+            surface.endModel()
+        return ScanGeometry(self.points, cKDTree(self.points), surface)
 
     def __repr__(self) -> str:
         surface = "" if self.faces is None else f", {len(self.faces)} triangles"
@@ -312,123 +327,3 @@ def _restored(points: Array, faces: Any, colors: Any, name: str, path: Path | No
         scan = Scan(points, faces, colors, name, path)
     object.__setattr__(scan, "dropped", dropped)
     return scan
-
-
-# How far an arm is from a scan of what surrounds it.
-
-MOUNTED = 0.01
-"""How near a scan has to be to where the arm is fixed to count as what it is mounted on [m]."""
-
-_STILL = 1e-9
-"""How far a point may move that does not move, relative to the arm."""
-
-
-class ScanGap(NamedTuple):
-    """Where an arm is nearest to a scan.
-
-    Attributes:
-        distance: from the surface of the arm to the nearest point of the scan [m]. Negative where points of
-            the scan are inside of the arm: how deep the deepest lies. Infinite if no body is looked at.
-        body: name of the body that is nearest; None if no body is looked at.
-        on_arm: the point of its surface, (3,) [m], world frame; None likewise.
-        on_scan: the point of the scan, (3,) [m], world frame; None likewise.
-    """
-
-    distance: float
-    body: str | None
-    on_arm: Array | None
-    on_scan: Array | None
-
-
-class ScanClearance:
-    """The distance of an arm from a scan; may be shared between threads.
-
-    An arm remembers it for each scan and radius.
-
-    It is exact, for points and for triangles; how deep a triangle goes into a body that is neither a ball nor
-    a capsule is found to within 0.01 mm.
-
-    Attributes:
-        bodies: names of the bodies that are looked at, from base to tip.
-        excluded_pairs: bodies that are not: those that no joint moves, and those that have a point that
-            stands still within `MOUNTED` of the scan, which is what the arm is mounted on.
-    """
-
-    def __new__(cls, arm: Arm, scan: Scan, arm_radius: float | None = None) -> ScanClearance:
-        """Find or make what tells the distance of an arm from a scan.
-
-        Args:
-            arm: the arm.
-            scan: the scan.
-            arm_radius: radius of capsules that stand in for whatever the arm's description says [m], as in
-                `Scene`; if None, that.
-
-        Raises:
-            InvalidValue: not an arm, or one of more than 300 degrees of freedom; not a scan; not a radius.
-        """
-        if not isinstance(arm, Arm):
-            raise InvalidValue("arm", arm, "an Arm")
-        if not isinstance(scan, Scan):
-            raise InvalidValue("scan", scan, "a Scan")
-        radius = None if arm_radius is None else length("arm_radius", arm_radius)
-        scans: WeakKeyDictionary[Scan, dict[float | None, ScanClearance]]
-        scans = arm.cache.setdefault(cls, WeakKeyDictionary())
-        made = scans.setdefault(scan, {})
-        if radius not in made:
-            if len(made) >= MAX_MODELS:
-                made.clear()
-            made[radius] = super().__new__(cls)
-            made[radius]._prepare(arm, scan, radius)
-        return made[radius]
-
-    def _prepare(self, arm: Arm, scan: Scan, radius: float | None) -> None:
-        # Without the scan itself, which is forgotten with its last user.
-        self._model, self._space = arm.model, ConfigurationSpace(arm.model)
-        self._places = joint_placements(arm)
-        listed = bodies_of(arm, radius)
-        moved = [body for body in listed if body.joint]
-        standing = self._standing(scan, arm, moved)
-        reasons = {body.name: "no joint moves it" for body in listed if not body.joint}
-        reasons |= {moved[k].name: "the arm is mounted on the scan" for k in standing}
-        self.excluded_pairs = tuple(ExcludedPair(name, scan.name, why) for name, why in reasons.items())
-        left = [body for k, body in enumerate(moved) if k not in standing]
-        self.bodies = tuple(body.name for body in left)
-        self._joints = [body.joint for body in left]
-        self._distances = ScanDistances([body.shape for body in left], scan.tree) if left else None
-
-    def minimum(self, q: ArrayLike) -> ScanGap:
-        """How far the arm is from the scan at a configuration, and where.
-
-        Args:
-            q: configuration, (nq,) [rad or m].
-
-        Raises:
-            InvalidValue: q has the wrong size or is not finite.
-        """
-        pin.forwardKinematics(self._model, self._places.data, self._space.checked(q))
-        if self._distances is None:
-            return ScanGap(np.inf, None, None, None)
-        rotations, positions = self._places.read()
-        found = self._distances.nearest(rotations[self._joints], positions[self._joints])
-        return ScanGap(found.distance, self.bodies[found.body], found.on_body, found.on_scan)
-
-    def _standing(self, scan: Scan, arm: Arm, bodies: list[Body]) -> set[int]:
-        """Indices of the bodies by which the arm is mounted on the scan."""
-        ends = np.array([[each.start, each.end] for each in (solid(body.shape) for body in bodies)])
-        joints, rng, found = [body.joint for body in bodies], np.random.default_rng(0), []
-        if not bodies:
-            return set()
-        for q in (arm.neutral(), arm.random(rng), arm.random(rng)):
-            pin.forwardKinematics(arm.model, self._places.data, q)
-            rotations, positions = self._places.read()
-            turns, shifts = rotations[joints], positions[joints]
-            found.append(ends @ turns.swapaxes(1, 2) + shifts[:, None])
-        still = np.ptp(found, axis=0).max(axis=2) <= _STILL * arm.length  # (bodies, 2)
-        mounted = set()
-        for body, end in np.argwhere(still):
-            shape = solid(bodies[body].shape)
-            ball = Sphere((0.0, 0.0, 0.0), shape.radius if shape.round else SMALLEST_LENGTH)
-            place = ScanDistances([ball], scan.tree).nearest(np.eye(3)[None], found[0][body, end][None])
-            if place.distance <= MOUNTED:
-                mounted.add(int(body))
-        return mounted

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ArmState
-from pinposture.collision import CollisionModel, Scene
-from pinposture.collision.scan import Scan, ScanClearance
+from pinposture.collision import CollisionModel, Scan, ScanClearance, Scene
 from pinposture.errors import PostureError
 
 Array = NDArray[np.float64]
@@ -28,7 +27,7 @@ class Nearest(NamedTuple):
     """Where an arm is nearest to something that is not part of it.
 
     Attributes:
-        distance: between the surfaces, negative where they overlap [m].
+        distance: between the surfaces, negative where they overlap [m]; from a scan, 0 where they overlap.
         body: name of the body of the arm.
         other: name of the obstacle, or of the scan.
         on_arm: point of the body, nearest to the other or deepest in it, (3,) [m], world frame.
@@ -48,7 +47,7 @@ class Nearest(NamedTuple):
     @property
     def level(self) -> str:
         """How that is: "inside", "within the margin" or "clear"."""
-        if self.distance < 0.0:
+        if self.distance < 0.0 or (self.scanned and self.distance == 0.0):
             return "inside"
         return "within the margin" if self.distance < self.margin else "clear"
 

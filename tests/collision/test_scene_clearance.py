@@ -53,8 +53,8 @@ def test_every_bound_is_at_most_the_distance(seed):
     distances, places = clearance._distances, clearance._places
     pin.forwardKinematics(arm.model, places.data, arm.random(rng))
     bounds = distances._bounds
-    lower = bounds.lower(bounds.ends(places.rotations, places.positions))
-    near, _ = distances.near(places.rotations, places.positions, np.inf)
+    lower = bounds.lower(bounds.ends(*places.read()))
+    near, _ = distances.near(*places.read(), np.inf)
     for pair, contact in near:
         assert lower[pair] <= contact.distance + 1e-7
 
@@ -171,7 +171,7 @@ def test_the_nearest_is_exact_where_nothing_is_near():
     assert near.minimum == pytest.approx(clearance.minimum(arm.straight()).distance, abs=1e-12)
     assert near.pair == clearance.minimum(arm.straight()).pair
     nothing = CollisionModel(arm, Scene()).nearest(arm.at(arm.straight()), np.inf)
-    assert nothing.minimum == np.inf and nothing.pair is None and nothing.rows.shape == (0, arm.nv)
+    assert nothing.minimum == np.inf and nothing.pair is None and nothing.jacobian.shape == (0, arm.nv)
 
 
 def test_clearances_are_remembered_as_long_as_the_arm_lives():
