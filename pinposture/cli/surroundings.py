@@ -13,7 +13,7 @@ from pinposture.cli.output import print_facts, print_table
 
 if TYPE_CHECKING:
     from pinposture.arm import Arm
-    from pinposture.collision import CollisionModel, Scene
+    from pinposture.collision import Scene
 
 SURROUNDINGS = "The surroundings"
 """Heading under which the help lists these options."""
@@ -51,6 +51,8 @@ def read_scene(file: Path | None, self_collision: bool) -> Scene | None:
 def describe_scene(scene: Scene, arm: Arm) -> dict[str, Any]:
     """A scene around an arm at zero joint positions, as data that JSON can hold; lengths in metres."""
     import numpy as np
+
+    from pinposture.collision import CollisionModel
 
     clearance = CollisionModel(arm, scene)
     near = clearance.nearest(arm.at(arm.neutral()), np.inf)

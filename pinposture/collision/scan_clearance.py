@@ -39,8 +39,10 @@ class Nearest(NamedTuple):
     Attributes:
         distance: between their surfaces [m]; 0 where they overlap.
         body: index of the body.
-        on_body: point of its surface, (3,) [m], world frame; where they overlap, a point that both have.
-        on_scan: point of the scan, (3,) [m], world frame; likewise.
+        on_body: point of its surface, (3,) [m], world frame; a point of the scan inside of it, if there is one
+            in a cloud.
+        on_scan: point of the scan, (3,) [m], world frame; where a surface overlaps the body, of a triangle that
+            does.
     """
 
     distance: float
@@ -72,8 +74,9 @@ def nearest_to_surface(scan: ScanGeometry, bodies: Placed) -> Nearest:
         if result.min_distance <= _TOUCHING:
             meeting = coal.CollisionResult()
             coal.collide(shape.geometry, place, scan.surface, here, coal.CollisionRequest(), meeting)
-            contact = meeting.getContacts()[0].pos if meeting.isCollision() else result.getNearestPoint1()
-            return Nearest(0.0, int(body), np.array(contact), np.array(contact))
+            found = meeting.getContacts()[0] if meeting.isCollision() else result
+            points = np.array(found.getNearestPoint1()), np.array(found.getNearestPoint2())
+            return Nearest(0.0, int(body), *points)
         if result.min_distance < best.distance:
             points = np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())
             best = Nearest(float(result.min_distance), int(body), *points)
@@ -200,9 +203,10 @@ class ScanGap(NamedTuple):
         distance: from the surface of the arm to the nearest point of the scan [m]; 0 where they overlap.
             Infinite if the arm has no body to look at.
         body: name of the body that is nearest; None without a body.
-        on_arm: the point of its surface, (3,) [m], world frame; None without a body. Where they overlap, a
-            point in both.
-        on_scan: the point of the scan, (3,) [m], world frame; likewise.
+        on_arm: the point of its surface, (3,) [m], world frame; None without a body. Where points of a cloud
+            are inside of the body, one of them.
+        on_scan: the point of the scan, (3,) [m], world frame; None without a body. Where a surface overlaps
+            the body, a point of a triangle that does.
     """
 
     distance: float
