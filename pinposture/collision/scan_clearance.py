@@ -39,10 +39,9 @@ class Nearest(NamedTuple):
     Attributes:
         distance: between their surfaces [m]; 0 where they overlap.
         body: index of the body.
-        on_body: point of its surface, (3,) [m], world frame; a point of the scan inside of it, if there is one
-            in a cloud.
-        on_scan: point of the scan, (3,) [m], world frame; where a surface overlaps the body, of a triangle that
-            does.
+        on_body: point of its surface, (3,) [m], world frame; where points of a cloud are inside, one of them.
+        on_scan: point of the scan, (3,) [m], world frame; where a surface overlaps the body, of a triangle
+            that does.
     """
 
     distance: float
