@@ -28,7 +28,7 @@ target = pp.Target.from_configuration(arm, goal)
 run = pp.track(arm, target, start, scene=scene)
 
 print(run.status, "-", run.reason)
-nearest = scene.around(arm).minimum(run.q[run.clearance.argmin()])
+nearest = pp.CollisionModel(arm, scene).minimum(run.q[run.clearance.argmin()])
 print(f"{run.steps} steps, never nearer than {1e3 * nearest.distance:.1f} mm ({' to '.join(nearest.pair)})")
 ways = np.linalg.norm(np.diff(run.points, axis=0), axis=2).sum()
 straight = np.linalg.norm(run.points[-1] - run.points[0], axis=1).sum()

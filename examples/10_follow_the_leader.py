@@ -38,7 +38,7 @@ deviation = path_deviation(arm, run.q, path)
 print(
     f"farthest from the path: {deviation.percent:.3f} % of the arm length, {1e3 * deviation.largest:.2f} mm"
 )
-nearest = scene.around(arm).minimum(run.q[run.clearance.argmin()])
+nearest = pp.CollisionModel(arm, scene).minimum(run.q[run.clearance.argmin()])
 print(f"never nearer to the walls than {1e3 * nearest.distance:.1f} mm ({' to '.join(nearest.pair)})")
 
 out = Path("out/follow_the_leader")

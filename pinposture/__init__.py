@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pinposture.arm import Adequacy, Arm, ArmState, Ellipsoid, JointLimits, JointSpec, ModuleTemplate
     from pinposture.arm.template import template
-    from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Mesh, Scene, Sphere
+    from pinposture.collision import Box, Capsule, CollisionModel, Cylinder, HalfSpace, Mesh, Scene, Sphere
     from pinposture.control import (
         ConstrainedQP,
         Controller,
@@ -53,6 +53,7 @@ __all__ = [
     "Batch",
     "Box",
     "Capsule",
+    "CollisionModel",
     "ConstrainedQP",
     "Controller",
     "Curve",
@@ -126,7 +127,7 @@ _PACKAGES = {
     "curve": ("Curve",),
     "errors": ("PostureError", "PostureWarning"),
     "motion": ("Batch", "JointTrajectory", "Motion", "Tracker", "Trajectory", "track", "track_many"),
-    "collision": ("Box", "Capsule", "Cylinder", "HalfSpace", "Mesh", "Scene", "Sphere"),
+    "collision": ("Box", "Capsule", "CollisionModel", "Cylinder", "HalfSpace", "Mesh", "Scene", "Sphere"),
     "placement": ("Target", "fit_points", "resolve_targets"),
     "task": (
         "Keyframe",

@@ -55,7 +55,7 @@ def drawn_course(seed: int, stops: int = 2) -> Course:
             dt=float(rng.choice([0.02, 0.05, 0.1])),
             acceleration=float(rng.choice([0.5, 2.0, 8.0])),
         )
-        around, found = scene.around(arm), []
+        around, found = pp.CollisionModel(arm, scene), []
         for _ in range(10 * stops):
             q = drawn_configuration(arm, rng)
             if around.minimum(q).distance > 1.01 * scene.margin and len(found) < stops:

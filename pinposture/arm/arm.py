@@ -50,6 +50,8 @@ class Arm(Blueprint):
         sliding_unit: the slide that weighs as much as a turn of one radian, where both are compared [m]: the
             mean module length, unless told otherwise by `with_sliding_unit`.
         joint_units: the motion of each joint that counts as one, (nv,): one radian, or `sliding_unit` metres.
+        cache: what other packages derive from the arm and remember as long as it lives, such as its collision
+            models, by class or function; neither copied nor pickled.
     """
 
     def __init__(
@@ -63,6 +65,7 @@ class Arm(Blueprint):
         spec: ArmSpec | None = None,
     ) -> None:
         super().__init__(model, control_points, base_placement, urdf, report, sliding_unit, spec)
+        self.cache: dict[object, Any] = {}
         if not self.control_points:
             raise InvalidValue("control_points", list(control_points), "at least one frame name")
         self.chain: Chain = read_chain(model, self.control_points)

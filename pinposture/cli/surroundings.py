@@ -52,7 +52,9 @@ def describe_scene(scene: Scene, arm: Arm) -> dict[str, Any]:
     """A scene around an arm at zero joint positions, as data that JSON can hold; lengths in metres."""
     import numpy as np
 
-    clearance = scene.around(arm)
+    from pinposture.collision import CollisionModel
+
+    clearance = CollisionModel(arm, scene)
     near = clearance.nearest(arm.at(arm.neutral()), np.inf)
     nearest: dict[str, tuple[str, float]] = {}
     for pair, distance in zip(near.pairs, near.distances, strict=True):
@@ -67,7 +69,7 @@ def describe_scene(scene: Scene, arm: Arm) -> dict[str, Any]:
         "margin": scene.margin,
         "self_collision": scene.self_collision,
         "pairs": len(clearance.pairs),
-        "left_out": [each._asdict() for each in clearance.left_out],
+        "excluded_pairs": [each._asdict() for each in clearance.excluded_pairs],
         "obstacles": [
             {"name": name, **obstacle.to_dict(), **beside(name)} for name, obstacle in scene.obstacles.items()
         ],
@@ -77,13 +79,13 @@ def describe_scene(scene: Scene, arm: Arm) -> dict[str, Any]:
 
 def print_scene(about: Mapping[str, Any]) -> None:
     """Print what `describe_scene` found: obstacles, bodies of the arm, and what is nearest to each."""
-    left_out = [f"{each['first']} to {each['second']}" for each in about["left_out"]]
+    excluded = [f"{each['first']} to {each['second']}" for each in about["excluded_pairs"]]
     facts = {
         "margin": f"{about['margin']:.4g} m",
         "to itself": "distances of the arm from itself count" if about["self_collision"] else "not looked at",
         "pairs": f"{about['pairs']}, nearest at zero joint positions below",
     }
-    print_facts({**facts, **({"left out": ", ".join(left_out)} if left_out else {})})
+    print_facts({**facts, **({"excluded pairs": ", ".join(excluded)} if excluded else {})})
     for kind, headings in (("obstacles", ("obstacle", "type")), ("bodies", ("body",))):
         rows = [
             (one["name"], *([one["type"]] if "type" in one else []), one["nearest"] or "-", one["distance"])

@@ -1,6 +1,6 @@
 """What is in the way: obstacles, the arm itself, and how far it is from both."""
 
-from pinposture.collision.clearance import Clearance, Closest, LeftOut, Nearness
+from pinposture.collision.model import Closest, CollisionModel, Distances, ExcludedPair
 from pinposture.collision.obstacles import (
     Box,
     Capsule,
@@ -12,20 +12,21 @@ from pinposture.collision.obstacles import (
     obstacle_from_dict,
 )
 from pinposture.collision.pipe import Bend, pipe, pipe_axis, pipe_walls
-from pinposture.collision.scan import Scan, ScanClearance, ScanGap, scan_clearance
+from pinposture.collision.scan import Scan
+from pinposture.collision.scan_clearance import ScanClearance, ScanGap
 from pinposture.collision.scene import Scene
 
 __all__ = [
     "Bend",
     "Box",
     "Capsule",
-    "Clearance",
     "Closest",
+    "CollisionModel",
     "Cylinder",
+    "Distances",
+    "ExcludedPair",
     "HalfSpace",
-    "LeftOut",
     "Mesh",
-    "Nearness",
     "Obstacle",
     "Scan",
     "ScanClearance",
@@ -36,5 +37,4 @@ __all__ = [
     "pipe",
     "pipe_axis",
     "pipe_walls",
-    "scan_clearance",
 ]

@@ -1,4 +1,4 @@
-"""Distances between solids: bounds of all pairs at once, exact distances of those that may be nearest."""
+"""PairDistances between solids: bounds of all pairs at once, exact distances of those that may be nearest."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pinposture import kernels
 from pinposture.collision.obstacles import Solid
 
-# Distances between straight lines of finite length, many at a time.
+# PairDistances between straight lines of finite length, many at a time.
 
 Array = NDArray[np.float64]
 
@@ -256,8 +256,8 @@ class Narrow(threading.local):
 NO_PAIR = -1
 
 
-class Distances:
-    """Distances of pairs of a body and another, or of a body and an obstacle.
+class PairDistances:
+    """PairDistances of pairs of a body and another, or of a body and an obstacle.
 
     Attributes:
         first: index of the body of each pair, (n,).

@@ -8,26 +8,16 @@ from functools import cached_property
 from numbers import Real
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
-from weakref import WeakKeyDictionary
+from typing import Any, NamedTuple
 
+import coal
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
-from pinposture._validation import LARGEST_LENGTH, SMALLEST_LENGTH, is_count, length
-from pinposture.arm import Arm
-from pinposture.arm.configurations import ConfigurationSpace
-from pinposture.collision.bodies import Body, bodies_of
-from pinposture.collision.clearance import LeftOut, placements_of
-from pinposture.collision.obstacles import Sphere, solid
-from pinposture.collision.scan_distances import ScanDistances, ScanTree
+from pinposture._validation import LARGEST_LENGTH, SMALLEST_LENGTH, is_count
 from pinposture.collision.scan_files import read_scan
 from pinposture.errors import FileError, InvalidValue, PostureWarning
-
-if TYPE_CHECKING:
-    from pinposture.arm import Arm
-
 
 # Checks of the arrays that a scan is made of.
 
@@ -165,18 +155,32 @@ WIDE = 30.0
 """A scan that is wider than this is warned of [m]: its unit is probably another."""
 
 
+class ScanGeometry(NamedTuple):
+    """A scan prepared for distances.
+
+    Attributes:
+        points: the points, (n, 3) [m].
+        tree: the same.
+        surface: the triangles in a tree of boxes; None for a cloud of points.
+    """
+
+    points: Array
+    tree: cKDTree
+    surface: coal.BVHModelOBBRSS | None
+
+
 @dataclass(frozen=True, eq=False)
 class Scan:
     """A surface or a cloud of points that a scanner saw, world frame.
 
-    A scan is shown, and the distance of an arm from it is told (`around`). It is no obstacle: controllers do
-    not keep clear of it. What they are to keep clear of belongs into a `Scene`.
+    A scan is shown, and `ScanClearance` tells the distance of an arm from it. It is no obstacle:
+    controllers do not keep clear of it. What they are to keep clear of belongs into a `Scene`.
 
     Points that are not finite, which scanners write where they saw nothing, are left out and counted, and so
     are the triangles that have them for corners.
 
         scan = pp.collision.Scan.load("workshop.ply")
-        gap = scan.around(arm).minimum(q)
+        gap = pp.collision.ScanClearance(arm, scan).minimum(q)
 
     Attributes:
         points: the points, or the corners of the triangles, (n, 3) [m]; read-only.
@@ -233,7 +237,7 @@ class Scan:
     def load(cls, path: str | Path, scale: float = 1.0) -> Scan:
         """Read a scan from a file.
 
-        Clouds of points: .ply, .pcd (ascii, binary), .xyz, .txt and .csv (columns named x, y and z, else the
+        Clouds of points: .ply, .xyz, .txt and .csv (columns named x, y and z, else the
         first three), .npy, .npz (`points`, with `faces` and `colors` if it likes). Surfaces: .ply, .stl,
         .obj, .off, .glb. Axes are left as they are in the file; in .glb files y commonly points up.
 
@@ -295,23 +299,17 @@ class Scan:
             warnings.simplefilter("ignore", PostureWarning)  # of its width was warned before
             return Scan(self.points[kept], faces, colors, self.name, self.path)
 
-    def around(self, arm: Arm, arm_radius: float | None = None) -> ScanClearance:
-        """What tells the distance of an arm from this scan; takes a moment to prepare, so keep it.
-
-        Args:
-            arm: the arm.
-            arm_radius: radius of capsules that stand in for whatever its description says [m], as in `Scene`;
-                if None, that.
-
-        Raises:
-            InvalidValue: not an arm, or one of too many degrees of freedom; not a radius.
-        """
-        return ScanClearance(self, arm, arm_radius)
-
     @cached_property
-    def tree(self) -> ScanTree:
-        """The points or triangles by where they are; made when first asked for."""
-        return ScanTree(self.points[:, None] if self.faces is None else self.points[self.faces])
+    def geometry(self) -> ScanGeometry:
+        """The scan prepared for distances; made when first asked for."""
+        surface = None
+        if self.faces is not None:
+            surface = coal.BVHModelOBBRSS()
+            surface.beginModel(len(self.faces), len(self.points))
+            surface.addVertices(self.points)
+            surface.addTriangles(self.faces.astype(np.int64))
+            surface.endModel()
+        return ScanGeometry(self.points, cKDTree(self.points), surface)
 
     def __repr__(self) -> str:
         surface = "" if self.faces is None else f", {len(self.faces)} triangles"
@@ -329,127 +327,3 @@ def _restored(points: Array, faces: Any, colors: Any, name: str, path: Path | No
         scan = Scan(points, faces, colors, name, path)
     object.__setattr__(scan, "dropped", dropped)
     return scan
-
-
-# How far an arm is from a scan of what surrounds it.
-
-MOUNTED = 0.01
-"""How near a scan has to be to where the arm is fixed to count as what it is mounted on [m]."""
-
-_STILL = 1e-9
-"""How far a point may move that does not move, relative to the arm."""
-
-
-class ScanGap(NamedTuple):
-    """Where an arm is nearest to a scan.
-
-    Attributes:
-        distance: from the surface of the arm to the nearest point of the scan [m]. Negative where points of
-            the scan are inside of the arm: how deep the deepest lies. Infinite if no body is looked at.
-        body: name of the body that is nearest; None if no body is looked at.
-        on_arm: the point of its surface, (3,) [m], world frame; None likewise.
-        on_scan: the point of the scan, (3,) [m], world frame; None likewise.
-    """
-
-    distance: float
-    body: str | None
-    on_arm: Array | None
-    on_scan: Array | None
-
-
-class ScanClearance:
-    """The distance of an arm from a scan; make one with `Scan.around`. May be shared between threads.
-
-    It is exact, for points and for triangles; how deep a triangle goes into a body that is neither a ball nor
-    a capsule is found to within 0.01 mm.
-
-    Attributes:
-        bodies: names of the bodies that are looked at, from base to tip.
-        left_out: bodies that are not: those that no joint moves, and those that have a point that stands
-            still within `MOUNTED` of the scan, which is what the arm is mounted on.
-    """
-
-    def __init__(self, scan: Scan, arm: Arm, arm_radius: float | None = None) -> None:
-        # Neither the arm nor the scan itself: what remembers clearances by them would never forget them.
-        if not isinstance(arm, Arm):
-            raise InvalidValue("arm", arm, "an Arm")
-        radius = None if arm_radius is None else length("arm_radius", arm_radius)
-        self._model, self._space, self._places = (
-            arm.model,
-            ConfigurationSpace(arm.model),
-            placements_of(arm),
-        )
-        listed = bodies_of(arm, radius)
-        moved = [body for body in listed if body.joint]
-        standing = self._standing(scan, arm, moved)
-        reasons = {body.name: "no joint moves it" for body in listed if not body.joint}
-        reasons |= {moved[k].name: "the arm is mounted on the scan" for k in standing}
-        self.left_out = tuple(LeftOut(name, scan.name, why) for name, why in reasons.items())
-        left = [body for k, body in enumerate(moved) if k not in standing]
-        self.bodies = tuple(body.name for body in left)
-        self._joints = [body.joint for body in left]
-        self._distances = ScanDistances([body.shape for body in left], scan.tree) if left else None
-
-    def minimum(self, q: ArrayLike) -> ScanGap:
-        """How far the arm is from the scan at a configuration, and where.
-
-        Args:
-            q: configuration, (nq,) [rad or m].
-
-        Raises:
-            InvalidValue: q has the wrong size or is not finite.
-        """
-        pin.forwardKinematics(self._model, self._places.data, self._space.checked(q))
-        if self._distances is None:
-            return ScanGap(np.inf, None, None, None)
-        turns, shifts = self._places.rotations[self._joints], self._places.positions[self._joints]
-        found = self._distances.nearest(turns, shifts)
-        return ScanGap(found.distance, self.bodies[found.body], found.on_body, found.on_scan)
-
-    def _standing(self, scan: Scan, arm: Arm, bodies: list[Body]) -> set[int]:
-        """Indices of the bodies by which the arm is mounted on the scan."""
-        ends = np.array([[each.start, each.end] for each in (solid(body.shape) for body in bodies)])
-        joints, rng, found = [body.joint for body in bodies], np.random.default_rng(0), []
-        if not bodies:
-            return set()
-        for q in (arm.neutral(), arm.random(rng), arm.random(rng)):
-            pin.forwardKinematics(arm.model, self._places.data, q)
-            turns, shifts = self._places.rotations[joints], self._places.positions[joints]
-            found.append(ends @ turns.swapaxes(1, 2) + shifts[:, None])
-        still = np.ptp(found, axis=0).max(axis=2) <= _STILL * arm.length  # (bodies, 2)
-        mounted = set()
-        for body, end in np.argwhere(still):
-            shape = solid(bodies[body].shape)
-            ball = Sphere((0.0, 0.0, 0.0), shape.radius if shape.round else SMALLEST_LENGTH)
-            place = ScanDistances([ball], scan.tree).nearest(np.eye(3)[None], found[0][body, end][None])
-            if place.distance <= MOUNTED:
-                mounted.add(int(body))
-        return mounted
-
-
-_SCAN_CLEARANCES: WeakKeyDictionary[Scan, WeakKeyDictionary[Arm, dict[float | None, ScanClearance]]]
-_SCAN_CLEARANCES = WeakKeyDictionary()
-_MOST_POINTS = 16  # radii with which one arm is remembered
-
-
-def scan_clearance(arm: Arm, scan: Scan, q: ArrayLike, arm_radius: float | None = None) -> ScanGap:
-    """How far an arm is from a scan at a configuration, and where; what this takes to prepare is remembered.
-
-    Args:
-        arm: the arm.
-        scan: the scan.
-        q: configuration, (nq,) [rad or m].
-        arm_radius: as in `Scan.around`.
-
-    Raises:
-        InvalidValue: as in `Scan.around` and `ScanClearance.minimum`.
-    """
-    for name, value, kind in (("scan", scan, Scan), ("arm", arm, Arm)):
-        if not isinstance(value, kind):
-            raise InvalidValue(name, value, "an Arm" if kind is Arm else "a Scan")
-    known = _SCAN_CLEARANCES.setdefault(scan, WeakKeyDictionary()).setdefault(arm, {})
-    if arm_radius not in known:
-        if len(known) >= _MOST_POINTS:
-            known.clear()
-        known[arm_radius] = ScanClearance(scan, arm, arm_radius)
-    return known[arm_radius].minimum(q)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import io
-import re
-import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -13,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture.errors import FileError, PostureWarning
+from pinposture.errors import FileError
 from pinposture.storage import read_text
 
 # The files that hold scans: which reader each has, and those of plain numbers.
@@ -39,14 +37,16 @@ class ReadScan(NamedTuple):
 
 
 def read_scan(path: Path) -> ReadScan:
-    """Read a file of one of the FORMATS.
+    """Read a file in a format of `SCAN_READERS`.
 
     Raises:
         FileError: missing, of another format, or malformed; says what is wrong and what is allowed.
     """
     reader = SCAN_READERS.get(path.suffix.lower())
     if reader is None:
-        raise FileError(path, f"the name ends in {path.suffix!r}; allowed: {', '.join(SCAN_READERS)}")
+        convert = "; convert it, as by: pcl_pcd2ply in.pcd out.ply" if path.suffix.lower() == ".pcd" else ""
+        allowed = ", ".join(SCAN_READERS)
+        raise FileError(path, f"the name ends in {path.suffix!r}; allowed: {allowed}{convert}")
     try:
         if not path.is_file():
             raise FileError(path, "is a directory" if path.is_dir() else "no such file")
@@ -184,36 +184,8 @@ def _rows(path: Path, name: str, values: NDArray[Any]) -> Array:
     return np.asarray(values[..., :3].reshape(-1, 3), dtype=np.float64)
 
 
-def _read_pcd(path: Path) -> ReadScan:
-
-    return ReadScan(*read_pcd(path))
-
-
-def _read_model(path: Path) -> ReadScan:
-
-    return ReadScan(*read_model(path))
-
-
 def _short(text: str) -> str:
     return repr(text if len(text) < 60 else text[:57] + "...")
-
-
-SCAN_READERS: Mapping[str, Callable[[Path], ReadScan]] = MappingProxyType(
-    {
-        ".ply": _read_model,
-        ".pcd": _read_pcd,
-        ".xyz": _read_text,
-        ".csv": _read_text,
-        ".txt": _read_text,
-        ".npy": _read_npy,
-        ".npz": _read_npz,
-        ".stl": _read_model,
-        ".obj": _read_model,
-        ".off": _read_model,
-        ".glb": _read_model,
-    }
-)
-"""Readers by the ending of the name."""
 
 
 # Scans in the files of meshes, read by trimesh: surfaces, and clouds of points in those that hold them.
@@ -224,21 +196,7 @@ _LONGEST = 100_000
 """Bytes within which the header of a PLY file has to be over."""
 
 
-class ScanPart(NamedTuple):
-    """One of the things in a file, or all of them.
-
-    Attributes:
-        points: (n, 3), in the unit of the file, finite or not.
-        faces: triangles as indices of points, (k, 3); None for a cloud.
-        colors: of the points, (n, 3); None if there are none.
-    """
-
-    points: Array
-    faces: NDArray[np.int64] | None
-    colors: NDArray[np.uint8] | None
-
-
-def read_model(path: Path) -> ScanPart:
+def _read_model(path: Path) -> ReadScan:
     """Points, triangles and colours of all that is in a file.
 
     Raises:
@@ -269,15 +227,15 @@ def read_model(path: Path) -> ScanPart:
     return _shared(_joined(surfaces)) if surfaces else _joined(clouds)
 
 
-def _surface(part: Any) -> ScanPart:
+def _surface(part: Any) -> ReadScan:
     faces = np.array(part.faces, dtype=np.int64)
-    return ScanPart(np.array(part.vertices, dtype=np.float64), faces, _colors(part))
+    return ReadScan(np.array(part.vertices, dtype=np.float64), faces, _colors(part))
 
 
-def _cloud(part: Any) -> ScanPart:
+def _cloud(part: Any) -> ReadScan:
     points = np.array(part.vertices, dtype=np.float64).reshape(-1, 3)
     colors = np.array(getattr(part, "colors", ()))  # a surface without triangles has none
-    return ScanPart(
+    return ReadScan(
         points, None, colors[:, :3].astype(np.uint8) if colors.shape == (len(points), 4) else None
     )
 
@@ -294,7 +252,7 @@ def _colors(part: Any) -> NDArray[np.uint8] | None:
     return colors[:, :3].astype(np.uint8) if colors.shape == (len(part.vertices), 4) else None
 
 
-def _joined(parts: list[ScanPart]) -> ScanPart:
+def _joined(parts: list[ReadScan]) -> ReadScan:
     """All parts as one; grey where only others have colours."""
     points = np.concatenate([part.points for part in parts])
     starts = np.cumsum([0, *(len(part.points) for part in parts)])
@@ -305,10 +263,10 @@ def _joined(parts: list[ScanPart]) -> ScanPart:
         colors = np.concatenate(
             [blank if part.colors is None else part.colors for part, blank in zip(parts, grey, strict=True)]
         )
-    return ScanPart(points, np.concatenate(faces) if faces else None, colors)
+    return ReadScan(points, np.concatenate(faces) if faces else None, colors)
 
 
-def _shared(part: ScanPart) -> ScanPart:
+def _shared(part: ReadScan) -> ReadScan:
     """The same surface with each corner once, if it has no colours: STL files have one for each triangle."""
     if part.faces is None or part.colors is not None or len(part.points) < 3 * len(part.faces):
         return part
@@ -318,7 +276,7 @@ def _shared(part: ScanPart) -> ScanPart:
     new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
     which = np.empty(len(order), dtype=np.int64)
     which[order] = np.cumsum(new) - 1
-    return ScanPart(ordered[new], which[part.faces], None)
+    return ReadScan(ordered[new], which[part.faces], None)
 
 
 def _check_ply(path: Path) -> None:
@@ -342,120 +300,18 @@ def _check_ply(path: Path) -> None:
         raise FileError(path, f"says that it has {expected} lines of data, but has {found}")
 
 
-# Clouds of points in PCD files, the format of the Point Cloud Library: ascii and binary.
-
-_KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
-_HERE = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-"""The viewpoint of a cloud in the frame of its sensor, or of none: place, and quaternion w x y z."""
-
-
-def read_pcd(path: Path) -> tuple[Array, None, NDArray[np.uint8] | None]:
-    """Points and colours of a file, in the unit of the file; points may be not finite.
-
-    Raises:
-        FileError: malformed, shorter than it says, or compressed.
-    """
-    content = path.read_bytes()
-    header, start = _header(path, content)
-    names, dtype = _fields(path, header)
-    count = _count(path, header)
-    kind = " ".join(header["DATA"])
-    if kind == "binary":
-        if len(content) - start < count * dtype.itemsize:
-            has = (len(content) - start) // max(dtype.itemsize, 1)
-            raise FileError(path, f"says that it has {count} points, but has {has}")
-        rows = np.frombuffer(content, dtype=dtype, count=count, offset=start)
-    elif kind == "ascii":
-        rows = _ascii_rows(path, content, start, dtype, count)
-    elif kind == "binary_compressed":
-        raise FileError(path, "is binary_compressed; allowed: ascii, binary (pcl_convert_pcd_ascii_binary)")
-    else:
-        raise FileError(path, f"DATA is {kind!r}; allowed: ascii, binary")
-    if tuple(map(float, header.get("VIEWPOINT", _HERE))) != _HERE:
-        text = f"{path}: the viewpoint in the file is not applied; points stay in the frame they are in"
-        warnings.warn(text, PostureWarning, stacklevel=2)
-    points = np.stack([rows[name][:, 0] for name in ("x", "y", "z")], axis=1).astype(np.float64)
-    packed = next((name for name in ("rgb", "rgba") if name in names), None)
-    return points, None, None if packed is None else _unpacked(rows[packed][:, 0])
-
-
-def _header(path: Path, content: bytes) -> tuple[dict[str, list[str]], int]:
-    """The words after each key, and where the data begin."""
-    header: dict[str, list[str]] = {}
-    at = 0
-    while "DATA" not in header:
-        end = content.find(b"\n", at, _LONGEST)
-        line = content[at : end if end >= 0 else at].decode("latin-1").partition("#")[0].split()
-        if end < 0 or (line and line[0] not in _KEYS):
-            found = f"has a line that begins with {line[0]!r}" if line else "ends"
-            raise FileError(path, f"is no PCD file: the header {found}; allowed: {', '.join(_KEYS)}")
-        if line:
-            header[line[0]] = line[1:]
-        at = end + 1
-    return header, at
-
-
-def _fields(path: Path, header: dict[str, list[str]]) -> tuple[list[str], np.dtype[Any]]:
-    """Names of the fields, and how a point is laid out."""
-    names = header.get("FIELDS", [])
-    sizes, types = header.get("SIZE", []), header.get("TYPE", [])
-    counts = header.get("COUNT", ["1"] * len(names))
-    if not len(names) == len(sizes) == len(types) == len(counts):
-        raise FileError(path, "FIELDS, SIZE, TYPE and COUNT are of different lengths")
-    if not {"x", "y", "z"} <= set(names):
-        raise FileError(path, f"has the fields {', '.join(names) or 'none'}; allowed: x, y, z among them")
-    layout = []
-    for number, (name, size, kind, count) in enumerate(zip(names, sizes, types, counts, strict=True)):
-        form = {"F": "f", "I": "i", "U": "u"}.get(kind, "") + size
-        if form not in ("f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8") or not count.isdecimal():
-            allowed = "TYPE F of SIZE 4 or 8, I or U of SIZE 1, 2, 4 or 8, COUNT a whole number"
-            raise FileError(path, f"field {name!r} is {kind} {size} {count}; allowed: {allowed}")
-        if name in ("x", "y", "z") and count != "1":
-            raise FileError(path, f"field {name!r} has COUNT {count}; allowed: 1")
-        # What fills gaps is called "_", more than once.
-        unique = name if names.index(name) == number and name != "_" else f"_{number}"
-        layout.append((unique, f"<{form}", (int(count),)))
-    return [each[0] for each in layout], np.dtype(layout)
-
-
-def _count(path: Path, header: dict[str, list[str]]) -> int:
-    told = header.get("POINTS")
-    if told is None and "WIDTH" in header and "HEIGHT" in header:
-        sides = [*header["WIDTH"], *header["HEIGHT"]]
-        if len(sides) == 2 and all(map(str.isdecimal, sides)):
-            return int(sides[0]) * int(sides[1])
-    if told is None or len(told) != 1 or not re.fullmatch("[0-9]{1,12}", told[0]):
-        raise FileError(path, f"POINTS is {' '.join(told or []) or 'missing'}; allowed: a whole number")
-    return int(told[0])
-
-
-def _ascii_rows(path: Path, content: bytes, start: int, dtype: np.dtype[Any], count: int) -> NDArray[Any]:
-    """The rows of an ascii file; whole numbers of all sizes are exact."""
-    flat = [(name, dtype[name].base, dtype[name].shape[0]) for name in dtype.names or ()]
-    layout = np.dtype([(f"{name}:{k}", base) for name, base, size in flat for k in range(size)])
-    text = content[start:].decode("latin-1")
-    if not text.strip():
-        raise FileError(path, f"says that it has {count} points, but has 0")
-    try:
-        rows = np.loadtxt(io.StringIO(text), dtype=layout, ndmin=1, comments=None)
-    except ValueError as error:
-        raise FileError(path, f"has data that are not as the header says: {error}") from None
-    if len(rows) != count:
-        raise FileError(path, f"says that it has {count} points, but has {len(rows)}")
-    shaped = np.zeros(len(rows), dtype=dtype)
-    for name, _, size in flat:
-        for k in range(size):
-            shaped[name][:, k] = rows[f"{name}:{k}"]
-    return shaped
-
-
-def _unpacked(packed: NDArray[Any]) -> NDArray[np.uint8] | None:
-    """Red, green and blue from numbers 0xRRGGBB, floats with these bits, or floats of that value."""
-    if packed.dtype.itemsize != 4:
-        return None
-    whole = packed.dtype.kind == "f" and bool(np.all(np.isfinite(packed) & (packed >= 0.0)))
-    # As bits of a float, a colour is nowhere near a whole number but 0.
-    if whole and packed.max(initial=0.0) >= 1.0 and packed.max() < 2**24 and np.all(packed % 1.0 == 0.0):
-        packed = packed.astype("<u4")
-    bits = np.ascontiguousarray(packed).view("<u4")
-    return np.stack([(bits >> shift) & 255 for shift in (16, 8, 0)], axis=1).astype(np.uint8)
+SCAN_READERS: Mapping[str, Callable[[Path], ReadScan]] = MappingProxyType(
+    {
+        ".ply": _read_model,
+        ".xyz": _read_text,
+        ".csv": _read_text,
+        ".txt": _read_text,
+        ".npy": _read_npy,
+        ".npz": _read_npz,
+        ".stl": _read_model,
+        ".obj": _read_model,
+        ".off": _read_model,
+        ".glb": _read_model,
+    }
+)
+"""Readers by the ending of the name."""

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import coal
 import numpy as np
@@ -19,11 +19,6 @@ from pinposture.collision.distances import Narrow
 from pinposture.collision.obstacles import KINDS, Obstacle, obstacle_from_dict, solid
 from pinposture.errors import FileError, InvalidValue, PostureError, UnknownName
 from pinposture.storage import read_text, write_text
-
-if TYPE_CHECKING:
-    from pinposture.arm import Arm
-    from pinposture.collision.clearance import Clearance
-
 
 # Scene files: TOML or JSON to plain data, and plain data to JSON.
 
@@ -76,7 +71,7 @@ _KEYS = ("version", "obstacles", "self_collision", "margin", "arm_radius")
 class Scene:
     """Obstacles that stand still, and how an arm is to keep clear of them and of itself.
 
-    A scene is immutable, can be compared and pickled, and knows of no arm; `around` brings the two together:
+    A scene is immutable, can be compared and pickled, and knows of no arm; `CollisionModel` takes both:
 
         scene = pp.Scene({"post": pp.Cylinder([0.3, 0.1, -1], [0.3, 0.1, 1], 0.02)}, self_collision=True)
         scene = pp.Scene.load("scene.toml")
@@ -111,17 +106,9 @@ class Scene:
         object.__setattr__(self, "margin", length("margin", self.margin, zero=True))
         if self.arm_radius is not None:
             object.__setattr__(self, "arm_radius", length("arm_radius", self.arm_radius))
-        object.__setattr__(self, "_hash", hash(self._key()))  # every control step may look a scene up
-
-    def around(self, arm: Arm) -> Clearance:
-        """The distances between this scene and an arm; remembered as long as the arm lives.
-
-        Meshes of the arm that are missing or cannot be used are named in a `PostureWarning`, once for each
-        arm and scene.
-        """
-        from pinposture.collision.clearance import clearance_of  # which knows what a scene is
-
-        return clearance_of(self, arm)
+        object.__setattr__(
+            self, "_hash", hash(self._key())
+        )  # every control step may look up the collision model of a scene
 
     def to_dict(self) -> dict[str, Any]:
         """The scene as data that JSON can hold."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -405,7 +404,7 @@ class Limits:
 
     def for_arm(self, arm: Arm) -> JointBounds:
         """What these limits mean for the joints of an arm; remembered as long as it lives."""
-        known = _KNOWN.setdefault(arm, {})
+        known: dict[tuple[object, ...], JointBounds] = arm.cache.setdefault(JointBounds, {})
         bounds = known.get(self._key)
         if bounds is None:
             if len(known) >= _MOST:
@@ -427,7 +426,6 @@ def cycle_of(limits: object) -> float:
 
 
 _NONE = np.empty(0)
-_KNOWN: WeakKeyDictionary[Arm, dict[tuple[object, ...], JointBounds]] = WeakKeyDictionary()
 _MOST = 16  # limits of one arm that are remembered
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from typing import NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import pinocchio as pin
@@ -33,9 +32,6 @@ class Bearing(NamedTuple):
     axes: Array
 
 
-_KNOWN: WeakKeyDictionary[Arm, Bearing] = WeakKeyDictionary()
-
-
 def bearing(arm: Arm) -> Bearing:
     """The bearing of an arm; remembered as long as the arm lives.
 
@@ -45,10 +41,11 @@ def bearing(arm: Arm) -> Bearing:
     body as the point, as it does unless the last joint sits at the point itself, it is the link at every
     configuration. Where there is no such place before the point, it is the x axis, too.
     """
-    if arm not in _KNOWN:
+    found: Bearing | None = arm.cache.get(Bearing)
+    if found is None:
         turns, axes = _turning(arm)
-        _KNOWN[arm] = Bearing(_links(arm), turns, axes)
-    return _KNOWN[arm]
+        found = arm.cache[Bearing] = Bearing(_links(arm), turns, axes)
+    return found
 
 
 def _links(arm: Arm) -> Array:

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ArmState
-from pinposture.collision import Scene
-from pinposture.collision.clearance import MOST as MOST_IN_SCENE
-from pinposture.collision.scan import Scan, scan_clearance
+from pinposture.collision import CollisionModel, Scan, ScanClearance, Scene
+from pinposture.collision.model import MAX_DOF
 from pinposture.editor.verdict import TOUCHING, Verdict, itself, judge, review
 from pinposture.errors import PostureError
 from pinposture.task import Keyframe
@@ -31,7 +30,7 @@ class Nearest(NamedTuple):
     """Where an arm is nearest to something that is not part of it, or inside itself.
 
     Attributes:
-        distance: between the surfaces, negative where they overlap [m].
+        distance: between the surfaces, negative where they overlap [m]; from a scan, 0 where they overlap.
         body: name of the body of the arm.
         other: name of the obstacle, of the scan, or of another body that the first is inside of.
         on_arm: point of the body, nearest to the other or deepest in it, (3,) [m], world frame.
@@ -51,7 +50,7 @@ class Nearest(NamedTuple):
     @property
     def level(self) -> str:
         """How that is: "inside", "within the margin" or "clear"."""
-        if self.distance < 0.0:
+        if self.distance < 0.0 or (self.scanned and self.distance == 0.0):
             return "inside"
         return "within the margin" if self.distance < self.margin else "clear"
 
@@ -213,14 +212,14 @@ def _of_obstacles(state: ArmState, scene: Scene | None) -> Nearest | None:
 
 def _of_itself(state: ArmState, scene: Scene | None) -> Nearest | None:
     """Where the arm is deepest inside itself; None if it is not."""
-    if state.arm.nv > MOST_IN_SCENE:
+    if state.arm.nv > MAX_DOF:
         return None
     found = _closest_pair(itself(scene), state)
     return None if found is None or found.distance >= -TOUCHING * state.arm.length else found
 
 
 def _closest_pair(scene: Scene, state: ArmState) -> Nearest | None:
-    clearance = scene.around(state.arm)
+    clearance = CollisionModel(state.arm, scene)
     least = clearance.minimum(state.q)
     if least.pair is None:
         return None
@@ -233,7 +232,7 @@ def _closest_pair(scene: Scene, state: ArmState) -> Nearest | None:
 
 
 def _of_scan(state: ArmState, name: str, scan: Scan, radius: float | None) -> Nearest | None:
-    gap = scan_clearance(state.arm, scan, state.q, radius)
+    gap = ScanClearance(state.arm, scan, radius).minimum(state.q)
     if gap.body is None or gap.on_arm is None or gap.on_scan is None:
         return None
     return Nearest(gap.distance, gap.body, name, gap.on_arm, gap.on_scan, 0.0, scanned=True)

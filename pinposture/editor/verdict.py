@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pinposture.arm import Arm, ArmState
-from pinposture.collision import Scene
-from pinposture.collision.clearance import MOST as MOST_IN_SCENE
+from pinposture.collision import CollisionModel, Scene
+from pinposture.collision.model import MAX_DOF
 from pinposture.collision.scene import obstacles_around
 from pinposture.errors import (
     CurveBendsTooMuch,
@@ -156,7 +156,7 @@ def _touching(arm: Arm, target: Target, scene: Scene | None) -> list[str]:
         return [f"in collision: {around[0]} stands where the base of the arm is"]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PostureWarning)
-        closest = scene.around(arm).minimum(target.q)
+        closest = CollisionModel(arm, scene).minimum(target.q)
     if closest.pair is None or closest.distance >= scene.margin:
         return []
     body, other = closest.pair
@@ -167,9 +167,9 @@ def _touching(arm: Arm, target: Target, scene: Scene | None) -> list[str]:
 
 def _inside_itself(arm: Arm, target: Target, scene: Scene | None) -> list[str]:
     """Say which links of the arm would be inside each other."""
-    if target.q is None or arm.nv > MOST_IN_SCENE:
+    if target.q is None or arm.nv > MAX_DOF:
         return []
-    closest = itself(scene).around(arm).minimum(target.q)
+    closest = CollisionModel(arm, itself(scene)).minimum(target.q)
     if closest.pair is None or closest.distance >= -TOUCHING * arm.length:
         return []
     body, other = closest.pair

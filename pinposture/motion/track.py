@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import require_positive, require_whole
 from pinposture.arm import Arm, ArmState
-from pinposture.collision import Scene
+from pinposture.collision import CollisionModel, Scene
 from pinposture.control import ConstrainedQP, Controller, Diagnostics, Limits, Step, controller_named
 from pinposture.control.controller import Memory, next_step
 from pinposture.errors import InvalidValue, PostureWarning
@@ -42,7 +42,7 @@ class Recorder:
 
     def __init__(self, target: Target, start: ArmState, scene: Scene | None = None) -> None:
         self._target, self._scene = target, scene
-        self._clearance = None if scene is None else scene.around(start.arm)
+        self._clearance = None if scene is None else CollisionModel(start.arm, scene)
         self._distances = [self._distance(start)]
         self._steps: list[Step] = []
         self._last = start

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import is_number, require_positive, require_whole
 from pinposture.arm import Arm
-from pinposture.collision import Scene
+from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Controller, Limits, controller_named
 from pinposture.errors import InvalidValue, PostureError, PostureWarning
 from pinposture.motion.batch import FAILED, Batch, gathered, recorded
@@ -124,7 +124,7 @@ def track_many(
     count = _count(len(listed), len(configurations))
     limits.bound(arm.at(configurations[0]))  # so that limits of another arm are refused now
     if scene is not None:
-        scene.around(arm)  # which warns of meshes that are missing
+        CollisionModel(arm, scene)  # which warns of meshes that are missing
     setting = _Setting(arm, chosen, limits, scene, max_steps, tolerance, keep, os.getpid())
     shared = Shared(setting)
     tasks = [

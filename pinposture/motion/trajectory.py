@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
-from pinposture.collision import Scene
+from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Limits
 from pinposture.errors import MotionError
 from pinposture.placement import Target
@@ -191,7 +191,7 @@ def _on_the_way(motion: Ended) -> tuple[str, ...]:
     found = [] if motion.excess is None else [motion.excess.text]
     if motion.scene is not None and motion.clearance.min() < -ROUNDING * motion.arm.length:
         row = int(motion.clearance.argmin())
-        pair = " and ".join(motion.scene.around(motion.arm).minimum(motion.q[row]).pair or ())
+        pair = " and ".join(CollisionModel(motion.arm, motion.scene).minimum(motion.q[row]).pair or ())
         when = f"after {row} steps" if row else "at the start"
         found.append(f"{pair} are {-1e3 * motion.clearance[row]:.3g} mm inside each other {when}")
     return tuple(found)
@@ -225,7 +225,7 @@ def closest(motion: Ended) -> dict[str, Any] | None:
     if motion.scene is None:
         return None
     after = int(motion.clearance.argmin())
-    least = motion.scene.around(motion.arm).minimum(motion.q[after])
+    least = CollisionModel(motion.arm, motion.scene).minimum(motion.q[after])
     return {
         "smallest": least.distance,
         "final": float(motion.clearance[-1]),

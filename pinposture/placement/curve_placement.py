@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from typing import NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import pinocchio as pin
@@ -150,17 +149,12 @@ def distance_from_curve(arm: Arm, q: Array, curve: Curve) -> float:
     return farthest
 
 
-_AXES: WeakKeyDictionary[Arm, Array] = WeakKeyDictionary()
-
-
 def arm_axis(arm: Arm) -> Array:
-    """Direction in which the arm stretches from its base, unit vector (3,), world frame.
-
-    Remembered as long as the arm lives, and no longer: it holds much memory.
-    """
-    if arm not in _AXES:
-        _AXES[arm] = _stretch(arm)
-    return _AXES[arm]
+    """Direction in which the arm stretches from its base, unit vector (3,), world frame."""
+    if arm_axis not in arm.cache:
+        arm.cache[arm_axis] = _stretch(arm)
+    axis: Array = arm.cache[arm_axis]
+    return axis
 
 
 def _stretch(arm: Arm) -> Array:

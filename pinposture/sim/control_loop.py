@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import require_positive
 from pinposture.arm import Arm
-from pinposture.collision import Scene
+from pinposture.collision import CollisionModel, Scene
 from pinposture.errors import InvalidValue
 from pinposture.motion import JointTrajectory, Motion, Trajectory
 from pinposture.placement import Target
@@ -279,7 +279,7 @@ class Recording:
         points = np.array([arm.at(row).points for row in q])
         clearance = np.full(len(q), np.inf)
         if scene is not None:
-            around = scene.around(arm)
+            around = CollisionModel(arm, scene)
             clearance = np.array([around.minimum(row).distance for row in q])
         goal = self._targets[-1] if self._targets else Target(commanded_points[-1], np.ones(arm.n_modules))
         distances = np.linalg.norm((goal.points - points[-1])[goal.placed], axis=1)

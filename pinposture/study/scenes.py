@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import require_whole
 from pinposture.arm import Arm, smooth_configuration
-from pinposture.collision import Box, Capsule, Clearance, Cylinder, HalfSpace, Obstacle, Scene, Sphere
+from pinposture.collision import Box, Capsule, CollisionModel, Cylinder, HalfSpace, Obstacle, Scene, Sphere
 from pinposture.control import Limits
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.motion import Trajectory, track
@@ -104,7 +104,7 @@ def draw_situation(arm: Arm, situation: Situation, seed: int) -> Draw:
         InvalidValue: none of `DRAWS` draws is as clear as it should be.
     """
     rng = np.random.default_rng([seed, *situation.name.encode()])
-    around = situation.scene.around(arm)
+    around = CollisionModel(arm, situation.scene)
     found, refused = [], 0
     for what, positions, clear in (
         ("start", situation.start, situation.start_clear),
@@ -123,7 +123,7 @@ def draw_situation(arm: Arm, situation: Situation, seed: int) -> Draw:
     return Draw(found[0], found[1], refused)
 
 
-def _as_clear(around: Clearance, q: Array, clear: bool) -> bool:
+def _as_clear(around: CollisionModel, q: Array, clear: bool) -> bool:
     distance = around.minimum(q).distance
     return distance >= around.scene.margin if clear else distance < 0.0
 
@@ -291,7 +291,7 @@ def record_scene_run(
         refused: how many draws were refused.
         seconds: time that the run took [s].
     """
-    around, margin = situation.scene.around(run.arm), situation.scene.margin
+    around, margin = CollisionModel(run.arm, situation.scene), situation.scene.margin
     at = np.array([around.minimum(q).distance for q in run.q])
     ways = zip(run.q[:-1], displacements(run), strict=True)
     between = np.array([around.minimum_between(q, dq, SAMPLES).distance for q, dq in ways])

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ArmState
-from pinposture.collision import Scene
+from pinposture.collision import CollisionModel, Scene
 from pinposture.control import EndEffector
 from pinposture.errors import InvalidValue, PostureWarning, TaskError
 from pinposture.motion.motion import Motion, Passed
@@ -209,7 +209,7 @@ def outlook(reference: Reference, scene: Scene | None) -> list[Outlook]:
         scene: what the arm has to keep clear of; it is looked at in these postures only.
     """
     arm, found = reference.arm, []
-    clearance = None if scene is None else scene.around(arm)
+    clearance = None if scene is None else CollisionModel(arm, scene)
     for mark in _named(reference):
         q = reference.configuration(mark.row)
         room = None if clearance is None else clearance.minimum(q).distance
@@ -227,7 +227,7 @@ def require_room(reference: Reference, scene: Scene | None) -> None:
     """
     if scene is None:
         return
-    clearance = scene.around(reference.arm)
+    clearance = CollisionModel(reference.arm, scene)
     keyed = bool(reference.marks) and reference.marks[0].row == 0
     for number, mark in enumerate(_named(reference), start=1):
         closest = clearance.minimum(reference.configuration(mark.row))

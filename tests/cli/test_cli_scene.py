@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pinposture as pp
-from pinposture.collision import HalfSpace, Scene, Sphere
+from pinposture.collision import CollisionModel, HalfSpace, Scene, Sphere
 
 BALL = Sphere((0.2, 0.1, 0.0), 0.04)
 FLOOR = HalfSpace((0.0, 0.0, -0.2), (0.0, 0.0, 1.0))
@@ -71,7 +71,7 @@ def test_the_arm_keeps_clear_of_what_it_would_hit(track, scene_file, passed):
     assert told["smallest"] >= MARGIN
     assert told["final"] == pytest.approx(run.clearance[-1])
     assert (told["margin"], told["pair"][1]) == (MARGIN, "ball")
-    at = run.scene.around(run.arm).minimum(run.q[told["after_steps"]])
+    at = CollisionModel(run.arm, run.scene).minimum(run.q[told["after_steps"]])
     assert (at.distance, list(at.pair)) == (pytest.approx(told["smallest"]), told["pair"])
     assert summary["path_excess"] > free["path_excess"]
 

@@ -167,7 +167,7 @@ def test_a_summary_holds_the_numbers_of_the_motion_from_setting_out_on():
         "tip_off": None,
         "moved": None,
     }
-    closest = around_a_ball().around(five_modules()).minimum(motion.q[run.clearance.argmin()])
+    closest = pp.CollisionModel(five_modules(), around_a_ball()).minimum(motion.q[run.clearance.argmin()])
     assert summary["clearance"]["smallest"] == pytest.approx(closest.distance)
     assert summary["detours"] == ["at 1 s it went round"]
 

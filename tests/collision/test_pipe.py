@@ -7,7 +7,7 @@ import pytest
 from sampling import cases
 
 from pinposture.arm import Arm
-from pinposture.collision import Scene, Sphere
+from pinposture.collision import CollisionModel, Scene, Sphere
 from pinposture.collision.pipe import Bend, pipe, pipe_axis, pipe_walls
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue
@@ -95,7 +95,9 @@ def test_an_arm_in_its_pipe_is_as_far_from_the_walls_as_radii_say():
     arm = Arm.from_template("RyRz", modules=6)
     walls = pipe_walls(Curve.line((0.05, 0, 0), (0.5, 0, 0)), RADIUS)
     scene = Scene({**walls, "stone": Sphere((1, 1, 1), 0.1)}, arm_radius=0.012)
-    assert scene.around(arm).minimum(arm.neutral()).distance == pytest.approx(RADIUS - 0.012, abs=1e-9)
+    assert CollisionModel(arm, scene).minimum(arm.neutral()).distance == pytest.approx(
+        RADIUS - 0.012, abs=1e-9
+    )
     alone = pipe(Curve.line((0.05, 0, 0), (0.5, 0, 0)), RADIUS, margin=0.002, arm_radius=0.012)
     assert alone == Scene(walls, margin=0.002, arm_radius=0.012)
     assert Scene.from_dict(alone.to_dict()) == alone

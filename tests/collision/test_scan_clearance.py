@@ -14,7 +14,7 @@ from collision.arms_with_bodies import ARMS, described, geometry, single, spatia
 from collision.scans_by_hand import brute_force, hull_distance, local_bodies, point_distance
 
 import pinposture as pp
-from pinposture.collision import Box, Scan, ScanClearance, scan_clearance
+from pinposture.collision import Box, Scan, ScanClearance
 from pinposture.errors import InvalidValue
 
 BALL = geometry('<sphere radius="0.04"/>', "0.1 0 0.01")
@@ -47,6 +47,9 @@ def shards(arm, rng, count=40, size=0.1):
 
 def check_points(arm, q, gap, arm_radius=None):
     """What is said of where agrees with the distance: on the body's surface, and on the scan."""
+    if gap.distance == 0.0:  # how deep they overlap is not told
+        assert np.all(np.isfinite([gap.on_arm, gap.on_scan]))
+        return
     apart = np.linalg.norm(gap.on_arm - gap.on_scan)
     assert apart == pytest.approx(abs(gap.distance), abs=1e-7)
     named = [(b.shape, place) for b, place in local_bodies(arm, q, arm_radius) if b.name == gap.body]
@@ -61,15 +64,18 @@ def test_the_nearest_of_all_points_is_found(arm):
     inside = 0
     for spread in (0.3, 0.5, 3.0):
         scan = cloud(arm, rng, spread=spread)
-        clearance = scan.around(arm)
+        clearance = ScanClearance(arm, scan)
         for _ in range(3):
             q = arm.random(rng)
             gap = clearance.minimum(q)
-            distance, _ = brute_force(arm, q, scan, without=[each.first for each in clearance.left_out])
-            assert gap.distance == pytest.approx(distance, abs=1e-7)
+            distance, _ = brute_force(arm, q, scan, without=[each.first for each in clearance.excluded_pairs])
+            assert gap.distance == pytest.approx(max(distance, 0.0), abs=1e-7)
             assert np.linalg.norm(scan.points - gap.on_scan, axis=1).min() < 1e-9
             check_points(arm, q, gap)
-            inside += gap.distance < 0
+            if gap.distance == 0.0:
+                named = [(b.shape, place) for b, place in local_bodies(arm, q) if b.name == gap.body]
+                assert min(point_distance(p.actInv(gap.on_scan), shape) for shape, p in named) <= 1e-7
+            inside += gap.distance == 0.0
     assert inside < 9
 
 
@@ -78,20 +84,16 @@ def test_the_nearest_of_all_triangles_is_found(arm):
     # Capsules stand in for what has cylinders: of these more below.
     kinds = {body.shape.type for body, _ in local_bodies(arm, arm.neutral())}
     radius = 0.01 if "cylinder" in kinds else None
-    round_ = radius is not None or kinds <= {"sphere", "capsule"}
     for _ in range(4):
         scan = shards(arm, rng)
-        clearance = scan.around(arm, radius)
+        clearance = ScanClearance(arm, scan, radius)
         for _ in range(3):
             q = arm.random(rng)
             gap = clearance.minimum(q)
-            without = [each.first for each in clearance.left_out]
+            without = [each.first for each in clearance.excluded_pairs]
             distance, _ = brute_force(arm, q, scan, radius, without)
-            if round_ or distance > 1e-4:
-                assert gap.distance == pytest.approx(distance, abs=1e-6)
-                apart += 1
-            else:
-                assert gap.distance <= 1e-6
+            assert gap.distance == pytest.approx(max(distance, 0.0), abs=1e-6)
+            apart += gap.distance > 0.0
             check_points(arm, q, gap, radius)
     assert apart >= 3
 
@@ -104,12 +106,12 @@ def test_triangles_in_and_around_a_body_that_is_not_round(shape):
     for _ in range(20):
         size = rng.uniform(0.02, 0.4)
         triangle = np.array([0.1, 0.05, 0]) + rng.normal(size=3) * 0.15 + rng.normal(size=(3, 3)) * size
-        gap = Scan(triangle, [[0, 1, 2]]).around(arm).minimum(arm.neutral())
+        gap = ScanClearance(arm, Scan(triangle, [[0, 1, 2]])).minimum(arm.neutral())
         sampled = triangle[0] + share @ (triangle[1:] - triangle[0])
         least = min(point_distance(place.actInv(point), body.shape) for point in sampled)
         spacing = np.ptp(triangle, axis=0).max() / 32 * 1.5
-        assert least - spacing <= gap.distance <= least + 1e-5
-        sides[gap.distance < 0] += 1
+        assert max(least - spacing, 0.0) <= gap.distance <= max(least, 0.0) + 1e-9
+        sides[int(gap.distance == 0.0)] += 1
         check_points(arm, arm.neutral(), gap)
     assert min(sides) >= 3
 
@@ -125,28 +127,34 @@ def test_points_all_around_a_hull_that_are_almost_equally_far(tmp_path):
         starts = corners[np.argmax(ways @ corners.T, axis=1)]  # the corner that is farthest that way
         points = starts + ways * distance * rng.uniform(1.0, 1.02, (200, 1))
         least = min(point_distance(place.actInv(point), body.shape) for point in points)
-        gap = Scan(points).around(arm).minimum(arm.neutral())
+        gap = ScanClearance(arm, Scan(points)).minimum(arm.neutral())
         assert gap.distance == pytest.approx(least, abs=1e-8)
         corners_of = points[:, None] + rng.normal(size=(200, 3, 3)) * 0.3 * distance
         least = min(hull_distance(each, corners) for each in corners_of)
-        triangles = Scan(corners_of.reshape(-1, 3), np.arange(600).reshape(-1, 3)).around(arm)
+        triangles = ScanClearance(arm, Scan(corners_of.reshape(-1, 3), np.arange(600).reshape(-1, 3)))
         assert least > 0.0 and triangles.minimum(arm.neutral()).distance == pytest.approx(least, abs=1e-7)
 
 
-def test_a_floor_through_a_box_is_as_deep_in_it_as_its_nearest_face():
-    arm = single('<box size="0.2 0.4 0.6"/>')  # with its middle at (0.5, 0, 0)
-    for height, depth in ((0.0, 0.1), (0.25, 0.05), (-0.28, 0.02)):
-        corners = [(-9, -9, height), (9, -9, height), (0, 9, height)]
-        gap = Scan(corners, [[0, 1, 2]]).around(arm).minimum(arm.neutral())
-        assert gap.distance == pytest.approx(-depth, abs=1e-5)
-        assert gap.on_scan[2] == pytest.approx(height, abs=1e-9)
-
-
-def test_a_triangle_through_the_axis_of_a_capsule_is_its_radius_deep():
-    arm = single('<capsule radius="0.05" length="0.3"/>')
-    gap = Scan([(0.3, -1, 0.05), (0.3, 1, 0.05), (0.9, 0, 0.07)], [[0, 1, 2]]).around(arm)
-    assert gap.minimum(arm.neutral()).distance == pytest.approx(-0.05, abs=1e-9)
-    check_points(arm, arm.neutral(), gap.minimum(arm.neutral()))
+@pytest.mark.parametrize(
+    "shape",
+    [
+        '<box size="0.2 0.4 0.6"/>',
+        '<capsule radius="0.1" length="0.3"/>',
+        '<cylinder radius="0.1" length="0.5"/>',
+    ],
+)
+def test_a_floor_through_a_body_is_at_no_distance_and_one_beside_it_at_its_own(shape):
+    arm = single(shape)  # with its middle at (0.5, 0, 0), its axis along z
+    for height in (0.0, 0.1, -0.24):
+        gap = ScanClearance(arm, Scan([(-9, -9, height), (9, -9, height), (0, 9, height)], [[0, 1, 2]]))
+        found = gap.minimum(arm.neutral())
+        assert found.distance == 0.0 and found.on_scan[2] == pytest.approx(height, abs=1e-9)
+        (body, place) = local_bodies(arm, arm.neutral())[0]
+        assert point_distance(place.actInv(found.on_arm), body.shape) == pytest.approx(0.0, abs=1e-9)
+        dot = ScanClearance(arm, Scan([(0.5, 0.03, height), (0.5, 3.0, 0)])).minimum(arm.neutral())
+        assert dot.distance == 0.0 and dot.on_scan == pytest.approx([0.5, 0.03, height], abs=0.0)
+    beside = ScanClearance(arm, Scan([(0.65, -9, -9), (0.65, 9, -9), (0.65, 0, 9)], [[0, 1, 2]]))
+    assert beside.minimum(arm.neutral()).distance == pytest.approx(0.05, abs=1e-9)
 
 
 def test_a_fine_surface_and_its_two_triangles_are_equally_far():
@@ -162,9 +170,11 @@ def test_a_fine_surface_and_its_two_triangles_are_equally_far():
             np.stack([at[1:, 1:], at[:-1, 1:], at[1:, :-1]], axis=-1).reshape(-1, 3),
         ]
     )
-    fine = Scan(points, faces).around(arm)
-    coarse = Scan([corner, corner + u, corner + v, corner + u + v], [[0, 1, 2], [3, 2, 1]]).around(arm)
-    dots = Scan(points).around(arm)
+    fine = ScanClearance(arm, Scan(points, faces))
+    coarse = ScanClearance(
+        arm, Scan([corner, corner + u, corner + v, corner + u + v], [[0, 1, 2], [3, 2, 1]])
+    )
+    dots = ScanClearance(arm, Scan(points))
     for _ in range(10):
         q = arm.random(rng)
         one, other, third = (each.minimum(q) for each in (fine, coarse, dots))
@@ -176,7 +186,7 @@ def test_many_points_are_told_as_few_are():
     arm, rng = spatial(10), np.random.default_rng(4)
     scan = cloud(arm, rng, 20_000, 1.0)
     scan = Scan(scan.points[np.linalg.norm(scan.points - arm.chain.base, axis=1) > 0.03])
-    clearance = scan.around(arm, 0.01)
+    clearance = ScanClearance(arm, scan, 0.01)
     for _ in range(5):
         q = arm.random(rng)
         least = np.inf
@@ -184,8 +194,10 @@ def test_many_points_are_told_as_few_are():
             start, end = (place.act(np.array(each)) for each in (body.shape.start, body.shape.end))
             along = np.clip((scan.points - start) @ (end - start) / ((end - start) @ (end - start)), 0, 1)
             gaps = np.linalg.norm(scan.points - start - along[:, None] * (end - start), axis=1)
-            least = min(least, gaps.min() - 0.01)
-        assert clearance.left_out == () and clearance.minimum(q).distance == pytest.approx(least, abs=1e-9)
+            least = min(least, max(gaps.min() - 0.01, 0.0))
+        assert clearance.excluded_pairs == () and clearance.minimum(q).distance == pytest.approx(
+            least, abs=1e-9
+        )
 
 
 @pytest.mark.parametrize("count", [1, 2, 5, 16, 17, 33, 129, 1000])
@@ -193,65 +205,67 @@ def test_scans_of_any_number_of_points(count):
     arm, rng = spatial(2), np.random.default_rng(count)
     scan = cloud(arm, rng, count, 1.0)
     q = arm.random(rng)
-    clearance = scan.around(arm)
-    distance, _ = brute_force(arm, q, scan, without=[each.first for each in clearance.left_out])
-    assert clearance.minimum(q).distance == pytest.approx(distance, abs=1e-9)
+    clearance = ScanClearance(arm, scan)
+    distance, _ = brute_force(arm, q, scan, without=[each.first for each in clearance.excluded_pairs])
+    assert clearance.minimum(q).distance == pytest.approx(max(distance, 0.0), abs=1e-9)
 
 
 def test_points_that_are_one_point_and_points_on_a_line():
     arm = spatial(3)
     far = arm.chain.base + [0.3, 0.3, 0.3]
     q = arm.random(np.random.default_rng(0))
-    one = Scan([far]).around(arm).minimum(q)
-    assert Scan([far] * 100).around(arm).minimum(q).distance == pytest.approx(one.distance, abs=1e-12)
+    one = ScanClearance(arm, Scan([far])).minimum(q)
+    assert ScanClearance(arm, Scan([far] * 100)).minimum(q).distance == pytest.approx(one.distance, abs=1e-12)
     line = Scan(far + np.linspace(0, 1, 500)[:, None] * [1, 2, 3])
-    assert line.around(arm).minimum(q).distance <= one.distance
+    assert ScanClearance(arm, line).minimum(q).distance <= one.distance
     flat = Scan([far, far, far + [0, 0, 1]], [[0, 0, 0], [0, 1, 2]])  # triangles without an area
     distance = brute_force(arm, q, Scan([far + [0, 0, z] for z in np.linspace(0, 1, 2001)]))[0]
-    assert flat.around(arm).minimum(q).distance == pytest.approx(distance, abs=1e-5)
+    assert ScanClearance(arm, flat).minimum(q).distance == pytest.approx(distance, abs=1e-5)
 
 
 def test_the_radius_of_stand_ins_is_that_which_was_asked_for():
     arm, rng = ARMS["described"](), np.random.default_rng(5)
     scan, q = cloud(arm, rng), arm.random(rng)
     for radius in (0.003, 0.02):
-        clearance = scan.around(arm, radius)
-        without = [each.first for each in clearance.left_out]
+        clearance = ScanClearance(arm, scan, radius)
+        without = [each.first for each in clearance.excluded_pairs]
         distance, _ = brute_force(arm, q, scan, radius, without)
-        assert clearance.minimum(q).distance == pytest.approx(distance, abs=1e-9)
-        assert scan_clearance(arm, scan, q, radius).distance == clearance.minimum(q).distance
+        assert clearance.minimum(q).distance == pytest.approx(max(distance, 0.0), abs=1e-9)
+        assert ScanClearance(arm, scan, radius) is clearance
     for wrong in (0.0, -1.0, np.nan, "thin"):
         with pytest.raises(InvalidValue, match="arm_radius"):
-            scan.around(arm, wrong)
+            ScanClearance(arm, scan, wrong)
 
 
 def test_what_the_arm_stands_on_is_left_out_and_said():
     place = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.7]))
     arm = pp.Arm.from_template("RyRz", 4, (0.1, 0.1), base_placement=place)
     table = Scan([(-1, -1, 0.695), (1, -1, 0.695), (1, 1, 0.695), (-1, 1, 0.695)], [[0, 1, 2], [0, 2, 3]])
-    clearance = table.around(arm)
-    assert [(each.first, each.second) for each in clearance.left_out] == [("m01_l1", "scan")]
+    clearance = ScanClearance(arm, table)
+    assert [(each.first, each.second) for each in clearance.excluded_pairs] == [("m01_l1", "scan")]
     assert "m01_l1" not in clearance.bodies and len(clearance.bodies) == 7
     bent = arm.configuration([0.0, 0.0, -1.2, 0.0, 0.0, 0.0, 0.0, 0.0])  # up, and so clear of the table
     assert clearance.minimum(bent).distance > -0.02
     radius = local_bodies(arm, bent)[0][0].shape.radius
     for below, left in ((0.009, ["m01_l1"]), (0.011, [])):
         corners = table.points * [1, 1, 0] + [0, 0, 0.7 - radius - below]
-        there = Scan(corners, table.faces).around(arm)
-        assert [each.first for each in there.left_out] == left
+        there = ScanClearance(arm, Scan(corners, table.faces))
+        assert [each.first for each in there.excluded_pairs] == left
 
 
 def test_bodies_of_the_base_are_left_out():
     text = described(["", BALL], base=geometry('<box size="1 1 1"/>'))
     arm = pp.Arm.from_urdf(text, modules=2)
-    clearance = Scan([(0.1, 0.0, 0.3)]).around(arm)
-    assert clearance.left_out[0][:2] == ("l0", "scan") and "no joint" in clearance.left_out[0].reason
+    clearance = ScanClearance(arm, Scan([(0.1, 0.0, 0.3)]))
+    assert (
+        clearance.excluded_pairs[0][:2] == ("l0", "scan") and "no joint" in clearance.excluded_pairs[0].reason
+    )
 
 
 def test_an_arm_of_which_nothing_is_left_is_infinitely_far():
     arm = pp.Arm.from_urdf(described([""]), modules=1)
-    clearance = Scan([(0.0, 0.0, 0.005)]).around(arm)
-    assert clearance.bodies == () and len(clearance.left_out) == 1
+    clearance = ScanClearance(arm, Scan([(0.0, 0.0, 0.005)]))
+    assert clearance.bodies == () and len(clearance.excluded_pairs) == 1
     assert clearance.minimum(arm.neutral()) == (np.inf, None, None, None)
 
 
@@ -262,7 +276,7 @@ def test_moving_arm_and_scan_together_changes_nothing():
     moved = pp.Arm.from_template("RyRz", 6, (0.04, 0.05), base_placement=move)
     for scan in (cloud(arm, rng, 500), shards(arm, rng, 100)):
         there = Scan(scan.points @ move.rotation.T + move.translation, scan.faces)
-        one, other = scan.around(arm), there.around(moved)
+        one, other = ScanClearance(arm, scan), ScanClearance(moved, there)
         for _ in range(5):
             q = arm.random(rng)
             assert one.minimum(q).distance == pytest.approx(other.minimum(q).distance, abs=1e-6)
@@ -270,7 +284,7 @@ def test_moving_arm_and_scan_together_changes_nothing():
 
 def test_threads_may_share_one():
     arm, rng = spatial(8), np.random.default_rng(7)
-    clearance = cloud(arm, rng, 5000, 1.0).around(arm)
+    clearance = ScanClearance(arm, cloud(arm, rng, 5000, 1.0))
     configurations = [arm.random(rng) for _ in range(30)]
     alone = [clearance.minimum(q).distance for q in configurations]
     found = [[], [], []]
@@ -286,30 +300,25 @@ def test_threads_may_share_one():
     assert found == [alone] * 3
 
 
-def test_what_is_remembered_is_forgotten_with_the_scan_and_the_arm(monkeypatch):
+def test_what_is_remembered_is_forgotten_with_the_scan_and_the_arm():
     arm, scan = spatial(2), Scan([(1.0, 1.0, 1.0)])
-    made = []
-    ordinary = ScanClearance.__init__
-    monkeypatch.setattr(ScanClearance, "__init__", lambda self, *a: (made.append(a), ordinary(self, *a))[1])
-    for _ in range(3):
-        scan_clearance(arm, scan, arm.neutral())
-    assert len(made) == 1
-    made.clear()
+    assert ScanClearance(arm, scan) is ScanClearance(arm, scan)
     watched = weakref.ref(scan), weakref.ref(arm)
-    del scan, arm
+    del scan
     gc.collect()
-    assert [each() for each in watched] == [None, None]
+    assert watched[0]() is None and watched[1]() is arm
+    del arm
+    gc.collect()
+    assert watched[1]() is None
 
 
 def test_wrong_input_is_named():
     arm, scan = spatial(2), Scan([(1.0, 1.0, 1.0)])
     with pytest.raises(InvalidValue, match="q"):
-        scan_clearance(arm, scan, [0.0])
+        ScanClearance(arm, scan).minimum([0.0])
     with pytest.raises(InvalidValue, match=r"q\[1\] is nan"):
-        scan.around(arm).minimum([0.0, np.nan, 0.0, 0.0])
+        ScanClearance(arm, scan).minimum([0.0, np.nan, 0.0, 0.0])
     with pytest.raises(InvalidValue, match="an Arm"):
-        scan.around("arm")
+        ScanClearance("arm", scan)
     with pytest.raises(InvalidValue, match="a Scan"):
-        scan_clearance(arm, Box((0, 0, 0), (1, 1, 1)), arm.neutral())
-    with pytest.raises(InvalidValue, match="an Arm"):
-        scan_clearance("arm", scan, [0.0])
+        ScanClearance(arm, Box((0, 0, 0), (1, 1, 1)))

@@ -11,7 +11,7 @@ import pytest
 from collision.arms_with_bodies import PLACED, described, geometry, modelled, planar, sliding, spatial
 
 import pinposture as pp
-from pinposture.collision import Box, Capsule, Cylinder, Mesh, Scene, Sphere
+from pinposture.collision import Box, Capsule, CollisionModel, Cylinder, Mesh, Scene, Sphere
 from pinposture.collision.bodies import THICKNESS, bodies_of
 from pinposture.errors import PostureWarning
 
@@ -57,7 +57,7 @@ def test_the_chain_of_capsules_is_as_far_from_things_as_the_balls_and_tubes():
             np.linalg.norm(np.array(probe.center) - solid_point(probe.center, each)) - 0.02 for each in solids
         )
         if apart > -0.01:
-            found = Scene({"o": probe}, margin=0.0).around(arm).minimum(q).distance
+            found = CollisionModel(arm, Scene({"o": probe}, margin=0.0)).minimum(q).distance
             assert found == pytest.approx(apart, abs=1e-7)
 
 
@@ -200,7 +200,9 @@ def test_a_robot_with_meshes_of_its_own():
     )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        clearance = Scene({"o": Sphere(PLACED.act(np.array([0.4, 0.3, 0.3])), 0.1)}, True).around(arm)
+        clearance = CollisionModel(
+            arm, Scene({"o": Sphere(PLACED.act(np.array([0.4, 0.3, 0.3])), 0.1)}, True)
+        )
     assert {type(body.shape) for body in bodies_of(arm)} >= {Mesh}
     assert clearance.minimum(arm.straight()).distance > 0.0
     q, h = arm.configuration(np.linspace(-1.0, 1.0, 6)), 1e-6
@@ -208,4 +210,4 @@ def test_a_robot_with_meshes_of_its_own():
     for u in range(arm.nv):
         step = h * np.eye(arm.nv)[u]
         slope = clearance.minimum(arm.integrate(q, step))[0] - clearance.minimum(arm.integrate(q, -step))[0]
-        assert slope / (2 * h) == pytest.approx(near.rows[0, u], abs=1e-4)
+        assert slope / (2 * h) == pytest.approx(near.jacobian[0, u], abs=1e-4)

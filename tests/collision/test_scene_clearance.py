@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from sampling import examples
 
 import pinposture as pp
-from pinposture.collision import Box, Capsule, Closest, Cylinder, HalfSpace, Scene, Sphere
+from pinposture.collision import Box, Capsule, Closest, CollisionModel, Cylinder, HalfSpace, Scene, Sphere
 from pinposture.errors import InvalidValue
 
 
@@ -25,7 +25,7 @@ def test_nothing_near_is_missed(name):
     """Against all pairs: with an infinite distance no bound is ever good enough to leave one out."""
     rng, arm = np.random.default_rng(7), ARMS[name]()
     for _ in range(4):
-        clearance = Scene(around(arm, rng), self_collision=True).around(arm)
+        clearance = CollisionModel(arm, Scene(around(arm, rng), self_collision=True))
         for _ in range(5):
             state = arm.at(arm.random(rng))
             everything = clearance.nearest(state, np.inf)
@@ -36,7 +36,7 @@ def test_nothing_near_is_missed(name):
                 near = clearance.nearest(state, within)
                 kept = everything.distances < within
                 np.testing.assert_array_equal(near.distances, everything.distances[kept])
-                np.testing.assert_allclose(near.rows, everything.rows[kept], atol=1e-12)
+                np.testing.assert_allclose(near.jacobian, everything.jacobian[kept], atol=1e-12)
                 assert near.pairs == everything.pairs[: len(near.pairs)]
                 assert near.minimum == everything.minimum
             closest = clearance.minimum(state.q)
@@ -49,19 +49,19 @@ def test_nothing_near_is_missed(name):
 def test_every_bound_is_at_most_the_distance(seed):
     rng = np.random.default_rng(seed)
     arm = ARMS[sorted(ARMS)[seed % len(ARMS)]]()
-    clearance = Scene(around(arm, rng), self_collision=True).around(arm)
+    clearance = CollisionModel(arm, Scene(around(arm, rng), self_collision=True))
     distances, places = clearance._distances, clearance._places
     pin.forwardKinematics(arm.model, places.data, arm.random(rng))
     bounds = distances._bounds
-    lower = bounds.lower(bounds.ends(places.rotations, places.positions))
-    near, _ = distances.near(places.rotations, places.positions, np.inf)
+    lower = bounds.lower(bounds.ends(*places.read()))
+    near, _ = distances.near(*places.read(), np.inf)
     for pair, contact in near:
         assert lower[pair] <= contact.distance + 1e-7
 
 
 def test_the_minimum_between_is_that_of_its_samples():
     arm, rng = spatial(), np.random.default_rng(0)
-    clearance = Scene(around(arm, rng), self_collision=True).around(arm)
+    clearance = CollisionModel(arm, Scene(around(arm, rng), self_collision=True))
     for _ in range(10):
         q, dq = arm.random(rng), rng.uniform(-0.2, 0.2, arm.nv)
         samples = [clearance.minimum(arm.integrate(q, dq * k / 7)) for k in range(1, 8)]
@@ -73,7 +73,7 @@ def test_the_minimum_between_is_that_of_its_samples():
 def test_a_step_over_a_thin_thing_is_seen_between_its_ends():
     arm = spatial(4)
     pole = arm.at(arm.configuration([0.0, 0.3] + [0.0] * 6)).points[-1]
-    clearance = Scene({"pole": Sphere(pole, 0.005)}).around(arm)
+    clearance = CollisionModel(arm, Scene({"pole": Sphere(pole, 0.005)}))
     q, dq = arm.neutral(), np.array([0.0, 0.6] + [0.0] * 6)
     assert clearance.minimum(q).distance > 0.05 and clearance.minimum(q + dq).distance > 0.05
     assert clearance.minimum_between(q, dq).distance < 0.0
@@ -81,12 +81,12 @@ def test_a_step_over_a_thin_thing_is_seen_between_its_ends():
 
 def test_a_straight_arm_is_free_of_itself_and_a_curled_one_is_not():
     for arm in (spatial(12), planar(6), pp.Arm.from_template("RyRz", 20), sliding(4), modelled()):
-        clearance = Scene(self_collision=True).around(arm)
+        clearance = CollisionModel(arm, Scene(self_collision=True))
         assert clearance.minimum(arm.straight()).distance > 0.005
-        alone = Scene().around(arm)
+        alone = CollisionModel(arm, Scene())
         assert alone.pairs == () and alone.minimum(arm.straight()) == Closest(np.inf, None)
     arm = planar(6)
-    clearance = Scene(self_collision=True).around(arm)
+    clearance = CollisionModel(arm, Scene(self_collision=True))
     ring = arm.configuration(np.full(arm.nv, 2 * np.pi / (arm.nv - 1)))
     closest = clearance.minimum(ring)
     assert closest.distance < 0.0
@@ -96,7 +96,7 @@ def test_a_straight_arm_is_free_of_itself_and_a_curled_one_is_not():
 def test_the_distance_of_two_links_of_a_bent_arm_in_closed_form():
     arm = pp.Arm.from_template("Rz", 4, (0.2,))
     q = arm.configuration([0.0, np.pi / 2, np.pi / 2, 0.0])  # a hairpin: two legs, 0.2 m apart
-    near = Scene(self_collision=True).around(arm).nearest(arm.at(q), np.inf)
+    near = CollisionModel(arm, Scene(self_collision=True)).nearest(arm.at(q), np.inf)
     by_pair = dict(zip(near.pairs, near.distances, strict=True))
     assert by_pair["m03_l1", "m01_l1"] == pytest.approx(0.2 - 2 * 0.02)
     assert by_pair["m04_l1", "m02_l1"] == pytest.approx(0.2 - 0.02)  # the last link begins with a flat end
@@ -105,18 +105,22 @@ def test_the_distance_of_two_links_of_a_bent_arm_in_closed_form():
 
 def test_bodies_that_touch_where_the_arm_is_straight_are_named():
     arm = pp.Arm.from_template("RyRz", 3)  # links of 25 mm, 20 mm thick
-    clearance = Scene(self_collision=True).around(arm)
-    assert ("m02_l1", "m01_l1", "near each other where the arm is straight or neutral") in clearance.left_out
+    clearance = CollisionModel(arm, Scene(self_collision=True))
+    assert (
+        "m02_l1",
+        "m01_l1",
+        "near each other where the arm is straight or neutral",
+    ) in clearance.excluded_pairs
     assert ("m02_l2", "m01_l1") in clearance.pairs
-    strict = Scene(self_collision=True, margin=0.0).around(arm)
-    assert strict.left_out == () and ("m02_l1", "m01_l1") in strict.pairs
+    strict = CollisionModel(arm, Scene(self_collision=True, margin=0.0))
+    assert strict.excluded_pairs == () and ("m02_l1", "m01_l1") in strict.pairs
 
 
 def test_tubes_that_slide_in_one_another_may():
     tube = geometry('<box size="0.2 0.05 0.05"/>')
     arm = pp.Arm.from_urdf(described(["", tube, tube, tube], 0.01, slides=(3, 4)), modules=4)
-    clearance = Scene(self_collision=True).around(arm)
-    assert [(each.first, each.second) for each in clearance.left_out] == [("l4", "l2")]
+    clearance = CollisionModel(arm, Scene(self_collision=True))
+    assert [(each.first, each.second) for each in clearance.excluded_pairs] == [("l4", "l2")]
     assert clearance.minimum(arm.neutral()).distance > 0.0
 
 
@@ -126,7 +130,7 @@ def test_an_arm_can_hit_its_own_base_but_a_base_hits_nothing():
         described([ball] * 4, base=geometry('<box size="0.1 0.4 0.1"/>', "-0.2 0 0")), modules=2
     )
     scene = Scene({"floor": Sphere((-0.2, 0, 0), 0.1)}, self_collision=True)
-    clearance = scene.around(arm)
+    clearance = CollisionModel(arm, scene)
     assert ("l0", "floor") not in clearance.pairs and ("l1", "l0") not in clearance.pairs
     assert ("l4", "l0") in clearance.pairs
     hit = arm.configuration([0.0, np.pi / 2, 0.0, np.pi / 2])
@@ -149,53 +153,55 @@ def test_what_the_arm_is_mounted_on_is_no_obstacle_to_its_first_body():
         "RyRz", 4, base_placement=pin.SE3(pin.rpy.rpyToMatrix(0, -np.pi / 2, 0), np.zeros(3))
     )
     floor, far = HalfSpace((0, 0, 0), (0, 0, 1)), Sphere((0.1, 0.1, 0.1), 0.01)
-    clearance = Scene({"floor": floor, "ball": far}).around(arm)
-    assert [(each.first, each.second) for each in clearance.left_out] == [("m01_l1", "floor")]
-    assert clearance.left_out[0].reason == "the arm is mounted on it"
+    clearance = CollisionModel(arm, Scene({"floor": floor, "ball": far}))
+    assert [(each.first, each.second) for each in clearance.excluded_pairs] == [("m01_l1", "floor")]
+    assert clearance.excluded_pairs[0].reason == "the arm is mounted on it"
     assert clearance.minimum(arm.straight()).distance == pytest.approx(0.025 - 0.01)
     assert ("m01_l1", "ball") in clearance.pairs
     # A floor below the base can be met by every body.
-    assert not Scene({"floor": HalfSpace((0, 0, -0.02), (0, 0, 1))}).around(arm).left_out
+    assert not CollisionModel(arm, Scene({"floor": HalfSpace((0, 0, -0.02), (0, 0, 1))})).excluded_pairs
 
 
 def test_the_nearest_is_exact_where_nothing_is_near():
     arm = spatial()
-    clearance = Scene({"far": Box((5, 5, 5), (1, 1, 1))}).around(arm)
+    clearance = CollisionModel(arm, Scene({"far": Box((5, 5, 5), (1, 1, 1))}))
     near = clearance.nearest(arm.at(arm.straight()), 0.01)
-    assert near.distances.shape == (0,) and near.rows.shape == (0, arm.nv) and near.pairs == ()
+    assert near.distances.shape == (0,) and near.jacobian.shape == (0, arm.nv) and near.pairs == ()
     assert near.points.shape == near.normals.shape == (0, 3)
     assert near.minimum == pytest.approx(clearance.minimum(arm.straight()).distance, abs=1e-12)
     assert near.pair == clearance.minimum(arm.straight()).pair
-    nothing = Scene().around(arm).nearest(arm.at(arm.straight()), np.inf)
-    assert nothing.minimum == np.inf and nothing.pair is None and nothing.rows.shape == (0, arm.nv)
+    nothing = CollisionModel(arm, Scene()).nearest(arm.at(arm.straight()), np.inf)
+    assert nothing.minimum == np.inf and nothing.pair is None and nothing.jacobian.shape == (0, arm.nv)
 
 
 def test_clearances_are_remembered_as_long_as_the_arm_lives():
     arm, scene = spatial(), Scene({"o": Sphere((1, 1, 1), 0.1)})
-    clearance = scene.around(arm)
-    assert scene.around(arm) is clearance is Scene({"o": Sphere((1, 1, 1), 0.1)}).around(arm)
-    assert Scene({"o": Sphere((1, 1, 1), 0.2)}).around(arm) is not clearance
+    clearance = CollisionModel(arm, scene)
+    assert (
+        CollisionModel(arm, scene) is clearance is CollisionModel(arm, Scene({"o": Sphere((1, 1, 1), 0.1)}))
+    )
+    assert CollisionModel(arm, Scene({"o": Sphere((1, 1, 1), 0.2)})) is not clearance
     copy = pickle.loads(pickle.dumps(arm))
-    assert scene.around(copy) is not clearance
+    assert CollisionModel(copy, scene) is not clearance
     gone = weakref.ref(arm)
     del arm
     gc.collect()
     assert gone() is None
-    assert clearance.minimum(copy.straight()) == scene.around(copy).minimum(copy.straight())
+    assert clearance.minimum(copy.straight()) == CollisionModel(copy, scene).minimum(copy.straight())
 
 
 def test_many_scenes_around_one_arm_are_not_all_kept():
     arm = spatial(1)
     first = Scene(margin=0.001)
-    clearance = first.around(arm)
+    clearance = CollisionModel(arm, first)
     for k in range(40):
-        Scene(margin=0.01 + 0.001 * k).around(arm)
-    assert first.around(arm) is not clearance
+        CollisionModel(arm, Scene(margin=0.01 + 0.001 * k))
+    assert CollisionModel(arm, first) is not clearance
 
 
 def test_threads_do_not_disturb_each_other():
     arm, rng = spatial(8), np.random.default_rng(0)
-    clearance = Scene(around(arm, rng), self_collision=True).around(arm)
+    clearance = CollisionModel(arm, Scene(around(arm, rng), self_collision=True))
     starts = [arm.random(rng) for _ in range(4)]
     alone = [(clearance.minimum(q), clearance.nearest(arm.at(q), 0.1)) for q in starts]
     wrong = []
@@ -203,7 +209,7 @@ def test_threads_do_not_disturb_each_other():
     def work(q, expected):
         for _ in range(60):
             near = clearance.nearest(arm.at(q), 0.1)
-            if clearance.minimum(q) != expected[0] or not np.array_equal(near.rows, expected[1].rows):
+            if clearance.minimum(q) != expected[0] or not np.array_equal(near.jacobian, expected[1].jacobian):
                 wrong.append(q)
 
     threads = [threading.Thread(target=work, args=each) for each in zip(starts, alone, strict=True)]
@@ -216,11 +222,11 @@ def test_threads_do_not_disturb_each_other():
 
 def test_results_stay_as_they_are_when_the_arm_moves_on():
     arm, rng = spatial(), np.random.default_rng(0)
-    clearance = Scene(around(arm, rng)).around(arm)
+    clearance = CollisionModel(arm, Scene(around(arm, rng)))
     near = clearance.nearest(arm.at(arm.random(rng)), np.inf)
-    before = [np.copy(each) for each in (near.distances, near.rows, near.points, near.normals)]
+    before = [np.copy(each) for each in (near.distances, near.jacobian, near.points, near.normals)]
     clearance.nearest(arm.at(arm.random(rng)), np.inf)
-    for each, was in zip((near.distances, near.rows, near.points, near.normals), before, strict=True):
+    for each, was in zip((near.distances, near.jacobian, near.points, near.normals), before, strict=True):
         np.testing.assert_array_equal(each, was)
 
 
@@ -239,13 +245,13 @@ def test_results_stay_as_they_are_when_the_arm_moves_on():
         (lambda c, arm: c.nearest(arm.at(arm.neutral()), "far"), "within is 'far'"),
         (lambda c, arm: c.nearest(arm.neutral(), 1), "state is"),
         (lambda c, arm: c.nearest(spatial().at(spatial().neutral()), 1), "state is"),
-        (lambda c, arm: Scene().around("arm"), "arm is 'arm'; allowed: an Arm"),
+        (lambda c, arm: CollisionModel("arm", Scene()), "arm is 'arm'; allowed: an Arm"),
     ],
 )
 def test_bad_questions_are_refused_by_name(ask, words):
     arm = spatial()
     with pytest.raises(InvalidValue) as caught:
-        ask(Scene({"o": Sphere((1, 1, 1), 0.1)}).around(arm), arm)
+        ask(CollisionModel(arm, Scene({"o": Sphere((1, 1, 1), 0.1)})), arm)
     assert words in str(caught.value)
 
 
@@ -254,11 +260,11 @@ def test_one_joint_and_continuous_joints():
         scene = Scene(
             {"c": Capsule((0, 0.3, -1), (0, 0.3, 1), 0.02), "y": Cylinder((0, 0, 1), (0, 1, 1), 0.1)}
         )
-        near = scene.around(arm).nearest(arm.at(arm.straight()), np.inf)
-        assert near.rows.shape == (len(near.pairs), arm.nv) and np.all(np.isfinite(near.rows))
+        near = CollisionModel(arm, scene).nearest(arm.at(arm.straight()), np.inf)
+        assert near.jacobian.shape == (len(near.pairs), arm.nv) and np.all(np.isfinite(near.jacobian))
 
 
 def test_an_arm_too_long_for_a_scene_is_refused_before_memory_is_gone() -> None:
     scene = Scene({"post": Sphere((0.0, 5.0, 0.0), 0.1)})
     with pytest.raises(InvalidValue, match=r"degrees of freedom of an arm in a scene.*302.*at most 300"):
-        scene.around(pp.Arm.from_template("RyRz", 151))
+        CollisionModel(pp.Arm.from_template("RyRz", 151), scene)

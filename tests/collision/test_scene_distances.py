@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sampling import examples
 
-from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Mesh, Scene, Sphere
+from pinposture.collision import Box, Capsule, CollisionModel, Cylinder, HalfSpace, Mesh, Scene, Sphere
 from pinposture.collision.distances import Narrow, closest_points
 from pinposture.collision.obstacles import solid
 
@@ -52,7 +52,7 @@ def test_distances_are_those_of_projections_to_and_fro(shape):
     state = arm.at(arm.neutral())
     for _ in range(5):
         around = obstacles(rng)
-        near = Scene(around).around(arm).nearest(state, np.inf)
+        near = CollisionModel(arm, Scene(around)).nearest(state, np.inf)
         assert sorted(name for _, name in near.pairs) == sorted(around)
         for distance, (_, name) in zip(near.distances, near.pairs, strict=True):
             by_hand = separation(body, around[name])
@@ -81,7 +81,7 @@ def test_distances_are_those_of_projections_to_and_fro(shape):
 )
 def test_depths_of_solids_that_overlap(shape, obstacle, depth):
     arm = single(shape)
-    assert Scene({"o": obstacle}).around(arm).minimum(arm.neutral()).distance == pytest.approx(
+    assert CollisionModel(arm, Scene({"o": obstacle})).minimum(arm.neutral()).distance == pytest.approx(
         -depth, abs=1e-5
     )
 
@@ -92,7 +92,9 @@ def test_a_mesh_is_its_convex_hull_and_may_be_turned():
     for center in ((0.9, 0.2, 0.3), (0.55, 0.1, 0.0)):
         mesh = Mesh(np.vstack([inside, CORNERS]), center, turn)
         box = Box(center, (0.2, 0.4, 0.1), turn)
-        by_mesh, by_box = (Scene({"o": each}).around(arm).minimum(arm.neutral())[0] for each in (mesh, box))
+        by_mesh, by_box = (
+            CollisionModel(arm, Scene({"o": each})).minimum(arm.neutral())[0] for each in (mesh, box)
+        )
         assert by_mesh == pytest.approx(by_box, abs=1e-7)
 
 
@@ -135,18 +137,18 @@ def test_lines_that_are_parallel_cross_or_are_points(a, b, c, d):
 def test_where_coal_cannot_tell_the_bound_serves(monkeypatch):
     arm = single('<cylinder radius="0.05" length="0.3"/>')
     scene = Scene({"o": Box((0.5, 0.5, 0), (0.1, 0.1, 0.1))})
-    true = scene.around(arm).minimum(arm.neutral()).distance
-    clearance = scene.around(arm)
+    true = CollisionModel(arm, scene).minimum(arm.neutral()).distance
+    clearance = CollisionModel(arm, scene)
     monkeypatch.setattr(coal, "distance", lambda *_: 1.7976931348623157e308)
     near = clearance.nearest(arm.at(arm.neutral()), np.inf)
     assert clearance.minimum(arm.neutral()).distance == near.minimum == near.distances[0]
     assert 0.0 < near.minimum <= true
-    assert np.all(np.isfinite(near.rows))
+    assert np.all(np.isfinite(near.jacobian))
 
 
 def test_what_coal_cannot_tell_at_once_it_is_asked_less_exactly(monkeypatch):
     arm = single('<cylinder radius="0.05" length="0.3"/>')
-    clearance = Scene({"o": Box((0.5, 0.5, 0), (0.1, 0.1, 0.1))}).around(arm)
+    clearance = CollisionModel(arm, Scene({"o": Box((0.5, 0.5, 0), (0.1, 0.1, 0.1))}))
     true, ask, answers = clearance.minimum(arm.neutral()), coal.distance, []
 
     def stubborn(*arguments):
@@ -163,14 +165,14 @@ def test_a_long_body_is_seen_by_a_small_box_anywhere_along_it():
     state = arm.at(arm.neutral())
     other = Sphere((0.5, 0, 0.45), 0.2)  # 0.2 m away, so that the box is looked at only if its bound says so
     for along in np.linspace(-0.5, 1.5, 41):
-        clearance = Scene({"o": Box((along, 0.1, 0), (0.01, 0.01, 0.01)), "s": other}).around(arm)
+        clearance = CollisionModel(arm, Scene({"o": Box((along, 0.1, 0), (0.01, 0.01, 0.01)), "s": other}))
         assert clearance.nearest(state, 0.05).distances == pytest.approx([0.1 - 0.005 - 0.05], abs=1e-7)
         assert clearance.minimum(arm.neutral()).distance == pytest.approx(0.045, abs=1e-7)
 
 
 def test_a_thousand_overlaps_have_finite_depths_and_unit_normals(monkeypatch):
     # The arm is inside of most of them however it turns: they would be left out.
-    monkeypatch.setattr("pinposture.collision.clearance._always_close", lambda *given: [])
+    monkeypatch.setattr("pinposture.collision.model._always_close", lambda *given: [])
     arm = single('<cylinder radius="0.05" length="0.1"/>', xyz="0 0 0")
     rng = np.random.default_rng(0)
     state = arm.at(arm.neutral())
@@ -183,7 +185,7 @@ def test_a_thousand_overlaps_have_finite_depths_and_unit_normals(monkeypatch):
                 ("b", Box(rng.normal(size=3) * 0.1, (0.2, 0.3, 0.4), rng.uniform(-3, 3, 3))),
             )
         }
-        near = Scene(around, margin=0.0).around(arm).nearest(state, np.inf)
+        near = CollisionModel(arm, Scene(around, margin=0.0)).nearest(state, np.inf)
         assert np.all(np.abs(near.distances) < 1.0)
         np.testing.assert_allclose(np.linalg.norm(near.normals, axis=1), 1.0, atol=1e-9)
 
@@ -193,6 +195,6 @@ def test_a_turned_body_is_where_its_frame_says():
     arm = single(text, rpy="0.3 -0.4 0.5")
     box = Box((0.5, 0, 0), (0.1, 0.2, 0.3), pin.rpy.rpyToMatrix(0.3, -0.4, 0.5))
     ball = Sphere((0.9, 0.3, 0.2), 0.1)
-    assert Scene({"o": ball}).around(arm).minimum(arm.neutral()).distance == pytest.approx(
+    assert CollisionModel(arm, Scene({"o": ball})).minimum(arm.neutral()).distance == pytest.approx(
         separation(box, ball), abs=1e-7
     )

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sampling import examples
 
-from pinposture.collision.clearance import escape_direction
+from pinposture.collision.model import escape_direction
 
 SPACE, PLANE = np.eye(3), np.eye(3)[:2]
 

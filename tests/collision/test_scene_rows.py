@@ -7,7 +7,7 @@ import pytest
 from collision.arms_with_bodies import ARMS, around, spatial
 
 import pinposture as pp
-from pinposture.collision import Box, Capsule, Cylinder, Scene, Sphere
+from pinposture.collision import Box, Capsule, CollisionModel, Cylinder, Scene, Sphere
 
 
 def distances(clearance, arm, q):
@@ -20,11 +20,11 @@ def distances(clearance, arm, q):
 def test_rows_are_the_derivatives_of_the_distances(name):
     rng, arm, h, compared = np.random.default_rng(3), ARMS[name](), 1e-6, 0
     for _ in range(3):
-        clearance = Scene(around(arm, rng), self_collision=True).around(arm)
+        clearance = CollisionModel(arm, Scene(around(arm, rng), self_collision=True))
         q = arm.random(rng)
         near = clearance.nearest(arm.at(q), np.inf)
         first = [near.pairs.index(pair) for pair in dict.fromkeys(near.pairs)]
-        rows, pairs, values = near.rows[first], [near.pairs[k] for k in first], near.distances[first]
+        rows, pairs, values = near.jacobian[first], [near.pairs[k] for k in first], near.distances[first]
         slopes = np.zeros((len(pairs), arm.nv))
         for u in range(arm.nv):
             ahead, behind = (
@@ -45,14 +45,14 @@ def test_following_the_rows_leads_out_of_an_obstacle(name):
         q = arm.random(rng) if name != "planar" else arm.configuration(rng.uniform(-0.3, 0.3, arm.nv))
         point = arm.at(q).points[-1]
         obstacle = (Sphere(point, 0.06), Box(point, (0.1, 0.1, 0.1)), Capsule(point, point + 0.1, 0.04))[kind]
-        clearance = Scene({"o": obstacle}).around(arm)
+        clearance = CollisionModel(arm, Scene({"o": obstacle}))
         assert clearance.minimum(q).distance < -0.02
         for _ in range(200):
             near = clearance.nearest(arm.at(q), 0.005)
             if not len(near.distances):
                 break
             short = 0.006 - near.distances
-            dq = np.linalg.lstsq(near.rows, np.clip(short, 0.0, 0.005), rcond=1e-3)[0]
+            dq = np.linalg.lstsq(near.jacobian, np.clip(short, 0.0, 0.005), rcond=1e-3)[0]
             q = arm.integrate(q, np.clip(dq, -0.1, 0.1))
         assert clearance.minimum(q).distance >= 0.005
 
@@ -61,16 +61,16 @@ def test_a_planar_arm_is_shown_a_way_in_its_plane():
     arm = pp.Arm.from_template("RzRz", modules=3)
     q = arm.straight()
     # A bar in the plane, across the last link: the shortest way from it is up, where the arm cannot go.
-    bar = Scene({"bar": Capsule((0.8, -0.05, 0), (0.8, 0.3, 0), 0.03)}).around(arm)
+    bar = CollisionModel(arm, Scene({"bar": Capsule((0.8, -0.05, 0), (0.8, 0.3, 0), 0.03)}))
     near = bar.nearest(arm.at(q), 0.0)
     assert near.minimum == pytest.approx(-0.05)
     np.testing.assert_allclose(near.normals[0], (0.0, -1.0, 0.0), atol=1e-9)
-    assert np.linalg.norm(near.rows[0]) > 0.1
+    assert np.linalg.norm(near.jacobian[0]) > 0.1
     for _ in range(100):
         near = bar.nearest(arm.at(q), 0.005)
         if not len(near.distances):
             break
-        q = arm.integrate(q, 0.005 * near.rows[0] / np.linalg.norm(near.rows[0]))
+        q = arm.integrate(q, 0.005 * near.jacobian[0] / np.linalg.norm(near.jacobian[0]))
     assert bar.minimum(q).distance >= 0.005
 
 
@@ -86,13 +86,13 @@ def test_a_planar_arm_is_shown_a_way_in_its_plane():
 )
 def test_normals_exist_where_the_axes_meet(obstacle):
     arm = pp.Arm.from_template("RyRz", modules=6)
-    clearance = Scene({"o": obstacle}).around(arm)
+    clearance = CollisionModel(arm, Scene({"o": obstacle}))
     near = clearance.nearest(arm.at(arm.straight()), 0.0)
     assert len(near.distances) > 0
     np.testing.assert_allclose(np.linalg.norm(near.normals, axis=1), 1.0, atol=1e-9)
-    assert np.abs(near.rows).max() > 1e-3
+    assert np.abs(near.jacobian).max() > 1e-3
     again = clearance.nearest(arm.at(arm.straight()), 0.0)
-    np.testing.assert_array_equal(near.rows, again.rows)
+    np.testing.assert_array_equal(near.jacobian, again.jacobian)
 
 
 def test_normals_point_from_the_obstacle_to_the_body():
@@ -102,7 +102,7 @@ def test_normals_point_from_the_obstacle_to_the_body():
         "a": Sphere(arm.chain.base + [0.2, 0.3, 0.1], 0.1),
         "b": Box(arm.chain.base - 0.4, (0.1,) * 3),
     }
-    near = Scene(around_it).around(arm).nearest(arm.at(arm.random(rng)), np.inf)
+    near = CollisionModel(arm, Scene(around_it)).nearest(arm.at(arm.random(rng)), np.inf)
     for distance, (_, name), point, normal in zip(
         near.distances, near.pairs, near.points, near.normals, strict=True
     ):

@@ -11,7 +11,7 @@ from arms import template_arm
 from study.handmade import made
 
 import pinposture as pp
-from pinposture.collision import Box, HalfSpace, Scene
+from pinposture.collision import Box, CollisionModel, HalfSpace, Scene
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.study import scenes
 from pinposture.study.record import keep_study
@@ -133,7 +133,7 @@ def test_bodies_are_blamed_only_where_they_must_keep_clear_of_each_other() -> No
 @pytest.mark.parametrize("name", NAMES)
 def test_starts_and_goals_are_as_clear_as_they_claim(arm: pp.Arm, name: str) -> None:
     situation = SITUATIONS[name]
-    around, margin = situation.scene.around(arm), situation.scene.margin
+    around, margin = CollisionModel(arm, situation.scene), situation.scene.margin
     seen = []
     for seed in range(4):
         draw = draw_situation(arm, situation, seed)
@@ -186,7 +186,7 @@ def test_draws_that_are_not_clear_enough_are_counted_and_given_up(arm: pp.Arm) -
     flat = Situation("flat", lid, np.zeros(40), np.zeros(40))
     draws = [draw_situation(arm, flat, seed) for seed in range(10)]
     assert sum(draw.refused for draw in draws) > 0
-    around = lid.around(arm)
+    around = CollisionModel(arm, lid)
     assert all(around.minimum(q).distance >= 0.01 for draw in draws for q in draw[:2])
     with pytest.raises(InvalidValue, match=r"(?s)goal of flat.*overlaps with something"):
         far = Scene({"lid": HalfSpace((0.0, 0.0, 2.0), (0.0, 0.0, -1.0))})

@@ -50,7 +50,7 @@ def some_motion(
     known = pp.track(arm, target, q[0], max_steps=1)
     clearance = np.full(steps + 1, np.inf)
     if scene is not None:
-        clearance = np.array([scene.around(arm).minimum(row).distance for row in q])
+        clearance = np.array([pp.CollisionModel(arm, scene).minimum(row).distance for row in q])
     run = replace(
         known,
         status="converged",

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import ArmState
-from pinposture.collision import Clearance, Nearness
+from pinposture.collision import CollisionModel, Distances
 from pinposture.control.limits import JointBounds, stopping_steps
 from pinposture.control.planner.objective import Linear, Posture
 
@@ -189,19 +189,19 @@ class Avoidance:
     """
 
     def __init__(
-        self, clearance: Clearance, posture: Posture, bounds: JointBounds, previous: Array | None = None
+        self, clearance: CollisionModel, posture: Posture, bounds: JointBounds, previous: Array | None = None
     ) -> None:
         self.clearance, self.margin = clearance, clearance.scene.margin
         self._posture, self._length, self._bounds = posture, posture.arm.length, bounds
         self._previous = np.zeros(posture.arm.nv) if previous is None else previous
-        self._seen: tuple[ArmState, Nearness] | None = None
+        self._seen: tuple[ArmState, Distances] | None = None
         self._approved: tuple[Array, Array] | None = None
         brake = bounds.brake
         # The way to stop, this step included, is half as many steps long as braking takes, of the longest.
         steps = 0.0 if brake is None else float(np.max(np.abs(self._previous) / brake)) + 2.0
         self._approach = 2.0 / max(steps, 2.0 / APPROACH)
 
-    def near(self, state: ArmState) -> Nearness:
+    def near(self, state: ArmState) -> Distances:
         """The pairs in sight; the last answer is kept, because a step asks more than once."""
         if self._seen is None or self._seen[0] is not state:
             self._seen = (state, self.clearance.nearest(state, self.margin + SIGHT * self._length))
@@ -222,7 +222,7 @@ class Avoidance:
         near = self.near(state)
         if not len(near.distances):
             return None
-        matrix = near.rows[:, self._posture.columns] * self._posture.units
+        matrix = near.jacobian[:, self._posture.columns] * self._posture.units
         least = -self._approach * (near.distances - self.margin - SPARE * self._length)
         most = np.maximum(matrix * lower, matrix * upper).sum(axis=1)
         return ConstraintRows(matrix, np.minimum(least, PUSH * most))
@@ -235,7 +235,7 @@ class Avoidance:
         """How far pairs are closer than a way should come; the errors should vanish."""
         berth = self.margin + BERTH * self._length
         near = self.clearance.nearest(state, berth)
-        return Linear(near.rows[:, self._posture.columns] * self._posture.units, berth - near.distances)
+        return Linear(near.jacobian[:, self._posture.columns] * self._posture.units, berth - near.distances)
 
     def stops_clear(self, state: ArmState, dq: Array) -> bool:
         """Whether the arm keeps its margin on a step and while it then stops."""

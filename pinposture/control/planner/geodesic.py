@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pinposture import kernels
 from pinposture._validation import require_positive
 from pinposture.arm import ArmState
-from pinposture.collision import Scene
+from pinposture.collision import CollisionModel, Scene
 from pinposture.control.controller import Diagnostics, Memory, Step
 from pinposture.control.limits import JointBounds, Limits, StepBox
 from pinposture.control.planner.avoidance import Avoidance, solve
@@ -207,7 +207,7 @@ class ConstrainedQP:
     ) -> Avoidance | None:
         if self.scene is None:
             return None
-        return Avoidance(self.scene.around(posture.arm), posture, bounds, previous)
+        return Avoidance(CollisionModel(posture.arm, self.scene), posture, bounds, previous)
 
     def _course(self, state: ArmState, target: Target, bounds: JointBounds, course: Course | None) -> Course:
         """The course so far; a new one at first, for a new target, and where the arm does not get on."""

@@ -102,7 +102,7 @@ class ScanControls:
         self._folder: Path | None = None
         gui.add_markdown(WORDS)
         self._kind = gui.add_dropdown(
-            "Take as", KINDS, hint="Scan: .ply .pcd .xyz .npy .stl .obj; obstacle: a mesh"
+            "Take as", KINDS, hint="Scan: .ply .xyz .npy .stl .obj; obstacle: a mesh"
         )
         self._scale = gui.add_number(
             "scale",

@@ -8,6 +8,7 @@ from arms import template_arm
 from sampling import seeds
 
 import pinposture as pp
+from pinposture.collision import CollisionModel
 from pinposture.control.planner import geodesic
 
 STEP = 0.02
@@ -26,7 +27,7 @@ def drawn(seed: int) -> tuple[pp.Arm, np.ndarray, pp.Scene]:
 @pytest.mark.parametrize("seed", seeds(8))
 def test_it_is_out_within_a_second_of_steps_and_plans_nothing_before(seed, monkeypatch):
     arm, q, scene = drawn(seed)
-    distances = scene.around(arm)
+    distances = CollisionModel(arm, scene)
     planned = []
     plan = geodesic.plan
     monkeypatch.setattr(geodesic, "plan", lambda *a, **k: planned.append(True) or plan(*a, **k))

@@ -8,7 +8,7 @@ from qp_runs import arm_called, check_limits
 from scipy.optimize import least_squares, minimize
 
 import pinposture as pp
-from pinposture.collision import Scene, Sphere
+from pinposture.collision import CollisionModel, Scene, Sphere
 from pinposture.control.tasks import EndEffector
 
 
@@ -67,7 +67,7 @@ def test_an_obstacle_on_the_target_stops_it_short_and_is_named() -> None:
     assert run.status == "stalled"
     assert "ball" in run.reason
     assert run.clearance.min() >= 0.004 - 1e-9
-    between = scene.around(arm)
+    between = CollisionModel(arm, scene)
     for q, dq in zip(run.q[:-1], np.diff(run.q, axis=0), strict=True):
         assert between.minimum_between(q, dq, 10).distance >= 0.004 - 1e-9
 

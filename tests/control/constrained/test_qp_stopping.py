@@ -63,7 +63,7 @@ def check_run(seed: int, max_steps: int) -> None:
     assert run.excess is None and not np.any(run.relaxed != "")
     length = course.arm.length
     assert run.clearance.min() >= course.scene.margin - 1e-9 * length
-    around = course.scene.around(course.arm)
+    around = pp.CollisionModel(course.arm, course.scene)
     ways = [(q, run.arm.difference(q, after)) for q, after in pairwise(run.q)]
     between = [around.minimum_between(q, way, 7).distance for q, way in ways]
     assert min(between) >= course.scene.margin - 1e-3 * length
@@ -78,7 +78,7 @@ def test_what_gives_way_before_an_obstacle_that_is_put_in_the_way_is_named(seed:
     drive.until_there(course.goal, 1e-6 * length, int(rng.integers(3, 30)))
     beside = drive.state.points[rng.integers(arm.n_modules)] + 0.08 * length * rng.normal(size=3)
     ball = pp.Scene({"ball": pp.Sphere(beside, 0.03 * length)}, margin=0.01 * length)
-    around, first = ball.around(arm), drive.recorder.steps
+    around, first = pp.CollisionModel(arm, ball), drive.recorder.steps
     drive.controller = drive.controller.with_scene(ball)
     drive.until_there(course.goal, 1e-6 * length, first + 60)
     drive.come_to_rest()
@@ -118,7 +118,11 @@ def test_what_gives_way_first_is_the_margin_and_then_acceleration() -> None:
 def test_without_a_measurement_a_tracker_brakes_clear(seed: int) -> None:
     course = drawn_course(seed, stops=3)
     tracker = pp.Tracker(course.arm, limits=course.limits, scene=course.scene)
-    rng, q, around = np.random.default_rng(seed), [course.stops[0]], course.scene.around(course.arm)
+    rng, q, around = (
+        np.random.default_rng(seed),
+        [course.stops[0]],
+        pp.CollisionModel(course.arm, course.scene),
+    )
     for number in range(120):
         if number % 40 == 0:
             goal = course.stops[1 + number // 40 % 2]

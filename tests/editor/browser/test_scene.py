@@ -15,6 +15,7 @@ from editor.browser.desk import arrived, wait_until
 from editor.browser.window import Window
 
 import pinposture as pp
+from pinposture.collision import Scan, ScanClearance
 from pinposture.editor import Editor
 from pinposture.editor.obstacle_edits import obstacles_of
 from pinposture.editor.obstacle_handles import Measures, grips
@@ -36,7 +37,7 @@ def clear(editor: Editor) -> float:
     scene = editor.session.task.scene
     assert scene is not None
     around = pp.Scene(dict(scene.obstacles), margin=scene.margin, self_collision=False)
-    return 1000.0 * float(around.around(editor.session.arm).minimum(editor.live.state.q).distance)
+    return 1000.0 * float(pp.CollisionModel(editor.session.arm, around).minimum(editor.live.state.q).distance)
 
 
 def test_a_box_is_put_there_dragged_and_resized(edit: Edit, look: Look, file: Path) -> None:
@@ -109,7 +110,7 @@ def test_a_scan_is_shown_and_told_of(edit: Edit, look: Look, file: Path) -> None
     window.says("added the scan floor.xyz")
     wait_until(lambda: session.nearest is not None, "the clearance is known")
     q = editor.live.state.q
-    gap = pp.collision.Scan.load(file.with_name("floor.xyz")).around(session.arm).minimum(q).distance
+    gap = ScanClearance(session.arm, Scan.load(file.with_name("floor.xyz"))).minimum(q).distance
     wait_until(lambda: abs(millimetres(window) - 1000.0 * gap) < 1.0, "the page tells how near it is")
     assert "floor.xyz" in window.page.locator("#clearance").inner_text()
     window.picture("14-scan")

@@ -5,79 +5,62 @@ from __future__ import annotations
 import threading
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
-from weakref import WeakKeyDictionary
+from typing import NamedTuple, TypeAlias
 
 import coal
 import numpy as np
 import pinocchio as pin
-from numpy.lib.stride_tricks import as_strided
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import finite_vector, is_count
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.configurations import ConfigurationSpace
 from pinposture.collision.bodies import Body, bodies_of
-from pinposture.collision.distances import Contact, Distances, Narrow
+from pinposture.collision.distances import Contact, Narrow, PairDistances
 from pinposture.collision.obstacles import Solid, solid
 from pinposture.collision.scene import Scene
 from pinposture.errors import InvalidValue, PostureWarning
 
-if TYPE_CHECKING:
-    from pinposture.collision.scene import Scene
-
-
-# Where all joints of a model are, read at once.
-#
-# Pinocchio keeps the placements of the joints side by side in memory. Reading them one by one from Python
-# takes ten times as long as computing them, so two arrays are laid over that memory instead.
-
 Array = NDArray[np.float64]
 
+# Where all joints of a model are.
 
-MOST = 300
-"""Degrees of freedom up to which there is memory: 2 GB."""
+MAX_DOF = 300
+"""Degrees of freedom up to which there is memory for Pinocchio's data: 2 GB."""
 
 
-class Placements(threading.local):
-    """Scratch data of a model, one for each thread.
+class JointPlacements(threading.local):
+    """Pinocchio's data of a model, one for each thread, and the placements of the joints in it.
 
     Attributes:
-        data: the scratch data.
-        rotations: from joint to world frame, (njoints, 3, 3); changes with `data`.
-        positions: origins of the joints, (njoints, 3) [m], world frame; changes with `data`.
+        data: the data; compute the kinematics into it, then `read` the placements.
     """
 
     def __init__(self, model: pin.Model) -> None:
-        if model.nv > MOST:
-            allowed = f"an arm of at most {MOST}: Pinocchio's data take memory with the cube of their number"
+        if model.nv > MAX_DOF:
+            allowed = (
+                f"an arm of at most {MAX_DOF}: Pinocchio's data take memory with the cube of their number"
+            )
             raise InvalidValue("degrees of freedom of an arm in a scene", model.nv, allowed)
         self.data = model.createData()
-        self.rotations = _side_by_side([placement.rotation for placement in self.data.oMi])
-        self.positions = _side_by_side([placement.translation for placement in self.data.oMi])
+        # Live views of the data: to join them takes a tenth of the time of reading one joint after the other.
+        self._rotations = [placement.rotation for placement in self.data.oMi]
+        self._translations = [placement.translation for placement in self.data.oMi]
+
+    def read(self) -> tuple[Array, Array]:
+        """Rotations, (njoints, 3, 3), and origins, (njoints, 3) [m], of the joints, world frame; copies."""
+        rotations = np.concatenate(self._rotations).reshape(-1, 3, 3)
+        return rotations, np.concatenate(self._translations).reshape(-1, 3)
 
 
-_PLACEMENTS: WeakKeyDictionary[Arm, Placements] = WeakKeyDictionary()
+def joint_placements(arm: Arm) -> JointPlacements:
+    """The joint placements of an arm, the same for all scenes: its data take a second to make for 200 joints.
 
-
-def placements_of(arm: Arm) -> Placements:
-    """The scratch data of an arm, the same for all scenes: it takes a second to make for 200 joints.
-
-    What it holds counts until it is next asked for in the same thread.
+    The data are valid until the next use in the same thread.
     """
-    if arm not in _PLACEMENTS:
-        _PLACEMENTS[arm] = Placements(arm.model)
-    return _PLACEMENTS[arm]
-
-
-def _side_by_side(views: list[Array]) -> Array:
-    """One array over arrays that lie in memory at equal distances."""
-    places = np.array([view.__array_interface__["data"][0] for view in views])
-    step = int(places[1] - places[0])
-    if np.any(np.diff(places) != step) or len({view.strides for view in views}) != 1:
-        raise RuntimeError("Pinocchio does not keep placements side by side; another version than tested")
-    first = views[0]
-    return as_strided(first, (len(views), *first.shape), (step, *first.strides), writeable=False)
+    found: JointPlacements = arm.cache.setdefault(JointPlacements, None) or JointPlacements(arm.model)
+    arm.cache[JointPlacements] = found
+    return found
 
 
 # Which pairs of solids are looked at, and which cannot be told apart by any motion of the arm.
@@ -106,8 +89,8 @@ _STILL = 1e-9
 """How far a point may move that does not move, relative to the arm."""
 
 
-class LeftOut(NamedTuple):
-    """A pair whose distance is not looked at, though neither one joint nor a common one holds it together.
+class ExcludedPair(NamedTuple):
+    """A pair whose distance is not computed, though its bodies are neither on one joint nor joined by one.
 
     Attributes:
         first: name of the body.
@@ -133,7 +116,7 @@ def self_pairs(model: pin.Model, bodies: Sequence[Body]) -> Iterator[IndexPair]:
 
 def choose_pairs(
     arm: Arm,
-    places: Placements,
+    places: JointPlacements,
     bodies: Sequence[Body],
     solids: Sequence[Solid],
     obstacles: Mapping[str, Solid],
@@ -155,26 +138,26 @@ def choose_pairs(
     """
     fixed, count = list(obstacles.values()), len(bodies)
     standing = _mounted(arm, places, bodies, solids, fixed, scene.margin)
-    left_out = dict.fromkeys(sorted(standing), "the arm is mounted on it")
+    excluded = dict.fromkeys(sorted(standing), "the arm is mounted on it")
     moving = [index for index, body in enumerate(bodies) if body.joint]
     against = [(index, count + k) for index in moving for k in range(len(fixed))]
     own = list(self_pairs(arm.model, bodies)) if scene.self_collision else []
-    near = Distances(solids, [body.joint for body in bodies], [], own)
+    near = PairDistances(solids, [body.joint for body in bodies], [], own)
     touching = set[IndexPair]()
     for q in (arm.straight(), arm.neutral()):
         pin.forwardKinematics(arm.model, places.data, q)
         limit = STRETCHED * scene.margin + _STILL * arm.length
-        found, _ = near.near(places.rotations, places.positions, limit)
+        found, _ = near.near(*places.read(), limit)
         touching |= {(int(near.first[k]), int(near.second[k])) for k, _ in found}
-    left_out |= dict.fromkeys(sorted(touching), "near each other where the arm is straight or neutral")
-    left = [pair for pair in (*against, *own) if pair not in left_out]
+    excluded |= dict.fromkeys(sorted(touching), "near each other where the arm is straight or neutral")
+    left = [pair for pair in (*against, *own) if pair not in excluded]
     close = dict.fromkeys(_always_close(arm, places, bodies, solids, fixed, left, scene.margin), ALWAYS_CLOSE)
-    return [pair for pair in left if pair not in close], left_out | close
+    return [pair for pair in left if pair not in close], excluded | close
 
 
 def _always_close(
     arm: Arm,
-    places: Placements,
+    places: JointPlacements,
     bodies: Sequence[Body],
     solids: Sequence[Solid],
     fixed: Sequence[Solid],
@@ -187,9 +170,9 @@ def _always_close(
     for q in postures:
         if not left:
             break
-        distances = Distances(solids, [body.joint for body in bodies], fixed, left)
+        distances = PairDistances(solids, [body.joint for body in bodies], fixed, left)
         pin.forwardKinematics(arm.model, places.data, q)
-        found, _ = distances.near(places.rotations, places.positions, margin)
+        found, _ = distances.near(*places.read(), margin)
         left = [(int(distances.first[k]), int(distances.second[k])) for k in sorted(k for k, _ in found)]
     # What not even the tip comes clear of is no neighbour of the base: the arm is inside of it.
     around_all = {second for first, second in left if second >= len(bodies) and first == len(bodies) - 1}
@@ -198,7 +181,7 @@ def _always_close(
 
 def _mounted(
     arm: Arm,
-    places: Placements,
+    places: JointPlacements,
     bodies: Sequence[Body],
     solids: Sequence[Solid],
     fixed: Sequence[Solid],
@@ -209,7 +192,8 @@ def _mounted(
     joints, rng, found = [body.joint for body in bodies], np.random.default_rng(0), []
     for q in (arm.neutral(), arm.random(rng), arm.random(rng)):
         pin.forwardKinematics(arm.model, places.data, q)
-        turns, shifts = places.rotations[joints], places.positions[joints]
+        rotations, positions = places.read()
+        turns, shifts = rotations[joints], positions[joints]
         found.append(ends @ turns.swapaxes(1, 2) + shifts[:, None])
     still = np.ptp(found, axis=0).max(axis=2) <= _STILL * arm.length  # (bodies, 2)
     narrow, pairs = Narrow(), set()
@@ -299,13 +283,13 @@ class Closest(NamedTuple):
     pair: Pair | None
 
 
-class Nearness(NamedTuple):
+class Distances(NamedTuple):
     """The pairs that are near, nearest first, and how their distances change.
 
     Attributes:
         distances: between their surfaces, negative where they overlap, (k,) [m].
-        rows: change of each distance with the joint displacement, (k, nv) [m/rad or m/m]. Where a distance
-            has no derivative, or a planar arm could only leave its plane, the direction that leads out.
+        jacobian: derivatives of the distances by the joint displacement, (k, nv) [m/rad or m/m]. Where a
+            distance has none, or a planar arm could only leave its plane, the direction that leads out.
         pairs: names of the body and of the obstacle or the other body, k of them. A body of several solids
             may have several rows with one name.
         points: point of the body nearest to the other, (k, 3) [m], world frame.
@@ -315,7 +299,7 @@ class Nearness(NamedTuple):
     """
 
     distances: Array
-    rows: Array
+    jacobian: Array
     pairs: tuple[Pair, ...]
     points: Array
     normals: Array
@@ -323,48 +307,82 @@ class Nearness(NamedTuple):
     pair: Pair | None
 
 
-class Clearance:
-    """The distances between a scene and an arm; make one with `Scene.around`. May be shared between threads.
+MAX_MODELS = 16
+"""How many collision models an arm remembers."""
+
+
+class CollisionModel:
+    """The distances of an arm from a scene, and from itself. May be shared between threads.
+
+        model = pp.CollisionModel(arm, scene)
+        model.minimum(q).distance
+
+    An arm remembers its models: the same arm and scene have the same model. Meshes of the arm that are
+    missing or cannot be used are named in a `PostureWarning`, once for each arm and scene.
 
     Distances are exact: closed forms for balls and capsules among themselves and against half-spaces, coal
-    for everything else. Bounds of all pairs decide which of them need be asked for.
+    for everything else. Lower bounds for all pairs decide which of them are computed.
 
     Attributes:
         scene: the scene.
         bodies: names of the bodies of the arm, from base to tip.
-        pairs: names of all pairs that are looked at.
-        left_out: pairs that are not, because no motion could tell them apart, or they touch where the arm
-            is straight; bodies next to each other are not even listed.
+        pairs: names of all pairs whose distance is computed.
+        excluded_pairs: pairs whose distance is not, because no motion could separate them, or they touch
+            where the arm is straight; bodies next to each other are not even listed.
     """
 
-    def __init__(self, scene: Scene, arm: Arm) -> None:
-        # Not the arm itself: it would never be forgotten by what remembers clearances by arm.
+    def __new__(cls, arm: Arm, scene: Scene) -> CollisionModel:
+        """Find or make the model of an arm and a scene.
+
+        Args:
+            arm: the arm.
+            scene: the scene.
+
+        Raises:
+            InvalidValue: not an arm or not a scene; or an arm of more than 300 degrees of freedom.
+        """
+        if not isinstance(arm, Arm):
+            raise InvalidValue("arm", arm, "an Arm")
+        if not isinstance(scene, Scene):
+            raise InvalidValue("scene", scene, "a Scene")
+        models: dict[Scene, CollisionModel] = arm.cache.setdefault(cls, {})
+        if scene not in models:
+            made = super().__new__(cls)
+            made._prepare(arm, scene)
+            if len(models) >= MAX_MODELS:
+                models.clear()
+            models[scene] = made
+        return models[scene]
+
+    def _prepare(self, arm: Arm, scene: Scene) -> None:
         self.scene = scene
         self._model, self._plane = arm.model, np.array(arm.plane)
-        self._space, self._places = ConfigurationSpace(arm.model), placements_of(arm)
+        self._space, self._places = ConfigurationSpace(arm.model), joint_placements(arm)
         bodies = bodies_of(arm, scene.arm_radius)
         self._solids = [solid(body.shape) for body in bodies]
         obstacles = {name: solid(obstacle) for name, obstacle in scene.obstacles.items()}
         self.bodies = tuple(body.name for body in bodies)
         names = (*self.bodies, *obstacles)
-        chosen, left_out = choose_pairs(arm, self._places, bodies, self._solids, obstacles, scene)
-        self.left_out = tuple(LeftOut(names[a], names[b], why) for (a, b), why in left_out.items())
-        close = [f"{each.first} to {each.second}" for each in self.left_out if each.reason == ALWAYS_CLOSE]
+        chosen, excluded = choose_pairs(arm, self._places, bodies, self._solids, obstacles, scene)
+        self.excluded_pairs = tuple(ExcludedPair(names[a], names[b], why) for (a, b), why in excluded.items())
+        close = [
+            f"{each.first} to {each.second}" for each in self.excluded_pairs if each.reason == ALWAYS_CLOSE
+        ]
         if close:
             named = ", ".join(close[:MENTIONED]) + (
                 f" and {len(close) - MENTIONED} more pairs" if close[MENTIONED:] else ""
             )
             text = f"{named}: {ALWAYS_CLOSE}; nothing keeps them apart (margin {scene.margin:g} m)"
-            warnings.warn(text, PostureWarning, stacklevel=4)
+            warnings.warn(text, PostureWarning, stacklevel=3)
         joints = [body.joint for body in bodies]
-        self._distances = Distances(self._solids, joints, list(obstacles.values()), chosen)
+        self._distances = PairDistances(self._solids, joints, list(obstacles.values()), chosen)
         first, second = self._distances.first, self._distances.second
         self.pairs = tuple((names[a], names[b]) for a, b in zip(first, second, strict=True))
         moved = np.vstack([_moved(arm.model)[joints], np.zeros((len(obstacles), arm.nv))])
         # A joint that carries both bodies of a pair moves neither of them against the other.
         self._effect = moved[first] - moved[second]  # (n, nv)
 
-    def nearest(self, state: ArmState, within: float) -> Nearness:
+    def nearest(self, state: ArmState, within: float) -> Distances:
         """The pairs nearer than a distance, and how their distances change with the joints.
 
         Args:
@@ -375,22 +393,22 @@ class Clearance:
             InvalidValue: a state of another arm, or not a distance.
         """
         if not isinstance(state, ArmState) or state.arm.model is not self._model:
-            raise InvalidValue("state", state, "a state of the arm that the scene was put around")
+            raise InvalidValue("state", state, "a state of the arm that the collision model was made for")
         if not (isinstance(within, (int, float, np.floating)) and within >= 0.0):
             raise InvalidValue("within", within, "a distance of at least 0 [m]")
         spatial = np.reshape(pin.computeJointJacobians(self._model, self._places.data, state.q), (6, -1))
-        turns, shifts = self._places.rotations, self._places.positions
+        turns, shifts = self._places.read()
         near, nearest = self._distances.near(turns, shifts, float(within))
         near = [(k, self._with_normal(k, contact, turns, shifts)) for k, contact in near]
         chosen = [k for k, _ in near]
         normals = np.array([contact.normal for _, contact in near]).reshape(-1, 3)
         points = np.array([contact.point for _, contact in near]).reshape(-1, 3)
         # d/dt of n . p for a point p of a body that the columns (v, w) of the spatial Jacobian move.
-        rows = (normals @ spatial[:3] + np.cross(points, normals) @ spatial[3:]) * self._effect[chosen]
+        jacobian = (normals @ spatial[:3] + np.cross(points, normals) @ spatial[3:]) * self._effect[chosen]
         best = self._closest(*nearest)
-        return Nearness(
+        return Distances(
             distances=np.array([contact.distance for _, contact in near]),
-            rows=rows,
+            jacobian=jacobian,
             pairs=tuple(self.pairs[k] for k in chosen),
             points=points,
             normals=normals,
@@ -408,8 +426,8 @@ class Clearance:
             InvalidValue: q has the wrong size or is not finite.
         """
         pin.forwardKinematics(self._model, self._places.data, self._space.checked(q))
-        places = self._places
-        return self._closest(*self._distances.minimum(places.rotations[None], places.positions[None]))
+        rotations, positions = self._places.read()
+        return self._closest(*self._distances.minimum(rotations[None], positions[None]))
 
     def minimum_between(self, q0: ArrayLike, dq: ArrayLike, samples: int = 10) -> Closest:
         """The smallest distance on the way from a configuration along a joint displacement.
@@ -436,12 +454,11 @@ class Clearance:
             below: distances that matter [m]: if none is smaller, some larger one is returned, or none, which
                 takes less time.
         """
-        places, samples = self._places, len(offsets)
-        turns = np.empty((samples, *places.rotations.shape))
-        shifts = np.empty((samples, *places.positions.shape))
-        for i, offset in enumerate(offsets):
-            pin.forwardKinematics(self._model, places.data, self._space.integrate(q0, offset))
-            turns[i], shifts[i] = places.rotations, places.positions
+        read = []
+        for offset in offsets:
+            pin.forwardKinematics(self._model, self._places.data, self._space.integrate(q0, offset))
+            read.append(self._places.read())
+        turns, shifts = (np.array(each) for each in zip(*read, strict=True))
         return self._closest(*self._distances.minimum(turns, shifts, below))
 
     def _closest(self, distance: float, pair: int) -> Closest:
@@ -456,22 +473,6 @@ class Clearance:
             return contact
         moving, still = self._distances.axes(pair, turns, shifts)
         return contact._replace(normal=escape_direction(moving, still, self._plane))
-
-
-_CLEARANCES: WeakKeyDictionary[Arm, dict[Scene, Clearance]] = WeakKeyDictionary()
-_MOST = 16  # scenes around one arm that are remembered
-
-
-def clearance_of(scene: Scene, arm: Arm) -> Clearance:
-    """The clearance of a scene and an arm; remembered as long as the arm lives. See `Scene.around`."""
-    if not isinstance(arm, Arm):
-        raise InvalidValue("arm", arm, "an Arm")
-    known = _CLEARANCES.setdefault(arm, {})
-    if scene not in known:
-        if len(known) >= _MOST:
-            known.clear()
-        known[scene] = Clearance(scene, arm)
-    return known[scene]
 
 
 def _moved(model: pin.Model) -> Array:
