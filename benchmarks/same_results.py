@@ -35,6 +35,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 import pinposture as pp
+import pinposture.study.baselines  # adds the baselines to the controllers that have a name
 from pinposture.collision import pipe, pipe_axis
 
 Array = NDArray[np.float64]
