@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -301,33 +300,6 @@ class Batch:
         words = self.in_words()
         width = max(map(len, words))
         return "\n".join(f"{name:{width}}  {text}" for name, text in words.items())
-
-    def save(self, path: str | Path) -> Path:
-        """Write the batch to one `.npz` file, all or nothing; it embeds the arm and the curves.
-
-        Args:
-            path: the file; ".npz" is added to a name without ending.
-
-        Returns:
-            The path written.
-
-        Raises:
-            FileError: the name has another ending, or the file cannot be written.
-        """
-        from pinposture.motion.files import save_batch
-
-        return save_batch(self, Path(path))
-
-    @classmethod
-    def load(cls, path: str | Path) -> Batch:
-        """Read a batch that `save` wrote.
-
-        Raises:
-            FileError: the file is missing, or is not such a batch.
-        """
-        from pinposture.motion.files import load_batch
-
-        return load_batch(Path(path))
 
     def __repr__(self) -> str:
         kept = "ends" if self.motions is None else "motions"

@@ -1,4 +1,4 @@
-"""Joint trajectories as files: arrays in `.npz`, a table in CSV, the ROS 2 message in JSON."""
+"""Joint trajectories as text files: a table in CSV, and the ROS 2 message in JSON."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from itertools import pairwise
@@ -19,61 +19,22 @@ from numpy.typing import NDArray
 
 from pinposture.errors import FileError, InvalidValue
 from pinposture.motion.joint_trajectory import SLIDE, TURN, JointTrajectory, check_names
-from pinposture.storage import read_text, write_bytes, write_text
+from pinposture.storage import read_text, write_text
 
-# Joint motions as arrays of NumPy in one `.npz`, exact to the last bit.
-
-FORMAT, VERSION = "pinposture-joint-trajectory", 1
-
-_NUMBERS = ("time", "positions", "velocities", "accelerations")
-_TEXTS = ("joint_names", "units")
+FORMATS = (".npz", ".csv", ".json")
+"""Suffixes of files that can be written and read."""
 
 
-def write_arrays(trajectory: JointTrajectory, path: Path) -> None:
-    """Write the arrays under the names that they have in `JointTrajectory`.
+def check_format(path: Path) -> str:
+    """The suffix of a file, in small letters.
 
     Raises:
-        FileError: the file cannot be written.
+        FileError: it is of none of the formats.
     """
-    about = {"format": FORMAT, "version": VERSION, "name": trajectory.name}
-    stored: dict[str, Any] = {name: getattr(trajectory, name) for name in _NUMBERS}
-    stored |= {name: np.array(getattr(trajectory, name)) for name in _TEXTS}
-    content = io.BytesIO()
-    np.savez_compressed(content, about=np.array(json.dumps(about)), **stored)
-    write_bytes(path, content.getvalue())
-
-
-def read_arrays(path: Path) -> JointTrajectory:
-    """Read what `write_arrays` wrote.
-
-    Raises:
-        FileError: there is no such file, it holds something else, or it is damaged.
-    """
-    if not path.is_file():
-        raise FileError(path, "no such file")
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            about = json.loads(str(stored["about"]))
-            if (about["format"], about["version"]) != (FORMAT, VERSION):
-                found = f"format {about['format']!r} version {about['version']}"
-                raise FileError(path, f"{found}; allowed: {FORMAT!r} version {VERSION}")
-            fields: dict[str, Any] = {name: stored[name] for name in _NUMBERS}
-            fields |= {name: tuple(stored[name].tolist()) for name in _TEXTS}
-        return JointTrajectory(**fields, name=about["name"])
-    except FileError:
-        raise
-    except Exception as error:  # a damaged file can trip zlib or numpy's reader, anything
-        detail = "" if isinstance(error, ValueError) and "pickle" in str(error) else f": {error}"
-        raise FileError(path, f"is not a saved joint trajectory ({type(error).__name__}{detail})") from error
-
-
-def archive_format(path: Path) -> str:
-    """What a `.npz` of this library says that it holds; empty if it is none, or unreadable."""
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            return str(json.loads(str(stored["about"]))["format"])
-    except Exception:  # as above; whoever reads it next says what is wrong
-        return ""
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
+        raise FileError(path, f"the name ends in {suffix!r}; allowed: {', '.join(FORMATS)}")
+    return suffix
 
 
 # Files of others: what they leave out of a joint motion.
@@ -412,41 +373,3 @@ def _number(path: Path, number: int, headings: Sequence[str], column: int, field
         where = f"line {number}, column {column + 1} ({headings[column]})"
         raise FileError(path, f"{where}: {field!r}; allowed: finite numbers")
     return value
-
-
-# Joint motions as files: arrays in `.npz`, a table in CSV, and the message of ROS 2 for them in JSON.
-
-__all__ = ["FORMATS", "check_format", "load_joint_trajectory", "save_joint_trajectory"]
-
-_WRITE: dict[str, Callable[[JointTrajectory, Path], None]] = {
-    ".npz": write_arrays,
-    ".csv": write_table,
-    ".json": write_ros_message,
-}
-_READ = {".npz": read_arrays, ".csv": read_table, ".json": read_ros_message}
-
-FORMATS = tuple(_WRITE)
-"""Suffixes of files that can be written and read."""
-
-
-def check_format(path: Path) -> str:
-    """The suffix of a file, in small letters.
-
-    Raises:
-        FileError: it is of none of the formats.
-    """
-    suffix = path.suffix.lower()
-    if suffix not in FORMATS:
-        raise FileError(path, f"the name ends in {suffix!r}; allowed: {', '.join(FORMATS)}")
-    return suffix
-
-
-def save_joint_trajectory(trajectory: JointTrajectory, path: Path) -> Path:
-    """Write a motion; see `JointTrajectory.save`."""
-    _WRITE[check_format(path)](trajectory, path)
-    return path
-
-
-def load_joint_trajectory(path: Path) -> JointTrajectory:
-    """Read a motion; see `JointTrajectory.load`."""
-    return _READ[check_format(path)](path)

@@ -6,8 +6,7 @@ from collections.abc import Iterable, Sequence, Sized
 from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Real
-from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,11 +15,6 @@ from pinposture._validation import require_positive
 from pinposture.arm import Arm
 from pinposture.arm.chain import joint_screws
 from pinposture.errors import InvalidValue
-from pinposture.motion.trajectory import require_sound
-
-if TYPE_CHECKING:
-    from pinposture.motion.trajectory import Trajectory
-
 
 # Checks of joint motions that come from outside.
 
@@ -341,7 +335,7 @@ class JointTrajectory:
         """A motion of which only the joint positions are known.
 
         Velocities and accelerations are central and second differences, for unequal distances in time too;
-        the first and the last row are at rest. See `joint_rates.rates`.
+        the first and the last row are at rest. See `rates`.
 
         Args:
             joint_names: names of the joints, n.
@@ -379,23 +373,6 @@ class JointTrajectory:
         """
         units = joint_units(arm)
         return cls.from_positions(arm.joint_names, unwound(arm, q), time, units, str(arm.model.name))
-
-    @classmethod
-    def from_run(cls, run: Trajectory, dt: float | None = None, force: bool = False) -> JointTrajectory:
-        """The motion of a run, whose steps all take the same time.
-
-        Args:
-            run: the run.
-            dt: duration of a step [s]; needed if the limits of the run have none, else theirs.
-            force: True to have it in spite of the `faults` of the run.
-
-        Raises:
-            MotionError: the run has faults.
-            InvalidValue: no duration, not a positive one, or another than that of the limits.
-        """
-        step = step_duration(dt, run.limits.dt)
-        require_sound(run, force)
-        return cls.from_configurations(run.arm, run.q, step)
 
     @property
     def duration(self) -> float:
@@ -469,43 +446,6 @@ class JointTrajectory:
         count = int(np.ceil(self.duration / dt * (1.0 - SAME))) + 1
         time = self.time[0] + dt * np.arange(count)
         return self.from_positions(self.joint_names, self.at(time), time, self.units, self.name)
-
-    def save(self, path: str | Path) -> Path:
-        """Write the motion to a file, all or nothing, in the format of its suffix; see docs/trajectories.md.
-
-        Args:
-            path: ".npz" keeps everything to the last bit, ".csv" all but the name of the robot; ".json" is a
-                `trajectory_msgs/msg/JointTrajectory` of ROS 2, whose times are whole nanoseconds.
-
-        Returns:
-            The path written.
-
-        Raises:
-            FileError: another suffix, or the file cannot be written.
-            InvalidValue: times that such a message cannot hold.
-        """
-        from pinposture.motion.joint_files import save_joint_trajectory
-
-        return save_joint_trajectory(self, Path(path))
-
-    @classmethod
-    def load(cls, path: str | Path, arm: Arm | None = None) -> JointTrajectory:
-        """Read a file of one of the formats of `save`, also if others wrote it.
-
-        Velocities and accelerations that are not in a file are worked out from its positions.
-
-        Args:
-            path: the file.
-            arm: if given, joints are put in its order, and have its units, which JSON does not tell.
-
-        Raises:
-            FileError: the file is missing, or does not hold such a motion; names line or point.
-            InvalidValue: its joints are not those of the arm.
-        """
-        from pinposture.motion.joint_files import load_joint_trajectory
-
-        loaded = load_joint_trajectory(Path(path))
-        return loaded if arm is None else loaded.matched(arm)
 
     def __repr__(self) -> str:
         size = f"{len(self.joint_names)} joints, {len(self.time)} rows, {self.duration:.4g} s"

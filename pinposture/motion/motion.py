@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -162,33 +161,6 @@ class Motion:
         require_sound(self.run, force)
         rows = np.concatenate([self.q[:1], self.q, self.q[-1:]])
         return JointTrajectory.from_configurations(self.arm, rows, self.dt)
-
-    def save(self, path: str | Path) -> Path:
-        """Write the motion to one `.npz` file, all or nothing; it embeds the arm.
-
-        Args:
-            path: the file; ".npz" is added to a name without ending.
-
-        Returns:
-            The path written.
-
-        Raises:
-            FileError: the name has another ending, or the file cannot be written.
-        """
-        from pinposture.motion.files import save_motion
-
-        return save_motion(self, Path(path))
-
-    @classmethod
-    def load(cls, path: str | Path) -> Motion:
-        """Read a motion that `save` wrote.
-
-        Raises:
-            FileError: the file is missing, or is not such a motion.
-        """
-        from pinposture.motion.files import load_motion
-
-        return load_motion(Path(path))
 
     def __repr__(self) -> str:
         slow = self.converged and self.slowing > 1.005

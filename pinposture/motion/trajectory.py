@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +15,9 @@ from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.control import Limits
 from pinposture.errors import MotionError
+from pinposture.motion.joint_trajectory import JointTrajectory, step_duration
 from pinposture.placement import Target
 from pinposture.placement.curve_placement import distance_from_curve
-
-if TYPE_CHECKING:
-    from pinposture.motion.joint_trajectory import JointTrajectory
-
 
 # How fast joints move and how hard they accelerate in a motion, relative to what its limits allow.
 #
@@ -400,36 +396,9 @@ class Trajectory:
             MotionError: it has faults.
             InvalidValue: the limits know of no time and none is given, or they know of another.
         """
-        from pinposture.motion.joint_trajectory import JointTrajectory
-
-        return JointTrajectory.from_run(self, dt, force)
-
-    def save(self, path: str | Path) -> Path:
-        """Write the run to one `.npz` file, all or nothing; it embeds the arm and the curve.
-
-        Args:
-            path: the file; ".npz" is added to a name without ending.
-
-        Returns:
-            The path written.
-
-        Raises:
-            FileError: the name has another ending, or the file cannot be written.
-        """
-        from pinposture.motion.files import save_trajectory
-
-        return save_trajectory(self, Path(path))
-
-    @classmethod
-    def load(cls, path: str | Path) -> Trajectory:
-        """Read a run that `save` wrote.
-
-        Raises:
-            FileError: the file is missing, or is not such a run.
-        """
-        from pinposture.motion.files import load_trajectory
-
-        return load_trajectory(Path(path))
+        step = step_duration(dt, self.limits.dt)
+        require_sound(self, force)
+        return JointTrajectory.from_configurations(self.arm, self.q, step)
 
     def __repr__(self) -> str:
         first, last = self.posture_error[0], self.posture_error[-1]

@@ -1,5 +1,6 @@
 """Does a motion survive dynamics? The arm in MuJoCo, with servos at its joints; needs the extra `[sim]`."""
 
+from pinposture.sim import files as files  # registers the format of simulations
 from pinposture.sim.engine import MujocoMissing
 from pinposture.sim.physics import Physics, mass_matrix, physics_of
 from pinposture.sim.sensing import Sensing

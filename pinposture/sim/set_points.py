@@ -68,9 +68,9 @@ def set_points(arm: Arm, motion: AnyMotion, dt: float | None = None) -> SetPoint
 
 def _timed(arm: Arm, motion: AnyMotion, dt: float | None) -> JointTrajectory:
     if isinstance(motion, Motion):
-        return JointTrajectory.from_run(motion.run, dt, force=True)
+        return motion.run.joint_trajectory(dt, force=True)
     if isinstance(motion, Trajectory):
-        return JointTrajectory.from_run(motion, dt, force=True)
+        return motion.joint_trajectory(dt, force=True)
     if isinstance(motion, JointTrajectory):
         return motion if dt is None else motion.sampled(dt)
     if dt is None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -208,33 +207,6 @@ class Simulation:
             "limit": limit if np.isfinite(limit) else None,
             "time": float(self.time[int(row)]),
         }
-
-    def save(self, path: str | Path) -> Path:
-        """Write the simulation to one `.npz` file, all or nothing; it embeds the arm.
-
-        Args:
-            path: the file; ".npz" is added to a name without ending.
-
-        Returns:
-            The path written.
-
-        Raises:
-            FileError: the name has another ending, or the file cannot be written.
-        """
-        from pinposture.sim.files import save_simulation
-
-        return save_simulation(self, Path(path))
-
-    @classmethod
-    def load(cls, path: str | Path) -> Simulation:
-        """Read a simulation that `save` wrote; needs no MuJoCo.
-
-        Raises:
-            FileError: the file is missing, or is not such a simulation.
-        """
-        from pinposture.sim.files import load_simulation
-
-        return load_simulation(Path(path))
 
 
 def _rms(values: Array) -> float:
