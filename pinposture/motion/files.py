@@ -124,8 +124,8 @@ def load(path: str | Path, kind: type[Result]) -> Result: ...
 def load(path: str | Path, kind: type[Any] | None = None) -> Any:
     """Read a result that `save` wrote; a joint trajectory also if others wrote it.
 
-    The file tells what it holds. Velocities and accelerations that the file of a joint trajectory does not
-    have are computed from its positions; `JointTrajectory.matched(arm)` puts its joints in the order of an arm.
+    The file tells what it holds. Velocities and accelerations that a joint trajectory does not have in it
+    are computed from positions; `JointTrajectory.matched(arm)` puts its joints in the order of an arm.
 
     Args:
         path: the file.
