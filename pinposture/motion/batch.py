@@ -16,7 +16,7 @@ from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.control import Limits
 from pinposture.errors import InvalidValue
-from pinposture.motion.trajectory import ROUNDING, Trajectory
+from pinposture.motion.trajectory import CONTACT_TOLERANCE, Trajectory
 from pinposture.placement import Target
 
 # Many motions of one arm, one behind the other in the same arrays.
@@ -97,13 +97,13 @@ class Motions:
         return arrays
 
 
-def recorded(run: Trajectory) -> dict[str, NDArray[Any]]:
-    """What `gathered` needs of a run."""
+def run_arrays(run: Trajectory) -> dict[str, NDArray[Any]]:
+    """What `concatenate_runs` needs of a run."""
     return {name: getattr(run, name) for name in CONFIGURATION_ARRAYS + STEP_ARRAYS + TEXT_ARRAYS}
 
 
-def gathered(runs: Sequence[dict[str, NDArray[Any]]]) -> Motions:
-    """The motions of at least one run, each as `recorded` gave it, in their order."""
+def concatenate_runs(runs: Sequence[dict[str, NDArray[Any]]]) -> Motions:
+    """The motions of at least one run, each as `run_arrays` gave it, in their order."""
     sizes = [len(run["q"]) for run in runs]
     stacked: dict[str, Any] = {
         name: np.concatenate([run[name] for run in runs]) for name in CONFIGURATION_ARRAYS + STEP_ARRAYS
@@ -183,7 +183,7 @@ class Batch:
         return len(self.status)
 
     def __getitem__(self, number: int) -> Trajectory:
-        number = self._checked(number)
+        number = self._checked_number(number)
         if self.motions is None:
             allowed = 'keep="motions" in track_many, to have whole motions; q_start and q_final are here'
             raise InvalidValue("what was kept", "ends", allowed)
@@ -202,7 +202,7 @@ class Batch:
     def __iter__(self) -> Iterator[Trajectory]:
         return (self[number] for number in range(len(self)))
 
-    def _checked(self, number: int) -> int:
+    def _checked_number(self, number: int) -> int:
         # IndexError, not one of our own: it is what a sequence raises, and what ends loops over one.
         if not is_whole(number):
             raise TypeError(f"runs have whole numbers, not {number!r}")
@@ -212,7 +212,7 @@ class Batch:
 
     def target(self, number: int) -> Target:
         """The target posture of one run."""
-        return self.targets[self._checked(number) if len(self.targets) > 1 else 0]
+        return self.targets[self._checked_number(number) if len(self.targets) > 1 else 0]
 
     @property
     def converged(self) -> NDArray[np.bool_]:
@@ -224,7 +224,7 @@ class Batch:
         """What went wrong in some of the runs, in words; empty if nothing did."""
         away, inside = (
             np.flatnonzero(~self.converged),
-            np.flatnonzero(self.clearance < -ROUNDING * self.arm.length),
+            np.flatnonzero(self.clearance < -CONTACT_TOLERANCE * self.arm.length),
         )
         found = []
         if len(away):

@@ -20,10 +20,10 @@ from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
 
-MENTIONED = 6
+MAX_NAMED = 6
 """How many joints that do not fit are listed."""
 
-SAME = 1e-9
+TIME_TOLERANCE = 1e-9
 """Share by which two durations may differ and still count as one."""
 
 
@@ -55,7 +55,7 @@ def check_same_joints(names: Sequence[str], expected: Sequence[str]) -> None:
         )
 
 
-def row_count(name: str, values: ArrayLike) -> int:
+def count_rows(name: str, values: ArrayLike) -> int:
     """How many rows or entries there are; raises InvalidValue if it is none, or no list at all."""
     alone = isinstance(values, np.ndarray) and values.ndim == 0
     rows = len(values) if isinstance(values, Sized) and not alone else 0
@@ -87,7 +87,7 @@ def finite_array(name: str, values: ArrayLike, shape: tuple[int, ...] | None = N
 
 
 def check_times(time: Array) -> None:
-    """Raise InvalidValue unless moments increase strictly from 0 or later."""
+    """Raise InvalidValue unless times increase strictly from 0 or later."""
     if time[0] < 0.0:
         raise InvalidValue("time[0]", float(time[0]), "0 or later [s]")
     late = np.flatnonzero(np.diff(time) <= 0.0)
@@ -96,7 +96,7 @@ def check_times(time: Array) -> None:
         raise InvalidValue(f"time[{k}]", float(time[k]), f"more than time[{k - 1}], {float(time[k - 1])} s")
 
 
-def moments(time: ArrayLike, rows: int) -> ArrayLike:
+def row_times(time: ArrayLike, rows: int) -> ArrayLike:
     """When rows are reached: as given, or at equal distances from 0 if one number was given [s].
 
     Raises:
@@ -118,20 +118,20 @@ def step_duration(dt: float | None, known: float | None) -> float:
     if step is None:
         raise InvalidValue("dt", None, "the duration of a step [s]; the limits of this run have none")
     require_positive("dt", step)
-    if known is not None and abs(step - known) > SAME * known:
+    if known is not None and abs(step - known) > TIME_TOLERANCE * known:
         raise InvalidValue("dt", dt, f"{known} s, which the limits of this run have, or nothing")
     return step
 
 
 def _listed(names: Iterable[str]) -> str:
     listed = [repr(name) for name in names]
-    more = f" and {len(listed) - MENTIONED} more" if len(listed) > MENTIONED else ""
-    return ", ".join(listed[:MENTIONED]) + more
+    more = f" and {len(listed) - MAX_NAMED} more" if len(listed) > MAX_NAMED else ""
+    return ", ".join(listed[:MAX_NAMED]) + more
 
 
 # Configurations as numbers that a robot's drives take: one position for each joint that moves.
 
-TURN, SLIDE = "rad", "m"
+RADIAN, METRE = "rad", "m"
 """Units of the position of a joint that turns, and of one that slides."""
 
 
@@ -147,10 +147,10 @@ def joint_units(arm: Arm) -> tuple[str, ...]:
             raise InvalidValue(f"joint {str(name)!r}", joint.shortname(), "joints with one degree of freedom")
     moving = [number for number in range(1, arm.model.njoints) if arm.model.joints[number].nv == 1]
     turns = np.any(joint_screws(arm.model, moving)[:, 3:] != 0.0, axis=1)
-    return tuple(TURN if turn else SLIDE for turn in turns)
+    return tuple(RADIAN if turn else METRE for turn in turns)
 
 
-def unwound(arm: Arm, q: ArrayLike) -> Array:
+def unwrap_positions(arm: Arm, q: ArrayLike) -> Array:
     """Joint positions of configurations one after the other.
 
     A continuous joint begins within +-pi, goes the shorter way from row to row and so has no jumps: after two
@@ -179,7 +179,7 @@ def unwound(arm: Arm, q: ArrayLike) -> Array:
     return positions
 
 
-# How fast joints move in a motion that is known at moments only.
+# How fast joints move in a motion that is known at times only.
 
 
 class Rates(NamedTuple):
@@ -207,7 +207,7 @@ class Peaks(NamedTuple):
     accelerations: Array
 
 
-def rates(time: Array, positions: Array) -> Rates:
+def compute_rates(time: Array, positions: Array) -> Rates:
     """Central and second differences: exact where a joint moves with constant acceleration.
 
     With slopes s before and after a row, and h the intervals,
@@ -220,7 +220,7 @@ def rates(time: Array, positions: Array) -> Rates:
     rest, without acceleration: a robot that holds the last row must not go on pushing.
 
     Args:
-        time: moments, (N,) [s], strictly increasing.
+        time: when each row is reached, (N,) [s], strictly increasing.
         positions: joint positions then, (N, n) [rad or m].
     """
     velocities, accelerations = np.zeros_like(positions), np.zeros_like(positions)
@@ -234,11 +234,11 @@ def rates(time: Array, positions: Array) -> Rates:
     return Rates(velocities, accelerations)
 
 
-def peaks(time: Array, positions: Array) -> Peaks:
+def find_peaks(time: Array, positions: Array) -> Peaks:
     """The largest speeds and accelerations from row to row, from rest and to rest.
 
     Args:
-        time: moments, (N,) [s], strictly increasing.
+        time: when each row is reached, (N,) [s], strictly increasing.
         positions: joint positions then, (N, n) [rad or m].
     """
     if len(time) == 1:
@@ -255,19 +255,19 @@ def peaks(time: Array, positions: Array) -> Peaks:
 # Joint positions between the rows of a motion.
 
 
-def cubic(time: Array, positions: Array, velocities: Array, moments: Array) -> Array:
+def interpolate_cubic(time: Array, positions: Array, velocities: Array, times: Array) -> Array:
     """The cubic polynomials between rows that have their positions and velocities (Hermite).
 
     Args:
         time: when each row is reached, (N,) [s], strictly increasing.
         positions: (N, n) [rad or m].
         velocities: (N, n) [rad/s or m/s].
-        moments: any, (...) [s]; those before the first row and after the last stand for these.
+        times: any, (...) [s]; those before the first row and after the last stand for these.
 
     Returns:
         Positions, (..., n) [rad or m]; at the time of a row exactly its own.
     """
-    clipped = np.clip(moments, time[0], time[-1])
+    clipped = np.clip(times, time[0], time[-1])
     last = len(time) - 1
     before = np.clip(np.searchsorted(time, clipped, side="right") - 1, 0, max(last - 1, 0))
     after = np.minimum(before + 1, last)
@@ -289,7 +289,7 @@ def cubic(time: Array, positions: Array, velocities: Array, moments: Array) -> A
 class JointTrajectory:
     """Where each joint of a robot is when, and how fast: N rows for n joints.
 
-    Continuous joints have angles, unwound: after two turns they are at 4 pi.
+    Continuous joints have unwrapped angles: after two turns they are at 4 pi.
 
     Attributes:
         joint_names: the joints as the URDF names them, n different names.
@@ -312,11 +312,11 @@ class JointTrajectory:
     def __post_init__(self) -> None:
         names = check_names(self.joint_names)
         units = tuple(self.units) or ("",) * len(names)
-        if len(units) != len(names) or not set(units) <= {TURN, SLIDE, ""}:
-            raise InvalidValue("units", units, f"{TURN!r}, {SLIDE!r} or '' for each of {len(names)} joints")
+        if len(units) != len(names) or not set(units) <= {RADIAN, METRE, ""}:
+            raise InvalidValue("units", units, f"{RADIAN!r}, {METRE!r} or '' for each of {len(names)} joints")
         object.__setattr__(self, "joint_names", names)
         object.__setattr__(self, "units", units)
-        rows = row_count("time", self.time)
+        rows = count_rows("time", self.time)
         object.__setattr__(self, "time", finite_array("time", self.time, (rows,)))
         check_times(self.time)
         for field in ("positions", "velocities", "accelerations"):
@@ -335,7 +335,7 @@ class JointTrajectory:
         """A motion of which only the joint positions are known.
 
         Velocities and accelerations are central and second differences, for unequal distances in time too;
-        the first and the last row are at rest. See `rates`.
+        the first and the last row are at rest. See `compute_rates`.
 
         Args:
             joint_names: names of the joints, n.
@@ -348,11 +348,11 @@ class JointTrajectory:
             InvalidValue: names, positions or times that do not fit.
         """
         names = check_names(joint_names)
-        rows = row_count("positions", positions)
+        rows = count_rows("positions", positions)
         table = finite_array("positions", positions, (rows, len(names)))
         rest = np.zeros_like(table)
-        still = cls(names, np.asarray(moments(time, rows)), table, rest, rest, tuple(units), name)
-        found = rates(still.time, still.positions)
+        still = cls(names, np.asarray(row_times(time, rows)), table, rest, rest, tuple(units), name)
+        found = compute_rates(still.time, still.positions)
         return replace(still, velocities=found.velocities, accelerations=found.accelerations)
 
     @classmethod
@@ -372,7 +372,7 @@ class JointTrajectory:
             InvalidValue: configurations or times that do not fit.
         """
         units = joint_units(arm)
-        return cls.from_positions(arm.joint_names, unwound(arm, q), time, units, str(arm.model.name))
+        return cls.from_positions(arm.joint_names, unwrap_positions(arm, q), time, units, str(arm.model.name))
 
     @property
     def duration(self) -> float:
@@ -382,7 +382,7 @@ class JointTrajectory:
     @cached_property
     def peaks(self) -> Peaks:
         """The largest speed and acceleration of each joint from row to row, as `Limits` bounds them."""
-        return peaks(self.time, self.positions)
+        return find_peaks(self.time, self.positions)
 
     def matched(self, arm: Arm) -> JointTrajectory:
         """The same motion with the joints in the arm's order, and their units.
@@ -429,7 +429,7 @@ class JointTrajectory:
         asked = finite_array("times", times)
         if asked.ndim > 1:
             raise InvalidValue("times (shape)", asked.shape, "one number, or (k,)")
-        return cubic(self.time, self.positions, self.velocities, asked)
+        return interpolate_cubic(self.time, self.positions, self.velocities, asked)
 
     def sampled(self, dt: float) -> JointTrajectory:
         """The same motion with rows at equal distances in time, for a player with a cycle of its own.
@@ -443,7 +443,7 @@ class JointTrajectory:
             InvalidValue: not a positive number.
         """
         require_positive("dt", dt)
-        count = int(np.ceil(self.duration / dt * (1.0 - SAME))) + 1
+        count = int(np.ceil(self.duration / dt * (1.0 - TIME_TOLERANCE))) + 1
         time = self.time[0] + dt * np.arange(count)
         return self.from_positions(self.joint_names, self.at(time), time, self.units, self.name)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm
 from pinposture.control.limits import cycle_of
 from pinposture.motion.joint_trajectory import JointTrajectory
-from pinposture.motion.trajectory import Trajectory, require_sound
+from pinposture.motion.trajectory import Trajectory, require_no_faults
 from pinposture.placement.curve_placement import Moved
 
 Array = NDArray[np.float64]
@@ -158,7 +158,7 @@ class Motion:
         Raises:
             MotionError: it has faults.
         """
-        require_sound(self.run, force)
+        require_no_faults(self.run, force)
         rows = np.concatenate([self.q[:1], self.q, self.q[-1:]])
         return JointTrajectory.from_configurations(self.arm, rows, self.dt)
 

@@ -21,14 +21,14 @@ from pinposture.placement.curve_placement import distance_from_curve
 
 # How fast joints move and how hard they accelerate in a motion, relative to what its limits allow.
 #
-# All of it is read off the configurations that the motion leads through, whatever moved the arm.
+# All of it is computed from the configurations of the motion, whatever moved the arm.
 
 Array = NDArray[np.float64]
 
-ALLOWED = 1e-9
+LIMIT_TOLERANCE = 1e-9
 """Share of a limit by which it may be exceeded: rounding."""
 
-RESOLUTION = 8.0 * float(np.finfo(np.float64).eps)
+POSITION_ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
 """What a difference of joint positions is off by, relative to them."""
 
 
@@ -73,7 +73,7 @@ def limit_shares(run: Trajectory) -> Shares:
     )
 
 
-def find_excess(run: Trajectory) -> LimitViolation | None:
+def find_limit_violation(run: Trajectory) -> LimitViolation | None:
     """Where a run exceeds its limits of speed and acceleration, from and to rest; None if nowhere."""
     if not run.steps:
         return None
@@ -81,9 +81,9 @@ def find_excess(run: Trajectory) -> LimitViolation | None:
     speeds, accelerations = _joint_shares(run)
     accelerations[-2] = np.maximum(accelerations[-2], accelerations[-1])
     brake = np.inf if bounds.brake is None else bounds.brake
-    lost = RESOLUTION * (1.0 + np.abs([run.arm.positions(q) for q in run.q[[0, -1]]]).max(axis=0))
-    over = np.stack([speeds - lost / bounds.bound, accelerations[:-1] - 2.0 * lost / brake])
-    steps = np.flatnonzero(over.max(axis=(0, 2)) > 1.0 + ALLOWED)
+    rounding = POSITION_ROUNDING * (1.0 + np.abs([run.arm.positions(q) for q in run.q[[0, -1]]]).max(axis=0))
+    over = np.stack([speeds - rounding / bounds.bound, accelerations[:-1] - 2.0 * rounding / brake])
+    steps = np.flatnonzero(over.max(axis=(0, 2)) > 1.0 + LIMIT_TOLERANCE)
     if not len(steps):
         return None
     words, ratios = [], []
@@ -136,11 +136,11 @@ controller found none that it may move. "max_steps": it ran out of steps, or cyc
 """
 
 
-ROUNDING = 1e-6
+CONTACT_TOLERANCE = 1e-6
 """How deep bodies may be inside each other and still only touch, in arm lengths: distances are rounded."""
 
 
-class Ended(Protocol):
+class FinishedMotion(Protocol):
     """What a motion is judged by; a `Trajectory` and a `Simulation` have it."""
 
     @property
@@ -172,20 +172,20 @@ class Ended(Protocol):
         """How they exceed limits of speed and acceleration; None if they do not, or had none to keep."""
 
 
-def faults(motion: Ended) -> tuple[str, ...]:
+def find_faults(motion: FinishedMotion) -> tuple[str, ...]:
     """Why a motion should not be handed to a robot, in words; empty if nothing speaks against it.
 
     It did not end where it was to, it exceeds its limits, or it is not clear on the way. This is the one
     place that decides.
     """
     ended = () if motion.status == "converged" else (f"it {ENDINGS[motion.status]}: {motion.reason}",)
-    return *ended, *(what for what in _on_the_way(motion) if not (ended and what in motion.reason))
+    return *ended, *(what for what in _faults_before_end(motion) if not (ended and what in motion.reason))
 
 
-def _on_the_way(motion: Ended) -> tuple[str, ...]:
+def _faults_before_end(motion: FinishedMotion) -> tuple[str, ...]:
     """What is wrong with a motion before its end, each as a clause."""
     found = [] if motion.excess is None else [motion.excess.text]
-    if motion.scene is not None and motion.clearance.min() < -ROUNDING * motion.arm.length:
+    if motion.scene is not None and motion.clearance.min() < -CONTACT_TOLERANCE * motion.arm.length:
         row = int(motion.clearance.argmin())
         pair = " and ".join(motion.scene.around(motion.arm).minimum(motion.q[row]).pair or ())
         when = f"after {row} steps" if row else "at the start"
@@ -193,25 +193,25 @@ def _on_the_way(motion: Ended) -> tuple[str, ...]:
     return tuple(found)
 
 
-def verdict(motion: Ended) -> str:
+def describe_result(motion: FinishedMotion) -> str:
     """What to think of a motion, in one line."""
     there = "got there" if motion.status == "converged" else "did not get there"
-    but = "".join(f", but {what}" for what in _on_the_way(motion) if what not in motion.reason)
+    but = "".join(f", but {what}" for what in _faults_before_end(motion) if what not in motion.reason)
     return f"{there} ({motion.status}){but}: {motion.reason}"
 
 
-def require_sound(motion: Ended, force: bool) -> None:
+def require_no_faults(motion: FinishedMotion, force: bool) -> None:
     """Refuse to hand on a motion that has `faults`, unless told to.
 
     Raises:
         MotionError: it has some.
     """
-    found = () if force else faults(motion)
+    found = () if force else find_faults(motion)
     if found:
         raise MotionError(found)
 
 
-def closest(motion: Ended) -> dict[str, Any] | None:
+def closest(motion: FinishedMotion) -> dict[str, Any] | None:
     """The smallest distance of a motion from what is around it, as data that JSON can hold.
 
     Returns:
@@ -341,12 +341,12 @@ class Trajectory:
     @cached_property
     def faults(self) -> tuple[str, ...]:
         """Why it should not be handed to a robot, in words; empty if nothing speaks against it."""
-        return faults(self)
+        return find_faults(self)
 
     @property
     def verdict(self) -> str:
         """What to think of it, in one line."""
-        return verdict(self)
+        return describe_result(self)
 
     @cached_property
     def posture_error(self) -> Array:
@@ -372,7 +372,7 @@ class Trajectory:
     @cached_property
     def excess(self) -> LimitViolation | None:
         """How its configurations exceed the limits of speed and acceleration; None if they do not."""
-        return find_excess(self)
+        return find_limit_violation(self)
 
     @cached_property
     def active_sets(self) -> tuple[tuple[int, ...], ...]:
@@ -397,7 +397,7 @@ class Trajectory:
             InvalidValue: the limits know of no time and none is given, or they know of another.
         """
         step = step_duration(dt, self.limits.dt)
-        require_sound(self, force)
+        require_no_faults(self, force)
         return JointTrajectory.from_configurations(self.arm, self.q, step)
 
     def __repr__(self) -> str:

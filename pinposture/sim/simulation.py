@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.collision import Scene
-from pinposture.motion.trajectory import closest, faults, verdict
+from pinposture.motion.trajectory import closest, describe_result, find_faults
 from pinposture.sim.servos import Servos
 
 Array = NDArray[np.float64]
@@ -87,7 +87,7 @@ class Simulation:
     @cached_property
     def faults(self) -> tuple[str, ...]:
         """What went wrong, in words; empty if nothing did."""
-        return faults(self)
+        return find_faults(self)
 
     @property
     def excess(self) -> None:
@@ -96,7 +96,7 @@ class Simulation:
     @property
     def verdict(self) -> str:
         """What to think of it, in one line."""
-        return verdict(self)
+        return describe_result(self)
 
     @cached_property
     def time(self) -> Array:
