@@ -19,7 +19,7 @@ from pinposture.errors import InvalidValue
 from pinposture.motion.trajectory import CONTACT_TOLERANCE, Trajectory
 from pinposture.placement import Target
 
-# Many motions of one arm, one behind the other in the same arrays.
+# The motions of many runs, concatenated.
 
 Array = NDArray[np.float64]
 Text = NDArray[np.intp]
@@ -98,12 +98,12 @@ class Motions:
 
 
 def run_arrays(run: Trajectory) -> dict[str, NDArray[Any]]:
-    """What `concatenate_runs` needs of a run."""
+    """Return the arrays of a run that `concatenate_runs` takes."""
     return {name: getattr(run, name) for name in CONFIGURATION_ARRAYS + STEP_ARRAYS + TEXT_ARRAYS}
 
 
 def concatenate_runs(runs: Sequence[dict[str, NDArray[Any]]]) -> Motions:
-    """The motions of at least one run, each as `run_arrays` gave it, in their order."""
+    """Concatenate at least one run, each as `run_arrays` returns it."""
     sizes = [len(run["q"]) for run in runs]
     stacked: dict[str, Any] = {
         name: np.concatenate([run[name] for run in runs]) for name in CONFIGURATION_ARRAYS + STEP_ARRAYS
@@ -117,7 +117,7 @@ def concatenate_runs(runs: Sequence[dict[str, NDArray[Any]]]) -> Motions:
     return Motions(offsets=offsets, texts=tuple(numbers), **stacked)
 
 
-# The result of many runs of one arm: how each ended, and the motions.
+# The result of many runs of one arm.
 
 FAILED = "failed"
 """Status of a run that an error ended."""

@@ -37,7 +37,7 @@ def check_format(path: Path) -> str:
     return suffix
 
 
-# Files of others: what they leave out of a joint motion.
+# Rates that a file does not have.
 
 Array = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ def with_computed_rates(
     values: Sequence[Array],
     units: Sequence[str] = (),
 ) -> JointTrajectory:
-    """A motion read from a file, with rates worked out from the positions where the file has none.
+    """Return a trajectory read from a file, with rates computed from positions where the file has none.
 
     Args:
         path: the file.

@@ -16,15 +16,15 @@ from pinposture.arm import Arm
 from pinposture.arm.chain import joint_screws
 from pinposture.errors import InvalidValue
 
-# Checks of joint motions that come from outside.
+# Checks of joint trajectories.
 
 Array = NDArray[np.float64]
 
 MAX_NAMED = 6
-"""How many joints that do not fit are listed."""
+"""Largest number of joints that are listed in a message."""
 
 TIME_TOLERANCE = 1e-9
-"""Share by which two durations may differ and still count as one."""
+"""Relative difference of two durations that are the same."""
 
 
 def check_names(names: Sequence[str]) -> tuple[str, ...]:
@@ -129,7 +129,7 @@ def _listed(names: Iterable[str]) -> str:
     return ", ".join(listed[:MAX_NAMED]) + more
 
 
-# Configurations as numbers that a robot's drives take: one position for each joint that moves.
+# Configurations as joint positions.
 
 RADIAN, METRE = "rad", "m"
 """Units of the position of a joint that turns, and of one that slides."""
@@ -151,7 +151,7 @@ def joint_units(arm: Arm) -> tuple[str, ...]:
 
 
 def unwrap_positions(arm: Arm, q: ArrayLike) -> Array:
-    """Joint positions of configurations one after the other.
+    """Return the joint positions of successive configurations, with continuous joints unwrapped.
 
     A continuous joint begins within +-pi, goes the shorter way from row to row and so has no jumps: after two
     turns it is at 4 pi.
@@ -179,7 +179,7 @@ def unwrap_positions(arm: Arm, q: ArrayLike) -> Array:
     return positions
 
 
-# How fast joints move in a motion that is known at times only.
+# Velocities and accelerations by finite differences.
 
 
 class Rates(NamedTuple):
@@ -245,14 +245,14 @@ def find_peaks(time: Array, positions: Array) -> Peaks:
         return Peaks(np.zeros(positions.shape[1]), np.zeros(positions.shape[1]))
     intervals = np.diff(time)
     spans = np.pad(intervals, 1, mode="edge")
-    with np.errstate(over="ignore"):  # infinite is what two rows far apart and at one moment ask for
+    with np.errstate(over="ignore"):  # infinite for rows far apart at nearly the same time
         slopes = np.diff(positions, axis=0) / intervals[:, None]
         resting = np.pad(slopes, ((1, 1), (0, 0)))
         changes = 2.0 * np.diff(resting, axis=0) / (spans[:-1] + spans[1:])[:, None]
     return Peaks(np.abs(slopes).max(axis=0), np.abs(changes).max(axis=0))
 
 
-# Joint positions between the rows of a motion.
+# Interpolation between rows.
 
 
 def interpolate_cubic(time: Array, positions: Array, velocities: Array, times: Array) -> Array:
@@ -282,7 +282,7 @@ def interpolate_cubic(time: Array, positions: Array, velocities: Array, times: A
     return found
 
 
-# Timed joint motion as plain data: what is handed to a robot or a simulator, and what comes back.
+# The joint trajectory.
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,17 +19,17 @@ from pinposture.errors import InvalidValue
 Value = TypeVar("Value")
 
 TRIAL_TIME = 1.0
-"""How long work goes on here before it is asked whether other processes pay [s]."""
+"""Time in this process before the time that is left is estimated [s]."""
 
 START_TIME = 5.0
-"""What is left of the work has to take that long for them to pay [s]: they start and import for 3 to 5 s."""
+"""Estimated time left from which processes are started [s]: their start takes 3 to 5 s."""
 
 
 class Shared(Generic[Value]):
-    """Something that all calls need: it is sent as it was packed once, and each process unpacks it once.
+    """A value that all calls share: pickled once, and unpickled once in each process.
 
     Attributes:
-        value: what it is; in this process the very same.
+        value: the value; in this process the same object.
     """
 
     def __init__(self, value: Value) -> None:
@@ -73,7 +73,7 @@ def in_order(tasks: Iterable[Any], jobs: int) -> Iterator[Any]:
 
 
 def adaptively_in_order(tasks: Sequence[Any], jobs: int | None) -> Iterator[Any]:
-    """As `in_order`, but without a number of processes only where that is quicker.
+    """As `in_order`; without a number of processes, it starts them only where that is quicker.
 
     Args:
         tasks: calls made with `joblib.delayed`.
@@ -94,7 +94,7 @@ def adaptively_in_order(tasks: Sequence[Any], jobs: int | None) -> Iterator[Any]
 
 
 def _run_then_distribute(tasks: Sequence[Any]) -> Iterator[Any]:
-    """The calls one by one, until it is clear that processes pay; they take what is left."""
+    """Make the calls one by one; once processes are quicker, distribute the calls that are left."""
     began = perf_counter()
     for done, (function, positional, named) in enumerate(tasks):
         spent = perf_counter() - began

@@ -1,4 +1,4 @@
-"""The loop: step towards the target until there, stuck, or out of steps."""
+"""The control loop: steps towards a target until the arm converges, stalls, or runs out of steps."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from pinposture.errors import InvalidValue, PostureWarning
 from pinposture.motion.trajectory import Trajectory
 from pinposture.placement import Target
 
-# What is written down while an arm moves.
+# The record of a run.
 
 Array = NDArray[np.float64]
 
 
 MAX_CONSTRAINTS = 8
-"""How many constraints that gave way are written down of each step."""
+"""Largest number of violated constraints that are recorded of each step."""
 
 ERROR_ROUNDING = 1e-12
-"""Rise of the posture error that is none, in arm lengths."""
+"""Increase of the posture error that is due to rounding, in arm lengths."""
 
 
 class RunRecord:
-    """Collects states and steps, and turns them into a trajectory.
+    """The states and steps of a run so far.
 
     Args:
         target: where the control points should be, until a step comes with another target.
-        start: where the arm begins.
+        start: the first state.
         scene: what its distances are recorded from; none if None.
     """
 
@@ -50,7 +50,7 @@ class RunRecord:
         self.set_target(target)
 
     def set_target(self, target: Target) -> None:
-        """Turn to another target: progress is measured against it from now on."""
+        """Replace the target, and measure progress towards it from now on."""
         self._target = target
         self._now = self._point_errors(self._last)
         self._best, self._idle = self.posture_error, 0.0
@@ -83,7 +83,7 @@ class RunRecord:
         return self.posture_error / int(np.count_nonzero(self._target.placed))
 
     def append(self, state: ArmState, step: Step, travel: float, target: Target | None = None) -> None:
-        """Write down one step and the state it led to.
+        """Append one step and the state that it led to.
 
         Args:
             state: the state.
@@ -113,7 +113,7 @@ class RunRecord:
     def trajectory(
         self, arm: Arm, controller: Controller, limits: Limits, status: str, reason: str
     ) -> Trajectory:
-        """Everything so far, as a result; steps that exceed limits are named by what came of them."""
+        """Return the run so far; steps that exceed limits of speed or acceleration are named in it."""
         steps = self._steps
         active = np.zeros((len(steps), arm.n_modules), dtype=bool)
         for row, step in zip(active, steps, strict=True):
@@ -152,11 +152,11 @@ class RunRecord:
 
 
 def _without_state(note: Diagnostics) -> Diagnostics:
-    """The same with its singular values as numbers, which need no state to be kept."""
+    """Return the same with its singular values computed, so that it does not keep the state in memory."""
     return note._replace(sigma_min=note.sigma_min, sigma_max=note.sigma_max)
 
 
-# An arm under way: one step after the other towards a target, written down.
+# The loop.
 
 Callback = Callable[[int, ArmState, Step], object]
 
@@ -167,23 +167,23 @@ PROGRESS_SHARE = 1e-3
 """Relative fall of the posture error that counts as progress within it."""
 
 STEP_ROUNDING = 1e-9
-"""Share by which a sum of steps may be off."""
+"""Relative rounding error of a sum of steps."""
 
 MAX_NAMED_LIMITS = 6
-"""How many limits and distances that hold an arm are listed."""
+"""Largest number of binding limits and distances that are listed."""
 
 
 class ControlLoop:
-    """An arm, the controller that moves it, and the record of what both do.
+    """An arm, its controller, and the record of their run.
 
     Attributes:
         arm: the arm.
-        controller: what moves it.
+        controller: the controller.
         limits: what a step may not exceed.
-        state: where the arm is.
+        state: the current state.
         memory: what the controller remembers; None before the first step.
-        last: the last step it was asked for; None before the first.
-        record: what was written down so far.
+        last_step: the last step that was computed; None before the first.
+        record: the run so far.
     """
 
     def __init__(
@@ -202,16 +202,16 @@ class ControlLoop:
         self.record = RunRecord(target, self.state, scene)
 
     def compute_step(self, target: Target) -> Step:
-        """The step that the controller would take towards a target; it is not taken."""
+        """Compute the next step towards a target without taking it."""
         before = self.memory
         step = next_step(self.controller, self.state, target, self.limits, before)
-        # Whatever the controller has found out stays; the arm has not moved so yet.
+        # Keep what the controller found out; the arm has not moved yet.
         self.memory = Memory(np.zeros(self.arm.nv)) if before is None else before
         self.memory, self.last_step = self.memory._replace(own=step.memory.own), step
         return step
 
     def take_step(self, step: Step, target: Target | None = None) -> None:
-        """Take a step and write it down.
+        """Take a step and record it.
 
         Args:
             step: the step.
@@ -223,7 +223,7 @@ class ControlLoop:
     def run(
         self, target: Target, tolerance: float, max_steps: int, callback: Callback | None = None
     ) -> tuple[str, str]:
-        """Step on until the arm is there, stuck, or out of steps.
+        """Take steps until the arm has converged, stalled, or run out of steps.
 
         Args:
             target: where its control points should be.
@@ -252,12 +252,12 @@ class ControlLoop:
         return status, reason
 
     def brake_to_rest(self) -> None:
-        """Brake until no joint moves; without limits of acceleration that takes no step."""
+        """Brake until no joint moves; without acceleration limits that takes no step."""
         while self.memory is not None and np.any(self.memory.braked(self.limits, self.state).dq):
             self.brake()
 
     def brake(self) -> None:
-        """Take a step that brings the arm closer to rest, as much as limits allow."""
+        """Take a step that decelerates all joints as much as the limits allow."""
         before = Memory(np.zeros(self.arm.nv)) if self.memory is None else self.memory
         memory = before.braked(self.limits, self.state)
         rises = self.record.error_rises_at(self.arm.at(self.arm.integrate(self.state.q, memory.dq)))
@@ -271,7 +271,7 @@ class ControlLoop:
         return brake is not None and self.memory is not None and bool(np.any(np.abs(self.memory.dq) > brake))
 
     def _check_end(self, tolerance: float, max_steps: int) -> tuple[str, str]:
-        """Whether the run is over, and why; empty while it goes on."""
+        """Return status and reason if the run is over; empty texts while it goes on."""
         mean = self.record.mean_error
         if mean <= tolerance and not self._cannot_stop():
             return "converged", f"mean point error {mean:.3g} m is within the tolerance of {tolerance:.3g} m"
@@ -287,7 +287,7 @@ class ControlLoop:
 
 
 def describe_binding_limits(arm: Arm, step: Step) -> str:
-    """What held a step back, in words: limits that bind, and distances at their bound."""
+    """Return which joint limits and distances limited a step, in words."""
     held = [f"{arm.joint_names[j]} at its limit" for j in np.flatnonzero(step.diagnostics.clipped)]
     held += step.diagnostics.near
     if not held:

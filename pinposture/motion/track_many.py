@@ -32,7 +32,7 @@ KEEP = ("motions", "ends")
 
 @dataclass(frozen=True)
 class _Setting:
-    """What all runs have in common."""
+    """The arguments that all runs share."""
 
     arm: Arm
     controller: Controller
@@ -45,7 +45,7 @@ class _Setting:
 
 
 class _Ends(NamedTuple):
-    """What is kept of each run."""
+    """The results of one run that a `Batch` has as columns."""
 
     status: str
     reason: str
@@ -200,17 +200,17 @@ def _count_runs(targets: int, starts: int) -> int:
 def _run_quietly(
     shared: Shared[_Setting], target: Target, start: Array
 ) -> tuple[_Ends, dict[str, NDArray[Any]]]:
-    """One run."""
+    """Compute one run; in a worker process without warnings, which the caller has given."""
     setting = shared.value
     if setting.process == os.getpid():
         return _run(setting, target, start)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PostureWarning)  # as they have been given where it was asked for
+        warnings.simplefilter("ignore", PostureWarning)
         return _run(setting, target, start)
 
 
 def _run(setting: _Setting, target: Target, start: Array) -> tuple[_Ends, dict[str, NDArray[Any]]]:
-    """What is kept of a run: how it ended, and its arrays, if wanted."""
+    """Compute one run; return its results and, if motions are kept, its arrays."""
     try:
         run = track(
             setting.arm,
@@ -240,6 +240,6 @@ def _run(setting: _Setting, target: Target, start: Array) -> tuple[_Ends, dict[s
 
 
 def _failed_run(setting: _Setting, target: Target, start: Array, reason: str) -> Trajectory:
-    """The run of an arm that stays where it is."""
+    """Return a run without steps, which an error ended."""
     record = RunRecord(target, setting.arm.at(start), setting.scene)
     return record.trajectory(setting.arm, setting.controller, setting.limits, FAILED, reason)

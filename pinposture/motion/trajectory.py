@@ -19,17 +19,17 @@ from pinposture.motion.joint_trajectory import JointTrajectory, step_duration
 from pinposture.placement import Target
 from pinposture.placement.curve_placement import distance_from_curve
 
-# How fast joints move and how hard they accelerate in a motion, relative to what its limits allow.
+# Speeds and accelerations of a motion relative to its limits.
 #
 # All of it is computed from the configurations of the motion, whatever moved the arm.
 
 Array = NDArray[np.float64]
 
 LIMIT_TOLERANCE = 1e-9
-"""Share of a limit by which it may be exceeded: rounding."""
+"""Relative excess of a limit that is due to rounding."""
 
 POSITION_ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
-"""What a difference of joint positions is off by, relative to them."""
+"""Rounding error of a difference of joint positions, relative to them."""
 
 
 class Shares(NamedTuple):
@@ -63,7 +63,7 @@ class LimitViolation(NamedTuple):
 
 
 def limit_shares(run: Trajectory) -> Shares:
-    """What share of its limits a run uses when."""
+    """Return speeds and accelerations of a run relative to its limits."""
     speeds, accelerations = _joint_shares(run)
     bounds = run.limits.for_arm(run.arm)
     limited = bool(np.any(np.isfinite(bounds.bound)))
@@ -74,7 +74,7 @@ def limit_shares(run: Trajectory) -> Shares:
 
 
 def find_limit_violation(run: Trajectory) -> LimitViolation | None:
-    """Where a run exceeds its limits of speed and acceleration, from and to rest; None if nowhere."""
+    """Return where a run, from and to rest, exceeds its limits of speed and acceleration; None if nowhere."""
     if not run.steps:
         return None
     bounds = run.limits.for_arm(run.arm)
@@ -109,7 +109,7 @@ def _joint_shares(run: Trajectory) -> tuple[Array, Array]:
     return np.abs(steps) / bounds.bound, np.abs(changes) / brake
 
 
-# How motions end, in one vocabulary, and whether one may be handed to a robot.
+# How motions end, and whether one may be sent to a robot.
 #
 # Whatever moves an arm ends with one of these: a run of `track`, a motion in time, a run of a batch, a
 # simulation. The streaming controller reports "converged" and "stalled" in the same sense, from cycle to
@@ -137,11 +137,11 @@ controller found none that it may move. "max_steps": it ran out of steps, or cyc
 
 
 CONTACT_TOLERANCE = 1e-6
-"""How deep bodies may be inside each other and still only touch, in arm lengths: distances are rounded."""
+"""Largest penetration that counts as contact, in arm lengths: distances are rounded."""
 
 
 class FinishedMotion(Protocol):
-    """What a motion is judged by; a `Trajectory` and a `Simulation` have it."""
+    """What `find_faults` needs of a motion; a `Trajectory` and a `Simulation` have it."""
 
     @property
     def arm(self) -> Arm:
@@ -173,17 +173,17 @@ class FinishedMotion(Protocol):
 
 
 def find_faults(motion: FinishedMotion) -> tuple[str, ...]:
-    """Why a motion should not be handed to a robot, in words; empty if nothing speaks against it.
+    """Return why a motion should not be sent to a robot, in words; empty if it may be.
 
-    It did not end where it was to, it exceeds its limits, or it is not clear on the way. This is the one
-    place that decides.
+    It did not converge, it exceeds limits of speed or acceleration, or bodies penetrate each other. No other
+    function decides this.
     """
     ended = () if motion.status == "converged" else (f"it {ENDINGS[motion.status]}: {motion.reason}",)
     return *ended, *(what for what in _faults_before_end(motion) if not (ended and what in motion.reason))
 
 
 def _faults_before_end(motion: FinishedMotion) -> tuple[str, ...]:
-    """What is wrong with a motion before its end, each as a clause."""
+    """Return limits that a motion exceeds and the deepest penetration, each as a clause."""
     found = [] if motion.excess is None else [motion.excess.text]
     if motion.scene is not None and motion.clearance.min() < -CONTACT_TOLERANCE * motion.arm.length:
         row = int(motion.clearance.argmin())
@@ -194,17 +194,17 @@ def _faults_before_end(motion: FinishedMotion) -> tuple[str, ...]:
 
 
 def describe_result(motion: FinishedMotion) -> str:
-    """What to think of a motion, in one line."""
+    """Return in one line whether a motion converged, its faults and the reason of its end."""
     there = "got there" if motion.status == "converged" else "did not get there"
     but = "".join(f", but {what}" for what in _faults_before_end(motion) if what not in motion.reason)
     return f"{there} ({motion.status}){but}: {motion.reason}"
 
 
 def require_no_faults(motion: FinishedMotion, force: bool) -> None:
-    """Refuse to hand on a motion that has `faults`, unless told to.
+    """Raise unless a motion is free of faults, or `force` is True.
 
     Raises:
-        MotionError: it has some.
+        MotionError: it has faults.
     """
     found = () if force else find_faults(motion)
     if found:
@@ -212,7 +212,7 @@ def require_no_faults(motion: FinishedMotion, force: bool) -> None:
 
 
 def closest(motion: FinishedMotion) -> dict[str, Any] | None:
-    """The smallest distance of a motion from what is around it, as data that JSON can hold.
+    """Return the smallest clearance of a motion, as data that JSON can hold.
 
     Returns:
         None without a scene; else "smallest" and "final" [m], the names of the "pair" that comes closest
@@ -231,9 +231,6 @@ def closest(motion: FinishedMotion) -> dict[str, Any] | None:
     }
 
 
-# How far control points travel, against how far they had to.
-
-
 def sweep(points: NDArray[np.float64]) -> float:
     """Length of the paths of all control points relative to the direct distances from start to end.
 
@@ -248,7 +245,7 @@ def sweep(points: NDArray[np.float64]) -> float:
     return max(paths / direct, 1.0) if direct > 1e-12 * paths else 1.0
 
 
-# The result of a run: the motion, and what is needed to draw and to repeat it.
+# The result of a run.
 
 
 class Switch(NamedTuple):
