@@ -31,29 +31,18 @@ TEXT_ARRAYS = ("method", "switched", "relaxed")
 
 @dataclass(frozen=True, eq=False)
 class Motions:
-    """The whole motions of a batch of `count` runs; ragged, since some take more steps than others.
+    """The motions of a batch of `count` runs, concatenated, as runs take different numbers of steps.
 
     Run i has the configurations `offsets[i]` to `offsets[i + 1] - 1`, the first of which is its start. It has
-    one step less, so its steps begin at `offsets[i] - i`. The arrays are those of `Trajectory`; what its
-    texts say is listed once in `texts`, and steps have the number of theirs. Points and their errors are not
-    kept: they follow from q.
+    one step less, so its steps begin at `offsets[i] - i`. Points and their errors are not stored: they follow
+    from q.
 
     Attributes:
-        offsets: where each run begins, and where the last one ends, (count + 1,).
-        q: configurations, (all configurations, nq).
-        clearance: smallest distances, (all configurations,) [m]; infinite where there was no scene.
-        active: which control points were active, (all steps, m).
-        index: smallest manipulability index that the active set had to clear, (all steps,).
-        sigma_min: smallest singular value of the posture control matrix, (all steps,) [m/rad].
-        sigma_max: its largest singular value, (all steps,) [m/rad].
-        rows: its rows, (all steps,).
-        scale: factor by which the step was shortened to meet the step limit, (all steps,).
-        clipped: which joints were cut short at a position limit, (all steps, nv).
-        escape: whether the step was meant to lead out of a place where the error cannot fall, (all steps,).
-        method: which of its methods the controller used, number of the text, (all steps,).
-        switched: why it changed to that method, number of the text, (all steps,).
-        relaxed: which constraints gave way, number of the text, (all steps,).
-        texts: what the texts say.
+        offsets: first configuration of each run, and the number of all, (count + 1,).
+        q, clearance: as in `Trajectory`, a row for each configuration.
+        active, index, sigma_min, sigma_max, rows, scale, clipped, escape: likewise, a row for each step.
+        method, switched, relaxed: likewise, (all steps,), as indices of `texts`.
+        texts: the different texts.
     """
 
     offsets: NDArray[np.intp]
@@ -222,10 +211,8 @@ class Batch:
     @property
     def faults(self) -> tuple[str, ...]:
         """What went wrong in some of the runs, in words; empty if nothing did."""
-        away, inside = (
-            np.flatnonzero(~self.converged),
-            np.flatnonzero(self.clearance < -CONTACT_TOLERANCE * self.arm.length),
-        )
+        away = np.flatnonzero(~self.converged)
+        inside = np.flatnonzero(self.clearance < -CONTACT_TOLERANCE * self.arm.length)
         found = []
         if len(away):
             found.append(f"{len(away)} of {len(self)} runs did not get there")

@@ -62,7 +62,7 @@ class Format(NamedTuple):
     advice: Mapping[str, str]
 
 
-FORMATS: dict[str, Format] = {}
+ARCHIVES: dict[str, Format] = {}
 """The formats by their names; packages above this one add theirs with `register`."""
 
 _REGISTERED_BY = {"pinposture-simulation": "pinposture.sim"}
@@ -74,7 +74,7 @@ _TEXT_FILES = {".csv": (write_table, read_table), ".json": (write_ros_message, r
 
 def register(form: Format) -> None:
     """Add a format to those that `save` writes and `load` reads."""
-    FORMATS[form.name] = form
+    ARCHIVES[form.name] = form
 
 
 def save(result: Any, path: str | Path) -> Path:
@@ -153,7 +153,7 @@ def load(path: str | Path, kind: type[Any] | None = None) -> Any:
         found, version = about["format"], about["version"]
         wanted = _format_named(found) if wanted is None else wanted
         if wanted is None or (found, version) != (wanted.name, wanted.version):
-            known = FORMATS.values() if wanted is None else (wanted,)
+            known = ARCHIVES.values() if wanted is None else (wanted,)
             allowed = ", ".join(f"{form.name!r} version {form.version}" for form in known)
             text = f"format {found!r} version {version}; allowed: {allowed}"
             raise FileError(path, text if wanted is None else wanted.advice.get(found, text))
@@ -182,17 +182,17 @@ def kind_of(path: Path) -> type | None:
 
 def _format_named(name: str) -> Format | None:
     """The format of that name, with the package that registers it imported; None if there is none."""
-    if name not in FORMATS and name in _REGISTERED_BY:
+    if name not in ARCHIVES and name in _REGISTERED_BY:
         import_module(_REGISTERED_BY[name])
-    return FORMATS.get(name)
+    return ARCHIVES.get(name)
 
 
 def _format_of(kind: type, name: str, value: object) -> Format:
     """The format of a class; raises InvalidValue, of an argument and its value, if there is none."""
-    for form in FORMATS.values():
+    for form in ARCHIVES.values():
         if form.kind is kind:
             return form
-    allowed = ", ".join(form.kind.__name__ for form in FORMATS.values())
+    allowed = ", ".join(form.kind.__name__ for form in ARCHIVES.values())
     hint = "; curves, scenes and tasks have their own `save` and `load`"
     raise InvalidValue(name, value, f"{allowed} or Simulation{hint}")
 

@@ -21,7 +21,7 @@ from pinposture.errors import FileError, InvalidValue
 from pinposture.motion.joint_trajectory import METRE, RADIAN, JointTrajectory, check_names
 from pinposture.storage import read_text, write_text
 
-FORMATS = (".npz", ".csv", ".json")
+SUFFIXES = (".npz", ".csv", ".json")
 """Suffixes of files that can be written and read."""
 
 
@@ -32,8 +32,8 @@ def check_format(path: Path) -> str:
         FileError: it is of none of the formats.
     """
     suffix = path.suffix.lower()
-    if suffix not in FORMATS:
-        raise FileError(path, f"the name ends in {suffix!r}; allowed: {', '.join(FORMATS)}")
+    if suffix not in SUFFIXES:
+        raise FileError(path, f"the name ends in {suffix!r}; allowed: {', '.join(SUFFIXES)}")
     return suffix
 
 
@@ -89,8 +89,8 @@ MAX_SECONDS = 2**31 - 1
 """The largest int32 [s]."""
 
 MESSAGE = ("header", "joint_names", "points")
-NUMBERS = ("positions", "velocities", "accelerations", "effort")
-POINT = (*NUMBERS, "time_from_start")
+POINT_ARRAYS = ("positions", "velocities", "accelerations", "effort")
+POINT = (*POINT_ARRAYS, "time_from_start")
 DURATION = ("sec", "nanosec")
 
 
@@ -164,13 +164,13 @@ def read_ros_message(path: Path) -> JointTrajectory:
     if not (isinstance(points, list) and points):
         raise FileError(path, f"points is {points!r}; allowed: a list of at least one point")
     times: list[int] = []
-    tables: dict[str, list[list[float]]] = {name: [] for name in NUMBERS}
+    tables: dict[str, list[list[float]]] = {name: [] for name in POINT_ARRAYS}
     for k, point in enumerate(points):
         _check_fields(path, f"points[{k}]", point, POINT)
         times.append(_time(path, k, point.get("time_from_start", {}), times[-1] if times else -1))
-        for name in NUMBERS:
+        for name in POINT_ARRAYS:
             tables[name].append(_numbers(path, k, name, point.get(name, []), len(joints)))
-    values = [np.array(tables[name]) for name in NUMBERS[:3]]
+    values = [np.array(tables[name]) for name in POINT_ARRAYS[:3]]
     return with_computed_rates(path, joints, np.array([time / NANOSECONDS for time in times]), values)
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -192,6 +194,13 @@ def test_a_file_gives_it_back(make, tmp_path):
     assert back.summary() == ended.summary()
     with pytest.raises(ValueError, match="read-only"):
         back.q[0, 0] = 1.0
+
+
+def test_a_process_that_knows_no_simulation_reads_one_without_mujoco(tmp_path):
+    path = pp.save(open_loop(), tmp_path / "sim")
+    code = "import sys, pinposture as pp; print(type(pp.load(sys.argv[1])).__name__, 'mujoco' in sys.modules)"
+    found = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, check=True)
+    assert found.stdout.split() == ["Simulation", "False"]
 
 
 def test_files_of_other_kinds_and_damaged_ones_are_refused(tmp_path):
