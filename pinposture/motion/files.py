@@ -204,15 +204,15 @@ _TARGET_ARRAYS = ("points", "weights", "q", "parameters", "residual")
 
 
 def _pack_limits(limits: Limits) -> tuple[About, Arrays]:
-    told = {name: getattr(limits, name) for name in _LIMITS_ARRAYS}
-    arrays = {f"limits_{name}": np.asarray(value) for name, value in told.items() if value is not None}
+    given = {name: getattr(limits, name) for name in _LIMITS_ARRAYS}
+    arrays = {f"limits_{name}": np.asarray(value) for name, value in given.items() if value is not None}
     return {"dt": limits.dt, "position_margin": limits.position_margin}, arrays
 
 
 def _unpack_limits(about: About, arrays: Arrays) -> Limits:
-    told = {name: arrays.get(f"limits_{name}") for name in _LIMITS_ARRAYS}
+    stored = {name: arrays.get(f"limits_{name}") for name in _LIMITS_ARRAYS}
     values: dict[str, Any] = {
-        name: value if value is None or value.ndim else float(value) for name, value in told.items()
+        name: value if value is None or value.ndim else float(value) for name, value in stored.items()
     }
     return Limits(**values, dt=about["dt"], position_margin=about["position_margin"])
 
@@ -221,15 +221,15 @@ def _pack_scene(scene: Scene | None) -> dict[str, Any] | None:
     return None if scene is None else scene.to_dict()
 
 
-def _unpack_scene(told: dict[str, Any] | None) -> Scene | None:
-    return None if told is None else Scene.from_dict(told)
+def _unpack_scene(data: dict[str, Any] | None) -> Scene | None:
+    return None if data is None else Scene.from_dict(data)
 
 
-def _unpack_moved(told: list[list[float]] | None) -> Moved | None:
+def _unpack_moved(data: list[list[float]] | None) -> Moved | None:
     """How a curve was moved, as JSON has it."""
-    if told is None:
+    if data is None:
         return None
-    translation, rotation = (finite_vector("moved", each, 3).tolist() for each in told)
+    translation, rotation = (finite_vector("moved", each, 3).tolist() for each in data)
     return Moved(tuple(translation), tuple(rotation))
 
 
@@ -486,9 +486,9 @@ def _pack_joints(trajectory: JointTrajectory) -> tuple[About, Arrays]:
 
 
 def _unpack_joints(about: About, arrays: Arrays) -> JointTrajectory:
-    told: dict[str, Any] = {name: arrays[name] for name in _JOINT_ARRAYS}
-    told |= {name: tuple(arrays[name].tolist()) for name in ("joint_names", "units")}
-    return JointTrajectory(**told, name=about["name"])
+    values: dict[str, Any] = {name: arrays[name] for name in _JOINT_ARRAYS}
+    values |= {name: tuple(arrays[name].tolist()) for name in ("joint_names", "units")}
+    return JointTrajectory(**values, name=about["name"])
 
 
 register(

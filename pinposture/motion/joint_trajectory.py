@@ -49,9 +49,9 @@ def check_same_joints(names: Sequence[str], expected: Sequence[str]) -> None:
         "unknown": [name for name in names if name not in expected],
     }
     if any(wrong.values()):
-        told = "; ".join(f"{word}: {_listed(joints)}" for word, joints in wrong.items() if joints)
+        values = "; ".join(f"{word}: {_listed(joints)}" for word, joints in wrong.items() if joints)
         raise InvalidValue(
-            "joint_names", names, f"the {len(expected)} joints of the arm in any order ({told})"
+            "joint_names", names, f"the {len(expected)} joints of the arm in any order ({values})"
         )
 
 

@@ -103,7 +103,7 @@ class Motion:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """Why it should not be handed to a robot, in words; empty if nothing speaks against it."""
+        """Why it should not be sent to a robot, in words; empty if it may be."""
         return self.run.faults
 
     @property

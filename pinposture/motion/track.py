@@ -362,7 +362,7 @@ def track(
 
 
 def in_scene(controller: Controller, scene: Scene | None) -> tuple[Controller, Scene | None]:
-    """The controller told of the scene, and the scene; a warning if it cannot keep clear of it."""
+    """Return the controller with the scene, and the scene; warn if it does not avoid obstacles."""
     if not (scene is None or isinstance(scene, Scene)):
         raise InvalidValue("scene", scene, "a Scene(...), or None")
     if isinstance(controller, ConstrainedQP):

@@ -319,8 +319,8 @@ class Tracker:
     arm stays behind. Drives that take velocities are sent dq / dt; each step then begins where the arm was
     measured.
 
-    To make one loads all compiled kernels, so that no cycle has to wait for that: half a second for the first
-    one in a process, and about a minute where they are not compiled yet (`pinposture compile`).
+    The constructor loads all compiled kernels, so that no cycle has to wait for them: half a second for the
+    first one in a process, and about a minute where they are not compiled yet (`pinposture compile`).
 
     Attributes:
         arm: the arm.

@@ -337,7 +337,7 @@ class Trajectory:
 
     @cached_property
     def faults(self) -> tuple[str, ...]:
-        """Why it should not be handed to a robot, in words; empty if nothing speaks against it."""
+        """Why it should not be sent to a robot, in words; empty if it may be."""
         return find_faults(self)
 
     @property
