@@ -26,7 +26,7 @@ print(run.status, "-", run.reason)
 print(f"posture error {run.posture_error[0]:.3f} m -> {run.posture_error[-1]:.2g} m in {run.steps} steps")
 
 out = Path("out/first_posture")
-run.save(out / "run.npz")
+pp.save(run, out / "run.npz")
 pp.plot(run).savefig(out / "run.png", dpi=120)
 pp.save_html(arm, run, out / "run.html")
 print(f"look at {out / 'run.png'}, and open {out / 'run.html'} in a browser to see it move")

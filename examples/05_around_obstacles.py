@@ -36,7 +36,7 @@ print(f"control points went {ways / straight:.2f} times as far as on straight li
 print(f"escape steps, on which the posture error rose: {run.escape.sum()}")
 
 out = Path("out/around_obstacles")
-run.save(out / "run.npz")
+pp.save(run, out / "run.npz")
 pp.plot(run).savefig(out / "run.png", dpi=120)
 pp.save_html(arm, run, out / "run.html")
 print(f"look at {out / 'run.png'}, and open {out / 'run.html'} in a browser to see it move")

@@ -37,8 +37,8 @@ for place in motion.passed:
 print(f"mean distance of the control points from their targets: {motion.mean_error.max():.2g} m at most")
 
 out = Path("out/five_postures")
-motion.save(out / "motion.npz")
-motion.joint_trajectory().save(out / "motion.json")  # for a robot: trajectory_msgs/JointTrajectory
+pp.save(motion, out / "motion.npz")
+pp.save(motion.joint_trajectory(), out / "motion.json")  # for a robot: trajectory_msgs/JointTrajectory
 pp.plot(motion).savefig(out / "motion.png", dpi=120)
 pp.save_html(arm, motion, out / "motion.html")
 print(f"look at {out / 'motion.png'}, and open {out / 'motion.html'} in a browser to see it move")

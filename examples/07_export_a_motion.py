@@ -31,8 +31,8 @@ print(f"fastest joint {fastest:.3g} rad/s, hardest acceleration {hardest:.3g} ra
 # One motion, three formats: for NumPy, for a spreadsheet, and the message that ros2_control takes.
 out = Path("out/export")
 for suffix in ("npz", "csv", "json"):
-    path = joints.save(out / f"motion.{suffix}")
-    again = pp.JointTrajectory.load(path, arm)
+    path = pp.save(joints, out / f"motion.{suffix}")
+    again = pp.load(path).matched(arm)
     same = np.array_equal(again.positions, joints.positions)
     print(f"{path}: {path.stat().st_size} bytes, the same positions when read back: {same}")
 

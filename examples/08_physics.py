@@ -50,7 +50,7 @@ for loop in ("open", "closed"):
         columns = [f"{1e3 * number:9.2g}" for number in numbers]
         print(f"{loop:6} {'yes' if gravity else 'no':6}", *columns)
         name = f"{loop}_{'gravity' if gravity else 'weightless'}"
-        ended.save(out / f"{name}.npz")
+        pp.save(ended, out / f"{name}.npz")
         if gravity:
             plot_simulation(ended).savefig(out / f"{name}.png")
 print(f"look at {out / 'open_gravity.png'} and {out / 'closed_gravity.png'}")

@@ -42,7 +42,7 @@ nearest = pp.CollisionModel(arm, scene).minimum(run.q[run.clearance.argmin()])
 print(f"never nearer to the walls than {1e3 * nearest.distance:.1f} mm ({' to '.join(nearest.pair)})")
 
 out = Path("out/follow_the_leader")
-run.save(out / "run.npz")
+pp.save(run, out / "run.npz")
 pp.plot(motion).savefig(out / "motion.png", dpi=100)
 pp.save_html(arm, run, out / "run.html")
 print(f"look at {out / 'motion.png'}, and open {out / 'run.html'} in a browser to see it move")

@@ -22,7 +22,7 @@ if __name__ == "__main__":  # other processes read this file, too
     batch = pp.track_many(arm, targets, arm.straight(), max_steps=100)
 
     out = Path("out/many_targets")
-    batch.save(out / "batch.npz")
+    pp.save(batch, out / "batch.npz")
     print(batch.summary())
 
     # What was reached: each posture, the darker the more steps it took; a cross where the tip should be.

@@ -47,7 +47,7 @@ def main() -> None:
                 row = (change, str(run.steps), f"{run.sweep:.2f}", used, ending)
                 table.add_row(scenario.arm, scenario.title, name, *row)
                 folder = OUT / scenario.name / name
-                run.save(folder / "run.npz")
+                pp.save(run, folder / "run.npz")
                 progress.advance(task)
             folder = OUT / scenario.name / "qp"
             pp.plot(runs["qp"]).savefig(folder / "run.png", dpi=120)
@@ -59,8 +59,8 @@ def main() -> None:
     )
     motion = pp.Task.load(TASK).perform()
     folder = OUT / "keyframes"
-    motion.save(folder / "motion.npz")
-    motion.joint_trajectory().save(folder / "motion.json")
+    pp.save(motion, folder / "motion.npz")
+    pp.save(motion.joint_trajectory(), folder / "motion.json")
     pp.plot(motion).savefig(folder / "motion.png", dpi=120)
     pp.save_html(motion.arm, motion, folder / "motion.html")
     names = ", ".join(f"{place.name} at {place.reached:.2f} s" for place in motion.passed)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     )
     from pinposture.curve import Curve
     from pinposture.errors import PostureError, PostureWarning
-    from pinposture.motion import Batch, JointTrajectory, Motion, Tracker, Trajectory
+    from pinposture.motion import Batch, JointTrajectory, Motion, Tracker, Trajectory, load, save
     from pinposture.motion.track import track
     from pinposture.motion.track_many import track_many
     from pinposture.placement import Target, fit_points, resolve_targets
@@ -86,6 +86,7 @@ __all__ = [
     "fit_points",
     "follow_leader",
     "keyframe_reference",
+    "load",
     "move_through",
     "path_deviation",
     "perform",
@@ -93,6 +94,7 @@ __all__ = [
     "plot_arm",
     "plot_comparison",
     "resolve_targets",
+    "save",
     "save_html",
     "template",
     "track",
@@ -126,7 +128,17 @@ _PACKAGES = {
     ),
     "curve": ("Curve",),
     "errors": ("PostureError", "PostureWarning"),
-    "motion": ("Batch", "JointTrajectory", "Motion", "Tracker", "Trajectory", "track", "track_many"),
+    "motion": (
+        "Batch",
+        "JointTrajectory",
+        "Motion",
+        "Tracker",
+        "Trajectory",
+        "load",
+        "save",
+        "track",
+        "track_many",
+    ),
     "collision": ("Box", "Capsule", "CollisionModel", "Cylinder", "HalfSpace", "Mesh", "Scene", "Sphere"),
     "placement": ("Target", "fit_points", "resolve_targets"),
     "task": (

@@ -78,9 +78,9 @@ def test_no_ending_but_its_own_is_taken_or_lengthened(kind: type, name: str, tmp
         Simulation: lambda: simulate(arm, run),
     }[kind]()
     with pytest.raises(FileError, match=rf"the name ends in '\{Path(name).suffix}'; allowed: \.npz, or no"):
-        made.save(tmp_path / name)
+        pp.save(made, tmp_path / name)
     with pytest.raises(FileError, match=r"allowed: \.html, \.htm, or no ending"):
         pp.save_html(arm, run, tmp_path / name)
     assert list(tmp_path.iterdir()) == []
-    assert made.save(tmp_path / "x") == tmp_path / "x.npz"
-    assert made.save(tmp_path / "y.NPZ") == tmp_path / "y.NPZ"
+    assert pp.save(made, tmp_path / "x") == tmp_path / "x.npz"
+    assert pp.save(made, tmp_path / "y.NPZ") == tmp_path / "y.NPZ"

@@ -63,6 +63,7 @@ def run(
     another, is refused unless --force is given. The summary tells the largest speed and acceleration from
     step to step, from rest and to rest.
     """
+    from pinposture.motion import save
     from pinposture.motion.joint_files import check_format
     from pinposture.storage import check_writable
 
@@ -75,7 +76,7 @@ def run(
         raise FileError(output, "is the run itself; allowed: another file")
     kept = load_kept(source)
     trajectory = _joint_trajectory(kept, dt, force)
-    trajectory.save(output)
+    save(trajectory, output)
     for fault in kept.faults:
         print_warning(f"exported all the same: {fault}")
     if as_json:

@@ -154,11 +154,11 @@ def run(
     There is a run for each start; several curves need as many starts, or one. Every run is the one that track
     makes of that start and curve, whatever the number of processes. Runs are counted from 0.
 
-    With -o all runs are kept in a directory, in batch.npz: Batch.load of the Python package reads it, as
+    With -o all runs are kept in a directory, in batch.npz: pp.load of the Python package reads it, as
     NumPy does. The exit code is 0 if the arm got there in every run and was clear of everything, 1 if not, 2
     if it could not start.
     """
-    from pinposture.motion import track_many
+    from pinposture.motion import save, track_many
     from pinposture.storage import check_writable
 
     check_controller(controller, {"--haste": haste})
@@ -187,7 +187,7 @@ def run(
             keep="ends" if ends_only or output is None else "motions",
             progress=progress,
         )
-    file = None if output is None else str(batch.save(output / BATCH))
+    file = None if output is None else str(save(batch, output / BATCH))
     if as_json:
         asked = {"urdf": urdf, "curves": curve, "starts": starts, "seed": seed}
         print_json({**asked, "scene": None if scene is None else str(scene), **batch.to_dict(), "file": file})

@@ -62,9 +62,11 @@ def keep(motion: Trajectory, directory: Path) -> None:
     Raises:
         FileError: one of them cannot be written.
     """
+    from pinposture.motion import save
+
     write_plot(motion, directory / PLOT)
     write_animation(motion, directory / ANIMATION)
-    motion.save(directory / RUN)  # last: where it is, its pictures are
+    save(motion, directory / RUN)  # last: where it is, its pictures are
 
 
 def keep_motion(motion: Motion, directory: Path, formats: Sequence[str] = FORMATS) -> dict[str, str]:
@@ -78,6 +80,8 @@ def keep_motion(motion: Motion, directory: Path, formats: Sequence[str] = FORMAT
     Raises:
         FileError: one of them cannot be written.
     """
+    from pinposture.motion import save
+
     held_back = [kind for kind in formats if motion.faults and kind in FOR_ROBOTS]
     if held_back:
         named = " and ".join(f"motion.{kind}" for kind in held_back)
@@ -92,9 +96,9 @@ def keep_motion(motion: Motion, directory: Path, formats: Sequence[str] = FORMAT
         elif kind == "png":
             write_plot(motion, path)
         elif kind == "npz":
-            motion.save(path)
+            save(motion, path)
         else:
-            motion.joint_trajectory().save(path)
+            save(motion.joint_trajectory(), path)
     return {kind: str(path) for kind, path in files.items()}
 
 
@@ -121,10 +125,10 @@ def find_kept(path: Path) -> tuple[Path, str]:
 
 def _is_kept(path: Path) -> bool:
     """Whether a file holds a run, or a motion; joints that were exported under that name are neither."""
-    from pinposture.motion import files
-    from pinposture.motion.joint_files import archive_format
+    from pinposture.motion import Motion, Trajectory
+    from pinposture.motion.files import kind_of
 
-    return archive_format(path) in (files.RUN_ARCHIVE.format, files.MOTION_ARCHIVE.format)
+    return kind_of(path) in (Trajectory, Motion)
 
 
 def load_kept(path: Path) -> Trajectory | Motion:
@@ -133,11 +137,10 @@ def load_kept(path: Path) -> Trajectory | Motion:
     Raises:
         FileError: the file is missing, or holds neither.
     """
-    from pinposture.motion import Motion, Trajectory, files
-    from pinposture.motion.joint_files import archive_format
+    from pinposture.motion import Motion, Trajectory, load
+    from pinposture.motion.files import kind_of
 
-    is_motion = archive_format(path) == files.MOTION_ARCHIVE.format
-    return Motion.load(path) if is_motion else Trajectory.load(path)
+    return load(path, Motion) if kind_of(path) is Motion else load(path, Trajectory)
 
 
 def write_plot(motion: Trajectory | Motion, path: Path) -> None:

@@ -169,10 +169,11 @@ def keep(simulation: Simulation, directory: Path) -> None:
     Raises:
         FileError: one of them cannot be written.
     """
+    from pinposture.motion import save
     from pinposture.viz.simulation import plot_simulation
 
     write_picture(plot_simulation(simulation), directory / PLOT)
-    simulation.save(directory / SIMULATION)  # last: where it is, its picture is
+    save(simulation, directory / SIMULATION)  # last: where it is, its picture is
 
 
 def _read(
@@ -185,16 +186,13 @@ def _read(
     package_dir: list[Path] | None,
 ) -> tuple[Arm, Trajectory | Motion | JointTrajectory]:
     """The arm and its motion."""
-    from pinposture.motion import JointTrajectory
-    from pinposture.motion.joint_files import FORMAT as JOINTS
-    from pinposture.motion.joint_files import archive_format
+    from pinposture.motion import JointTrajectory, load
+    from pinposture.motion.files import kind_of
 
     file, which = find_kept(path)
     if which:
         print_note(which)
-    archive = archive_format(file) if file.suffix.lower() == ".npz" else ""
-    exported = file.suffix.lower() in (".csv", ".json") or archive == JOINTS
-    if not exported:
+    if kind_of(file) is not JointTrajectory:
         told: dict[str, object] = {"--urdf": urdf, "--base": base, "--tip": tip, "--modules": modules}
         told |= {"--locked": locked, "--package-dir": package_dir}
         refuse_given(told, "nothing; a saved run holds its arm")
@@ -203,7 +201,7 @@ def _read(
     if urdf is None:
         raise InvalidValue("--urdf", None, f"the description of the arm, which {file} does not hold")
     arm = read_arm(urdf, base, tip, modules, locked, package_dir)
-    return arm, JointTrajectory.load(file, arm)
+    return arm, load(file, JointTrajectory).matched(arm)
 
 
 def _simulate(

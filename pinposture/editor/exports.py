@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 from pinposture.errors import UnknownName
-from pinposture.motion import Motion
+from pinposture.motion import Motion, save
 
 
 class Kind(NamedTuple):
@@ -71,7 +71,7 @@ def exported(motion: Motion, kind: str, stem: str) -> Export:
 
 
 def _write_joints(motion: Motion, path: Path) -> None:
-    motion.joint_trajectory().save(path)
+    save(motion.joint_trajectory(), path)
 
 
 def _write_picture(motion: Motion, path: Path) -> None:
@@ -89,7 +89,7 @@ def _write_animation(motion: Motion, path: Path) -> None:
 
 
 KINDS = {
-    "npz": Kind(".npz", "the motion", Motion.save),
+    "npz": Kind(".npz", "the motion", save),
     "CSV": Kind(".csv", "joint positions, speeds and accelerations", _write_joints),
     "ROS JSON": Kind(".json", "a JointTrajectory message", _write_joints),
     "Picture": Kind(".png", "a picture", _write_picture),

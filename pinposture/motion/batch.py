@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,10 +16,10 @@ from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.control import Limits
 from pinposture.errors import InvalidValue
-from pinposture.motion.trajectory import ROUNDING, Trajectory
+from pinposture.motion.trajectory import CONTACT_TOLERANCE, Trajectory
 from pinposture.placement import Target
 
-# Many motions of one arm, one behind the other in the same arrays.
+# The motions of many runs, concatenated.
 
 Array = NDArray[np.float64]
 Text = NDArray[np.intp]
@@ -32,29 +31,18 @@ TEXT_ARRAYS = ("method", "switched", "relaxed")
 
 @dataclass(frozen=True, eq=False)
 class Motions:
-    """The whole motions of a batch of `count` runs; ragged, since some take more steps than others.
+    """The motions of a batch of `count` runs, concatenated, as runs take different numbers of steps.
 
     Run i has the configurations `offsets[i]` to `offsets[i + 1] - 1`, the first of which is its start. It has
-    one step less, so its steps begin at `offsets[i] - i`. The arrays are those of `Trajectory`; what its
-    texts say is listed once in `texts`, and steps have the number of theirs. Points and their errors are not
-    kept: they follow from q.
+    one step less, so its steps begin at `offsets[i] - i`. Points and their errors are not stored: they follow
+    from q.
 
     Attributes:
-        offsets: where each run begins, and where the last one ends, (count + 1,).
-        q: configurations, (all configurations, nq).
-        clearance: smallest distances, (all configurations,) [m]; infinite where there was no scene.
-        active: which control points were active, (all steps, m).
-        index: smallest manipulability index that the active set had to clear, (all steps,).
-        sigma_min: smallest singular value of the posture control matrix, (all steps,) [m/rad].
-        sigma_max: its largest singular value, (all steps,) [m/rad].
-        rows: its rows, (all steps,).
-        scale: factor by which the step was shortened to meet the step limit, (all steps,).
-        clipped: which joints were cut short at a position limit, (all steps, nv).
-        escape: whether the step was meant to lead out of a place where the error cannot fall, (all steps,).
-        method: which of its methods the controller used, number of the text, (all steps,).
-        switched: why it changed to that method, number of the text, (all steps,).
-        relaxed: which constraints gave way, number of the text, (all steps,).
-        texts: what the texts say.
+        offsets: first configuration of each run, and the number of all, (count + 1,).
+        q, clearance: as in `Trajectory`, a row for each configuration.
+        active, index, sigma_min, sigma_max, rows, scale, clipped, escape: likewise, a row for each step.
+        method, switched, relaxed: likewise, (all steps,), as indices of `texts`.
+        texts: the different texts.
     """
 
     offsets: NDArray[np.intp]
@@ -98,13 +86,13 @@ class Motions:
         return arrays
 
 
-def recorded(run: Trajectory) -> dict[str, NDArray[Any]]:
-    """What `gathered` needs of a run."""
+def run_arrays(run: Trajectory) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a run that `concatenate_runs` takes."""
     return {name: getattr(run, name) for name in CONFIGURATION_ARRAYS + STEP_ARRAYS + TEXT_ARRAYS}
 
 
-def gathered(runs: Sequence[dict[str, NDArray[Any]]]) -> Motions:
-    """The motions of at least one run, each as `recorded` gave it, in their order."""
+def concatenate_runs(runs: Sequence[dict[str, NDArray[Any]]]) -> Motions:
+    """Concatenate at least one run, each as `run_arrays` returns it."""
     sizes = [len(run["q"]) for run in runs]
     stacked: dict[str, Any] = {
         name: np.concatenate([run[name] for run in runs]) for name in CONFIGURATION_ARRAYS + STEP_ARRAYS
@@ -118,7 +106,7 @@ def gathered(runs: Sequence[dict[str, NDArray[Any]]]) -> Motions:
     return Motions(offsets=offsets, texts=tuple(numbers), **stacked)
 
 
-# The result of many runs of one arm: how each ended, and the motions.
+# The result of many runs of one arm.
 
 FAILED = "failed"
 """Status of a run that an error ended."""
@@ -184,7 +172,7 @@ class Batch:
         return len(self.status)
 
     def __getitem__(self, number: int) -> Trajectory:
-        number = self._checked(number)
+        number = self._checked_number(number)
         if self.motions is None:
             allowed = 'keep="motions" in track_many, to have whole motions; q_start and q_final are here'
             raise InvalidValue("what was kept", "ends", allowed)
@@ -203,7 +191,7 @@ class Batch:
     def __iter__(self) -> Iterator[Trajectory]:
         return (self[number] for number in range(len(self)))
 
-    def _checked(self, number: int) -> int:
+    def _checked_number(self, number: int) -> int:
         # IndexError, not one of our own: it is what a sequence raises, and what ends loops over one.
         if not is_whole(number):
             raise TypeError(f"runs have whole numbers, not {number!r}")
@@ -213,7 +201,7 @@ class Batch:
 
     def target(self, number: int) -> Target:
         """The target posture of one run."""
-        return self.targets[self._checked(number) if len(self.targets) > 1 else 0]
+        return self.targets[self._checked_number(number) if len(self.targets) > 1 else 0]
 
     @property
     def converged(self) -> NDArray[np.bool_]:
@@ -223,10 +211,8 @@ class Batch:
     @property
     def faults(self) -> tuple[str, ...]:
         """What went wrong in some of the runs, in words; empty if nothing did."""
-        away, inside = (
-            np.flatnonzero(~self.converged),
-            np.flatnonzero(self.clearance < -ROUNDING * self.arm.length),
-        )
+        away = np.flatnonzero(~self.converged)
+        inside = np.flatnonzero(self.clearance < -CONTACT_TOLERANCE * self.arm.length)
         found = []
         if len(away):
             found.append(f"{len(away)} of {len(self)} runs did not get there")
@@ -301,33 +287,6 @@ class Batch:
         words = self.in_words()
         width = max(map(len, words))
         return "\n".join(f"{name:{width}}  {text}" for name, text in words.items())
-
-    def save(self, path: str | Path) -> Path:
-        """Write the batch to one `.npz` file, all or nothing; it embeds the arm and the curves.
-
-        Args:
-            path: the file; ".npz" is added to a name without ending.
-
-        Returns:
-            The path written.
-
-        Raises:
-            FileError: the name has another ending, or the file cannot be written.
-        """
-        from pinposture.motion.files import save_batch
-
-        return save_batch(self, Path(path))
-
-    @classmethod
-    def load(cls, path: str | Path) -> Batch:
-        """Read a batch that `save` wrote.
-
-        Raises:
-            FileError: the file is missing, or is not such a batch.
-        """
-        from pinposture.motion.files import load_batch
-
-        return load_batch(Path(path))
 
     def __repr__(self) -> str:
         kept = "ends" if self.motions is None else "motions"

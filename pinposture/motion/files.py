@@ -1,4 +1,4 @@
-"""Runs, motions and batches as files."""
+"""Runs, motions, batches, simulations and joint trajectories as files: `save` and `load`."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import io
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
+from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, overload
 from zipfile import is_zipfile
 
 import numpy as np
@@ -19,138 +20,239 @@ from pinposture.collision import Scene
 from pinposture.control import Limits
 from pinposture.curve import Curve
 from pinposture.errors import FileError, InvalidValue
-from pinposture.motion.batch import STEP_ARRAYS, TEXT_ARRAYS, Batch, Motions
+from pinposture.motion.batch import CONFIGURATION_ARRAYS, STEP_ARRAYS, TEXT_ARRAYS, Batch, Motions
+from pinposture.motion.joint_files import (
+    check_format,
+    read_ros_message,
+    read_table,
+    write_ros_message,
+    write_table,
+)
+from pinposture.motion.joint_trajectory import JointTrajectory
 from pinposture.motion.motion import Motion, Passed
 from pinposture.motion.trajectory import ENDINGS, Trajectory
 from pinposture.placement import Target
 from pinposture.placement.curve_placement import Moved
 from pinposture.storage import with_suffix, write_bytes
 
-# What files of runs and of batches have in common: arrays, and a description in JSON, in one `.npz`.
-
-Made = TypeVar("Made")
-
-_LIMITS_ARRAYS = ("step", "velocity", "acceleration")
+Result = TypeVar("Result")
+About = dict[str, Any]
+Arrays = dict[str, Any]
 
 
-class ArchiveKind(NamedTuple):
-    """A kind of file.
+class Format(NamedTuple):
+    """How results of one class are stored in a `.npz` archive: arrays, and a description in JSON.
 
     Attributes:
-        format: its name in the file.
+        name: the name of the format, which the archive holds.
         version: the version that is written and read.
-        noun: what it holds, in words.
-        advice: what to say of a file of another kind, by the name of its format.
+        kind: the class.
+        noun: what the archive holds, in words.
+        pack: returns the description and the arrays of a result.
+        unpack: makes the result of them; may raise anything if they are damaged.
+        advice: what to say of an archive of another format where this one is wanted, by its name.
     """
 
-    format: str
+    name: str
     version: int
+    kind: type
     noun: str
+    pack: Callable[[Any], tuple[About, Arrays]]
+    unpack: Callable[[About, Arrays], Any]
     advice: Mapping[str, str]
 
 
-def write_archive(
-    path: Path, kind: ArchiveKind, limits: Limits, about: dict[str, Any], arrays: dict[str, Any]
-) -> Path:
-    """Write a file at once or not at all; `.npz` is added to a name without ending. Returns its path.
+ARCHIVES: dict[str, Format] = {}
+"""The formats by their names; packages above this one add theirs with `register`."""
+
+_REGISTERED_BY = {"pinposture-simulation": "pinposture.sim"}
+"""Packages that register formats when they are imported."""
+
+_TEXT_FILES = {".csv": (write_table, read_table), ".json": (write_ros_message, read_ros_message)}
+"""Formats of joint trajectories that are no archives: how to write and how to read them."""
+
+
+def register(form: Format) -> None:
+    """Add a format to those that `save` writes and `load` reads."""
+    ARCHIVES[form.name] = form
+
+
+def save(result: Any, path: str | Path) -> Path:
+    """Write a result to one file, all or nothing.
+
+    A `Trajectory`, `Motion`, `Batch` or `Simulation` becomes a `.npz` archive, which holds the arm, the
+    curves and the scene as well. A `JointTrajectory` is written in the format of the suffix: ".npz" keeps
+    everything to the last bit, ".csv" all but the name of the robot; ".json" is a
+    `trajectory_msgs/msg/JointTrajectory` of ROS 2, whose times are whole nanoseconds.
+
+    Args:
+        result: the result.
+        path: the file; ".npz" is added to a name without suffix, except for a `JointTrajectory`.
+
+    Returns:
+        The path written.
 
     Raises:
-        FileError: the name has another ending, or the file cannot be written.
+        FileError: another suffix, or the file cannot be written.
+        InvalidValue: no such result, or times that a message of ROS 2 cannot hold.
     """
-    path = with_suffix(path, ".npz")
-    told = {name: getattr(limits, name) for name in _LIMITS_ARRAYS}
-    packed = {f"limits_{name}": value for name, value in told.items() if value is not None}
-    described = {
-        "format": kind.format,
-        "version": kind.version,
-        "dt": limits.dt,
-        "position_margin": limits.position_margin,
-        **about,
-    }
+    form = _format_of(type(result), "result", result)
+    if isinstance(result, JointTrajectory):
+        path = Path(path)
+        suffix = check_format(path)
+        if suffix in _TEXT_FILES:
+            _TEXT_FILES[suffix][0](result, path)
+            return path
+    else:
+        path = with_suffix(Path(path), ".npz")
+    about, arrays = form.pack(result)
     content = io.BytesIO()
-    np.savez_compressed(content, about=np.array(json.dumps(described)), **arrays, **packed)
+    described = json.dumps({"format": form.name, "version": form.version, **about})
+    np.savez_compressed(content, about=np.array(described), **arrays)
     write_bytes(path, content.getvalue())
     return path
 
 
-def read_archive(
-    path: Path, kind: ArchiveKind, made: Callable[[dict[str, Any], dict[str, Any], Limits], Made]
-) -> Made:
-    """Read a file.
+@overload
+def load(path: str | Path) -> Any: ...
+
+
+@overload
+def load(path: str | Path, kind: type[Result]) -> Result: ...
+
+
+def load(path: str | Path, kind: type[Any] | None = None) -> Any:
+    """Read a result that `save` wrote; a joint trajectory also if others wrote it.
+
+    The file tells what it holds. Velocities and accelerations that a joint trajectory does not have in it
+    are computed from positions; `JointTrajectory.matched(arm)` puts its joints in the order of an arm.
 
     Args:
         path: the file.
-        kind: what it should be.
-        made: what makes something of its description, its arrays and the limits in it.
+        kind: the class that is wanted: `Trajectory`, `Motion`, `Batch`, `Simulation` or `JointTrajectory`;
+            any if None.
+
+    Returns:
+        The result.
 
     Raises:
-        FileError: there is no such file, it is of another kind, or damaged.
+        FileError: the file is missing, damaged, or holds something else; names line or point of a text file.
+        InvalidValue: no such class.
     """
+    path = Path(path)
+    wanted = None if kind is None else _format_of(kind, "kind", kind)
+    suffix = check_format(path) if kind is JointTrajectory else path.suffix.lower()
+    if kind in (None, JointTrajectory) and suffix in _TEXT_FILES:
+        return _TEXT_FILES[suffix][1](path)
     if not path.is_file():
         raise FileError(path, "no such file")
     try:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
         about = json.loads(str(arrays["about"]))
-        if about["format"] != kind.format or about["version"] != kind.version:
-            found = f"format {about['format']!r} version {about['version']}"
-            allowed = f"{found}; allowed: {kind.format!r} version {kind.version}"
-            raise FileError(path, kind.advice.get(about["format"], allowed))
-        limits = {
-            name: value if value is None or value.ndim else float(value)
-            for name, value in ((name, arrays.get(f"limits_{name}")) for name in _LIMITS_ARRAYS)
-        }
-        return made(about, arrays, Limits(**limits, dt=about["dt"], position_margin=about["position_margin"]))
+        found, version = about["format"], about["version"]
+        wanted = _format_named(found) if wanted is None else wanted
+        if wanted is None or (found, version) != (wanted.name, wanted.version):
+            known = ARCHIVES.values() if wanted is None else (wanted,)
+            allowed = ", ".join(f"{form.name!r} version {form.version}" for form in known)
+            text = f"format {found!r} version {version}; allowed: {allowed}"
+            raise FileError(path, text if wanted is None else wanted.advice.get(found, text))
+        return wanted.unpack(about, arrays)
     except FileError:
         raise
     except Exception as error:  # a damaged file can trip zlib, numpy's reader or Pinocchio's, anything
         detail = f"{type(error).__name__}: {error}"
         if isinstance(error, ValueError) and "pickle" in str(error):  # numpy's advice is not to be followed
             detail = "ValueError" if is_zipfile(path) else "it is no .npz archive"
-        raise FileError(path, f"is not a saved {kind.noun} ({detail})") from error
+        noun = "result" if wanted is None else wanted.noun
+        raise FileError(path, f"is not a saved {noun} ({detail})") from error
 
 
-# Runs as files: one `.npz` that holds the motion, the arm and the curve.
+def kind_of(path: Path) -> type | None:
+    """The class of the result that a file holds, by its suffix or its description; None if unknown."""
+    if path.suffix.lower() in _TEXT_FILES:
+        return JointTrajectory
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            form = _format_named(json.loads(str(stored["about"]))["format"])
+    except Exception:  # as above; `load` says what is wrong
+        return None
+    return None if form is None else form.kind
 
-_ADVICE = {
-    "pinposture-batch": "holds many runs; save one of them: pp.Batch.load(file)[0].save(...)",
-    "pinposture-motion": "holds a motion in time; read it by pp.Motion.load(file), its run is .run",
-}
-RUN_ARCHIVE = ArchiveKind("pinposture-run", 3, "run", _ADVICE)
 
-_RUN_ARRAYS = (
-    "q",
-    "points",
-    "point_errors",
-    "active",
-    "index",
-    "sigma_min",
-    "sigma_max",
-    "rows",
-    "scale",
-    "clipped",
-    "method",
-    "switched",
-    "escape",
-    "relaxed",
-    "clearance",
-)
+def _format_named(name: str) -> Format | None:
+    """The format of that name, with the package that registers it imported; None if there is none."""
+    if name not in ARCHIVES and name in _REGISTERED_BY:
+        import_module(_REGISTERED_BY[name])
+    return ARCHIVES.get(name)
+
+
+def _format_of(kind: type, name: str, value: object) -> Format:
+    """The format of a class; raises InvalidValue, of an argument and its value, if there is none."""
+    for form in ARCHIVES.values():
+        if form.kind is kind:
+            return form
+    allowed = ", ".join(form.kind.__name__ for form in ARCHIVES.values())
+    hint = "; curves, scenes and tasks have their own `save` and `load`"
+    raise InvalidValue(name, value, f"{allowed} or Simulation{hint}")
+
+
+# Parts that several formats share.
+
+_LIMITS_ARRAYS = ("step", "velocity", "acceleration")
 _TARGET_ARRAYS = ("points", "weights", "q", "parameters", "residual")
 
 
-def save_trajectory(run: Trajectory, path: Path) -> Path:
-    """Write a run; see `Trajectory.save`."""
-    return write_archive(path, RUN_ARCHIVE, run.limits, *pack_run(run))
+def _pack_limits(limits: Limits) -> tuple[About, Arrays]:
+    given = {name: getattr(limits, name) for name in _LIMITS_ARRAYS}
+    arrays = {f"limits_{name}": np.asarray(value) for name, value in given.items() if value is not None}
+    return {"dt": limits.dt, "position_margin": limits.position_margin}, arrays
 
 
-def pack_run(run: Trajectory) -> tuple[dict[str, Any], dict[str, Any]]:
-    """A run without its limits as a description that JSON can hold, and arrays."""
-    arrays: dict[str, Any] = {name: getattr(run, name) for name in _RUN_ARRAYS}
+def _unpack_limits(about: About, arrays: Arrays) -> Limits:
+    stored = {name: arrays.get(f"limits_{name}") for name in _LIMITS_ARRAYS}
+    values: dict[str, Any] = {
+        name: value if value is None or value.ndim else float(value) for name, value in stored.items()
+    }
+    return Limits(**values, dt=about["dt"], position_margin=about["position_margin"])
+
+
+def _pack_scene(scene: Scene | None) -> dict[str, Any] | None:
+    return None if scene is None else scene.to_dict()
+
+
+def _unpack_scene(data: dict[str, Any] | None) -> Scene | None:
+    return None if data is None else Scene.from_dict(data)
+
+
+def _unpack_moved(data: list[list[float]] | None) -> Moved | None:
+    """How a curve was moved, as JSON has it."""
+    if data is None:
+        return None
+    translation, rotation = (finite_vector("moved", each, 3).tolist() for each in data)
+    return Moved(tuple(translation), tuple(rotation))
+
+
+def check_shapes(arrays: Mapping[str, NDArray[Any]], shapes: Mapping[str, tuple[int, ...]]) -> None:
+    """Raise InvalidValue unless arrays have the shapes that they should."""
+    for name, expected in shapes.items():
+        if arrays[name].shape != expected:
+            raise InvalidValue(f"{name} (shape)", arrays[name].shape, str(expected))
+
+
+# Runs.
+
+_RUN_ARRAYS = (*CONFIGURATION_ARRAYS, "points", "point_errors", *STEP_ARRAYS, *TEXT_ARRAYS)
+
+
+def _pack_run(run: Trajectory) -> tuple[About, Arrays]:
+    about, arrays = _pack_limits(run.limits)
+    arrays |= {name: getattr(run, name) for name in _RUN_ARRAYS}
     for name in _TARGET_ARRAYS:
         value = getattr(run.target, name)
         if value is not None:
             arrays[f"target_{name}"] = value
-    about = {
+    about |= {
         "arm": run.arm.to_dict(),
         "curve": None if run.target.curve is None else run.target.curve.to_dict(),
         "method": run.target.method,
@@ -158,59 +260,16 @@ def pack_run(run: Trajectory) -> tuple[dict[str, Any], dict[str, Any]]:
         "moved": run.target.moved,
         "approximate": run.target.approximate,
         "controller": run.controller,
-        "scene": None if run.scene is None else run.scene.to_dict(),
+        "scene": _pack_scene(run.scene),
         "status": run.status,
         "reason": run.reason,
     }
     return about, arrays
 
 
-def load_trajectory(path: Path) -> Trajectory:
-    """Read a run; see `Trajectory.load`."""
-    return read_archive(path, RUN_ARCHIVE, unpack_run)
-
-
-def unpack_run(about: dict[str, Any], arrays: dict[str, Any], limits: Limits) -> Trajectory:
-    """The run that `pack_run` packed.
-
-    Raises:
-        InvalidValue: arrays that do not fit each other.
-    """
-    curve = None if about["curve"] is None else Curve.from_dict(about["curve"])
+def _unpack_run(about: About, arrays: Arrays) -> Trajectory:
     target: dict[str, Any] = {name: arrays.get(f"target_{name}") for name in _TARGET_ARRAYS}
     arm = Arm.from_dict(about["arm"])
-    _check_run(arm, arrays)
-    if about["status"] not in ENDINGS:
-        raise InvalidValue("status", about["status"], ", ".join(ENDINGS))
-    return Trajectory(
-        arm=arm,
-        target=Target(
-            **target,
-            curve=curve,
-            method=about["method"],
-            incomplete=about["incomplete"],
-            moved=unpack_moved(about.get("moved")),
-            approximate=about.get("approximate", ""),  # files of older versions do not say
-        ),
-        limits=limits,
-        scene=None if about["scene"] is None else Scene.from_dict(about["scene"]),
-        controller=about["controller"],
-        status=about["status"],
-        reason=about["reason"],
-        **{name: arrays[name] for name in _RUN_ARRAYS},
-    )
-
-
-def unpack_moved(told: list[list[float]] | None) -> Moved | None:
-    """How a curve was moved, as JSON has it."""
-    if told is None:
-        return None
-    translation, rotation = (finite_vector("moved", each, 3).tolist() for each in told)
-    return Moved(tuple(translation), tuple(rotation))
-
-
-def _check_run(arm: Arm, arrays: dict[str, Any]) -> None:
-    """Raise InvalidValue unless the arrays of a run fit each other and the arm."""
     steps, m = len(arrays["active"]), arm.n_modules
     shapes = {
         "q": (steps + 1, arm.nq),
@@ -221,68 +280,65 @@ def _check_run(arm: Arm, arrays: dict[str, Any]) -> None:
         "clipped": (steps, arm.nv),
     }
     check_shapes(arrays, {name: shapes.get(name, (steps,)) for name in _RUN_ARRAYS})
+    if about["status"] not in ENDINGS:
+        raise InvalidValue("status", about["status"], ", ".join(ENDINGS))
+    return Trajectory(
+        arm=arm,
+        target=Target(
+            **target,
+            curve=None if about["curve"] is None else Curve.from_dict(about["curve"]),
+            method=about["method"],
+            incomplete=about["incomplete"],
+            moved=_unpack_moved(about.get("moved")),
+            approximate=about.get("approximate", ""),  # files of older versions do not say
+        ),
+        limits=_unpack_limits(about, arrays),
+        scene=_unpack_scene(about["scene"]),
+        controller=about["controller"],
+        status=about["status"],
+        reason=about["reason"],
+        **{name: arrays[name] for name in _RUN_ARRAYS},
+    )
 
 
-def check_shapes(arrays: dict[str, Any], shapes: dict[str, tuple[int, ...]]) -> None:
-    """Raise InvalidValue unless arrays have the shapes that they should."""
-    for name, expected in shapes.items():
-        if arrays[name].shape != expected:
-            raise InvalidValue(f"{name} (shape)", arrays[name].shape, str(expected))
+# Motions: a run, and what it should have done when.
+
+_TIMED_ARRAYS = ("targets", "asked", "clock")
 
 
-# Motions as files: one `.npz` that holds the run, and what it should have done when.
-
-_MOTION_ADVICE = {
-    "pinposture-run": "holds a run that knows of no time; read it by pp.Trajectory.load(file)",
-    "pinposture-batch": "holds many runs; read them by pp.Batch.load(file)",
-}
-MOTION_ARCHIVE = ArchiveKind("pinposture-motion", 1, "motion", _MOTION_ADVICE)
-
-_ARRAYS = ("targets", "asked", "clock")
-
-
-def save_motion(motion: Motion, path: Path) -> Path:
-    """Write a motion; see `Motion.save`."""
-    about, arrays = pack_run(motion.run)
+def _pack_motion(motion: Motion) -> tuple[About, Arrays]:
+    about, arrays = _pack_run(motion.run)
     about["motion"] = {
         "set_out": motion.set_out,
         "planned": motion.planned,
         "passed": [list(place) for place in motion.passed],
         "detours": list(motion.detours),
     }
-    arrays |= {f"motion_{name}": getattr(motion, name) for name in _ARRAYS}
-    return write_archive(path, MOTION_ARCHIVE, motion.run.limits, about, arrays)
+    return about, arrays | {f"motion_{name}": getattr(motion, name) for name in _TIMED_ARRAYS}
 
 
-def load_motion(path: Path) -> Motion:
-    """Read a motion; see `Motion.load`."""
-    return read_archive(path, MOTION_ARCHIVE, _unpacked_motion)
-
-
-def _unpacked_motion(about: dict[str, Any], arrays: dict[str, Any], limits: Limits) -> Motion:
-    run, timed = unpack_run(about, arrays, limits), about["motion"]
-    if limits.dt is None:
+def _unpack_motion(about: About, arrays: Arrays) -> Motion:
+    run, timed = _unpack_run(about, arrays), about["motion"]
+    if run.limits.dt is None:
         raise InvalidValue("dt", None, "the duration of a cycle")
     rows, m = run.steps + 1, run.arm.n_modules
     check_shapes(arrays, {"motion_targets": (rows, m, 3), "motion_asked": (rows, m), "motion_clock": (rows,)})
     return Motion(
         run=run,
-        **{name: arrays[f"motion_{name}"] for name in _ARRAYS},
+        **{name: arrays[f"motion_{name}"] for name in _TIMED_ARRAYS},
         set_out=timed["set_out"],
         planned=timed["planned"],
         passed=tuple(
-            Passed(*place[:7])._replace(moved=unpack_moved(place[7] if len(place) > 7 else None))
+            Passed(*place[:7])._replace(moved=_unpack_moved(place[7] if len(place) > 7 else None))
             for place in timed["passed"]
         ),
         detours=tuple(timed["detours"]),
     )
 
 
-# Batches as files: one `.npz` that holds every run, the arm and the curves.
+# Batches: every run, the arm and the curves.
 
-BATCH_ARCHIVE = ArchiveKind("pinposture-batch", 1, "batch", {})
-
-_BATCH_RUN_ARRAYS = (
+_BATCH_ARRAYS = (
     "status",
     "reason",
     "steps",
@@ -294,51 +350,47 @@ _BATCH_RUN_ARRAYS = (
     "q_start",
     "q_final",
 )
-_MOTION_ARRAYS = tuple(field.name for field in fields(Motions) if field.name != "texts")
+_MOTIONS_ARRAYS = tuple(field.name for field in fields(Motions) if field.name != "texts")
 
 
-def save_batch(batch: Batch, path: Path) -> Path:
-    """Write a batch; see `Batch.save`."""
-    arrays: dict[str, Any] = {name: getattr(batch, name) for name in _BATCH_RUN_ARRAYS}
+def _pack_batch(batch: Batch) -> tuple[About, Arrays]:
+    about, arrays = _pack_limits(batch.limits)
+    arrays |= {name: getattr(batch, name) for name in _BATCH_ARRAYS}
     target_arrays, about_targets = _pack_targets(batch.targets)
     arrays |= target_arrays
     motions = batch.motions
     if motions is not None:
-        arrays |= {f"motion_{name}": getattr(motions, name) for name in _MOTION_ARRAYS}
-    about = {
+        arrays |= {f"motion_{name}": getattr(motions, name) for name in _MOTIONS_ARRAYS}
+    about |= {
         "arm": batch.arm.to_dict(),
         "targets": about_targets,
         "controller": batch.controller,
-        "scene": None if batch.scene is None else batch.scene.to_dict(),
+        "scene": _pack_scene(batch.scene),
         "max_steps": batch.max_steps,
         "tolerance": batch.tolerance,
         "texts": None if motions is None else list(motions.texts),
     }
-    return write_archive(path, BATCH_ARCHIVE, batch.limits, about, arrays)
+    return about, arrays
 
 
-def load_batch(path: Path) -> Batch:
-    """Read a batch; see `Batch.load`."""
-    return read_archive(path, BATCH_ARCHIVE, _unpacked_batch)
-
-
-def _unpacked_batch(about: dict[str, Any], arrays: dict[str, Any], limits: Limits) -> Batch:
+def _unpack_batch(about: About, arrays: Arrays) -> Batch:
     motions = None
     if about["texts"] is not None:
-        kept = {name: arrays[f"motion_{name}"] for name in _MOTION_ARRAYS}
+        kept: dict[str, Any] = {name: arrays[f"motion_{name}"] for name in _MOTIONS_ARRAYS}
         motions = Motions(**kept, texts=tuple(about["texts"]))
+    columns: dict[str, Any] = {name: arrays[name] for name in _BATCH_ARRAYS}
     batch = Batch(
         arm=Arm.from_dict(about["arm"]),
         targets=_unpack_targets(arrays, about["targets"]),
         controller=about["controller"],
-        limits=limits,
-        scene=None if about["scene"] is None else Scene.from_dict(about["scene"]),
+        limits=_unpack_limits(about, arrays),
+        scene=_unpack_scene(about["scene"]),
         max_steps=about["max_steps"],
         tolerance=about["tolerance"],
         motions=motions,
-        **{name: arrays[name] for name in _BATCH_RUN_ARRAYS},
+        **columns,
     )
-    _check_shapes(batch)
+    _check_batch(batch)
     return batch
 
 
@@ -374,13 +426,11 @@ def _unpack_targets(arrays: dict[str, NDArray[Any]], about: dict[str, Any]) -> t
     for name in _TARGET_ARRAYS:
         rows = iter(arrays.get(f"target_{name}", ()))
         columns[name] = [next(rows) if known else None for known in arrays[f"has_{name}"]]
-    older = len(
+    count = len(
         about["curve"]
     )  # files of older versions do not say how curves were moved, or how close fits are
-    moved, close = (
-        map(unpack_moved, about.get("moved", [None] * older)),
-        about.get("approximate", [""] * older),
-    )
+    moved = map(_unpack_moved, about.get("moved", [None] * count))
+    close = about.get("approximate", [""] * count)
     others = zip(about["curve"], about["method"], about["incomplete"], moved, close, strict=True)
     return tuple(
         Target(
@@ -397,7 +447,7 @@ def _unpack_targets(arrays: dict[str, NDArray[Any]], about: dict[str, Any]) -> t
     )
 
 
-def _check_shapes(batch: Batch) -> None:
+def _check_batch(batch: Batch) -> None:
     """Raise InvalidValue unless the arrays of a batch fit each other and the arm."""
     arm, count = batch.arm, len(batch.status)
     if count == 0 or len(batch.targets) not in (1, count):
@@ -405,26 +455,79 @@ def _check_shapes(batch: Batch) -> None:
         raise InvalidValue("numbers of targets and runs", numbers, "as many, or one target")
     for target in batch.targets:
         target.check(arm)
-    for name in _BATCH_RUN_ARRAYS:
-        _require(name, getattr(batch, name), (count, arm.nq) if name.startswith("q_") else (count,))
+    ends = {"q_start": (count, arm.nq), "q_final": (count, arm.nq)}
+    check_shapes(vars(batch), {name: ends.get(name, (count,)) for name in _BATCH_ARRAYS})
     motions = batch.motions
     if motions is None:
         return
-    _require("offsets", motions.offsets, (count + 1,))
+    check_shapes(vars(motions), {"offsets": (count + 1,)})
     if motions.offsets[0] != 0 or np.any(np.diff(motions.offsets) != batch.steps + 1):
         raise InvalidValue("offsets", motions.offsets, "those of runs of so many steps")
-    whole, n_texts = int(motions.offsets[-1]), len(motions.texts)
-    _require("q", motions.q, (whole, arm.nq))
-    _require("clearance", motions.clearance, (whole,))
-    wide = {"active": (whole - count, arm.n_modules), "clipped": (whole - count, arm.nv)}
-    for name in STEP_ARRAYS + TEXT_ARRAYS:
-        _require(name, getattr(motions, name), wide.get(name, (whole - count,)))
+    rows = int(motions.offsets[-1])
+    steps, n_texts = rows - count, len(motions.texts)
+    shapes: dict[str, tuple[int, ...]] = {name: (steps,) for name in STEP_ARRAYS + TEXT_ARRAYS}
+    shapes |= {"q": (rows, arm.nq), "clearance": (rows,)}
+    shapes |= {"active": (steps, arm.n_modules), "clipped": (steps, arm.nv)}
+    check_shapes(vars(motions), shapes)
     for name in TEXT_ARRAYS:
         numbers = getattr(motions, name)
         if np.any((numbers < 0) | (numbers >= n_texts)):
             raise InvalidValue(name, numbers, f"numbers of texts from 0 to {n_texts - 1}")
 
 
-def _require(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> None:
-    if array.shape != shape:
-        raise InvalidValue(f"{name} (shape)", array.shape, str(shape))
+# Joint trajectories as arrays, exact to the last bit.
+
+_JOINT_ARRAYS = ("time", "positions", "velocities", "accelerations")
+
+
+def _pack_joints(trajectory: JointTrajectory) -> tuple[About, Arrays]:
+    names = (*_JOINT_ARRAYS, "joint_names", "units")
+    return {"name": trajectory.name}, {name: np.asarray(getattr(trajectory, name)) for name in names}
+
+
+def _unpack_joints(about: About, arrays: Arrays) -> JointTrajectory:
+    values: dict[str, Any] = {name: arrays[name] for name in _JOINT_ARRAYS}
+    values |= {name: tuple(arrays[name].tolist()) for name in ("joint_names", "units")}
+    return JointTrajectory(**values, name=about["name"])
+
+
+register(
+    Format(
+        "pinposture-run",
+        3,
+        Trajectory,
+        "run",
+        _pack_run,
+        _unpack_run,
+        {
+            "pinposture-batch": "holds many runs; save one of them: pp.save(pp.load(file)[0], ...)",
+            "pinposture-motion": "holds a motion in time; its run is pp.load(file).run",
+        },
+    )
+)
+register(
+    Format(
+        "pinposture-motion",
+        1,
+        Motion,
+        "motion",
+        _pack_motion,
+        _unpack_motion,
+        {
+            "pinposture-run": "holds a run that knows of no time; pp.load(file) reads it, as a Trajectory",
+            "pinposture-batch": "holds many runs; pp.load(file) reads them, as a Batch",
+        },
+    )
+)
+register(Format("pinposture-batch", 1, Batch, "batch", _pack_batch, _unpack_batch, {}))
+register(
+    Format(
+        "pinposture-joint-trajectory",
+        1,
+        JointTrajectory,
+        "joint trajectory",
+        _pack_joints,
+        _unpack_joints,
+        {},
+    )
+)

@@ -1,4 +1,4 @@
-"""Joint trajectories as files: arrays in `.npz`, a table in CSV, the ROS 2 message in JSON."""
+"""Joint trajectories as text files: a table in CSV, and the ROS 2 message in JSON."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from itertools import pairwise
@@ -18,89 +18,50 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.errors import FileError, InvalidValue
-from pinposture.motion.joint_trajectory import SLIDE, TURN, JointTrajectory, check_names
-from pinposture.storage import read_text, write_bytes, write_text
+from pinposture.motion.joint_trajectory import METRE, RADIAN, JointTrajectory, check_names
+from pinposture.storage import read_text, write_text
 
-# Joint motions as arrays of NumPy in one `.npz`, exact to the last bit.
-
-FORMAT, VERSION = "pinposture-joint-trajectory", 1
-
-_NUMBERS = ("time", "positions", "velocities", "accelerations")
-_TEXTS = ("joint_names", "units")
+SUFFIXES = (".npz", ".csv", ".json")
+"""Suffixes of files that can be written and read."""
 
 
-def write_arrays(trajectory: JointTrajectory, path: Path) -> None:
-    """Write the arrays under the names that they have in `JointTrajectory`.
+def check_format(path: Path) -> str:
+    """The suffix of a file, in small letters.
 
     Raises:
-        FileError: the file cannot be written.
+        FileError: it is of none of the formats.
     """
-    about = {"format": FORMAT, "version": VERSION, "name": trajectory.name}
-    stored: dict[str, Any] = {name: getattr(trajectory, name) for name in _NUMBERS}
-    stored |= {name: np.array(getattr(trajectory, name)) for name in _TEXTS}
-    content = io.BytesIO()
-    np.savez_compressed(content, about=np.array(json.dumps(about)), **stored)
-    write_bytes(path, content.getvalue())
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise FileError(path, f"the name ends in {suffix!r}; allowed: {', '.join(SUFFIXES)}")
+    return suffix
 
 
-def read_arrays(path: Path) -> JointTrajectory:
-    """Read what `write_arrays` wrote.
-
-    Raises:
-        FileError: there is no such file, it holds something else, or it is damaged.
-    """
-    if not path.is_file():
-        raise FileError(path, "no such file")
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            about = json.loads(str(stored["about"]))
-            if (about["format"], about["version"]) != (FORMAT, VERSION):
-                found = f"format {about['format']!r} version {about['version']}"
-                raise FileError(path, f"{found}; allowed: {FORMAT!r} version {VERSION}")
-            fields: dict[str, Any] = {name: stored[name] for name in _NUMBERS}
-            fields |= {name: tuple(stored[name].tolist()) for name in _TEXTS}
-        return JointTrajectory(**fields, name=about["name"])
-    except FileError:
-        raise
-    except Exception as error:  # a damaged file can trip zlib or numpy's reader, anything
-        detail = "" if isinstance(error, ValueError) and "pickle" in str(error) else f": {error}"
-        raise FileError(path, f"is not a saved joint trajectory ({type(error).__name__}{detail})") from error
-
-
-def archive_format(path: Path) -> str:
-    """What a `.npz` of this library says that it holds; empty if it is none, or unreadable."""
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            return str(json.loads(str(stored["about"]))["format"])
-    except Exception:  # as above; whoever reads it next says what is wrong
-        return ""
-
-
-# Files of others: what they leave out of a joint motion.
+# Rates that a file does not have.
 
 Array = NDArray[np.float64]
 
 
-def completed(
+def with_computed_rates(
     path: Path,
     joints: Sequence[str],
     time: Array,
-    told: Sequence[Array],
+    values: Sequence[Array],
     units: Sequence[str] = (),
 ) -> JointTrajectory:
-    """A motion read from a file, with rates worked out from the positions where the file has none.
+    """Return a trajectory read from a file, with rates computed from positions where the file has none.
 
     Args:
         path: the file.
         joints: names of the joints, n.
         time: when each row is reached, (N,) [s].
-        told: positions, velocities and accelerations, each (N, n); the latter two NaN where there are none.
+        values: positions, velocities and accelerations, each (N, n); the latter two NaN where there are none.
         units: see `JointTrajectory`.
 
     Raises:
         FileError: what the file says makes no motion.
     """
-    positions, velocities, accelerations = told
+    positions, velocities, accelerations = values
     try:
         if not (np.isnan(velocities).any() or np.isnan(accelerations).any()):
             return JointTrajectory(tuple(joints), time, positions, velocities, accelerations, tuple(units))
@@ -121,19 +82,19 @@ def completed(
 # zero, so that a controller begins when the message comes. What is left out of a message has the default of
 # its type, as on the command line of ROS: zero, or no numbers.
 
-SECOND = 10**9
+NANOSECONDS = 10**9
 """Nanoseconds."""
 
-LONGEST = 2**31 - 1
+MAX_SECONDS = 2**31 - 1
 """The largest int32 [s]."""
 
 MESSAGE = ("header", "joint_names", "points")
-NUMBERS = ("positions", "velocities", "accelerations", "effort")
-POINT = (*NUMBERS, "time_from_start")
+POINT_ARRAYS = ("positions", "velocities", "accelerations", "effort")
+POINT = (*POINT_ARRAYS, "time_from_start")
 DURATION = ("sec", "nanosec")
 
 
-def message(trajectory: JointTrajectory) -> dict[str, Any]:
+def to_message(trajectory: JointTrajectory) -> dict[str, Any]:
     """The message, as plain data.
 
     Raises:
@@ -144,8 +105,8 @@ def message(trajectory: JointTrajectory) -> dict[str, Any]:
         if before == after:
             allowed = f"at least a nanosecond after time[{k - 1}] in a message of ROS 2"
             raise InvalidValue(f"time[{k}]", float(trajectory.time[k]), allowed)
-    if times[-1] // SECOND > LONGEST:
-        allowed = f"at most {LONGEST} s in a message of ROS 2"
+    if times[-1] // NANOSECONDS > MAX_SECONDS:
+        allowed = f"at most {MAX_SECONDS} s in a message of ROS 2"
         raise InvalidValue(f"time[{len(times) - 1}]", float(trajectory.time[-1]), allowed)
     rows = zip(
         times,
@@ -163,7 +124,7 @@ def message(trajectory: JointTrajectory) -> dict[str, Any]:
                 "velocities": velocities,
                 "accelerations": accelerations,
                 "effort": [],
-                "time_from_start": {"sec": time // SECOND, "nanosec": time % SECOND},
+                "time_from_start": {"sec": time // NANOSECONDS, "nanosec": time % NANOSECONDS},
             }
             for time, positions, velocities, accelerations in rows
         ],
@@ -175,9 +136,9 @@ def write_ros_message(trajectory: JointTrajectory, path: Path) -> None:
 
     Raises:
         FileError: the file cannot be written.
-        InvalidValue: as `message`.
+        InvalidValue: as `to_message`.
     """
-    write_text(path, json.dumps(message(trajectory), allow_nan=False) + "\n")
+    write_text(path, json.dumps(to_message(trajectory), allow_nan=False) + "\n")
 
 
 def read_ros_message(path: Path) -> JointTrajectory:
@@ -203,14 +164,14 @@ def read_ros_message(path: Path) -> JointTrajectory:
     if not (isinstance(points, list) and points):
         raise FileError(path, f"points is {points!r}; allowed: a list of at least one point")
     times: list[int] = []
-    tables: dict[str, list[list[float]]] = {name: [] for name in NUMBERS}
+    tables: dict[str, list[list[float]]] = {name: [] for name in POINT_ARRAYS}
     for k, point in enumerate(points):
         _check_fields(path, f"points[{k}]", point, POINT)
         times.append(_time(path, k, point.get("time_from_start", {}), times[-1] if times else -1))
-        for name in NUMBERS:
+        for name in POINT_ARRAYS:
             tables[name].append(_numbers(path, k, name, point.get(name, []), len(joints)))
-    told = [np.array(tables[name]) for name in NUMBERS[:3]]
-    return completed(path, joints, np.array([time / SECOND for time in times]), told)
+    values = [np.array(tables[name]) for name in POINT_ARRAYS[:3]]
+    return with_computed_rates(path, joints, np.array([time / NANOSECONDS for time in times]), values)
 
 
 def _parsed(path: Path) -> Any:
@@ -239,14 +200,14 @@ def _time(path: Path, number: int, value: Any, before: int) -> int:
     """The time of a point [ns], after that of the one before it."""
     what = f"points[{number}].time_from_start"
     _check_fields(path, what, value, DURATION)
-    for name, most in zip(DURATION, (LONGEST, SECOND - 1), strict=True):
+    for name, most in zip(DURATION, (MAX_SECONDS, NANOSECONDS - 1), strict=True):
         part = value.get(name, 0)
         if type(part) is not int or not 0 <= part <= most:
             raise FileError(path, f"{what}.{name} is {_short(part)}; allowed: whole numbers from 0 to {most}")
-    time: int = value.get("sec", 0) * SECOND + value.get("nanosec", 0)
+    time: int = value.get("sec", 0) * NANOSECONDS + value.get("nanosec", 0)
     if time <= before:
-        allowed = f"more than {before / SECOND} s of points[{number - 1}]"
-        raise FileError(path, f"{what} is {time / SECOND} s; allowed: {allowed}")
+        allowed = f"more than {before / NANOSECONDS} s of points[{number - 1}]"
+        raise FileError(path, f"{what} is {time / NANOSECONDS} s; allowed: {allowed}")
     return time
 
 
@@ -284,7 +245,7 @@ def _short(value: Any) -> str:
 def _nanoseconds(time: float) -> int:
     """A time in whole nanoseconds, the nearest; seconds apart from the rest, which a product would round."""
     whole = floor(time)
-    return whole * SECOND + round((time - whole) * SECOND)
+    return whole * NANOSECONDS + round((time - whole) * NANOSECONDS)
 
 
 # Joint motions as a table in CSV: a line of headings with units, then a line for each row.
@@ -295,7 +256,7 @@ def _nanoseconds(time: float) -> int:
 
 TIME = "time [s]"
 PER_SECOND = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
-"""What is told of a joint, and what its unit has behind rad or m."""
+"""What a file holds of a joint, and what its unit has behind rad or m."""
 
 _HEADING = re.compile(rf"(.+) ({'|'.join(PER_SECOND)})(?: \[([^\[\]]*)\])?")
 
@@ -314,11 +275,11 @@ def write_table(trajectory: JointTrajectory, path: Path) -> None:
         for kind, per_second in PER_SECOND.items():
             headings.append(f"{joint} {kind} [{unit}{per_second}]" if unit else f"{joint} {kind}")
     # The numbers of a joint stand together.
-    told = np.stack([trajectory.positions, trajectory.velocities, trajectory.accelerations], axis=2)
+    values = np.stack([trajectory.positions, trajectory.velocities, trajectory.accelerations], axis=2)
     content = io.StringIO(newline="")
     writer = csv.writer(content, lineterminator="\n")
     writer.writerow(headings)
-    writer.writerows(np.column_stack([trajectory.time, told.reshape(len(told), -1)]).tolist())
+    writer.writerows(np.column_stack([trajectory.time, values.reshape(len(values), -1)]).tolist())
     write_text(path, content.getvalue())
 
 
@@ -351,8 +312,8 @@ def read_table(path: Path) -> JointTrajectory:
         raise FileError(path, "holds headings and no rows")
     # A column of NaN behind them stands for all that the file does not tell.
     table = np.array([[*row, nan] for row in rows])
-    told = [table[:, [places.get((joint, kind), -1) for joint in units]] for kind in PER_SECOND]
-    return completed(path, tuple(units), table[:, 0], told, tuple(units.values()))
+    values = [table[:, [places.get((joint, kind), -1) for joint in units]] for kind in PER_SECOND]
+    return with_computed_rates(path, tuple(units), table[:, 0], values, tuple(units.values()))
 
 
 def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
@@ -381,7 +342,9 @@ def _headings(path: Path, number: int, headings: Sequence[str]) -> tuple[Places,
             raise FileError(path, f"{where}; allowed: name of a joint, one of {kinds}, [unit]")
         joint, kind, unit = match.groups()
         known = (
-            {base: f"{base}{PER_SECOND[kind]}" for base in (TURN, SLIDE)} if unit is not None else {"": None}
+            {base: f"{base}{PER_SECOND[kind]}" for base in (RADIAN, METRE)}
+            if unit is not None
+            else {"": None}
         )
         base = next((base for base, text in known.items() if text == unit), None)
         if base is None:
@@ -412,41 +375,3 @@ def _number(path: Path, number: int, headings: Sequence[str], column: int, field
         where = f"line {number}, column {column + 1} ({headings[column]})"
         raise FileError(path, f"{where}: {field!r}; allowed: finite numbers")
     return value
-
-
-# Joint motions as files: arrays in `.npz`, a table in CSV, and the message of ROS 2 for them in JSON.
-
-__all__ = ["FORMATS", "check_format", "load_joint_trajectory", "save_joint_trajectory"]
-
-_WRITE: dict[str, Callable[[JointTrajectory, Path], None]] = {
-    ".npz": write_arrays,
-    ".csv": write_table,
-    ".json": write_ros_message,
-}
-_READ = {".npz": read_arrays, ".csv": read_table, ".json": read_ros_message}
-
-FORMATS = tuple(_WRITE)
-"""Suffixes of files that can be written and read."""
-
-
-def check_format(path: Path) -> str:
-    """The suffix of a file, in small letters.
-
-    Raises:
-        FileError: it is of none of the formats.
-    """
-    suffix = path.suffix.lower()
-    if suffix not in FORMATS:
-        raise FileError(path, f"the name ends in {suffix!r}; allowed: {', '.join(FORMATS)}")
-    return suffix
-
-
-def save_joint_trajectory(trajectory: JointTrajectory, path: Path) -> Path:
-    """Write a motion; see `JointTrajectory.save`."""
-    _WRITE[check_format(path)](trajectory, path)
-    return path
-
-
-def load_joint_trajectory(path: Path) -> JointTrajectory:
-    """Read a motion; see `JointTrajectory.load`."""
-    return _READ[check_format(path)](path)

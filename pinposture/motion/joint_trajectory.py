@@ -6,8 +6,7 @@ from collections.abc import Iterable, Sequence, Sized
 from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Real
-from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,21 +15,16 @@ from pinposture._validation import require_positive
 from pinposture.arm import Arm
 from pinposture.arm.chain import joint_screws
 from pinposture.errors import InvalidValue
-from pinposture.motion.trajectory import require_sound
 
-if TYPE_CHECKING:
-    from pinposture.motion.trajectory import Trajectory
-
-
-# Checks of joint motions that come from outside.
+# Checks of joint trajectories.
 
 Array = NDArray[np.float64]
 
-MENTIONED = 6
-"""How many joints that do not fit are listed."""
+MAX_NAMED = 6
+"""Largest number of joints that are listed in a message."""
 
-SAME = 1e-9
-"""Share by which two durations may differ and still count as one."""
+TIME_TOLERANCE = 1e-9
+"""Relative difference of two durations that are the same."""
 
 
 def check_names(names: Sequence[str]) -> tuple[str, ...]:
@@ -55,13 +49,13 @@ def check_same_joints(names: Sequence[str], expected: Sequence[str]) -> None:
         "unknown": [name for name in names if name not in expected],
     }
     if any(wrong.values()):
-        told = "; ".join(f"{word}: {_listed(joints)}" for word, joints in wrong.items() if joints)
+        values = "; ".join(f"{word}: {_listed(joints)}" for word, joints in wrong.items() if joints)
         raise InvalidValue(
-            "joint_names", names, f"the {len(expected)} joints of the arm in any order ({told})"
+            "joint_names", names, f"the {len(expected)} joints of the arm in any order ({values})"
         )
 
 
-def row_count(name: str, values: ArrayLike) -> int:
+def count_rows(name: str, values: ArrayLike) -> int:
     """How many rows or entries there are; raises InvalidValue if it is none, or no list at all."""
     alone = isinstance(values, np.ndarray) and values.ndim == 0
     rows = len(values) if isinstance(values, Sized) and not alone else 0
@@ -93,7 +87,7 @@ def finite_array(name: str, values: ArrayLike, shape: tuple[int, ...] | None = N
 
 
 def check_times(time: Array) -> None:
-    """Raise InvalidValue unless moments increase strictly from 0 or later."""
+    """Raise InvalidValue unless times increase strictly from 0 or later."""
     if time[0] < 0.0:
         raise InvalidValue("time[0]", float(time[0]), "0 or later [s]")
     late = np.flatnonzero(np.diff(time) <= 0.0)
@@ -102,7 +96,7 @@ def check_times(time: Array) -> None:
         raise InvalidValue(f"time[{k}]", float(time[k]), f"more than time[{k - 1}], {float(time[k - 1])} s")
 
 
-def moments(time: ArrayLike, rows: int) -> ArrayLike:
+def row_times(time: ArrayLike, rows: int) -> ArrayLike:
     """When rows are reached: as given, or at equal distances from 0 if one number was given [s].
 
     Raises:
@@ -124,20 +118,20 @@ def step_duration(dt: float | None, known: float | None) -> float:
     if step is None:
         raise InvalidValue("dt", None, "the duration of a step [s]; the limits of this run have none")
     require_positive("dt", step)
-    if known is not None and abs(step - known) > SAME * known:
+    if known is not None and abs(step - known) > TIME_TOLERANCE * known:
         raise InvalidValue("dt", dt, f"{known} s, which the limits of this run have, or nothing")
     return step
 
 
 def _listed(names: Iterable[str]) -> str:
     listed = [repr(name) for name in names]
-    more = f" and {len(listed) - MENTIONED} more" if len(listed) > MENTIONED else ""
-    return ", ".join(listed[:MENTIONED]) + more
+    more = f" and {len(listed) - MAX_NAMED} more" if len(listed) > MAX_NAMED else ""
+    return ", ".join(listed[:MAX_NAMED]) + more
 
 
-# Configurations as numbers that a robot's drives take: one position for each joint that moves.
+# Configurations as joint positions.
 
-TURN, SLIDE = "rad", "m"
+RADIAN, METRE = "rad", "m"
 """Units of the position of a joint that turns, and of one that slides."""
 
 
@@ -153,11 +147,11 @@ def joint_units(arm: Arm) -> tuple[str, ...]:
             raise InvalidValue(f"joint {str(name)!r}", joint.shortname(), "joints with one degree of freedom")
     moving = [number for number in range(1, arm.model.njoints) if arm.model.joints[number].nv == 1]
     turns = np.any(joint_screws(arm.model, moving)[:, 3:] != 0.0, axis=1)
-    return tuple(TURN if turn else SLIDE for turn in turns)
+    return tuple(RADIAN if turn else METRE for turn in turns)
 
 
-def unwound(arm: Arm, q: ArrayLike) -> Array:
-    """Joint positions of configurations one after the other.
+def unwrap_positions(arm: Arm, q: ArrayLike) -> Array:
+    """Return the joint positions of successive configurations, with continuous joints unwrapped.
 
     A continuous joint begins within +-pi, goes the shorter way from row to row and so has no jumps: after two
     turns it is at 4 pi.
@@ -185,7 +179,7 @@ def unwound(arm: Arm, q: ArrayLike) -> Array:
     return positions
 
 
-# How fast joints move in a motion that is known at moments only.
+# Velocities and accelerations by finite differences.
 
 
 class Rates(NamedTuple):
@@ -213,7 +207,7 @@ class Peaks(NamedTuple):
     accelerations: Array
 
 
-def rates(time: Array, positions: Array) -> Rates:
+def compute_rates(time: Array, positions: Array) -> Rates:
     """Central and second differences: exact where a joint moves with constant acceleration.
 
     With slopes s before and after a row, and h the intervals,
@@ -226,7 +220,7 @@ def rates(time: Array, positions: Array) -> Rates:
     rest, without acceleration: a robot that holds the last row must not go on pushing.
 
     Args:
-        time: moments, (N,) [s], strictly increasing.
+        time: when each row is reached, (N,) [s], strictly increasing.
         positions: joint positions then, (N, n) [rad or m].
     """
     velocities, accelerations = np.zeros_like(positions), np.zeros_like(positions)
@@ -240,40 +234,40 @@ def rates(time: Array, positions: Array) -> Rates:
     return Rates(velocities, accelerations)
 
 
-def peaks(time: Array, positions: Array) -> Peaks:
+def find_peaks(time: Array, positions: Array) -> Peaks:
     """The largest speeds and accelerations from row to row, from rest and to rest.
 
     Args:
-        time: moments, (N,) [s], strictly increasing.
+        time: when each row is reached, (N,) [s], strictly increasing.
         positions: joint positions then, (N, n) [rad or m].
     """
     if len(time) == 1:
         return Peaks(np.zeros(positions.shape[1]), np.zeros(positions.shape[1]))
     intervals = np.diff(time)
     spans = np.pad(intervals, 1, mode="edge")
-    with np.errstate(over="ignore"):  # infinite is what two rows far apart and at one moment ask for
+    with np.errstate(over="ignore"):  # infinite for rows far apart at nearly the same time
         slopes = np.diff(positions, axis=0) / intervals[:, None]
         resting = np.pad(slopes, ((1, 1), (0, 0)))
         changes = 2.0 * np.diff(resting, axis=0) / (spans[:-1] + spans[1:])[:, None]
     return Peaks(np.abs(slopes).max(axis=0), np.abs(changes).max(axis=0))
 
 
-# Joint positions between the rows of a motion.
+# Interpolation between rows.
 
 
-def cubic(time: Array, positions: Array, velocities: Array, moments: Array) -> Array:
+def interpolate_cubic(time: Array, positions: Array, velocities: Array, times: Array) -> Array:
     """The cubic polynomials between rows that have their positions and velocities (Hermite).
 
     Args:
         time: when each row is reached, (N,) [s], strictly increasing.
         positions: (N, n) [rad or m].
         velocities: (N, n) [rad/s or m/s].
-        moments: any, (...) [s]; those before the first row and after the last stand for these.
+        times: any, (...) [s]; those before the first row and after the last stand for these.
 
     Returns:
         Positions, (..., n) [rad or m]; at the time of a row exactly its own.
     """
-    clipped = np.clip(moments, time[0], time[-1])
+    clipped = np.clip(times, time[0], time[-1])
     last = len(time) - 1
     before = np.clip(np.searchsorted(time, clipped, side="right") - 1, 0, max(last - 1, 0))
     after = np.minimum(before + 1, last)
@@ -288,14 +282,14 @@ def cubic(time: Array, positions: Array, velocities: Array, moments: Array) -> A
     return found
 
 
-# Timed joint motion as plain data: what is handed to a robot or a simulator, and what comes back.
+# The joint trajectory.
 
 
 @dataclass(frozen=True, eq=False)
 class JointTrajectory:
     """Where each joint of a robot is when, and how fast: N rows for n joints.
 
-    Continuous joints have angles, unwound: after two turns they are at 4 pi.
+    Continuous joints have unwrapped angles: after two turns they are at 4 pi.
 
     Attributes:
         joint_names: the joints as the URDF names them, n different names.
@@ -318,11 +312,11 @@ class JointTrajectory:
     def __post_init__(self) -> None:
         names = check_names(self.joint_names)
         units = tuple(self.units) or ("",) * len(names)
-        if len(units) != len(names) or not set(units) <= {TURN, SLIDE, ""}:
-            raise InvalidValue("units", units, f"{TURN!r}, {SLIDE!r} or '' for each of {len(names)} joints")
+        if len(units) != len(names) or not set(units) <= {RADIAN, METRE, ""}:
+            raise InvalidValue("units", units, f"{RADIAN!r}, {METRE!r} or '' for each of {len(names)} joints")
         object.__setattr__(self, "joint_names", names)
         object.__setattr__(self, "units", units)
-        rows = row_count("time", self.time)
+        rows = count_rows("time", self.time)
         object.__setattr__(self, "time", finite_array("time", self.time, (rows,)))
         check_times(self.time)
         for field in ("positions", "velocities", "accelerations"):
@@ -341,7 +335,7 @@ class JointTrajectory:
         """A motion of which only the joint positions are known.
 
         Velocities and accelerations are central and second differences, for unequal distances in time too;
-        the first and the last row are at rest. See `joint_rates.rates`.
+        the first and the last row are at rest. See `compute_rates`.
 
         Args:
             joint_names: names of the joints, n.
@@ -354,11 +348,11 @@ class JointTrajectory:
             InvalidValue: names, positions or times that do not fit.
         """
         names = check_names(joint_names)
-        rows = row_count("positions", positions)
+        rows = count_rows("positions", positions)
         table = finite_array("positions", positions, (rows, len(names)))
         rest = np.zeros_like(table)
-        still = cls(names, np.asarray(moments(time, rows)), table, rest, rest, tuple(units), name)
-        found = rates(still.time, still.positions)
+        still = cls(names, np.asarray(row_times(time, rows)), table, rest, rest, tuple(units), name)
+        found = compute_rates(still.time, still.positions)
         return replace(still, velocities=found.velocities, accelerations=found.accelerations)
 
     @classmethod
@@ -378,24 +372,7 @@ class JointTrajectory:
             InvalidValue: configurations or times that do not fit.
         """
         units = joint_units(arm)
-        return cls.from_positions(arm.joint_names, unwound(arm, q), time, units, str(arm.model.name))
-
-    @classmethod
-    def from_run(cls, run: Trajectory, dt: float | None = None, force: bool = False) -> JointTrajectory:
-        """The motion of a run, whose steps all take the same time.
-
-        Args:
-            run: the run.
-            dt: duration of a step [s]; needed if the limits of the run have none, else theirs.
-            force: True to have it in spite of the `faults` of the run.
-
-        Raises:
-            MotionError: the run has faults.
-            InvalidValue: no duration, not a positive one, or another than that of the limits.
-        """
-        step = step_duration(dt, run.limits.dt)
-        require_sound(run, force)
-        return cls.from_configurations(run.arm, run.q, step)
+        return cls.from_positions(arm.joint_names, unwrap_positions(arm, q), time, units, str(arm.model.name))
 
     @property
     def duration(self) -> float:
@@ -405,7 +382,7 @@ class JointTrajectory:
     @cached_property
     def peaks(self) -> Peaks:
         """The largest speed and acceleration of each joint from row to row, as `Limits` bounds them."""
-        return peaks(self.time, self.positions)
+        return find_peaks(self.time, self.positions)
 
     def matched(self, arm: Arm) -> JointTrajectory:
         """The same motion with the joints in the arm's order, and their units.
@@ -452,7 +429,7 @@ class JointTrajectory:
         asked = finite_array("times", times)
         if asked.ndim > 1:
             raise InvalidValue("times (shape)", asked.shape, "one number, or (k,)")
-        return cubic(self.time, self.positions, self.velocities, asked)
+        return interpolate_cubic(self.time, self.positions, self.velocities, asked)
 
     def sampled(self, dt: float) -> JointTrajectory:
         """The same motion with rows at equal distances in time, for a player with a cycle of its own.
@@ -466,46 +443,9 @@ class JointTrajectory:
             InvalidValue: not a positive number.
         """
         require_positive("dt", dt)
-        count = int(np.ceil(self.duration / dt * (1.0 - SAME))) + 1
+        count = int(np.ceil(self.duration / dt * (1.0 - TIME_TOLERANCE))) + 1
         time = self.time[0] + dt * np.arange(count)
         return self.from_positions(self.joint_names, self.at(time), time, self.units, self.name)
-
-    def save(self, path: str | Path) -> Path:
-        """Write the motion to a file, all or nothing, in the format of its suffix; see docs/trajectories.md.
-
-        Args:
-            path: ".npz" keeps everything to the last bit, ".csv" all but the name of the robot; ".json" is a
-                `trajectory_msgs/msg/JointTrajectory` of ROS 2, whose times are whole nanoseconds.
-
-        Returns:
-            The path written.
-
-        Raises:
-            FileError: another suffix, or the file cannot be written.
-            InvalidValue: times that such a message cannot hold.
-        """
-        from pinposture.motion.joint_files import save_joint_trajectory
-
-        return save_joint_trajectory(self, Path(path))
-
-    @classmethod
-    def load(cls, path: str | Path, arm: Arm | None = None) -> JointTrajectory:
-        """Read a file of one of the formats of `save`, also if others wrote it.
-
-        Velocities and accelerations that are not in a file are worked out from its positions.
-
-        Args:
-            path: the file.
-            arm: if given, joints are put in its order, and have its units, which JSON does not tell.
-
-        Raises:
-            FileError: the file is missing, or does not hold such a motion; names line or point.
-            InvalidValue: its joints are not those of the arm.
-        """
-        from pinposture.motion.joint_files import load_joint_trajectory
-
-        loaded = load_joint_trajectory(Path(path))
-        return loaded if arm is None else loaded.matched(arm)
 
     def __repr__(self) -> str:
         size = f"{len(self.joint_names)} joints, {len(self.time)} rows, {self.duration:.4g} s"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm
 from pinposture.control.limits import cycle_of
 from pinposture.motion.joint_trajectory import JointTrajectory
-from pinposture.motion.trajectory import Trajectory, require_sound
+from pinposture.motion.trajectory import Trajectory, require_no_faults
 from pinposture.placement.curve_placement import Moved
 
 Array = NDArray[np.float64]
@@ -104,7 +103,7 @@ class Motion:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """Why it should not be handed to a robot, in words; empty if nothing speaks against it."""
+        """Why it should not be sent to a robot, in words; empty if it may be."""
         return self.run.faults
 
     @property
@@ -159,36 +158,9 @@ class Motion:
         Raises:
             MotionError: it has faults.
         """
-        require_sound(self.run, force)
+        require_no_faults(self.run, force)
         rows = np.concatenate([self.q[:1], self.q, self.q[-1:]])
         return JointTrajectory.from_configurations(self.arm, rows, self.dt)
-
-    def save(self, path: str | Path) -> Path:
-        """Write the motion to one `.npz` file, all or nothing; it embeds the arm.
-
-        Args:
-            path: the file; ".npz" is added to a name without ending.
-
-        Returns:
-            The path written.
-
-        Raises:
-            FileError: the name has another ending, or the file cannot be written.
-        """
-        from pinposture.motion.files import save_motion
-
-        return save_motion(self, Path(path))
-
-    @classmethod
-    def load(cls, path: str | Path) -> Motion:
-        """Read a motion that `save` wrote.
-
-        Raises:
-            FileError: the file is missing, or is not such a motion.
-        """
-        from pinposture.motion.files import load_motion
-
-        return load_motion(Path(path))
 
     def __repr__(self) -> str:
         slow = self.converged and self.slowing > 1.005

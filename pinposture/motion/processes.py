@@ -18,18 +18,18 @@ from pinposture.errors import InvalidValue
 
 Value = TypeVar("Value")
 
-TRIAL = 1.0
-"""How long work goes on here before it is asked whether other processes pay [s]."""
+TRIAL_TIME = 1.0
+"""Time in this process before the time that is left is estimated [s]."""
 
-START_UP = 5.0
-"""What is left of the work has to take that long for them to pay [s]: they start and import for 3 to 5 s."""
+START_TIME = 5.0
+"""Estimated time left from which processes are started [s]: their start takes 3 to 5 s."""
 
 
 class Shared(Generic[Value]):
-    """Something that all calls need: it is sent as it was packed once, and each process unpacks it once.
+    """A value that all calls share: pickled once, and unpickled once in each process.
 
     Attributes:
-        value: what it is; in this process the very same.
+        value: the value; in this process the same object.
     """
 
     def __init__(self, value: Value) -> None:
@@ -69,11 +69,11 @@ def in_order(tasks: Iterable[Any], jobs: int) -> Iterator[Any]:
         InvalidValue: not a number of processes.
     """
     check_jobs(jobs)
-    return _spread(tasks, jobs)
+    return _distribute(tasks, jobs)
 
 
-def where_it_pays(tasks: Sequence[Any], jobs: int | None) -> Iterator[Any]:
-    """As `in_order`, but without a number of processes only where that is quicker.
+def adaptively_in_order(tasks: Sequence[Any], jobs: int | None) -> Iterator[Any]:
+    """As `in_order`; without a number of processes, it starts them only where that is quicker.
 
     Args:
         tasks: calls made with `joblib.delayed`.
@@ -87,24 +87,24 @@ def where_it_pays(tasks: Sequence[Any], jobs: int | None) -> Iterator[Any]:
         return in_order(tasks, jobs)
     backend, configured = get_active_backend()
     if configured is not None:
-        return _spread(tasks, configured)
+        return _distribute(tasks, configured)
     if backend.nesting_level:  # somebody else has already spread the work
         return in_order(tasks, 1)
-    return _tried(tasks) if backend.supports_inner_max_num_threads else in_order(tasks, -1)
+    return _run_then_distribute(tasks) if backend.supports_inner_max_num_threads else in_order(tasks, -1)
 
 
-def _tried(tasks: Sequence[Any]) -> Iterator[Any]:
-    """The calls one by one, until it is clear that processes pay; they take what is left."""
+def _run_then_distribute(tasks: Sequence[Any]) -> Iterator[Any]:
+    """Make the calls one by one; once processes are quicker, distribute the calls that are left."""
     began = perf_counter()
     for done, (function, positional, named) in enumerate(tasks):
         spent = perf_counter() - began
-        if done and spent > TRIAL and spent / done * (len(tasks) - done) > START_UP:
+        if done and spent > TRIAL_TIME and spent / done * (len(tasks) - done) > START_TIME:
             yield from in_order(tasks[done:], -1)
             return
         yield function(*positional, **named)
 
 
-def _spread(tasks: Iterable[Any], jobs: int) -> Iterator[Any]:
+def _distribute(tasks: Iterable[Any], jobs: int) -> Iterator[Any]:
     waiting = iter(tasks)
     if jobs != 1 and get_active_backend()[0].supports_inner_max_num_threads:
         # The first call is made here, so that kernels are compiled once and not by each process started here.

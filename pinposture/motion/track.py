@@ -1,4 +1,4 @@
-"""The loop: step towards the target until there, stuck, or out of steps."""
+"""The control loop: steps towards a target until the arm converges, stalls, or runs out of steps."""
 
 from __future__ import annotations
 
@@ -19,45 +19,45 @@ from pinposture.errors import InvalidValue, PostureWarning
 from pinposture.motion.trajectory import Trajectory
 from pinposture.placement import Target
 
-# What is written down while an arm moves.
+# The record of a run.
 
 Array = NDArray[np.float64]
 
 
-MENTIONED = 8
-"""How many constraints that gave way are written down of each step."""
+MAX_CONSTRAINTS = 8
+"""Largest number of violated constraints that are recorded of each step."""
 
-ROUNDING = 1e-12
-"""Rise of the posture error that is none, in arm lengths."""
+ERROR_ROUNDING = 1e-12
+"""Increase of the posture error that is due to rounding, in arm lengths."""
 
 
-class Recorder:
-    """Collects states and steps, and turns them into a trajectory.
+class RunRecord:
+    """The states and steps of a run so far.
 
     Args:
         target: where the control points should be, until a step comes with another target.
-        start: where the arm begins.
+        start: the first state.
         scene: what its distances are recorded from; none if None.
     """
 
     def __init__(self, target: Target, start: ArmState, scene: Scene | None = None) -> None:
         self._target, self._scene = target, scene
-        self._clearance = None if scene is None else CollisionModel(start.arm, scene)
+        self._distances_of = None if scene is None else CollisionModel(start.arm, scene)
         self._distances = [self._distance(start)]
         self._steps: list[Step] = []
         self._last = start
         self._q, self._points, self._errors = [start.q], [start.compiled.points], [self._point_errors(start)]
-        self.aim(target)
+        self.set_target(target)
 
-    def aim(self, target: Target) -> None:
-        """Turn to another target: progress is measured against it from now on."""
+    def set_target(self, target: Target) -> None:
+        """Replace the target, and measure progress towards it from now on."""
         self._target = target
         self._now = self._point_errors(self._last)
         self._best, self._idle = self.posture_error, 0.0
 
-    def rises(self, state: ArmState) -> bool:
+    def error_rises_at(self, state: ArmState) -> bool:
         """Whether the posture error is larger at a state than now, by more than rounding."""
-        return float(self._point_errors(state).sum()) > self.posture_error + ROUNDING * state.arm.length
+        return float(self._point_errors(state).sum()) > self.posture_error + ERROR_ROUNDING * state.arm.length
 
     def _point_errors(self, state: ArmState) -> Array:
         return np.asarray(
@@ -65,7 +65,7 @@ class Recorder:
         )
 
     def _distance(self, state: ArmState) -> float:
-        return np.inf if self._clearance is None else self._clearance.minimum(state.q).distance
+        return np.inf if self._distances_of is None else self._distances_of.minimum(state.q).distance
 
     @property
     def steps(self) -> int:
@@ -82,8 +82,8 @@ class Recorder:
         """Mean distance of the control points that have a target from it, now [m]."""
         return self.posture_error / int(np.count_nonzero(self._target.placed))
 
-    def add(self, state: ArmState, step: Step, travel: float, target: Target | None = None) -> None:
-        """Write down one step and the state it led to.
+    def append(self, state: ArmState, step: Step, travel: float, target: Target | None = None) -> None:
+        """Append one step and the state that it led to.
 
         Args:
             state: the state.
@@ -92,7 +92,7 @@ class Recorder:
             target: where the control points should be now, if that has changed.
         """
         self._target = self._target if target is None else target
-        self._steps.append(step._replace(diagnostics=_settled(step.diagnostics)))
+        self._steps.append(step._replace(diagnostics=_without_state(step.diagnostics)))
         if not step.diagnostics.on_way:  # else the arm is not stuck
             self._idle += travel
         self._q.append(state.q)
@@ -113,7 +113,7 @@ class Recorder:
     def trajectory(
         self, arm: Arm, controller: Controller, limits: Limits, status: str, reason: str
     ) -> Trajectory:
-        """Everything so far, as a result; steps that exceed limits are named by what came of them."""
+        """Return the run so far; steps that exceed limits of speed or acceleration are named in it."""
         steps = self._steps
         active = np.zeros((len(steps), arm.n_modules), dtype=bool)
         for row, step in zip(active, steps, strict=True):
@@ -139,7 +139,7 @@ class Recorder:
             method=np.array([note.method for note in notes], dtype=np.str_),
             switched=np.array([note.switched for note in notes], dtype=np.str_),
             escape=np.array([note.escape for note in notes], dtype=bool),
-            relaxed=np.array(["\n".join(note.relaxed[:MENTIONED]) for note in notes], dtype=np.str_),
+            relaxed=np.array(["\n".join(note.relaxed[:MAX_CONSTRAINTS]) for note in notes], dtype=np.str_),
             clearance=np.array(self._distances),
             scene=self._scene,
         )
@@ -151,39 +151,39 @@ class Recorder:
         return replace(run, reason=f"{reason}; {run.excess.text}", relaxed=np.array(relaxed, dtype=np.str_))
 
 
-def _settled(note: Diagnostics) -> Diagnostics:
-    """The same with its singular values as numbers, which need no state to be kept."""
+def _without_state(note: Diagnostics) -> Diagnostics:
+    """Return the same with its singular values computed, so that it does not keep the state in memory."""
     return note._replace(sigma_min=note.sigma_min, sigma_max=note.sigma_max)
 
 
-# An arm under way: one step after the other towards a target, written down.
+# The loop.
 
 Callback = Callable[[int, ArmState, Step], object]
 
-PATIENCE = 6.0
+STALL_TRAVEL = 6.0
 """Joint travel without a new lowest posture error after which a run is stalled [rad]: 60 usual steps."""
 
-PROGRESS = 1e-3
+PROGRESS_SHARE = 1e-3
 """Relative fall of the posture error that counts as progress within it."""
 
 STEP_ROUNDING = 1e-9
-"""Share by which a sum of steps may be off."""
+"""Relative rounding error of a sum of steps."""
 
-NAMED_JOINTS = 6
-"""How many limits and distances that hold an arm are listed."""
+MAX_NAMED_LIMITS = 6
+"""Largest number of binding limits and distances that are listed."""
 
 
-class Drive:
-    """An arm, the controller that moves it, and the record of what both do.
+class ControlLoop:
+    """An arm, its controller, and the record of their run.
 
     Attributes:
         arm: the arm.
-        controller: what moves it.
+        controller: the controller.
         limits: what a step may not exceed.
-        state: where the arm is.
+        state: the current state.
         memory: what the controller remembers; None before the first step.
-        last: the last step it was asked for; None before the first.
-        recorder: what was written down so far.
+        last_step: the last step that was computed; None before the first.
+        record: the run so far.
     """
 
     def __init__(
@@ -198,32 +198,32 @@ class Drive:
         self.arm, self.controller, self.limits = arm, controller, limits
         self.state = arm.at(q0)
         self.memory: Memory | None = None
-        self.last: Step | None = None
-        self.recorder = Recorder(target, self.state, scene)
+        self.last_step: Step | None = None
+        self.record = RunRecord(target, self.state, scene)
 
-    def ask(self, target: Target) -> Step:
-        """The step that the controller would take towards a target; it is not taken."""
+    def compute_step(self, target: Target) -> Step:
+        """Compute the next step towards a target without taking it."""
         before = self.memory
         step = next_step(self.controller, self.state, target, self.limits, before)
-        # Whatever the controller has found out stays; the arm has not moved so yet.
+        # Keep what the controller found out; the arm has not moved yet.
         self.memory = Memory(np.zeros(self.arm.nv)) if before is None else before
-        self.memory, self.last = self.memory._replace(own=step.memory.own), step
+        self.memory, self.last_step = self.memory._replace(own=step.memory.own), step
         return step
 
-    def move(self, step: Step, target: Target | None = None) -> None:
-        """Take a step and write it down.
+    def take_step(self, step: Step, target: Target | None = None) -> None:
+        """Take a step and record it.
 
         Args:
             step: the step.
             target: where the control points should be after it, if that has changed.
         """
         self.state, self.memory = self.arm.at(self.arm.integrate(self.state.q, step.dq)), step.memory
-        self.recorder.add(self.state, step, self.limits.travel(self.state), target)
+        self.record.append(self.state, step, self.limits.travel(self.state), target)
 
-    def until_there(
+    def run(
         self, target: Target, tolerance: float, max_steps: int, callback: Callback | None = None
     ) -> tuple[str, str]:
-        """Step on until the arm is there, stuck, or out of steps.
+        """Take steps until the arm has converged, stalled, or run out of steps.
 
         Args:
             target: where its control points should be.
@@ -235,50 +235,50 @@ class Drive:
             Status and reason; see `track`.
         """
         while True:
-            status, reason = self._verdict(tolerance, max_steps)
+            status, reason = self._check_end(tolerance, max_steps)
             if status:
                 break
-            step = self.ask(target)
+            step = self.compute_step(target)
             if step.diagnostics.reason:
                 # A controller that has points to control but no step to take is stuck.
                 status, reason = "stalled" if step.active else "no_control_points", step.diagnostics.reason
                 break
-            self.move(step)
-            number = self.recorder.steps
+            self.take_step(step)
+            number = self.record.steps
             if callback is not None and callback(number, self.state, step) is True:
                 return "stopped", f"stopped by the callback after {number} steps"
-        if status in ("stalled", "max_steps") and self.last is not None:
-            reason += what_holds(self.arm, self.last)
+        if status in ("stalled", "max_steps") and self.last_step is not None:
+            reason += describe_binding_limits(self.arm, self.last_step)
         return status, reason
 
-    def come_to_rest(self) -> None:
-        """Brake until no joint moves; without limits of acceleration that takes no step."""
+    def brake_to_rest(self) -> None:
+        """Brake until no joint moves; without acceleration limits that takes no step."""
         while self.memory is not None and np.any(self.memory.braked(self.limits, self.state).dq):
-            self.hold()
+            self.brake()
 
-    def hold(self) -> None:
-        """Take a step that brings the arm closer to rest, as much as limits allow."""
+    def brake(self) -> None:
+        """Take a step that decelerates all joints as much as the limits allow."""
         before = Memory(np.zeros(self.arm.nv)) if self.memory is None else self.memory
         memory = before.braked(self.limits, self.state)
-        rises = self.recorder.rises(self.arm.at(self.arm.integrate(self.state.q, memory.dq)))
+        rises = self.record.error_rises_at(self.arm.at(self.arm.integrate(self.state.q, memory.dq)))
         still = np.zeros(self.arm.nv, dtype=np.bool_)
         note = Diagnostics(0.0, 0.0, 0.0, 0, (), 1.0, still, "", escape=rises)
-        self.move(Step(memory.dq, (), note, memory))
+        self.take_step(Step(memory.dq, (), note, memory))
 
-    def _too_fast(self) -> bool:
+    def _cannot_stop(self) -> bool:
         """Whether the arm cannot stop in the next step."""
         brake = self.limits.for_arm(self.arm).brake
         return brake is not None and self.memory is not None and bool(np.any(np.abs(self.memory.dq) > brake))
 
-    def _verdict(self, tolerance: float, max_steps: int) -> tuple[str, str]:
-        """Whether the run is over, and why; empty while it goes on."""
-        mean = self.recorder.mean_error
-        if mean <= tolerance and not self._too_fast():
+    def _check_end(self, tolerance: float, max_steps: int) -> tuple[str, str]:
+        """Return status and reason if the run is over; empty texts while it goes on."""
+        mean = self.record.mean_error
+        if mean <= tolerance and not self._cannot_stop():
             return "converged", f"mean point error {mean:.3g} m is within the tolerance of {tolerance:.3g} m"
-        if self.recorder.steps >= max_steps:
+        if self.record.steps >= max_steps:
             return "max_steps", f"mean point error {mean:.3g} m, above the tolerance of {tolerance:.3g} m"
-        idle = self.recorder.travel_without_progress(PROGRESS)
-        if idle >= PATIENCE * (1.0 - STEP_ROUNDING):
+        idle = self.record.travel_without_progress(PROGRESS_SHARE)
+        if idle >= STALL_TRAVEL * (1.0 - STEP_ROUNDING):
             return (
                 "stalled",
                 f"mean point error {mean:.3g} m, no progress in the last {idle:.3g} rad of joint travel",
@@ -286,14 +286,14 @@ class Drive:
         return "", ""
 
 
-def what_holds(arm: Arm, step: Step) -> str:
-    """What held a step back, in words: limits that bind, and distances at their bound."""
+def describe_binding_limits(arm: Arm, step: Step) -> str:
+    """Return which joint limits and distances limited a step, in words."""
     held = [f"{arm.joint_names[j]} at its limit" for j in np.flatnonzero(step.diagnostics.clipped)]
     held += step.diagnostics.near
     if not held:
         return ""
-    more = f" and {len(held) - NAMED_JOINTS} more" if len(held) > NAMED_JOINTS else ""
-    return f"; held by {', '.join(held[:NAMED_JOINTS])}{more}"
+    more = f" and {len(held) - MAX_NAMED_LIMITS} more" if len(held) > MAX_NAMED_LIMITS else ""
+    return f"; held by {', '.join(held[:MAX_NAMED_LIMITS])}{more}"
 
 
 logger = logging.getLogger(__name__)
@@ -351,18 +351,18 @@ def track(
     tolerance = 1e-6 * arm.length if tolerance is None else tolerance
     require_positive("tolerance", tolerance)
 
-    drive = Drive(arm, arm.checked_start(q0, "q0"), target, controller, limits, scene)
-    status, reason = drive.until_there(target, tolerance, max_steps, callback)
-    drive.come_to_rest()
+    loop = ControlLoop(arm, arm.checked_start(q0, "q0"), target, controller, limits, scene)
+    status, reason = loop.run(target, tolerance, max_steps, callback)
+    loop.brake_to_rest()
     if status in ("stalled", "max_steps") and target.q is None and not isinstance(controller, ConstrainedQP):
         reason += "; the target knows no configuration, with which Switching finds the way: see fit_points"
-    recorder = drive.recorder
-    logger.info("%s: %s after %d steps: %s", controller.name, status, recorder.steps, reason)
-    return recorder.trajectory(arm, controller, limits, status, reason)
+    record = loop.record
+    logger.info("%s: %s after %d steps: %s", controller.name, status, record.steps, reason)
+    return record.trajectory(arm, controller, limits, status, reason)
 
 
 def in_scene(controller: Controller, scene: Scene | None) -> tuple[Controller, Scene | None]:
-    """The controller told of the scene, and the scene; a warning if it cannot keep clear of it."""
+    """Return the controller with the scene, and the scene; warn if it does not avoid obstacles."""
     if not (scene is None or isinstance(scene, Scene)):
         raise InvalidValue("scene", scene, "a Scene(...), or None")
     if isinstance(controller, ConstrainedQP):

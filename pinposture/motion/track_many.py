@@ -16,8 +16,8 @@ from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Controller, Limits, controller_named
 from pinposture.errors import InvalidValue, PostureError, PostureWarning
-from pinposture.motion.batch import FAILED, Batch, gathered, recorded
-from pinposture.motion.track import Recorder, in_scene, track
+from pinposture.motion.batch import FAILED, Batch, concatenate_runs, run_arrays
+from pinposture.motion.track import RunRecord, in_scene, track
 from pinposture.motion.trajectory import Trajectory
 from pinposture.placement import Target
 
@@ -32,7 +32,7 @@ KEEP = ("motions", "ends")
 
 @dataclass(frozen=True)
 class _Setting:
-    """What all runs have in common."""
+    """The arguments that all runs share."""
 
     arm: Arm
     controller: Controller
@@ -45,7 +45,7 @@ class _Setting:
 
 
 class _Ends(NamedTuple):
-    """What is kept of each run."""
+    """The results of one run that a `Batch` has as columns."""
 
     status: str
     reason: str
@@ -107,7 +107,7 @@ def track_many(
     # joblib takes longer to import than most of this package, and who tracks one run does not need it.
     from joblib import delayed
 
-    from pinposture.motion.processes import Shared, check_jobs, where_it_pays
+    from pinposture.motion.processes import Shared, adaptively_in_order, check_jobs
 
     chosen, scene = in_scene(controller_named(controller), scene)
     limits = Limits() if limits is None else limits
@@ -121,20 +121,20 @@ def track_many(
     if keep not in KEEP:
         raise InvalidValue("keep", keep, " or ".join(map(repr, KEEP)))
     listed, configurations = _targets(arm, targets), _starts(arm, starts)
-    count = _count(len(listed), len(configurations))
+    count = _count_runs(len(listed), len(configurations))
     limits.bound(arm.at(configurations[0]))  # so that limits of another arm are refused now
     if scene is not None:
         CollisionModel(arm, scene)  # which warns of meshes that are missing
     setting = _Setting(arm, chosen, limits, scene, max_steps, tolerance, keep, os.getpid())
     shared = Shared(setting)
     tasks = [
-        delayed(_one)(shared, listed[k % len(listed)], configurations[k % len(configurations)])
+        delayed(_run_quietly)(shared, listed[k % len(listed)], configurations[k % len(configurations)])
         for k in range(count)
     ]
     ends, motions = [], []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PostureWarning)  # they have been given
-        for done, (end, motion) in enumerate(where_it_pays(tasks, jobs), 1):
+        for done, (end, motion) in enumerate(adaptively_in_order(tasks, jobs), 1):
             ends.append(end)
             motions.append(motion)
             if progress is not None:
@@ -148,7 +148,7 @@ def track_many(
         scene=scene,
         max_steps=int(max_steps),
         tolerance=float(tolerance),
-        motions=gathered(motions) if keep == "motions" else None,
+        motions=concatenate_runs(motions) if keep == "motions" else None,
         **{name: np.array(values) for name, values in columns},
     )
     failed = np.flatnonzero(batch.status == FAILED)
@@ -189,7 +189,7 @@ def _starts(arm: Arm, starts: ArrayLike) -> list[Array]:
     return [arm.checked_start(start, f"starts[{k}]") for k, start in enumerate(listed)]
 
 
-def _count(targets: int, starts: int) -> int:
+def _count_runs(targets: int, starts: int) -> int:
     """The number of runs that so many targets and starts make."""
     if min(targets, starts) == 0 or (targets != starts and min(targets, starts) > 1):
         allowed = "as many targets as starts, or one of either"
@@ -197,18 +197,20 @@ def _count(targets: int, starts: int) -> int:
     return max(targets, starts)
 
 
-def _one(shared: Shared[_Setting], target: Target, start: Array) -> tuple[_Ends, dict[str, NDArray[Any]]]:
-    """One run."""
+def _run_quietly(
+    shared: Shared[_Setting], target: Target, start: Array
+) -> tuple[_Ends, dict[str, NDArray[Any]]]:
+    """Compute one run; in a worker process without warnings, which the caller has given."""
     setting = shared.value
     if setting.process == os.getpid():
-        return _kept(setting, target, start)
+        return _run(setting, target, start)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PostureWarning)  # as they have been given where it was asked for
-        return _kept(setting, target, start)
+        warnings.simplefilter("ignore", PostureWarning)
+        return _run(setting, target, start)
 
 
-def _kept(setting: _Setting, target: Target, start: Array) -> tuple[_Ends, dict[str, NDArray[Any]]]:
-    """What is kept of a run: how it ended, and its arrays, if wanted."""
+def _run(setting: _Setting, target: Target, start: Array) -> tuple[_Ends, dict[str, NDArray[Any]]]:
+    """Compute one run; return its results and, if motions are kept, its arrays."""
     try:
         run = track(
             setting.arm,
@@ -221,7 +223,7 @@ def _kept(setting: _Setting, target: Target, start: Array) -> tuple[_Ends, dict[
             setting.tolerance,
         )
     except PostureError as error:
-        run = _failed(setting, target, start, f"{type(error).__name__}: {' '.join(str(error).split())}")
+        run = _failed_run(setting, target, start, f"{type(error).__name__}: {' '.join(str(error).split())}")
     ends = _Ends(
         status=run.status,
         reason=run.reason,
@@ -234,10 +236,10 @@ def _kept(setting: _Setting, target: Target, start: Array) -> tuple[_Ends, dict[
         q_start=run.q[0],
         q_final=run.q[-1],
     )
-    return ends, recorded(run) if setting.keep == "motions" else {}
+    return ends, run_arrays(run) if setting.keep == "motions" else {}
 
 
-def _failed(setting: _Setting, target: Target, start: Array, reason: str) -> Trajectory:
-    """The run of an arm that stays where it is."""
-    recorder = Recorder(target, setting.arm.at(start), setting.scene)
-    return recorder.trajectory(setting.arm, setting.controller, setting.limits, FAILED, reason)
+def _failed_run(setting: _Setting, target: Target, start: Array, reason: str) -> Trajectory:
+    """Return a run without steps, which an error ended."""
+    record = RunRecord(target, setting.arm.at(start), setting.scene)
+    return record.trajectory(setting.arm, setting.controller, setting.limits, FAILED, reason)

@@ -24,24 +24,24 @@ from pinposture.motion.track import in_scene
 from pinposture.placement import Target
 from pinposture.placement.points import with_configuration
 
-# Where an arm is, as far as measurements can be believed, and what that changes about its target.
+# Feedback: which measurements are used, and how they shift the target.
 
 Array = NDArray[np.float64]
 
-SETTLED = 1e-7
-"""Change of what is fed back that is none, in `Arm.joint_units`, and in arm lengths."""
+FEEDBACK_TOLERANCE = 1e-7
+"""Change of the feedback that leaves a target as it is, in `Arm.joint_units`, and in arm lengths."""
 
-FARTHEST = 0.25
-"""How far a control point may be seen from where the joints have it to be believed, in arm lengths."""
+MAX_POINT_OFFSET = 0.25
+"""Largest distance of a measured control point from forward kinematics that is used, in arm lengths."""
 
 
-class Seen(NamedTuple):
-    """What one cycle knows of the arm.
+class FeedbackState(NamedTuple):
+    """Result of the feedback of one cycle.
 
     Attributes:
-        state: where the next step begins: at the command of drives that take positions, else where the arm
-            was measured; None if nothing was ever measured.
-        reason: why the arm has to hold, in words; empty if it has not.
+        state: state from which the next step starts: the command with a position interface, else the
+            measurement; None before the first measurement.
+        reason: why the arm has to hold, in words; else empty.
         disagreement: largest difference between measured and expected joint positions, in
             `Arm.joint_units`; None without a measurement that can be used.
     """
@@ -52,141 +52,142 @@ class Seen(NamedTuple):
 
 
 class Feedback:
-    """Compares what is measured with what was commanded.
+    """Compares measurements with commands, and compensates targets for the difference.
 
-    Let c be the command, and c + b the configuration that it leads to: the drives lag and sag by -b. A target
-    configuration t is then reached by the command t - b. The estimate of b follows the measurements with a
+    Let c be the command and c + b the configuration that the arm takes for it. A target configuration t is
+    then reached by the command t - b. The estimate of b follows the measurements with a
     time constant T. If the drives follow a command within a time T_s, the loop has the characteristic
     polynomial T T_s s^2 + T s + 1: it does not oscillate from T = 4 T_s on.
 
     Attributes:
-        command: what the drives were told, or where they should be by now, (nq,); None at first.
-        anew: whether the arm was taken to be somewhere else in this cycle, at rest.
-        points: where the control points are, by the last measurement, (m, 3) [m]; None at first.
+        command: commanded configuration, (nq,); None before the first measurement.
+        restarted: whether this cycle starts at rest from a new measured configuration.
+        points: control points by the last measurement, (m, 3) [m], world frame; None before it.
 
     Args:
         arm: the arm.
-        period: the time constant T [s]; 0 for drives that take speeds: each step begins at the measurement.
+        time_constant: T [s]; 0 with a velocity interface: each step starts from the measurement.
         disagreement: see `Tracker`.
         patience: see there.
     """
 
-    def __init__(self, arm: Arm, period: float, disagreement: float, patience: float) -> None:
+    def __init__(self, arm: Arm, time_constant: float, disagreement: float, patience: float) -> None:
         self.arm = arm
         self.command: Array | None = None
-        self.anew = False
+        self.restarted = False
         self.points: Array | None = None
-        self._period, self._allowed, self._patience = period, disagreement, patience
+        self._time_constant, self._max_difference = time_constant, disagreement
+        self._patience = patience
         self._offset, self._shift = np.zeros(arm.nv), np.zeros((arm.n_modules, 3))
-        self._suspect: Array | None = None
-        self._since, self._still = 0.0, True
-        self._used: tuple[Target, Target, Array, Array] | None = None
+        self._deviating: Array | None = None
+        self._agreed_for, self._at_rest = 0.0, True
+        self._last_compensated: tuple[Target, Target, Array, Array] | None = None
 
-    def begin(self, q: Array, moving: bool = False) -> None:
-        """Take the arm to be at a configuration, (nq,), at rest or not."""
-        self.command, self.anew, self._suspect, self._still = q, not moving, None, not moving
+    def restart(self, q: Array, moving: bool = False) -> None:
+        """Start from a configuration, (nq,), at rest or not, and forget all estimates."""
+        self.command, self.restarted, self._deviating, self._at_rest = q, not moving, None, not moving
         self._offset, self._shift = np.zeros(self.arm.nv), np.zeros((self.arm.n_modules, 3))
 
-    def moved(self, dq: Array) -> None:
-        """Write down the step of this cycle, (nv,) [rad or m]."""
-        self.anew, self._still = False, not np.any(dq)
+    def apply_step(self, dq: Array) -> None:
+        """Add the step of this cycle, (nv,) [rad or m], to the command."""
+        self.restarted, self._at_rest = False, not np.any(dq)
         if self.command is not None:
             self.command = self.arm.integrate(self.command, dq)
 
-    def take(self, q: ArrayLike | None, points: ArrayLike | None, dt: float) -> Seen:
-        """Take in the measurements of a cycle; see `Tracker.step`.
+    def update(self, q: ArrayLike | None, points: ArrayLike | None, dt: float) -> FeedbackState:
+        """Process the measurements of a cycle; see `Tracker.step`.
 
         Raises:
             InvalidValue: arrays of a wrong shape.
         """
-        arm, seen_points = self.arm, self._checked_points(points)
-        measured, reason = self._checked(q)
+        arm, measured_points = self.arm, self._checked_points(points)
+        measured, reason = self._checked_configuration(q)
         if measured is None:
-            return Seen(self._state(), reason, None)
+            return FeedbackState(self._state(), reason, None)
         if self.command is None:
             try:
-                self.begin(arm.checked_start(measured, "q_measured"))
+                self.restart(arm.checked_start(measured, "q_measured"))
             except InvalidValue as error:
-                return Seen(self._state(), str(error), None)
+                return FeedbackState(self._state(), str(error), None)
         assert self.command is not None
-        behind = arm.difference(self.command, measured)
-        apart = np.abs(behind) / arm.joint_units
+        difference = arm.difference(self.command, measured)
+        apart = np.abs(difference) / arm.joint_units
         joint = int(apart.argmax())
         largest = float(apart[joint])
-        if largest > self._allowed and not self._believed(measured, dt):
+        if largest > self._max_difference and not self._is_confirmed(measured, dt):
             unit = "m" if arm.slides[joint] else "rad"
-            far, most = abs(behind[joint]), self._allowed * arm.joint_units[joint]
+            far, most = abs(difference[joint]), self._max_difference * arm.joint_units[joint]
             text = f"joint {arm.joint_names[joint]!r} was measured {far:.3g} {unit} from where it should be"
-            return Seen(self._state(), f"{text}; up to {most:.3g} is fed back", largest)
-        if self.anew:
-            behind, largest = np.zeros(arm.nv), 0.0
-        self._suspect = None
-        self.points = self._feed_back(measured, behind, seen_points, dt)
-        return Seen(self._state(), "", largest)
+            return FeedbackState(self._state(), f"{text}; up to {most:.3g} is fed back", largest)
+        if self.restarted:
+            difference, largest = np.zeros(arm.nv), 0.0
+        self._deviating = None
+        self.points = self._filter(measured, difference, measured_points, dt)
+        return FeedbackState(self._state(), "", largest)
 
-    def shifted(self, target: Target) -> Target:
-        """The target that a command has to aim at so that the arm comes to another."""
-        tiny, offset, shift = SETTLED * self.arm.length, self._offset, self._shift
-        if self._used is not None and self._used[0] is target:
-            _, used, before, at = self._used
+    def compensate(self, target: Target) -> Target:
+        """Return the target of the command with which the arm reaches a target."""
+        tiny, offset, shift = FEEDBACK_TOLERANCE * self.arm.length, self._offset, self._shift
+        if self._last_compensated is not None and self._last_compensated[0] is target:
+            _, used, before, at = self._last_compensated
             turned = np.abs(offset - before) / self.arm.joint_units
-            if turned.max() <= SETTLED and np.abs(shift - at).max() <= tiny:
+            if turned.max() <= FEEDBACK_TOLERANCE and np.abs(shift - at).max() <= tiny:
                 return used
-        used = self._aimed(target, offset, shift)
-        self._used = target, used, offset.copy(), shift.copy()
+        used = self._compensated(target, offset, shift)
+        self._last_compensated = target, used, offset.copy(), shift.copy()
         return used
 
-    def _aimed(self, target: Target, offset: Array, shift: Array) -> Target:
+    def _compensated(self, target: Target, offset: Array, shift: Array) -> Target:
         arm, shifts = self.arm, bool(np.any(shift))
         if not (np.any(offset) or shifts) or self.command is None:
             return target
-        q, q_aimed = target.q, None
+        q, q_compensated = target.q, None
         if q is not None:
             positions, limits = arm.positions(q), arm.limits
             inside = np.clip(positions - offset, limits.lower, limits.upper)
             inside = np.where((positions < limits.lower) | (positions > limits.upper), positions, inside)
-            q_aimed = arm.integrate(q, inside - positions)
-            change = arm.at(q_aimed).compiled.points - arm.at(q).compiled.points
+            q_compensated = arm.integrate(q, inside - positions)
+            change = arm.at(q_compensated).compiled.points - arm.at(q).compiled.points
         else:
             beyond = arm.integrate(self.command, offset)
             change = arm.at(self.command).compiled.points - arm.at(beyond).compiled.points
-        return Target(target.points + change - shift, target.weights, None if shifts else q_aimed)
+        return Target(target.points + change - shift, target.weights, None if shifts else q_compensated)
 
     def _state(self) -> ArmState | None:
         return None if self.command is None else self.arm.at(self.command)
 
-    def _feed_back(self, measured: Array, behind: Array, seen: Array | None, dt: float) -> Array:
-        """Let the estimates follow the measurements; returns where the control points are."""
-        share = 1.0 if self._period == 0.0 else 1.0 - exp(-dt / self._period)
-        if self._period == 0.0:
+    def _filter(self, measured: Array, difference: Array, measured_points: Array | None, dt: float) -> Array:
+        """Low-pass filter the estimates; return the measured control points, (m, 3) [m]."""
+        share = 1.0 if self._time_constant == 0.0 else 1.0 - exp(-dt / self._time_constant)
+        if self._time_constant == 0.0:
             self.command = measured
         else:
-            self._offset += share * (behind - self._offset)
+            self._offset += share * (difference - self._offset)
         points = np.array(self.arm.at(measured).compiled.points)
         off = np.zeros_like(points)
-        if seen is not None:
-            off = seen - points
+        if measured_points is not None:
+            off = measured_points - points
             with np.errstate(over="ignore"):
                 apart = np.linalg.norm(off, axis=1)
-            off[~(apart <= FARTHEST * self.arm.length)] = 0.0  # not seen, or not it
-        if seen is not None or np.any(self._shift):
+            off[~(apart <= MAX_POINT_OFFSET * self.arm.length)] = 0.0  # not seen, or something else
+        if measured_points is not None or np.any(self._shift):
             self._shift += share * (off - self._shift)
         return np.asarray(points + off)
 
-    def _believed(self, measured: Array, dt: float) -> bool:
-        """Whether a measurement far off has been repeated for long enough, by an arm that stands still."""
-        if self._suspect is None:
-            self._since = 0.0
+    def _is_confirmed(self, measured: Array, dt: float) -> bool:
+        """Restart, and return True, once measurements far off have agreed long enough at rest."""
+        if self._deviating is None:
+            self._agreed_for = 0.0
         else:
-            apart = np.abs(self.arm.difference(self._suspect, measured)) / self.arm.joint_units
-            self._since = self._since + dt if apart.max() <= self._allowed else 0.0
-        self._suspect = measured
-        if self._since < self._patience or not self._still:
+            apart = np.abs(self.arm.difference(self._deviating, measured)) / self.arm.joint_units
+            self._agreed_for = self._agreed_for + dt if apart.max() <= self._max_difference else 0.0
+        self._deviating = measured
+        if self._agreed_for < self._patience or not self._at_rest:
             return False
-        self.begin(measured)
+        self.restart(measured)
         return True
 
-    def _checked(self, q: ArrayLike | None) -> tuple[Array | None, str]:
+    def _checked_configuration(self, q: ArrayLike | None) -> tuple[Array | None, str]:
         """A measured configuration; None, and why, if it cannot be used."""
         if q is None:
             return None, "no measurement"
@@ -202,58 +203,58 @@ class Feedback:
         return None if points is None else float_array("points", points, (self.arm.n_modules, 3))
 
 
-# Asking a controller for a step without waiting for it longer than a cycle can.
+# Computing a step within the time of a cycle.
 
 
-class Consultation:
-    """Asks a controller, in a thread of its own if it may take longer than the one who asks has time.
+class AsyncStep:
+    """Computes the step of a controller, in a thread of its own if there is a deadline.
 
     Args:
         controller: the controller.
-        deadline: how long to wait for it [s]; infinite: it is asked directly.
+        deadline: how long to wait for a step [s]; infinite: it is computed in this thread.
     """
 
     def __init__(self, controller: Controller, deadline: float) -> None:
         self._controller, self._deadline = controller, deadline
         self._pending: Future[Step] | None = None
 
-    def ask(
+    def compute(
         self, state: ArmState, target: Target, limits: Limits, memory: Memory | None
     ) -> tuple[Step | None, Memory | None]:
-        """The step of the controller, and what it remembers of one that came too late.
+        """Return the step of the controller, if it is computed before the deadline.
 
-        Where it is still at work on a question from before, that one has to be answered first. What it then
-        remembers, a way to the target for instance, serves the question of now.
+        A computation that was too late in an earlier cycle has to end first. What the controller remembers of
+        it, a path to the target for instance, is used for the next step.
 
         Returns:
-            The step, None if there is none in time; and the memory that the next question should come with.
+            The step, or None after the deadline; and the memory to pass on in the next cycle.
         """
         if self._deadline == inf:
             return next_step(self._controller, state, target, limits, memory), memory
         if self._pending is not None:
-            late = self._waited()
+            late = self._wait()
             if late is None:
                 return None, memory
             # The arm has braked since, and is at rest or nearly.
             memory = late.memory if memory is None else memory._replace(own=late.memory.own)
-        self._pending = self._begun(state, target, limits, memory)
-        return self._waited(), memory
+        self._pending = self._start(state, target, limits, memory)
+        return self._wait(), memory
 
-    def _begun(self, *question: Any) -> Future[Step]:
-        """The answer to come, from a thread that does not keep a program from ending."""
-        answer: Future[Step] = Future()
+    def _start(self, *arguments: Any) -> Future[Step]:
+        """Start a computation in a thread that does not keep a program from ending."""
+        future: Future[Step] = Future()
 
         def work() -> None:
             try:
-                answer.set_result(next_step(self._controller, *question))
-            except BaseException as error:  # whoever waits for the answer gets it
-                answer.set_exception(error)
+                future.set_result(next_step(self._controller, *arguments))
+            except BaseException as error:  # `_wait` raises it
+                future.set_exception(error)
 
         Thread(target=work, name="pinposture-controller", daemon=True).start()
-        return answer
+        return future
 
-    def _waited(self) -> Step | None:
-        """The answer, if it is there before the deadline."""
+    def _wait(self) -> Step | None:
+        """Return the pending step, or None after the deadline."""
         assert self._pending is not None
         if not wait([self._pending], self._deadline).done:
             return None
@@ -261,19 +262,19 @@ class Consultation:
         return pending.result()
 
 
-# The streaming controller: one step in each control cycle, whatever happens to targets and measurements.
+# The streaming controller: one step in each control cycle.
 
 INTERFACES = ("position", "velocity")
 
-SHORTEST = 1e-3
-"""The shortest cycle that counts as one, relative to the usual one."""
+MIN_CYCLE = 1e-3
+"""Shortest duration of a cycle, relative to the usual one."""
 
-LATE = "the controller is not done yet"
+NOT_DONE = "the controller is not done yet"
 
-STILL = 1e-9
-"""Step that is none, in `Arm.joint_units`: some controllers go on forever by less."""
+REST_TOLERANCE = 1e-9
+"""Largest step of an arm at rest, in `Arm.joint_units`: some controllers go on forever by less."""
 
-ARRIVED = 1e-6
+ARRIVAL_TOLERANCE = 1e-6
 """Mean distance of the control points from their targets at which the arm has arrived, in arm lengths."""
 
 
@@ -318,8 +319,8 @@ class Tracker:
     arm stays behind. Drives that take velocities are sent dq / dt; each step then begins where the arm was
     measured.
 
-    To make one loads all compiled kernels, so that no cycle has to wait for that: half a second for the first
-    one in a process, and about a minute where they are not compiled yet (`pinposture compile`).
+    The constructor loads all compiled kernels, so that no cycle has to wait for them: half a second for the
+    first one in a process, and about a minute where they are not compiled yet (`pinposture compile`).
 
     Attributes:
         arm: the arm.
@@ -362,7 +363,7 @@ class Tracker:
         timeout: float = float("inf"),
         deadline: float = float("inf"),
     ) -> None:
-        usual = cycle_of(limits)
+        period = cycle_of(limits)
         limits = cast(Limits, limits)  # anything else was refused
         if interface not in INTERFACES:
             raise UnknownName("interface", interface, INTERFACES)
@@ -371,13 +372,13 @@ class Tracker:
             _positive(name, value)
         self.arm, self.limits = arm, limits
         limits.for_arm(arm)  # says now what does not fit
-        self._consultation = Consultation(in_scene(controller_named(controller), scene)[0], deadline)
+        self._async_step = AsyncStep(in_scene(controller_named(controller), scene)[0], deadline)
         self._feedback = Feedback(arm, feedback if interface == "position" else 0.0, disagreement, patience)
-        self._timeout, self._usual = timeout, usual
-        self._given: Target | None = None
+        self._timeout, self._period = timeout, period
+        self._target: Target | None = None
         self._age = 0.0
         self._memory: Memory | None = None
-        self._dt = usual
+        self._dt = period
         self.report = Report("holding", "no step was taken yet", None, None, None)
         kernels.load()
 
@@ -395,7 +396,7 @@ class Tracker:
     @property
     def target(self) -> Target | None:
         """The target that it was last given."""
-        return self._given
+        return self._target
 
     def update(self, target: Target) -> None:
         """Give it a target; it counts from the next step on, until there is another.
@@ -406,12 +407,12 @@ class Tracker:
         if not isinstance(target, Target):
             raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
         target.check(self.arm)
-        before = self._given.q if self._given is not None else None
+        before = self._target.q if self._target is not None else None
         near = self._feedback.command if before is None else before
-        self._given, self._age = with_configuration(self.arm, target, near), 0.0
+        self._target, self._age = with_configuration(self.arm, target, near), 0.0
 
     def restart(self, q_measured: ArrayLike, dq: ArrayLike | None = None) -> None:
-        """Begin anew from where the arm is; the target stays.
+        """Start anew from where the arm is; the target stays.
 
         Args:
             q_measured: the configuration that was measured, (nq,).
@@ -421,8 +422,8 @@ class Tracker:
             InvalidValue: not a configuration, or not a displacement.
         """
         moved = None if dq is None else finite_vector("dq", dq, self.arm.nv)
-        self._feedback.begin(self.arm.checked_start(q_measured, "q_measured"), moved is not None)
-        self._memory, self._dt = None if moved is None else Memory(moved), self._usual
+        self._feedback.restart(self.arm.checked_start(q_measured, "q_measured"), moved is not None)
+        self._memory, self._dt = None if moved is None else Memory(moved), self._period
 
     def step(
         self, q_measured: ArrayLike | None, dt: float | None = None, points: ArrayLike | None = None
@@ -444,63 +445,66 @@ class Tracker:
             InvalidValue: arrays of a wrong shape, or a duration that is not positive: faults of the program,
                 not of a sensor.
         """
-        passed = self._usual if dt is None else _duration(dt)
-        dt = min(max(passed, SHORTEST * self._usual), self._usual)
-        limits = self.limits if dt == self._usual else replace(self.limits, dt=dt)
-        seen = self._feedback.take(q_measured, points, dt)
-        memory = None if self._feedback.anew else self._remembered(dt)
+        passed = self._period if dt is None else _duration(dt)
+        dt = min(max(passed, MIN_CYCLE * self._period), self._period)
+        limits = self.limits if dt == self._period else replace(self.limits, dt=dt)
+        feedback = self._feedback.update(q_measured, points, dt)
+        memory = None if self._feedback.restarted else self._rescaled_memory(dt)
         self._age += passed
-        step, reason, aim = None, seen.reason or self._missing(), None
-        if seen.state is not None and self._given is not None and not reason:
-            aim = self._feedback.shifted(self._given)
+        step, reason, compensated = None, feedback.reason or self._target_problem(), None
+        if feedback.state is not None and self._target is not None and not reason:
+            compensated = self._feedback.compensate(self._target)
             try:
-                step, memory = self._consultation.ask(seen.state, aim, limits, memory)
-                reason = LATE if step is None else step.diagnostics.reason
+                step, memory = self._async_step.compute(feedback.state, compensated, limits, memory)
+                reason = NOT_DONE if step is None else step.diagnostics.reason
             except (PostureError, ArithmeticError, np.linalg.LinAlgError) as error:
                 reason = str(error)  # what it cannot work with, as a target that knows no configuration
             if step is not None and not isfinite(step.dq @ step.dq):
                 step, reason = None, "the step of the controller is not finite"
         if step is None or reason:
             memory = Memory(np.zeros(self.arm.nv)) if memory is None else memory
-            memory = memory.braked(limits, self._anywhere)
+            memory = memory.braked(limits, self._neutral_state)
             memory = memory if step is None else memory._replace(own=step.memory.own)
         else:
             memory = step.memory
         self._memory, self._dt, dq = memory, dt, memory.dq
-        self._feedback.moved(dq)
-        self.report = self._reported(seen, step, reason, aim, dq)
+        self._feedback.apply_step(dq)
+        self.report = self._make_report(feedback, step, reason, compensated, dq)
         return np.array(dq)
 
-    def _remembered(self, dt: float) -> Memory | None:
-        """The memory of the controller, with the speed of the step before if cycles are not equally long."""
+    def _rescaled_memory(self, dt: float) -> Memory | None:
+        """The memory of the controller, its last step scaled to the duration of this cycle."""
         if self._memory is None or dt == self._dt:
             return self._memory
         return self._memory._replace(dq=self._memory.dq * (dt / self._dt), stopping=None)
 
-    def _missing(self) -> str:
-        """What is wrong with the target, in words."""
-        if self._given is None:
+    def _target_problem(self) -> str:
+        """Why the target cannot be used, in words; empty if it can."""
+        if self._target is None:
             return "no target was given"
         if self._age > self._timeout:
             return f"the target is {self._age:.3g} s old; after {self._timeout:.3g} s it does not count"
         return ""
 
     @cached_property
-    def _anywhere(self) -> ArmState:
-        """Some state of the arm: braking asks only for its limits."""
+    def _neutral_state(self) -> ArmState:
+        """A state for braking, which needs only the limits of its arm."""
         return self.arm.at(self.arm.neutral())
 
-    def _reported(self, seen: Seen, step: Step | None, reason: str, aim: Target | None, dq: Array) -> Report:
+    def _make_report(
+        self, feedback: FeedbackState, step: Step | None, reason: str, compensated: Target | None, dq: Array
+    ) -> Report:
         status = "moving" if not reason else "stalled" if step is not None else "holding"
-        still = bool(np.all(np.abs(dq) <= STILL * self.arm.joint_units))
-        if aim is not None and seen.state is not None and still:
-            there = _mean_distance(seen.state.compiled.points, aim) <= ARRIVED * self.arm.length
-            status, reason = ("converged", "") if there else (status, reason)
-        given, points = self._given, self._feedback.points
-        error = None if given is None or points is None else _mean_distance(points, given)
-        age = None if given is None else self._age
+        still = bool(np.all(np.abs(dq) <= REST_TOLERANCE * self.arm.joint_units))
+        if compensated is not None and feedback.state is not None and still:
+            distance = _mean_distance(feedback.state.compiled.points, compensated)
+            if distance <= ARRIVAL_TOLERANCE * self.arm.length:
+                status, reason = "converged", ""
+        target, points = self._target, self._feedback.points
+        error = None if target is None or points is None else _mean_distance(points, target)
+        age = None if target is None else self._age
         relaxed = () if step is None else step.diagnostics.relaxed
-        return Report(status, reason, error, seen.disagreement, age, relaxed, step)
+        return Report(status, reason, error, feedback.disagreement, age, relaxed, step)
 
 
 def _mean_distance(points: Array, target: Target) -> float:

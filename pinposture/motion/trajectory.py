@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,24 +15,21 @@ from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Limits
 from pinposture.errors import MotionError
+from pinposture.motion.joint_trajectory import JointTrajectory, step_duration
 from pinposture.placement import Target
 from pinposture.placement.curve_placement import distance_from_curve
 
-if TYPE_CHECKING:
-    from pinposture.motion.joint_trajectory import JointTrajectory
-
-
-# How fast joints move and how hard they accelerate in a motion, relative to what its limits allow.
+# Speeds and accelerations of a motion relative to its limits.
 #
-# All of it is read off the configurations that the motion leads through, whatever moved the arm.
+# All of it is computed from the configurations of the motion, whatever moved the arm.
 
 Array = NDArray[np.float64]
 
-ALLOWED = 1e-9
-"""Share of a limit by which it may be exceeded: rounding."""
+LIMIT_TOLERANCE = 1e-9
+"""Relative excess of a limit that is due to rounding."""
 
-RESOLUTION = 8.0 * float(np.finfo(np.float64).eps)
-"""What a difference of joint positions is off by, relative to them."""
+POSITION_ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
+"""Rounding error of a difference of joint positions, relative to them."""
 
 
 class Shares(NamedTuple):
@@ -67,7 +63,7 @@ class LimitViolation(NamedTuple):
 
 
 def limit_shares(run: Trajectory) -> Shares:
-    """What share of its limits a run uses when."""
+    """Return speeds and accelerations of a run relative to its limits."""
     speeds, accelerations = _joint_shares(run)
     bounds = run.limits.for_arm(run.arm)
     limited = bool(np.any(np.isfinite(bounds.bound)))
@@ -77,17 +73,17 @@ def limit_shares(run: Trajectory) -> Shares:
     )
 
 
-def find_excess(run: Trajectory) -> LimitViolation | None:
-    """Where a run exceeds its limits of speed and acceleration, from and to rest; None if nowhere."""
+def find_limit_violation(run: Trajectory) -> LimitViolation | None:
+    """Return where a run, from and to rest, exceeds its limits of speed and acceleration; None if nowhere."""
     if not run.steps:
         return None
     bounds = run.limits.for_arm(run.arm)
     speeds, accelerations = _joint_shares(run)
     accelerations[-2] = np.maximum(accelerations[-2], accelerations[-1])
     brake = np.inf if bounds.brake is None else bounds.brake
-    lost = RESOLUTION * (1.0 + np.abs([run.arm.positions(q) for q in run.q[[0, -1]]]).max(axis=0))
-    over = np.stack([speeds - lost / bounds.bound, accelerations[:-1] - 2.0 * lost / brake])
-    steps = np.flatnonzero(over.max(axis=(0, 2)) > 1.0 + ALLOWED)
+    rounding = POSITION_ROUNDING * (1.0 + np.abs([run.arm.positions(q) for q in run.q[[0, -1]]]).max(axis=0))
+    over = np.stack([speeds - rounding / bounds.bound, accelerations[:-1] - 2.0 * rounding / brake])
+    steps = np.flatnonzero(over.max(axis=(0, 2)) > 1.0 + LIMIT_TOLERANCE)
     if not len(steps):
         return None
     words, ratios = [], []
@@ -113,7 +109,7 @@ def _joint_shares(run: Trajectory) -> tuple[Array, Array]:
     return np.abs(steps) / bounds.bound, np.abs(changes) / brake
 
 
-# How motions end, in one vocabulary, and whether one may be handed to a robot.
+# How motions end, and whether one may be sent to a robot.
 #
 # Whatever moves an arm ends with one of these: a run of `track`, a motion in time, a run of a batch, a
 # simulation. The streaming controller reports "converged" and "stalled" in the same sense, from cycle to
@@ -140,12 +136,12 @@ controller found none that it may move. "max_steps": it ran out of steps, or cyc
 """
 
 
-ROUNDING = 1e-6
-"""How deep bodies may be inside each other and still only touch, in arm lengths: distances are rounded."""
+CONTACT_TOLERANCE = 1e-6
+"""Largest penetration that counts as contact, in arm lengths: distances are rounded."""
 
 
-class Ended(Protocol):
-    """What a motion is judged by; a `Trajectory` and a `Simulation` have it."""
+class FinishedMotion(Protocol):
+    """What `find_faults` needs of a motion; a `Trajectory` and a `Simulation` have it."""
 
     @property
     def arm(self) -> Arm:
@@ -176,20 +172,20 @@ class Ended(Protocol):
         """How they exceed limits of speed and acceleration; None if they do not, or had none to keep."""
 
 
-def faults(motion: Ended) -> tuple[str, ...]:
-    """Why a motion should not be handed to a robot, in words; empty if nothing speaks against it.
+def find_faults(motion: FinishedMotion) -> tuple[str, ...]:
+    """Return why a motion should not be sent to a robot, in words; empty if it may be.
 
-    It did not end where it was to, it exceeds its limits, or it is not clear on the way. This is the one
-    place that decides.
+    It did not converge, it exceeds limits of speed or acceleration, or bodies penetrate each other. No other
+    function decides this.
     """
     ended = () if motion.status == "converged" else (f"it {ENDINGS[motion.status]}: {motion.reason}",)
-    return *ended, *(what for what in _on_the_way(motion) if not (ended and what in motion.reason))
+    return *ended, *(what for what in _faults_before_end(motion) if not (ended and what in motion.reason))
 
 
-def _on_the_way(motion: Ended) -> tuple[str, ...]:
-    """What is wrong with a motion before its end, each as a clause."""
+def _faults_before_end(motion: FinishedMotion) -> tuple[str, ...]:
+    """Return limits that a motion exceeds and the deepest penetration, each as a clause."""
     found = [] if motion.excess is None else [motion.excess.text]
-    if motion.scene is not None and motion.clearance.min() < -ROUNDING * motion.arm.length:
+    if motion.scene is not None and motion.clearance.min() < -CONTACT_TOLERANCE * motion.arm.length:
         row = int(motion.clearance.argmin())
         pair = " and ".join(CollisionModel(motion.arm, motion.scene).minimum(motion.q[row]).pair or ())
         when = f"after {row} steps" if row else "at the start"
@@ -197,26 +193,26 @@ def _on_the_way(motion: Ended) -> tuple[str, ...]:
     return tuple(found)
 
 
-def verdict(motion: Ended) -> str:
-    """What to think of a motion, in one line."""
+def describe_result(motion: FinishedMotion) -> str:
+    """Return in one line whether a motion converged, its faults and the reason of its end."""
     there = "got there" if motion.status == "converged" else "did not get there"
-    but = "".join(f", but {what}" for what in _on_the_way(motion) if what not in motion.reason)
+    but = "".join(f", but {what}" for what in _faults_before_end(motion) if what not in motion.reason)
     return f"{there} ({motion.status}){but}: {motion.reason}"
 
 
-def require_sound(motion: Ended, force: bool) -> None:
-    """Refuse to hand on a motion that has `faults`, unless told to.
+def require_no_faults(motion: FinishedMotion, force: bool) -> None:
+    """Raise unless a motion is free of faults, or `force` is True.
 
     Raises:
-        MotionError: it has some.
+        MotionError: it has faults.
     """
-    found = () if force else faults(motion)
+    found = () if force else find_faults(motion)
     if found:
         raise MotionError(found)
 
 
-def closest(motion: Ended) -> dict[str, Any] | None:
-    """The smallest distance of a motion from what is around it, as data that JSON can hold.
+def closest(motion: FinishedMotion) -> dict[str, Any] | None:
+    """Return the smallest clearance of a motion, as data that JSON can hold.
 
     Returns:
         None without a scene; else "smallest" and "final" [m], the names of the "pair" that comes closest
@@ -235,9 +231,6 @@ def closest(motion: Ended) -> dict[str, Any] | None:
     }
 
 
-# How far control points travel, against how far they had to.
-
-
 def sweep(points: NDArray[np.float64]) -> float:
     """Length of the paths of all control points relative to the direct distances from start to end.
 
@@ -252,7 +245,7 @@ def sweep(points: NDArray[np.float64]) -> float:
     return max(paths / direct, 1.0) if direct > 1e-12 * paths else 1.0
 
 
-# The result of a run: the motion, and what is needed to draw and to repeat it.
+# The result of a run.
 
 
 class Switch(NamedTuple):
@@ -344,13 +337,13 @@ class Trajectory:
 
     @cached_property
     def faults(self) -> tuple[str, ...]:
-        """Why it should not be handed to a robot, in words; empty if nothing speaks against it."""
-        return faults(self)
+        """Why it should not be sent to a robot, in words; empty if it may be."""
+        return find_faults(self)
 
     @property
     def verdict(self) -> str:
         """What to think of it, in one line."""
-        return verdict(self)
+        return describe_result(self)
 
     @cached_property
     def posture_error(self) -> Array:
@@ -376,7 +369,7 @@ class Trajectory:
     @cached_property
     def excess(self) -> LimitViolation | None:
         """How its configurations exceed the limits of speed and acceleration; None if they do not."""
-        return find_excess(self)
+        return find_limit_violation(self)
 
     @cached_property
     def active_sets(self) -> tuple[tuple[int, ...], ...]:
@@ -400,36 +393,9 @@ class Trajectory:
             MotionError: it has faults.
             InvalidValue: the limits know of no time and none is given, or they know of another.
         """
-        from pinposture.motion.joint_trajectory import JointTrajectory
-
-        return JointTrajectory.from_run(self, dt, force)
-
-    def save(self, path: str | Path) -> Path:
-        """Write the run to one `.npz` file, all or nothing; it embeds the arm and the curve.
-
-        Args:
-            path: the file; ".npz" is added to a name without ending.
-
-        Returns:
-            The path written.
-
-        Raises:
-            FileError: the name has another ending, or the file cannot be written.
-        """
-        from pinposture.motion.files import save_trajectory
-
-        return save_trajectory(self, Path(path))
-
-    @classmethod
-    def load(cls, path: str | Path) -> Trajectory:
-        """Read a run that `save` wrote.
-
-        Raises:
-            FileError: the file is missing, or is not such a run.
-        """
-        from pinposture.motion.files import load_trajectory
-
-        return load_trajectory(Path(path))
+        step = step_duration(dt, self.limits.dt)
+        require_no_faults(self, force)
+        return JointTrajectory.from_configurations(self.arm, self.q, step)
 
     def __repr__(self) -> str:
         first, last = self.posture_error[0], self.posture_error[-1]

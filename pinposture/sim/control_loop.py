@@ -74,7 +74,7 @@ def set_points(arm: Arm, motion: AnyMotion, dt: float | None = None) -> SetPoint
     """
     if isinstance(motion, Motion | Trajectory):
         run = motion.run if isinstance(motion, Motion) else motion
-        timed = JointTrajectory.from_run(run, dt, force=True)
+        timed = run.joint_trajectory(dt, force=True)
     elif isinstance(motion, JointTrajectory):
         timed = motion if dt is None else motion.sampled(dt)
     elif dt is None:

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture._validation import require_positive
 from pinposture.arm import Arm
 from pinposture.collision import Scene
-from pinposture.control import Limits
-from pinposture.errors import InvalidValue
-from pinposture.motion.files import ArchiveKind, read_archive, write_archive
-from pinposture.motion.trajectory import closest, faults, verdict
+from pinposture.motion.files import Format, check_shapes, register
+from pinposture.motion.trajectory import closest, describe_result, find_faults
 from pinposture.sim.servos import Servos
 
 Array = NDArray[np.float64]
@@ -91,7 +89,7 @@ class Simulation:
     @cached_property
     def faults(self) -> tuple[str, ...]:
         """Why the motion should not be executed, in words; empty if nothing speaks against it."""
-        return faults(self)
+        return find_faults(self)
 
     @property
     def excess(self) -> None:
@@ -100,7 +98,7 @@ class Simulation:
     @property
     def verdict(self) -> str:
         """The result in one line."""
-        return verdict(self)
+        return describe_result(self)
 
     @cached_property
     def time(self) -> Array:
@@ -212,29 +210,6 @@ class Simulation:
             "time": float(self.time[int(row)]),
         }
 
-    def save(self, path: str | Path) -> Path:
-        """Write the simulation with its arm to one `.npz` file, atomically.
-
-        Args:
-            path: the file; ".npz" is added to a name without ending.
-
-        Returns:
-            The path written.
-
-        Raises:
-            FileError: the name has another ending, or the file cannot be written.
-        """
-        return write_archive(Path(path), KIND, Limits(step=None, dt=self.dt), *_pack(self))
-
-    @classmethod
-    def load(cls, path: str | Path) -> Simulation:
-        """Read a simulation from a file that `save` wrote; MuJoCo is not needed.
-
-        Raises:
-            FileError: the file is missing, or holds no simulation.
-        """
-        return read_archive(Path(path), KIND, _unpack)
-
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
@@ -244,8 +219,6 @@ _ADVICE = {
     "pinposture-run": "holds a run, not a simulation of it; simulate it with: pinposture simulate FILE",
     "pinposture-motion": "holds a motion, not a simulation of it; simulate it with: pinposture simulate FILE",
 }
-KIND = ArchiveKind("pinposture-simulation", 2, "simulation", _ADVICE)
-
 _VALUES = ("loop", "timestep", "status", "reason", "measured")
 
 
@@ -254,6 +227,7 @@ def _pack(simulation: Simulation) -> tuple[dict[str, Any], dict[str, Array]]:
     stored = {each.name: getattr(simulation, each.name) for each in fields(simulation)}
     arrays = {name: value for name, value in stored.items() if isinstance(value, np.ndarray)}
     about = {name: stored[name] for name in _VALUES}
+    about["dt"] = simulation.dt
     about["arm"] = simulation.arm.to_dict()
     about["servos"] = vars(simulation.servos)
     about["warnings"] = list(simulation.warnings)
@@ -261,7 +235,7 @@ def _pack(simulation: Simulation) -> tuple[dict[str, Any], dict[str, Array]]:
     return about, arrays
 
 
-def _unpack(about: dict[str, Any], arrays: dict[str, Any], limits: Limits) -> Simulation:
+def _unpack(about: dict[str, Any], arrays: dict[str, Any]) -> Simulation:
     arm = Arm.from_dict(about["arm"])
     rows, m = len(arrays["q"]), arm.n_modules
     shapes = {
@@ -277,16 +251,17 @@ def _unpack(about: dict[str, Any], arrays: dict[str, Any], limits: Limits) -> Si
         "targets": (rows, m, 3),
         "weights": (rows, m),
     }
-    for name, expected in shapes.items():
-        if name in arrays and arrays[name].shape != expected:
-            raise InvalidValue(f"{name} (shape)", arrays[name].shape, str(expected))
-    assert limits.dt is not None  # every simulation has one
+    check_shapes(arrays, {name: shape for name, shape in shapes.items() if name in arrays})
+    require_positive("dt", about["dt"])
     return Simulation(
         arm=arm,
         servos=Servos(**about["servos"]),
-        dt=limits.dt,
+        dt=about["dt"],
         warnings=tuple(about["warnings"]),
         scene=None if about["scene"] is None else Scene.from_dict(about["scene"]),
         **{name: arrays.get(name) for name in shapes},  # type: ignore[arg-type]
         **{name: about[name] for name in _VALUES},
     )
+
+
+register(Format("pinposture-simulation", 2, Simulation, "simulation", _pack, _unpack, _ADVICE))

@@ -19,7 +19,7 @@ from pinposture.control.limits import cycle_of
 from pinposture.control.planner.path import Course, JointPath, Pace
 from pinposture.errors import InvalidValue
 from pinposture.motion.motion import Motion
-from pinposture.motion.track import PATIENCE, PROGRESS, Drive, in_scene
+from pinposture.motion.track import PROGRESS_SHARE, STALL_TRAVEL, ControlLoop, in_scene
 from pinposture.placement import Target
 from pinposture.task.keyframe import Keyframe, usual_placement
 from pinposture.task.keyframes import keyframe_reference
@@ -160,11 +160,11 @@ def perform(
     if guide.steps > LONGEST:
         allowed = f"limits under which it takes at most {LONGEST:g} cycles, or a plan that asks for less"
         raise InvalidValue("cycles of the motion", round(guide.steps), allowed)
-    drive = Drive(arm, start, guide.target(0.0), controller, limits, scene)
-    performance = _Performance(guide, drive, tolerance, progress)
+    loop = ControlLoop(arm, start, guide.target(0.0), controller, limits, scene)
+    performance = _Performance(guide, loop, tolerance, progress)
     status, reason = performance.all()
-    logger.info("%s: %s after %.4g s: %s", controller.name, status, dt * drive.recorder.steps, reason)
-    return performance.log.motion(drive, status, reason)
+    logger.info("%s: %s after %.4g s: %s", controller.name, status, dt * loop.record.steps, reason)
+    return performance.log.motion(loop, status, reason)
 
 
 def move_through(
@@ -204,8 +204,8 @@ def move_through(
 class _Performance:
     """One motion under way."""
 
-    def __init__(self, guide: Guide, drive: Drive, tolerance: float, progress: Progress | None) -> None:
-        self.guide, self.drive, self.tolerance, self.progress = guide, drive, tolerance, progress
+    def __init__(self, guide: Guide, loop: ControlLoop, tolerance: float, progress: Progress | None) -> None:
+        self.guide, self.loop, self.tolerance, self.progress = guide, loop, tolerance, progress
         self.log = Log(guide.reference, guide.target(0.0))
         self._place = 0.0
         self._most = MORE + int(STEPS * guide.steps)
@@ -216,34 +216,34 @@ class _Performance:
         if status != "converged":
             return status, f"on the way to the first posture: {reason}"
         self.log.set_out()
-        controller = self.drive.controller
+        controller = self.loop.controller
         ended = self._look_ahead(controller) if isinstance(controller, ConstrainedQP) else self._lead()
         return self._come_to(self.guide.end) if ended is None else ended
 
     def _come_to(self, place: float, due: int = 0) -> tuple[str, str]:
         """Come to rest at a place, by whatever way, but not before step `due`; status and reason."""
-        target, drive = self.guide.target(place), self.drive
-        recorder = drive.recorder
-        begun = recorder.steps
-        recorder.aim(target)
+        target, loop = self.guide.target(place), self.loop
+        record = loop.record
+        begun = record.steps
+        record.set_target(target)
         most = begun + MORE + int(STEPS * self._cycles_to(target))
-        ended = drive.until_there(target, self.tolerance, most, lambda *_: self._tell())
-        drive.come_to_rest()
-        while ended[0] == "converged" and recorder.steps < due:
-            drive.hold()
+        ended = loop.run(target, self.tolerance, most, lambda *_: self._tell())
+        loop.brake_to_rest()
+        while ended[0] == "converged" and record.steps < due:
+            loop.brake()
             if self._tell():
                 ended = "stopped", STOPPED
         there = ended[0] == "converged"
         self._place = place if there else self._place
-        self.log.fill(drive, self._place, target)
-        self._most += recorder.steps - begun
+        self.log.fill(loop, self._place, target)
+        self._most += record.steps - begun
         return ended
 
     def _cycles_to(self, target: Target) -> float:
         """How many cycles the straight way to a target through joint space takes, about."""
-        drive = self.drive
-        bounds, q = drive.limits.for_arm(drive.arm), drive.state.q
-        way = np.abs(drive.arm.difference(q, q if target.q is None else target.q))
+        loop = self.loop
+        bounds, q = loop.limits.for_arm(loop.arm), loop.state.q
+        way = np.abs(loop.arm.difference(q, q if target.q is None else target.q))
         braking = 0.0 if bounds.brake is None else 2.0 * np.sqrt(way / bounds.brake)
         return float((way / bounds.bound + braking).max())
 
@@ -261,25 +261,25 @@ class _Performance:
         ended = None
         if self._tell():
             ended = "stopped", STOPPED
-        elif self.drive.recorder.steps > self._most:
+        elif self.loop.record.steps > self._most:
             seconds = place * self.guide.reference.interval
             ended = "max_steps", f"still at {seconds:.4g} s of the plan after {self._most} cycles"
         if ended is not None:
-            self.drive.come_to_rest()
-            self.log.fill(self.drive, place, target)
+            self.loop.brake_to_rest()
+            self.log.fill(self.loop, place, target)
         return ended
 
     def _look_ahead(self, controller: ConstrainedQP) -> tuple[str, str] | None:
         """Go along with a controller that knows the way; None at its end, else status and reason."""
-        drive, guide = self.drive, self.guide
+        loop, guide = self.loop, self.guide
         while self._place < guide.end:
             begun, target = self._place, guide.target(self._place)
             way, course = guide.way(begun), None
-            drive.memory = controller.along(drive.state, way, target, drive.limits, guide.most, drive.memory)
+            loop.memory = controller.along(loop.state, way, target, loop.limits, guide.most, loop.memory)
             while self._place < guide.end:
                 foreseen = guide.next(self._place, 0.0 if course is None else course.speed)
                 target = guide.target(foreseen)
-                step = drive.ask(target)
+                step = loop.compute_step(target)
                 own = step.memory.own
                 if not (isinstance(own, Course) and own.given):
                     break
@@ -287,7 +287,7 @@ class _Performance:
                     break
                 course, place = own, begun + own.place
                 target = target if place == foreseen else guide.target(place)
-                drive.move(step, target)
+                loop.take_step(step, target)
                 ended = self._moved(place, target)
                 if ended is not None:
                     return ended
@@ -296,7 +296,7 @@ class _Performance:
             mark = guide.next_mark(self._place)
             left = self._place
             # A way that is shorter does not make time run faster.
-            due = drive.recorder.steps + ceil((mark.row - self._place) / guide.most)
+            due = loop.record.steps + ceil((mark.row - self._place) / guide.most)
             status, reason = self._come_to(float(mark.row), due)
             if status != "converged":
                 self.log.note(left, f"the arm left the way, and did not come to {mark.name} by another")
@@ -306,14 +306,14 @@ class _Performance:
 
     def _lead(self) -> tuple[str, str] | None:
         """Go along with a controller that knows nothing of what is ahead: time waits where it is behind."""
-        drive, guide = self.drive, self.guide
+        loop, guide = self.loop, self.guide
         speed, patient = 0.0, True
-        allowed = BEHIND * drive.arm.length / drive.arm.n_modules
+        allowed = BEHIND * loop.arm.length / loop.arm.n_modules
         target = guide.target(self._place)
         while self._place < guide.end:
-            place, behind = self._place, drive.recorder.mean_error > allowed
-            if behind and patient and drive.recorder.travel_without_progress(PROGRESS) >= PATIENCE:
-                error = drive.recorder.mean_error
+            place, behind = self._place, loop.record.mean_error > allowed
+            if behind and patient and loop.record.travel_without_progress(PROGRESS_SHARE) >= STALL_TRAVEL:
+                error = loop.record.mean_error
                 self.log.note(place, f"the arm was {error:.3g} m behind on average, and did not catch up")
                 patient = False
             if behind and patient:
@@ -323,12 +323,12 @@ class _Performance:
                 place = guide.next(place, speed)
                 speed = place - self._place
                 target = guide.target(place)
-                drive.recorder.aim(target)
-            step = drive.ask(target)
+                loop.record.set_target(target)
+            step = loop.compute_step(target)
             if step.diagnostics.reason:
-                drive.hold()
+                loop.brake()
             else:
-                drive.move(step)
+                loop.take_step(step)
             ended = self._moved(place, target)
             if ended is not None:
                 return ended

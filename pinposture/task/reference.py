@@ -15,7 +15,7 @@ from pinposture.collision import CollisionModel, Scene
 from pinposture.control import EndEffector
 from pinposture.errors import InvalidValue, PostureWarning, TaskError
 from pinposture.motion.motion import Motion, Passed
-from pinposture.motion.track import Drive
+from pinposture.motion.track import ControlLoop
 from pinposture.placement import Target
 from pinposture.placement.curve_placement import Moved
 
@@ -118,9 +118,9 @@ class Log:
         self._places.append(place)
         self._targets.append(target)
 
-    def fill(self, drive: Drive, place: float, target: Target) -> None:
+    def fill(self, loop: ControlLoop, place: float, target: Target) -> None:
         """Write down the steps that were taken towards a target since, while the plan stood still."""
-        missing = drive.recorder.steps + 1 - len(self._places)
+        missing = loop.record.steps + 1 - len(self._places)
         self._places += [self._places[-1]] * missing
         self._targets += [target] * missing
         self._places[-1] = place
@@ -133,12 +133,12 @@ class Log:
         """Write down in words what was not as planned."""
         self._notes.append(f"at {place * self._reference.interval:.4g} s of the plan {what}")
 
-    def motion(self, drive: Drive, status: str, reason: str) -> Motion:
+    def motion(self, loop: ControlLoop, status: str, reason: str) -> Motion:
         """Everything so far, as a result."""
         reference, places = self._reference, np.array(self._places)
-        run = drive.recorder.trajectory(drive.arm, drive.controller, drive.limits, status, reason)
+        run = loop.record.trajectory(loop.arm, loop.controller, loop.limits, status, reason)
         asked = np.array([target.placed for target in self._targets])
-        dt = reference.duration if drive.limits.dt is None else drive.limits.dt
+        dt = reference.duration if loop.limits.dt is None else loop.limits.dt
         return Motion(
             run=run,
             targets=np.array([target.points for target in self._targets]),

@@ -29,7 +29,7 @@ def track(command, arm_file, tmp_path, no_pictures):
         asked = ("track", arm_file, "--curve", "line", "--start", ABOVE, "-o", tmp_path)
         result = command(*asked, *options, "--json")
         assert result.code == 0, result.err
-        return json.loads(result.out), pp.Trajectory.load(tmp_path / "run.npz")
+        return json.loads(result.out), pp.load(tmp_path / "run.npz", pp.Trajectory)
 
     return run
 
@@ -44,7 +44,7 @@ def passed(command, arm_file, scene_file, tmp_path_factory):
         asked = ("track", arm_file, "--curve", "line", "--start", ABOVE, "--scene", scene_file)
         result = command(*asked, "-o", path, "--json")
     assert result.code == 0, result.err
-    return json.loads(result.out), pp.Trajectory.load(path / "run.npz")
+    return json.loads(result.out), pp.load(path / "run.npz", pp.Trajectory)
 
 
 def to_ball(points):
@@ -110,7 +110,7 @@ def test_what_gave_way_is_told_with_the_step(command, arm_file, tmp_path, no_pic
     # Some joints begin outside what the margin leaves, 0.24 rad on either side.
     asked = ("track", arm_file, "--curve", "line", "--start", ABOVE, "--position-margin", 2.9)
     summary = json.loads(command(*asked, "-o", tmp_path, "--json").out)
-    run = pp.Trajectory.load(tmp_path / "run.npz")
+    run = pp.load(tmp_path / "run.npz", pp.Trajectory)
     assert summary["relaxed"][0]["step"] == 0
     assert "position limits of joint 'm01_j2_z'" in summary["relaxed"][0]["what"][0]
     assert {each["step"]: each["what"] for each in summary["relaxed"]} == {

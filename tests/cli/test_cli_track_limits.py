@@ -15,7 +15,7 @@ def track(command, arm_file, tmp_path, no_pictures):
     def run(*options) -> pp.Trajectory:
         result = command("track", arm_file, "--curve", "helix", "--steps", 40, "-o", tmp_path, *options)
         assert result.code in (0, 1), result.err  # some limits leave too little time
-        return pp.Trajectory.load(tmp_path / "run.npz")
+        return pp.load(tmp_path / "run.npz", pp.Trajectory)
 
     return run
 

@@ -19,12 +19,12 @@ from pinposture.motion.motion import Motion
 @pytest.fixture(scope="module")
 def timed_run(run_directory: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of 11 steps of 0.02 s, with a limit of speed, that gets there."""
-    arm = pp.Trajectory.load(run_directory / "run.npz").arm
+    arm = pp.load(run_directory / "run.npz", pp.Trajectory).arm
     target = pp.Target.from_configuration(arm, np.full(arm.nv, 0.17))
     limits = pp.Limits(step=None, velocity=1.5, dt=0.02)
     run = pp.track(arm, target, arm.neutral(), limits=limits)
     assert (run.status, run.steps) == ("converged", 11)
-    return run.save(tmp_path_factory.mktemp("timed") / "run.npz")
+    return pp.save(run, tmp_path_factory.mktemp("timed") / "run.npz")
 
 
 @pytest.mark.parametrize("suffix", ["npz", "csv", "json"])
@@ -35,8 +35,8 @@ def test_a_run_is_written_in_the_format_of_the_name(command, run_directory, tmp_
     assert result.code == 0
     assert result.err.splitlines()[1:] == [f"wrote {file}"]
     assert "12 joints, 21 points, 1 s" in result.out
-    run = pp.Trajectory.load(run_directory / "run.npz")
-    found = JointTrajectory.load(file, run.arm)
+    run = pp.load(run_directory / "run.npz", pp.Trajectory)
+    found = pp.load(file, JointTrajectory).matched(run.arm)
     np.testing.assert_array_equal(found.configurations(run.arm), run.q)
     np.testing.assert_allclose(found.time, 0.05 * np.arange(21), atol=1e-9)
 
@@ -55,7 +55,7 @@ def test_the_summary_tells_what_the_motion_asks_of_the_joints(command, timed_run
     file = tmp_path / "motion.json"
     result = command("export", timed_run, "-o", file, "--json")
     summary = json.loads(result.out)
-    run = pp.Trajectory.load(timed_run)
+    run = pp.load(timed_run, pp.Trajectory)
     steps = np.diff(run.q, axis=0)
     changes = np.diff(np.pad(steps, ((1, 1), (0, 0))), axis=0)
     assert summary.pop("largest_speed") == {"rad/s": pytest.approx(np.abs(steps).max() / 0.02)}
@@ -77,16 +77,16 @@ def test_the_summary_tells_what_the_motion_asks_of_the_joints(command, timed_run
 def test_of_a_motion_and_a_run_in_one_directory_the_motion_is_taken(
     command, timed_run, run_directory, tmp_path
 ) -> None:
-    run = pp.Trajectory.load(timed_run)
+    run = pp.load(timed_run, pp.Trajectory)
     rows, m = run.point_errors.shape
     there = np.tile(run.target.points, (rows, 1, 1))
     motion = Motion(run, there, np.ones((rows, m), dtype=bool), 0.02 * np.arange(rows), 0, 0.22)
     shutil.copy(run_directory / "run.npz", tmp_path)
     # A file of that name that holds something else does not count.
-    JointTrajectory.from_run(run).save(tmp_path / "motion.npz")
+    pp.save(run.joint_trajectory(), tmp_path / "motion.npz")
     asked = ("export", tmp_path, "--dt", 0.02, "-o", tmp_path / "a.csv", "--json", "--force")
     assert json.loads(command(*asked).out)["points"] == 21
-    motion.save(tmp_path / "motion.npz")
+    pp.save(motion, tmp_path / "motion.npz")
     assert json.loads(command(*asked).out)["points"] == 14  # it stands still before and after
     assert command("export", tmp_path / "motion.npz", "-o", tmp_path / "b.csv").code == 0
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
@@ -95,9 +95,9 @@ def test_of_a_motion_and_a_run_in_one_directory_the_motion_is_taken(
 
 
 def test_a_run_that_exceeds_a_limit_is_written_only_by_force(command, timed_run, tmp_path) -> None:
-    run = pp.Trajectory.load(timed_run)
+    run = pp.load(timed_run, pp.Trajectory)
     limits = pp.Limits(dt=0.02, acceleration=1.0)  # tighter than what it was made with
-    dataclasses.replace(run, limits=limits).save(tmp_path / "run.npz")
+    pp.save(dataclasses.replace(run, limits=limits), tmp_path / "run.npz")
     asked = ("export", tmp_path, "-o", tmp_path / "a.csv")
     refused = command(*asked)
     assert (refused.code, (tmp_path / "a.csv").exists()) == (2, False)

@@ -36,7 +36,7 @@ def test_each_run_is_the_one_of_track_with_the_next_seed(command, arm_file):
 def test_the_file_holds_what_was_said(command, arm_file, tmp_path):
     path = tmp_path / "deep" / "many" / "batch.npz"
     found = many(command, arm_file, "--count", 2, "-o", path.parent)
-    batch = pp.Batch.load(path)
+    batch = pp.load(path, pp.Batch)
     assert found["file"] == str(path)
     assert [run["final_error"] for run in found["runs"]] == batch.final_error.tolist()
     for verb in (("view",), ("export", "-o", tmp_path / "joints.csv")):
@@ -44,14 +44,14 @@ def test_the_file_holds_what_was_said(command, arm_file, tmp_path):
         assert (refused.code, "holds many runs; save one of them" in refused.err) == (2, True)
     assert [len(run.q) - 1 for run in batch] == [run["steps"] for run in found["runs"]]
     many(command, arm_file, "--count", 2, "-o", path.parent, "--ends-only")
-    ends = pp.Batch.load(path)
+    ends = pp.load(path, pp.Batch)
     assert ends.motions is None
     np.testing.assert_array_equal(ends.q_final, batch.q_final)
 
 
 def test_words_on_stdout_and_the_file_on_stderr(command, arm_file, tmp_path):
     result = command("many", arm_file, "--curve", "helix", "--count", 2, *SHORT, "-o", tmp_path)
-    batch = pp.Batch.load(tmp_path / "batch.npz")
+    batch = pp.load(tmp_path / "batch.npz", pp.Batch)
     assert result.err.splitlines() == [f"wrote {tmp_path / 'batch.npz'}"]
     lines = [line.split("  ", 1) for line in result.out.splitlines()]
     assert {name.strip(): text.strip() for name, text in lines} == batch.in_words()
@@ -59,7 +59,7 @@ def test_words_on_stdout_and_the_file_on_stderr(command, arm_file, tmp_path):
 
 def test_several_curves_from_one_start(command, arm_file, tmp_path):
     many(command, arm_file, "--curve", "line", "--count", 1, "-o", tmp_path)
-    batch = pp.Batch.load(tmp_path / "batch.npz")
+    batch = pp.load(tmp_path / "batch.npz", pp.Batch)
     arm = pp.Arm.from_urdf(arm_file)
     for target, name in zip(batch.targets, ("helix", "line"), strict=True):
         np.testing.assert_allclose(target.points, pp.resolve_targets(arm, CURVES[name]).points, atol=1e-12)
@@ -74,7 +74,7 @@ def test_starts_are_the_rows_of_a_file(command, arm_file, tmp_path, suffix):
     else:
         np.save(tmp_path / "starts.npy", rows)
     many(command, arm_file, "--starts", tmp_path / f"starts{suffix}", "-o", tmp_path)
-    np.testing.assert_array_equal(pp.Batch.load(tmp_path / "batch.npz").q_start, rows)
+    np.testing.assert_array_equal(pp.load(tmp_path / "batch.npz", pp.Batch).q_start, rows)
 
 
 def test_the_exit_code_tells_whether_all_got_there(command, arm_file):

@@ -23,7 +23,7 @@ def test_a_start_in_degrees_is_refused_with_the_option_that_takes_it(command, ar
     np.savetxt(tmp_path / "q.csv", DEGREES)
     for given in (start, tmp_path / "q.csv"):
         assert command(*asked, "--start", given, "--degrees").code == 1
-        found = pp.Trajectory.load(tmp_path / "run.npz").q[0]
+        found = pp.load(tmp_path / "run.npz", pp.Trajectory).q[0]
         np.testing.assert_allclose(found, DEGREES * np.pi / 180.0, rtol=1e-15)
     named = command(*asked, "--start", "smooth", "--degrees")
     assert (named.code, "only where numbers are given" in named.err) == (2, True)
@@ -37,7 +37,7 @@ def test_continuous_joints_in_degrees_are_angles(command, arm_file, tmp_path):
     assert command(*asked, "--starts", tmp_path / "starts.csv", "--degrees").code == 1
     angles = np.concatenate([DEGREES, 3 * DEGREES]) * np.pi / 180.0
     pairs = np.column_stack([np.cos(angles), np.sin(angles)]).ravel()
-    np.testing.assert_allclose(pp.Batch.load(tmp_path / "batch.npz").q_start.ravel(), pairs, atol=1e-15)
+    np.testing.assert_allclose(pp.load(tmp_path / "batch.npz", pp.Batch).q_start.ravel(), pairs, atol=1e-15)
     # Without the option they are many turns, which may be meant: it is asked.
     turned = command(*asked, "--starts", tmp_path / "starts.csv")
     assert turned.code == 1

@@ -86,12 +86,14 @@ def test_what_is_kept_is_what_the_file_asks_for_and_loads(command, task, tmp_pat
     assert sorted(result.err.splitlines()) == [
         f"wrote {out / f'motion.{kind}'}" for kind in ("csv", "json", "npz")
     ]
-    motion = pp.Motion.load(out / "motion.npz")
+    motion = pp.load(out / "motion.npz", pp.Motion)
     expected = pp.Task.load(task).perform()
     np.testing.assert_array_equal(motion.q, expected.q)
     np.testing.assert_array_equal(motion.clock, expected.clock)
     for kind in ("csv", "json"):
-        rows = pp.JointTrajectory.load(out / f"motion.{kind}", motion.arm).configurations(motion.arm)
+        rows = (
+            pp.load(out / f"motion.{kind}", pp.JointTrajectory).matched(motion.arm).configurations(motion.arm)
+        )
         np.testing.assert_allclose(rows[1:-1], motion.q, atol=1e-12)
     status = json.loads((out / "status.json").read_text())
     assert (status["state"], sorted(status["files"])) == (

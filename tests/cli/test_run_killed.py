@@ -124,9 +124,9 @@ def check(out: Path) -> list[str]:
         if name == "status.json":
             json.loads((out / name).read_text())
         elif name == "motion.npz":
-            assert pp.Motion.load(out / name).converged
+            assert pp.load(out / name, pp.Motion).converged
         else:
-            rows = pp.JointTrajectory.load(out / name).positions
+            rows = pp.load(out / name, pp.JointTrajectory).positions
             assert len(rows) > 20
             assert np.all(np.isfinite(rows))
     return names

@@ -10,18 +10,17 @@ import numpy as np
 import pytest
 
 import pinposture as pp
-from pinposture.motion import JointTrajectory
 from pinposture.sim import Simulation
 
 
 @pytest.fixture(scope="module")
 def timed_run(run_directory: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A directory with a run of 10 cycles of 0.02 s."""
-    arm = pp.Trajectory.load(run_directory / "run.npz").arm
+    arm = pp.load(run_directory / "run.npz", pp.Trajectory).arm
     target = pp.Target.from_configuration(arm, np.full(arm.nv, 0.1))
     limits = pp.Limits(dt=0.02, acceleration=20.0)
     run = pp.track(arm, target, arm.neutral(), limits=limits, max_steps=10)
-    return run.save(tmp_path_factory.mktemp("timed") / "run.npz").parent
+    return pp.save(run, tmp_path_factory.mktemp("timed") / "run.npz").parent
 
 
 @pytest.mark.parametrize("loop", ["open", "closed"])
@@ -33,7 +32,7 @@ def test_a_run_is_simulated_kept_and_told(command, timed_run, tmp_path, loop):
         0,
         ["simulation.npz", "simulation.png"],
     )
-    kept = Simulation.load(out / "simulation.npz")
+    kept = pp.load(out / "simulation.npz", Simulation)
     assert kept.loop == loop
     assert f"{loop} loop, gravity, {len(kept.time) - 1} cycles of 0.02 s" in result.out
     assert ("target" in result.out) == (loop == "closed")
@@ -58,7 +57,7 @@ def test_exported_joints_are_simulated_with_the_arm_that_is_named(
     command, timed_run, arm_file, tmp_path, suffix
 ):
     file = tmp_path / f"joints.{suffix}"
-    JointTrajectory.from_run(pp.Trajectory.load(timed_run / "run.npz")).save(file)
+    pp.save(pp.load(timed_run / "run.npz", pp.Trajectory).joint_trajectory(), file)
     loops = [["--closed"], []] if suffix == "csv" else [[]]
     for loop in loops:
         result = command("simulate", file, "--urdf", arm_file, "--hold", 0.1, "--json", *loop)
@@ -70,7 +69,7 @@ def test_servos_at_their_limits_are_mentioned(command, timed_run, tmp_path, arm_
     weak = tmp_path / "weak.urdf"
     weak.write_text(arm_file.read_text().replace('effort="100.0"', 'effort="0.01"'))
     file = tmp_path / "joints.csv"
-    JointTrajectory.from_run(pp.Trajectory.load(timed_run / "run.npz")).save(file)
+    pp.save(pp.load(timed_run / "run.npz", pp.Trajectory).joint_trajectory(), file)
     result = command("simulate", file, "--urdf", weak, "--hold", 1)
     assert result.code == 1  # the arm hangs down
     assert result.out.startswith("verdict")
@@ -100,7 +99,7 @@ def test_what_cannot_be_is_told_in_one_line(
     command, timed_run, run_directory, arm_file, tmp_path, arguments, reason
 ):
     table = tmp_path / "joints.csv"
-    JointTrajectory.from_run(pp.Trajectory.load(timed_run / "run.npz")).save(table)
+    pp.save(pp.load(timed_run / "run.npz", pp.Trajectory).joint_trajectory(), table)
     named = {"RUN": timed_run, "UNTIMED": run_directory, "ARM": arm_file, "CSV": table}
     result = command("simulate", *(named.get(each, each) for each in arguments))
     assert (result.code, result.out) == (2, "")

@@ -33,8 +33,8 @@ def both(tmp_path_factory) -> Path:
     """A directory with a motion, and a run that is newer."""
     path = tmp_path_factory.mktemp("both")
     motion = some_motion()
-    motion.save(path / "motion.npz")
-    motion.run.save(path / "run.npz")
+    pp.save(motion, path / "motion.npz")
+    pp.save(motion.run, path / "run.npz")
     touch(path / "motion.npz", 1000)
     touch(path / "run.npz", 2000)
     return path
@@ -55,17 +55,17 @@ def test_of_a_directory_with_both_the_newer_one_is_taken_and_named(both, newer):
 
 
 def test_one_file_alone_needs_no_words(tmp_path):
-    some_motion().save(tmp_path / "motion.npz")
+    pp.save(some_motion(), tmp_path / "motion.npz")
     assert find_kept(tmp_path) == (tmp_path / "motion.npz", "")
     assert find_kept(tmp_path / "motion.npz") == (tmp_path / "motion.npz", "")
 
 
 def test_joints_that_were_exported_as_motion_npz_are_no_motion(tmp_path):
     motion = some_motion()
-    motion.joint_trajectory().save(tmp_path / "motion.npz")
+    pp.save(motion.joint_trajectory(), tmp_path / "motion.npz")
     with pytest.raises(FileError, match=r"no such file, and no motion\.npz"):
         find_kept(tmp_path)
-    motion.run.save(tmp_path / "run.npz")
+    pp.save(motion.run, tmp_path / "run.npz")
     assert find_kept(tmp_path) == (tmp_path / "run.npz", "")
 
 
@@ -119,14 +119,14 @@ def test_a_motion_is_kept_in_every_format_that_is_asked_for(tmp_path):
         f"motion.{kind}" for kind in FORMATS
     )
     assert list(files)[-1] == "npz"
-    np.testing.assert_array_equal(Motion.load(files["npz"]).q, motion.q)
+    np.testing.assert_array_equal(pp.load(files["npz"], Motion).q, motion.q)
     message = json.loads(Path(files["json"]).read_text(encoding="utf-8"))
     # It stands still for a cycle before and after.
     assert len(message["points"]) == motion.steps + 3
     assert message["joint_names"] == list(five_modules().joint_names)
     assert "<html" in Path(files["html"]).read_text(encoding="utf-8").lower()
     assert Path(files["png"]).read_bytes().startswith(b"\x89PNG\r\n")
-    table = pp.JointTrajectory.load(files["csv"])
+    table = pp.load(files["csv"], pp.JointTrajectory)
     np.testing.assert_allclose(table.positions[1:-1], motion.q, atol=1e-9)
 
 

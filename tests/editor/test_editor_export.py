@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from played import four_modules, moved
 
+import pinposture as pp
 from pinposture.editor.exports import KINDS, exported
 from pinposture.errors import MotionError, UnknownName
 from pinposture.motion import JointTrajectory, Motion
@@ -18,7 +19,7 @@ def test_the_archive_is_the_motion(tmp_path: Path) -> None:
     made = exported(moved(), "npz", "walk")
     assert made.name == "walk.npz"
     (tmp_path / made.name).write_bytes(made.content)
-    loaded = Motion.load(tmp_path / made.name)
+    loaded = pp.load(tmp_path / made.name, Motion)
     for field in ("q", "targets", "clock", "mean_error"):
         np.testing.assert_array_equal(getattr(loaded, field), getattr(moved(), field))
     assert [place.name for place in loaded.passed] == [place.name for place in moved().passed]
@@ -28,7 +29,7 @@ def test_the_archive_is_the_motion(tmp_path: Path) -> None:
 def test_joints_come_back_at_their_times(tmp_path: Path, kind: str) -> None:
     made = exported(moved(), kind, "walk")
     (tmp_path / made.name).write_bytes(made.content)
-    loaded = JointTrajectory.load(tmp_path / made.name, four_modules())
+    loaded = pp.load(tmp_path / made.name, JointTrajectory).matched(four_modules())
     still = np.concatenate([moved().q[:1], moved().q, moved().q[-1:]])  # a cycle at rest before and after
     np.testing.assert_allclose(loaded.configurations(four_modules()), still, atol=1e-12)
     np.testing.assert_allclose(np.diff(loaded.time), moved().dt, atol=2e-9)

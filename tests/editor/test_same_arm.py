@@ -11,6 +11,7 @@ from edited_tasks import L, task
 from sampling import seeds
 from typer.testing import CliRunner
 
+import pinposture as pp
 from pinposture.cli.app import app
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Solver
@@ -73,7 +74,7 @@ def assert_same(bench: Bench, folder: Path, *keyframes: int) -> None:
     opened, played = Bench(loaded, path), edited.perform()
     ended = CliRunner().invoke(app, ["run", str(path), "-o", str(out)])
     assert ended.exit_code == 0, ended.output
-    ran = Motion.load(out / "motion.npz")
+    ran = pp.load(out / "motion.npz", Motion)
     assert np.array_equal(ran.q, played.q)
     plans = [edited.reference().marks, loaded.reference().marks]
     for keyframe in keyframes:

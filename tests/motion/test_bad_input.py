@@ -62,7 +62,7 @@ def test_numbers_of_numpy_are_numbers(arm: pp.Arm, goal: pp.Target, tmp_path) ->
     limits = pp.Limits(step=np.float32(0.1), dt=np.float32(0.5), position_margin=np.float32(0.01))
     method = pp.Selection(gain=np.int64(1), null_gain=np.float32(0.5))
     run = pp.track(arm, goal, np.full(8, 0.1), method, limits, max_steps=np.int64(3))
-    again = pp.Trajectory.load(run.save(tmp_path / "run.npz"))
+    again = pp.load(pp.save(run, tmp_path / "run.npz"), pp.Trajectory)
     assert again.limits == limits
     assert hash(again.limits) == hash(limits)
     assert limits != pp.Limits(step=np.full(8, 0.1))
@@ -94,7 +94,7 @@ def test_a_model_must_be_one() -> None:
 
 def test_damaged_runs_are_file_errors(arm: pp.Arm, goal: pp.Target, tmp_path) -> None:
     run = pp.track(arm, goal, np.zeros(8), max_steps=3)
-    path = run.save(tmp_path / "run.npz")
+    path = pp.save(run, tmp_path / "run.npz")
     content = bytearray(path.read_bytes())
     rng = np.random.default_rng(0)
     for _ in range(60):
@@ -103,12 +103,12 @@ def test_damaged_runs_are_file_errors(arm: pp.Arm, goal: pp.Target, tmp_path) ->
             broken[place] ^= int(rng.integers(1, 256))
         path.write_bytes(bytes(broken))
         try:
-            pp.Trajectory.load(path)
+            pp.load(path, pp.Trajectory)
         except FileError:
             continue
-    with np.load(run.save(path)) as stored:
+    with np.load(pp.save(run, path)) as stored:
         arrays = dict(stored)
     for name, value in {"q": np.zeros((2, 2)), "about": np.array(json.dumps({"format": "?"}))}.items():
         np.savez(path, **(arrays | {name: value}))
         with pytest.raises(FileError):
-            pp.Trajectory.load(path)
+            pp.load(path, pp.Trajectory)

@@ -51,7 +51,7 @@ def batch(arm: pp.Arm, targets: list[pp.Target], starts: list[np.ndarray]) -> pp
 
 @pytest.fixture(scope="module")
 def content(batch: pp.Batch, tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    return batch.save(tmp_path_factory.mktemp("batch") / "batch.npz").read_bytes()
+    return pp.save(batch, tmp_path_factory.mktemp("batch") / "batch.npz").read_bytes()
 
 
 def assert_equal(one: object, other: object) -> None:
@@ -68,10 +68,10 @@ def assert_equal(one: object, other: object) -> None:
 @pytest.mark.parametrize("keep", ["motions", "ends"])
 def test_a_file_gives_everything_back(arm: pp.Arm, batch: pp.Batch, keep: str, tmp_path: Path) -> None:
     batch = batch if keep == "motions" else replace(batch, motions=None)
-    path = batch.save(tmp_path / "deep" / "many")
+    path = pp.save(batch, tmp_path / "deep" / "many")
     assert path == tmp_path / "deep" / "many.npz"
     assert list(path.parent.iterdir()) == [path]
-    loaded = pp.Batch.load(path)
+    loaded = pp.load(path, pp.Batch)
     assert_equal(loaded, batch)
     assert loaded.arm.urdf == arm.urdf
     for one, other in zip(loaded.targets, batch.targets, strict=True):
@@ -92,7 +92,7 @@ def test_one_target_of_all_stays_one(
     arm: pp.Arm, targets: list[pp.Target], starts: list[np.ndarray], tmp_path: Path
 ) -> None:
     batch = pp.track_many(arm, targets[0], starts, max_steps=2)
-    loaded = pp.Batch.load(batch.save(tmp_path / "batch.npz"))
+    loaded = pp.load(pp.save(batch, tmp_path / "batch.npz"), pp.Batch)
     assert len(loaded.targets) == 1
     assert_equal(loaded, batch)
 
@@ -118,7 +118,7 @@ def test_an_interrupted_write_leaves_no_file(
         with monkeypatch.context() as patch:
             patch.setattr("os.fsync", failure)
             with pytest.raises(raised):
-                batch.save(tmp_path / "batch.npz")
+                pp.save(batch, tmp_path / "batch.npz")
         assert list(tmp_path.iterdir()) == []
 
 
@@ -151,25 +151,25 @@ def test_arrays_that_do_not_belong_together_are_refused(
     damage: dict[str, object], content: bytes, tmp_path: Path
 ) -> None:
     with pytest.raises(FileError, match="is not a saved batch"):
-        pp.Batch.load(changed(content, tmp_path / "batch.npz", **damage))
+        pp.load(changed(content, tmp_path / "batch.npz", **damage), pp.Batch)
 
 
 def test_texts_that_are_not_there_are_refused(batch: pp.Batch, content: bytes, tmp_path: Path) -> None:
     beyond = np.full_like(batch.motions.method, len(batch.motions.texts))
     with pytest.raises(FileError, match="numbers of texts"):
-        pp.Batch.load(changed(content, tmp_path / "batch.npz", motion_method=beyond))
+        pp.load(changed(content, tmp_path / "batch.npz", motion_method=beyond), pp.Batch)
 
 
 def test_files_that_are_no_batches_are_named(batch: pp.Batch, tmp_path: Path) -> None:
     with pytest.raises(FileError, match="no such file"):
-        pp.Batch.load(tmp_path / "missing.npz")
+        pp.load(tmp_path / "missing.npz", pp.Batch)
     (tmp_path / "text.npz").write_text("hello")
     with pytest.raises(FileError, match="not a saved batch"):
-        pp.Batch.load(tmp_path / "text.npz")
+        pp.load(tmp_path / "text.npz", pp.Batch)
     with pytest.raises(FileError, match=r"'pinposture-run'.*allowed: 'pinposture-batch'"):
-        pp.Batch.load(batch[0].save(tmp_path / "run.npz"))
+        pp.load(pp.save(batch[0], tmp_path / "run.npz"), pp.Batch)
     with pytest.raises(FileError, match="holds many runs"):
-        pp.Trajectory.load(batch.save(tmp_path / "batch.npz"))
+        pp.load(pp.save(batch, tmp_path / "batch.npz"), pp.Trajectory)
 
 
 @examples(40)
@@ -183,7 +183,7 @@ def test_damaged_bytes_are_noticed_or_do_no_harm(
     path = tmp_path_factory.getbasetemp() / "damaged.npz"
     path.write_bytes(content[:place] if cut else content[:place] + other + content[place + 1 :])
     try:
-        loaded = pp.Batch.load(path)
+        loaded = pp.load(path, pp.Batch)
     except FileError as error:
         assert error.path == path
     else:

@@ -10,7 +10,7 @@ import pytest
 from joblib import delayed
 
 from pinposture.motion import processes
-from pinposture.motion.processes import Shared, in_order, where_it_pays
+from pinposture.motion.processes import Shared, adaptively_in_order, in_order
 
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
 
@@ -29,43 +29,46 @@ def sent(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
         seen.append((len(tasks), jobs))
         return iter([function(*given) for function, given, _ in tasks])
 
-    monkeypatch.setattr(processes, "_spread", noted)
+    monkeypatch.setattr(processes, "_distribute", noted)
     return seen
 
 
 def test_little_work_stays_here(sent: list) -> None:
-    assert list(where_it_pays(squares(9), None)) == [k**2 for k in range(9)]
+    assert list(adaptively_in_order(squares(9), None)) == [k**2 for k in range(9)]
     assert sent == []
 
 
 def test_long_work_goes_to_all_processes_after_a_trial(sent: list, monkeypatch: pytest.MonkeyPatch) -> None:
     clock = iter([0, *range(0, 100, 2)])  # two seconds each
     monkeypatch.setattr(processes, "perf_counter", lambda: next(clock))
-    assert list(where_it_pays(squares(9), None)) == [k**2 for k in range(9)]
+    assert list(adaptively_in_order(squares(9), None)) == [k**2 for k in range(9)]
     assert sent == [(8, -1)]
     sent.clear()
     clock = iter([0, *range(0, 100, 2)])
-    assert list(where_it_pays(squares(3), None)) == [0, 1, 4]  # what is left takes 4 s
+    assert list(adaptively_in_order(squares(3), None)) == [0, 1, 4]  # what is left takes 4 s
     assert sent == []
 
 
 def test_whoever_says_where_is_obeyed_at_once(sent: list) -> None:
-    list(where_it_pays(squares(2), 3))
+    list(adaptively_in_order(squares(2), 3))
     with joblib.parallel_config(n_jobs=2):
-        list(where_it_pays(squares(2), None))
+        list(adaptively_in_order(squares(2), None))
     with joblib.parallel_config(backend="threading"):
-        list(where_it_pays(squares(2), None))
+        list(adaptively_in_order(squares(2), None))
     assert sent == [(2, 3), (2, 2), (2, -1)]
 
 
-def test_within_the_work_of_others_nothing_is_spread() -> None:
+def test_within_the_work_of_others_nothing_is_distributed() -> None:
     def nested() -> tuple[list, list]:
         seen = []
-        original, processes._spread = processes._spread, lambda tasks, jobs: seen.append(jobs) or iter(())
+        original, processes._distribute = (
+            processes._distribute,
+            lambda tasks, jobs: seen.append(jobs) or iter(()),
+        )
         try:
-            return list(where_it_pays(squares(2), None)), seen
+            return list(adaptively_in_order(squares(2), None)), seen
         finally:
-            processes._spread = original
+            processes._distribute = original
 
     with joblib.parallel_config(backend="threading", n_jobs=2):
         found = joblib.Parallel()([delayed(nested)()])

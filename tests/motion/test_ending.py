@@ -31,11 +31,10 @@ def test_a_run_that_stopped_early_is_exported_only_by_force(arm: pp.Arm, goal: p
     run = swept(arm, goal, 2)
     assert run.faults == (f"it ran out of steps: {run.reason}",)
     assert run.verdict == f"did not get there (max_steps): {run.reason}"
-    for export in (run.joint_trajectory, lambda **told: pp.JointTrajectory.from_run(run, **told)):
-        with pytest.raises(MotionError, match=r"it ran out of steps: mean point.*force=True") as caught:
-            export()
-        assert caught.value.faults == run.faults
-        assert len(export(force=True).time) == 3
+    with pytest.raises(MotionError, match=r"it ran out of steps: mean point.*force=True") as caught:
+        run.joint_trajectory()
+    assert caught.value.faults == run.faults
+    assert len(run.joint_trajectory(force=True).time) == 3
 
 
 def test_a_run_that_gets_there_is_exported_as_it_is(arm: pp.Arm, goal: pp.Target) -> None:
@@ -65,7 +64,7 @@ def test_a_run_that_exceeds_a_limit_is_exported_only_by_force(arm: pp.Arm, goal:
     assert run.verdict == f"got there (converged): {run.reason}" and fault in run.reason
     with pytest.raises(MotionError, match=r"3 times as much.*force=True"):
         run.joint_trajectory()
-    peak = pp.JointTrajectory.from_run(run, force=True).peaks.accelerations.max()
+    peak = run.joint_trajectory(force=True).peaks.accelerations.max()
     assert peak == pytest.approx(3.0 * 5.0)
 
 

@@ -10,7 +10,7 @@ from scipy.linalg import expm
 import pinposture as pp
 from pinposture.errors import InvalidValue
 from pinposture.motion import Tracker
-from pinposture.motion.tracker import FARTHEST, Feedback
+from pinposture.motion.tracker import MAX_POINT_OFFSET, Feedback
 from pinposture.placement import Target
 
 LAG, DT = 0.05, 1e-3
@@ -141,40 +141,40 @@ def test_points_that_are_not_seen_or_cannot_be_count_for_nothing(arm: pp.Arm) ->
     q = np.linspace(-0.3, 0.3, arm.nv)
     right = arm.at(q).points
     feedback = Feedback(arm, 0.25, 0.3, 0.5)
-    feedback.take(q, right, 0.01)
-    for spoilt in (np.nan, np.inf, -np.inf, 1e300, FARTHEST * arm.length * 1.01):
+    feedback.update(q, right, 0.01)
+    for spoilt in (np.nan, np.inf, -np.inf, 1e300, MAX_POINT_OFFSET * arm.length * 1.01):
         points = right.copy()
         points[2, 1] += spoilt
-        feedback.take(q, points, 0.01)
+        feedback.update(q, points, 0.01)
         np.testing.assert_allclose(feedback.points, right, atol=1e-12)
     target = Target.from_configuration(arm, q)
-    assert feedback.shifted(target) is target
+    assert feedback.compensate(target) is target
 
 
 def test_estimates_follow_with_their_time_constant(arm: pp.Arm) -> None:
     q, off = np.zeros(arm.nv), 0.01
     feedback = Feedback(arm, 0.5, 0.3, 0.5)
-    feedback.take(q, None, 0.02)
-    feedback.moved(np.zeros(arm.nv))
+    feedback.update(q, None, 0.02)
+    feedback.apply_step(np.zeros(arm.nv))
     target = Target.from_configuration(arm, 0.2 * np.ones(arm.nv))
     for _ in range(30):
-        feedback.take(q + off, None, 0.02)
-        feedback.moved(np.zeros(arm.nv))
-    shifted = feedback.shifted(target)
+        feedback.update(q + off, None, 0.02)
+        feedback.apply_step(np.zeros(arm.nv))
+    shifted = feedback.compensate(target)
     np.testing.assert_allclose(shifted.q, 0.2 - off * (1.0 - np.exp(-30 * 0.02 / 0.5)), rtol=1e-9)
     np.testing.assert_allclose(shifted.points, arm.at(shifted.q).points, atol=1e-12)
-    assert feedback.shifted(target) is shifted  # nothing has changed: the same target, so that ways stay
+    assert feedback.compensate(target) is shifted  # nothing has changed: the same target, so that ways stay
 
 
 def far_off(feedback: Feedback, moving: bool, cycles: int) -> int | None:
     """After how many cycles an arm that is measured elsewhere is taken to be there; None if it is not."""
     nv = feedback.arm.nv
-    feedback.take(np.zeros(nv), None, 0.01)
+    feedback.update(np.zeros(nv), None, 0.01)
     far = np.full(nv, 1.0)
     for cycle in range(cycles):
-        feedback.moved(np.full(nv, 1e-6 if moving else 0.0))
-        seen = feedback.take(far, None, 0.01)
-        if feedback.anew:
+        feedback.apply_step(np.full(nv, 1e-6 if moving else 0.0))
+        seen = feedback.update(far, None, 0.01)
+        if feedback.restarted:
             np.testing.assert_array_equal(seen.state.q, far)
             assert seen.reason == "" and seen.disagreement == 0.0
             return cycle
@@ -194,11 +194,11 @@ def test_what_is_far_off_is_believed_only_when_repeated_by_an_arm_at_rest(arm: p
 def test_wrong_shapes_are_faults_of_the_program(arm: pp.Arm) -> None:
     feedback = Feedback(arm, 0.25, 0.3, 0.5)
     with pytest.raises(InvalidValue, match="q_measured"):
-        feedback.take(np.zeros(arm.nq + 1), None, 0.01)
+        feedback.update(np.zeros(arm.nq + 1), None, 0.01)
     with pytest.raises(InvalidValue, match="q_measured"):
-        feedback.take("here", None, 0.01)
+        feedback.update("here", None, 0.01)
     with pytest.raises(InvalidValue, match="points"):
-        feedback.take(None, np.zeros((arm.n_modules, 2)), 0.01)
+        feedback.update(None, np.zeros((arm.n_modules, 2)), 0.01)
     for bad in (None, np.full(arm.nq, np.nan)):
-        seen = feedback.take(bad, None, 0.01)
+        seen = feedback.update(bad, None, 0.01)
         assert seen.state is None and seen.reason and seen.disagreement is None

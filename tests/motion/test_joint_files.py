@@ -35,7 +35,7 @@ def test_the_page_shows_what_its_example_writes(tmp_path: Path, monkeypatch: pyt
 @FILES
 @given(motions())
 def test_arrays_come_back_to_the_last_bit(tmp_path: Path, motion: JointTrajectory) -> None:
-    again = JointTrajectory.load(motion.save(tmp_path / "motion.npz"))
+    again = pp.load(pp.save(motion, tmp_path / "motion.npz"), JointTrajectory)
     assert_same(again, motion)
     assert again.name == motion.name
 
@@ -51,7 +51,7 @@ def test_motions_of_an_arm_come_back_whatever_the_order_of_its_joints(
         motion.time,
         *(getattr(motion, name)[:, order] for name in TABLES[1:]),
     )
-    again = JointTrajectory.load(mixed.save(tmp_path / f"motion{suffix}"), arm())
+    again = pp.load(pp.save(mixed, tmp_path / f"motion{suffix}"), JointTrajectory).matched(arm())
     assert again.units == ("rad", "m", "rad", "rad")
     assert_same(again, motion, TABLES[1:])
     np.testing.assert_allclose(again.time, motion.time, atol=1e-9)
@@ -60,7 +60,7 @@ def test_motions_of_an_arm_come_back_whatever_the_order_of_its_joints(
 
 def test_arrays_are_read_without_this_library(tmp_path: Path) -> None:
     motion = of_arm(1)
-    with np.load(motion.save(tmp_path / "a.npz"), allow_pickle=False) as stored:
+    with np.load(pp.save(motion, tmp_path / "a.npz"), allow_pickle=False) as stored:
         assert stored["joint_names"].tolist() == ["j1", "j2", "j3", "j4"]
         assert stored["units"].tolist() == ["rad", "m", "rad", "rad"]
         np.testing.assert_array_equal(stored["positions"], motion.positions)
@@ -70,7 +70,7 @@ def test_arrays_are_read_without_this_library(tmp_path: Path) -> None:
 def test_files_appear_whole_or_not_at_all(
     tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = of_arm(1).save(tmp_path / f"a{suffix}")
+    path = pp.save(of_arm(1), tmp_path / f"a{suffix}")
     old = path.read_bytes()
 
     def full(_: int) -> None:
@@ -78,19 +78,19 @@ def test_files_appear_whole_or_not_at_all(
 
     monkeypatch.setattr("os.fsync", full)
     with pytest.raises(FileError, match="No space left"):
-        of_arm(2).save(path)
+        pp.save(of_arm(2), path)
     assert (path.read_bytes(), [file.name for file in tmp_path.iterdir()]) == (old, [path.name])
 
 
 def test_damaged_archives_are_refused(tmp_path: Path) -> None:
-    path = of_arm(3).save(tmp_path / "a.npz")
+    path = pp.save(of_arm(3), tmp_path / "a.npz")
     whole = path.read_bytes()
     rng = np.random.default_rng(0)
     for length in rng.integers(0, len(whole) - 1, 20):
         path.write_bytes(whole[:length])
         with pytest.raises(FileError, match="is not a saved joint trajectory"):
-            JointTrajectory.load(path)
-    arrays = dict(np.load(of_arm(3).save(path)))
+            pp.load(path, JointTrajectory)
+    arrays = dict(np.load(pp.save(of_arm(3), path)))
     for change in (
         {"positions": arrays["positions"][:-1]},
         {"time": arrays["time"][::-1]},
@@ -100,10 +100,10 @@ def test_damaged_archives_are_refused(tmp_path: Path) -> None:
     ):
         np.savez(path, **(arrays | change))
         with pytest.raises(FileError, match="is not a saved joint trajectory"):
-            JointTrajectory.load(path)
+            pp.load(path, JointTrajectory)
     np.savez(path, **(arrays | {"about": np.array(json.dumps({"format": "pinposture-run", "version": 3}))}))
     with pytest.raises(FileError, match="format 'pinposture-run' version 3; allowed: 'pinposture-joint-traj"):
-        JointTrajectory.load(path)
+        pp.load(path, JointTrajectory)
 
 
 class Trap:
@@ -117,10 +117,10 @@ class Trap:
 
 
 def test_no_code_in_an_archive_is_run(tmp_path: Path) -> None:
-    path, sprung = of_arm(3).save(tmp_path / "a.npz"), tmp_path / "sprung"
+    path, sprung = pp.save(of_arm(3), tmp_path / "a.npz"), tmp_path / "sprung"
     np.savez(path, **(dict(np.load(path)) | {"velocities": np.array([Trap(sprung)], dtype=object)}))
     with pytest.raises(FileError, match=r"is not a saved joint trajectory \(ValueError\)"):
-        JointTrajectory.load(path)
+        pp.load(path, JointTrajectory)
     assert not sprung.exists()
 
 
@@ -136,18 +136,19 @@ def test_files_that_are_not_there_or_something_else_are_refused(
         path.write_bytes(content)
     for each in (path, tmp_path / f"missing{suffix}"):
         with pytest.raises(FileError) as caught:
-            JointTrajectory.load(each)
+            pp.load(each, JointTrajectory)
         assert caught.value.path == each
 
 
 @pytest.mark.parametrize("name", ["a.txt", "a", "a.npy"])
 def test_other_suffixes_are_refused_with_those_there_are(tmp_path: Path, name: str) -> None:
-    for act in (of_arm(1).save, JointTrajectory.load):
-        with pytest.raises(FileError, match=r"allowed: \.npz, \.csv, \.json"):
-            act(tmp_path / name)
+    with pytest.raises(FileError, match=r"allowed: \.npz, \.csv, \.json"):
+        pp.save(of_arm(1), tmp_path / name)
+    with pytest.raises(FileError, match=r"allowed: \.npz, \.csv, \.json"):
+        pp.load(tmp_path / name, JointTrajectory)
 
 
 def test_joints_of_another_arm_are_named(tmp_path: Path) -> None:
-    path = of_arm(1).save(tmp_path / "a.csv")
+    path = pp.save(of_arm(1), tmp_path / "a.csv")
     with pytest.raises(InvalidValue, match="unknown: 'j1', 'j2'"):
-        JointTrajectory.load(path, pp.Arm.from_template("RyRz", 2))
+        pp.load(path, JointTrajectory).matched(pp.Arm.from_template("RyRz", 2))

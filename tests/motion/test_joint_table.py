@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from motion.joint_motions import FILES, MOMENTS, POSITIONS, TABLES, assert_same, motions, written
 
+import pinposture as pp
 from pinposture.errors import FileError
 from pinposture.motion.joint_trajectory import JointTrajectory
 
@@ -19,14 +20,14 @@ HEAD = "time [s],a position [rad],a velocity [rad/s]\n"
 @FILES
 @given(motions())
 def test_tables_come_back_to_the_last_bit(tmp_path: Path, motion: JointTrajectory) -> None:
-    assert_same(JointTrajectory.load(motion.save(tmp_path / "motion.CSV")), motion)
+    assert_same(pp.load(pp.save(motion, tmp_path / "motion.CSV"), JointTrajectory), motion)
 
 
 def test_a_table_has_headings_with_units_that_a_spreadsheet_reads(tmp_path: Path) -> None:
     motion = JointTrajectory.from_positions(
         ["a, b", "c"], [[0.0, 1.0], [0.5, 3.0], [2.0, 3.0]], 0.5, ["rad", "m"]
     )
-    with motion.save(tmp_path / "a.csv").open(newline="", encoding="utf-8") as file:
+    with pp.save(motion, tmp_path / "a.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.reader(file))
     assert rows[0] == [
         "time [s]",
@@ -54,7 +55,7 @@ def test_a_table_has_headings_with_units_that_a_spreadsheet_reads(tmp_path: Path
     ],
 )
 def test_tables_of_others_with_positions_alone_are_read(tmp_path: Path, text: str) -> None:
-    found = JointTrajectory.load(written(tmp_path, "a.csv", text))
+    found = pp.load(written(tmp_path, "a.csv", text), JointTrajectory)
     order = [found.joint_names.index(name) for name in "ab"]
     expected = JointTrajectory.from_positions(["a", "b"], POSITIONS, MOMENTS)
     for name in TABLES[1:]:
@@ -65,7 +66,7 @@ def test_tables_of_others_with_positions_alone_are_read(tmp_path: Path, text: st
 
 def test_rates_in_a_table_are_kept_as_they_are(tmp_path: Path) -> None:
     text = "time [s],a velocity,a position\n0,7,0\n1,8,5\n2,9,6\n"
-    found = JointTrajectory.load(written(tmp_path, "a.csv", text))
+    found = pp.load(written(tmp_path, "a.csv", text), JointTrajectory)
     assert found.velocities[:, 0].tolist() == [7.0, 8.0, 9.0]
     assert found.accelerations[:, 0].tolist() == [0.0, -4.0, 0.0]
     assert found.units == ("",)
@@ -111,6 +112,6 @@ def test_rates_in_a_table_are_kept_as_they_are(tmp_path: Path) -> None:
 def test_tables_that_hold_no_motion_are_refused_by_line(tmp_path: Path, text: str, reason: str) -> None:
     path = written(tmp_path, "a.csv", text)
     with pytest.raises(FileError) as caught:
-        JointTrajectory.load(path)
+        pp.load(path, JointTrajectory)
     assert caught.value.path == path
     assert reason in caught.value.reason

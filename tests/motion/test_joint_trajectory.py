@@ -100,7 +100,7 @@ def test_limits_of_a_controller_hold_on_what_is_exported(hinges: pp.Arm) -> None
     limits = pp.Limits(step=None, velocity=0.8, acceleration=2.0, dt=0.02)
     target = pp.Target.from_configuration(hinges, [0.5, -0.3, 0.4, 0.2])
     run = pp.track(hinges, target, hinges.neutral(), limits=limits, max_steps=120)
-    found = JointTrajectory.from_run(run)
+    found = run.joint_trajectory()
     assert found.time[-1] == pytest.approx(0.02 * run.steps)
     assert np.abs(found.velocities).max() <= 0.8 + 1e-9
     assert np.abs(found.accelerations).max() <= 2.0 + 1e-9
@@ -284,7 +284,7 @@ def test_steps_of_a_run_take_what_its_limits_say_or_what_is_given(
     hinges: pp.Arm, known, given_, expected
 ) -> None:
     run = short_run(hinges, known)
-    found = JointTrajectory.from_run(run, given_, force=True)
+    found = run.joint_trajectory(given_, force=True)
     assert found.time.tolist() == [0.0, expected, 2 * expected]
 
 
@@ -302,7 +302,7 @@ def test_a_duration_that_is_missing_or_contradicts_is_refused(
     hinges: pp.Arm, known, given_, message: str
 ) -> None:
     with pytest.raises(InvalidValue, match=message):
-        JointTrajectory.from_run(short_run(hinges, known), given_)
+        short_run(hinges, known).joint_trajectory(given_)
 
 
 def short_run(hinges: pp.Arm, dt: float | None) -> pp.Trajectory:

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from sampling import examples
 
 import pinposture as pp
-from pinposture.errors import FileError
+from pinposture.errors import FileError, InvalidValue
+from pinposture.motion.files import kind_of
 from pinposture.motion.motion import Motion
 from pinposture.task import Mark, Reference, perform
 
@@ -55,7 +56,7 @@ def motion(arm: pp.Arm) -> Motion:
 
 @pytest.fixture(scope="module")
 def content(motion: Motion, tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    return motion.save(tmp_path_factory.mktemp("motion") / "motion.npz").read_bytes()
+    return pp.save(motion, tmp_path_factory.mktemp("motion") / "motion.npz").read_bytes()
 
 
 def assert_equal(one: Motion, other: Motion) -> None:
@@ -98,12 +99,12 @@ KINDS = {
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_file_gives_everything_back(arm: pp.Arm, kind: str, tmp_path: Path) -> None:
     motion = motion_of(arm, **KINDS[kind])
-    path = motion.save(tmp_path / "deep" / "done")
+    path = pp.save(motion, tmp_path / "deep" / "done")
     assert path == tmp_path / "deep" / "done.npz" and list(path.parent.iterdir()) == [path]
-    loaded = Motion.load(path)
+    loaded = pp.load(path, Motion)
     assert_equal(loaded, motion)
-    again = loaded.save(tmp_path / "again.npz")
-    assert_equal(Motion.load(again), motion)
+    again = pp.save(loaded, tmp_path / "again.npz")
+    assert_equal(pp.load(again, Motion), motion)
 
 
 def test_a_motion_pickles(motion: Motion) -> None:
@@ -111,7 +112,7 @@ def test_a_motion_pickles(motion: Motion) -> None:
 
 
 def test_its_arrays_are_not_to_be_written_to(motion: Motion, tmp_path: Path) -> None:
-    loaded = Motion.load(motion.save(tmp_path / "motion"))
+    loaded = pp.load(pp.save(motion, tmp_path / "motion"), Motion)
     for each in (motion, loaded):
         for array in (each.targets, each.asked, each.clock, each.q):
             with pytest.raises(ValueError, match="read-only"):
@@ -120,29 +121,45 @@ def test_its_arrays_are_not_to_be_written_to(motion: Motion, tmp_path: Path) -> 
 
 def test_files_of_other_kinds_name_who_reads_them(arm: pp.Arm, motion: Motion, tmp_path: Path) -> None:
     target = pp.Target.from_configuration(arm, np.full(8, 0.2))
-    whole = motion.save(tmp_path / "motion")
-    run = motion.run.save(tmp_path / "run")
-    batch = pp.track_many(arm, [target], [arm.neutral()], "qp", LIMITS, max_steps=3).save(tmp_path / "batch")
-    for path, reader in ((run, "Trajectory.load"), (batch, "Batch.load")):
+    whole = pp.save(motion, tmp_path / "motion")
+    run = pp.save(motion.run, tmp_path / "run")
+    batch = pp.save(
+        pp.track_many(arm, [target], [arm.neutral()], "qp", LIMITS, max_steps=3), tmp_path / "batch"
+    )
+    joints = pp.save(motion.joint_trajectory(force=True), tmp_path / "joints.npz")
+    kinds = {whole: Motion, run: pp.Trajectory, batch: pp.Batch, joints: pp.JointTrajectory}
+    assert {path: type(pp.load(path)) for path in kinds} == {path: kind_of(path) for path in kinds} == kinds
+    for path, reader in ((run, "as a Trajectory"), (batch, "as a Batch")):
         with pytest.raises(FileError, match=reader):
-            Motion.load(path)
-    with pytest.raises(FileError, match="Motion"):
-        pp.Trajectory.load(whole)
+            pp.load(path, Motion)
+    with pytest.raises(FileError, match=r"holds a motion in time; its run is pp.load\(file\)\.run"):
+        pp.load(whole, pp.Trajectory)
     with pytest.raises(FileError):
-        pp.Batch.load(whole)
-    assert pp.Trajectory.load(run).status == motion.run.status
+        pp.load(whole, pp.Batch)
+    assert pp.load(run, pp.Trajectory).status == motion.run.status
+
+
+def test_what_has_no_format_is_neither_saved_nor_loaded(arm: pp.Arm, motion: Motion, tmp_path: Path) -> None:
+    with pytest.raises(InvalidValue, match=r"result is .*allowed: Trajectory, Motion.*Simulation; curves"):
+        pp.save(arm, tmp_path / "arm")
+    with pytest.raises(InvalidValue, match=r"kind is .*Arm"):
+        pp.load(pp.save(motion, tmp_path / "motion"), pp.Arm)
+    np.savez(tmp_path / "other.npz", about=np.array(json.dumps({"format": "other", "version": 1})))
+    with pytest.raises(FileError, match=r"format 'other' version 1; allowed: 'pinposture-run' version 3, "):
+        pp.load(tmp_path / "other.npz")
+    assert kind_of(tmp_path / "other.npz") is None
 
 
 def test_what_is_missing_or_no_such_file_is_named(motion: Motion, tmp_path: Path) -> None:
     with pytest.raises(FileError, match="no such file"):
-        Motion.load(tmp_path / "nowhere.npz")
+        pp.load(tmp_path / "nowhere.npz", Motion)
     for name, text in (("empty.npz", b""), ("text.npz", b"not an archive"), ("zip.npz", b"PK\x03\x04")):
         (tmp_path / name).write_bytes(text)
         with pytest.raises(FileError, match=name):
-            Motion.load(tmp_path / name)
+            pp.load(tmp_path / name, Motion)
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(FileError):
-        motion.save(tmp_path / "file" / "motion.npz")
+        pp.save(motion, tmp_path / "file" / "motion.npz")
 
 
 def repacked(content: bytes, tmp_path: Path, **changed: object) -> Path:
@@ -161,12 +178,12 @@ def repacked(content: bytes, tmp_path: Path, **changed: object) -> Path:
 
 
 def test_arrays_that_do_not_fit_are_refused(content: bytes, motion: Motion, tmp_path: Path) -> None:
-    assert_equal(Motion.load(repacked(content, tmp_path)), motion)
+    assert_equal(pp.load(repacked(content, tmp_path), Motion), motion)
     for name in ("motion_targets", "motion_asked", "motion_clock"):
         whole = getattr(motion, name.removeprefix("motion_"))
         for wrong in (None, whole[:-1], np.zeros(3), whole[..., None]):
             with pytest.raises(FileError, match=r"changed\.npz"):
-                Motion.load(repacked(content, tmp_path, **{name: wrong}))
+                pp.load(repacked(content, tmp_path, **{name: wrong}), Motion)
 
 
 def test_a_file_without_a_cycle_is_refused(content: bytes, tmp_path: Path) -> None:
@@ -176,10 +193,10 @@ def test_a_file_without_a_cycle_is_refused(content: bytes, tmp_path: Path) -> No
     for key in ("dt", "motion"):
         spoilt = {**about, key: None}
         with pytest.raises(FileError):
-            Motion.load(repacked(content, tmp_path, about=np.array(json.dumps(spoilt))))
+            pp.load(repacked(content, tmp_path, about=np.array(json.dumps(spoilt))), Motion)
     newer = np.array(json.dumps({**about, "version": 99}))
     with pytest.raises(FileError, match="99"):
-        Motion.load(repacked(content, tmp_path, about=newer))
+        pp.load(repacked(content, tmp_path, about=newer), Motion)
 
 
 @given(data=st.data())
@@ -196,7 +213,7 @@ def test_a_damaged_file_is_refused_or_whole(
         spoilt[at] ^= data.draw(st.integers(1, 255))
         path.write_bytes(bytes(spoilt))
     try:
-        loaded = Motion.load(path)
+        loaded = pp.load(path, Motion)
     except FileError as error:
         assert "damaged.npz" in str(error)
     else:

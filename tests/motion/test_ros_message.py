@@ -13,6 +13,7 @@ from hypothesis import given
 from motion.joint_motions import FILES, MOMENTS, POSITIONS, TABLES, assert_same, motions, of_arm, written
 from scipy.interpolate import BPoly
 
+import pinposture as pp
 from pinposture.errors import FileError, InvalidValue
 from pinposture.motion.joint_trajectory import JointTrajectory
 
@@ -47,14 +48,16 @@ BARE = {
 def test_messages_come_back_exactly_but_for_times_to_the_nanosecond(
     tmp_path: Path, motion: JointTrajectory
 ) -> None:
-    again = JointTrajectory.load(motion.save(tmp_path / "motion.json"))
+    again = pp.load(pp.save(motion, tmp_path / "motion.json"), JointTrajectory)
     assert again.joint_names == motion.joint_names
     for name in TABLES[1:]:
         np.testing.assert_array_equal(getattr(again, name), getattr(motion, name))
     for here, there in zip(again.time, motion.time, strict=True):
         assert abs(Fraction(here) - Fraction(there)) <= Fraction(501, 10**12)
     # What was rounded once is not rounded again.
-    np.testing.assert_array_equal(JointTrajectory.load(again.save(tmp_path / "b.json")).time, again.time)
+    np.testing.assert_array_equal(
+        pp.load(pp.save(again, tmp_path / "b.json"), JointTrajectory).time, again.time
+    )
 
 
 def check_type(value: object, kind: object, where: str) -> None:
@@ -89,7 +92,7 @@ def strict_json(text: str) -> object:
 def test_messages_have_the_fields_and_types_of_their_definition(
     tmp_path: Path, motion: JointTrajectory
 ) -> None:
-    path = motion.save(tmp_path / "motion.json")
+    path = pp.save(motion, tmp_path / "motion.json")
     message = strict_json(path.read_text(encoding="utf-8"))
     check_type(message, DEFINITION, "message")
     assert message["header"] == {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
@@ -101,7 +104,7 @@ def test_messages_have_the_fields_and_types_of_their_definition(
 
 def test_a_message_is_one_that_the_controller_of_ros2_control_takes(tmp_path: Path) -> None:
     """Its checks: names without repetition, sizes, times that increase strictly, and rest at the end."""
-    message = json.loads(of_arm(5, rows=30).save(tmp_path / "a.json").read_text())
+    message = json.loads(pp.save(of_arm(5, rows=30), tmp_path / "a.json").read_text())
     joints, points = message["joint_names"], message["points"]
     assert joints == ["j1", "j2", "j3", "j4"]
     times = [
@@ -151,7 +154,7 @@ def test_times_are_rounded_to_the_nearest_nanosecond(
     tmp_path: Path, time: float, sec: int, nanosec: int
 ) -> None:
     motion = JointTrajectory.from_positions(["a"], [[0.0]], [time])
-    message = json.loads(motion.save(tmp_path / "a.json").read_text())
+    message = json.loads(pp.save(motion, tmp_path / "a.json").read_text())
     assert message["points"][0]["time_from_start"] == {"sec": sec, "nanosec": nanosec}
 
 
@@ -161,7 +164,7 @@ def test_times_are_rounded_to_the_nearest_nanosecond(
 def test_times_that_a_message_cannot_hold_are_refused(tmp_path: Path, time: list[float], named: str) -> None:
     motion = JointTrajectory.from_positions(["a"], [[0.0], [1.0]], time)
     with pytest.raises(InvalidValue, match=named):
-        motion.save(tmp_path / "a.json")
+        pp.save(motion, tmp_path / "a.json")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -176,7 +179,7 @@ def with_point(number: int, **changes: object) -> dict:
 
 
 def test_messages_of_others_with_positions_alone_are_read(tmp_path: Path) -> None:
-    found = JointTrajectory.load(written(tmp_path, "a.json", bare()))
+    found = pp.load(written(tmp_path, "a.json", bare()), JointTrajectory)
     expected = JointTrajectory.from_positions(["a", "b"], POSITIONS, MOMENTS)
     assert_same(found, expected)
     assert found.units == ("", "")
@@ -184,7 +187,7 @@ def test_messages_of_others_with_positions_alone_are_read(tmp_path: Path) -> Non
 
 def test_rates_that_some_points_have_are_kept_and_others_worked_out(tmp_path: Path) -> None:
     message = with_point(3, velocities=[0.25, -1], effort=[1.0, 2.0])
-    found = JointTrajectory.load(written(tmp_path, "a.json", message))
+    found = pp.load(written(tmp_path, "a.json", message), JointTrajectory)
     expected = JointTrajectory.from_positions(["a", "b"], POSITIONS, MOMENTS)
     np.testing.assert_array_equal(found.velocities[:3], expected.velocities[:3])
     np.testing.assert_array_equal(found.velocities[3], [0.25, -1.0])
@@ -195,7 +198,7 @@ def test_goals_of_an_action_and_messages_with_whole_seconds_are_read(tmp_path: P
     message = with_point(0, time_from_start={})
     message["points"][1]["time_from_start"] = {"sec": 1}
     goal = {"trajectory": message, "goal_time_tolerance": {"sec": 1, "nanosec": 0}}
-    found = JointTrajectory.load(written(tmp_path, "goal.json", goal))
+    found = pp.load(written(tmp_path, "goal.json", goal), JointTrajectory)
     np.testing.assert_array_equal(found.time, [0.0, 1.0, 2.5, 3.5])
 
 
@@ -259,7 +262,7 @@ def test_messages_that_no_controller_would_take_are_refused_by_name(
 ) -> None:
     path = written(tmp_path, "a.json", content)
     with pytest.raises(FileError) as caught:
-        JointTrajectory.load(path)
+        pp.load(path, JointTrajectory)
     assert caught.value.path == path
     assert reason in caught.value.reason
     assert "\n" not in str(caught.value)
@@ -270,6 +273,6 @@ def test_a_message_with_all_its_rates_needs_none_worked_out(tmp_path: Path) -> N
     zeros = np.zeros((4, 1))
     time = np.array([0.0, 1.0, 2.0, 2.000001])
     motion = JointTrajectory(("a",), time, np.array([[0.0], [0.0], [0.0], [2e299]]), zeros, zeros)
-    again = JointTrajectory.load(motion.save(tmp_path / "motion.json"))
+    again = pp.load(pp.save(motion, tmp_path / "motion.json"), JointTrajectory)
     np.testing.assert_array_equal(again.positions, motion.positions)
     np.testing.assert_array_equal(again.velocities, zeros)

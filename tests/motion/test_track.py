@@ -98,10 +98,10 @@ def test_the_library_logs_and_prints_nothing(
 
 
 def test_a_file_gives_everything_back(arm: pp.Arm, run: pp.Trajectory, tmp_path: object) -> None:
-    path = run.save(tmp_path / "deep" / "run")
+    path = pp.save(run, tmp_path / "deep" / "run")
     assert path.name == "run.npz"
     assert [file.name for file in path.parent.iterdir()] == ["run.npz"]
-    loaded = pp.Trajectory.load(path)
+    loaded = pp.load(path, pp.Trajectory)
     arrays = [name for name, value in vars(run).items() if isinstance(value, np.ndarray)]
     assert len(arrays) >= 10
     for name in arrays:
@@ -117,23 +117,23 @@ def test_a_file_gives_everything_back(arm: pp.Arm, run: pp.Trajectory, tmp_path:
 
 def test_files_that_are_no_runs_are_named(tmp_path: object, run: pp.Trajectory) -> None:
     with pytest.raises(FileError, match="no such file"):
-        pp.Trajectory.load(tmp_path / "missing.npz")
+        pp.load(tmp_path / "missing.npz", pp.Trajectory)
     text = tmp_path / "text.npz"
     text.write_text("hello")
     with pytest.raises(FileError, match=r"not a saved run \(it is no \.npz archive\)"):
-        pp.Trajectory.load(text)
+        pp.load(text, pp.Trajectory)
     other = tmp_path / "other.npz"
     np.savez(other, q=np.zeros(3))
     with pytest.raises(FileError, match="not a saved run"):
-        pp.Trajectory.load(other)
-    cut = run.save(tmp_path / "cut.npz")
+        pp.load(other, pp.Trajectory)
+    cut = pp.save(run, tmp_path / "cut.npz")
     cut.write_bytes(cut.read_bytes()[:2000])
     with pytest.raises(FileError, match="not a saved run"):
-        pp.Trajectory.load(cut)
+        pp.load(cut, pp.Trajectory)
     blocked = tmp_path / "file"
     blocked.write_text("")
     with pytest.raises(FileError, match="is a file"):
-        run.save(blocked / "run.npz")
+        pp.save(run, blocked / "run.npz")
 
 
 def test_a_target_without_any_point_is_refused(arm: pp.Arm) -> None:

@@ -71,10 +71,10 @@ def test_a_curve_that_is_taken_from_elsewhere_is_said(arm: pp.Arm) -> None:
 def test_it_stays_with_the_target_and_with_what_is_saved(arm: pp.Arm, tmp_path: Path) -> None:
     target = pp.resolve_targets(arm, line(0.5, 0.0, 0.5), placement="align")
     run = pp.track(arm, target.region(0, 3), arm.neutral(), max_steps=2)
-    assert pp.Trajectory.load(run.save(tmp_path / "run")).target.moved == target.moved
+    assert pp.load(pp.save(run, tmp_path / "run"), pp.Trajectory).target.moved == target.moved
     other = pp.Target.from_points(arm, target.points)
     batch = pp.track_many(arm, [target, other], [arm.neutral()] * 2, max_steps=2)
-    kept = pp.Batch.load(batch.save(tmp_path / "batch"))
+    kept = pp.load(pp.save(batch, tmp_path / "batch"), pp.Batch)
     assert [each.moved for each in kept.targets] == [target.moved, None]
     said = "moved by 0.7071 m and turned by 1.571 rad to the base of the arm"
     assert batch.in_words()["curve"] == f"{said} at most"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -50,7 +52,7 @@ def closed_loop() -> sim.Simulation:
 
 def test_motions_of_every_kind_come_to_the_same_set_points():
     run = some_run()
-    trajectory = JointTrajectory.from_run(run)
+    trajectory = run.joint_trajectory()
     shuffled = JointTrajectory(
         trajectory.joint_names[::-1],
         trajectory.time,
@@ -180,8 +182,8 @@ def test_progress_is_told_to_the_end():
 @pytest.mark.parametrize("make", [open_loop, closed_loop], ids=["open", "closed"])
 def test_a_file_gives_it_back(make, tmp_path):
     ended = make()
-    path = ended.save(tmp_path / "new" / "sim")
-    back = sim.Simulation.load(path)
+    path = pp.save(ended, tmp_path / "new" / "sim")
+    back = pp.load(path, sim.Simulation)
     assert path.suffix == ".npz"
     for name, value in vars(ended).items():
         if isinstance(value, np.ndarray):
@@ -194,22 +196,29 @@ def test_a_file_gives_it_back(make, tmp_path):
         back.q[0, 0] = 1.0
 
 
+def test_a_process_that_knows_no_simulation_reads_one_without_mujoco(tmp_path):
+    path = pp.save(open_loop(), tmp_path / "sim")
+    code = "import sys, pinposture as pp; print(type(pp.load(sys.argv[1])).__name__, 'mujoco' in sys.modules)"
+    found = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, check=True)
+    assert found.stdout.split() == ["Simulation", "False"]
+
+
 def test_files_of_other_kinds_and_damaged_ones_are_refused(tmp_path):
     opened = open_loop()
-    run = some_run().save(tmp_path / "run.npz")
+    run = pp.save(some_run(), tmp_path / "run.npz")
     with pytest.raises(FileError, match="holds a run, not a simulation of it"):
-        sim.Simulation.load(run)
-    path = opened.save(tmp_path / "sim.npz")
+        pp.load(run, sim.Simulation)
+    path = pp.save(opened, tmp_path / "sim.npz")
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2])
     with pytest.raises(FileError, match="is not a saved simulation"):
-        sim.Simulation.load(path)
-    with np.load(opened.save(tmp_path / "sim.npz")) as stored:
+        pp.load(path, sim.Simulation)
+    with np.load(pp.save(opened, tmp_path / "sim.npz")) as stored:
         arrays = dict(stored)
     arrays["torques"] = arrays["torques"][1:]
     np.savez(path, **arrays)
     with pytest.raises(FileError, match="torques"):
-        sim.Simulation.load(path)
+        pp.load(path, sim.Simulation)
 
 
 @pytest.mark.parametrize("limits", [True, False])

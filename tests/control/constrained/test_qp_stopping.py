@@ -16,7 +16,7 @@ import pinposture as pp
 from pinposture.control import Memory
 from pinposture.control.limits import full_braking, stopping_steps
 from pinposture.control.planner.path import JointPath
-from pinposture.motion.track import Drive
+from pinposture.motion.track import ControlLoop
 
 
 @given(st.integers(0, 10**6))
@@ -74,15 +74,15 @@ def check_run(seed: int, max_steps: int) -> None:
 def test_what_gives_way_before_an_obstacle_that_is_put_in_the_way_is_named(seed: int) -> None:
     course, rng = drawn_course(seed), np.random.default_rng(seed)
     arm, length = course.arm, course.arm.length
-    drive = Drive(arm, course.stops[0], course.goal, pp.ConstrainedQP(), course.limits)
-    drive.until_there(course.goal, 1e-6 * length, int(rng.integers(3, 30)))
-    beside = drive.state.points[rng.integers(arm.n_modules)] + 0.08 * length * rng.normal(size=3)
+    loop = ControlLoop(arm, course.stops[0], course.goal, pp.ConstrainedQP(), course.limits)
+    loop.run(course.goal, 1e-6 * length, int(rng.integers(3, 30)))
+    beside = loop.state.points[rng.integers(arm.n_modules)] + 0.08 * length * rng.normal(size=3)
     ball = pp.Scene({"ball": pp.Sphere(beside, 0.03 * length)}, margin=0.01 * length)
-    around, first = pp.CollisionModel(arm, ball), drive.recorder.steps
-    drive.controller = drive.controller.with_scene(ball)
-    drive.until_there(course.goal, 1e-6 * length, first + 60)
-    drive.come_to_rest()
-    run = drive.recorder.trajectory(arm, drive.controller, course.limits, "stopped", "enough")
+    around, first = pp.CollisionModel(arm, ball), loop.record.steps
+    loop.controller = loop.controller.with_scene(ball)
+    loop.run(course.goal, 1e-6 * length, first + 60)
+    loop.brake_to_rest()
+    run = loop.record.trajectory(arm, loop.controller, course.limits, "stopped", "enough")
     check_output(run)
     distances = np.array([around.minimum(q).distance for q in run.q[first:]])
     closer = np.flatnonzero(distances < min(ball.margin, distances[0]) - 1e-9 * length)
@@ -141,14 +141,14 @@ def test_a_step_that_was_asked_for_and_not_taken_is_none_to_brake_from(steps: in
     arm = arm_number(1)
     start, end = (arm.configuration(np.full(arm.nv, value)) for value in (0.0, 0.4))
     goal, limits = pp.Target.from_configuration(arm, end), pp.Limits(dt=0.05, acceleration=1.0)
-    drive = Drive(arm, start, goal, pp.ConstrainedQP(), limits)
+    loop = ControlLoop(arm, start, goal, pp.ConstrainedQP(), limits)
     for _ in range(min(steps, 24)):
-        drive.move(drive.ask(goal))
+        loop.take_step(loop.compute_step(goal))
     for _ in range(steps // 10):
-        drive.ask(pp.Target.from_configuration(arm, start))
-    drive.hold()
-    drive.come_to_rest()
-    run = drive.recorder.trajectory(arm, drive.controller, limits, "stopped", "enough")
+        loop.compute_step(pp.Target.from_configuration(arm, start))
+    loop.brake()
+    loop.brake_to_rest()
+    run = loop.record.trajectory(arm, loop.controller, limits, "stopped", "enough")
     assert accelerations(arm, run.q, limits).max() <= 1.0 + 1e-9
 
 
