@@ -425,7 +425,7 @@ def drag_a_point(trace: Any) -> None:
     from types import SimpleNamespace
 
     from pinposture.editor.editor import Editor
-    from pinposture.editor.page.handles import Handles
+    from pinposture.editor.ui.curve import Handles
     from pinposture.task import Task
 
     with socket.socket() as free:

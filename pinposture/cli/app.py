@@ -10,12 +10,12 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from pinposture.cli import (
+    batch,
     compile,
     edit,
     export,
     generate,
     inspect,
-    many,
     reproduce,
     run,
     simulate,
@@ -126,7 +126,7 @@ def _add(name: str, run: Callable[..., None], examples: tuple[str, ...], group: 
     group.command(name, cls=verb_with_examples(examples), help=_paragraphs(run.__doc__ or ""))(run)
 
 
-for module in (generate, inspect, track, many, run, edit, view, export, simulate, reproduce, compile):
+for module in (generate, inspect, track, batch, run, edit, view, export, simulate, reproduce, compile):
     _add(module.__name__.rpartition(".")[2], module.run, module.EXAMPLES, app)
 for name, (verb, examples) in studies.VERBS.items():
     _add(name, verb, examples, study)

@@ -11,8 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pinposture.cli.output import print_facts, print_json, print_warning
-from pinposture.cli.progress import count_progress
+from pinposture.cli.output import count_progress, print_facts, print_json, print_warning
 
 EXAMPLES = ("pinposture compile", "pinposture compile --json")
 

@@ -104,7 +104,7 @@ def run(
         os.environ.setdefault(name, "1")
     from pinposture.editor import Editor
     from pinposture.editor.autosave import autosave_path
-    from pinposture.editor.page.server import is_loopback
+    from pinposture.editor.ui.server import is_loopback
 
     task, path = read_task(source, base, tip, modules, save_as, folder, locked, package_dir)
     editor = Editor(task, path, host, port, joint_states, folder)

@@ -1,10 +1,11 @@
-"""What the verbs read from the command line: arms, curves, starts, and lists of numbers."""
+"""What verbs read from the command line: arms, curves, starts, limits, controllers, control points."""
 
 from __future__ import annotations
 
 import json
 import sys
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,7 +18,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pinposture.arm import Arm
+    from pinposture.control import Controller, ControlTask, Limits
     from pinposture.curve import Curve
+
+
+# What the verbs read from the command line: arms, curves, starts, and lists of numbers.
 
 STARTS = ("straight", "smooth", "random")
 AMPLITUDES = (0.2, 1.0)
@@ -295,3 +300,182 @@ def _read_json(path: Path) -> Any:
 
 
 _READERS = {".npy": _read_npy, ".csv": _read_csv, ".json": _read_json}
+
+
+# Control points on the command line: their numbers as pictures show them, from 1 at the base to the tip.
+
+
+def read_region(name: str, text: str, arm: Arm) -> tuple[int, int]:
+    """Indices, 0-based, of the first and the last control point of a region given as "first-last", 1-based.
+
+    Args:
+        name: the option, for the message.
+        text: two numbers with a hyphen between them.
+        arm: whose control points they are.
+
+    Raises:
+        InvalidValue: anything else, or numbers that are not in order or that no control point has.
+    """
+    first, hyphen, last = text.partition("-")
+    if hyphen and first.strip().isdecimal() and last.strip().isdecimal():
+        begin, end = int(first) - 1, int(last) - 1
+        if 0 <= begin <= end < arm.n_modules:
+            return begin, end
+    allowed = f"two numbers of control points from 1 to {arm.n_modules}, in order, as in 1-{arm.n_modules}"
+    raise InvalidValue(name, text, allowed)
+
+
+def read_points(name: str, text: str, arm: Arm) -> tuple[int, ...]:
+    """Indices, 0-based, of the control points in a list of their numbers, 1-based.
+
+    Args:
+        name: the option, for the message.
+        text: numbers separated by commas, or "all".
+        arm: whose control points they are.
+
+    Raises:
+        InvalidValue: anything else, or a number that is given twice or that no control point has.
+    """
+    if text.strip() == "all":
+        return tuple(range(arm.n_modules))
+    try:
+        points = tuple(int(field) - 1 for field in text.split(","))
+    except ValueError:
+        points = ()
+    valid = all(0 <= point < arm.n_modules for point in points) and len(set(points)) == len(points)
+    if not (points and valid):
+        allowed = (
+            f"numbers of control points from 1 to {arm.n_modules}, each once, separated by commas, or all"
+        )
+        raise InvalidValue(name, text, allowed)
+    return points
+
+
+# The limits of a step on the command line.
+
+LIMITS = "The limits"
+"""Heading under which the help lists these options."""
+
+StepLimitOption = Annotated[
+    float,
+    typer.Option(
+        help="Largest motion of a joint in one step, in rad or metres; inf for none.", rich_help_panel=LIMITS
+    ),
+]
+VelocityOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="V,...",
+        help="Largest speed of joints, in rad/s or m/s, one number for all or one for each; else the arm's "
+        "own. Needs --dt.",
+        rich_help_panel=LIMITS,
+    ),
+]
+AccelerationOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="A,...",
+        help="Largest acceleration of joints, in rad/s^2 or m/s^2, one number or one for each; else there is "
+        "no such limit. Needs --dt.",
+        rich_help_panel=LIMITS,
+    ),
+]
+DurationOption = Annotated[
+    float | None,
+    typer.Option(
+        "--dt", help="Duration of a step, in s; else speeds are not limited.", rich_help_panel=LIMITS
+    ),
+]
+PositionMarginOption = Annotated[
+    float,
+    typer.Option(
+        help="Distance to keep from the limits of joint positions, in rad or metres.", rich_help_panel=LIMITS
+    ),
+]
+
+
+def read_limits(
+    step: float, velocity: str | None, acceleration: str | None, dt: float | None, position_margin: float
+) -> Limits:
+    """The limits that these options ask for, as `Limits` takes them.
+
+    Raises:
+        InvalidValue: text in place of numbers, a value that `Limits` does not take, or no `dt` where one is
+            needed.
+    """
+    from pinposture.control import Limits
+
+    for option, given in (("--velocity", velocity), ("--acceleration", acceleration)):
+        if dt is None and given is not None:
+            raise InvalidValue("--dt", dt, f"the duration of a step [s], needed with {option}")
+    speed, change = _for_joints("--velocity", velocity), _for_joints("--acceleration", acceleration)
+    return Limits(step=step, velocity=speed, dt=dt, position_margin=position_margin, acceleration=change)
+
+
+def _for_joints(option: str, text: str | None) -> float | NDArray[np.float64] | None:
+    import numpy as np
+
+    if text is None:
+        return None
+    values = read_numbers(option, text)
+    return values[0] if len(values) == 1 else np.array(values)
+
+
+# The controller on the command line.
+
+ControllerOption = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME",
+        help="What moves the arm: qp (directly, within limits, around obstacles); selection or projection "
+        "(those of the thesis) or switching (the two by turns); or, to compare with: joint (interpolation of "
+        "joints), pinv (pseudo-inverse), task-constraints (points in its null space), extended or augmented "
+        "(Jacobians), dls (damped least squares), lm (Levenberg-Marquardt).",
+        rich_help_panel=MOTION,
+    ),
+]
+HasteOption = Annotated[
+    float | None,
+    typer.Option(
+        help="How far control points may go out of their way to spare joints theirs, in module lengths per "
+        "rad; else 0.2. Large numbers lead to interpolation of joints. With qp only.",
+        rich_help_panel=MOTION,
+    ),
+]
+
+
+def check_controller(name: str, only_qp: Mapping[str, object]) -> None:
+    """Refuse a controller that does not exist, or that does not know what is asked of it.
+
+    Args:
+        name: its name.
+        only_qp: options that only the qp knows, with their values; None or False if not given.
+
+    Raises:
+        UnknownName: there is no such controller.
+        InvalidValue: it is not the qp, and one of the options is given.
+    """
+    import pinposture.study.baselines  # noqa: F401  # so that they have names
+    from pinposture.control import controller_named
+
+    controller_named(name)
+    given = [option for option, value in only_qp.items() if value is not None and value is not False]
+    if given and name != "qp":
+        raise InvalidValue("--controller", name, f"'qp', which alone knows {', '.join(given)}")
+
+
+def build_controller(name: str, haste: float | None, task: ControlTask | None) -> Controller:
+    """The controller of that name; the qp with its haste and a task besides the shape.
+
+    Raises:
+        UnknownName: there is no such controller.
+        InvalidValue: a haste that is not a positive number.
+    """
+    import pinposture.study.baselines  # noqa: F401  # so that they have names
+    from pinposture.control import ConstrainedQP, controller_named
+
+    chosen = controller_named(name)
+    if not isinstance(chosen, ConstrainedQP):
+        return chosen
+    tasks = () if task is None else (task,)
+    return replace(chosen, haste=chosen.haste if haste is None else haste, tasks=tasks)

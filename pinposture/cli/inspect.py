@@ -20,17 +20,11 @@ from pinposture.cli.inputs import (
     UrdfArgument,
     read_arm,
     read_curve,
+    read_points,
 )
 from pinposture.cli.output import print_facts, print_json, print_note, print_table
-from pinposture.cli.points import read_points
 from pinposture.cli.results import write_picture
-from pinposture.cli.surroundings import (
-    SceneOption,
-    SelfCollisionOption,
-    describe_scene,
-    print_scene,
-    read_scene,
-)
+from pinposture.cli.targets import SceneOption, SelfCollisionOption, describe_scene, print_scene, read_scene
 from pinposture.errors import InvalidValue, UnsupportedModule
 
 if TYPE_CHECKING:

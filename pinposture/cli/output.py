@@ -1,4 +1,4 @@
-"""What is printed, and where: data on stdout, everything else on stderr."""
+"""What is printed and where: data on stdout, all else on stderr; progress bars."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import math
 import sys
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
     from pinposture.motion.track import Callback
     from pinposture.placement import Target
+
+
+# What is printed, and where: data on stdout, everything else on stderr.
 
 UNLIMITED = 10_000
 """Columns of a file or a pipe: enough for any table, none of which must be cut short there."""
@@ -158,3 +161,55 @@ def step_progress(target: Target, steps: int) -> Iterator[Callback]:
             progress.update(task, completed=step, error=float(distances[target.placed].sum()))
 
         yield show
+
+
+# A bar for work whose length is known.
+
+
+@contextmanager
+def count_progress(noun: str) -> Iterator[Callable[[int, int], object]]:
+    """Show on stderr how much of some work is done; nothing at all if that is not a terminal.
+
+    Args:
+        noun: what is counted, for instance "case".
+
+    Yields:
+        What is to be called with the number of those that are done, and that of all.
+    """
+    if not sys.stderr.isatty():
+        yield lambda *_: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("running"),
+        BarColumn(bar_width=20),
+        TextColumn(f"{noun} {{task.completed}} of {{task.total}}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("", total=None, visible=False)
+        yield lambda done, total: progress.update(task, completed=done, total=total, visible=True)
+
+
+# The smallest distance that an arm had from what it was to keep clear of, in words.
+
+
+def closest_in_words(clearance: Mapping[str, Any], dt: float | None = None) -> str:
+    """A smallest distance as a person reads it.
+
+    Args:
+        clearance: what `pinposture.motion.trajectory.closest` returned.
+        dt: how long a step takes [s]; None to count steps.
+    """
+    if clearance["pair"] is None:
+        return "nothing to keep clear of"
+    steps = clearance["after_steps"]
+    after = "at the start"
+    if steps:
+        after = f"after {steps} steps" if dt is None else f"after {steps * dt:.4g} s"
+    return (
+        f"{clearance['smallest']:.4g} m where it is smallest, {' to '.join(clearance['pair'])}, {after}; "
+        f"{clearance['final']:.4g} m at the end; the margin is {clearance['margin']:.4g} m"
+    )

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pinposture.cli.inputs import MOTION, OUTPUT, JobsOption, JsonOption
-from pinposture.cli.output import print_json, print_note, print_table
-from pinposture.cli.progress import count_progress
+from pinposture.cli.output import count_progress, print_json, print_note, print_table
 
 if TYPE_CHECKING:
     from pinposture.study.reproduce import Reproduction

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pinposture.cli.closest import closest_in_words
 from pinposture.cli.inputs import (
     ARM,
     MOTION,
@@ -21,12 +20,18 @@ from pinposture.cli.inputs import (
     read_arm,
     refuse_given,
 )
-from pinposture.cli.motion_summary import verdict_in_colour
-from pinposture.cli.output import end_with, print_facts, print_json, print_note, print_warning
-from pinposture.cli.progress import count_progress
+from pinposture.cli.output import (
+    closest_in_words,
+    count_progress,
+    end_with,
+    print_facts,
+    print_json,
+    print_note,
+    print_warning,
+)
 from pinposture.cli.results import MOTION as MOTION_FILE
-from pinposture.cli.results import RUN, find_kept, load_kept, write_picture
-from pinposture.cli.surroundings import SceneOption, read_scene
+from pinposture.cli.results import RUN, find_kept, load_kept, verdict_in_colour, write_picture
+from pinposture.cli.targets import SceneOption, read_scene
 from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pinposture.cli.controllers import ControllerOption
 from pinposture.cli.inputs import (
     ARM,
     MOTION,
     OUTPUT,
     BaseOption,
+    ControllerOption,
     JobsOption,
     JsonOption,
     LockedOption,
@@ -25,8 +25,7 @@ from pinposture.cli.inputs import (
     read_numbers,
     refuse_given,
 )
-from pinposture.cli.output import print_json, print_note, print_table, print_warning
-from pinposture.cli.progress import count_progress
+from pinposture.cli.output import count_progress, print_json, print_note, print_table, print_warning
 from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:

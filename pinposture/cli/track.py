@@ -7,47 +7,48 @@ from typing import Annotated
 
 import typer
 
-from pinposture.cli.controllers import ControllerOption, HasteOption, build_controller, check_controller
 from pinposture.cli.inputs import (
     MOTION,
     OUTPUT,
+    AccelerationOption,
     BaseOption,
+    ControllerOption,
     DegreesOption,
+    DurationOption,
+    HasteOption,
     JsonOption,
     LockedOption,
     ModulesOption,
     PackageDirOption,
-    TipOption,
-    UrdfArgument,
-    read_arm,
-    read_start,
-)
-from pinposture.cli.limits import (
-    AccelerationOption,
-    DurationOption,
     PositionMarginOption,
     StepLimitOption,
+    TipOption,
+    UrdfArgument,
     VelocityOption,
+    build_controller,
+    check_controller,
+    read_arm,
     read_limits,
+    read_start,
 )
 from pinposture.cli.output import end_with, print_facts, print_json, print_note, step_progress
 from pinposture.cli.results import FILES, in_words, keep, summarize
-from pinposture.cli.surroundings import SceneOption, SelfCollisionOption, read_scene
 from pinposture.cli.targets import (
     CurveOption,
+    HoldTipOption,
     MethodOption,
     PartialOption,
     PlacementOption,
     RegionOption,
     RollOption,
-    read_target,
-)
-from pinposture.cli.tip import (
-    HoldTipOption,
+    SceneOption,
+    SelfCollisionOption,
     StrictTipOption,
     TipPoseOption,
     TipPositionOption,
     TipWeightOption,
+    read_scene,
+    read_target,
     read_tip,
     tip_off,
 )

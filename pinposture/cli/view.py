@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from pinposture.cli.inputs import read_points
 from pinposture.cli.output import print_note
-from pinposture.cli.points import read_points
 from pinposture.cli.results import MOTION, RUN, find_kept, load_kept, write_animation, write_plot
 from pinposture.errors import InvalidValue
 

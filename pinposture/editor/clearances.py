@@ -26,7 +26,7 @@ PERIOD = 0.1
 """How often it is worked out at most [s]."""
 
 
-class Nearest(NamedTuple):
+class NearestObstacle(NamedTuple):
     """Where an arm is nearest to something that is not part of it, or inside itself.
 
     Attributes:
@@ -76,7 +76,7 @@ class Asked(NamedTuple):
         return same and np.array_equal(self.q, other.q)
 
 
-def nearest(asked: Asked) -> Nearest | None:
+def nearest(asked: Asked) -> NearestObstacle | None:
     """Where an arm is nearest to obstacles and scans, or deepest inside itself; None if there is nothing.
 
     Raises:
@@ -158,7 +158,7 @@ class Latest(Generic[Question, Answer]):
             self._over.wait(max(PERIOD - (time.monotonic() - begun), 0.0))
 
 
-class Clearances(Latest[Asked, Nearest]):
+class Clearances(Latest[Asked, NearestObstacle]):
     """The clearance of the arm."""
 
     def __init__(self) -> None:
@@ -203,14 +203,14 @@ class Marks(Latest[Marked, tuple[str, ...]]):
         return tuple(self._known[id(keyframe)][2].mark for keyframe in asked.keyframes)
 
 
-def _of_obstacles(state: ArmState, scene: Scene | None) -> Nearest | None:
+def _of_obstacles(state: ArmState, scene: Scene | None) -> NearestObstacle | None:
     if scene is None or not scene.obstacles:
         return None
     # Without the arm itself: links next but one to each other are always near, and would hide the rest.
     return _closest_pair(replace(scene, self_collision=False) if scene.self_collision else scene, state)
 
 
-def _of_itself(state: ArmState, scene: Scene | None) -> Nearest | None:
+def _of_itself(state: ArmState, scene: Scene | None) -> NearestObstacle | None:
     """Where the arm is deepest inside itself; None if it is not."""
     if state.arm.nv > MAX_DOF:
         return None
@@ -218,7 +218,7 @@ def _of_itself(state: ArmState, scene: Scene | None) -> Nearest | None:
     return None if found is None or found.distance >= -TOUCHING * state.arm.length else found
 
 
-def _closest_pair(scene: Scene, state: ArmState) -> Nearest | None:
+def _closest_pair(scene: Scene, state: ArmState) -> NearestObstacle | None:
     clearance = CollisionModel(state.arm, scene)
     least = clearance.minimum(state.q)
     if least.pair is None:
@@ -228,11 +228,11 @@ def _closest_pair(scene: Scene, state: ArmState) -> Nearest | None:
         return None
     on_other = near.points[0] - near.distances[0] * near.normals[0]
     body, other = near.pairs[0]
-    return Nearest(float(near.distances[0]), body, other, near.points[0], on_other, scene.margin)
+    return NearestObstacle(float(near.distances[0]), body, other, near.points[0], on_other, scene.margin)
 
 
-def _of_scan(state: ArmState, name: str, scan: Scan, radius: float | None) -> Nearest | None:
+def _of_scan(state: ArmState, name: str, scan: Scan, radius: float | None) -> NearestObstacle | None:
     gap = ScanClearance(state.arm, scan, radius).minimum(state.q)
     if gap.body is None or gap.on_arm is None or gap.on_scan is None:
         return None
-    return Nearest(gap.distance, gap.body, name, gap.on_arm, gap.on_scan, 0.0, scanned=True)
+    return NearestObstacle(gap.distance, gap.body, name, gap.on_arm, gap.on_scan, 0.0, scanned=True)

@@ -12,12 +12,11 @@ from threading import Event, Lock, Thread
 from typing import TypeAlias
 
 from pinposture.editor.files import Files, restore
-from pinposture.editor.joint_states import JointStates
-from pinposture.editor.live import Live
-from pinposture.editor.page import Page
+from pinposture.editor.measured_arm import JointStates
 from pinposture.editor.session import Session
-from pinposture.editor.solver import Solver
+from pinposture.editor.solver import Live, Solver
 from pinposture.editor.surroundings import Surroundings
+from pinposture.editor.ui import Page
 from pinposture.errors import PostureError
 from pinposture.task import Task
 

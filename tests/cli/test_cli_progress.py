@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from pinposture.cli.progress import count_progress
+from pinposture.cli.output import count_progress
 
 
 def test_a_terminal_sees_how_much_is_done(monkeypatch, capsys):

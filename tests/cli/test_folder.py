@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from pinposture.cli.folder import STATUS, Folder
+from pinposture.cli.run import STATUS, Folder
 from pinposture.errors import FileError
 from pinposture.storage import write_text
 

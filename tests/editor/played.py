@@ -9,10 +9,9 @@ import numpy as np
 from arms import template_arm
 
 import pinposture as pp
-from pinposture.editor.live import Live
-from pinposture.editor.rehearsal import Rehearsal, Rehearsed
+from pinposture.editor.playback import Rehearsal, Rehearsed
 from pinposture.editor.session import Session
-from pinposture.editor.solver import Solver
+from pinposture.editor.solver import Live, Solver
 from pinposture.motion import Motion, Trajectory
 from pinposture.task import Keyframe, Task
 

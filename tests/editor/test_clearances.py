@@ -11,9 +11,8 @@ from editor.edited_tasks import L, six_modules, task
 
 import pinposture as pp
 from pinposture.collision.scan import Scan
-from pinposture.editor.clearances import Asked, Clearances, Nearest, nearest
-from pinposture.editor.obstacle_edits import rearrange
-from pinposture.editor.obstacle_handles import moved
+from pinposture.editor.clearances import Asked, Clearances, NearestObstacle, nearest
+from pinposture.editor.obstacles import moved, rearrange
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Solver
 from pinposture.editor.surroundings import Surroundings
@@ -127,9 +126,9 @@ def test_a_dragged_obstacle_reaches_solver_and_clearance_before_the_drag_ends():
 
 def test_nearest_tells_how_it_is():
     at = np.zeros(3)
-    assert Nearest(-1e-9, "a", "b", at, at, 0.0).level == "inside"
-    assert Nearest(0.0, "a", "b", at, at, 0.01).level == "within the margin"
-    assert Nearest(0.01, "a", "b", at, at, 0.01).level == "clear"
+    assert NearestObstacle(-1e-9, "a", "b", at, at, 0.0).level == "inside"
+    assert NearestObstacle(0.0, "a", "b", at, at, 0.01).level == "within the margin"
+    assert NearestObstacle(0.01, "a", "b", at, at, 0.01).level == "clear"
 
 
 def _shift(shift, obstacle):

@@ -16,12 +16,11 @@ from edited_tasks import L, six_modules, task
 
 import pinposture as pp
 from pinposture.control import ConstrainedQP
-from pinposture.editor import edits, obstacle_edits, solver
+from pinposture.editor import edits, obstacles, solver
 from pinposture.editor.autosave import autosave_path
 from pinposture.editor.first_task import first_task
-from pinposture.editor.live import Problem
 from pinposture.editor.session import Session
-from pinposture.editor.solver import CYCLE, Solver
+from pinposture.editor.solver import CYCLE, Problem, Solver
 from pinposture.errors import TaskError, ViewerError
 from pinposture.task import Task
 
@@ -29,7 +28,7 @@ pytest.importorskip("viser", reason="viser is not installed")
 
 from pinposture.editor import Editor
 from pinposture.editor import editor as editor_module
-from pinposture.editor.page import handles, keyframes_tab, player, shape_tab
+from pinposture.editor.ui import curve, keyframes, player
 
 SOON = 60.0
 """How long something that has to happen is waited for [s]."""
@@ -78,7 +77,7 @@ def test_hands_that_do_anything_at_all_leave_a_sound_task(
             broken.append(f"keyframe {session.selected}")
         if session.handle is not None and not 0 <= session.handle < len(session.shape.points):
             broken.append(f"point {session.handle}")
-        if session.obstacle not in (None, *obstacle_edits.obstacles_of(session.shown)):
+        if session.obstacle not in (None, *obstacles.obstacles_of(session.shown)):
             broken.append(f"obstacle {session.obstacle}")
 
     def hand(seed: int) -> None:
@@ -90,21 +89,21 @@ def test_hands_that_do_anything_at_all_leave_a_sound_task(
             value = chance.choice([tuple(map(float, place)), 0.02, -1.0, np.nan])
             file = chance.choice([path, other])
             requests: list[Callable[[Session], object]] = [
-                partial(handles.move_point, k, place, final),
-                partial(handles.select_point, k),
-                shape_tab.insert_point,
-                shape_tab.delete_point,
+                partial(curve.move_point, k, place, final),
+                partial(curve.select_point, k),
+                curve.insert_point,
+                curve.delete_point,
                 Session.undo,
                 Session.redo,
                 lambda session, k=k: session.select(k),  # type: ignore[misc]
-                keyframes_tab.add,
-                keyframes_tab.delete,
-                partial(keyframes_tab.rename, k, "höhle"),
+                keyframes.add,
+                keyframes.delete,
+                partial(keyframes.rename, k, "höhle"),
                 lambda session, k=k: session.edit(edits.retimed(k, 0.5 * k), "retimed"),  # type: ignore[misc]
-                partial(obstacle_edits.add_obstacle, chance.choice(["sphere", "box"]), np.zeros((1, 3))),
-                partial(obstacle_edits.edit_obstacle, name, key, value, final),
-                partial(obstacle_edits.rename_obstacle, name, "x"),
-                obstacle_edits.delete_obstacle,
+                partial(obstacles.add_obstacle, chance.choice(["sphere", "box"]), np.zeros((1, 3))),
+                partial(obstacles.edit_obstacle, name, key, value, final),
+                partial(obstacles.rename_obstacle, name, "x"),
+                obstacles.delete_obstacle,
                 player.play,
                 player.stop,
                 partial(player.seek, chance.choice([0.0, 1.0, -1.0, np.nan])),
@@ -247,8 +246,8 @@ def test_an_arm_that_cannot_be_moved_is_seen_and_the_reason_told(monkeypatch: py
 def test_a_drag_does_not_go_on_in_another_keyframe() -> None:
     session = Session(first_task(pp.Arm.from_template("RyRz", 6)))
     place = session.shape.points[2] + [0.0, 0.02, 0.0]
-    handles.move_point(2, place, True, session, keyframe=0)  # a hand was at the first, the second is selected
+    curve.move_point(2, place, True, session, keyframe=0)  # a hand was at the first, the second is selected
     assert (session.proposal, session.handle) == (None, None)
     assert "another keyframe" in session.notice.text
-    handles.move_point(2, place, True, session, keyframe=session.selected)
+    curve.move_point(2, place, True, session, keyframe=session.selected)
     assert session.proposal is not None

@@ -10,7 +10,7 @@ import pytest
 from played import four_modules, moved
 
 import pinposture as pp
-from pinposture.editor.exports import KINDS, exported
+from pinposture.editor.files import KINDS, exported
 from pinposture.errors import MotionError, UnknownName
 from pinposture.motion import JointTrajectory, Motion
 

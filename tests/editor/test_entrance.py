@@ -22,8 +22,8 @@ from websockets import Headers
 from websockets.exceptions import InvalidStatus
 
 from pinposture.editor import Editor
-from pinposture.editor.page import server as served
-from pinposture.editor.page.server import Entrance, is_loopback, serve
+from pinposture.editor.ui import server as served
+from pinposture.editor.ui.server import Entrance, is_loopback, serve
 from pinposture.errors import ViewerError
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from test_edits import any_edit, done
 
 from pinposture.editor import edits
-from pinposture.editor.history import MOST, History
+from pinposture.editor.session import MOST, History
 from pinposture.task import Task
 
 steps = st.lists(st.sampled_from(["undo", "redo"]) | st.integers(0, 5), max_size=30)

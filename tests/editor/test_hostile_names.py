@@ -24,7 +24,7 @@ from viz.motions import some_motion
 import pinposture as pp
 from pinposture import editor as package
 from pinposture.editor import Editor
-from pinposture.editor.page.keyframes_tab import rename
+from pinposture.editor.ui.keyframes import rename
 from pinposture.motion import Motion
 from pinposture.task import Keyframe, Task
 from pinposture.viz.html import _viewer_script

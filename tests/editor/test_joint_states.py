@@ -17,9 +17,8 @@ from arms import template_arm
 from sampling import cases
 
 import pinposture as pp
-from pinposture.editor import line_source
-from pinposture.editor.joint_lines import JointLines
-from pinposture.editor.joint_states import LOOKED_AT, JointStates
+from pinposture.editor import measured_arm
+from pinposture.editor.measured_arm import LOOKED_AT, JointStateLines, JointStates
 from pinposture.errors import FileError, InvalidValue
 
 
@@ -235,7 +234,7 @@ def test_half_a_line_waits_for_the_other_half(arm, rng, path):
         file.write(line(np.ones(6)) + text[:25])
         file.flush()
         until(states, lambda now: now.count == 1)
-        time.sleep(3 * line_source.POLL)
+        time.sleep(3 * measured_arm.POLL)
         assert states.latest.count == 1 and states.latest.refused == 0
         file.write(text[25:])
         file.flush()
@@ -252,7 +251,7 @@ def test_a_line_at_the_end_of_a_file_needs_no_end_and_is_counted_once(arm, rng, 
         np.testing.assert_array_equal(latest.q, q)
         file.write("\n")
         file.flush()
-        time.sleep(3 * line_source.POLL)
+        time.sleep(3 * measured_arm.POLL)
         file.write("x\n")
         file.flush()
         latest = until(states, lambda now: now.refused == 1)
@@ -263,7 +262,7 @@ def test_an_object_in_an_object_is_no_end_of_a_line(arm, path):
     with JointStates(arm, path) as states, path.open("a") as file:
         file.write('{"header": {"stamp": {"sec": 1, "nanosec": 0}}')
         file.flush()
-        time.sleep(3 * line_source.POLL)
+        time.sleep(3 * measured_arm.POLL)
         assert states.latest.refused == 0
         file.write(', "position": [1, 2, 3, 4, 5, 6]}\n')
         file.flush()
@@ -289,7 +288,7 @@ def test_a_file_that_is_cut_short_or_replaced_is_read_anew(arm, path, tmp_path):
         other.replace(path)
         until(states, lambda now: now.count == 8)
         path.unlink()
-        time.sleep(3 * line_source.POLL)
+        time.sleep(3 * measured_arm.POLL)
         path.write_text(line(np.ones(6)))
         latest = until(states, lambda now: now.count == 9)
         np.testing.assert_array_equal(latest.q, np.ones(6))
@@ -307,8 +306,10 @@ def test_a_burst_leaves_the_last_of_its_lines(arm, rng, path):
 
 def test_of_many_lines_the_old_ones_are_not_read(arm, path, monkeypatch):
     read = []
-    ordinary = JointLines.read
-    monkeypatch.setattr(JointLines, "read", lambda self, text: (read.append(text), ordinary(self, text))[1])
+    ordinary = JointStateLines.read
+    monkeypatch.setattr(
+        JointStateLines, "read", lambda self, text: (read.append(text), ordinary(self, text))[1]
+    )
     path.write_text("".join(line(np.full(6, k / 10)) for k in range(10_000)))
     with JointStates(arm, path) as states:
         latest = until(states, lambda now: now.count + now.skipped == 10_000)
@@ -329,7 +330,7 @@ def test_a_named_pipe_and_those_who_write_into_it_one_after_the_other(arm, tmp_p
     path = tmp_path / "pipe"
     os.mkfifo(path)
     with JointStates(arm, path) as states:  # nobody has opened it yet
-        time.sleep(2 * line_source.POLL)
+        time.sleep(2 * measured_arm.POLL)
         assert not states.ended
         for number in range(1, 4):
             with path.open("w") as file:
@@ -361,7 +362,7 @@ def test_a_burst_through_a_pipe(arm, rng, tmp_path):
 def test_the_standard_input_until_it_ends(names):
     program = """
 import sys, time, numpy as np, pinposture as pp
-from pinposture.editor.joint_states import JointStates
+from pinposture.editor.measured_arm import JointStates
 states = JointStates(pp.Arm.from_template("RyRz", modules=3), "-")
 while not states.ended:
     time.sleep(0.01)
@@ -376,7 +377,7 @@ print(latest.q.tolist(), latest.count, latest.refused)
 
 
 def test_a_line_without_end_takes_no_memory(arm, path, monkeypatch):
-    monkeypatch.setattr(line_source, "LONGEST", 1000)
+    monkeypatch.setattr(measured_arm, "LONGEST", 1000)
     with JointStates(arm, path) as states, path.open("a") as file:
         file.write('{"position": [' + "1, " * 2000)
         file.flush()
@@ -410,7 +411,7 @@ def test_a_source_that_breaks_is_told_of_and_nothing_is_raised(arm, path, monkey
         def fail(*_, error=error):
             raise error
 
-        monkeypatch.setattr(line_source.os, "read", fail)
+        monkeypatch.setattr(measured_arm.os, "read", fail)
         path.write_text(line(np.ones(6)) * 2)
         latest = until(states, lambda now: now.complaint != "")
         assert (error.strerror if isinstance(error, OSError) else "broken") in latest.complaint

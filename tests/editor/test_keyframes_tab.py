@@ -12,8 +12,8 @@ from pinposture.task import Keyframe
 
 pytest.importorskip("viser")
 
-from pinposture.editor.page import keyframes_tab as tab
-from pinposture.editor.page import typed
+from pinposture.editor.ui import keyframes as tab
+from pinposture.editor.ui import parts
 
 
 def names(session: Session) -> list[str]:
@@ -93,15 +93,15 @@ class Field:
 
 def test_what_is_typed_counts_when_the_hand_rests(monkeypatch: pytest.MonkeyPatch) -> None:
     now, told = [100.0], []
-    monkeypatch.setattr(typed.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(parts.time, "monotonic", lambda: now[0])
     control = Field(3.0)
-    field = typed.Typed(control, lambda value, over: told.append(value))
+    field = parts.Typed(control, lambda value, over: told.append(value))
     for key in (1.0, 12.0, 12.5):
         control.type(key)
-        now[0] += 0.5 * typed.PAUSE
+        now[0] += 0.5 * parts.PAUSE
         field.show(3.0)
         assert (control.value, told) == (key, [])  # nobody writes into it
-    now[0] += typed.PAUSE
+    now[0] += parts.PAUSE
     field.show(3.0)
     assert told == [12.5]
     field.show(3.0)  # it was refused
@@ -111,7 +111,7 @@ def test_what_is_typed_counts_when_the_hand_rests(monkeypatch: pytest.MonkeyPatc
 def test_what_is_typed_counts_before_something_else_is_done_or_is_dropped() -> None:
     told: list[object] = []
     control = Field("coil")
-    field = typed.Typed(control, lambda value, over: told.append(value))
+    field = parts.Typed(control, lambda value, over: told.append(value))
     field.show("coil")
     field.finish()
     assert told == []

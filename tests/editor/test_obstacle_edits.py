@@ -10,17 +10,19 @@ import pytest
 from editor.solid_distances import signed_distance
 
 import pinposture as pp
-from pinposture.editor.new_obstacles import KINDS, ROOM, new_obstacle
-from pinposture.editor.obstacle_edits import (
+from pinposture.editor.obstacles import (
+    KINDS,
+    ROOM,
     add_obstacle,
     delete_obstacle,
     edit_obstacle,
+    moved,
+    new_obstacle,
     obstacles_of,
     rearrange,
     rename_obstacle,
     select_obstacle,
 )
-from pinposture.editor.obstacle_handles import moved
 from pinposture.editor.session import Session
 from pinposture.errors import UnknownName
 

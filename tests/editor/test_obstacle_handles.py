@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import pinposture as pp
 from pinposture.collision import Obstacle
-from pinposture.editor.obstacle_handles import (
+from pinposture.editor.obstacles import (
     DIGITS,
     Measures,
     Pose,

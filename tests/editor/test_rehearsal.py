@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from played import bent_spline, done, half_line, moved, short
 
-from pinposture.editor.rehearsal import Rehearsal
+from pinposture.editor.playback import Rehearsal
 from pinposture.motion import Motion
 from pinposture.task import Keyframe, Task
 

@@ -10,8 +10,8 @@ import pytest
 from editor.edited_tasks import task
 
 import pinposture as pp
-from pinposture.editor.scan_shelf import ScanShelf, remove_scan
 from pinposture.editor.session import Session
+from pinposture.editor.surroundings import ScanShelf, remove_scan
 
 
 class Desk:
@@ -180,7 +180,7 @@ def test_removing_a_scan_leaves_its_file(desk, cloud):
 
 
 def test_large_scans_are_thinned_for_the_eye(desk, points, tmp_path, monkeypatch):
-    monkeypatch.setattr("pinposture.editor.scan_shelf.SHOWN", 100)
+    monkeypatch.setattr("pinposture.editor.surroundings.SHOWN", 100)
     path = tmp_path / "large.npy"
     np.save(path, points)
     desk.shelf.add_scan(path)

@@ -18,17 +18,15 @@ import viser
 from editor.edited_tasks import six_modules, task
 
 import pinposture as pp
-from pinposture.editor.clearances import Nearest
-from pinposture.editor.obstacle_edits import obstacles_of, select_obstacle, take_in
-from pinposture.editor.page import typed
-from pinposture.editor.page.clearance import ClearanceLine, clearance_text
-from pinposture.editor.page.measured import MeasuredArm
-from pinposture.editor.page.obstacles import Obstacles
-from pinposture.editor.page.part import color
-from pinposture.editor.page.scans import ScanControls, Scans
-from pinposture.editor.page.scene_tab import SceneTab
-from pinposture.editor.scan_shelf import ScanShelf
+from pinposture.editor.clearances import NearestObstacle
+from pinposture.editor.obstacles import obstacles_of, select_obstacle, take_in
 from pinposture.editor.session import Session
+from pinposture.editor.surroundings import ScanShelf
+from pinposture.editor.ui import parts
+from pinposture.editor.ui.arm import MeasuredArm
+from pinposture.editor.ui.parts import color
+from pinposture.editor.ui.scans import ScanControls, Scans
+from pinposture.editor.ui.scene import ClearanceLine, Obstacles, SceneTab, clearance_text
 from pinposture.viz import palette
 
 BALL = pp.Sphere((0.3, 0.2, 0.1), 0.05)
@@ -174,7 +172,7 @@ def test_the_tab_shows_what_the_selected_obstacle_has(live, server, desk, tmp_pa
     for name, keys in shown.items():
         select_obstacle(name, session)
         tab.show(session, live)
-        visible = {key for key, typed in tab._vectors.items() if typed.control.visible}
+        visible = {key for key, parts in tab._vectors.items() if parts.control.visible}
         assert visible | ({"radius"} if tab._radius.control.visible else set()) == keys
         assert tab._called.control.value == name
     select_obstacle("box", session)
@@ -193,7 +191,7 @@ def test_what_is_typed_is_seen_at_once_and_counts_when_it_is_over(live, server, 
     select_obstacle("ball", session)
     tab.show(session, live)
     clock = [100.0]
-    monkeypatch.setattr(typed.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(parts.time, "monotonic", lambda: clock[0])
     states = len(session.history._states)
     for radius in (0.0, 0.03, 0.035):  # "0.035", key by key
         tab._radius._changed(radius)
@@ -201,7 +199,7 @@ def test_what_is_typed_is_seen_at_once_and_counts_when_it_is_over(live, server, 
         tab.show(session, live)
     assert len(session.history._states) == states
     assert obstacles_of(session.shown)["ball"].radius == 0.035
-    clock[0] += typed.PAUSE
+    clock[0] += parts.PAUSE
     tab.show(session, live)
     assert obstacles_of(session.task)["ball"].radius == 0.035
     assert len(session.history._states) == states + 1
@@ -213,7 +211,7 @@ def test_what_is_refused_returns_to_what_it_was(live, server, desk, monkeypatch)
     select_obstacle("ball", session)
     tab.show(session, live)
     clock = [100.0]
-    monkeypatch.setattr(typed.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(parts.time, "monotonic", lambda: clock[0])
     tab._vectors["center"].control.value = (0.0, 0.0, 0.0)
     tab._vectors["center"]._changed((0.0, 0.0, 0.0))  # where the base is
     clock[0] += 2.0
@@ -253,7 +251,7 @@ def test_the_line_is_coloured_by_how_near_it_is(arm, live, server, desk, distanc
     session, _ = desk
     line = ClearanceLine(server, arm)
     ends = np.array([[0.1, 0.0, 0.0], [0.1, 0.0, 0.02]])
-    session.nearest = Nearest(distance, "link", "ball", *ends, 0.005)
+    session.nearest = NearestObstacle(distance, "link", "ball", *ends, 0.005)
     line.show(session, live)
     assert line._line.visible
     np.testing.assert_allclose(line._line.points[0], ends, atol=1e-6)

@@ -12,10 +12,9 @@ from edited_tasks import L, bent_spline, task
 import pinposture as pp
 from pinposture.arm import Arm
 from pinposture.editor import edits
-from pinposture.editor.live import Live
 from pinposture.editor.session import Session
 from pinposture.editor.shape import Shape
-from pinposture.editor.solver import Solver
+from pinposture.editor.solver import Live, Solver
 from pinposture.editor.verdict import Verdict, judge
 from pinposture.errors import InvalidValue
 from pinposture.task import Keyframe

@@ -18,8 +18,7 @@ from sampling import cases
 import pinposture as pp
 from pinposture.control import ConstrainedQP, controller_named
 from pinposture.control.registry import CONTROLLERS
-from pinposture.editor.live import Live, Problem
-from pinposture.editor.solver import CYCLE, Solver, in_cycles
+from pinposture.editor.solver import CYCLE, Live, Problem, Solver, in_cycles
 from pinposture.editor.verdict import Verdict, judge
 from pinposture.task import Keyframe
 

@@ -11,11 +11,10 @@ from editor.edited_tasks import L, bent_spline, six_modules, straight_line, task
 
 import pinposture as pp
 from pinposture.editor.clearances import Asked, Marked, Marks, nearest
-from pinposture.editor.live import Live
-from pinposture.editor.page.keyframes_tab import row_label
-from pinposture.editor.page.status import told
 from pinposture.editor.session import Session
-from pinposture.editor.solver import Solver
+from pinposture.editor.solver import Live, Solver
+from pinposture.editor.ui.keyframes import row_label
+from pinposture.editor.ui.status import told
 from pinposture.editor.verdict import judge, review
 from pinposture.task import Keyframe, Task
 

@@ -10,7 +10,7 @@ from played import LIMITS, Clock, by_hand, four_modules, live_of, moved, short
 
 from pinposture.editor.session import Session
 from pinposture.editor.solver import CYCLE
-from pinposture.editor.traces import ROWS, SPAN, Recent, trace_of, with_lines
+from pinposture.editor.ui.player import ROWS, SPAN, Recent, trace_of, with_lines
 
 
 def test_the_trace_of_a_motion_is_what_it_records() -> None:

@@ -17,8 +17,7 @@ from editor.browser.window import Window
 import pinposture as pp
 from pinposture.collision import Scan, ScanClearance
 from pinposture.editor import Editor
-from pinposture.editor.obstacle_edits import obstacles_of
-from pinposture.editor.obstacle_handles import Measures, grips
+from pinposture.editor.obstacles import Measures, grips, obstacles_of
 
 pytestmark = pytest.mark.browser
 

@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("viser", reason="viser is not installed")
 
-from pinposture.editor.page.shortcuts import shortcuts
+from pinposture.editor.ui.page import shortcuts
 
 pytestmark = pytest.mark.browser
 

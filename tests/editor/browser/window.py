@@ -12,8 +12,8 @@ from editor.browser.desk import PATIENCE, wait_until
 from PIL import Image
 
 from pinposture.arm import Arm
-from pinposture.editor.page.stage import outlook
-from pinposture.editor.page.tour import SEEN
+from pinposture.editor.ui.files import SEEN
+from pinposture.editor.ui.page import viewpoint
 
 SIZE = {"width": 1280, "height": 720}
 COARSE = 0.4
@@ -62,7 +62,7 @@ class Window:
 
     def at(self, point: Any) -> tuple[float, float]:
         """Where a place of the world is in the window [pixels], while nobody has moved the camera."""
-        view, box = outlook(self._arm), self.page.locator(CANVAS).bounding_box()
+        view, box = viewpoint(self._arm), self.page.locator(CANVAS).bounding_box()
         ahead = view.look_at - view.position
         ahead /= np.linalg.norm(ahead)
         right = np.cross(ahead, [0.0, 0.0, 1.0])

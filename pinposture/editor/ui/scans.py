@@ -12,10 +12,10 @@ import viser
 from pinposture.arm import Arm
 from pinposture.collision.scan import Scan
 from pinposture.editor.files import within
-from pinposture.editor.live import Live
-from pinposture.editor.page.part import Post, color, on_choice, on_click, put
-from pinposture.editor.scan_shelf import ScanShelf, remove_scan
 from pinposture.editor.session import Session
+from pinposture.editor.solver import Live
+from pinposture.editor.surroundings import ScanShelf, remove_scan
+from pinposture.editor.ui.parts import Post, color, on_choice, on_click, put
 from pinposture.viz import palette
 
 DOT = 0.003

@@ -10,10 +10,9 @@ import viser
 
 from pinposture.control import EndEffector
 from pinposture.editor import edits
-from pinposture.editor.live import Live
-from pinposture.editor.page.part import Post, color, on_change, on_choice, on_click, put
-from pinposture.editor.page.typed import Typed
 from pinposture.editor.session import Session
+from pinposture.editor.solver import Live
+from pinposture.editor.ui.parts import Post, Typed, color, on_change, on_choice, on_click, put
 from pinposture.placement.resolve import METHODS
 from pinposture.task import Keyframe
 from pinposture.viz import palette

@@ -7,9 +7,9 @@ from html import escape
 
 import viser
 
-from pinposture.editor.live import Live
-from pinposture.editor.page.clearance import clearance_text
 from pinposture.editor.session import Session
+from pinposture.editor.solver import Live
+from pinposture.editor.ui.scene import clearance_text
 from pinposture.viz import palette
 
 COLORS = {

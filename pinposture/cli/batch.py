@@ -8,42 +8,44 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pinposture.cli.controllers import ControllerOption, HasteOption, build_controller, check_controller
 from pinposture.cli.inputs import (
     MOTION,
     OUTPUT,
     STARTS,
     TARGET,
+    AccelerationOption,
     BaseOption,
+    ControllerOption,
     DegreesOption,
+    DurationOption,
+    HasteOption,
     JsonOption,
     LockedOption,
     ModulesOption,
     PackageDirOption,
-    TipOption,
-    UrdfArgument,
-    as_configuration,
-    read_arm,
-    read_start,
-)
-from pinposture.cli.limits import (
-    AccelerationOption,
-    DurationOption,
     PositionMarginOption,
     StepLimitOption,
+    TipOption,
+    UrdfArgument,
     VelocityOption,
+    as_configuration,
+    build_controller,
+    check_controller,
+    read_arm,
     read_limits,
+    read_start,
 )
-from pinposture.cli.output import end_with, print_facts, print_json, print_note
-from pinposture.cli.progress import count_progress
+from pinposture.cli.output import count_progress, end_with, print_facts, print_json, print_note
 from pinposture.cli.results import BATCH
-from pinposture.cli.surroundings import SceneOption, SelfCollisionOption, read_scene
 from pinposture.cli.targets import (
     MethodOption,
     PartialOption,
     PlacementOption,
     RegionOption,
     RollOption,
+    SceneOption,
+    SelfCollisionOption,
+    read_scene,
     read_target,
 )
 from pinposture.errors import FileError, InvalidValue, UnknownName
@@ -53,6 +55,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pinposture.arm import Arm
+
 
 EXAMPLES = (
     "pinposture many arm.urdf --curve helix --count 5",
