@@ -377,7 +377,7 @@ def run_flows() -> dict[str, list[str]]:
     from pinposture import kernels
     from pinposture.control import CONTROLLERS
 
-    step = type(CONTROLLERS["qp"]()).step.__code__
+    step = type(CONTROLLERS["geodesic"]()).step.__code__
     flows: dict[str, tuple[Callable[[Any], object], dict[str, Any]]] = {
         "files of a step": (take_a_step, {"until_return": step}),
         "files of a task": (run_a_task, {}),

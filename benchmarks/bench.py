@@ -1,6 +1,7 @@
 """Our controllers and the field on the same seeded cases, in one run: `make bench`.
 
-    python benchmarks/bench.py [--quick] [--sizes 40 100] [--methods qp placo] [--save FILE] [--compare FILE]
+    python benchmarks/bench.py [--quick] [--sizes 40 100] [--methods geodesic placo] [--save FILE] [--compare
+    FILE]
 
 Each method on each size runs in a process of its own, one at a time, on one thread. What is measured, and
 how each peer is set up: docs/speed.md, and the head of each file in benchmarks/peers. Times depend on the

@@ -1,6 +1,7 @@
 """One method on one arm, in a process of its own; `bench.py` starts it.
 
-    python benchmarks/measure.py qp problem.npz found.json --seconds 10 --max-steps 200 --stream 0 --memory 6
+    python benchmarks/measure.py geodesic problem.npz found.json --seconds 10 --max-steps 200 --stream 0
+    --memory 6
 
 Each step is timed by itself. What is done between steps (errors against the targets, by
 `scenarios.points_at`) is not timed. Python's garbage collector runs as it does for users.

@@ -57,13 +57,13 @@ def pieces(problem: Problem) -> list[tuple[str, Callable[[], object]]]:
     arm = pp.Arm.from_template("RyRz", modules=problem.modules)
     case = problem.cases[-1]
     target = pp.Target.from_configuration(arm, case.q)
-    qp = controller_named("qp")
+    geodesic = controller_named("geodesic")
     actions: list[tuple[str, Callable[[], object]]] = [
         ("arm.at", lambda: arm.at(case.start)),
         ("arm.at, points", lambda: arm.at(case.start).points),
         ("arm.at, all-pairs manipulability", lambda: arm.at(case.start).manipulability()),
-        ("qp, first step with its plan", partial(_step, arm, case.start, qp, target, None)),
-        ("qp, limits of acceleration bind", _bound_step(arm, case.start, qp, target)),
+        ("geodesic, first step with its plan", partial(_step, arm, case.start, geodesic, target, None)),
+        ("geodesic, limits of acceleration bind", _bound_step(arm, case.start, geodesic, target)),
     ]
     if arm.nv <= PINOCCHIO:
         model = pin.buildModelFromXML(problem.urdf)
@@ -79,21 +79,21 @@ def pieces(problem: Problem) -> list[tuple[str, Callable[[], object]]]:
     return actions
 
 
-def _bound_step(arm: pp.Arm, q: Array, qp: Controller, target: pp.Target) -> Callable[[], object]:
+def _bound_step(arm: pp.Arm, q: Array, geodesic: Controller, target: pp.Target) -> Callable[[], object]:
     """A step for which the program has to be solved: the arm is too fast to go its way, and has to brake."""
     made: list[Memory] = []
 
     def action() -> object:
         if not made:
-            way = _step(arm, q, qp, target, None).memory.own
+            way = _step(arm, q, geodesic, target, None).memory.own
             made.append(Memory(np.full(arm.nv, 5.0 * 0.004), way))
-        return _step(arm, q, qp, target, made[0])
+        return _step(arm, q, geodesic, target, made[0])
 
     return action
 
 
-def _step(arm: pp.Arm, q: Array, qp: Controller, target: pp.Target, memory: Memory | None) -> Step:
-    return qp.step(arm.at(q), target, BRAKED, memory)
+def _step(arm: pp.Arm, q: Array, geodesic: Controller, target: pp.Target, memory: Memory | None) -> Step:
+    return geodesic.step(arm.at(q), target, BRAKED, memory)
 
 
 def timed(action: Callable[[], object], seconds: float) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Solvers of quadratic programs on those that the controller "qp" really asks for.
+"""Solvers of quadratic programs on those that the controller "geodesic" really asks for.
 
     python benchmarks/qp_solvers.py                      # print the tables
     python benchmarks/qp_solvers.py --save benchmarks/results/qp_solvers.json
@@ -28,7 +28,7 @@ from rich.table import Table
 import pinposture as pp
 from pinposture.arm import smooth_configuration
 from pinposture.collision import Scene, Sphere
-from pinposture.control import ConstrainedQP, JointPosture
+from pinposture.control import Geodesic, JointPosture
 from pinposture.control.planner import avoidance, follow
 
 Array = np.ndarray
@@ -97,7 +97,7 @@ def run(modules: int, situation: str, rng: np.random.Generator) -> None:
         scene = Scene({str(i): Sphere(balls[i], radii[i]) for i in np.flatnonzero(radii > 0.005)})
     # Points and chords alone are solved by sweeps; a task calls for the program.
     tasks = () if situation == "obstacles" else (JointPosture(arm.neutral(), weight=1e-4),)
-    pp.track(arm, target, start, ConstrainedQP(tasks=tasks), limits, scene, max_steps=STEPS)
+    pp.track(arm, target, start, Geodesic(tasks=tasks), limits, scene, max_steps=STEPS)
 
 
 def with_daqp(p: Program, last: Array | None) -> Array | None:
@@ -112,12 +112,12 @@ def with_proxqp(p: Program, last: Array | None) -> Array | None:
     from proxsuite import proxqp
 
     n = len(p.g)
-    qp, guesses = proxqp.dense.QP(n, 0, len(p.M), True), proxqp.InitialGuess
-    qp.settings.eps_abs, qp.settings.max_iter = 1e-9, 1000
-    qp.settings.initial_guess = guesses.NO_INITIAL_GUESS if last is None else guesses.WARM_START
-    qp.init(p.H, p.g, None, None, p.M, p.low[n:], p.high[n:], p.low[:n], p.high[:n])
-    qp.solve(*([] if last is None else [last, None, None]))
-    return qp.results.x if qp.results.info.status == proxqp.QPSolverOutput.PROXQP_SOLVED else None
+    geodesic, guesses = proxqp.dense.QP(n, 0, len(p.M), True), proxqp.InitialGuess
+    geodesic.settings.eps_abs, geodesic.settings.max_iter = 1e-9, 1000
+    geodesic.settings.initial_guess = guesses.NO_INITIAL_GUESS if last is None else guesses.WARM_START
+    geodesic.init(p.H, p.g, None, None, p.M, p.low[n:], p.high[n:], p.low[:n], p.high[:n])
+    geodesic.solve(*([] if last is None else [last, None, None]))
+    return geodesic.results.x if geodesic.results.info.status == proxqp.QPSolverOutput.PROXQP_SOLVED else None
 
 
 def with_quadprog(p: Program, last: Array | None) -> Array | None:

@@ -68,7 +68,7 @@ Exit code 1 if a run differs, is missing or is new.
 # The names of the library that this script needs and that may change.
 
 CONTROLLERS: dict[str, Any] = {
-    "default": "qp",
+    "default": "geodesic",
     "selection": "selection",
     "projection": "projection",
     "switching": "switching",
@@ -85,7 +85,7 @@ CONTROLLERS: dict[str, Any] = {
 
 def default(scene: pp.Scene | None = None, joint_weight: float = 0.2, relative: float = 1.0, tasks: Any = ()):
     """The default controller with parameters."""
-    return pp.ConstrainedQP(haste=joint_weight, chord=relative, tasks=tasks, scene=scene)
+    return pp.Geodesic(joint_weight=joint_weight, relative_position_weight=relative, tasks=tasks, scene=scene)
 
 
 def tip_task(**values: Any) -> pp.EndEffector:
@@ -94,15 +94,24 @@ def tip_task(**values: Any) -> pp.EndEffector:
         position=values.get("position"),
         pose=values.get("pose"),
         weight=values.get("weight", 1.0),
-        strict=values.get("first", False),
-        axis_only=values.get("direction", False),
+        priority=values.get("first", False),
+        direction_only=values.get("direction", False),
     )
 
 
 def tracker(arm: pp.Arm, controller: Any, limits: pp.Limits, scene: pp.Scene | None, velocity: bool):
     """A streaming controller."""
     interface = "velocity" if velocity else "position"
-    return pp.Tracker(arm, controller, limits, scene, interface, feedback=0.2, disagreement=0.4, patience=0.1)
+    return pp.Tracker(
+        arm,
+        controller,
+        limits,
+        scene,
+        interface,
+        feedback_time_constant=0.2,
+        max_tracking_error=0.4,
+        resync_time=0.1,
+    )
 
 
 def of_run(run: pp.Trajectory) -> Found:
@@ -113,7 +122,7 @@ def of_run(run: pp.Trajectory) -> Found:
 
 def of_motion(motion: pp.Motion) -> Found:
     """What is kept of a motion in time."""
-    return {**of_run(motion.run), "time": motion.time, "plan": motion.clock, "targets": motion.targets}
+    return {**of_run(motion.run), "time": motion.time, "plan": motion.plan_time, "targets": motion.targets}
 
 
 def of_reference(reference: Any) -> Found:

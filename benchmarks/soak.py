@@ -52,7 +52,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=int, default=100_000)
     parser.add_argument("--modules", type=int, default=20)
-    parser.add_argument("--controller", default="qp")
+    parser.add_argument("--controller", default="geodesic")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--free", action="store_true", help="no limit of acceleration")
     parser.add_argument("--json", action="store_true")

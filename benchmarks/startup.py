@@ -19,7 +19,7 @@ begun = time.perf_counter()
 import pinposture as pp
 arm = pp.Arm.from_template("RyRz", modules=20)
 target = pp.Target.from_configuration(arm, [0.1] * arm.nq)
-controller, limits = pp.ConstrainedQP(), pp.Limits()
+controller, limits = pp.Geodesic(), pp.Limits()
 loaded = time.perf_counter()
 step = controller.step(arm.at(arm.straight()), target, limits)
 first = time.perf_counter()

@@ -76,7 +76,7 @@ def modules() -> Figure:
     panel = PosturePanel(arm, ax)
     q = np.array([0.45, -0.15, -0.5, -0.35, 0.3, 0.5])
     points = np.vstack([arm.chain.base, arm.at(q).points])
-    joints = arm.at(q).placed.origins
+    joints = arm.at(q).forward.origins
     for k in range(3):
         line = np.vstack([points[k], joints[2 * k : 2 * k + 2], points[k + 1]])
         panel.line(line, color=palette.MODULES[k % 2], lw=9.0, solid_capstyle="butt", zorder=3)
@@ -160,7 +160,7 @@ def direct() -> Figure:
     start, goal = bent(1.5, -0.3), bent(-1.1, -0.9)
     slowly = pp.Limits(step=0.02)
     figure, axes = empty(2, 4.4)
-    names = {"qp": "the most direct way (qp)", "joint": "straight through joint space (joint)"}
+    names = {"geodesic": "the most direct way (qp)", "joint": "straight through joint space (joint)"}
     for ax, (controller, name) in zip(axes, names.items(), strict=True):
         run = pp.track(PLANAR, pp.Target.from_configuration(PLANAR, goal), start, controller, slowly)
         panel = PosturePanel(PLANAR, ax)
@@ -172,7 +172,7 @@ def direct() -> Figure:
         for k in (9, 19):
             panel.line(run.points[:, k], color=palette.QUIET, lw=0.8, ls=(0, (3, 2)), zorder=1)
         panel.finish()
-        ax.set_title(f"{name}:\n{run.sweep:.2f} times as long as straight lines", **WORDS)
+        ax.set_title(f"{name}:\n{run.path_length_ratio:.2f} times as long as straight lines", **WORDS)
     frame(*axes)
     return figure
 

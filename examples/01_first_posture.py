@@ -19,7 +19,8 @@ target = pp.resolve_targets(arm, curve)
 
 # Any start will do; this one is a random, gently curved posture.
 start = smooth_configuration(arm, np.random.default_rng(0), amplitude=0.6)
-# The default controller, "qp", takes the most direct way; no joint turns by more than 0.1 rad in a step.
+# The default controller, "geodesic", takes the most direct way; no joint turns by more than 0.1 rad in a
+# step.
 run = pp.track(arm, target, start, limits=pp.Limits(step=0.1))
 
 print(run.status, "-", run.reason)

@@ -31,9 +31,9 @@ try:
 except pp.PostureError as error:
     print("refused:", error)
 partial = pp.resolve_targets(arm, short, incomplete="partial")
-print(f"placed all the same: {partial.placed.sum()} of {arm.n_modules} control points")
+print(f"placed all the same: {partial.has_target.sum()} of {arm.n_modules} control points")
 
 start = smooth_configuration(arm, np.random.default_rng(6), amplitude=0.4)
-run = pp.track(arm, target, start)  # by the default controller, "qp"
+run = pp.track(arm, target, start)  # by the default controller, "geodesic"
 pp.plot(run).savefig(out / "run.png", dpi=120)
 print(f"{run.status} after {run.steps} steps; look at {out / 'run.png'}")

@@ -24,11 +24,11 @@ out.mkdir(parents=True, exist_ok=True)
 
 # What can such modules follow? Ask before tracking.
 curve = pp.Curve.helix(radius=0.15, pitch=0.4, turns=2)
-adequacy = arm.adequate(curve)
+adequacy = arm.can_follow(curve)
 print(f"curvature they follow: {adequacy.max_curvature:.1f} /m; of the curve: {adequacy.curvature:.1f} /m")
 
 target = pp.resolve_targets(arm, curve, placement="align")  # the helix begins beside its axis
-run = pp.track(arm, target, arm.straight())  # by the default controller, "qp", within the limits above
+run = pp.track(arm, target, arm.straight())  # by the default controller, "geodesic", within the limits above
 print(run.status, "-", run.reason)
 pp.plot_arm(arm, run.q[-1]).savefig(out / "arm.png", dpi=100)
 pp.save_html(arm, run, out / "run.html")

@@ -19,13 +19,13 @@ start = bent_configuration(arm, rng, heading=1.2)
 goal = pp.Target.from_configuration(arm, bent_configuration(arm, rng, heading=1.5))
 target = goal.region(22, 44)
 
-# The default controller, "qp", plans the most direct way and follows it. Selection takes the points that it
-# can move safely, Projection moves all points as far as they can go, Switching has both by turns, and says
-# why.
-names = ("qp", "selection", "projection", "switching")
+# The default controller, "geodesic", plans the most direct way and follows it. Selection takes the points
+# that it can move safely, Projection moves all points as far as they can go, Switching has both by turns,
+# and says why.
+names = ("geodesic", "selection", "projection", "switching")
 runs = {name: pp.track(arm, target, start, name) for name in names}
 for name, run in runs.items():
-    mean = run.posture_error[-1] / target.placed.sum()
+    mean = run.posture_error[-1] / target.has_target.sum()
     print(f"{name}: {run.status} after {run.steps} steps, mean point error {mean:.2g} m")
 for switch in runs["switching"].switches:
     print(f"  step {switch.step + 1}: {switch.method}, because {switch.reason}")

@@ -33,7 +33,7 @@ print(f"{run.steps} steps, never nearer than {1e3 * nearest.distance:.1f} mm ({'
 ways = np.linalg.norm(np.diff(run.points, axis=0), axis=2).sum()
 straight = np.linalg.norm(run.points[-1] - run.points[0], axis=1).sum()
 print(f"control points went {ways / straight:.2f} times as far as on straight lines")
-print(f"escape steps, on which the posture error rose: {run.escape.sum()}")
+print(f"escape steps, on which the posture error rose: {run.error_increasing.sum()}")
 
 out = Path("out/around_obstacles")
 pp.save(run, out / "run.npz")

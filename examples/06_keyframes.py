@@ -29,10 +29,10 @@ keyframes = [
 limits = pp.Limits(step=None, dt=0.02, velocity=1.0, acceleration=4.0)
 motion = pp.move_through(arm, keyframes, limits=limits)
 
-print(f"{motion.run.status} after {motion.time[-1]:.2f} s, {motion.slowing:.2f} times as long as planned")
+print(f"{motion.run.status} after {motion.time[-1]:.2f} s, {motion.time_scale:.2f} times as long as planned")
 print(f"fastest joint: {np.abs(motion.velocities).max():.3f} of {limits.velocity} rad/s")
 print(f"hardest acceleration: {np.abs(motion.accelerations).max():.3f} of {limits.acceleration} rad/s^2")
-for place in motion.passed:
+for place in motion.waypoints:
     print(f"  {place.name:14}  planned {place.planned:.2f} s, reached {place.reached:.2f} s")
 print(f"mean distance of the control points from their targets: {motion.mean_error.max():.2g} m at most")
 

@@ -30,7 +30,7 @@ print(f"{reference.rows} rows, {reference.duration:.1f} s for {path.length:.3f} 
 # A pipe of 4.5 cm around it, and the arm in it, within its limits.
 scene = pipe(laid, radius=0.045)
 limits = pp.Limits(dt=0.1, acceleration=2.0)
-motion = perform(reference, "qp", limits, scene=scene)
+motion = perform(reference, "geodesic", limits, scene=scene)
 run = motion.run
 print(f"{run.status} after {run.steps * limits.dt:.1f} s")
 

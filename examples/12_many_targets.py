@@ -38,5 +38,5 @@ if __name__ == "__main__":  # other processes read this file, too
     print("\n run  status     steps  error at first [m]  at last [m]  paths")
     for k in np.argsort(-batch.steps, kind="stable")[:8]:
         errors = f"{batch.start_error[k]:18.3g}  {batch.final_error[k]:11.2g}"
-        print(f"{k:4}  {batch.status[k]:9}  {batch.steps[k]:5}  {errors}  {batch.sweep[k]:5.2f}")
+        print(f"{k:4}  {batch.status[k]:9}  {batch.steps[k]:5}  {errors}  {batch.path_length_ratio[k]:5.2f}")
     print(f"look at {out / 'reached.png'}")

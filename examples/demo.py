@@ -1,4 +1,4 @@
-"""Scenarios of the thesis by qp, the default, Selection, Projection, and both by turns; and a task in time.
+"""Scenarios of the thesis by the default controller, Selection, Projection and Switching; and a task in time.
 
 make demo
 """
@@ -18,7 +18,7 @@ SEED = 17
 OUT = Path("out")
 URDF = Path(__file__).parents[1] / "urdf"
 TASK = Path(__file__).parent / "tasks" / "keyframes.toml"
-CONTROLLERS = ("qp", "selection", "projection", "switching")
+CONTROLLERS = ("geodesic", "selection", "projection", "switching")
 
 
 def main() -> None:
@@ -44,14 +44,14 @@ def main() -> None:
                 used = f"{points[0]} -> {points[-1]}" if run.steps else "none"
                 change = f"{errors[0]:.3g} -> {errors[-1]:.3g}"
                 ending = f"{run.status}: {run.reason}"
-                row = (change, str(run.steps), f"{run.sweep:.2f}", used, ending)
+                row = (change, str(run.steps), f"{run.path_length_ratio:.2f}", used, ending)
                 table.add_row(scenario.arm, scenario.title, name, *row)
                 folder = OUT / scenario.name / name
                 pp.save(run, folder / "run.npz")
                 progress.advance(task)
-            folder = OUT / scenario.name / "qp"
-            pp.plot(runs["qp"]).savefig(folder / "run.png", dpi=120)
-            pp.save_html(arm, runs["qp"], folder / "run.html")
+            folder = OUT / scenario.name / "geodesic"
+            pp.plot(runs["geodesic"]).savefig(folder / "run.png", dpi=120)
+            pp.save_html(arm, runs["geodesic"], folder / "run.html")
             pp.plot_comparison(runs).savefig(OUT / scenario.name / "comparison.png", dpi=120)
     console.print(table)
     console.print(
@@ -63,10 +63,12 @@ def main() -> None:
     pp.save(motion.joint_trajectory(), folder / "motion.json")
     pp.plot(motion).savefig(folder / "motion.png", dpi=120)
     pp.save_html(motion.arm, motion, folder / "motion.html")
-    names = ", ".join(f"{place.name} at {place.reached:.2f} s" for place in motion.passed)
-    console.print(f"{TASK.name}: {names}; {motion.slowing:.2f} times as long as planned, within all limits")
-    console.print(f"pictures: {OUT}/*/comparison.png, {OUT}/*/qp/run.png and {folder}/motion.png")
-    console.print(f"animations, to open in a browser: {OUT}/*/qp/run.html and {folder}/motion.html")
+    names = ", ".join(f"{place.name} at {place.reached:.2f} s" for place in motion.waypoints)
+    console.print(
+        f"{TASK.name}: {names}; {motion.time_scale:.2f} times as long as planned, within all limits"
+    )
+    console.print(f"pictures: {OUT}/*/comparison.png, {OUT}/*/geodesic/run.png and {folder}/motion.png")
+    console.print(f"animations, to open in a browser: {OUT}/*/geodesic/run.html and {folder}/motion.html")
     console.print(f"the other runs: pinposture view {OUT}/{scenarios[0].name}/selection --html run.html")
     console.print(f"took {time.perf_counter() - begun:.0f} s")
 

@@ -15,13 +15,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pinposture.arm import Adequacy, Arm, ArmState, Ellipsoid, JointLimits, JointSpec, ModuleTemplate
+    from pinposture.arm import Arm, ArmState, Ellipsoid, Feasibility, JointLimits, JointSpec, ModuleTemplate
     from pinposture.arm.template import template
     from pinposture.collision import Box, Capsule, CollisionModel, Cylinder, HalfSpace, Mesh, Scene, Sphere
     from pinposture.control import (
-        ConstrainedQP,
         Controller,
         EndEffector,
+        Geodesic,
         JointPosture,
         Limits,
         Projection,
@@ -47,19 +47,19 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
-    "Adequacy",
     "Arm",
     "ArmState",
     "Batch",
     "Box",
     "Capsule",
     "CollisionModel",
-    "ConstrainedQP",
     "Controller",
     "Curve",
     "Cylinder",
     "Ellipsoid",
     "EndEffector",
+    "Feasibility",
+    "Geodesic",
     "HalfSpace",
     "JointLimits",
     "JointPosture",
@@ -105,7 +105,7 @@ __all__ = [
 # Everything is imported when it is first asked for: who plans needs no matplotlib, who draws no solver.
 _PACKAGES = {
     "arm": (
-        "Adequacy",
+        "Feasibility",
         "Arm",
         "ArmState",
         "Ellipsoid",
@@ -115,7 +115,7 @@ _PACKAGES = {
         "template",
     ),
     "control": (
-        "ConstrainedQP",
+        "Geodesic",
         "Controller",
         "EndEffector",
         "JointPosture",

@@ -31,7 +31,7 @@ def arm_number(number: int) -> pp.Arm:
     return ARMS[number]()
 
 
-class Course(NamedTuple):
+class PathProgress(NamedTuple):
     """An arm, what is in its way, its limits, and configurations that keep the margin."""
 
     arm: pp.Arm
@@ -44,7 +44,7 @@ class Course(NamedTuple):
         return pp.Target.from_configuration(self.arm, self.stops[-1])
 
 
-def drawn_course(seed: int, stops: int = 2) -> Course:
+def drawn_course(seed: int, stops: int = 2) -> PathProgress:
     rng = np.random.default_rng(seed)
     while True:
         arm = arm_number(int(rng.integers(len(ARMS))))
@@ -61,7 +61,7 @@ def drawn_course(seed: int, stops: int = 2) -> Course:
             if around.minimum(q).distance > 1.01 * scene.margin and len(found) < stops:
                 found.append(q)
         if len(found) == stops:
-            return Course(arm, scene, limits, found)
+            return PathProgress(arm, scene, limits, found)
 
 
 def drawn_configuration(arm: pp.Arm, rng: np.random.Generator) -> np.ndarray:
@@ -108,7 +108,7 @@ def check_output(run: pp.Trajectory) -> None:
     over = accelerations(run.arm, run.q, run.limits) > 1.0 + ALLOWED
     exceeding = over[:-1]
     exceeding[-1:] |= over[-1]
-    assert np.all(run.relaxed[exceeding] != "")
+    assert np.all(run.violated_constraints[exceeding] != "")
     assert (run.excess is None) == (not exceeding.any())
     steps = np.abs([pin.difference(run.arm.model, a, b) for a, b in pairwise(run.q)])
     assert np.all(steps <= min(run.limits.step, run.limits.velocity * run.limits.dt) * (1.0 + ALLOWED))

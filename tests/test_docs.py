@@ -57,7 +57,7 @@ def test_keyframes_in_python(capsys: pytest.CaptureFixture) -> None:
     motion = run(snippets("tasks.md", "python")[0])["motion"]
     assert motion.converged
     assert capsys.readouterr().out == f"{motion!r}\n"
-    for name in ("q", "time", "mean_error", "passed", "slowing"):  # as the page goes on to say
+    for name in ("q", "time", "mean_error", "waypoints", "time_scale"):  # as the page goes on to say
         assert f"`motion.{name}`" in (DOCS / "tasks.md").read_text()
         assert getattr(motion, name) is not None
 

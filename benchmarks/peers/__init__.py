@@ -35,8 +35,8 @@ class Entry(NamedTuple):
 DENSE = 400
 
 METHODS = {
-    "qp": Entry("qp (default)", "ours", "ours", "qp"),
-    "qp-points": Entry("qp, points only", "ours", "ours", "qp-points"),
+    "geodesic": Entry("geodesic (default)", "ours", "ours", "geodesic"),
+    "geodesic-points": Entry("geodesic, points only", "ours", "ours", "geodesic-points"),
     "selection": Entry("selection", "ours", "ours", "selection"),
     "projection": Entry("projection", "ours", "ours", "projection"),
     "switching": Entry("switching", "ours", "ours", "switching"),
@@ -51,7 +51,7 @@ METHODS = {
 }
 """All methods, by the name that the command line takes. The first is what the others are compared with."""
 
-REFERENCE = "qp"
+REFERENCE = "geodesic"
 
 
 def build(name: str, problem: Problem) -> Method:

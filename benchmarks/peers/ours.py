@@ -1,7 +1,7 @@
 """The controllers of this library, as their users call them: `arm.at(q)`, then `controller.step`.
 
 The speed limit is what bounds a step: Limits(step=None, velocity=..., dt=0.05). A target knows its
-configuration (`Target.from_configuration`), as one that was resolved does; "qp-points" is the default
+configuration (`Target.from_configuration`), as one that was resolved does; "geodesic-points" is the default
 controller with points alone (`Target.from_points`), which is all that peers are told. The memory goes from
 step to step. The output is checked within the step.
 """

@@ -2,7 +2,7 @@
 
 from pinposture.arm.arm import Arm
 from pinposture.arm.configurations import JointLimits, smooth_configuration
-from pinposture.arm.feasibility import Adequacy, Violation
+from pinposture.arm.feasibility import Feasibility, Violation
 from pinposture.arm.manipulability import ControlPoints, Ellipsoid
 from pinposture.arm.specification import ArmSpec, FeedSpec, PlacementSpec
 from pinposture.arm.state import ArmState
@@ -10,12 +10,12 @@ from pinposture.arm.template import TEMPLATES, JointSpec, ModuleTemplate, templa
 
 __all__ = [
     "TEMPLATES",
-    "Adequacy",
     "Arm",
     "ArmSpec",
     "ArmState",
     "ControlPoints",
     "Ellipsoid",
+    "Feasibility",
     "FeedSpec",
     "JointLimits",
     "JointSpec",

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import finite_vector
 from pinposture.arm.chain import Chain, frame_ids, read_chain
-from pinposture.arm.configurations import carry_base, check_joint_positions, farthest_stretch, without_limits
-from pinposture.arm.feasibility import Adequacy, CurveShape, adequacy
+from pinposture.arm.configurations import carry_base, check_joint_positions, full_reach, without_limits
+from pinposture.arm.feasibility import CurveShape, Feasibility, adequacy
 from pinposture.arm.kinematics import MOST_IN_DATA, FrameReader, Kinematics
 from pinposture.arm.loading import LoadReport
 from pinposture.arm.segmentation import Segmentation
@@ -47,9 +47,10 @@ class Arm(Blueprint):
         kinematics: the chain as kernels see it.
         frames: reads the control points from Pinocchio; None if the arm is too long for that.
         moved: 1 where a degree of freedom belongs to the chain, else 0, (nv,).
-        sliding_unit: the slide that weighs as much as a turn of one radian, where both are compared [m]: the
-            mean module length, unless told otherwise by `with_sliding_unit`.
-        joint_units: the motion of each joint that counts as one, (nv,): one radian, or `sliding_unit` metres.
+        characteristic_length: the slide that weighs as much as a turn of one radian, where both are compared
+            [m]: the mean module length, unless told otherwise by `with_sliding_unit`.
+        joint_units: the motion of each joint that counts as one, (nv,): one radian, or
+            `characteristic_length` metres.
         cache: what other packages derive from the arm and remember as long as it lives, such as its collision
             models, by class or function; neither copied nor pickled.
     """
@@ -61,10 +62,10 @@ class Arm(Blueprint):
         base_placement: pin.SE3 | None = None,
         urdf: str | None = None,
         report: LoadReport | None = None,
-        sliding_unit: float | None = None,
+        characteristic_length: float | None = None,
         spec: ArmSpec | None = None,
     ) -> None:
-        super().__init__(model, control_points, base_placement, urdf, report, sliding_unit, spec)
+        super().__init__(model, control_points, base_placement, urdf, report, characteristic_length, spec)
         self.cache: dict[object, Any] = {}
         if not self.control_points:
             raise InvalidValue("control_points", list(control_points), "at least one frame name")
@@ -77,9 +78,9 @@ class Arm(Blueprint):
         self.moved = np.zeros(self.nv)
         self.moved[self.chain.columns] = 1.0
         self.moved.flags.writeable = False
-        if sliding_unit is None:
-            self.sliding_unit = float(self.chain.module_lengths.mean())
-        self.joint_units = np.where(self.slides, self.sliding_unit, 1.0)
+        if characteristic_length is None:
+            self.characteristic_length = float(self.chain.module_lengths.mean())
+        self.joint_units = np.where(self.slides, self.characteristic_length, 1.0)
         self.joint_units.flags.writeable = False
 
     @property
@@ -126,7 +127,7 @@ class Arm(Blueprint):
         """Length from the first joint to the tip, along the arm [m]."""
         return self.chain.length
 
-    def adequate(self, curve: CurveShape) -> Adequacy:
+    def can_follow(self, curve: CurveShape) -> Feasibility:
         """Tell whether the modules can follow a curve within their joint limits (Section 4.1).
 
         Args:
@@ -147,7 +148,7 @@ class Arm(Blueprint):
 
     @cached_property
     def _stretched(self) -> Array:
-        return farthest_stretch(self)
+        return full_reach(self)
 
     @cached_property
     def slides(self) -> NDArray[np.bool_]:
@@ -289,7 +290,7 @@ class Arm(Blueprint):
             checked, np.where(turns == 0.0, 0.0, np.clip(positions + turn * turns, lower, upper) - positions)
         )
 
-    def with_sliding_unit(self, sliding_unit: float) -> Arm:
+    def with_sliding_unit(self, characteristic_length: float) -> Arm:
         """The same arm, with another slide that weighs as much as a turn of one radian [m].
 
         Manipulability conditions, the smallest joint motions that controllers look for, and singular values
@@ -298,16 +299,20 @@ class Arm(Blueprint):
         Raises:
             InvalidValue: not a finite length above 0.
         """
-        if not (isinstance(sliding_unit, Real) and np.isfinite(sliding_unit) and sliding_unit > 0.0):
-            raise InvalidValue("sliding_unit", sliding_unit, "a finite length above 0 [m]")
-        unit = float(sliding_unit)
-        spec = None if self.spec is None else self.spec.model_copy(update={"sliding_unit": unit})
+        if not (
+            isinstance(characteristic_length, Real)
+            and np.isfinite(characteristic_length)
+            and characteristic_length > 0.0
+        ):
+            raise InvalidValue("characteristic_length", characteristic_length, "a finite length above 0 [m]")
+        unit = float(characteristic_length)
+        spec = None if self.spec is None else self.spec.model_copy(update={"characteristic_length": unit})
         parts = (self.model, self.control_points, self.base_placement, self.urdf, self.report)
         return Arm(*parts, unit, spec)
 
     def __reduce__(self) -> tuple[Any, ...]:
         parts = (self.model, self.control_points, self.base_placement, self.urdf, self.report)
-        return Arm, (*parts, self.sliding_unit, self.spec)
+        return Arm, (*parts, self.characteristic_length, self.spec)
 
     def __repr__(self) -> str:
         kind = "planar" if self.dimension == 2 else "spatial"

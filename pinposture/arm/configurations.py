@@ -221,7 +221,7 @@ class ConfigurationSpace:
 # The posture in which an arm reaches farthest.
 
 
-def farthest_stretch(arm: Arm) -> Array:
+def full_reach(arm: Arm) -> Array:
     """Joint positions (nv,) [rad or m] that maximise the distance from base to tip, within the limits.
 
     They are zero if the arm is straight there and cannot slide; otherwise the maximum is searched from

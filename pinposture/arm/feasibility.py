@@ -72,7 +72,7 @@ class Violation:
 
 
 @dataclass(frozen=True)
-class Adequacy:
+class Feasibility:
     """Whether the modules can follow a curve; truthy if they can.
 
     Attributes:
@@ -93,7 +93,7 @@ class Adequacy:
         return not self.excesses
 
 
-def adequacy(chain: Chain, lower: Array, upper: Array, curve: CurveShape, samples: int = 2000) -> Adequacy:
+def adequacy(chain: Chain, lower: Array, upper: Array, curve: CurveShape, samples: int = 2000) -> Feasibility:
     """Compare what the modules can follow with what a curve asks for.
 
     Args:
@@ -118,7 +118,7 @@ def adequacy(chain: Chain, lower: Array, upper: Array, curve: CurveShape, sample
         *_stretches("curvature", s, curvature, allowed_curvature),
         *_stretches("torsion", s, torsion, allowed_torsion),
     ]
-    return Adequacy(
+    return Feasibility(
         max_curvature=allowed_curvature,
         max_torsion=allowed_torsion,
         curvature=float(curvature.max()),

@@ -79,7 +79,7 @@ class FrameReader:
         )
 
 
-class Placed(NamedTuple):
+class ForwardKinematics(NamedTuple):
     """Where a chain is, world frame: arrays for kernels, not to be written to.
 
     Attributes:
@@ -135,17 +135,17 @@ class Kinematics:
         turns = np.array([point.placement.rotation for point in points])
         self.constants = ChainArrays(self.slides, self.columns, fixed, axes, self.ends, offsets, turns)
 
-    def placed(self, positions: Array) -> Placed:
+    def forward(self, positions: Array) -> ForwardKinematics:
         """Where everything is with the joints at positions (nv,) [rad or m]."""
         n, m = len(self.columns), len(self.ends)
         filled = np.empty((n, 3)), np.empty((n, 3)), np.empty((m, 3)), np.empty((m, 3, 3))
         kernels.placements(self.constants, positions, *filled)
-        return Placed(*filled, positions)
+        return ForwardKinematics(*filled, positions)
 
-    def jacobians(self, placed: Placed) -> Array:
+    def jacobians(self, forward: ForwardKinematics) -> Array:
         """Position Jacobians of the control points, (m, 3, nv) [m/rad], world axes."""
         jacobians = np.zeros((len(self.ends), 3, len(self.endless)))
-        kernels.jacobians(self.constants, placed.axes, placed.origins, placed.points, jacobians)
+        kernels.jacobians(self.constants, forward.axes, forward.origins, forward.points, jacobians)
         return jacobians
 
 
@@ -203,11 +203,11 @@ def constants_of(arm: Arm) -> Constants:
 def screws_of(state: ArmState) -> Screws:
     """The screws of the joints of an arm where it is."""
     chain, known, frames = state.arm.kinematics, constants_of(state.arm), state.frames
-    points = state.placed.points if frames is None else frames.points
+    points = state.forward.points if frames is None else frames.points
     found = Screws(np.empty((len(known.joints), 6)), chain.ends, points)
     if frames is not None:
         kernels.carry_screws(frames.motions, chain.columns, known.units, chain.ends, points, found.screws)
     else:
-        lines = state.placed.axes, state.placed.origins
+        lines = state.forward.axes, state.forward.origins
         kernels.find_screws(known.joints, chain.slides, known.units, *lines, chain.ends, points, found.screws)
     return found

@@ -372,7 +372,7 @@ def load_model(
     segmentation = modules_to_links(model, skeleton, links) if links else _segmentation(skeleton, sizes)
     points = end_frames(model, names, tip, segmentation.sizes, links)
     warnings = holding_warnings(description, base, tip, names, locks)
-    if segmentation.adequate is False:
+    if segmentation.can_follow is False:
         warnings.append(segmentation.reason)
     folders = _package_dirs(source, package_dirs)
     report = LoadReport(base, tip, folders, tuple(warnings), segmentation)

@@ -227,14 +227,14 @@ class Segmentation:
         sizes: number of joints of each module, from base to tip.
         reason: why, in words.
         period: number of joints after which the arm repeats; None if it does not, or was not asked.
-        adequate: False if the end of some module cannot be placed on every curve, for instance where axes are
-            parallel in an arm that leaves every plane; None if not asked.
+        can_follow: False if the end of some module cannot be placed on every curve, for instance where axes
+            are parallel in an arm that leaves every plane; None if not asked.
     """
 
     sizes: tuple[int, ...]
     reason: str
     period: int | None = None
-    adequate: bool | None = None
+    can_follow: bool | None = None
 
 
 def segment(skeleton: Skeleton) -> Segmentation:
@@ -402,7 +402,7 @@ def _explained(
         need = "the arm is planar, so the end of a module must move in one direction across the curve"
     if len(sizes) == 1 and not placing(0, n):
         reason = f"{need}; no group of its joints does that, so the arm is one module"
-        return Segmentation(tuple(sizes), reason, None, adequate=False)
+        return Segmentation(tuple(sizes), reason, None, can_follow=False)
     usual = Counter(sizes).most_common(1)[0][0]
     bounds = np.cumsum([0, *sizes])
     bound = [k for k, (start, stop) in enumerate(pairwise(bounds), 1) if not placing(start, stop)]
@@ -429,7 +429,7 @@ def _explained(
             f"modules {listed}: too few of their joints' axes differ, so that their ends move in one "
             "direction only and follow a curve in one plane at a time"
         )
-    return Segmentation(tuple(sizes), "; ".join(parts), found.period if found else None, adequate=not bound)
+    return Segmentation(tuple(sizes), "; ".join(parts), found.period if found else None, can_follow=not bound)
 
 
 def _joints(count: int) -> str:

@@ -101,8 +101,8 @@ class ArmSpec(Specification):
         locked: joints that are held still, and where [rad or m].
         package_dirs: folders in which viewers look for meshes.
         placement: where the base stands in the world; at the origin if None.
-        sliding_unit: the slide that weighs as much as a turn of one radian [m]; the mean module length if
-            None.
+        characteristic_length: the slide that weighs as much as a turn of one radian [m]; the mean module
+            length if None.
     """
 
     template: str | None = None
@@ -117,7 +117,7 @@ class ArmSpec(Specification):
     locked: dict[str, float] = Field(default_factory=dict)
     package_dirs: tuple[Path, ...] = ()
     placement: PlacementSpec | None = None
-    sliding_unit: PositiveFloat | None = None
+    characteristic_length: PositiveFloat | None = None
 
     @field_validator("urdf")
     @classmethod
@@ -183,10 +183,10 @@ class Blueprint(ConfigurationSpace):
         urdf: the description it was loaded from, or None.
         report: what was decided while it was loaded (base, tip, warnings, ...); None if it was not.
         spec: what it was made from; None if that was a Pinocchio model.
-        sliding_unit: the slide that weighs as much as a turn of one radian [m].
+        characteristic_length: the slide that weighs as much as a turn of one radian [m].
     """
 
-    sliding_unit: float
+    characteristic_length: float
 
     def __init__(
         self,
@@ -195,15 +195,15 @@ class Blueprint(ConfigurationSpace):
         base_placement: pin.SE3 | None = None,
         urdf: str | None = None,
         report: LoadReport | None = None,
-        sliding_unit: float | None = None,
+        characteristic_length: float | None = None,
         spec: ArmSpec | None = None,
     ) -> None:
         super().__init__(model)
         self.control_points = tuple(control_points)
         self.base_placement = pin.SE3.Identity() if base_placement is None else base_placement
         self.urdf, self.report, self.spec = urdf, report, spec
-        if sliding_unit is not None:
-            self.sliding_unit = sliding_unit
+        if characteristic_length is not None:
+            self.characteristic_length = characteristic_length
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -365,7 +365,7 @@ class Blueprint(ConfigurationSpace):
         if base_placement is not None and spec.placement is None:
             spec = spec.model_copy(update={"placement": PlacementSpec.of(placement)})
         parts = (loaded.model, loaded.control_points, placement, loaded.text, loaded.report)
-        return cls(*parts, spec.sliding_unit, spec)
+        return cls(*parts, spec.characteristic_length, spec)
 
     @classmethod
     def from_model(
@@ -401,7 +401,7 @@ class Blueprint(ConfigurationSpace):
         described["base_placement"] = np.asarray(self.base_placement.homogeneous).tolist()
         described["urdf"] = self.urdf
         described["report"] = self.report.to_dict() if self.report else None
-        described["sliding_unit"] = self.sliding_unit
+        described["characteristic_length"] = self.characteristic_length
         if self.spec is not None:
             described["spec"] = self.spec.model_dump(mode="json", exclude_defaults=True)
             if isinstance(self.spec.urdf, str):  # which stands above
@@ -416,7 +416,7 @@ class Blueprint(ConfigurationSpace):
         model.loadFromString(described["model"])
         placement = pin.SE3(np.array(described["base_placement"]))
         report = LoadReport.from_dict(described["report"]) if described.get("report") else None
-        points, urdf, unit = (described[key] for key in ("control_points", "urdf", "sliding_unit"))
+        points, urdf, unit = (described[key] for key in ("control_points", "urdf", "characteristic_length"))
         spec = described.get("spec")
         if spec is not None:
             spec = ArmSpec(**({} if "template" in spec else {"urdf": urdf}) | spec)

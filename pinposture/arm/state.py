@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture.arm.kinematics import Frames, Placed
+from pinposture.arm.kinematics import ForwardKinematics, Frames
 from pinposture.arm.manipulability import (
     ControlPoints,
     Ellipsoid,
@@ -45,13 +45,13 @@ class ArmState:
         It equals this one to rounding; an iteration takes all its numbers from one of the two.
         """
         state = _CompiledState(self.arm, self._q)
-        state.__dict__["placed"] = self.placed
+        state.__dict__["forward"] = self.forward
         return state
 
     @cached_property
-    def placed(self) -> Placed:
+    def forward(self) -> ForwardKinematics:
         """The compiled pass along the chain, for kernels; not to be written to."""
-        return self.arm.kinematics.placed(self.arm.difference(self.arm.origin, self._q))
+        return self.arm.kinematics.forward(self.arm.difference(self.arm.origin, self._q))
 
     @cached_property
     def frames(self) -> Frames | None:
@@ -67,7 +67,7 @@ class ArmState:
     @cached_property
     def points(self) -> Array:
         """Positions of the control points, (m, 3) [m], world frame."""
-        return _read_only((self.frames or self.placed).points)
+        return _read_only((self.frames or self.forward).points)
 
     @cached_property
     def links(self) -> Array:
@@ -77,15 +77,15 @@ class ArmState:
         from where it slides. Of a base that slides without real limits the line begins behind those slides.
         """
         chain, ends = self.arm.chain, self.arm.chain.module_slices
-        origins = [self.placed.origins[joints] for joints in ends]
-        parts = [part for pair in zip(origins, self.placed.points[:, None], strict=True) for part in pair]
+        origins = [self.forward.origins[joints] for joints in ends]
+        parts = [part for pair in zip(origins, self.forward.points[:, None], strict=True) for part in pair]
         roaming = int(self.arm.roaming.sum())
         return _read_only(np.vstack([chain.base, *parts])[roaming + bool(roaming) :])
 
     @cached_property
     def rotations(self) -> Array:
         """Orientations of the control points, (m, 3, 3), from control-point to world frame."""
-        return _read_only((self.frames or self.placed).rotations)
+        return _read_only((self.frames or self.forward).rotations)
 
     @cached_property
     def positions(self) -> Array:
@@ -100,7 +100,7 @@ class ArmState:
         the world origin and w the angular velocity that one unit of joint motion gives to a body.
         """
         if self.frames is None:
-            return _read_only(self.arm.kinematics.jacobians(self.placed))
+            return _read_only(self.arm.kinematics.jacobians(self.forward))
         (vx, vy, vz, wx, wy, wz), support = self.frames.motions.T, self.arm.support
         x, y, z = self.frames.points.T[:, :, None]
         jacobians = np.empty((self.arm.n_modules, 3, self.arm.nv))
@@ -119,7 +119,7 @@ class ArmState:
             return _read_only(self.frames.motions[:, 3:].T * self.arm.moved)
         axes = np.zeros((3, self.arm.nv))
         turns = self.arm.chain.revolute
-        axes[:, self.arm.columns[turns]] = self.placed.axes[turns].T
+        axes[:, self.arm.columns[turns]] = self.forward.axes[turns].T
         return _read_only(axes)
 
     @cached_property

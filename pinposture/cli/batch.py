@@ -1,4 +1,4 @@
-"""`pinposture many`: drive an arm from many starts, or to many curves, on all cores."""
+"""`pinposture batch`: drive an arm from many starts, or to many curves, on all cores."""
 
 from __future__ import annotations
 
@@ -58,10 +58,10 @@ if TYPE_CHECKING:
 
 
 EXAMPLES = (
-    "pinposture many arm.urdf --curve helix --count 5",
-    "pinposture many arm.urdf --curve helix --starts random --count 5 --json",
-    "pinposture many arm.urdf --curve helix --curve line --count 1 -o out/2",
-    "pinposture many arm.urdf --curve line --jobs 2 --ends-only -o out/ends",
+    "pinposture batch arm.urdf --curve helix --count 5",
+    "pinposture batch arm.urdf --curve helix --starts random --count 5 --json",
+    "pinposture batch arm.urdf --curve helix --curve line --count 1 -o out/2",
+    "pinposture batch arm.urdf --curve line --jobs 2 --ends-only -o out/ends",
 )
 
 
@@ -86,8 +86,8 @@ def run(
     method: MethodOption = "auto",
     partial: PartialOption = False,
     region: RegionOption = None,
-    controller: ControllerOption = "qp",
-    haste: HasteOption = None,
+    controller: ControllerOption = "geodesic",
+    joint_weight: HasteOption = None,
     starts: Annotated[
         str,
         typer.Option(
@@ -164,7 +164,7 @@ def run(
     from pinposture.motion import save, track_many
     from pinposture.storage import check_writable
 
-    check_controller(controller, {"--haste": haste})
+    check_controller(controller, {"--joint-weight": joint_weight})
     limits = read_limits(step_limit, velocity, acceleration, dt, position_margin)
     surroundings = read_scene(scene, self_collision)
     arm = read_arm(urdf, base, tip, modules, locked, package_dir)
@@ -181,7 +181,7 @@ def run(
             arm,
             targets,
             configurations,
-            build_controller(controller, haste, None),
+            build_controller(controller, joint_weight, None),
             limits=limits,
             scene=surroundings,
             max_steps=steps,

@@ -427,10 +427,10 @@ ControllerOption = Annotated[
     str,
     typer.Option(
         metavar="NAME",
-        help="What moves the arm: qp (directly, within limits, around obstacles); selection or projection "
-        "(those of the thesis) or switching (the two by turns); or, to compare with: joint (interpolation of "
-        "joints), pinv (pseudo-inverse), task-constraints (points in its null space), extended or augmented "
-        "(Jacobians), dls (damped least squares), lm (Levenberg-Marquardt).",
+        help="What moves the arm: geodesic (directly, within limits, around obstacles); selection or "
+        "projection (those of the thesis) or switching (the two by turns); or, to compare with: joint "
+        "(interpolation of joints), pinv (pseudo-inverse), task-constraints (points in its null space), "
+        "extended or augmented (Jacobians), dls (damped least squares), lm (Levenberg-Marquardt).",
         rich_help_panel=MOTION,
     ),
 ]
@@ -438,44 +438,46 @@ HasteOption = Annotated[
     float | None,
     typer.Option(
         help="How far control points may go out of their way to spare joints theirs, in module lengths per "
-        "rad; else 0.2. Large numbers lead to interpolation of joints. With qp only.",
+        "rad; else 0.2. Large numbers lead to interpolation of joints. With geodesic only.",
         rich_help_panel=MOTION,
     ),
 ]
 
 
-def check_controller(name: str, only_qp: Mapping[str, object]) -> None:
+def check_controller(name: str, only_geodesic: Mapping[str, object]) -> None:
     """Refuse a controller that does not exist, or that does not know what is asked of it.
 
     Args:
         name: its name.
-        only_qp: options that only the qp knows, with their values; None or False if not given.
+        only_geodesic: options that only geodesic knows, with their values; None or False if not given.
 
     Raises:
         UnknownName: there is no such controller.
-        InvalidValue: it is not the qp, and one of the options is given.
+        InvalidValue: it is not geodesic, and one of the options is given.
     """
     import pinposture.study.baselines  # noqa: F401  # so that they have names
     from pinposture.control import controller_named
 
     controller_named(name)
-    given = [option for option, value in only_qp.items() if value is not None and value is not False]
-    if given and name != "qp":
-        raise InvalidValue("--controller", name, f"'qp', which alone knows {', '.join(given)}")
+    given = [option for option, value in only_geodesic.items() if value is not None and value is not False]
+    if given and name != "geodesic":
+        raise InvalidValue("--controller", name, f"'geodesic', which alone knows {', '.join(given)}")
 
 
-def build_controller(name: str, haste: float | None, task: ControlTask | None) -> Controller:
-    """The controller of that name; the qp with its haste and a task besides the shape.
+def build_controller(name: str, joint_weight: float | None, task: ControlTask | None) -> Controller:
+    """The controller of that name; geodesic with its joint_weight and a task besides the shape.
 
     Raises:
         UnknownName: there is no such controller.
-        InvalidValue: a haste that is not a positive number.
+        InvalidValue: a joint_weight that is not a positive number.
     """
     import pinposture.study.baselines  # noqa: F401  # so that they have names
-    from pinposture.control import ConstrainedQP, controller_named
+    from pinposture.control import Geodesic, controller_named
 
     chosen = controller_named(name)
-    if not isinstance(chosen, ConstrainedQP):
+    if not isinstance(chosen, Geodesic):
         return chosen
     tasks = () if task is None else (task,)
-    return replace(chosen, haste=chosen.haste if haste is None else haste, tasks=tasks)
+    return replace(
+        chosen, joint_weight=chosen.joint_weight if joint_weight is None else joint_weight, tasks=tasks
+    )

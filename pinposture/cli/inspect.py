@@ -226,10 +226,10 @@ def _describe_following(arm: Arm, curve: str) -> dict[str, Any]:
     return {
         "name": curve,
         "placed_by": target.method,
-        "placed_points": int(target.placed.sum()),
+        "placed_points": int(target.has_target.sum()),
         "largest_residual": float(target.residual.max()),
         "distance_from_curve": target.distance_from_curve(arm),
-        "too_much": [str(excess) for excess in arm.adequate(target.curve).excesses],
+        "too_much": [str(excess) for excess in arm.can_follow(target.curve).excesses],
         "incomplete": target.incomplete,
     }
 

@@ -158,7 +158,7 @@ def step_progress(target: Target, steps: int) -> Iterator[Callback]:
 
         def show(step: int, state: Any, _: object) -> None:
             distances = np.linalg.norm(target.points - state.points, axis=1)
-            progress.update(task, completed=step, error=float(distances[target.placed].sum()))
+            progress.update(task, completed=step, error=float(distances[target.has_target].sum()))
 
         yield show
 

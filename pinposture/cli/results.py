@@ -31,7 +31,7 @@ def summarize_motion(motion: Motion) -> dict[str, Any]:
     """
     from pinposture.motion.trajectory import closest, limit_shares
 
-    run, begun = motion.run, motion.set_out
+    run, begun = motion.run, motion.start_index
     errors, means = run.posture_error[begun:], motion.mean_error[begun:]
     speeds, accelerations = limit_shares(motion.run)
     worst = begun + int(errors.argmax())
@@ -44,11 +44,11 @@ def summarize_motion(motion: Motion) -> dict[str, Any]:
         "steps": run.steps,
         "dt": motion.dt,
         "time": float(motion.time[-1]),
-        "set_out": float(motion.time[begun]),
+        "start_index": float(motion.time[begun]),
         "planned": motion.planned,
         "duration": motion.duration,
-        "slowing": motion.slowing,
-        "done": float(motion.clock[-1]),
+        "time_scale": motion.time_scale,
+        "done": float(motion.plan_time[-1]),
         "largest_speed": None if speeds is None else float(speeds.max(initial=0.0)),
         "largest_acceleration": None if accelerations is None else float(accelerations.max(initial=0.0)),
         "keyframes": [
@@ -56,7 +56,7 @@ def summarize_motion(motion: Motion) -> dict[str, Any]:
                 **{name: value for name, value in place._asdict().items() if name not in ("row", "moved")},
                 "moved": None if place.moved is None else place.moved._asdict(),
             }
-            for place in motion.passed
+            for place in motion.waypoints
         ],
         "worst_posture_error": float(errors.max()),
         "worst_at": float(motion.time[worst]),
@@ -67,7 +67,7 @@ def summarize_motion(motion: Motion) -> dict[str, Any]:
         "arm_length": motion.arm.length,
         "control_points": motion.arm.n_modules,
         "clearance": closest(run),
-        "detours": list(motion.detours),
+        "deviations": list(motion.deviations),
     }
 
 
@@ -94,8 +94,8 @@ def motion_in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, st
     )
     if summary["clearance"] is not None:
         words["clearance"] = closest_in_words(summary["clearance"], summary["dt"])
-    if summary["detours"]:
-        words["not as planned"] = "\n".join(summary["detours"])
+    if summary["deviations"]:
+        words["not as planned"] = "\n".join(summary["deviations"])
     return words
 
 
@@ -109,12 +109,12 @@ def _duration(summary: Mapping[str, Any]) -> str:
     planned, text = summary["planned"], f"{summary['duration']:.4g} s"
     if summary["done"] < planned:
         text += f", for {summary['done']:.4g} of the {planned:.4g} s of the plan"
-    elif summary["slowing"] > 1.0 + 1e-9:
-        text += f", {summary['slowing']:.4g} times as long as the {planned:.4g} s planned"
+    elif summary["time_scale"] > 1.0 + 1e-9:
+        text += f", {summary['time_scale']:.4g} times as long as the {planned:.4g} s planned"
     else:
         text += ", as planned"
-    if summary["set_out"]:
-        text += f"; before that {summary['set_out']:.4g} s to come to the first posture"
+    if summary["start_index"]:
+        text += f"; before that {summary['start_index']:.4g} s to come to the first posture"
     return text
 
 
@@ -310,7 +310,7 @@ def summarize(motion: Trajectory) -> dict[str, Any]:
     from pinposture.motion.trajectory import closest
 
     target, errors, points = motion.target, motion.posture_error, motion.active.sum(axis=1)
-    off = None if target.residual is None else float(target.residual[target.placed].max())
+    off = None if target.residual is None else float(target.residual[target.has_target].max())
     return {
         "verdict": motion.verdict,
         "status": motion.status,
@@ -321,21 +321,21 @@ def summarize(motion: Trajectory) -> dict[str, Any]:
         "start_error": float(errors[0]),
         "final_error": float(errors[-1]),
         "lowest_error": float(errors.min()),
-        "mean_error": float(errors[-1]) / int(target.placed.sum()),
+        "mean_error": float(errors[-1]) / int(target.has_target.sum()),
         "arm_length": motion.arm.length,
         "control_points": motion.arm.n_modules,
-        "placed_points": int(target.placed.sum()),
+        "placed_points": int(target.has_target.sum()),
         "placed_by": target.method,
         "largest_residual": off,
         "distance_from_curve": motion.distance_from_curve,
         "first_active_points": int(points[0]) if len(points) else 0,
         "last_active_points": int(points[-1]) if len(points) else 0,
         "switches": [switch._asdict() for switch in motion.switches],
-        "path_excess": motion.sweep,
-        "escape_share": float(motion.escape.mean()) if motion.steps else 0.0,
-        "relaxed": [
-            {"step": int(k), "what": str(motion.relaxed[k]).splitlines()}
-            for k in np.flatnonzero(motion.relaxed != "")
+        "path_length_ratio": motion.path_length_ratio,
+        "escape_share": float(motion.error_increasing.mean()) if motion.steps else 0.0,
+        "violated_constraints": [
+            {"step": int(k), "what": str(motion.violated_constraints[k]).splitlines()}
+            for k in np.flatnonzero(motion.violated_constraints != "")
         ],
         "clearance": closest(motion),
         "incomplete": target.incomplete,
@@ -368,7 +368,7 @@ def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
         "mean error": f"{mean:.4g} m for each point, {mean / length:.2g} of the arm length",
         "active points": f"{summary['first_active_points']} at the first step, "
         f"{summary['last_active_points']} at the last, of {summary['control_points']}",
-        "paths": f"of control points {summary['path_excess']:.3g} times as long as straight ones",
+        "paths": f"of control points {summary['path_length_ratio']:.3g} times as long as straight ones",
     }
     if summary["moved"] is not None and Moved(**summary["moved"]):
         how = "; --placement as_is leaves it where it is drawn"
@@ -385,12 +385,11 @@ def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
         )
     if summary["clearance"] is not None:
         words["clearance"] = closest_in_words(summary["clearance"])
-    if summary["relaxed"]:
-        first_relaxed = summary["relaxed"][0]
+    if summary["violated_constraints"]:
+        first_relaxed = summary["violated_constraints"][0]
         what = textwrap.shorten("; ".join(first_relaxed["what"]), WORDY, placeholder=" ...")
-        words["gave way"] = (
-            f"something in {len(summary['relaxed'])} steps; first in step {first_relaxed['step'] + 1}: {what}"
-        )
+        count, first = len(summary["violated_constraints"]), first_relaxed["step"] + 1
+        words["gave way"] = f"something in {count} steps; first in step {first}: {what}"
     if summary.get("tip") is not None:
         distance, turn = summary["tip"]["distance"], summary["tip"]["turn"]
         words["tip"] = f"{distance:.4g} m off" + ("" if turn is None else f", turned by {turn:.4g} rad")

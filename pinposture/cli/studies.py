@@ -130,9 +130,9 @@ _ARMS_COLUMNS = (
     *_PLACED,
     "joint",
     "Switching",
-    "qp",
-    "qp steps",
-    "qp paths",
+    "geodesic",
+    "geodesic steps",
+    "geodesic paths",
     "limits held",
 )
 
@@ -162,9 +162,9 @@ def run_arms(
     points are placed (root mean square), the reference the same of the best of several independent fits; the
     ratio of the two is ok up to 1.05 (plus 1e-6). Farthest is the farthest of the whole arm from the curve,
     its links and all. After that come the mean point error to which joint
-    interpolation, Switching and qp, the default controller, drive the arm from a random start; how many steps
-    qp took, and how far the control points went with it, relative to straight lines; and whether all three
-    kept within the joint limits.
+    interpolation, Switching and geodesic, the default controller, drive the arm from a random start; how
+    many steps geodesic took, and how far the control points went with it, relative to straight lines; and
+    whether all three kept within the joint limits.
     """
     from pinposture.study import survey_arms
 
@@ -229,9 +229,9 @@ def _arms_row(result: ArmSurvey) -> tuple[str | float | None, ...]:
         _short(result.farthest),
         _short(result.reached),
         _short(result.switching),
-        _short(result.qp),
-        result.qp_steps if result.qp is not None else None,
-        _short(result.path_excess),
+        _short(result.geodesic),
+        result.geodesic_steps if result.geodesic is not None else None,
+        _short(result.path_length_ratio),
         "yes" if result.within_limits else "no",
     )
 
@@ -665,7 +665,7 @@ CYCLES_EXAMPLES = (
 def run_cycles(
     *,
     arms: ArmsOption = None,
-    controller: ControllerOption = "qp",
+    controller: ControllerOption = "geodesic",
     cycles: Annotated[
         int,
         typer.Option(

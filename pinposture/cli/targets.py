@@ -97,11 +97,11 @@ def read_target(
         incomplete="partial" if partial else "raise",
         method=cast(Literal["auto", "sequential", "smooth", "closest"], method),
     )
-    if not target.placed.any():
+    if not target.has_target.any():
         raise InvalidValue("--curve", curve, f"one with a place for the first module: {target.incomplete}")
     chosen = target if region is None else target.region(*read_region("--region", region, arm))
     if target.incomplete:
-        print_note(f"only the first {target.placed.sum()} of {arm.n_modules} control points have a place")
+        print_note(f"only the first {target.has_target.sum()} of {arm.n_modules} control points have a place")
     return chosen
 
 
@@ -176,7 +176,7 @@ def read_tip(
     if len(given) > 1:
         first, second, *_ = given
         raise InvalidValue(second, given[second], f"without {first}")
-    options: dict[str, Any] = {"weight": 1.0 if weight is None else weight, "strict": strict}
+    options: dict[str, Any] = {"weight": 1.0 if weight is None else weight, "priority": strict}
     if position is not None:
         return EndEffector(position=_finite("--tip-position", position, "X,Y,Z"), **options)
     if pose is not None:
@@ -216,7 +216,9 @@ def tip_off(task: EndEffector, motion: Trajectory) -> dict[str, float | None]:
 
     arm = motion.arm
     off = task.rows(arm.at(motion.q[-1]), motion.target).error
-    turn = None if task.pose is None else float(np.linalg.norm(off[arm.dimension :])) / arm.sliding_unit
+    turn = (
+        None if task.pose is None else float(np.linalg.norm(off[arm.dimension :])) / arm.characteristic_length
+    )
     return {"distance": float(np.linalg.norm(off[: arm.dimension])), "turn": turn}
 
 

@@ -83,8 +83,8 @@ def run(
     method: MethodOption = "auto",
     partial: PartialOption = False,
     region: RegionOption = None,
-    controller: ControllerOption = "qp",
-    haste: HasteOption = None,
+    controller: ControllerOption = "geodesic",
+    joint_weight: HasteOption = None,
     start: Annotated[
         str,
         typer.Option(
@@ -139,7 +139,7 @@ def run(
     Each control point gets its place on the curve, and the controller moves the arm there step by step; the
     summary tells which method placed them and how far off the curve the farthest of them belongs.
 
-    Limits hold for every controller. The qp alone keeps clear of obstacles and of the arm itself, and can
+    Limits hold for every controller. Only geodesic keeps clear of obstacles and of the arm itself, and can
     bring or hold the tip somewhere; with others distances are only recorded. A scene file has a line for each
     obstacle, in TOML: obstacles.post = {type = "cylinder", start = [0.3, 0.1, -1], end = [0.3, 0.1, 1],
     radius = 0.02}. There are also sphere (center, radius), capsule (as cylinder), box (center, size,
@@ -157,14 +157,15 @@ def run(
 
     of_tip = {"--tip-position": tip_position, "--tip-pose": tip_pose, "--hold-tip": hold_tip}
     check_controller(
-        controller, {"--haste": haste, **of_tip, "--tip-weight": tip_weight, "--strict-tip": strict_tip}
+        controller,
+        {"--joint-weight": joint_weight, **of_tip, "--tip-weight": tip_weight, "--strict-tip": strict_tip},
     )
     limits = read_limits(step_limit, velocity, acceleration, dt, position_margin)
     surroundings = read_scene(scene, self_collision)
     arm = read_arm(urdf, base, tip, modules, locked, package_dir)
     q0 = read_start(arm, start, seed, degrees)
     task = read_tip(arm.at(q0), tip_position, tip_pose, hold_tip, tip_weight, strict_tip)
-    chosen = build_controller(controller, haste, task)
+    chosen = build_controller(controller, joint_weight, task)
     target = read_target(arm, curve, placement, roll, method, partial, region, surroundings)
     if output is not None:
         check_writable(output)  # now, so that nobody waits for a run that cannot be kept

@@ -50,11 +50,11 @@ class Nearest(NamedTuple):
     on_scan: Array
 
 
-Placed: TypeAlias = list[tuple[Solid, coal.Transform3s]]
+ForwardKinematics: TypeAlias = list[tuple[Solid, coal.Transform3s]]
 """Solids, and where the shape of each is in the world."""
 
 
-def nearest_to_surface(scan: ScanGeometry, bodies: Placed) -> Nearest:
+def nearest_to_surface(scan: ScanGeometry, bodies: ForwardKinematics) -> Nearest:
     """Where bodies are nearest to a surface; exact.
 
     Args:
@@ -82,7 +82,7 @@ def nearest_to_surface(scan: ScanGeometry, bodies: Placed) -> Nearest:
     return best
 
 
-def nearest_to_points(scan: ScanGeometry, bodies: Placed) -> Nearest:
+def nearest_to_points(scan: ScanGeometry, bodies: ForwardKinematics) -> Nearest:
     """Where bodies are nearest to a cloud of points; exact.
 
     Each body is covered by balls along its axis; the tree of the points tells which of the balls, and which

@@ -3,7 +3,7 @@
 from pinposture.control.controller import Controller, Diagnostics, Memory, Step
 from pinposture.control.joint_interpolation import JointInterpolation
 from pinposture.control.limits import Limits, StepBox
-from pinposture.control.planner import ConstrainedQP
+from pinposture.control.planner import Geodesic
 from pinposture.control.registry import CONTROLLERS, controller_named
 from pinposture.control.tasks import ControlTask, EndEffector, JointPosture, Tangents, TaskRows
 from pinposture.control.thesis.projection import Projection
@@ -13,11 +13,11 @@ from pinposture.control.thesis.switching import Switching
 
 __all__ = [
     "CONTROLLERS",
-    "ConstrainedQP",
     "ControlTask",
     "Controller",
     "Diagnostics",
     "EndEffector",
+    "Geodesic",
     "JointInterpolation",
     "JointPosture",
     "Limits",

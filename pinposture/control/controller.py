@@ -39,10 +39,10 @@ class _Fields(NamedTuple):
     reason: str
     method: str = ""
     switched: str = ""
-    escape: bool = False
-    relaxed: tuple[str, ...] = ()
+    error_increasing: bool = False
+    violated_constraints: tuple[str, ...] = ()
     near: tuple[str, ...] = ()
-    on_way: bool = False
+    following_path: bool = False
 
 
 class Diagnostics(_Fields):
@@ -67,12 +67,12 @@ class Diagnostics(_Fields):
         method: which of its methods a controller used that has several, by name; empty if it has one.
         switched: why it changed to that method in this step; empty if it did not.
         escape: True if the step leads out of a place where the posture error cannot fall, or round something,
-            so that it may rise; of qp, where it does.
-        relaxed: which constraints gave way in this step because not all could hold, in words, in the order
-            in which they did.
+            so that it may rise; of geodesic, where it does.
+        violated_constraints: which constraints gave way in this step because not all could hold, in words,
+            in the order in which they did.
         near: what distances to obstacles hold the step back, in words.
-        on_way: True if the step gets on along a way that ends where the controller wants to be, whatever the
-            posture error does on it.
+        following_path: True if the step gets on along a way that ends where the controller wants to be,
+            whatever the posture error does on it.
     """
 
     __slots__ = ()
@@ -161,7 +161,7 @@ def task_errors(state: ArmState, target: Target) -> Array:
     Returns:
         Array (m, d) [m]: in world axes, or along the plane of a planar arm.
     """
-    errors = (target.points - state.points) * target.placed[:, None]
+    errors = (target.points - state.points) * target.has_target[:, None]
     return errors if state.arm.dimension == 3 else errors @ state.arm.plane.T
 
 

@@ -39,6 +39,6 @@ class JointInterpolation:
         previous = memory.dq if memory is not None else None
         # Joints off the chain stay.
         limited = limits.apply(state, way * state.arm.moved, previous)
-        active = tuple(int(k) for k in np.flatnonzero(target.placed))
+        active = tuple(int(k) for k in np.flatnonzero(target.has_target))
         diagnostics = Diagnostics(0.0, 0.0, 0.0, 0, (), limited.scale, limited.clipped, "")
         return Step(limited.dq, active, diagnostics, Memory(limited.dq))

@@ -193,7 +193,7 @@ def full_braking(previous: Array, brake: Array) -> Array:
 # Which limits cannot be kept from where an arm is, in words.
 
 
-def relaxed_limits(
+def violated_limits(
     arm: Arm, positions: Array, edges: Array, bound: Array, brake: Array, previous: Array, rounding: float
 ) -> tuple[str, ...]:
     """Name each limit that gives way in a step, by joint; see `Limits.box` for the order.
@@ -247,14 +247,14 @@ class StepBox(NamedTuple):
     Attributes:
         lower: smallest joint displacement, (nv,) [rad or m].
         upper: largest joint displacement, (nv,) [rad or m].
-        relaxed: the limits that cannot be kept from here on, in words; see `Limits.box`.
+        violated_constraints: the limits that cannot be kept from here on, in words; see `Limits.box`.
         outside: whether a joint of the chain is outside its position limits, by more than rounding.
         sides: both of the former, (2, nv), for kernels.
     """
 
     lower: Array
     upper: Array
-    relaxed: tuple[str, ...]
+    violated_constraints: tuple[str, ...]
     outside: bool
     sides: Array
 
@@ -354,13 +354,13 @@ class Limits:
             InvalidValue: limits that do not fit the arm, or a previous step that does not.
         """
         arm, bounds = state.arm, self.for_arm(state.arm)
-        positions = state.placed.positions
+        positions = state.forward.positions
         before = _NONE if bounds.brake is None else _previous(arm, previous)
         sides, columns = np.empty((2, arm.nv)), arm.kinematics.columns
         brake = _NONE if bounds.brake is None else bounds.brake
         given = bounds.edges, bounds.bound, brake, before
         found = kernels.step_box(positions, *given, ROUNDING, columns, bounds.leaning, sides)
-        relaxed = relaxed_limits(arm, positions, *given, ROUNDING) if found % 2 else ()
+        relaxed = violated_limits(arm, positions, *given, ROUNDING) if found % 2 else ()
         return StepBox(sides[0], sides[1], relaxed, found >= 2, sides)
 
     def apply(self, state: ArmState, dq: Array, previous: Array | None = None) -> LimitedStep:
@@ -382,7 +382,7 @@ class Limits:
         before = _NONE if bounds.brake is None else _previous(arm, previous)
         brake = _NONE if bounds.brake is None else bounds.brake
         cut, clipped = np.empty(arm.nv), np.empty(arm.nv, dtype=np.bool_)
-        given = state.placed.positions, bounds.edges, bounds.bound, brake, before
+        given = state.forward.positions, bounds.edges, bounds.bound, brake, before
         scale = kernels.shorten_step(dq, *given, cut, clipped)
         return LimitedStep(cut, scale, clipped)
 

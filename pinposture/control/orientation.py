@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 
-class Bearing(NamedTuple):
+class LinkAxes(NamedTuple):
     """What can be said of the control points' orientation whatever the configuration.
 
     Attributes:
@@ -32,7 +32,7 @@ class Bearing(NamedTuple):
     axes: Array
 
 
-def bearing(arm: Arm) -> Bearing:
+def link_axes(arm: Arm) -> LinkAxes:
     """The bearing of an arm; remembered as long as the arm lives.
 
     The link that ends at a control point comes from the last joint origin or control point before it along
@@ -41,10 +41,10 @@ def bearing(arm: Arm) -> Bearing:
     body as the point, as it does unless the last joint sits at the point itself, it is the link at every
     configuration. Where there is no such place before the point, it is the x axis, too.
     """
-    found: Bearing | None = arm.cache.get(Bearing)
+    found: LinkAxes | None = arm.cache.get(LinkAxes)
     if found is None:
         turns, axes = _turning(arm)
-        found = arm.cache[Bearing] = Bearing(_links(arm), turns, axes)
+        found = arm.cache[LinkAxes] = LinkAxes(_links(arm), turns, axes)
     return found
 
 
@@ -89,7 +89,7 @@ NEARLY = 1e-9
 
 def link_directions(state: ArmState, points: Indices) -> Array:
     """Direction of the link that ends at each of some control points, unit vectors (k, 3), world frame."""
-    return np.asarray(np.einsum("kij,kj->ki", state.rotations[points], bearing(state.arm).links[points]))
+    return np.asarray(np.einsum("kij,kj->ki", state.rotations[points], link_axes(state.arm).links[points]))
 
 
 def orientation_rows(state: ArmState, point: int, wanted: Array) -> tuple[Array, Array]:
@@ -109,7 +109,7 @@ def orientation_rows(state: ArmState, point: int, wanted: Array) -> tuple[Array,
         where it does not turn. About one axis, both are scaled by the cosine of half the turn that is left,
         which no joint can change: 1 if the orientation can be had.
     """
-    known = bearing(state.arm)
+    known = link_axes(state.arm)
     jacobian = state.angular_jacobians[point]
     if known.turns[point] == 0:
         return jacobian[:0], np.zeros(0)
@@ -141,7 +141,7 @@ def direction_rows(state: ArmState, points: Indices, wanted: Array) -> tuple[Arr
         across it, and both are scaled by the geometric mean of their lengths: if the direction can be had,
         by as much as a turn moves the link.
     """
-    known = bearing(state.arm)
+    known = link_axes(state.arm)
     turns, axes = known.turns[points], known.axes[points]
     link = link_directions(state, points)
     basis = _across(link)

@@ -6,14 +6,14 @@ from collections.abc import Callable
 
 from pinposture.control.controller import Controller
 from pinposture.control.joint_interpolation import JointInterpolation
-from pinposture.control.planner import ConstrainedQP
+from pinposture.control.planner import Geodesic
 from pinposture.control.thesis.projection import Projection
 from pinposture.control.thesis.selection import Selection
 from pinposture.control.thesis.switching import Switching
 from pinposture.errors import InvalidValue, UnknownName
 
 CONTROLLERS: dict[str, Callable[[], Controller]] = {
-    "qp": ConstrainedQP,
+    "geodesic": Geodesic,
     "selection": Selection,
     "projection": Projection,
     "switching": Switching,

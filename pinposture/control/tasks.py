@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture._validation import is_whole, require_positive, rigid_placement
 from pinposture.arm import Arm, ArmState, ControlPoints
 from pinposture.arm.manipulability import chosen_points
-from pinposture.control.orientation import bearing, direction_rows, orientation_rows
+from pinposture.control.orientation import direction_rows, link_axes, orientation_rows
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.placement import Target
 
@@ -42,7 +42,7 @@ class ControlTask(Protocol):
         """Weight of the squared error of each row, where that of a control point has weight 1."""
 
     @property
-    def strict(self) -> bool:
+    def priority(self) -> bool:
         """Whether it comes before all else: the rest has the freedom that it leaves."""
 
     def rows(self, state: ArmState, target: Target) -> TaskRows:
@@ -88,8 +88,8 @@ class Described:
 
 
 def lever(arm: Arm, length: float | None) -> float:
-    """How far a turn of one radian moves something [m/rad]: the length given, or `Arm.sliding_unit`."""
-    return arm.sliding_unit if length is None else length
+    """Length that a turn of one radian counts as [m/rad]: the one given, or `Arm.characteristic_length`."""
+    return arm.characteristic_length if length is None else length
 
 
 def finite_array(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
@@ -136,10 +136,10 @@ class EndEffector(Described):
             world, kept as the latter; or None if a position is given.
         point: the control point, by its index, 0-based or from the tip as -1, or by its name.
         weight: weight of the squared error of each row, where that of a control point has weight 1.
-        strict: True to come before all else; the rest has the freedom that it leaves.
-        axis_only: True to ask of a pose only where the point is and where the link points that ends there
-            (`bearing` says which), but not how it is turned about that link.
-        length: lever by which turns count [m/rad]; `Arm.sliding_unit` if None.
+        priority: True to come before all else; the rest has the freedom that it leaves.
+        direction_only: True to ask of a pose only where the point is and where the link points that ends
+            there (`link_axes` says which), but not how it is turned about that link.
+        length: lever by which turns count [m/rad]; `Arm.characteristic_length` if None.
 
     Raises:
         InvalidValue: a value other than described.
@@ -149,8 +149,8 @@ class EndEffector(Described):
     pose: Any = None
     point: int | str = -1
     weight: float = 1.0
-    strict: bool = False
-    axis_only: bool = False
+    priority: bool = False
+    direction_only: bool = False
     length: float | None = None
 
     def __post_init__(self) -> None:
@@ -168,12 +168,14 @@ class EndEffector(Described):
             if not is_whole(self.point):
                 raise InvalidValue("point", self.point, "the index or the name of one control point")
             self._settle("point", int(self.point))
-        for name in ("strict", "axis_only"):
+        for name in ("priority", "direction_only"):
             if not isinstance(getattr(self, name), bool | np.bool_):
                 raise InvalidValue(name, getattr(self, name), "True or False")
             self._settle(name, bool(getattr(self, name)))
-        if self.axis_only and self.pose is None:
-            raise InvalidValue("axis_only", self.axis_only, "False, or a pose in place of the position")
+        if self.direction_only and self.pose is None:
+            raise InvalidValue(
+                "direction_only", self.direction_only, "False, or a pose in place of the position"
+            )
         self._settle_scales(self.weight, self.length)
 
     @classmethod
@@ -184,7 +186,7 @@ class EndEffector(Described):
             state: the state in which it is where it should stay.
             hold: "position" or "pose".
             point: the control point.
-            options: `weight`, `strict`, `axis_only`, `length`.
+            options: `weight`, `priority`, `direction_only`, `length`.
 
         Raises:
             UnknownName: something else to hold, or a control point that the arm does not have.
@@ -207,8 +209,8 @@ class EndEffector(Described):
         if self.pose is None:
             return TaskRows(jacobian, apart)
         wanted = self.pose[:3, :3]
-        if self.axis_only:
-            link = wanted @ bearing(arm).links[k]
+        if self.direction_only:
+            link = wanted @ link_axes(arm).links[k]
             turns, angles = direction_rows(state, np.array([k]), link[None])
         else:
             turns, angles = orientation_rows(state, k, wanted)
@@ -237,8 +239,8 @@ class JointPosture(Described):
         weight: weight of the squared error of each joint, where that of a control point has weight 1. Small,
             so that it settles what control points leave open and hardly moves them.
         joints: names of the joints of the chain that it is for, or a single one; all of them if None.
-        length: lever by which `Arm.joint_units` count [m]: one radian or one `Arm.sliding_unit`;
-            `Arm.sliding_unit` if None, so that slides count as they are.
+        length: lever by which `Arm.joint_units` count [m]: one radian or one `Arm.characteristic_length`;
+            `Arm.characteristic_length` if None, so that slides count as they are.
 
     Raises:
         InvalidValue: a value other than described.
@@ -256,7 +258,7 @@ class JointPosture(Described):
         self._settle_scales(self.weight, self.length)
 
     @property
-    def strict(self) -> bool:
+    def priority(self) -> bool:
         """False: joints give way to what comes before all else."""
         return False
 
@@ -293,7 +295,7 @@ def _names(joints: Any) -> tuple[str, ...]:
 class Tangents(Described):
     """Point the links that end at some control points into given directions.
 
-    In arms made of templates that link lies along the x axis of the control point's frame; `bearing` says
+    In arms made of templates that link lies along the x axis of the control point's frame; `link_axes` says
     which it is in others. What no joint can change is left out: of a planar arm, the part of a direction that
     leaves its plane. A link that points the opposite way turns along a way that depends on it alone.
 
@@ -302,7 +304,7 @@ class Tangents(Described):
             0; kept as unit vectors (k, 3).
         points: the control points, by their indices or names, or a single one; all of them if None.
         weight: weight of the squared error of each row, where that of a control point has weight 1.
-        length: lever by which turns count [m/rad]; `Arm.sliding_unit` if None.
+        length: lever by which turns count [m/rad]; `Arm.characteristic_length` if None.
 
     Raises:
         InvalidValue: a value other than described.
@@ -356,7 +358,7 @@ class Tangents(Described):
         if target.curve is None or target.parameters is None:
             raise InvalidValue("target.curve", None, "a target on a curve, as resolve_targets finds it")
         m = len(target.parameters)
-        listed = _listed(np.flatnonzero(target.placed) if points is None else points)
+        listed = _listed(np.flatnonzero(target.has_target) if points is None else points)
         for k in listed:
             if isinstance(k, str) or not -m <= k < m:
                 raise InvalidValue("points", k, f"whole numbers from {-m} to {m - 1}")
@@ -364,7 +366,7 @@ class Tangents(Described):
         return cls(target.curve.tangent(target.parameters[places]), places.tolist(), weight, length)
 
     @property
-    def strict(self) -> bool:
+    def priority(self) -> bool:
         """False: directions give way to what comes before all else."""
         return False
 
@@ -402,6 +404,6 @@ def _is_vector(values: Any) -> bool:
 # What an arm is asked to do besides taking the target posture: tasks that a controller weighs against it.
 #
 # All rows are metres, so that weights compare with those of control points. A turn counts as what it moves
-# at the end of a lever, `length`, by default as long as `Arm.sliding_unit`: the mean module length.
+# at the end of a lever, `length`, by default as long as `Arm.characteristic_length`: the mean module length.
 
 __all__ = ["ControlTask", "EndEffector", "JointPosture", "Tangents", "TaskRows"]

@@ -128,7 +128,7 @@ def refuse_standstill(spline: Spline, taylors: Array) -> None:
     Raises:
         CurveError: naming the place.
     """
-    u = kernels.find_standstill(taylors, spline.breaks)
+    u = kernels.find_stationary_point(taylors, spline.breaks)
     if not np.isnan(u):
         x, y, z = spline.values(np.array([u]))[0]
         raise CurveError(

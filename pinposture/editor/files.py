@@ -177,7 +177,14 @@ def _kept_of(task: Task, there: Task, kept: Path) -> Task:
         return task.edited(arm=other)
     if arm.spec.urdf == settled(kept.with_suffix(".urdf")):
         spec = arm.spec.model_copy(update={"urdf": arm.urdf})
-        parts = (arm.model, arm.control_points, arm.base_placement, arm.urdf, arm.report, arm.sliding_unit)
+        parts = (
+            arm.model,
+            arm.control_points,
+            arm.base_placement,
+            arm.urdf,
+            arm.report,
+            arm.characteristic_length,
+        )
         return task.edited(arm=Arm(*parts, spec))
     return task
 

@@ -391,7 +391,7 @@ def moment_of(motion: Motion, at: float) -> Moment:
         # Not the targets themselves: straight lines between them would be errors that the motion has not.
         off = (1.0 - share) * off + share * (motion.targets[row + 1] - motion.run.points[row + 1])
     state = arm.at(q)
-    return Moment(state, Target(state.points + off, motion.asked[row].astype(np.float64)), row)
+    return Moment(state, Target(state.points + off, motion.target_mask[row].astype(np.float64)), row)
 
 
 def _tell(session: Session, motion: Motion | None, reason: str) -> None:
@@ -400,8 +400,8 @@ def _tell(session: Session, motion: Motion | None, reason: str) -> None:
         session.say(f"no motion: {reason}", "error")
     elif not motion.converged:
         session.say(f"the motion does not end as it should: {motion.run.reason}", "warning")
-    elif motion.detours:
-        session.say(f"a motion of {motion.time[-1]:.4g} s; {motion.detours[0]}", "warning")
+    elif motion.deviations:
+        session.say(f"a motion of {motion.time[-1]:.4g} s; {motion.deviations[0]}", "warning")
     else:
-        slower = f", {motion.slowing:.3g} times as long as planned" if motion.slowing > SLOWED else ""
+        slower = f", {motion.time_scale:.3g} times as long as planned" if motion.time_scale > SLOWED else ""
         session.say(f"a motion of {motion.time[-1]:.4g} s{slower}")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import Scene
-from pinposture.control import ConstrainedQP, Controller, Limits
+from pinposture.control import Controller, Geodesic, Limits
 from pinposture.editor.verdict import NEAR_LIMIT, Verdict, judge, review, tip_error
 from pinposture.errors import PostureError, PostureWarning
 from pinposture.motion import Tracker
@@ -97,14 +97,14 @@ class Live(NamedTuple):
         """Mean distance of the control points from their targets [m]; 0 without a target."""
         if self.target is None:
             return 0.0
-        return float(self.errors[self.target.placed].mean())
+        return float(self.errors[self.target.has_target].mean())
 
 
 def errors_of(state: ArmState, target: Target | None) -> Array:
     """Distance of each control point from its target, zero where it has none, (m,) [m]."""
     if target is None:
         return np.zeros(len(state.points))
-    return np.asarray(np.linalg.norm(target.points - state.points, axis=1) * target.placed)
+    return np.asarray(np.linalg.norm(target.points - state.points, axis=1) * target.has_target)
 
 
 def active_of(report: Report, count: int) -> NDArray[np.bool_]:
@@ -262,7 +262,7 @@ class Solver:
         """
         self._dq = np.zeros(problem.arm.nv)
         self._known.clear()  # of the arm from before
-        start, bare = problem.arm.straight(), problem._replace(controller=ConstrainedQP(), scene=None)
+        start, bare = problem.arm.straight(), problem._replace(controller=Geodesic(), scene=None)
         self._tracker, self._made_for = _tracker(bare, start), bare
         self._tracker, self._made_for = _tracker(problem, start), problem
 
@@ -341,7 +341,7 @@ def _tracker(problem: Problem, q: Array, dq: Array | None = None) -> Tracker:
             problem.controller,
             in_cycles(problem.limits),
             problem.scene,
-            feedback=float("inf"),
+            feedback_time_constant=float("inf"),
             deadline=PATIENCE,
         )
     tracker.restart(q, dq)  # the speed goes on: dragging an obstacle makes a tracker several times a second

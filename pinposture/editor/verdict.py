@@ -127,7 +127,7 @@ def _rest(arm: Arm, target: Target) -> list[str]:
     """Say how much of the curve the arm leaves uncovered, if that is worth telling."""
     if target.curve is None or target.parameters is None:
         return []
-    rest = target.curve.length - float(target.parameters[target.placed].max(initial=0.0))
+    rest = target.curve.length - float(target.parameters[target.has_target].max(initial=0.0))
     if rest <= REST * float(arm.chain.module_lengths.max()):
         return []
     return [f"too long by {rest:.3g} m: the arm leaves the grey part of the curve"]

@@ -11,9 +11,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from pinposture.kernels.branch_search import take_points as take_points
+    from pinposture.kernels.branch_search import search_branches as search_branches
     from pinposture.kernels.chain_solver import find_screws as find_screws
-    from pinposture.kernels.chain_solver import measure_misses as measure_misses
+    from pinposture.kernels.chain_solver import measure_point_errors as measure_point_errors
     from pinposture.kernels.chain_solver import minimise_in_box as minimise_in_box
     from pinposture.kernels.chain_solver import move_points as move_points
     from pinposture.kernels.chain_solver import stiffness as stiffness
@@ -34,19 +34,19 @@ if TYPE_CHECKING:
     from pinposture.kernels.modules import circle_forward as circle_forward
     from pinposture.kernels.modules import circle_inverse as circle_inverse
     from pinposture.kernels.modules import neighbours as neighbours
+    from pinposture.kernels.modules import place_modules as place_modules
     from pinposture.kernels.modules import torus_crossings as torus_crossings
     from pinposture.kernels.modules import torus_faces as torus_faces
     from pinposture.kernels.modules import torus_forward as torus_forward
     from pinposture.kernels.modules import torus_inverse as torus_inverse
-    from pinposture.kernels.modules import walk_along as walk_along
     from pinposture.kernels.path import advance as advance
     from pinposture.kernels.path import joint_distance as joint_distance
     from pinposture.kernels.path import look_ahead as look_ahead
-    from pinposture.kernels.path import measure_ways as measure_ways
+    from pinposture.kernels.path import measure_path_lengths as measure_path_lengths
     from pinposture.kernels.path import position_excess as position_excess
     from pinposture.kernels.path import relax_waypoints as relax_waypoints
     from pinposture.kernels.path import step_along as step_along
-    from pinposture.kernels.path import sum_distances as sum_distances
+    from pinposture.kernels.path import sum_point_errors as sum_point_errors
     from pinposture.kernels.posture_matrix import eliminated as eliminated
     from pinposture.kernels.posture_matrix import extreme_value as extreme_value
     from pinposture.kernels.posture_matrix import inverse_norm as inverse_norm
@@ -57,9 +57,9 @@ if TYPE_CHECKING:
     from pinposture.kernels.spline import parameters_at as parameters_at
     from pinposture.kernels.spline import spline_coefficients as spline_coefficients
     from pinposture.kernels.spline import spline_values as spline_values
-    from pinposture.kernels.time_parameterization import find_pace as find_pace
-    from pinposture.kernels.time_parameterization import find_standstill as find_standstill
-    from pinposture.kernels.time_parameterization import next_pace as next_pace
+    from pinposture.kernels.time_parameterization import find_speed_profile as find_speed_profile
+    from pinposture.kernels.time_parameterization import find_stationary_point as find_stationary_point
+    from pinposture.kernels.time_parameterization import next_path_speed as next_path_speed
     from pinposture.kernels.time_parameterization import shorten_step as shorten_step
     from pinposture.kernels.time_parameterization import step_box as step_box
     from pinposture.kernels.time_parameterization import stoppable_steps as stoppable_steps
@@ -77,16 +77,16 @@ _HOMES = {
     "advance": "path",
     "step_along": "path",
     "joint_distance": "path",
-    "sum_distances": "path",
+    "sum_point_errors": "path",
     "look_ahead": "path",
     "position_excess": "path",
     "eliminated": "posture_matrix",
     "least_change": "posture_matrix",
-    "take_points": "branch_search",
+    "search_branches": "branch_search",
     "carry_screws": "kinematics",
     "jacobians": "kinematics",
     "placements": "kinematics",
-    "measure_misses": "chain_solver",
+    "measure_point_errors": "chain_solver",
     "move_points": "chain_solver",
     "find_screws": "chain_solver",
     "stiffness": "chain_solver",
@@ -98,15 +98,15 @@ _HOMES = {
     "torus_forward": "modules",
     "torus_inverse": "modules",
     "nearest_places": "spline",
-    "find_pace": "time_parameterization",
-    "next_pace": "time_parameterization",
+    "find_speed_profile": "time_parameterization",
+    "next_path_speed": "time_parameterization",
     "all_indices": "manipulability",
     "base_indices": "manipulability",
     "best_path": "manipulability",
     "stride_indices": "manipulability",
     "weakest_index": "manipulability",
     "relax_waypoints": "path",
-    "measure_ways": "path",
+    "measure_path_lengths": "path",
     "joints_along": "kinematics",
     "motions_along": "kinematics",
     "module_spaces": "manipulability",
@@ -114,9 +114,9 @@ _HOMES = {
     "inverse_norm": "posture_matrix",
     "spline_coefficients": "spline",
     "spline_values": "spline",
-    "find_standstill": "time_parameterization",
+    "find_stationary_point": "time_parameterization",
     "neighbours": "modules",
-    "walk_along": "modules",
+    "place_modules": "modules",
 }
 
 NAMES = tuple(_HOMES)

@@ -48,7 +48,7 @@ class ChainArrays(NamedTuple):
     turns: Array3
 
 
-class Springs(NamedTuple):
+class PointObjective(NamedTuple):
     """What pulls at a chain: points, and chords from each point to the next.
 
     Attributes:

@@ -489,7 +489,7 @@ def corrected_from(chain: Screwed, k: int, window: int) -> int:
 
 
 @compiled
-def take_points(
+def search_branches(
     chain: Screwed,
     points: Array2,
     size: float,

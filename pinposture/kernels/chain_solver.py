@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array1, Array2, Bytes1, Flags1, Ints1, Springs
+from pinposture.kernels.arrays import Array1, Array2, Bytes1, Flags1, Ints1, PointObjective
 from pinposture.kernels.compiled import compiled, subkernel
 
 # Least squares along a chain, by sweeps: one pass from the tip to the base, and one back.
@@ -26,7 +26,7 @@ from pinposture.kernels.compiled import compiled, subkernel
 
 @subkernel
 def factored(
-    springs: Springs,
+    springs: PointObjective,
     damping: Array1,
     held: Flags1,
     gains: Array2,
@@ -122,7 +122,7 @@ def _before(P: Array2, turned: Array2, point: Array1, previous: Array1) -> None:
 
 @subkernel
 def answered(
-    springs: Springs,
+    springs: PointObjective,
     errors: Array2,
     damping: Array1,
     centre: Array1,
@@ -198,7 +198,7 @@ def answered(
 
 @subkernel
 def slope_of(
-    springs: Springs,
+    springs: PointObjective,
     errors: Array2,
     damping: Array1,
     centre: Array1,
@@ -318,7 +318,7 @@ def move_points(b: Array2, ends: Ints1, points: Array2, x: Array1, filled: Array
 
 
 @compiled
-def measure_misses(
+def measure_point_errors(
     points: Array2, targets: Array2, weights: Array1, chords: Array1, normal: Array1, errors: Array2
 ) -> float:
     """Errors of points, and the weighted sum of their squares and of those of their chords.
@@ -345,7 +345,7 @@ def measure_misses(
 
 
 @compiled
-def stiffness(springs: Springs) -> float:
+def stiffness(springs: PointObjective) -> float:
     """Mean over the joints of what one unit of their motion, alone, adds to the sum by points and chords."""
     b, ends, points, weights, chords = springs
     m = len(ends)
@@ -409,7 +409,7 @@ BACK = 0.995
 
 @compiled
 def minimise_in_box(
-    springs: Springs,
+    springs: PointObjective,
     errors: Array2,
     damping: Array1,
     centre: Array1,
@@ -500,7 +500,7 @@ def _cut(x: Array1, lower: Array1, upper: Array1) -> None:
 
 @subkernel
 def _inner(
-    springs: Springs,
+    springs: PointObjective,
     errors: Array2,
     damping: Array1,
     centre: Array1,

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import pickle
 import re
 import time
 from collections.abc import Callable, Iterator
@@ -70,6 +71,7 @@ def _made(function: Function, options: dict[str, Any]) -> Function:
     if (kept := _kept(made)) is not None:
         # Machine code contains the kernels that it calls, and numba looks at the file of the caller alone.
         kept._source_stamp = source_stamp(Path(function.__code__.co_filename))
+        kept._load_index = _nothing_if_unreadable(kept._load_index)
         made.compile = _one_at_a_time(
             made.compile, Path(made._cache.cache_path) / f"{function.__name__}.lock"
         )
@@ -135,6 +137,18 @@ def _locked(path: Path) -> Iterator[None]:
             with suppress(OSError):  # a file system without locks
                 fcntl.flock(file, fcntl.LOCK_EX)
         yield
+
+
+def _nothing_if_unreadable(load_index: Callable[[], Any]) -> Callable[[], Any]:
+    """Take an index for empty that cannot be read: it may name classes of another version of the library."""
+
+    def load_or_start_anew() -> Any:
+        try:
+            return load_index()
+        except (AttributeError, ImportError, EOFError, pickle.UnpicklingError):
+            return {}
+
+    return load_or_start_anew
 
 
 def is_ready(kernel: Any) -> bool:

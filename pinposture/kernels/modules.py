@@ -261,7 +261,7 @@ def turned(dof: int, shape: Array1, q: Array1, frame: Array2, next_turn: Array2)
 
     Args:
         dof: 1 for a circle, 2 for a torus.
-        shape: of the module, see `walk.walk_along`.
+        shape: of the module, see `walk.place_modules`.
         q: its joint positions.
         frame: axes of its base in the world, turned, (3, 3).
         next_turn: filled.
@@ -326,7 +326,7 @@ def search_segment(
 
     Args:
         dof: of the module.
-        shape: of the module, see `walk_along`.
+        shape: of the module, see `place_modules`.
         joint: its first joint.
         lower: lower limits of the joints of the chain.
         upper: upper limits.
@@ -363,7 +363,7 @@ def search_segment(
 
 
 @compiled
-def walk_along(
+def place_modules(
     t: Array1,
     table: Array3,
     degree: int,

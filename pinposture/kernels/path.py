@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array1, Array2, ChainArrays, Flags1, Ints1, Springs
+from pinposture.kernels.arrays import Array1, Array2, ChainArrays, Flags1, Ints1, PointObjective
 from pinposture.kernels.chain_solver import find_screws, minimise_in_box
 from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.kinematics import placements
@@ -155,11 +155,11 @@ def look_ahead(
     joint_axes, joint_origins = np.empty((n, 3)), np.empty((n, 3))
     there, rotations = np.empty((m, 3)), np.empty((m, 3, 3))
     placements(chain, reached, joint_axes, joint_origins, there, rotations)
-    return sum_distances(points, targets, placed), sum_distances(there, targets, placed)
+    return sum_point_errors(points, targets, placed), sum_point_errors(there, targets, placed)
 
 
 @compiled
-def sum_distances(points: Array2, targets: Array2, placed: Flags1) -> float:
+def sum_point_errors(points: Array2, targets: Array2, placed: Flags1) -> float:
     """Sum of the distances of points (m, 3) from their targets (m, 3), of those that have one (m,)."""
     total = 0.0
     for k in range(len(points)):
@@ -313,7 +313,7 @@ def relax_waypoints(
         for place in range(1, last):
             i = last - place if number % 2 else place
             find_screws(which, chain.slides, units, lines[0][i], lines[1][i], own_ends, points[i], b)
-            springs = Springs(b, own_ends, points[i], weights, chords)
+            springs = PointObjective(b, own_ends, points[i], weights, chords)
             before = _motion(points[i - 1], points[i], x[i - 1], x[i], weight)
             before += _motion(points[i], points[i + 1], x[i], x[i + 1], weight)
             for k in range(m):
@@ -352,7 +352,7 @@ def relax_waypoints(
 
 
 @compiled
-def measure_ways(
+def measure_path_lengths(
     chain: ChainArrays,
     which: Ints1,
     units: Array1,

@@ -60,7 +60,7 @@ def _fastest(
     cap: Array1,
     top: Array1,
 ) -> None:
-    """The pace of `find_pace`, from how steep and how bent the way is."""
+    """The pace of `find_speed_profile`, from how steep and how bent the way is."""
     count, joints = slope.shape
     stops = False
     for joint in range(joints):
@@ -85,7 +85,7 @@ def _fastest(
 
 
 @compiled
-def find_pace(
+def find_speed_profile(
     offsets: Array2,
     bound: Array1,
     brake: Array1,
@@ -163,7 +163,7 @@ def _fastest_at(
 
 
 @compiled
-def next_pace(
+def next_path_speed(
     place: float,
     pace: float,
     slope: Array2,
@@ -179,11 +179,11 @@ def next_pace(
     Args:
         place: where it begins, in waypoints from the start.
         pace: waypoints that the step before went.
-        slope: of `find_pace`.
-        bend: of `find_pace`.
-        cap: of `find_pace`.
-        top: of `find_pace`.
-        brake: as for `find_pace`.
+        slope: of `find_speed_profile`.
+        bend: of `find_speed_profile`.
+        cap: of `find_speed_profile`.
+        top: of `find_speed_profile`.
+        brake: as for `find_speed_profile`.
         planned: see there.
         curved: see there.
     """
@@ -369,7 +369,7 @@ def slowest(taylor: Array2, degree: int, low: float, high: float) -> float:
 
 
 @compiled
-def find_standstill(taylors: Array3, breaks: Array1) -> float:
+def find_stationary_point(taylors: Array3, breaks: Array1) -> float:
     """Find a parameter at which the curve stands still.
 
     Args:

@@ -25,8 +25,8 @@ Array = NDArray[np.float64]
 Text = NDArray[np.intp]
 
 CONFIGURATION_ARRAYS = ("q", "clearance")
-STEP_ARRAYS = ("active", "index", "sigma_min", "sigma_max", "rows", "scale", "clipped", "escape")
-TEXT_ARRAYS = ("method", "switched", "relaxed")
+STEP_ARRAYS = ("active", "index", "sigma_min", "sigma_max", "rows", "scale", "clipped", "error_increasing")
+TEXT_ARRAYS = ("method", "switched", "violated_constraints")
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,10 +55,10 @@ class Motions:
     rows: NDArray[np.intp]
     scale: Array
     clipped: NDArray[np.bool_]
-    escape: NDArray[np.bool_]
+    error_increasing: NDArray[np.bool_]
     method: Text
     switched: Text
-    relaxed: Text
+    violated_constraints: Text
     texts: tuple[str, ...]
 
     def __post_init__(self) -> None:
@@ -82,7 +82,7 @@ class Motions:
             arrays[name] = np.array([self.texts[k] for k in getattr(self, name)[steps]], dtype=np.str_)
         arrays["points"] = np.array([arm.at(q).points for q in arrays["q"]])
         distances = np.linalg.norm(target.points - arrays["points"], axis=2)
-        arrays["point_errors"] = distances * target.placed
+        arrays["point_errors"] = distances * target.has_target
         return arrays
 
 
@@ -136,7 +136,8 @@ class Batch:
         start_error: posture error at the start, (count,) [m].
         final_error: posture error at the end, (count,) [m].
         mean_error: mean distance at the end of the control points that have a target from it, (count,) [m].
-        sweep: length of the paths of all control points relative to the direct distances, (count,).
+        path_length_ratio: length of the paths of all control points relative to the direct distances,
+            (count,).
         clearance: smallest distance to an obstacle, or between parts of the arm, (count,) [m]; negative
             in penetration, infinite where there was no scene.
         q_start: configurations at the start, (count, nq).
@@ -157,7 +158,7 @@ class Batch:
     start_error: Array
     final_error: Array
     mean_error: Array
-    sweep: Array
+    path_length_ratio: Array
     clearance: Array
     q_start: Array
     q_final: Array
@@ -237,7 +238,7 @@ class Batch:
                 "start_error": float(self.start_error[k]),
                 "final_error": float(self.final_error[k]),
                 "mean_error": float(self.mean_error[k]),
-                "path_excess": float(self.sweep[k]),
+                "path_length_ratio": float(self.path_length_ratio[k]),
                 "clearance": None if self.scene is None else float(self.clearance[k]),
             }
             for k in range(len(self))
@@ -264,7 +265,7 @@ class Batch:
             "steps": _spread(self.steps, ".0f"),
             "mean error": f"{_spread(self.mean_error, '.2g')} m for each point, "
             f"{self.mean_error.max() / self.arm.length:.2g} of the arm length",
-            "paths": f"of control points {_spread(self.sweep, '.3g')} times as long as straight ones",
+            "paths": f"{_spread(self.path_length_ratio, '.3g')} times as long as straight ones",
         }
         moved = [each.moved for each in self.targets if each.moved]
         far = max(moved, key=attrgetter("distance"), default=None)

@@ -29,7 +29,7 @@ from pinposture.motion.joint_files import (
     write_table,
 )
 from pinposture.motion.joint_trajectory import JointTrajectory
-from pinposture.motion.motion import Motion, Passed
+from pinposture.motion.motion import Motion, Waypoint
 from pinposture.motion.trajectory import ENDINGS, Trajectory
 from pinposture.placement import Target
 from pinposture.placement.curve_placement import Moved
@@ -303,16 +303,16 @@ def _unpack_run(about: About, arrays: Arrays) -> Trajectory:
 
 # Motions: a run, and what it should have done when.
 
-_TIMED_ARRAYS = ("targets", "asked", "clock")
+_TIMED_ARRAYS = ("targets", "target_mask", "plan_time")
 
 
 def _pack_motion(motion: Motion) -> tuple[About, Arrays]:
     about, arrays = _pack_run(motion.run)
     about["motion"] = {
-        "set_out": motion.set_out,
+        "start_index": motion.start_index,
         "planned": motion.planned,
-        "passed": [list(place) for place in motion.passed],
-        "detours": list(motion.detours),
+        "waypoints": [list(place) for place in motion.waypoints],
+        "deviations": list(motion.deviations),
     }
     return about, arrays | {f"motion_{name}": getattr(motion, name) for name in _TIMED_ARRAYS}
 
@@ -322,17 +322,19 @@ def _unpack_motion(about: About, arrays: Arrays) -> Motion:
     if run.limits.dt is None:
         raise InvalidValue("dt", None, "the duration of a cycle")
     rows, m = run.steps + 1, run.arm.n_modules
-    check_shapes(arrays, {"motion_targets": (rows, m, 3), "motion_asked": (rows, m), "motion_clock": (rows,)})
+    check_shapes(
+        arrays, {"motion_targets": (rows, m, 3), "motion_target_mask": (rows, m), "motion_plan_time": (rows,)}
+    )
     return Motion(
         run=run,
         **{name: arrays[f"motion_{name}"] for name in _TIMED_ARRAYS},
-        set_out=timed["set_out"],
+        start_index=timed["start_index"],
         planned=timed["planned"],
-        passed=tuple(
-            Passed(*place[:7])._replace(moved=_unpack_moved(place[7] if len(place) > 7 else None))
-            for place in timed["passed"]
+        waypoints=tuple(
+            Waypoint(*place[:7])._replace(moved=_unpack_moved(place[7] if len(place) > 7 else None))
+            for place in timed["waypoints"]
         ),
-        detours=tuple(timed["detours"]),
+        deviations=tuple(timed["deviations"]),
     )
 
 
@@ -345,7 +347,7 @@ _BATCH_ARRAYS = (
     "start_error",
     "final_error",
     "mean_error",
-    "sweep",
+    "path_length_ratio",
     "clearance",
     "q_start",
     "q_final",

@@ -18,7 +18,7 @@ from pinposture.placement.curve_placement import Moved
 Array = NDArray[np.float64]
 
 
-class Passed(NamedTuple):
+class Waypoint(NamedTuple):
     """A named place of a motion, a keyframe for instance, and how the arm passed it.
 
     Attributes:
@@ -56,24 +56,24 @@ class Motion:
         targets: where the control points should have been, (steps + 1, m, 3) [m], world frame.
         asked: which control points had a target, (steps + 1, m).
         clock: the time of the plan at each row, (steps + 1,) [s]; 0 while the arm comes to where it begins.
-        set_out: the row at which the arm sets out on the plan; before that it comes to its first posture. The
-            last row if it did not get so far.
+        start_index: the row at which the arm sets out on the plan; before that it comes to its first
+            posture. The last row if it did not get so far.
         planned: how long the plan takes if nothing slows it [s].
         passed: the named places, in order.
-        detours: where the arm left the way of the plan, or fell behind, in words.
+        deviations: where the arm left the way of the plan, or fell behind, in words.
     """
 
     run: Trajectory
     targets: Array
-    asked: NDArray[np.bool_]
-    clock: Array
-    set_out: int
+    target_mask: NDArray[np.bool_]
+    plan_time: Array
+    start_index: int
     planned: float
-    passed: tuple[Passed, ...] = ()
-    detours: tuple[str, ...] = ()
+    waypoints: tuple[Waypoint, ...] = ()
+    deviations: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for value in (self.targets, self.asked, self.clock):
+        for value in (self.targets, self.target_mask, self.plan_time):
             value.flags.writeable = False
 
     @property
@@ -119,20 +119,20 @@ class Motion:
     @property
     def duration(self) -> float:
         """How long the plan took, from setting out to its last place [s]."""
-        arrived = np.flatnonzero(self.clock >= self.planned)
+        arrived = np.flatnonzero(self.plan_time >= self.planned)
         last = int(arrived[0]) if len(arrived) else self.steps
-        return (last - self.set_out) * self.dt
+        return (last - self.start_index) * self.dt
 
     @property
-    def slowing(self) -> float:
+    def time_scale(self) -> float:
         """How many times as long as planned it took, as far as it came; 1 if nothing slowed it."""
-        done = float(self.clock[-1])
+        done = float(self.plan_time[-1])
         return self.duration / done if done > 0.0 else 1.0
 
     @cached_property
     def mean_error(self) -> Array:
         """Mean distance of the control points with a target from it, (steps + 1,) [m]."""
-        return np.asarray(self.run.posture_error / self.asked.sum(axis=1))
+        return np.asarray(self.run.posture_error / self.target_mask.sum(axis=1))
 
     @cached_property
     def velocities(self) -> Array:
@@ -163,6 +163,6 @@ class Motion:
         return JointTrajectory.from_configurations(self.arm, rows, self.dt)
 
     def __repr__(self) -> str:
-        slow = self.converged and self.slowing > 1.005
-        slower = f", {self.slowing:.3g} times as long as planned" if slow else ""
-        return f"Motion({self.run.status}, {self.time[-1]:.4g} s{slower}, {len(self.passed)} places)"
+        slow = self.converged and self.time_scale > 1.005
+        slower = f", {self.time_scale:.3g} times as long as planned" if slow else ""
+        return f"Motion({self.run.status}, {self.time[-1]:.4g} s{slower}, {len(self.waypoints)} places)"

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture._validation import require_positive, require_whole
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
-from pinposture.control import ConstrainedQP, Controller, Diagnostics, Limits, Step, controller_named
+from pinposture.control import Controller, Diagnostics, Geodesic, Limits, Step, controller_named
 from pinposture.control.controller import Memory, next_step
 from pinposture.errors import InvalidValue, PostureWarning
 from pinposture.motion.trajectory import Trajectory
@@ -61,7 +61,7 @@ class RunRecord:
 
     def _point_errors(self, state: ArmState) -> Array:
         return np.asarray(
-            np.linalg.norm(self._target.points - state.compiled.points, axis=1) * self._target.placed
+            np.linalg.norm(self._target.points - state.compiled.points, axis=1) * self._target.has_target
         )
 
     def _distance(self, state: ArmState) -> float:
@@ -80,7 +80,7 @@ class RunRecord:
     @property
     def mean_error(self) -> float:
         """Mean distance of the control points that have a target from it, now [m]."""
-        return self.posture_error / int(np.count_nonzero(self._target.placed))
+        return self.posture_error / int(np.count_nonzero(self._target.has_target))
 
     def append(self, state: ArmState, step: Step, travel: float, target: Target | None = None) -> None:
         """Append one step and the state that it led to.
@@ -93,7 +93,7 @@ class RunRecord:
         """
         self._target = self._target if target is None else target
         self._steps.append(step._replace(diagnostics=_without_state(step.diagnostics)))
-        if not step.diagnostics.on_way:  # else the arm is not stuck
+        if not step.diagnostics.following_path:  # else the arm is not stuck
             self._idle += travel
         self._q.append(state.q)
         self._distances.append(self._distance(state))
@@ -138,17 +138,21 @@ class RunRecord:
             clipped=np.array([note.clipped for note in notes], dtype=bool).reshape(len(steps), arm.nv),
             method=np.array([note.method for note in notes], dtype=np.str_),
             switched=np.array([note.switched for note in notes], dtype=np.str_),
-            escape=np.array([note.escape for note in notes], dtype=bool),
-            relaxed=np.array(["\n".join(note.relaxed[:MAX_CONSTRAINTS]) for note in notes], dtype=np.str_),
+            error_increasing=np.array([note.error_increasing for note in notes], dtype=bool),
+            violated_constraints=np.array(
+                ["\n".join(note.violated_constraints[:MAX_CONSTRAINTS]) for note in notes], dtype=np.str_
+            ),
             clearance=np.array(self._distances),
             scene=self._scene,
         )
         if run.excess is None:
             return run
-        relaxed = [str(words) for words in run.relaxed]
+        relaxed = [str(words) for words in run.violated_constraints]
         for number, words in zip(run.excess.steps, run.excess.words, strict=True):
             relaxed[number] = f"{relaxed[number]}\n{words}".strip()
-        return replace(run, reason=f"{reason}; {run.excess.text}", relaxed=np.array(relaxed, dtype=np.str_))
+        return replace(
+            run, reason=f"{reason}; {run.excess.text}", violated_constraints=np.array(relaxed, dtype=np.str_)
+        )
 
 
 def _without_state(note: Diagnostics) -> Diagnostics:
@@ -262,7 +266,7 @@ class ControlLoop:
         memory = before.braked(self.limits, self.state)
         rises = self.record.error_rises_at(self.arm.at(self.arm.integrate(self.state.q, memory.dq)))
         still = np.zeros(self.arm.nv, dtype=np.bool_)
-        note = Diagnostics(0.0, 0.0, 0.0, 0, (), 1.0, still, "", escape=rises)
+        note = Diagnostics(0.0, 0.0, 0.0, 0, (), 1.0, still, "", error_increasing=rises)
         self.take_step(Step(memory.dq, (), note, memory))
 
     def _cannot_stop(self) -> bool:
@@ -303,7 +307,7 @@ def track(
     arm: Arm,
     target: Target,
     q0: ArrayLike,
-    controller: str | Controller = "qp",
+    controller: str | Controller = "geodesic",
     limits: Limits | None = None,
     scene: Scene | None = None,
     max_steps: int = 300,
@@ -318,8 +322,8 @@ def track(
         q0: configuration to start from, (nq,).
         controller: a controller, or the name of one with its default parameters; see `CONTROLLERS`.
         limits: what a step may not exceed; `Limits()` if None.
-        scene: what to keep clear of, for a controller that can, as "qp"; with others the distances are only
-            recorded. If None, that of the controller.
+        scene: what to keep clear of, for a controller that can, as "geodesic"; with others the distances are
+            only recorded. If None, that of the controller.
         max_steps: number of steps after which to stop. With limits of acceleration an arm that is moving
             then, or wherever the run ends, is brought to rest in a few more.
         tolerance: mean distance of the control points from their targets at which the run has converged
@@ -354,7 +358,7 @@ def track(
     loop = ControlLoop(arm, arm.checked_start(q0, "q0"), target, controller, limits, scene)
     status, reason = loop.run(target, tolerance, max_steps, callback)
     loop.brake_to_rest()
-    if status in ("stalled", "max_steps") and target.q is None and not isinstance(controller, ConstrainedQP):
+    if status in ("stalled", "max_steps") and target.q is None and not isinstance(controller, Geodesic):
         reason += "; the target knows no configuration, with which Switching finds the way: see fit_points"
     record = loop.record
     logger.info("%s: %s after %d steps: %s", controller.name, status, record.steps, reason)
@@ -365,9 +369,11 @@ def in_scene(controller: Controller, scene: Scene | None) -> tuple[Controller, S
     """Return the controller with the scene, and the scene; warn if it does not avoid obstacles."""
     if not (scene is None or isinstance(scene, Scene)):
         raise InvalidValue("scene", scene, "a Scene(...), or None")
-    if isinstance(controller, ConstrainedQP):
+    if isinstance(controller, Geodesic):
         return (controller, controller.scene) if scene is None else (controller.with_scene(scene), scene)
     if scene is not None:
-        text = f'{controller.name} does not keep clear of anything, distances are only recorded; "qp" does'
+        text = (
+            f'{controller.name} does not keep clear of anything, distances are only recorded; "geodesic" does'
+        )
         warnings.warn(text, PostureWarning, stacklevel=3)
     return controller, scene

@@ -53,7 +53,7 @@ class _Ends(NamedTuple):
     start_error: float
     final_error: float
     mean_error: float
-    sweep: float
+    path_length_ratio: float
     clearance: float
     q_start: Array
     q_final: Array
@@ -63,7 +63,7 @@ def track_many(
     arm: Arm,
     targets: Target | Sequence[Target],
     starts: ArrayLike,
-    controller: str | Controller = "qp",
+    controller: str | Controller = "geodesic",
     limits: Limits | None = None,
     scene: Scene | None = None,
     max_steps: int = 300,
@@ -230,8 +230,8 @@ def _run(setting: _Setting, target: Target, start: Array) -> tuple[_Ends, dict[s
         steps=run.steps,
         start_error=float(run.posture_error[0]),
         final_error=float(run.posture_error[-1]),
-        mean_error=float(run.posture_error[-1]) / int(np.count_nonzero(target.placed)),
-        sweep=run.sweep,
+        mean_error=float(run.posture_error[-1]) / int(np.count_nonzero(target.has_target)),
+        path_length_ratio=run.path_length_ratio,
         clearance=float(run.clearance.min()),
         q_start=run.q[0],
         q_final=run.q[-1],

@@ -290,16 +290,16 @@ class Report(NamedTuple):
         disagreement: largest difference between measured and expected joint positions, in `Arm.joint_units`;
             None without a measurement that can be used.
         target_age: how long ago the target was given, as the cycles tell the time [s]; None without a target.
-        relaxed: which constraints gave way in the step, as in `Diagnostics`.
+        violated_constraints: which constraints gave way in the step, as in `Diagnostics`.
         step: what the controller answered, its active control set for instance; None if it was not asked.
     """
 
     status: str
     reason: str
     mean_error: float | None
-    disagreement: float | None
+    tracking_error: float | None
     target_age: float | None
-    relaxed: tuple[str, ...] = ()
+    violated_constraints: tuple[str, ...] = ()
     step: Step | None = None
 
 
@@ -353,13 +353,13 @@ class Tracker:
     def __init__(
         self,
         arm: Arm,
-        controller: str | Controller = "qp",
+        controller: str | Controller = "geodesic",
         limits: Limits | None = None,
         scene: Scene | None = None,
         interface: Literal["position", "velocity"] = "position",
-        feedback: float = 0.25,
-        disagreement: float = 0.3,
-        patience: float = 0.5,
+        feedback_time_constant: float = 0.25,
+        max_tracking_error: float = 0.3,
+        resync_time: float = 0.5,
         timeout: float = float("inf"),
         deadline: float = float("inf"),
     ) -> None:
@@ -367,13 +367,20 @@ class Tracker:
         limits = cast(Limits, limits)  # anything else was refused
         if interface not in INTERFACES:
             raise UnknownName("interface", interface, INTERFACES)
-        times = {"feedback": feedback, "patience": patience, "timeout": timeout, "deadline": deadline}
-        for name, value in {**times, "disagreement": disagreement}.items():
+        times = {
+            "feedback_time_constant": feedback_time_constant,
+            "resync_time": resync_time,
+            "timeout": timeout,
+            "deadline": deadline,
+        }
+        for name, value in {**times, "max_tracking_error": max_tracking_error}.items():
             _positive(name, value)
         self.arm, self.limits = arm, limits
         limits.for_arm(arm)  # says now what does not fit
         self._async_step = AsyncStep(in_scene(controller_named(controller), scene)[0], deadline)
-        self._feedback = Feedback(arm, feedback if interface == "position" else 0.0, disagreement, patience)
+        self._feedback = Feedback(
+            arm, feedback_time_constant if interface == "position" else 0.0, max_tracking_error, resync_time
+        )
         self._timeout, self._period = timeout, period
         self._target: Target | None = None
         self._age = 0.0
@@ -448,14 +455,16 @@ class Tracker:
         passed = self._period if dt is None else _duration(dt)
         dt = min(max(passed, MIN_CYCLE * self._period), self._period)
         limits = self.limits if dt == self._period else replace(self.limits, dt=dt)
-        feedback = self._feedback.update(q_measured, points, dt)
+        feedback_time_constant = self._feedback.update(q_measured, points, dt)
         memory = None if self._feedback.restarted else self._rescaled_memory(dt)
         self._age += passed
-        step, reason, compensated = None, feedback.reason or self._target_problem(), None
-        if feedback.state is not None and self._target is not None and not reason:
+        step, reason, compensated = None, feedback_time_constant.reason or self._target_problem(), None
+        if feedback_time_constant.state is not None and self._target is not None and not reason:
             compensated = self._feedback.compensate(self._target)
             try:
-                step, memory = self._async_step.compute(feedback.state, compensated, limits, memory)
+                step, memory = self._async_step.compute(
+                    feedback_time_constant.state, compensated, limits, memory
+                )
                 reason = NOT_DONE if step is None else step.diagnostics.reason
             except (PostureError, ArithmeticError, np.linalg.LinAlgError) as error:
                 reason = str(error)  # what it cannot work with, as a target that knows no configuration
@@ -469,7 +478,7 @@ class Tracker:
             memory = step.memory
         self._memory, self._dt, dq = memory, dt, memory.dq
         self._feedback.apply_step(dq)
-        self.report = self._make_report(feedback, step, reason, compensated, dq)
+        self.report = self._make_report(feedback_time_constant, step, reason, compensated, dq)
         return np.array(dq)
 
     def _rescaled_memory(self, dt: float) -> Memory | None:
@@ -492,24 +501,29 @@ class Tracker:
         return self.arm.at(self.arm.neutral())
 
     def _make_report(
-        self, feedback: FeedbackState, step: Step | None, reason: str, compensated: Target | None, dq: Array
+        self,
+        feedback_time_constant: FeedbackState,
+        step: Step | None,
+        reason: str,
+        compensated: Target | None,
+        dq: Array,
     ) -> Report:
         status = "moving" if not reason else "stalled" if step is not None else "holding"
         still = bool(np.all(np.abs(dq) <= REST_TOLERANCE * self.arm.joint_units))
-        if compensated is not None and feedback.state is not None and still:
-            distance = _mean_distance(feedback.state.compiled.points, compensated)
+        if compensated is not None and feedback_time_constant.state is not None and still:
+            distance = _mean_distance(feedback_time_constant.state.compiled.points, compensated)
             if distance <= ARRIVAL_TOLERANCE * self.arm.length:
                 status, reason = "converged", ""
         target, points = self._target, self._feedback.points
         error = None if target is None or points is None else _mean_distance(points, target)
         age = None if target is None else self._age
-        relaxed = () if step is None else step.diagnostics.relaxed
-        return Report(status, reason, error, feedback.disagreement, age, relaxed, step)
+        relaxed = () if step is None else step.diagnostics.violated_constraints
+        return Report(status, reason, error, feedback_time_constant.disagreement, age, relaxed, step)
 
 
 def _mean_distance(points: Array, target: Target) -> float:
     """Mean distance of control points (m, 3) from where they should be [m]."""
-    placed = target.placed
+    placed = target.has_target
     return float(np.linalg.norm((target.points - points)[placed], axis=1).mean())
 
 

@@ -231,7 +231,7 @@ def closest(motion: FinishedMotion) -> dict[str, Any] | None:
     }
 
 
-def sweep(points: NDArray[np.float64]) -> float:
+def path_length_ratio(points: NDArray[np.float64]) -> float:
     """Length of the paths of all control points relative to the direct distances from start to end.
 
     Args:
@@ -288,10 +288,10 @@ class Trajectory:
         clipped: which joints were cut short at a position limit, (steps, nv).
         method: which of its methods the controller used, (steps,) names; empty where it has only one.
         switched: why it changed to that method, (steps,) sentences; empty where it did not.
-        escape: whether the step was meant to lead out of a place where the posture error cannot fall,
-            (steps,); it may rise there.
-        relaxed: which constraints gave way because not all could hold, and which limits of speed and
-            acceleration the configurations exceed, (steps,) lines; usually empty.
+        error_increasing: whether the step was meant to lead out of a place where the posture error cannot
+            fall, (steps,); it may rise there.
+        violated_constraints: which constraints gave way because not all could hold, and which limits of
+            speed and acceleration the configurations exceed, (steps,) lines; usually empty.
         clearance: smallest distance to an obstacle, or between parts of the arm, (steps + 1,) [m]; negative
             in penetration, infinite where there was no scene.
         scene: what the arm was to keep clear of; None if nothing.
@@ -315,8 +315,8 @@ class Trajectory:
     clipped: NDArray[np.bool_]
     method: NDArray[np.str_]
     switched: NDArray[np.str_]
-    escape: NDArray[np.bool_]
-    relaxed: NDArray[np.str_]
+    error_increasing: NDArray[np.bool_]
+    violated_constraints: NDArray[np.str_]
     clearance: Array
     scene: Scene | None = None
 
@@ -362,9 +362,9 @@ class Trajectory:
         return distance_from_curve(self.arm, self.q[-1], self.target.curve)
 
     @cached_property
-    def sweep(self) -> float:
+    def path_length_ratio(self) -> float:
         """Length of the paths of all control points relative to the direct distances from start to end."""
-        return sweep(self.points)
+        return path_length_ratio(self.points)
 
     @cached_property
     def excess(self) -> LimitViolation | None:

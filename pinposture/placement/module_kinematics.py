@@ -211,7 +211,7 @@ def arm_units(chain: Chain) -> tuple[Unit, ...]:
 
 
 class Layout(NamedTuple):
-    """The units of an arm as kernels want them, see `kernels.modules.walk_along`.
+    """The units of an arm as kernels want them, see `kernels.modules.place_modules`.
 
     Attributes:
         units: degrees of freedom, first joint and module of each, (n, 3).

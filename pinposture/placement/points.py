@@ -14,7 +14,7 @@ from pinposture.arm import Arm
 from pinposture.arm.chain import Chain
 from pinposture.curve import Curve
 from pinposture.errors import PostureError
-from pinposture.kernels.arrays import Screwed, Springs
+from pinposture.kernels.arrays import PointObjective, Screwed
 from pinposture.placement.least_squares import fit_curve
 from pinposture.placement.target import Target
 
@@ -40,7 +40,7 @@ ON_AXIS = 1e-9
 """How far from the axis of a joint a point may be that it does not move, relative to the arm length."""
 
 
-def taken_in_turn(arm: Arm, points: Array, placed: NDArray[np.bool_], near: Array) -> tuple[Array, bool]:
+def place_sequentially(arm: Arm, points: Array, placed: NDArray[np.bool_], near: Array) -> tuple[Array, bool]:
     """Find joint positions that put the control points where they should be.
 
     The point at the end of a module leaves a few solutions for its joints. A wrong one shows at a later
@@ -75,7 +75,7 @@ def taken_in_turn(arm: Arm, points: Array, placed: NDArray[np.bool_], near: Arra
 
 
 def taken_exactly(arm: Arm, points: Array, near: Array) -> Array | None:
-    """What `taken_in_turn` finds for all points where nothing has to be chosen, in microseconds.
+    """What `place_sequentially` finds for all points where nothing has to be chosen, in microseconds.
 
     Args:
         arm: the arm.
@@ -123,7 +123,7 @@ def _search(
 ) -> int:
     """Put the outcome of the search into positions (nv,); how many points it takes."""
     found = chain.near.copy()
-    taken = kernels.take_points(chain, wanted, arm.length, good, window, tries, samples, found)
+    taken = kernels.search_branches(chain, wanted, arm.length, good, window, tries, samples, found)
     positions[arm.columns] = found
     return taken
 
@@ -201,7 +201,7 @@ def fit_points(arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) ->
     straight = arm.positions(arm.straight())
     rng, nudge = np.random.default_rng(0), np.where(arm.moved > 0.0, NUDGE * arm.joint_units, 0.0)
     best, least = straight, np.inf
-    for start in (*goal_starts(arm, target, straight), straight, *[None] * RETRIES):
+    for start in (*initial_guesses(arm, target, straight), straight, *[None] * RETRIES):
         begin = best + nudge * rng.normal(size=arm.nv) if start is None else start
         found = _closest(arm, target, begin)
         gaps = _gaps(arm, target, found)
@@ -211,7 +211,7 @@ def fit_points(arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) ->
         if least <= (ENOUGH * arm.length) ** 2:
             break
     residual = np.linalg.norm(_gaps(arm, target, best), axis=1)
-    farthest = int(np.argmax(np.where(target.placed, residual, -1.0)))
+    farthest = int(np.argmax(np.where(target.has_target, residual, -1.0)))
     approximate = ""
     if residual[farthest] > TAKEN * arm.length:
         approximate = (
@@ -230,13 +230,13 @@ def with_configuration(arm: Arm, target: Target, near: Array | None = None) -> T
         target: where its control points should be; it fits the arm.
         near: a configuration to be near, (nq,); the straight one if None.
     """
-    if target.q is not None or not np.all(target.placed):
+    if target.q is not None or not np.all(target.has_target):
         return target
     exact = taken_exactly(arm, target.points, arm.positions(arm.straight() if near is None else near))
     return target if exact is None else replace(target, q=arm.configuration(exact))
 
 
-def goal_starts(arm: Arm, target: Target, near: Array) -> Iterator[Array]:
+def initial_guesses(arm: Arm, target: Target, near: Array) -> Iterator[Array]:
     """Where to look for the configuration that does best for a target: one that takes it, if one is found.
 
     Args:
@@ -248,12 +248,12 @@ def goal_starts(arm: Arm, target: Target, near: Array) -> Iterator[Array]:
         Joint positions (nv,) [rad or m] within the limits, the most promising first; only one if it takes all
         points.
     """
-    positions, complete = taken_in_turn(arm, target.points, target.placed, near)
+    positions, complete = place_sequentially(arm, target.points, target.has_target, near)
     yield positions
     if complete and np.abs(_gaps(arm, target, positions)).max() <= ENOUGH * arm.length:
         return
     try:
-        curve = Curve.points(np.vstack([arm.chain.base, target.points[target.placed]]))
+        curve = Curve.points(np.vstack([arm.chain.base, target.points[target.has_target]]))
         yield fit_curve(arm, curve, 0.0, STRAIGHTENING * arm.length, rough=True).positions
     except PostureError:  # two in one place, for instance: they make no curve
         return
@@ -261,7 +261,7 @@ def goal_starts(arm: Arm, target: Target, near: Array) -> Iterator[Array]:
 
 def _gaps(arm: Arm, target: Target, positions: Array) -> Array:
     """From the control points to where they should be, (m, 3) [m]."""
-    return np.asarray(target.points - arm.kinematics.placed(positions).points)
+    return np.asarray(target.points - arm.kinematics.forward(positions).points)
 
 
 def _closest(arm: Arm, target: Target, start: Array) -> Array:
@@ -272,18 +272,18 @@ def _closest(arm: Arm, target: Target, start: Array) -> Array:
         target: where its control points should be.
         start: joint positions to begin with, (nv,) [rad or m].
     """
-    columns, placed, slides = arm.columns, np.flatnonzero(target.placed), arm.kinematics.slides
+    columns, placed, slides = arm.columns, np.flatnonzero(target.has_target), arm.kinematics.slides
     ends, weights, chords = arm.kinematics.ends[placed], target.weights[placed], np.zeros(len(placed))
     n, units, wanted = len(columns), arm.joint_units[columns], target.points[placed]
     lower, upper = arm.limits.lower[columns], arm.limits.upper[columns]
     sides, x, screws = np.zeros(n, dtype=np.int8), np.zeros(n), np.empty((n, 6))
 
-    def looked_at(tried: Array) -> tuple[float, Array, Springs]:
-        at = arm.kinematics.placed(tried)
+    def looked_at(tried: Array) -> tuple[float, Array, PointObjective]:
+        at = arm.kinematics.forward(tried)
         reached = np.ascontiguousarray(at.points[placed])
         gaps = wanted - reached
         kernels.find_screws(np.arange(n), slides, units, at.axes, at.origins, ends, reached, screws)
-        springs = Springs(screws.copy(), ends, reached, weights, chords)
+        springs = PointObjective(screws.copy(), ends, reached, weights, chords)
         return float(weights @ np.einsum("ij,ij->i", gaps, gaps)), gaps, springs
 
     positions = start.copy()

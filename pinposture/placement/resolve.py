@@ -55,7 +55,7 @@ def place_in_turn(arm: Arm, curve: Curve, samples: int) -> Placement:
     state[0], state[1:4], state[4:7] = parameter, base, base if on_curve else curve.at(parameter)
     lower, upper = arm.limits.lower[arm.columns], arm.limits.upper[arm.columns]
     found, parameters = np.zeros(len(lower)), np.full(arm.n_modules, curve.length)
-    stopped = kernels.walk_along(
+    stopped = kernels.place_modules(
         *curve.measured, samples, numbers, shapes, lower, upper, state, found, parameters
     )
     positions = np.zeros(arm.nv)
@@ -68,7 +68,7 @@ def place_in_turn(arm: Arm, curve: Curve, samples: int) -> Placement:
 
 
 def _failure(arm: Arm, curve: Curve, unit: Unit, state: Array) -> TargetError:
-    """Why a unit has no place, from what `kernels.walk_along` left in the state."""
+    """Why a unit has no place, from what `kernels.place_modules` left in the state."""
     first, last, beyond, found = state[1:4], state[4:7], bool(state[7]), int(state[8])
     module, at, slack = unit.module + 1, float(state[0]), ROUNDING * arm.length
     reach = unit.kinematics.reach
@@ -170,7 +170,7 @@ def resolve_targets(
     Returns:
         The target, with `q`, `parameters`, `residual`, `method` and `moved` filled in. How far the whole arm
         is from the curve, links and all, `Target.distance_from_curve` says; where that is more than a tenth
-        of its length and no `near` was given, a `PostureWarning` says why (`Arm.adequate`). Joints that can
+        of its length and no `near` was given, a `PostureWarning` says why (`Arm.can_follow`). Joints that can
         turn without limit are within half a turn of `near`, or of the straight arm.
 
     Raises:
@@ -307,7 +307,7 @@ def _warn_if_far(arm: Arm, target: Target) -> None:
     away = target.distance_from_curve(arm)
     if away is None or away <= FAR * arm.length:
         return
-    fits = arm.adequate(target.curve)
+    fits = arm.can_follow(target.curve)
     reasons = [str(excess) for excess in fits.excesses[:2]]
     if np.any(arm.chain.plane_bound):
         reasons.append("parallel axes in a row leave no plane")
@@ -323,7 +323,7 @@ def _line_lengths(arm: Arm, q: Array) -> list[float]:
     state = arm.at(q).compiled
     lengths, start = [], arm.chain.base
     for k, joints in enumerate(arm.chain.module_slices):
-        line = np.vstack([start, state.placed.origins[joints], state.points[k]])
+        line = np.vstack([start, state.forward.origins[joints], state.points[k]])
         lengths.append(float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()))
         start = state.points[k]
     return lengths

@@ -58,7 +58,7 @@ class Target:
                 object.__setattr__(self, name, array)
 
     @property
-    def placed(self) -> NDArray[np.bool_]:
+    def has_target(self) -> NDArray[np.bool_]:
         """Which control points have a target, (m,)."""
         return np.asarray(self.weights > 0.0)
 
@@ -84,7 +84,7 @@ class Target:
             raise InvalidValue("target.points (shape)", self.points.shape, f"({m}, 3) for this arm")
         if self.weights.shape != (m,):
             raise InvalidValue("target.weights (shape)", self.weights.shape, f"({m},) for this arm")
-        if not self.weights.max() > 0.0 and not np.any(self.placed):
+        if not self.weights.max() > 0.0 and not np.any(self.has_target):
             raise InvalidValue("target.weights", 0.0, "at least one control point with a weight > 0")
         for name, values in (("points", self.points), ("weights", self.weights)):
             flat = values.ravel()
@@ -114,9 +114,9 @@ class Target:
                 raise InvalidValue(name, value, f"a whole number from {lowest} to {m - 1}")
         inside = np.zeros(m, dtype=np.bool_)
         inside[first : last + 1] = True
-        if not np.any(self.placed & inside):
-            placed = ", ".join(map(str, np.flatnonzero(self.placed)))
-            allowed = f"a region with a control point that has a target: {placed}"
+        if not np.any(self.has_target & inside):
+            has_target = ", ".join(map(str, np.flatnonzero(self.has_target)))
+            allowed = f"a region with a control point that has a target: {has_target}"
             raise InvalidValue("region", (int(first), int(last)), allowed)
         return replace(self, weights=np.where(inside, self.weights, 0.0))
 

@@ -282,7 +282,7 @@ class Recording:
             around = CollisionModel(arm, scene)
             clearance = np.array([around.minimum(row).distance for row in q])
         goal = self._targets[-1] if self._targets else Target(commanded_points[-1], np.ones(arm.n_modules))
-        distances = np.linalg.norm((goal.points - points[-1])[goal.placed], axis=1)
+        distances = np.linalg.norm((goal.points - points[-1])[goal.has_target], axis=1)
         error = float(distances.sum()) / max(len(distances), 1)
         tolerance = TOLERANCE * arm.length if tolerance is None else tolerance
         status, reason = "unstable", plant.failure

@@ -217,7 +217,7 @@ def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | Ar
         _check_control_points(arm, positions, data.site_xpos[sites], source)
         matrices.append(full_mass_matrix(model, data))
     slides = model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
-    units = np.where(slides, arm.sliding_unit, 1.0)
+    units = np.where(slides, arm.characteristic_length, 1.0)
     least = (model.dof_frictionloss + model.dof_damping * units) / (MAX_DEFLECTION * units)
     return PlantModel(
         arm=arm,

@@ -51,10 +51,10 @@ class ArmSurvey(NamedTuple):
         steps: steps of that run.
         switching: mean point error after at most 300 steps of Switching from the same start.
         switching_steps: steps that Switching took.
-        qp: mean point error after at most 300 steps of ConstrainedQP, the default, from the same start.
-        qp_steps: steps that it took.
+        geodesic: mean point error after at most 300 steps of Geodesic, the default, from the same start.
+        geodesic_steps: steps that it took.
         qp_status: how that run ended, as `Trajectory.status`.
-        path_excess: length of the paths of all its control points relative to the direct distances.
+        path_length_ratio: length of the paths of all its control points relative to the direct distances.
         qp_within_limits: whether every configuration on its way was within the joint limits.
         within_limits: whether every configuration of all three runs was.
         notes: what loading warned of.
@@ -74,10 +74,10 @@ class ArmSurvey(NamedTuple):
     steps: int = 0
     switching: float | None = None
     switching_steps: int = 0
-    qp: float | None = None
-    qp_steps: int = 0
+    geodesic: float | None = None
+    geodesic_steps: int = 0
     qp_status: str = ""
-    path_excess: float | None = None
+    path_length_ratio: float | None = None
     qp_within_limits: bool = True
     within_limits: bool = True
     notes: tuple[str, ...] = ()
@@ -201,17 +201,19 @@ def _survey(name: str, source: str | Path, least_joints: int, seed: int) -> ArmS
     # All points are to be reached, also those that lie off the curve: the arm can take that posture.
     posture = Target(target.points, np.ones(arm.n_modules), q=target.q)
     direct = track(arm, posture, start, "joint", max_steps=1000)
-    switched, constrained = (track(arm, posture, start, name, max_steps=300) for name in ("switching", "qp"))
+    switched, constrained = (
+        track(arm, posture, start, name, max_steps=300) for name in ("switching", "geodesic")
+    )
     inside = [all(arm.within_limits(q) for q in run.q) for run in (direct, switched, constrained)]
     return found._replace(
         reached=float(direct.point_errors[-1].mean()) / arm.length,
         steps=direct.steps,
         switching=float(switched.point_errors[-1].mean()) / arm.length,
         switching_steps=switched.steps,
-        qp=float(constrained.point_errors[-1].mean()) / arm.length,
-        qp_steps=constrained.steps,
+        geodesic=float(constrained.point_errors[-1].mean()) / arm.length,
+        geodesic_steps=constrained.steps,
         qp_status=constrained.status,
-        path_excess=constrained.sweep,
+        path_length_ratio=constrained.path_length_ratio,
         qp_within_limits=inside[-1],
         within_limits=all(inside),
     )

@@ -59,12 +59,12 @@ def task_of(state: ArmState, target: Target, points: NDArray[np.intp]) -> Baseli
 
 def end_effector_task(state: ArmState, target: Target) -> BaselineTask:
     """The task of the end-effector alone, which is the last control point that has a target."""
-    return task_of(state, target, np.flatnonzero(target.placed)[-1:])
+    return task_of(state, target, np.flatnonzero(target.has_target)[-1:])
 
 
 def all_points_task(state: ArmState, target: Target) -> BaselineTask:
     """The task of all control points that have a target, stacked (2.15)."""
-    return task_of(state, target, np.flatnonzero(target.placed))
+    return task_of(state, target, np.flatnonzero(target.has_target))
 
 
 def regular_part(matrix: Decomposition) -> Decomposition:
@@ -147,7 +147,7 @@ class Baseline(ABC):
         """Compute one step; see `Controller.step`."""
         limits = Limits() if limits is None else limits
         previous = memory.dq if memory is not None else None
-        if not np.any(target.placed):
+        if not np.any(target.has_target):
             return held(state, "no control point has a target", limits, previous)
         return self._step(state, target, limits, previous)
 
@@ -342,7 +342,7 @@ class TaskConstraints(Baseline):
 
     def _constraints(self, state: ArmState, target: Target, primary: BaselineTask, rank: int) -> BaselineTask:
         """The other control points that (2.9) has room for."""
-        others = np.flatnonzero(target.placed)[:-1]
+        others = np.flatnonzero(target.has_target)[:-1]
         joints = int(state.arm.support[primary.end_effector].sum())
         room = (joints - rank) // state.arm.dimension
         count = min(len(others), room, len(others) if self.constraints is None else self.constraints)

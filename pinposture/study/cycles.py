@@ -73,7 +73,7 @@ def cycle_drift(
     targets: Sequence[Target],
     q0: ArrayLike,
     rounds: int = ROUNDS,
-    controller: str | Controller = "qp",
+    controller: str | Controller = "geodesic",
 ) -> Rounds:
     """Go round a closed cycle of postures, and see how far the joints drift.
 
@@ -102,7 +102,7 @@ def cycle_drift(
             limits, close = Limits(step=STEP), CLOSE * arm.length
             run = track(arm, target, q, chosen, limits, max_steps=MAX_STEPS, tolerance=close)
             q, steps = run.q[-1], steps + run.steps
-            errors.append(float(run.posture_error[-1]) / int(target.placed.sum()) / arm.length)
+            errors.append(float(run.posture_error[-1]) / int(target.has_target.sum()) / arm.length)
         apart = np.abs(pin.difference(arm.model, first, q)) / arm.joint_units
         drift.append(float(apart.max()))
     return Rounds(tuple(drift), max(errors), steps)
@@ -111,7 +111,7 @@ def cycle_drift(
 def study_cycles(
     subjects: Sequence[Subject],
     knowledge: Sequence[str] = KNOWLEDGE,
-    controller: str | Controller = "qp",
+    controller: str | Controller = "geodesic",
     cycles: int = CYCLES,
     rounds: int = ROUNDS,
     first_seed: int = 0,

@@ -154,4 +154,4 @@ def _without_limits(arm: Arm) -> Arm:
     model = pin.Model(arm.model)
     model.lowerPositionLimit = np.full(arm.nq, -np.inf)
     model.upperPositionLimit = np.full(arm.nq, np.inf)
-    return Arm(model, arm.control_points, arm.base_placement, sliding_unit=arm.sliding_unit)
+    return Arm(model, arm.control_points, arm.base_placement, characteristic_length=arm.characteristic_length)

@@ -21,7 +21,7 @@ from pinposture.study.scenarios import bent_configuration, curve_along
 
 # Many starts, targets and controllers: does it get there, how directly, and what does it do on the way.
 
-CONTROLLERS = ("qp", "selection", "projection", "switching", "lm", "joint")
+CONTROLLERS = ("geodesic", "selection", "projection", "switching", "lm", "joint")
 """The controllers that are compared unless others are named."""
 
 CASES = 1000

@@ -134,11 +134,11 @@ def record_run(run: Trajectory, case: Case, controller: str, seconds: float = 0.
         status=run.status,
         reason=_one_line(run.reason),
         steps=steps,
-        error=float(errors[-1]) / int(run.target.placed.sum()) / run.arm.length,
+        error=float(errors[-1]) / int(run.target.has_target.sum()) / run.arm.length,
         rising=float(rises.mean()) if steps else 0.0,
-        escaping=float((rises & run.escape).mean()) if steps else 0.0,
+        escaping=float((rises & run.error_increasing).mean()) if steps else 0.0,
         peak=float(errors.max() / errors[0]) if errors[0] > 0.0 else 1.0,
-        path=run.sweep,
+        path=run.path_length_ratio,
         turn=None if run.target.q is None else largest_turn(run.arm, run.q[0], run.target.q),
         seconds=seconds / max(steps, 1),
         violation=_violation(run),
@@ -202,7 +202,7 @@ def _refused(
 ) -> Record:
     """The record of an arm that stays where it is."""
     arm = subject.arm
-    errors = np.linalg.norm(arm.at(start).points - target.points, axis=1)[target.placed]
+    errors = np.linalg.norm(arm.at(start).points - target.points, axis=1)[target.has_target]
     return Record(
         *case,
         controller=controller,

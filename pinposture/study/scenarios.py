@@ -300,7 +300,7 @@ def outcome(run: Trajectory, scenario: str, controller: str, seed: int) -> Outco
         start_error=float(errors[0]),
         final_error=float(errors[-1]),
         lowest_error=float(errors.min()),
-        mean_share=float(errors[-1]) / int(run.target.placed.sum()) / run.arm.length,
+        mean_share=float(errors[-1]) / int(run.target.has_target.sum()) / run.arm.length,
         steps=run.steps,
         status=run.status,
         first_points=int(points[0]) if len(points) else 0,

@@ -305,14 +305,14 @@ def record_scene_run(
         reason=" ".join(run.reason.split()),
         blamed=", ".join(blamed(run.reason, situation.scene, around.bodies)),
         steps=run.steps,
-        error=float(run.posture_error[-1]) / int(run.target.placed.sum()) / run.arm.length,
+        error=float(run.posture_error[-1]) / int(run.target.has_target.sum()) / run.arm.length,
         margin=margin,
         start=float(at[0]),
         closest=float(min(at[0], between.min(initial=np.inf))),
         end=float(at[-1]),
         loss=float(lost.max(initial=0.0)),
-        path=run.sweep,
-        escaping=float(run.escape.mean()) if run.steps else 0.0,
+        path=run.path_length_ratio,
+        escaping=float(run.error_increasing.mean()) if run.steps else 0.0,
         seconds=seconds,
     )
 

@@ -107,7 +107,7 @@ def measure(laid: Passage, rows: Array) -> Deviation:
     for q in rows:
         state = arm.at(q)
         points.append(state.points)
-        stations.append(np.vstack([state.placed.origins, state.points])[order])
+        stations.append(np.vstack([state.forward.origins, state.points])[order])
         feeds.append(state.positions[fed.column])
     pieces, along = _cut(np.array(stations))  # (N, p, 3)
     begin = float(fed.arm.positions(fed.start)[fed.column])
@@ -170,9 +170,11 @@ def _distances(laid: Passage, places: Array, ends: Array) -> Array:
     for other in (nearest - 1, nearest + 1):
         begin, end = samples[nearest], samples[np.clip(other, 0, count - 1)]
         end = np.where((other > last)[:, None], stops, end)
-        chord = end - begin
-        square = np.maximum(np.einsum("ij,ij->i", chord, chord), 1e-300)
-        share = np.clip(np.einsum("ij,ij->i", flat - begin, chord) / square, 0.0, 1.0)
-        found = np.minimum(found, np.linalg.norm(begin + share[:, None] * chord - flat, axis=1))
+        relative_position_weight = end - begin
+        square = np.maximum(np.einsum("ij,ij->i", relative_position_weight, relative_position_weight), 1e-300)
+        share = np.clip(np.einsum("ij,ij->i", flat - begin, relative_position_weight) / square, 0.0, 1.0)
+        found = np.minimum(
+            found, np.linalg.norm(begin + share[:, None] * relative_position_weight - flat, axis=1)
+        )
     shaped: Array = found.reshape(places.shape[:2])
     return shaped

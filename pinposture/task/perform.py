@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture._validation import require_positive
 from pinposture.arm import Arm
 from pinposture.collision import Scene
-from pinposture.control import ConstrainedQP, Controller, Limits, controller_named
+from pinposture.control import Controller, Geodesic, Limits, controller_named
 from pinposture.control.limits import cycle_of
-from pinposture.control.planner.path import Course, JointPath, Pace
+from pinposture.control.planner.path import JointPath, PathProgress, SpeedProfile
 from pinposture.errors import InvalidValue
 from pinposture.motion.motion import Motion
 from pinposture.motion.track import PROGRESS_SHARE, STALL_TRAVEL, ControlLoop, in_scene
@@ -53,7 +53,7 @@ class Guide:
         offsets = np.minimum(np.maximum(reference.offsets, self._lower), self._upper)
         # What does not move the arm is not ours to move.
         self.path = JointPath(arm, reference.start, offsets * (arm.moved > 0.0))
-        self.pace = Pace(self.path, bounds.bound, bounds.brake, self.most)
+        self.pace = SpeedProfile(self.path, bounds.bound, bounds.brake, self.most)
 
     @property
     def end(self) -> float:
@@ -115,7 +115,7 @@ STEPS, MORE = 10.0, 3000
 
 def perform(
     reference: Reference,
-    controller: str | Controller = "qp",
+    controller: str | Controller = "geodesic",
     limits: Limits | None = None,
     scene: Scene | None = None,
     q0: ArrayLike | None = None,
@@ -125,10 +125,10 @@ def perform(
     """Move an arm along a reference, within its limits.
 
     The arm first comes to where the reference begins, if it is not there. Then time runs as planned where the
-    limits of speed and acceleration allow it and slower where they do not. "qp" looks ahead: it slows down in
-    time, and keeps to the way of the reference; where something in the scene is in its way, it goes to the
-    next named place by a way of its own. Other controllers are given targets that move, and time waits for
-    them where they fall behind.
+    limits of speed and acceleration allow it and slower where they do not. "geodesic" looks ahead: it slows
+    down in time, and keeps to the way of the reference; where something in the scene is in its way, it goes
+    to the next named place by a way of its own. Other controllers are given targets that move, and time
+    waits for them where they fall behind.
 
     Args:
         reference: what the arm should do when.
@@ -143,7 +143,7 @@ def perform(
 
     Returns:
         The motion. `run.status` is "converged" where the arm came to its last posture, else as for `track`;
-        `slowing` tells how many times as long as planned it took.
+        `time_scale` tells how many times as long as planned it took.
 
     Raises:
         InvalidValue: limits without dt, or so tight that it would never end; q0 or the tolerance do not fit.
@@ -170,7 +170,7 @@ def perform(
 def move_through(
     arm: Arm,
     keyframes: Sequence[Keyframe],
-    controller: str | Controller = "qp",
+    controller: str | Controller = "geodesic",
     limits: Limits | None = None,
     scene: Scene | None = None,
     q0: ArrayLike | None = None,
@@ -215,9 +215,9 @@ class _Performance:
         status, reason = self._come_to(0.0)
         if status != "converged":
             return status, f"on the way to the first posture: {reason}"
-        self.log.set_out()
+        self.log.start_index()
         controller = self.loop.controller
-        ended = self._look_ahead(controller) if isinstance(controller, ConstrainedQP) else self._lead()
+        ended = self._look_ahead(controller) if isinstance(controller, Geodesic) else self._lead()
         return self._come_to(self.guide.end) if ended is None else ended
 
     def _come_to(self, place: float, due: int = 0) -> tuple[str, str]:
@@ -269,23 +269,23 @@ class _Performance:
             self.log.fill(self.loop, place, target)
         return ended
 
-    def _look_ahead(self, controller: ConstrainedQP) -> tuple[str, str] | None:
+    def _look_ahead(self, controller: Geodesic) -> tuple[str, str] | None:
         """Go along with a controller that knows the way; None at its end, else status and reason."""
         loop, guide = self.loop, self.guide
         while self._place < guide.end:
             begun, target = self._place, guide.target(self._place)
-            way, course = guide.way(begun), None
+            way, progress = guide.way(begun), None
             loop.memory = controller.along(loop.state, way, target, loop.limits, guide.most, loop.memory)
             while self._place < guide.end:
-                foreseen = guide.next(self._place, 0.0 if course is None else course.speed)
+                foreseen = guide.next(self._place, 0.0 if progress is None else progress.speed)
                 target = guide.target(foreseen)
                 step = loop.compute_step(target)
                 own = step.memory.own
-                if not (isinstance(own, Course) and own.given):
+                if not (isinstance(own, PathProgress) and own.given):
                     break
                 if step.diagnostics.reason and not own.arrived:
                     break
-                course, place = own, begun + own.place
+                progress, place = own, begun + own.place
                 target = target if place == foreseen else guide.target(place)
                 loop.take_step(step, target)
                 ended = self._moved(place, target)

@@ -17,7 +17,7 @@ from pinposture.arm.manipulability import chosen_points
 from pinposture.collision import Scene
 from pinposture.collision.obstacles import KINDS, Obstacle, obstacle_from_dict
 from pinposture.collision.scene import obstacles_around
-from pinposture.control import ConstrainedQP, Controller, EndEffector, Limits, controller_named
+from pinposture.control import Controller, EndEffector, Geodesic, Limits, controller_named
 from pinposture.control.limits import cycle_of
 from pinposture.curve import Curve
 from pinposture.curve.presets import CURVES
@@ -110,7 +110,7 @@ def make_tip(document: Document, where: Place, spec: TipSpec) -> EndEffector:
     place = pin.SE3(pin.rpy.rpyToMatrix(*(spec.rotation or (0.0, 0.0, 0.0))), np.array(spec.position))
     point = spec.point - 1 if isinstance(spec.point, int) and spec.point > 0 else spec.point
     given: dict[str, Any] = {"pose": place} if spec.rotation is not None else {"position": place.translation}
-    for key in ("weight", "strict", "axis_only", "length"):
+    for key in ("weight", "priority", "direction_only", "length"):
         given[key] = getattr(spec, key)
     with document.blaming(where):
         tip = EndEffector(**given, point=point)
@@ -271,13 +271,13 @@ def make_limits(document: Document, spec: LimitsSpec, arm: Arm) -> Limits:
 
 
 def make_controller(document: Document, spec: ControllerSpec) -> Controller:
-    """The controller, by name, with what only the qp knows."""
+    """The controller, by name, with what only geodesic knows."""
     controller = controller_named(spec.name)
-    for key in ("haste", "chord"):
+    for key in ("joint_weight", "relative_position_weight"):
         number = getattr(spec, key)
         if number is not None:
-            if not isinstance(controller, ConstrainedQP):
-                reason = f"is for the controller 'qp'; it is {spec.name!r}"
+            if not isinstance(controller, Geodesic):
+                reason = f"is for the controller 'geodesic'; it is {spec.name!r}"
                 raise document.fault(("controller", key), reason)
             with document.blaming(("controller",), key):
                 controller = replace(controller, **{key: number})

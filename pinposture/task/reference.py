@@ -14,7 +14,7 @@ from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import EndEffector
 from pinposture.errors import InvalidValue, PostureWarning, TaskError
-from pinposture.motion.motion import Motion, Passed
+from pinposture.motion.motion import Motion, Waypoint
 from pinposture.motion.track import ControlLoop
 from pinposture.placement import Target
 from pinposture.placement.curve_placement import Moved
@@ -125,7 +125,7 @@ class Log:
         self._targets += [target] * missing
         self._places[-1] = place
 
-    def set_out(self) -> None:
+    def start_index(self) -> None:
         """The plan begins here."""
         self._begun = len(self._places) - 1
 
@@ -137,39 +137,39 @@ class Log:
         """Everything so far, as a result."""
         reference, places = self._reference, np.array(self._places)
         run = loop.record.trajectory(loop.arm, loop.controller, loop.limits, status, reason)
-        asked = np.array([target.placed for target in self._targets])
+        asked = np.array([target.has_target for target in self._targets])
         dt = reference.duration if loop.limits.dt is None else loop.limits.dt
         return Motion(
             run=run,
             targets=np.array([target.points for target in self._targets]),
-            asked=asked,
-            clock=np.minimum(places * reference.interval, reference.duration),
-            set_out=len(places) - 1 if self._begun is None else self._begun,
+            target_mask=asked,
+            plan_time=np.minimum(places * reference.interval, reference.duration),
+            start_index=len(places) - 1 if self._begun is None else self._begun,
             planned=reference.duration,
-            passed=tuple(self._passed(mark, places, run.q, run.points, dt) for mark in reference.marks),
-            detours=tuple(self._notes),
+            waypoints=tuple(self._passed(mark, places, run.q, run.points, dt) for mark in reference.marks),
+            deviations=tuple(self._notes),
         )
 
-    def _passed(self, mark: Mark, places: Array, q: Array, points: Array, dt: float) -> Passed:
+    def _passed(self, mark: Mark, places: Array, q: Array, points: Array, dt: float) -> Waypoint:
         """How a named place was passed: at the row that came nearest to it in time."""
         planned, begun = mark.row * self._reference.interval, self._begun
         there = np.flatnonzero(places[begun:] >= mark.row - ROUNDING)
         if begun is None or not len(there):
-            return Passed(mark.name, planned, None, None, None, off_curve(mark), moved=mark.target.moved)
+            return Waypoint(mark.name, planned, None, None, None, off_curve(mark), moved=mark.target.moved)
         row = begun + int(there[0])
         if row > begun and mark.row - places[row - 1] < places[row] - mark.row:
             row -= 1
-        placed = mark.target.placed
+        placed = mark.target.has_target
         off = np.linalg.norm((mark.target.points - points[row])[placed], axis=1)
         tip = None if mark.tip is None else tip_off(mark, self._reference.arm.at(q[row]))
         reached, error, moved = (row - begun) * dt, float(off.mean()), mark.target.moved
-        return Passed(mark.name, planned, reached, row, error, off_curve(mark), tip, moved)
+        return Waypoint(mark.name, planned, reached, row, error, off_curve(mark), tip, moved)
 
 
 def off_curve(mark: Mark) -> float | None:
     """How far off its curve a named place is at most [m]; None if there is no curve."""
     residual = mark.target.residual
-    return None if residual is None else float(residual[mark.target.placed].max())
+    return None if residual is None else float(residual[mark.target.has_target].max())
 
 
 def tip_off(mark: Mark, state: ArmState) -> float:

@@ -299,7 +299,7 @@ class InTurn:
         found, parameters = np.zeros(len(self._arm.columns)), np.empty(self._arm.n_modules)
         measured = knots, coefficients[None], 3, ends, ends, series
         given = SAMPLES, self._units, self._shapes, *self._limits
-        if kernels.walk_along(*measured, *given, state, found, parameters) >= 0:
+        if kernels.place_modules(*measured, *given, state, found, parameters) >= 0:
             return None
         positions = np.zeros(self._arm.nv)
         positions[self._arm.columns] = found

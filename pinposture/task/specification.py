@@ -278,7 +278,7 @@ class ArmTable(TableSpec):
     locked: dict[str, float] = Field(default_factory=dict)
     package_dirs: list[str] = Field(default_factory=list)
     placement: PlacementTable | None = None
-    sliding_unit: LengthOrNone = None
+    characteristic_length: LengthOrNone = None
 
     @classmethod
     def check_keys(cls, values: Mapping[str, Any]) -> None:
@@ -397,11 +397,11 @@ def _for_all(value: object, arm: Arm, allowed: str, turning: str, sliding: str) 
 
 
 class ControllerSpec(TableSpec):
-    """The controller, by name, with what only the qp knows."""
+    """The controller, by name, with what only geodesic knows."""
 
-    name: Annotated[str, _one_of(*CONTROLLERS)] = "qp"
-    haste: NumberOrNone = None
-    chord: NumberOrNone = None
+    name: Annotated[str, _one_of(*CONTROLLERS)] = "geodesic"
+    joint_weight: NumberOrNone = None
+    relative_position_weight: NumberOrNone = None
 
 
 class StartSpec(TableSpec):
@@ -455,8 +455,8 @@ class TipSpec(TableSpec):
     rotation: Rotation = None
     point: int | str = -1
     weight: Number = 1.0
-    strict: Flag = False
-    axis_only: Flag = False
+    priority: Flag = False
+    direction_only: Flag = False
     length: LengthOrNone = None
 
     @field_validator("point", mode="before")

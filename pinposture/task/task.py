@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.collision.pipe import pipe
-from pinposture.control import ConstrainedQP, Controller, Limits, controller_named
+from pinposture.control import Controller, Geodesic, Limits, controller_named
 from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.motion import Motion
 from pinposture.storage import settled
@@ -74,7 +74,7 @@ class Task:
     arm: Arm
     motion: tuple[Keyframe, ...] | Leader
     limits: Limits
-    controller: Controller = field(default_factory=ConstrainedQP)
+    controller: Controller = field(default_factory=Geodesic)
     scene: Scene | None = None
     start: Array | None = None
     continuity: Literal["velocity", "acceleration"] = "velocity"

@@ -20,7 +20,7 @@ from pinposture.arm.specification import roll_pitch_yaw
 from pinposture.arm.urdf_reader import load_text
 from pinposture.collision import Mesh, Scene
 from pinposture.collision.obstacles import Obstacle
-from pinposture.control import CONTROLLERS, ConstrainedQP, Controller, EndEffector, Limits
+from pinposture.control import CONTROLLERS, Controller, EndEffector, Geodesic, Limits
 from pinposture.curve import Curve
 from pinposture.errors import FileError, PostureError, PostureWarning
 from pinposture.storage import check_writable, relative, settled, write_text
@@ -199,8 +199,10 @@ def write_arm(arm: Arm, wording: Wording) -> WrittenArm:
         reason = "it was made of a Pinocchio model and has no URDF; load it by Arm.from_urdf"
         raise FileError(wording.file, f"arm: no file can describe it: {reason}")
     if spec.template is not None and spec.modules is not None and spec.modules > MOST_MODULES:
-        place, unit = spec.placement, spec.sliding_unit
-        spec = ArmSpec(urdf=arm.urdf, split=arm.report.segmentation.sizes, placement=place, sliding_unit=unit)
+        place, unit = spec.placement, spec.characteristic_length
+        spec = ArmSpec(
+            urdf=arm.urdf, split=arm.report.segmentation.sizes, placement=place, characteristic_length=unit
+        )
     file = spec.urdf
     if file is None or (isinstance(file, Path) and (wording.read or _still(file, arm.urdf, wording))):
         return WrittenArm(spec)
@@ -237,7 +239,7 @@ _OF_A_LEADER: dict[str, Any] = {
     "and_back": False,
     "pipe": None,
 }
-_OF_A_TIP: dict[str, Any] = {"weight": 1.0, "strict": False, "axis_only": False, "length": None}
+_OF_A_TIP: dict[str, Any] = {"weight": 1.0, "priority": False, "direction_only": False, "length": None}
 
 
 def write_keyframe(keyframe: Keyframe, usual: str, wording: Wording) -> dict[str, Any]:
@@ -358,20 +360,27 @@ def write_controller(controller: Controller, wording: Wording) -> dict[str, Any]
     Raises:
         FileError: one whose parameters no file can say.
     """
-    usual = ConstrainedQP()
-    if isinstance(controller, ConstrainedQP):
-        if replace(usual, haste=controller.haste, chord=controller.chord) == controller:
-            own = {key: getattr(controller, key) for key in ("haste", "chord")}
+    usual = Geodesic()
+    if isinstance(controller, Geodesic):
+        if (
+            replace(
+                usual,
+                joint_weight=controller.joint_weight,
+                relative_position_weight=controller.relative_position_weight,
+            )
+            == controller
+        ):
+            own = {key: getattr(controller, key) for key in ("joint_weight", "relative_position_weight")}
             own = {key: value for key, value in own.items() if value != getattr(usual, key)}
-            return {"name": "qp", **own} if own else {}
+            return {"name": "geodesic", **own} if own else {}
     else:
         for name, make in CONTROLLERS.items():
             if make() == controller:
                 return {"name": name}
-    reason = (
-        f"no file can say all of {shown(controller)}; allowed: a name with its usual parameters, and haste"
+    allowed = "a name with its usual parameters; joint_weight and relative_position_weight for 'geodesic'"
+    raise FileError(
+        wording.file, f"controller: no file can say all of {shown(controller)}; allowed: {allowed}"
     )
-    raise FileError(wording.file, f"controller: {reason} and chord for 'qp'")
 
 
 def write_scene(scene: Scene, wording: Wording) -> Any:

@@ -221,7 +221,7 @@ NO_SIZE = 1e-3
 def moving_target_tracks(motion: Motion, playback: Playback) -> list[Track]:
     """How targets that have been drawn move, come and go."""
     held, times = playback.key_rows, playback.key_times
-    targets, asked = motion.targets[playback.rows], motion.asked[playback.rows]
+    targets, asked = motion.targets[playback.rows], motion.target_mask[playback.rows]
     turns = hoop_turns(motion.arm, targets, asked)
     listed = []
     for k in targeted_points(motion):
@@ -298,4 +298,4 @@ def _shortest_rotations(before: Array, after: Array) -> Rotation:
 
 def targeted_points(motion: Motion) -> NDArray[np.intp]:
     """Control points, 0-based, that have a target at some time."""
-    return np.asarray(np.flatnonzero(motion.asked.any(axis=0)))
+    return np.asarray(np.flatnonzero(motion.target_mask.any(axis=0)))

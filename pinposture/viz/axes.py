@@ -179,7 +179,7 @@ def footnote(figure: Figure, text: str) -> None:
 def placement_text(run: Trajectory | Motion) -> str:
     """How curves were moved from where they were drawn, in words; empty if none was."""
     if isinstance(run, Motion):
-        told = [f"{place.name} {place.moved}" for place in run.passed if place.moved]
+        told = [f"{place.name} {place.moved}" for place in run.waypoints if place.moved]
         return f"curves: {', '.join(told)}" if told else ""
     return f"curve {run.target.moved} to the base of the arm" if run.target.moved else ""
 
@@ -205,15 +205,15 @@ def motion_ending_text(motion: Motion) -> str:
 
 def slowdown_text(motion: Motion) -> str:
     """How much a motion was slowed down, after a comma; empty if it was not, or did not get to its end."""
-    if motion.clock[-1] < motion.planned or not is_slowed(motion):
+    if motion.plan_time[-1] < motion.planned or not is_slowed(motion):
         return ""
-    since = f"from {motion.time[motion.set_out]:.4g} s on " if motion.set_out else ""
-    return f", {since}{motion.slowing:.3g} times as long as planned"
+    since = f"from {motion.time[motion.start_index]:.4g} s on " if motion.start_index else ""
+    return f", {since}{motion.time_scale:.3g} times as long as planned"
 
 
 def is_slowed(motion: Motion) -> bool:
     """Whether something slowed a motion down, by more than one sees."""
-    return motion.slowing > SLOWED
+    return motion.time_scale > SLOWED
 
 
 # Named places of a motion.
@@ -244,7 +244,7 @@ class Place(NamedTuple):
 
 def shown_places(motion: Motion) -> list[Place]:
     """The places that a motion came to, in order; of very many the first, the last and some in between."""
-    reached = [(place.name, place.row) for place in motion.passed if place.row is not None]
+    reached = [(place.name, place.row) for place in motion.waypoints if place.row is not None]
     if len(reached) > MOST:
         reached = [reached[k] for k in np.round(np.linspace(0, len(reached) - 1, MOST)).astype(int)]
     shares = np.linspace(1.0, 0.0, len(reached))[::-1]  # the only one is the last one

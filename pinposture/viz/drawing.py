@@ -135,13 +135,13 @@ class Outline(NamedTuple):
 def outline(arm: Arm, target: Target) -> Outline:
     """The line that a target posture lies on, as far as it is known."""
     if target.curve is None:
-        return Outline((), ()) if target.q is None else _posture(arm, target.q, target.placed)
+        return Outline((), ()) if target.q is None else _posture(arm, target.q, target.has_target)
     curve, length = target.curve, target.curve.length
     if target.parameters is None:
         return Outline((curve.at(np.linspace(0.0, length, SAMPLES)),), ())
     places = np.clip(np.append(0.0, target.parameters), 0.0, length)
-    end = float(np.max(places[1:][target.placed], initial=0.0))
-    spans = [(float(places[run].min()), float(places[run].max())) for run in _consecutive(target.placed)]
+    end = float(np.max(places[1:][target.has_target], initial=0.0))
+    spans = [(float(places[run].min()), float(places[run].max())) for run in _consecutive(target.has_target)]
     covered = _merged(spans)
     edges = [0.0, *(edge for span in covered for edge in span), min(length, end + BEYOND * arm.length)]
     # Less than this of a line cannot be seen, and may not have a direction.
@@ -271,7 +271,7 @@ def scene_points(arm: Arm, run: Trajectory | None, target: Target | None) -> Arr
         points.append(run.points.reshape(-1, 3))
     if target is not None:
         lines = outline(arm, target)
-        points += [target.points[target.placed], *lines.covered, *lines.rest]
+        points += [target.points[target.has_target], *lines.covered, *lines.rest]
     if run is None:
         points.append(backbone(arm, arm.neutral()))
         # The arm may be shown anywhere later on; leave room around its base.

@@ -132,7 +132,7 @@ def _lever_arms(arm: Arm, point: int) -> Array:
     end = chain.module_slices[point].stop
     legs = np.linalg.norm(np.diff(np.vstack([chain.origins[:end], chain.points[point]]), axis=0), axis=1)
     reach = np.cumsum(legs[::-1])[::-1]
-    return np.where(chain.revolute[:end], reach, arm.sliding_unit)
+    return np.where(chain.revolute[:end], reach, arm.characteristic_length)
 
 
 def _circle() -> Array:

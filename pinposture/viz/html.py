@@ -54,12 +54,12 @@ def _motion_text(motion: Motion, row: int) -> str:
     """A configuration of a motion in words."""
     text = f"{motion.time[row]:.2f} of {motion.time[-1]:.2f} s"
     if is_slowed(motion):
-        text += f" ({motion.clock[row]:.2f} of {motion.planned:.2f} s of the plan)"
-    count = sum(place.row is not None and place.row <= row for place in motion.passed)
-    if row < motion.set_out:
+        text += f" ({motion.plan_time[row]:.2f} of {motion.planned:.2f} s of the plan)"
+    count = sum(place.row is not None and place.row <= row for place in motion.waypoints)
+    if row < motion.start_index:
         text += ", coming to the first posture"
     elif count:
-        text += f", reached {motion.passed[count - 1].name} ({count} of {len(motion.passed)})"
+        text += f", reached {motion.waypoints[count - 1].name} ({count} of {len(motion.waypoints)})"
     return f"{text}, posture error {motion.run.posture_error[row]:.3g} m"
 
 

@@ -236,7 +236,7 @@ def add_target(viewer: Visualizer, arm: Arm, target: Target) -> None:
         paths = [path for path in map(_without_repeats, lines) if len(path) > 1]
         if paths:
             add(viewer, f"{ROOT}/target/{part}", merge([tube(path, radius) for path in paths]), colors[part])
-    dots = [ball(point, 2.8 * radius, 1) for point in target.points[target.placed]]
+    dots = [ball(point, 2.8 * radius, 1) for point in target.points[target.has_target]]
     if dots:
         add(viewer, f"{ROOT}/target/points", merge(dots), palette.TARGET)
 
@@ -245,16 +245,16 @@ def add_moving_targets(viewer: Visualizer, motion: Motion, places: Sequence[Plac
     """Draw the targets of a motion where it starts, and thin lines through those at named places."""
     arm, radius = motion.arm, link_radius(motion.arm)
     for number, place in enumerate(places, start=1):
-        points = motion.targets[place.row][motion.asked[place.row]]
+        points = motion.targets[place.row][motion.target_mask[place.row]]
         line = _without_repeats(np.vstack([arm.chain.base, points]), 1e-9 * arm.length)
         if len(line) > 1:
             add(viewer, f"{ROOT}/target/place_{number:03d}", tube(line, LINE_RADIUS * radius), place.color)
     around = 2.0 * np.pi * np.arange(HOOP_SIDES + 1) / HOOP_SIDES
     circle = np.stack([np.cos(around), np.sin(around), np.zeros(HOOP_SIDES + 1)], axis=1)
     hoop = tube(HOOP_RADIUS * POINT_SIZE * radius * circle, WIRE_RADIUS * POINT_SIZE * radius)
-    turns = hoop_turns(arm, motion.targets[:1], motion.asked[:1])
+    turns = hoop_turns(arm, motion.targets[:1], motion.target_mask[:1])
     for k in targeted_points(motion):
-        size = 1.0 if motion.asked[0, k] else NO_SIZE
+        size = 1.0 if motion.target_mask[0, k] else NO_SIZE
         turn = Rotation.from_quat(turns[0, k]).as_matrix()
         add(viewer, hoop_path(k), hoop, palette.TARGET)
         viewer[hoop_path(k)].set_transform(_transform(motion.targets[0, k], size * turn))
@@ -383,7 +383,7 @@ def draw_scene(
     seen = np.vstack([scene_points(arm, run, target), axis_ends(ellipsoids)])
     places: list[list[Place]] = []
     if motion is not None:
-        seen = np.vstack([seen, motion.targets[motion.asked]])
+        seen = np.vstack([seen, motion.targets[motion.target_mask]])
         places = group_alike(motion, shown_places(motion))
     obstacles = shown_obstacles(scene, seen)
     set_camera(viewer, arm, np.vstack([seen, shown_corners(obstacles)]))

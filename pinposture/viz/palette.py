@@ -24,11 +24,11 @@ CONTROLLERS = {
     "selection": "#D55E00",
     "projection": "#009E73",
     "switching": "#CC79A7",
-    "qp": "#E69F00",
+    "geodesic": "#E69F00",
 }
 """Colour of each controller, by its name."""
 
-SHORT = {"constrainedqp": "qp"}
+SHORT = {"constrainedqp": "geodesic"}
 """Short names of controllers whose parameters in words begin with another, in small letters."""
 
 SPARE = ("#56B4E9", "#8C510A", "#6A51A3", "#666666")

@@ -80,14 +80,14 @@ def plot_point_errors(run: Trajectory, ax: Axes) -> None:
     """
     m = run.arm.n_modules
     colors, norm = colors_along(m)
-    for k in np.flatnonzero(run.target.placed):
+    for k in np.flatnonzero(run.target.has_target):
         marker = "" if run.steps else "o"
         steps = np.arange(run.steps + 1)
         ax.plot(steps, run.point_errors[:, k], color=colors(norm(k + 1)), lw=1.0, marker=marker, ms=3)
     format_step_axes(ax, "point errors [m]")
     scale_values(ax)
     add_colorbar([ax], m, "control point", pad=0.02, aspect=16)
-    free = m - int(np.count_nonzero(run.target.placed))
+    free = m - int(np.count_nonzero(run.target.has_target))
     if free:
         note = f"{free} of {m} control points have no target"
         ax.set_title(note, fontsize=8, loc="right", color=palette.INK)
@@ -240,7 +240,7 @@ def plot_clearance(
 def mark_escapes(run: Trajectory, ax: Axes, time: Array | None = None) -> None:
     """Shade the steps of a run that were meant as an escape, in which the posture error may rise."""
     places = np.arange(run.steps + 1) if time is None else time
-    steps = np.flatnonzero(run.escape)
+    steps = np.flatnonzero(run.error_increasing)
     if len(steps):
         blocks = np.split(steps, np.flatnonzero(np.diff(steps) > 1) + 1)
         ends = [(float(places[block[0]]), float(places[block[-1] + 1])) for block in blocks]
@@ -253,9 +253,9 @@ def mark_escapes(run: Trajectory, ax: Axes, time: Array | None = None) -> None:
 def mark_relaxed(run: Trajectory, ax: Axes, time: Array | None = None) -> None:
     """Mark on the axis below the steps in which constraints gave way; the legend quotes the first of them."""
     places = np.arange(run.steps + 1) if time is None else time
-    steps: NDArray[np.intp] = np.flatnonzero(run.relaxed != "")
+    steps: NDArray[np.intp] = np.flatnonzero(run.violated_constraints != "")
     if len(steps):
-        words = textwrap.shorten(str(run.relaxed[steps[0]]), LONGEST_REASON, placeholder=" ...")
+        words = textwrap.shorten(str(run.violated_constraints[steps[0]]), LONGEST_REASON, placeholder=" ...")
         label = f"gave way in {len(steps)} step{'s' * (len(steps) > 1)}: {words}"
         style: dict[str, Any] = {"ls": "none", "marker": "|", "ms": 7.0, "mew": 1.2, "color": palette.MARK}
         where: dict[str, Any] = {"transform": ax.get_xaxis_transform(), "clip_on": False, "zorder": 6}
@@ -325,9 +325,9 @@ def plot_error(motion: Motion, ax: Axes) -> None:
             mark_end(ax, float(motion.time[-1]), float(values[-1]), color, "m")
     mark_escapes(run, ax, motion.time)
     mark_relaxed(run, ax, motion.time)
-    if motion.set_out:
+    if motion.start_index:
         style: dict[str, Any] = {"color": palette.FAINT, "alpha": 0.5, "lw": 0.0, "zorder": 0.4}
-        ax.axvspan(0.0, motion.time[motion.set_out], label="coming to the first posture", **style)
+        ax.axvspan(0.0, motion.time[motion.start_index], label="coming to the first posture", **style)
     add_legend(ax, inside=True)
 
 
@@ -365,11 +365,11 @@ def plot_plan_time(motion: Motion, ax: Axes) -> None:
         motion: the motion.
         ax: where to draw.
     """
-    begun = float(motion.time[motion.set_out])
+    begun = float(motion.time[motion.start_index])
     plan = [0.0, begun, begun + motion.planned]
     ax.plot(plan, [0.0, 0.0, motion.planned], color=palette.INK, lw=1.0, ls=DASHES, label="as planned")
-    label = f"as it was, {motion.slowing:.3g} times as long"
-    ax.plot(motion.time, motion.clock, color=palette.SPARE[1], lw=1.6, label=label)
+    label = f"as it was, {motion.time_scale:.3g} times as long"
+    ax.plot(motion.time, motion.plan_time, color=palette.SPARE[1], lw=1.6, label=label)
     format_time_axes(ax, "time of the plan [s]")
     ax.set_xlim(0.0, float(motion.time[-1]) or 1.0)
     add_legend(ax, columns=2)

@@ -93,10 +93,10 @@ def plot_motion(motion: Motion) -> Figure:
     places = shown_places(motion)
     mark_places(places, panels, [float(time[place.row]) for place in places])
     share_axis(panels)
-    detours = [f"Detour: {text}" for text in motion.detours[:MOST_DETOURS]]
-    if len(motion.detours) > MOST_DETOURS:
-        detours.append(f"and {len(motion.detours) - MOST_DETOURS} more")
-    title(figure, [f"{controller_name(run)} {motion_ending_text(motion)}: {run.reason}", *detours])
+    deviations = [f"Detour: {text}" for text in motion.deviations[:MOST_DETOURS]]
+    if len(motion.deviations) > MOST_DETOURS:
+        deviations.append(f"and {len(motion.deviations) - MOST_DETOURS} more")
+    title(figure, [f"{controller_name(run)} {motion_ending_text(motion)}: {run.reason}", *deviations])
     footnote(figure, "; ".join(filter(None, [placement_text(motion), run.controller])))
     figure.draw_without_rendering()  # the layout of a high legend settles in the second drawing only
     return figure
@@ -115,10 +115,10 @@ def plot_places(motion: Motion, ax: Axes) -> None:
     run, panel = motion.run, PosturePanel(motion.arm, ax)
     groups = group_alike(motion, shown_places(motion))
     rows = [group[0].row for group in groups]
-    targets = [motion.targets[row][motion.asked[row]] for row in rows or [motion.steps]]
+    targets = [motion.targets[row][motion.target_mask[row]] for row in rows or [motion.steps]]
     rings: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 4.6, "mfc": "white", "mew": 0.8}
     panel.line(np.vstack(targets), label="target points", zorder=3, mec=palette.TARGET, **rings)
-    if motion.set_out or not groups:
+    if motion.start_index or not groups:
         panel.posture(run.q[0], palette.START, "initial posture", width=1.2)
     for group in groups:
         label = "; ".join(f"{place.name}, {motion.time[place.row]:.3g} s" for place in group)

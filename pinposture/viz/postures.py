@@ -120,7 +120,7 @@ class PosturePanel:
 
         Only what lies between target points that follow each other is drawn boldly; free points are left out.
         """
-        placed = target.placed
+        placed = target.has_target
         lines = outline(self.arm, target)
         style: dict[str, Any] = {"color": palette.TARGET, "zorder": 3, "solid_capstyle": "round"}
         known = "posture" if target.curve is None else "curve"

@@ -153,13 +153,13 @@ def test_slides_and_turns_are_compared_by_a_scale_that_can_be_chosen() -> None:
     modules = [pp.ModuleTemplate("s", (pp.JointSpec("y"), pp.JointSpec("z"), SLIDE), (0.02, 0.03, 0.05))] * 3
     arm = pp.Arm.from_modules(modules)
     q = arm.random(np.random.default_rng(1))
-    assert arm.sliding_unit == pytest.approx(0.1)
+    assert arm.characteristic_length == pytest.approx(0.1)
     for unit in (0.1, 0.01):
         scaled = arm.with_sliding_unit(unit)
         expected = enumeration.index(arm.at(q).jacobians[2] * np.tile([1.0, 1.0, unit], 3))
         assert scaled.at(q).manipulability()[0, 3] == pytest.approx(expected, abs=1e-7)
-        assert pickle.loads(pickle.dumps(scaled)).sliding_unit == unit
-        assert pp.Arm.from_dict(scaled.to_dict()).sliding_unit == unit
+        assert pickle.loads(pickle.dumps(scaled)).characteristic_length == unit
+        assert pp.Arm.from_dict(scaled.to_dict()).characteristic_length == unit
     # Ten times the size: the same indices.
     ten = [pp.ModuleTemplate("s", (pp.JointSpec("y"), pp.JointSpec("z"), SLIDE_10), (0.2, 0.3, 0.5), 0.1)] * 3
     large, bigger = pp.Arm.from_modules(ten), q * np.tile([1.0, 1.0, 10.0], 3)
@@ -171,7 +171,7 @@ def test_slides_and_turns_are_compared_by_a_scale_that_can_be_chosen() -> None:
         small = controller_named(name).step(arm.at(q), goal, free).dq
         found = controller_named(name).step(large.at(bigger), ten_times, free).dq
         np.testing.assert_allclose(found, small * np.tile([1.0, 1.0, 10.0], 3), atol=1e-6)
-    with pytest.raises(InvalidValue, match="sliding_unit"):
+    with pytest.raises(InvalidValue, match="characteristic_length"):
         arm.with_sliding_unit(0.0)
 
 

@@ -73,14 +73,14 @@ def test_the_pass_along_the_chain_gives_what_pinocchio_does(seed):
         state = arm.at(q)
         assert state.frames is not None
         size = max(1.0, arm.length)
-        np.testing.assert_allclose(state.placed.points, state.points, atol=1e-12 * size)
-        np.testing.assert_allclose(state.placed.rotations, state.rotations, atol=1e-12)
-        compiled = arm.kinematics.jacobians(state.placed)
+        np.testing.assert_allclose(state.forward.points, state.points, atol=1e-12 * size)
+        np.testing.assert_allclose(state.forward.rotations, state.rotations, atol=1e-12)
+        compiled = arm.kinematics.jacobians(state.forward)
         np.testing.assert_allclose(compiled, state.jacobians, atol=1e-12 * size)
-        lines = state.placed.axes, state.placed.origins
+        lines = state.forward.axes, state.forward.origins
         chain, known, screws = arm.kinematics, constants_of(arm), screws_of(state).screws
         along = np.empty_like(screws)
-        given = known.joints, chain.slides, known.units, *lines, chain.ends, state.placed.points
+        given = known.joints, chain.slides, known.units, *lines, chain.ends, state.forward.points
         kernels.find_screws(*given, along)
         np.testing.assert_allclose(along, screws, atol=1e-12 * size * known.units.max())
 

@@ -110,7 +110,7 @@ def test_an_arm_of_any_size_behaves_alike(name, factor):
     far, away = (np.linalg.norm(a.at(a.straight()).points[-1] - a.chain.base) for a in (arm, other))
     assert away == pytest.approx(far * factor, rel=1e-4)
     curve, larger = pp.Curve.helix(1.0, 1.0, 1.0), pp.Curve.helix(factor, factor, 1.0)
-    fit, fits = arm.adequate(curve), other.adequate(larger)
+    fit, fits = arm.can_follow(curve), other.can_follow(larger)
     assert fits.max_curvature * factor == pytest.approx(fit.max_curvature, rel=1e-6)
     assert bool(fits) == bool(fit)
 

@@ -88,7 +88,7 @@ def test_joints_are_grouped_as_one_would_by_hand(case):
     arm = load(joints, tip)
     assert (sizes(arm), arm.dimension) == (expected, dimension)
     assert arm.segmentation.sizes == tuple(expected)
-    assert arm.segmentation.adequate is (not case.startswith(("a plane that", "planes that")))
+    assert arm.segmentation.can_follow is (not case.startswith(("a plane that", "planes that")))
     assert ("planar" in arm.segmentation.reason) is (dimension == 2)
 
 
@@ -117,7 +117,7 @@ def test_the_end_of_every_module_moves_across_its_line_to_the_base(case):
             rank.append(np.linalg.matrix_rank(across, tol=1e-3))
         ranks.append(rank)
     assert np.all(np.median(ranks, axis=0) >= needed)
-    assert arm.segmentation.adequate or np.all(np.max(ranks, axis=0)[arm.chain.plane_bound] == 1)
+    assert arm.segmentation.can_follow or np.all(np.max(ranks, axis=0)[arm.chain.plane_bound] == 1)
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -150,7 +150,7 @@ def test_without_a_pattern_no_cut_gives_more_modules():
         links = [f"{length} 0 0" for length in 0.05 * 1.4 ** np.arange(8)]
         joints = [(TURN, axis, link) for axis, link in zip(axes, links[:7], strict=True)]
         arm = load(joints, links[7])
-        if arm.segmentation.adequate is False:
+        if arm.segmentation.can_follow is False:
             continue
         assert arm.segmentation.period is None
         most = 0
@@ -240,7 +240,7 @@ def test_any_arm_is_cut_into_modules_that_can_place_their_ends_or_is_one_module(
     cut = arm.segmentation
     assert sum(cut.sizes) == arm.nv == len(joints) and min(cut.sizes) >= 1
     assert cut.reason
-    if cut.adequate:
+    if cut.can_follow:
         assert min(cut.sizes) >= arm.dimension - 1
     elif len(cut.sizes) > 1:
         assert "in one plane at a time" in cut.reason and arm.dimension == 3

@@ -73,16 +73,16 @@ def test_the_arm_keeps_clear_of_what_it_would_hit(track, scene_file, passed):
     assert (told["margin"], told["pair"][1]) == (MARGIN, "ball")
     at = CollisionModel(run.arm, run.scene).minimum(run.q[told["after_steps"]])
     assert (at.distance, list(at.pair)) == (pytest.approx(told["smallest"]), told["pair"])
-    assert summary["path_excess"] > free["path_excess"]
+    assert summary["path_length_ratio"] > free["path_length_ratio"]
 
 
 def test_paths_and_escapes_are_those_of_the_run(passed):
     summary, run = passed
     paths = sum(np.linalg.norm(np.diff(run.points[:, k], axis=0), axis=1).sum() for k in range(6))
     direct = sum(np.linalg.norm(run.points[-1, k] - run.points[0, k]) for k in range(6))
-    assert summary["path_excess"] == pytest.approx(paths / direct)
-    assert summary["escape_share"] == run.escape.sum() / run.steps
-    assert summary["relaxed"] == []
+    assert summary["path_length_ratio"] == pytest.approx(paths / direct)
+    assert summary["escape_share"] == run.error_increasing.sum() / run.steps
+    assert summary["violated_constraints"] == []
 
 
 def test_another_controller_tells_the_distances_and_that_it_does_not_heed_them(command, arm_file, scene_file):
@@ -102,7 +102,7 @@ def test_the_table_says_what_the_json_says(command, arm_file, scene_file, passed
     assert f"{told['final']:.4g} m at the end" in words["clearance"]
     share = f"{100 * summary['escape_share']:.3g} % of the steps"
     assert share in words["escapes"] if summary["escape_share"] else "escapes" not in words
-    assert f"{summary['path_excess']:.3g} times" in words["paths"]
+    assert f"{summary['path_length_ratio']:.3g} times" in words["paths"]
     assert "gave way" not in words
 
 
@@ -111,13 +111,15 @@ def test_what_gave_way_is_told_with_the_step(command, arm_file, tmp_path, no_pic
     asked = ("track", arm_file, "--curve", "line", "--start", ABOVE, "--position-margin", 2.9)
     summary = json.loads(command(*asked, "-o", tmp_path, "--json").out)
     run = pp.load(tmp_path / "run.npz", pp.Trajectory)
-    assert summary["relaxed"][0]["step"] == 0
-    assert "position limits of joint 'm01_j2_z'" in summary["relaxed"][0]["what"][0]
-    assert {each["step"]: each["what"] for each in summary["relaxed"]} == {
-        k: text.splitlines() for k, text in enumerate(run.relaxed) if text
+    assert summary["violated_constraints"][0]["step"] == 0
+    assert "position limits of joint 'm01_j2_z'" in summary["violated_constraints"][0]["what"][0]
+    assert {each["step"]: each["what"] for each in summary["violated_constraints"]} == {
+        k: text.splitlines() for k, text in enumerate(run.violated_constraints) if text
     }
     (line,) = (line for line in command(*asked).out.splitlines() if line.startswith("gave way"))
-    assert f"something in {len(summary['relaxed'])} steps; first in step 1: position limits" in line
+    assert (
+        f"something in {len(summary['violated_constraints'])} steps; first in step 1: position limits" in line
+    )
     assert line.rstrip().endswith(" ...")
     assert len(line.rstrip()) < 300
 

@@ -56,8 +56,8 @@ def test_the_table_says_what_the_json_says(surveyed):
         row = [arm["file"], str(arm["joints"]), *sizes.split(), kind, f"{arm['length']:.4g}", arm["method"]]
         row += [f"{arm['residual']:.2g}", f"{arm['reference']:.2g}"]
         row += ["ok" if arm["ok"] else f"{arm['ratio']:.2g}", f"{arm['farthest']:.2g}"]
-        row += [f"{arm[name]:.2g}" for name in ("reached", "switching", "qp")]
-        row += [str(arm["qp_steps"]), f"{arm['path_excess']:.2g}", "yes"]
+        row += [f"{arm[name]:.2g}" for name in ("reached", "switching", "geodesic")]
+        row += [str(arm["geodesic_steps"]), f"{arm['path_length_ratio']:.2g}", "yes"]
         assert rows[arm["file"]] == row
     assert first["joints"] == 8
     assert flat["joints"] == 6
@@ -69,10 +69,10 @@ def test_the_table_says_what_the_json_says(surveyed):
         "farthest",
         "joint",
         "Switching",
-        "qp",
-        "qp steps",
+        "geodesic",
+        "geodesic steps",
     )
-    for heading in (*headings, "qp paths", "limits held"):
+    for heading in (*headings, "geodesic paths", "limits held"):
         assert heading in surveyed[0].out
 
 

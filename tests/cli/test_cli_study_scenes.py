@@ -106,7 +106,7 @@ def test_cycles_print_what_the_library_found(command):
     asked = ("study", "cycles", "--arms", "ryrz20", "--cycles", 1, "--rounds", 2)
     found = study_cycles([built_subject("ryrz20")], cycles=1, rounds=2)
     shown = json.loads(command(*asked, "--json").out)
-    assert (shown["controller"], shown["cycles"], shown["rounds"], shown["seed0"]) == ("qp", 1, 2, 0)
+    assert (shown["controller"], shown["cycles"], shown["rounds"], shown["seed0"]) == ("geodesic", 1, 2, 0)
     assert shown["runs"] == [json.loads(json.dumps(each._asdict())) for each in found]
     lines = [line.split() for line in command(*asked).out.splitlines() if line.split()[:1] == ["ryrz20"]]
     assert len(lines) == 2

@@ -89,9 +89,11 @@ def test_the_table_tells_how_far_off_the_tip_is(command, arm_file):
 
 def test_haste_takes_joints_straight_there(command, arm_file, tmp_path, no_pictures):
     excess = []
-    for haste in (0.01, 100.0):
-        options = ("--start", "random", "--seed", 2, "--haste", haste, "-o", tmp_path, "--json")
-        excess.append(json.loads(command("track", arm_file, "--curve", "helix", *options).out)["path_excess"])
+    for joint_weight in (0.01, 100.0):
+        options = ("--start", "random", "--seed", 2, "--joint-weight", joint_weight, "-o", tmp_path, "--json")
+        excess.append(
+            json.loads(command("track", arm_file, "--curve", "helix", *options).out)["path_length_ratio"]
+        )
         q = pp.load(tmp_path / "run.npz", pp.Trajectory).q
     assert excess[0] < excess[1]
     way = q[-1] - q[0]  # of the hasty one: close to a straight line through joint space
@@ -111,11 +113,14 @@ def test_haste_takes_joints_straight_there(command, arm_file, tmp_path, no_pictu
         (("--tip-weight", 2), ("--tip-weight is 2.0", "together with one of --tip-position")),
         (("--strict-tip",), ("--strict-tip is True", "together with one of --tip-position")),
         (("--hold-tip", "pose", "--tip-weight", 0), ("weight is 0", "> 0")),
-        (("--haste", 0), ("haste is 0", "> 0")),
-        (("--haste", "nan"), ("haste is nan", "> 0")),
-        (("--controller", "lm", "--haste", 1), ("--controller is 'lm'", "'qp'", "--haste")),
+        (("--joint-weight", 0), ("joint_weight is 0", "> 0")),
+        (("--joint-weight", "nan"), ("joint_weight is nan", "> 0")),
+        (
+            ("--controller", "lm", "--joint-weight", 1),
+            ("--controller is 'lm'", "'geodesic'", "--joint-weight"),
+        ),
         (("--controller", "selection", "--hold-tip", "pose", "--strict-tip"), ("--hold-tip, --strict-tip",)),
-        (("--controller", "lmm", "--haste", 1), ("did you mean 'lm'",)),
+        (("--controller", "lmm", "--joint-weight", 1), ("did you mean 'lm'",)),
     ],
 )
 def test_what_cannot_be_asked_is_refused_in_one_line(command, arm_file, options, says):

@@ -107,7 +107,7 @@ def test_the_summary_tells_how_far_the_whole_arm_is_from_the_curve(command, arm_
     run = pp.load(tmp_path / "run.npz", pp.Trajectory)
     corners = [run.arm.chain.base]
     for k, joints in enumerate(run.arm.chain.module_slices):
-        corners += [*run.arm.at(run.q[-1]).placed.origins[joints], run.points[-1][k]]
+        corners += [*run.arm.at(run.q[-1]).forward.origins[joints], run.points[-1][k]]
     shares = np.linspace(0.0, 1.0, 50)[:, None]
     places = np.concatenate([a + shares * (b - a) for a, b in pairwise(corners)])
     farthest = run.target.curve.nearest(places).distance.max()
@@ -290,7 +290,7 @@ def test_a_region_leaves_the_other_points_free(command, arm_file, tmp_path):
     found = json.loads(command(*asked, "--json").out)
     assert (found["placed_points"], found["control_points"]) == (3, 6)
     kept = pp.load(tmp_path / "out" / "run.npz", pp.Trajectory)
-    np.testing.assert_array_equal(np.flatnonzero(kept.target.placed), [2, 3, 4])
+    np.testing.assert_array_equal(np.flatnonzero(kept.target.has_target), [2, 3, 4])
 
 
 @pytest.mark.parametrize("region", ["0-3", "5-3", "3", "3-7", "a-b", "-", "1-2-3"])

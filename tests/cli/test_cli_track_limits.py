@@ -20,7 +20,7 @@ def track(command, arm_file, tmp_path, no_pictures):
     return run
 
 
-@pytest.mark.parametrize("controller", ["qp", "switching"])
+@pytest.mark.parametrize("controller", ["geodesic", "switching"])
 def test_speed_and_acceleration_limits_hold_and_bind(track, controller):
     asked = ("--velocity", 1.5, "--acceleration", 20, "--dt", 0.02, "--controller", controller)
     q = track(*asked).q

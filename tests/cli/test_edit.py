@@ -80,7 +80,7 @@ def test_what_was_never_saved_goes_on_from_what_was_kept(tmp_path):
         (("nothing.toml", None, None, None, None), FileError, "no such file"),
         (("nothing.urdf", None, None, None, None), FileError, "nothing.urdf"),
         (("RyRx", None, None, None, None), UnknownName, "did you mean 'RyRz'"),
-        (("RyRz", None, None, "many", None), InvalidValue, "--modules"),
+        (("RyRz", None, None, "batch", None), InvalidValue, "--modules"),
         (("RyRz", None, None, "1001", None), InvalidValue, "--modules is 1001; allowed: 1000 at most"),
         (("n" * 300 + ".toml", None, None, None, None), FileError, "cannot be read"),
         (("RyRz", None, "hand", None, None), InvalidValue, "--tip"),

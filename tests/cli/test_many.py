@@ -1,4 +1,4 @@
-"""`pinposture many`: the runs that track makes, all in one file."""
+"""`pinposture batch`: the runs that track makes, all in one file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SHORT = ("--controller", "projection", "--steps", 6)  # the quickest that moves
 
 
 def many(command, arm_file, *options, curve="helix"):
-    result = command("many", arm_file, "--curve", curve, "--json", *SHORT, *options)
+    result = command("batch", arm_file, "--curve", curve, "--json", *SHORT, *options)
     found = json.loads(result.out)
     assert result.code == (0 if set(found["statuses"]) == {"converged"} else 1), result.err
     return found
@@ -27,14 +27,14 @@ def test_each_run_is_the_one_of_track_with_the_next_seed(command, arm_file):
     for k, run in enumerate(found["runs"]):
         result = command("track", arm_file, "--curve", "helix", "--json", *SHORT, "--seed", 4 + k)
         alone = json.loads(result.out)
-        for name in ("status", "reason", "steps", "start_error", "final_error", "path_excess"):
+        for name in ("status", "reason", "steps", "start_error", "final_error", "path_length_ratio"):
             assert run[name] == alone[name]
         assert run["mean_error"] == pytest.approx(alone["mean_error"], rel=1e-12)
     assert len(many(command, arm_file)["runs"]) == 10
 
 
 def test_the_file_holds_what_was_said(command, arm_file, tmp_path):
-    path = tmp_path / "deep" / "many" / "batch.npz"
+    path = tmp_path / "deep" / "batch" / "batch.npz"
     found = many(command, arm_file, "--count", 2, "-o", path.parent)
     batch = pp.load(path, pp.Batch)
     assert found["file"] == str(path)
@@ -50,7 +50,7 @@ def test_the_file_holds_what_was_said(command, arm_file, tmp_path):
 
 
 def test_words_on_stdout_and_the_file_on_stderr(command, arm_file, tmp_path):
-    result = command("many", arm_file, "--curve", "helix", "--count", 2, *SHORT, "-o", tmp_path)
+    result = command("batch", arm_file, "--curve", "helix", "--count", 2, *SHORT, "-o", tmp_path)
     batch = pp.load(tmp_path / "batch.npz", pp.Batch)
     assert result.err.splitlines() == [f"wrote {tmp_path / 'batch.npz'}"]
     lines = [line.split("  ", 1) for line in result.out.splitlines()]
@@ -78,7 +78,7 @@ def test_starts_are_the_rows_of_a_file(command, arm_file, tmp_path, suffix):
 
 
 def test_the_exit_code_tells_whether_all_got_there(command, arm_file):
-    asked = ("many", arm_file, "--curve", "helix", "--count", 2, *SHORT)
+    asked = ("batch", arm_file, "--curve", "helix", "--count", 2, *SHORT)
     assert command(*asked).code == 1
     assert command(*asked, "--tolerance", 1).code == 0
 
@@ -94,7 +94,7 @@ def test_failed_runs_are_told_of(command, arm_file, monkeypatch):
         return original(*given)
 
     monkeypatch.setattr(module, "track", track)
-    result = command("many", arm_file, "--curve", "helix", "--count", 3, *SHORT, "--json")
+    result = command("batch", arm_file, "--curve", "helix", "--count", 3, *SHORT, "--json")
     assert [run["status"] == "failed" for run in json.loads(result.out)["runs"]] == [False, True, False]
     assert (result.code, result.err) == (1, "note: 1 of 3 runs failed; run 1: PostureError: no way\n")
 
@@ -113,7 +113,7 @@ def test_failed_runs_are_told_of(command, arm_file, monkeypatch):
         (("--curve", "line", "--count", 3), r"(2, 3)"),
         (("-o", "TEXT/many"), "is a file"),
         (("-o", "many.npz"), "a directory, in which batch.npz is left"),
-        (("--controller", "lm", "--haste", 1), "--haste"),
+        (("--controller", "lm", "--joint-weight", 1), "--joint-weight"),
     ],
 )
 def test_what_cannot_be_used_is_named_in_one_line(command, arm_file, tmp_path, monkeypatch, options, says):
@@ -127,15 +127,15 @@ def test_what_cannot_be_used_is_named_in_one_line(command, arm_file, tmp_path, m
         "EMPTY": "empty.csv",
         "TEXT/many": "text.csv/many",
     }
-    result = command("many", arm_file, "--curve", "helix", *(named.get(each, each) for each in options))
+    result = command("batch", arm_file, "--curve", "helix", *(named.get(each, each) for each in options))
     assert (result.code, result.out) == (2, "")
     assert says in result.err
     assert len(result.err.splitlines()) == 1
 
 
 def test_the_help_has_examples(command):
-    out = command("many", "--help", env={"COLUMNS": "80"}).out
+    out = command("batch", "--help", env={"COLUMNS": "80"}).out
     shown = [line for line in out.splitlines() if line.strip().startswith("$ ")]
     assert len(shown) >= 3
-    assert all("pinposture many " in line for line in shown)
+    assert all("pinposture batch " in line for line in shown)
     assert max(map(len, out.splitlines())) <= 80

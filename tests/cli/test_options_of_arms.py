@@ -32,7 +32,7 @@ def test_a_start_in_degrees_is_refused_with_the_option_that_takes_it(command, ar
 def test_continuous_joints_in_degrees_are_angles(command, arm_file, tmp_path):
     file = tmp_path / "arm.urdf"
     file.write_text(arm_file.read_text().replace('type="revolute"', 'type="continuous"'))
-    asked = ("many", file, "--curve", "helix", "--steps", 1, "-o", tmp_path)
+    asked = ("batch", file, "--curve", "helix", "--steps", 1, "-o", tmp_path)
     np.savetxt(tmp_path / "starts.csv", np.vstack([DEGREES, 3 * DEGREES]), delimiter=",")
     assert command(*asked, "--starts", tmp_path / "starts.csv", "--degrees").code == 1
     angles = np.concatenate([DEGREES, 3 * DEGREES]) * np.pi / 180.0
@@ -72,7 +72,7 @@ def test_locks_that_are_none_are_refused_in_one_line(command, arm_file, given, s
 
 
 @pytest.mark.parametrize(
-    "verb", ["inspect", "track", "many", "simulate", "edit", "study methods", "study postures"]
+    "verb", ["inspect", "track", "batch", "simulate", "edit", "study methods", "study postures"]
 )
 def test_every_verb_that_loads_an_arm_has_the_options(command, verb):
     text = command(*verb.split(), "--help", env={"COLUMNS": "200"}).out

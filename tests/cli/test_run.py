@@ -66,7 +66,7 @@ def test_a_program_reads_one_json_object_of_finite_numbers(command, task, tmp_pa
     assert (data["task"], data["status"], data["converged"]) == (str(task), "converged", True)
     assert [place["name"] for place in data["keyframes"]] == ["straight", "bowed"]
     assert data["planned"] == pytest.approx(1.0)
-    assert data["slowing"] == pytest.approx(1.0)
+    assert data["time_scale"] == pytest.approx(1.0)
     assert all(isinstance(leaf, FINITE) for leaf in leaves(data))
     assert all(np.isfinite(leaf) for leaf in leaves(data) if isinstance(leaf, int | float))
     assert data["files"] == {
@@ -89,7 +89,7 @@ def test_what_is_kept_is_what_the_file_asks_for_and_loads(command, task, tmp_pat
     motion = pp.load(out / "motion.npz", pp.Motion)
     expected = pp.Task.load(task).perform()
     np.testing.assert_array_equal(motion.q, expected.q)
-    np.testing.assert_array_equal(motion.clock, expected.clock)
+    np.testing.assert_array_equal(motion.plan_time, expected.plan_time)
     for kind in ("csv", "json"):
         rows = (
             pp.load(out / f"motion.{kind}", pp.JointTrajectory).matched(motion.arm).configurations(motion.arm)

@@ -21,7 +21,7 @@ from pinposture.cli.results import (
     summarize_motion,
 )
 from pinposture.errors import FileError
-from pinposture.motion.motion import Motion, Passed
+from pinposture.motion.motion import Motion, Waypoint
 
 
 def around_a_ball() -> pp.Scene:
@@ -137,18 +137,18 @@ def test_formats_that_are_not_asked_for_are_not_written(tmp_path):
 
 
 def test_a_summary_holds_the_numbers_of_the_motion_from_setting_out_on():
-    motion = some_motion(planned=1.25, set_out=10, scene=around_a_ball())
+    motion = some_motion(planned=1.25, start_index=10, scene=around_a_ball())
     run = motion.run
     errors = run.point_errors.copy()
     errors[3] = 9.0  # on the way to the first posture, which is not the plan
     errors[40] = 0.01
-    motion = replace(motion, run=replace(run, point_errors=errors), detours=("at 1 s it went round",))
+    motion = replace(motion, run=replace(run, point_errors=errors), deviations=("at 1 s it went round",))
     summary = summarize_motion(motion)
     json.dumps(summary, allow_nan=False)
     assert (summary["status"], summary["converged"], summary["steps"]) == ("converged", True, 60)
-    assert [summary[name] for name in ("time", "set_out", "planned", "duration", "slowing")] == pytest.approx(
-        [3.0, 0.5, 1.25, 2.5, 2.0]
-    )
+    assert [
+        summary[name] for name in ("time", "start_index", "planned", "duration", "time_scale")
+    ] == pytest.approx([3.0, 0.5, 1.25, 2.5, 2.0])
     rates = np.diff(motion.q, axis=0) / 0.05
     changes = np.diff(np.vstack([0 * rates[:1], rates, 0 * rates[:1]]), axis=0) / 0.05
     assert summary["largest_speed"] == pytest.approx(np.abs(rates).max() / 2.0)
@@ -169,13 +169,13 @@ def test_a_summary_holds_the_numbers_of_the_motion_from_setting_out_on():
     }
     closest = pp.CollisionModel(five_modules(), around_a_ball()).minimum(motion.q[run.clearance.argmin()])
     assert summary["clearance"]["smallest"] == pytest.approx(closest.distance)
-    assert summary["detours"] == ["at 1 s it went round"]
+    assert summary["deviations"] == ["at 1 s it went round"]
 
 
 def test_a_summary_in_words_tells_what_a_person_asks_for():
-    motion = some_motion(planned=1.25, set_out=10, scene=around_a_ball())
-    passed = (*motion.passed, Passed("late", 1.25, None, None, None))
-    motion = replace(motion, passed=passed, detours=("at 1 s it went round", "and again"))
+    motion = some_motion(planned=1.25, start_index=10, scene=around_a_ball())
+    passed = (*motion.waypoints, Waypoint("late", 1.25, None, None, None))
+    motion = replace(motion, waypoints=passed, deviations=("at 1 s it went round", "and again"))
     words = motion_in_words(summarize_motion(motion))
     assert words["verdict"] == (f"got there (converged): {motion.run.reason}", "green")
     assert words["duration"] == (
@@ -198,12 +198,12 @@ def test_what_is_not_there_is_not_told():
     assert summary["largest_acceleration"] is None
     words = motion_in_words(summary)
     assert words["duration"] == "3 s, as planned"
-    assert not {"speed", "acceleration", "keyframes", "clearance", "detours"} & set(words)
+    assert not {"speed", "acceleration", "keyframes", "clearance", "deviations"} & set(words)
 
 
 def test_a_motion_that_did_not_get_to_its_end_says_how_far_it_came():
     motion = some_motion()
-    motion = replace(motion, clock=0.5 * motion.clock, run=replace(motion.run, status="stalled"))
+    motion = replace(motion, plan_time=0.5 * motion.plan_time, run=replace(motion.run, status="stalled"))
     words = motion_in_words(summarize_motion(motion))
     assert words["verdict"] == (f"did not get there (stalled): {motion.run.reason}", "yellow")
     assert words["duration"] == "3 s, for 1.5 of the 3 s of the plan"

@@ -93,8 +93,8 @@ def test_every_step_is_finite_and_within_the_limits(
         assert np.all(np.isfinite(step.diagnostics[:4]))
         assert set(step.active) <= set(np.flatnonzero(weights))
         assert np.all(np.abs(step.dq) <= (np.inf if largest is None else largest * (1 + 1e-12)))
-        # qp has points to control even where it has no step to take.
-        assert bool(step.diagnostics.reason) == (step.active == ()) or name == "qp"
+        # geodesic has points to control even where it has no step to take.
+        assert bool(step.diagnostics.reason) == (step.active == ()) or name == "geodesic"
         q = arm.integrate(q, step.dq)
         assert arm.within_limits(q)
 

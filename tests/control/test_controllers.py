@@ -98,7 +98,7 @@ def test_projection_has_full_row_rank_everywhere(
         for coupling in ("full", "local"):
             method = pp.Projection(coupling=coupling)
             matrix, velocity, active, _ = method.posture_control_matrix(
-                state, task_errors(state, target), target.placed
+                state, task_errors(state, target), target.has_target
             )
             assert len(matrix) == len(velocity)
             sigma = np.linalg.svd(matrix, compute_uv=False)
@@ -127,8 +127,8 @@ def test_projection_moves_each_point_as_asked_within_its_manipulability_space(
 def test_local_coupling_is_block_diagonal_and_full_is_block_triangular(spatial: pp.Arm) -> None:
     state, target = state_of(spatial, 3, 0.8), target_of(spatial, 3)
     errors = task_errors(state, target)
-    full = pp.Projection(coupling="full").posture_control_matrix(state, errors, target.placed)[0]
-    local = pp.Projection(coupling="local").posture_control_matrix(state, errors, target.placed)[0]
+    full = pp.Projection(coupling="full").posture_control_matrix(state, errors, target.has_target)[0]
+    local = pp.Projection(coupling="local").posture_control_matrix(state, errors, target.has_target)[0]
     assert full.shape == local.shape == (16, 16)
     for k in range(8):
         rows = slice(2 * k, 2 * k + 2)
@@ -147,7 +147,7 @@ def test_every_posture_control_matrix_of_long_runs_has_full_row_rank(name: str) 
     def keep(_: int, state: pp.ArmState, step: Step) -> None:
         if isinstance(method, pp.Projection):
             errors = task_errors(state, target)
-            matrix = method.posture_control_matrix(state, errors, target.placed)[0]
+            matrix = method.posture_control_matrix(state, errors, target.has_target)[0]
         else:
             again = method.step(state, target)
             matrix = active_jacobian(state, again) if again.active else np.zeros((0, arm.nv))

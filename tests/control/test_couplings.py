@@ -57,7 +57,7 @@ def test_every_coupling_has_full_row_rank_also_with_free_points(
     for coupling in COUPLINGS:
         method = pp.Projection(coupling=coupling)
         matrix, velocity, active, _ = method.posture_control_matrix(
-            state, task_errors(state, target), target.placed
+            state, task_errors(state, target), target.has_target
         )
         assert len(matrix) == len(velocity)
         assert not set(active) & set(free)
@@ -73,7 +73,7 @@ def test_relative_coupling_covers_the_errors_between_neighbours(spatial: pp.Arm,
     ahead, behind = (spatial.at(state.q + sign * h * step.dq).points for sign in (1.0, -1.0))
     motion, errors = (ahead - behind) / (2.0 * h), target.points - state.points
     previous = -1
-    for k in np.flatnonzero(target.placed):
+    for k in np.flatnonzero(target.has_target):
         section = state.jacobians[k][:, 2 * (previous + 1) : 2 * k + 2]
         directions, sigma, _ = np.linalg.svd(section)
         kept = directions[:, : np.count_nonzero(sigma > 0.4 * 0.05 * (k - previous))]

@@ -30,7 +30,7 @@ def test_singular_values_are_computed_when_they_are_read(name: str, monkeypatch:
     monkeypatch.setattr(
         PostureMatrix, "_extreme", lambda self, *args: asked.append(args) or extreme(self, *args)
     )
-    note = a_step(name).diagnostics._replace(method="it", on_way=True)
+    note = a_step(name).diagnostics._replace(method="it", following_path=True)
     assert not asked
     assert 0.0 < note.sigma_min < note.sigma_max
     assert (note.sigma_min, note.sigma_max) == (note.sigma_min, note.sigma_max)
@@ -50,7 +50,7 @@ def test_numbers_stay_numbers() -> None:
 def test_fields_by_number_are_those_by_name() -> None:
     note = a_step("selection").diagnostics
     assert note[:4] == (note.manipulability, note.sigma_min, note.sigma_max, note.rows)
-    assert (note[1], note[-1], note[7]) == (note.sigma_min, note.on_way, "")
+    assert (note[1], note[-1], note[7]) == (note.sigma_min, note.following_path, "")
 
 
 def test_a_run_keeps_numbers() -> None:

@@ -94,7 +94,7 @@ def test_from_a_viable_state_no_choice_ever_leads_out(
     for k in range(120):
         state = arm.at(q)
         box = limits.box(state, previous)
-        assert box.relaxed == ()
+        assert box.violated_constraints == ()
         assert np.all(box.lower <= box.upper)
         dq = choice(rng, policies[k // 30 % len(policies)], box)
         assert np.all(np.isfinite(dq))
@@ -125,9 +125,9 @@ def test_a_start_outside_its_limits_is_named_and_brought_back() -> None:
     q = arm.configuration([0.5, 40.0, 0.1, 0.0])
     for limits in (pp.Limits(step=0.05), pp.Limits(step=0.05, dt=0.02, acceleration=10.0)):
         box = limits.box(arm.at(q))
-        assert len(box.relaxed) == 2
-        assert "joint 'turn': it is at 0.5, outside -2.9 to 0.1 rad" in box.relaxed[0]
-        assert "joint 'slide': it is at 0.1, outside 0.2 to 0.7 m" in box.relaxed[1]
+        assert len(box.violated_constraints) == 2
+        assert "joint 'turn': it is at 0.5, outside -2.9 to 0.1 rad" in box.violated_constraints[0]
+        assert "joint 'slide': it is at 0.1, outside 0.2 to 0.7 m" in box.violated_constraints[1]
         here, previous, outside = q, None, [0.4]
         while not arm.within_limits(here):
             step = limits.apply(arm.at(here), np.array([1.0, 0.0, -1.0, 0.0]), previous)
@@ -139,15 +139,15 @@ def test_a_start_outside_its_limits_is_named_and_brought_back() -> None:
             outside.append(arm.positions(here)[0] - 0.1)
             assert len(outside) < 40
         assert np.all(np.diff(outside) < 0.0)
-        assert limits.box(arm.at(here), previous).relaxed == ()
+        assert limits.box(arm.at(here), previous).violated_constraints == ()
         # It comes to rest at the limit: nothing carries it past.
         assert outside[-1] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_margin_that_the_start_does_not_keep_is_named() -> None:
     state = limited().at(np.full(8, 0.295))
-    assert pp.Limits().box(state).relaxed == ()
-    relaxed = pp.Limits(position_margin=0.01).box(state).relaxed
+    assert pp.Limits().box(state).violated_constraints == ()
+    relaxed = pp.Limits(position_margin=0.01).box(state).violated_constraints
     assert len(relaxed) == 8
     assert "outside -0.79 to 0.29 rad" in relaxed[0]
 
@@ -157,8 +157,8 @@ def test_a_joint_that_is_too_fast_brakes_as_hard_as_it_may_and_is_named() -> Non
     state, fast = limited().at(np.full(8, 0.28)), np.zeros(8)
     fast[2], fast[3], fast[4] = 0.05, -0.05, 0.02
     box = limits.box(state, fast)
-    assert len(box.relaxed) == 1
-    assert "position limit 0.3 rad of joint 'm02_j1_y'" in box.relaxed[0]
+    assert len(box.violated_constraints) == 1
+    assert "position limit 0.3 rad of joint 'm02_j1_y'" in box.violated_constraints[0]
     assert box.lower[2] == box.upper[2] == pytest.approx(0.04)
     assert box.lower[3] == pytest.approx(-0.06)
     assert box.lower[4] == pytest.approx(0.01)
@@ -169,8 +169,8 @@ def test_a_joint_faster_than_its_bound_takes_the_bound_and_is_named() -> None:
     fast = np.zeros(8)
     fast[1], fast[6] = -0.3, 0.105
     box = limits.box(limited().at(np.r_[np.zeros(6), -0.6, 0.0]), fast)
-    assert len(box.relaxed) == 1
-    assert "acceleration limit of joint 'm01_j2_z'" in box.relaxed[0]
+    assert len(box.violated_constraints) == 1
+    assert "acceleration limit of joint 'm01_j2_z'" in box.violated_constraints[0]
     assert box.lower[1] == box.upper[1] == -0.1
     assert box.lower[6] == pytest.approx(0.095)
     assert box.upper[6] == 0.1
@@ -194,7 +194,7 @@ def test_from_any_state_the_box_holds_the_bound_and_full_braking_at_least(seed: 
     below, above = positions < arm.limits.lower, positions > arm.limits.upper
     assert np.all(box.upper[above & (previous <= 0.0)] <= 0.0)
     assert np.all(box.lower[below & (previous >= 0.0)] >= 0.0)
-    named = " ".join(box.relaxed)
+    named = " ".join(box.violated_constraints)
     for joint in np.flatnonzero(below | above):
         assert f"position limits of joint {arm.chain.joints[joint]!r}" in named
 
@@ -208,13 +208,13 @@ def test_joints_off_the_chain_are_left_alone() -> None:
     arm = pp.Arm.from_model(model, ["end"])
     state, limits = arm.at([0.0, 2.0, 0.0]), pp.Limits(step=0.1, dt=0.1, acceleration=5.0)
     box = limits.box(state)
-    assert box.relaxed == ()
+    assert box.violated_constraints == ()
     np.testing.assert_allclose([box.lower, box.upper], [[-0.05] * 3, [0.05] * 3])
     limited = limits.apply(state, np.array([1.0, 0.0, -1.0]))
     np.testing.assert_allclose(limited.dq, [0.05, 0.0, -0.05], atol=1e-15)
     assert limited.dq[1] == 0.0
     fast = limits.box(state, np.array([0.0, 0.4, 0.0]))
-    assert "joint 'aside'" in fast.relaxed[0]
+    assert "joint 'aside'" in fast.violated_constraints[0]
 
 
 @given(st.integers(0, 10**6), st.sampled_from(sorted(ARMS)), st.sampled_from([None, 0.1]))

@@ -91,9 +91,9 @@ def test_the_box_is_the_viability_kernel(low: int, high: int, bound: int, brake:
         if (x, p) in viable:
             allowed = steps_from(x, p, bound, brake, viable)
             assert list(range(int(np.ceil(lower - 1e-9)), int(np.floor(upper + 1e-9)) + 1)) == allowed
-            assert box.relaxed == ()
+            assert box.violated_constraints == ()
         else:
             assert lower == pytest.approx(upper)  # full braking, and nothing else
             assert abs(lower) == pytest.approx(max(abs(p) - brake, 0))
-            assert len(box.relaxed) == 1
-            assert "too fast to stop" in box.relaxed[0]
+            assert len(box.violated_constraints) == 1
+            assert "too fast to stop" in box.violated_constraints[0]

@@ -74,12 +74,14 @@ def test_projection_moves_as_its_dense_matrix_says(
     weights = (rng.random(arm.n_modules) < 0.7).astype(float)
     weights[-1] = 1.0
     target = pp.Target.from_points(arm, goal.points, weights)
-    secondary, errors = rng.normal(size=arm.nv), aligned_errors(state, target, target.placed)
+    secondary, errors = rng.normal(size=arm.nv), aligned_errors(state, target, target.has_target)
     for coupling in COUPLINGS:
         method = pp.Projection(threshold=kappa, coupling=coupling, gain=0.7)
         step = method.step_with(secondary, state, target, pp.Limits(step=1e9))
         given_errors = errors[:, : arm.dimension]
-        matrix, velocity, active, smallest = method.posture_control_matrix(state, given_errors, target.placed)
+        matrix, velocity, active, smallest = method.posture_control_matrix(
+            state, given_errors, target.has_target
+        )
         assert step.active == active
         if not active or step.diagnostics.clipped.any():
             continue
@@ -133,7 +135,7 @@ def test_the_gradient_is_that_of_the_dense_jacobians(kind: str, seed: int, ampli
     arm = arm_called(kind)
     state, goal = state_of(arm, seed, amplitude), state_of(arm, seed + 1, 1.0)
     target = pp.Target.from_points(arm, goal.points, np.arange(arm.n_modules) % 3 > 0)
-    errors = aligned_errors(state, target, target.placed)
+    errors = aligned_errors(state, target, target.has_target)
     found = descent(arm, screws_of(state), errors, np.linalg.norm(errors, axis=1))
     along = errors[:, : arm.dimension]
     gradient = np.einsum("kdu,kd->u", state.task_jacobians, along)

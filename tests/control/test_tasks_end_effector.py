@@ -34,7 +34,7 @@ def made(kind: str, state: pp.ArmState, angle: float, point: int = -1) -> EndEff
     pose = turned(state, angle, point=point)
     if kind == "position":
         return EndEffector(position=pose.translation, point=point)
-    return EndEffector(pose=pose, point=point, axis_only=kind == "axis", length=1.0)
+    return EndEffector(pose=pose, point=point, direction_only=kind == "axis", length=1.0)
 
 
 @pytest.mark.parametrize(("name", "seed"), STATES)
@@ -104,10 +104,10 @@ def test_an_orientation_out_of_reach_asks_for_the_nearest_one(name: str, seed: i
     nearest = angles[np.argmin(np.linalg.norm(all_turns - wanted, axis=(1, 2)))]
     jacobian, error = EndEffector(pose=pin.SE3(wanted, np.zeros(3))).rows(state, target_of(arm))
     turns = axis @ arm.chain.axes.T * ~arm.slides
-    share = jacobian[-1] @ turns / (turns @ turns) / arm.sliding_unit
+    share = jacobian[-1] @ turns / (turns @ turns) / arm.characteristic_length
     assert 0.0 < abs(share) <= 1.0 + 1e-12
-    np.testing.assert_allclose(jacobian[-1], share * arm.sliding_unit * turns, atol=1e-12)
-    assert error[-1] / (share * arm.sliding_unit) == pytest.approx(nearest, abs=4e-4)
+    np.testing.assert_allclose(jacobian[-1], share * arm.characteristic_length * turns, atol=1e-12)
+    assert error[-1] / (share * arm.characteristic_length) == pytest.approx(nearest, abs=4e-4)
 
 
 def test_what_leaves_the_plane_does_not_change_what_is_asked_within_it() -> None:
@@ -118,7 +118,7 @@ def test_what_leaves_the_plane_does_not_change_what_is_asked_within_it() -> None
         np.asarray(pin.exp3(0.3 * state.arm.plane[0])) @ within.rotation, within.translation + normal
     )
     (jacobian, error), (tilted, apart) = (EndEffector(pose=p).rows(state, target) for p in (within, off))
-    assert error[2] == pytest.approx(0.8 * state.arm.sliding_unit)
+    assert error[2] == pytest.approx(0.8 * state.arm.characteristic_length)
     np.testing.assert_allclose(apart[:2], error[:2], atol=1e-12)
     np.testing.assert_allclose(tilted[:2], jacobian[:2], atol=1e-15)
     share = tilted[2] @ jacobian[2] / (jacobian[2] @ jacobian[2])
@@ -162,15 +162,15 @@ def test_half_a_turn_is_finite_bounded_and_not_left_to_rounding(name: str, axis:
 @given(st.lists(st.floats(-4.0, 4.0), min_size=3, max_size=3), st.sampled_from(sorted(ARMS)), st.booleans())
 @examples(40)
 def test_rows_are_finite_and_bounded_wherever_the_arm_looks(
-    rotation: list[float], name: str, axis_only: bool
+    rotation: list[float], name: str, direction_only: bool
 ) -> None:
     state = state_of(name, None)
     task = EndEffector(
-        pose=pin.SE3(np.asarray(pin.exp3(np.array(rotation))), np.zeros(3)), axis_only=axis_only
+        pose=pin.SE3(np.asarray(pin.exp3(np.array(rotation))), np.zeros(3)), direction_only=direction_only
     )
     jacobian, error = task.rows(state, target_of(state.arm))
     assert np.all(np.isfinite(jacobian)) and np.all(np.isfinite(error))
-    turns = error[state.arm.dimension :] / state.arm.sliding_unit
+    turns = error[state.arm.dimension :] / state.arm.characteristic_length
     assert np.linalg.norm(turns) <= np.pi + 1e-8
 
 
@@ -183,12 +183,12 @@ def test_plain_steps_converge_quadratically(name: str, kind: str) -> None:
         arm = state.arm
         goal = arm.at(arm.integrate(state.q, 0.15 * rng.uniform(-1, 1, arm.nv) * arm.joint_units))
         hold = "position" if kind == "position" else "pose"
-        task = EndEffector.held(goal, hold, axis_only=kind == "axis")
+        task = EndEffector.held(goal, hold, direction_only=kind == "axis")
         final, sizes = gauss_newton(task, state, 7)
         assert sizes[-1] < 1e-13
         for before, after in pairwise(sizes):
-            if before < 0.01 * arm.sliding_unit:
-                assert after <= 30.0 * before**2 / arm.sliding_unit + 1e-14
+            if before < 0.01 * arm.characteristic_length:
+                assert after <= 30.0 * before**2 / arm.characteristic_length + 1e-14
         np.testing.assert_allclose(final.points[-1], goal.points[-1], atol=1e-12)
         if kind == "pose":
             np.testing.assert_allclose(final.rotations[-1], goal.rotations[-1], atol=1e-11)
@@ -201,8 +201,8 @@ def test_what_is_held_has_no_error_and_a_moved_task_follows() -> None:
     target = target_of(state.arm)
     for hold in ("position", "pose"):
         for point in (0, 1, -1, "module_02"):
-            task = EndEffector.held(state, hold, point, weight=3.0, strict=True)
-            assert (task.weight, task.strict, task.point) == (3.0, True, point)
+            task = EndEffector.held(state, hold, point, weight=3.0, priority=True)
+            assert (task.weight, task.priority, task.point) == (3.0, True, point)
             np.testing.assert_allclose(task.rows(state, target).error, 0.0, atol=1e-14)
     moved = replace(task, pose=pin.SE3(task.pose) * pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.2])))
     assert moved.weight == 3.0
@@ -221,7 +221,9 @@ def test_an_orientation_that_is_there_to_the_last_digit_has_no_error() -> None:
     arm = pp.Arm.from_template("RyRz", 2)
     jacobian, error = EndEffector(pose=np.eye(4)).rows(arm.at(arm.neutral()), target_of(arm))
     assert np.all(error[3:] == 0.0)
-    np.testing.assert_allclose(jacobian[3:], arm.sliding_unit * arm.at(arm.neutral()).axes, atol=1e-15)
+    np.testing.assert_allclose(
+        jacobian[3:], arm.characteristic_length * arm.at(arm.neutral()).axes, atol=1e-15
+    )
 
 
 def test_tasks_are_values() -> None:
@@ -232,8 +234,8 @@ def test_tasks_are_values() -> None:
     for other in (replace(task, weight=2.0), replace(task, point=0), EndEffector(pose.translation), "task"):
         assert task != other
     assert EndEffector((0.0, 0.0, 1.0)) == EndEffector([-0.0, 0, 1])
-    odd = EndEffector((0, 0, 1), point=np.int64(2), strict=np.True_)
-    assert repr(odd) == repr(EndEffector((0, 0, 1), point=2, strict=True))
+    odd = EndEffector((0, 0, 1), point=np.int64(2), priority=np.True_)
+    assert repr(odd) == repr(EndEffector((0, 0, 1), point=2, priority=True))
     assert hash(EndEffector((0.0, 0.0, 1.0))) == hash(EndEffector([-0.0, 0, 1]))
     with pytest.raises(ValueError, match="read-only"):
         task.pose[0, 0] = 2.0

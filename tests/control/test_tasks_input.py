@@ -34,10 +34,10 @@ REFUSED = [
     (lambda: EndEffector(POINT, point=True), "point"),
     (lambda: EndEffector(POINT, point=None), "point"),
     (lambda: EndEffector(POINT, point=[0]), "point"),
-    (lambda: EndEffector(POINT, strict="yes"), "strict"),
-    (lambda: EndEffector(POINT, strict=1), "strict"),
-    (lambda: EndEffector(POINT, axis_only=True), "axis_only"),
-    (lambda: EndEffector(pose=pin.SE3.Identity(), axis_only=None), "axis_only"),
+    (lambda: EndEffector(POINT, priority="yes"), "priority"),
+    (lambda: EndEffector(POINT, priority=1), "priority"),
+    (lambda: EndEffector(POINT, direction_only=True), "direction_only"),
+    (lambda: EndEffector(pose=pin.SE3.Identity(), direction_only=None), "direction_only"),
     (lambda: Tangents([]), "directions"),
     (lambda: Tangents(np.zeros((0, 3)), ()), "directions"),
     (lambda: Tangents([(1, 0)]), "directions (shape)"),
@@ -111,8 +111,8 @@ def test_what_cannot_be_held_is_refused() -> None:
         EndEffector.held(state, "poses")
     with pytest.raises(InvalidValue, match=r"^point is 9"):
         EndEffector.held(state, point=9)
-    with pytest.raises(InvalidValue, match="axis_only"):
-        EndEffector.held(state, "position", axis_only=True)
+    with pytest.raises(InvalidValue, match="direction_only"):
+        EndEffector.held(state, "position", direction_only=True)
 
 
 def test_tangents_of_a_curve_need_one() -> None:

@@ -26,7 +26,7 @@ def test_rows_equal_the_derivative_of_the_error(name: str, seed: int | None, len
         jacobian, -derivative(state, lambda at: task.rows(at, target).error), atol=1e-8
     )
     # A radian counts as the lever is long, and so does a slide of the sliding unit.
-    unit = arm.sliding_unit
+    unit = arm.characteristic_length
     expected = np.where(arm.slides, (length or unit) / unit, length or unit)
     np.testing.assert_allclose(np.diag(jacobian), expected, atol=1e-12)
 

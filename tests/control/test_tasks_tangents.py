@@ -19,7 +19,7 @@ from task_arms import ARMS, STATES, arm_called, derivative, gauss_newton, state_
 
 import pinposture as pp
 from pinposture.control import Tangents
-from pinposture.control.orientation import bearing, link_directions
+from pinposture.control.orientation import link_axes, link_directions
 from pinposture.curve.presets import HELIX
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "arm"))
@@ -146,12 +146,12 @@ def test_rows_are_finite_and_opposite_links_turn_one_way(
     wanted = fixed.get(kind, np.tile(sign * np.eye(3)["xyz".find(kind[-1])], (arm.n_modules, 1)))
     jacobian, error = Tangents(wanted).rows(state, target)
     assert np.all(np.isfinite(jacobian)) and np.all(np.isfinite(error))
-    assert np.abs(error).max(initial=0.0) <= (np.pi + 1e-8) * arm.sliding_unit
+    assert np.abs(error).max(initial=0.0) <= (np.pi + 1e-8) * arm.characteristic_length
     if kind == "opposite":
         moved = wanted + noise * np.random.default_rng(seed).normal(size=wanted.shape)
         np.testing.assert_allclose(Tangents(moved).rows(state, target).error, error, atol=1e-8)
         if len(error):
-            assert np.linalg.norm(error) > arm.sliding_unit
+            assert np.linalg.norm(error) > arm.characteristic_length
             assert np.linalg.norm(error @ jacobian) > 1e-6
 
 
@@ -160,7 +160,7 @@ def test_opposite_links_are_turned_round() -> None:
         state = state_of(name, None)
         wanted = -state.rotations[-1, :, 0]
         final, sizes = gauss_newton(Tangents(wanted, -1), state, 4)
-        assert sizes[0] == pytest.approx(np.pi * state.arm.sliding_unit)
+        assert sizes[0] == pytest.approx(np.pi * state.arm.characteristic_length)
         np.testing.assert_allclose(final.rotations[-1, :, 0], wanted, atol=1e-12)
 
 
@@ -176,7 +176,7 @@ def test_plain_steps_converge_quadratically(name: str) -> None:
         final, sizes = gauss_newton(task, state, 8)
         assert sizes[-1] < 1e-13
         for before, after in pairwise(sizes):
-            if before < 0.01 * arm.sliding_unit:
+            if before < 0.01 * arm.characteristic_length:
                 assert after <= 20.0 * before**2 / smallest + 1e-14
         np.testing.assert_allclose(final.rotations[:, :, 0], goal.rotations[:, :, 0], atol=1e-12)
 
@@ -246,7 +246,7 @@ def test_a_last_joint_at_the_control_point_takes_the_link_before_it() -> None:
     """The roll axis of a wrist, which no configuration turns out of the link."""
     roll = pp.ModuleTemplate("roll", (pp.JointSpec("z"), pp.JointSpec("x")), (0.1, 0.0))
     arm = pp.Arm.from_modules([roll] * 2)
-    np.testing.assert_allclose(bearing(arm).links, np.tile((1.0, 0.0, 0.0), (2, 1)), atol=1e-12)
+    np.testing.assert_allclose(link_axes(arm).links, np.tile((1.0, 0.0, 0.0), (2, 1)), atol=1e-12)
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "spin")
     turn = pin.SE3(pin.rpy.rpyToMatrix(0.4, 0.2, 0.1), np.zeros(3))
@@ -255,8 +255,8 @@ def test_a_last_joint_at_the_control_point_takes_the_link_before_it() -> None:
     there = pin.SE3(turn.rotation, np.array([1e-9, 0.0, 0.0]))  # but for rounding
     model.addFrame(pin.Frame("end", more, there, pin.FrameType.OP_FRAME))
     odd = pp.Arm.from_model(model, ["still", "end"])
-    assert bearing(odd).links[0].tolist() == [1.0, 0.0, 0.0]  # nothing lies before it
-    np.testing.assert_allclose(bearing(odd).links[1], turn.rotation.T @ (0.0, 1.0, 0.0), atol=1e-6)
+    assert link_axes(odd).links[0].tolist() == [1.0, 0.0, 0.0]  # nothing lies before it
+    np.testing.assert_allclose(link_axes(odd).links[1], turn.rotation.T @ (0.0, 1.0, 0.0), atol=1e-6)
 
 
 def test_a_link_comes_from_the_control_point_before_it_where_that_is_nearer() -> None:
@@ -267,8 +267,8 @@ def test_a_link_comes_from_the_control_point_before_it_where_that_is_nearer() ->
     more = model.addJoint(joint, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([0.1, 0.5, 0.0])), "second")
     model.addFrame(pin.Frame("end", more, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
     arm = pp.Arm.from_model(model, ["beside", "end"])
-    np.testing.assert_allclose(bearing(arm).links[0], np.array([1.0, 2.0, 0.0]) / np.sqrt(5.0), atol=1e-12)
-    np.testing.assert_allclose(bearing(arm).links[1], (0.0, 1.0, 0.0), atol=1e-12)
+    np.testing.assert_allclose(link_axes(arm).links[0], np.array([1.0, 2.0, 0.0]) / np.sqrt(5.0), atol=1e-12)
+    np.testing.assert_allclose(link_axes(arm).links[1], (0.0, 1.0, 0.0), atol=1e-12)
 
 
 def test_tasks_are_values() -> None:
@@ -279,4 +279,4 @@ def test_tasks_are_values() -> None:
     for other in (replace(task, points=None), replace(task, points=(0, 1)), replace(task, weight=0.5)):
         assert task != other
     assert Tangents((0, 0, 1)) != Tangents([(0, 0, 1)] * 3)
-    assert not task.strict
+    assert not task.priority

@@ -81,7 +81,7 @@ def test_commands_that_are_none_are_noticed() -> None:
     ):
         with pytest.raises(AssertionError):
             check(command, complete=False)
-    for command in ("pinposture track --curve helix", "pinposture many a.urdf --curve helix --count x"):
+    for command in ("pinposture track --curve helix", "pinposture batch a.urdf --curve helix --count x"):
         with pytest.raises(typer.BadParameter.__bases__[0]):
             check(command, complete=True)
     shown = [command for page in PAGES for command in (*lines(page), *mentioned(page))]

@@ -90,7 +90,7 @@ def by_hand(arm: pp.Arm, q: np.ndarray, off: np.ndarray, dt: float = 0.1) -> Mot
     run = Trajectory(
         arm=arm,
         target=target,
-        controller="qp",
+        controller="geodesic",
         limits=pp.Limits(step=None, dt=dt, velocity=2.0),
         status="converged",
         reason="",
@@ -106,8 +106,8 @@ def by_hand(arm: pp.Arm, q: np.ndarray, off: np.ndarray, dt: float = 0.1) -> Mot
         clipped=np.zeros((steps, arm.nv), dtype=np.bool_),
         method=np.full(steps, ""),
         switched=np.full(steps, ""),
-        escape=np.zeros(steps, dtype=np.bool_),
-        relaxed=np.full(steps, ""),
+        error_increasing=np.zeros(steps, dtype=np.bool_),
+        violated_constraints=np.full(steps, ""),
         clearance=np.full(rows, np.inf),
     )
     asked = np.ones((rows, m), dtype=np.bool_)

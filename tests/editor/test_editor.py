@@ -15,7 +15,7 @@ import pytest
 from edited_tasks import L, six_modules, task
 
 import pinposture as pp
-from pinposture.control import ConstrainedQP
+from pinposture.control import Geodesic
 from pinposture.editor import edits, obstacles, solver
 from pinposture.editor.autosave import autosave_path
 from pinposture.editor.first_task import first_task
@@ -192,7 +192,7 @@ class Loose:
     """A controller that fails now and then."""
 
     def __init__(self) -> None:
-        self.own, self.asked = ConstrainedQP(), 0
+        self.own, self.asked = Geodesic(), 0
 
     def step(self, *given: object, **named: object) -> object:
         self.asked += 1

@@ -20,9 +20,9 @@ def test_the_archive_is_the_motion(tmp_path: Path) -> None:
     assert made.name == "walk.npz"
     (tmp_path / made.name).write_bytes(made.content)
     loaded = pp.load(tmp_path / made.name, Motion)
-    for field in ("q", "targets", "clock", "mean_error"):
+    for field in ("q", "targets", "plan_time", "mean_error"):
         np.testing.assert_array_equal(getattr(loaded, field), getattr(moved(), field))
-    assert [place.name for place in loaded.passed] == [place.name for place in moved().passed]
+    assert [place.name for place in loaded.waypoints] == [place.name for place in moved().waypoints]
 
 
 @pytest.mark.parametrize("kind", ["CSV", "ROS JSON"])

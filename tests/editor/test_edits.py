@@ -33,7 +33,7 @@ any_edit = st.one_of(
     st.builds(
         lambda k, method: edits.with_keyframe(k, method=method), places, st.sampled_from(["auto", "none"])
     ),
-    st.builds(edits.with_controller, st.sampled_from(["qp", "lm", "nobody"])),
+    st.builds(edits.with_controller, st.sampled_from(["geodesic", "lm", "nobody"])),
     st.builds(lambda v: edits.with_limits(velocity=v), st.sampled_from([1.0, 2.0, -1.0])),
     st.builds(lambda r: edits.with_obstacle("ball", pp.Sphere((1, 1, 1), r)), st.sampled_from([0.1, 0.2])),
     st.just(edits.with_obstacle("ball", None)),

@@ -39,16 +39,18 @@ SINKS = ("add_html", "add_markdown", "add_modal", "add_notification", "add_label
 """What viser shows as HTML, or as Markdown in which HTML counts, and what it may come to show so."""
 
 PLACES = {
-    "page/arm_tab.py": ["add_markdown"],  # numbers only
-    "page/export.py": ["add_markdown"],  # the kind of a file, one of ours
-    "page/file_tab.py": ["add_html"],  # the name of the task file
-    "page/keyframes_tab.py": ["add_html"],  # what is asked of the tip, a control point by its name
-    "page/measured.py": ["add_html"],  # what is wrong with joint states: their text
-    "page/plots.py": ["add_html"],  # numbers only
-    "page/scans.py": ["add_markdown"],  # a text of ours
-    "page/scene_tab.py": ["add_html"],  # which link is near which obstacle or scan
-    "page/status.py": ["add_html"],  # verdicts and what was last said, with any name of the task
-    "page/tour.py": ["add_modal", "add_markdown"],  # texts of ours
+    "ui/arm.py": ["add_html", "add_markdown"],  # what is wrong with joint states: their text; numbers
+    "ui/files.py": [
+        "add_modal",
+        "add_markdown",
+        "add_html",
+        "add_markdown",
+    ],  # the name of the task file; our texts
+    "ui/keyframes.py": ["add_html"],  # what is asked of the tip, a control point by its name
+    "ui/player.py": ["add_html"],  # numbers only
+    "ui/scans.py": ["add_markdown"],  # a text of ours
+    "ui/scene.py": ["add_html"],  # which link is near which obstacle or scan
+    "ui/status.py": ["add_html"],  # verdicts and what was last said, with any name of the task
 }
 """Where the page makes HTML or Markdown. All of it is looked at below."""
 

@@ -16,7 +16,7 @@ from edited_tasks import L, bent_spline, coil, six_modules, straight_line
 from sampling import cases
 
 import pinposture as pp
-from pinposture.control import ConstrainedQP, controller_named
+from pinposture.control import Geodesic, controller_named
 from pinposture.control.registry import CONTROLLERS
 from pinposture.editor.solver import CYCLE, Live, Problem, Solver, in_cycles
 from pinposture.editor.verdict import Verdict, judge
@@ -46,7 +46,7 @@ def short() -> Keyframe:
 
 def problem(number: int, keyframe: Keyframe | None = None, **values: object) -> Problem:
     """Of taking a shape, the bent one by default."""
-    given = {"arm": six_modules(), "keyframe": keyframe or to_bent(), "controller": ConstrainedQP()}
+    given = {"arm": six_modules(), "keyframe": keyframe or to_bent(), "controller": Geodesic()}
     given |= {"limits": LIMITS, "scene": None, "at_once": False} | values
     return Problem(number=number, asked=time.monotonic(), **given)  # type: ignore[arg-type]
 
@@ -79,7 +79,7 @@ class Sleepy:
     """A controller that sleeps in each step, as one that plans would."""
 
     def __init__(self, seconds: float) -> None:
-        self.seconds, self.own, self.asked = seconds, ConstrainedQP(), 0
+        self.seconds, self.own, self.asked = seconds, Geodesic(), 0
 
     def step(self, *given: object, **named: object) -> object:
         self.asked += 1
@@ -150,7 +150,7 @@ def test_no_joint_is_too_fast_whatever_is_changed_on_the_way() -> None:
         {"scene": ball},
         {"limits": replace(LIMITS, acceleration=20.0)},
         {"keyframe": Keyframe(straight_line()), "controller": controller_named("projection")},
-        {"controller": ConstrainedQP(), "scene": None},
+        {"controller": Geodesic(), "scene": None},
     ]
     states: list[Live] = []
     with started(problem(1)) as solver:

@@ -27,8 +27,8 @@ NAMES = (
 )
 
 WAYS = {
-    "page/file_tab.py": 2,  # save, open
-    "page/scans.py": 1,  # load, as a scan or as an obstacle
+    "ui/files.py": 2,  # save, open
+    "ui/scans.py": 1,  # load, as a scan or as an obstacle
 }
 """Where a name that was typed becomes a path, and how often. An upload has the last part of its name only."""
 
@@ -104,7 +104,7 @@ def test_folders_in_the_folder_can_be_used(editor: Editor, root: Path) -> None:
 
 def test_all_ways_from_a_name_to_a_path_are_listed() -> None:
     root = Path(str(package.__file__)).parent
-    pages = {file: file.read_text(encoding="utf-8") for file in sorted(root.glob("page/*.py"))}
+    pages = {file: file.read_text(encoding="utf-8") for file in sorted(root.glob("ui/*.py"))}
     ways = {
         file.relative_to(root).as_posix(): len(re.findall(r"\bwithin\(", text))
         for file, text in pages.items()

@@ -35,7 +35,7 @@ def test_it_has_the_distance_of_the_whole_arm_from_the_curve() -> None:
     assert verdict.target is not None and verdict.target.curve is not None and verdict.target.q is not None
     state, corners = arm.at(verdict.target.q), [arm.chain.base]
     for k, joints in enumerate(arm.chain.module_slices):
-        corners += [*state.placed.origins[joints], state.points[k]]
+        corners += [*state.forward.origins[joints], state.points[k]]
     shares = np.linspace(0.0, 1.0, 50)[:, None]
     places = np.concatenate([a + shares * (b - a) for a, b in pairwise(corners)])
     farthest = verdict.target.curve.nearest(places).distance.max()
@@ -134,8 +134,8 @@ def test_joints_at_limits_are_named() -> None:
 def test_a_region_and_a_tip_are_part_of_it() -> None:
     region = judge(six_modules(), Keyframe(bent_spline(), trim=True, region=(1, 3)), None)
     assert region.target is not None
-    assert region.target.placed.tolist() == [False, True, True, True, False, False]
-    away = pp.EndEffector(position=(0, 0, 3.0 * L), strict=True)
+    assert region.target.has_target.tolist() == [False, True, True, True, False, False]
+    away = pp.EndEffector(position=(0, 0, 3.0 * L), priority=True)
     verdict = judge(six_modules(), Keyframe(straight_line(), tip=away), None)
     assert verdict.target is None
     assert verdict.reason.startswith("its strict tip task is missed by")

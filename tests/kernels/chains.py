@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture.kernels.arrays import Springs
+from pinposture.kernels.arrays import PointObjective
 
 Array = NDArray[np.float64]
 
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 class Problem(NamedTuple):
     """A least-squares problem along a chain, and the same as dense rows |A x - r|^2 + sum D (x - z)^2."""
 
-    springs: Springs
+    springs: PointObjective
     errors: Array
     damping: Array
     centre: Array
@@ -66,7 +66,7 @@ def problem(rng: np.random.Generator, modules: int, damping: float, straight: bo
     ends = ends.astype(np.int64)
     kernels.find_screws(np.arange(n), slides, units, axes, origins, ends, points, screws)
     return Problem(
-        Springs(screws, ends, points, weights, chords),
+        PointObjective(screws, ends, points, weights, chords),
         errors,
         damping * rng.uniform(0.5, 2.0, n),
         rng.normal(size=n) * 0.05,

@@ -25,7 +25,7 @@ BERNSTEIN = np.array(
 )
 
 
-class Placed(NamedTuple):
+class ForwardKinematics(NamedTuple):
     """Joint positions of the chain, arc length of each unit's end, and the unit that has no place, or -1."""
 
     positions: Array
@@ -106,7 +106,7 @@ def walk(
     n: int,
     parameter: float,
     start: Array,
-) -> Placed:
+) -> ForwardKinematics:
     """Place units one after the other, from `start`, which lies at the arc length `parameter`."""
     s, samples = curve_samples(curve, n)
     lower, upper = arm.limits.lower[arm.columns], arm.limits.upper[arm.columns]
@@ -135,10 +135,10 @@ def walk(
             if chosen and chosen[4]:
                 break
         if chosen is None:
-            return Placed(positions, parameters, k, found, len(out) > 0)
+            return ForwardKinematics(positions, parameters, k, found, len(out) > 0)
         i, t, p, q, _ = chosen
         positions[joint : joint + dof] = q
         parameters[k] = parameter = arcs[i] + (arcs[i + 1] - arcs[i]) * t
         turn = frame @ forward(sizes, q)[1] @ neutral.T
         point = start = point + frame @ p
-    return Placed(positions, parameters, -1, 0, False)
+    return ForwardKinematics(positions, parameters, -1, 0, False)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import ast
 import os
+import pickle
 import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 
@@ -47,9 +49,9 @@ def test_importing_the_package_starts_no_compiler() -> None:
 
 
 def test_machine_code_is_kept_until_its_sources_change() -> None:
-    kept = kernels.sum_distances._cache._cache_file
+    kept = kernels.sum_point_errors._cache._cache_file
     assert kept._source_stamp == compiled.source_stamp(ROOM / "path.py")
-    assert compiled.is_ready(kernels.sum_distances) or not kernels.sum_distances.signatures
+    assert compiled.is_ready(kernels.sum_point_errors) or not kernels.sum_point_errors.signatures
 
 
 def test_a_stamp_is_that_of_a_file_and_of_what_it_imports(tmp_path: Path) -> None:
@@ -90,8 +92,8 @@ class Count(event.Listener):
 event.register("numba:compile", Count())
 from pinposture import kernels
 sys.stdin.read()
-kernels.sum_distances(np.zeros((2, 3)), np.ones((2, 3)), np.ones(2, dtype=bool))
-print(Count.names.count("sum_distances"))
+kernels.sum_point_errors(np.zeros((2, 3)), np.ones((2, 3)), np.ones(2, dtype=bool))
+print(Count.names.count("sum_point_errors"))
 """
 
 
@@ -116,7 +118,7 @@ def refused(self):
 
 Dispatcher.enable_caching = refused  # as numba does where it finds no folder
 from pinposture import kernels
-print(kernels.sum_distances(np.zeros((2, 3)), np.ones((2, 3)), np.ones(2, dtype=bool)))
+print(kernels.sum_point_errors(np.zeros((2, 3)), np.ones((2, 3)), np.ones(2, dtype=bool)))
 """
 
 
@@ -124,3 +126,16 @@ def test_where_nothing_can_be_kept_it_works_and_says_so() -> None:
     ran = subprocess.run([sys.executable, "-c", NOWHERE], capture_output=True, text=True, check=True)
     assert float(ran.stdout) == pytest.approx(2.0 * np.sqrt(3.0))
     assert ran.stderr.count("no folder to keep compiled kernels in") == 1
+
+
+def test_an_index_of_another_version_counts_as_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = kernels.sum_point_errors._cache._cache_file
+
+    path = Path(kept._index_path)
+    before = path.read_bytes() if path.exists() else None
+    try:
+        path.write_bytes(pickle.dumps(numba.__version__) + b"cpinposture.kernels.arrays\nNoSuchClass\n.")
+        assert kept._load_index() == {}
+        assert compiled.is_ready(kernels.sum_point_errors) == bool(kernels.sum_point_errors.signatures)
+    finally:
+        path.unlink() if before is None else path.write_bytes(before)

@@ -1,4 +1,4 @@
-"""Sweeps along a chain against dense linear algebra, with more digits where it takes them."""
+"""ChainSolver along a chain against dense linear algebra, with more digits where it takes them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sampling import examples
 
 import pinposture as pp
 from pinposture import kernels
-from pinposture.kernels.arrays import Springs
+from pinposture.kernels.arrays import PointObjective
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -69,12 +69,12 @@ def test_500_modules_meet_their_optimality_conditions() -> None:
     state = arm.at(0.2 * rng.normal(size=arm.nv))
     chain, m, n = arm.kinematics, 500, 1000
     errors, damping = 0.02 * rng.normal(size=(m, 3)), np.full(n, 1e-6)
-    screws, placed = np.empty((n, 6)), state.placed
+    screws, placed = np.empty((n, 6)), state.forward
     kernels.find_screws(
         np.arange(n), chain.slides, np.ones(n), placed.axes, placed.origins, chain.ends, placed.points, screws
     )
     p = Problem(
-        Springs(screws, chain.ends, placed.points, np.ones(m), np.zeros(m)),
+        PointObjective(screws, chain.ends, placed.points, np.ones(m), np.zeros(m)),
         errors,
         damping,
         np.zeros(n),
@@ -102,7 +102,7 @@ def test_motions_misses_and_stiffness_are_what_the_rows_say(seed: int, modules: 
     found = kernels.stiffness(p.springs)
     assert found == pytest.approx((p.rows**2).sum() / len(x), rel=1e-9)
     errors = np.empty_like(points)
-    total = kernels.measure_misses(points, points + p.errors, weights, chords, np.zeros(3), errors)
+    total = kernels.measure_point_errors(points, points + p.errors, weights, chords, np.zeros(3), errors)
     np.testing.assert_allclose(errors, p.errors, atol=1e-15)
     assert total == pytest.approx(p.right @ p.right)
 
@@ -111,7 +111,7 @@ def test_errors_across_a_planar_arm_do_not_count() -> None:
     rng = np.random.default_rng(1)
     points, targets, normal = rng.normal(size=(4, 3)), rng.normal(size=(4, 3)), np.array([0.6, 0.0, 0.8])
     errors = np.empty((4, 3))
-    total = kernels.measure_misses(points, targets, np.ones(4), np.zeros(4), normal, errors)
+    total = kernels.measure_point_errors(points, targets, np.ones(4), np.zeros(4), normal, errors)
     np.testing.assert_allclose(errors @ normal, 0.0, atol=1e-15)
     np.testing.assert_allclose(np.cross(errors, normal), np.cross(targets - points, normal), atol=1e-15)
     assert total == pytest.approx((errors**2).sum())

@@ -45,7 +45,7 @@ def both(arm: pp.Arm, curve: pp.Curve, samples: int, parameter: float = 0.0) -> 
     start = arm.chain.base if parameter == 0.0 else curve.at(parameter)
     state = np.concatenate([[parameter], arm.chain.base, start, [0.0, 0.0]])
     positions, parameters = np.zeros(len(lower)), np.zeros(arm.n_modules)
-    stopped = kernels.walk_along(
+    stopped = kernels.place_modules(
         *curve.measured, samples, units, shapes, lower, upper, state, positions, parameters
     )
     expected = walk(arm, units, shapes, curve, samples, parameter, start)

@@ -46,7 +46,7 @@ def targets(arm: pp.Arm, starts: list[np.ndarray]) -> list[pp.Target]:
 @pytest.fixture(scope="module")
 def batch(arm: pp.Arm, targets: list[pp.Target], starts: list[np.ndarray]) -> pp.Batch:
     scene = pp.Scene({"ball": pp.Sphere((0.1, 0.0, 0.35), 0.02)})
-    return pp.track_many(arm, targets, starts, "qp", LIMITS, scene, max_steps=12)
+    return pp.track_many(arm, targets, starts, "geodesic", LIMITS, scene, max_steps=12)
 
 
 @pytest.fixture(scope="module")
@@ -139,7 +139,7 @@ def changed(content: bytes, path: Path, **arrays: object) -> Path:
         {"status": np.array(["converged"])},
         {"motion_q": np.zeros((3, 8))},
         {"motion_offsets": np.array([0, 1, 2, 3, 4])},
-        {"motion_relaxed": None},
+        {"motion_violated_constraints": None},
         {"target_points": np.zeros((3, 4, 3))},
         {"has_q": np.array([True])},
         {"reason": np.array([{}, {}, {}, {}], dtype=object)},

@@ -51,7 +51,7 @@ class Reckless:
     def step(self, state, target, limits=None, memory=None):
         number = 0 if memory is None else memory.own + 1
         dq = np.full(8, (0.05, 0.2, 0.05)[number])
-        step = pp.ConstrainedQP().step(state, target, limits)
+        step = pp.Geodesic().step(state, target, limits)
         return step._replace(dq=dq, memory=Memory(dq, number))
 
 

@@ -49,12 +49,12 @@ def driven(tracker: Tracker, q: np.ndarray, sag: np.ndarray | float, steps: int)
     return np.array(found)
 
 
-@pytest.mark.parametrize("controller", ["joint", "qp"])
+@pytest.mark.parametrize("controller", ["joint", "geodesic"])
 @pytest.mark.parametrize("ratio", [1.0, 4.0, 10.0])
 def test_the_loop_is_the_one_of_the_characteristic_polynomial(
     one: pp.Arm, controller: str, ratio: float
 ) -> None:
-    tracker = Tracker(one, controller, FREE, feedback=ratio * LAG)
+    tracker = Tracker(one, controller, FREE, feedback_time_constant=ratio * LAG)
     tracker.update(Target.from_configuration(one, np.array([0.1])))
     steps = 1000
     found = driven(tracker, np.zeros(1), 0.02, steps)[:, 0]
@@ -69,7 +69,7 @@ def test_the_loop_is_the_one_of_the_characteristic_polynomial(
     assert found[-1] == pytest.approx(0.1, abs=5e-3)
 
 
-@pytest.mark.parametrize("controller", ["qp", "joint"])
+@pytest.mark.parametrize("controller", ["geodesic", "joint"])
 @pytest.mark.parametrize("seed", range(2))
 def test_an_arm_that_sags_and_lags_takes_the_posture_all_the_same(
     arm: pp.Arm, seed: int, controller: str
@@ -79,11 +79,11 @@ def test_an_arm_that_sags_and_lags_takes_the_posture_all_the_same(
     wanted, sag = rng.uniform(-1, 1, arm.nv), 0.03 * rng.normal(size=arm.nv)
     ends = {}
     for feedback in (0.25, np.inf):
-        tracker = Tracker(arm, controller, limits, feedback=feedback)
+        tracker = Tracker(arm, controller, limits, feedback_time_constant=feedback)
         tracker.update(Target.from_configuration(arm, wanted))
         path = driven(tracker, rng.uniform(-1, 1, arm.nv), sag, 500)
         ends[feedback] = np.abs(path[-1] - wanted).max()
-        if controller == "joint":  # the way of "qp" is direct for points, and need not be for joints
+        if controller == "joint":  # the way of "geodesic" is direct for points, and need not be for joints
             beyond = (path - wanted) * np.sign(wanted - path[0])
             assert beyond.max() < 0.1
     assert ends[0.25] < 1e-5
@@ -93,7 +93,7 @@ def test_an_arm_that_sags_and_lags_takes_the_posture_all_the_same(
 def test_a_sag_that_would_need_a_command_beyond_the_limits_is_made_good_as_far_as_they_go() -> None:
     arm = pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.5, 0.5)] * 3)
     limits = pp.Limits(step=None, velocity=2.0, dt=0.01, acceleration=10.0)
-    tracker = Tracker(arm, "qp", limits)
+    tracker = Tracker(arm, "geodesic", limits)
     tracker.update(Target.from_configuration(arm, np.full(arm.nv, 0.49)))
     path = driven(tracker, np.zeros(arm.nv), -0.05, 400)
     assert tracker.command.max() <= 0.5 + 1e-12
@@ -105,7 +105,7 @@ def test_without_a_known_configuration_points_are_shifted_by_as_much(arm: pp.Arm
     rng = np.random.default_rng(5)
     wanted, sag = rng.uniform(-0.8, 0.8, arm.nv), 0.02 * rng.normal(size=arm.nv)
     points = arm.at(wanted).points
-    tracker = Tracker(arm, "qp", limits)
+    tracker = Tracker(arm, "geodesic", limits)
     tracker.update(Target.from_points(arm, points))
     path = driven(tracker, wanted + 0.2, sag, 900)
     off = np.linalg.norm(arm.at(path[-1]).points - points, axis=1).mean()
@@ -124,7 +124,7 @@ def test_points_seen_from_outside_make_good_what_the_model_has_wrong(interface: 
     wanted = real.at(np.linspace(-0.5, 0.5, real.nv)).points
     off = {}
     for seen in (False, True):
-        tracker = Tracker(model, "qp", limits, interface=interface)
+        tracker = Tracker(model, "geodesic", limits, interface=interface)
         tracker.update(Target.from_points(model, wanted))
         q = 0.1 * np.ones(model.nv)
         for _ in range(500):

@@ -28,7 +28,9 @@ def arm() -> pp.Arm:
     return template_arm("RyRz", 4)
 
 
-def motion_of(arm: pp.Arm, controller: str = "qp", ball: bool = False, stop: int | None = None) -> Motion:
+def motion_of(
+    arm: pp.Arm, controller: str = "geodesic", ball: bool = False, stop: int | None = None
+) -> Motion:
     s = np.linspace(0.0, 1.0, 31)[:, None]
     offsets = s**3 * (10.0 - 15.0 * s + 6.0 * s**2) * np.linspace(0.2, -0.5, arm.nv)
     weights = np.ones((31, 4))
@@ -68,10 +70,10 @@ def assert_equal(one: Motion, other: Motion) -> None:
                 assert got.dtype == value.dtype, field.name
                 np.testing.assert_array_equal(got, value, err_msg=field.name)
             elif field.name in (
-                "set_out",
+                "start_index",
                 "planned",
                 "passed",
-                "detours",
+                "deviations",
                 "limits",
                 "scene",
                 "status",
@@ -82,7 +84,7 @@ def assert_equal(one: Motion, other: Motion) -> None:
     np.testing.assert_array_equal(one.run.target.q, other.run.target.q)
     assert one.arm.joint_names == other.arm.joint_names
     np.testing.assert_array_equal(one.arm.at(one.q[-1]).points, other.arm.at(other.q[-1]).points)
-    for name in ("velocities", "accelerations", "time", "mean_error", "duration", "slowing"):
+    for name in ("velocities", "accelerations", "time", "mean_error", "duration", "time_scale"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
     assert repr(one) == repr(other)
 
@@ -114,7 +116,7 @@ def test_a_motion_pickles(motion: Motion) -> None:
 def test_its_arrays_are_not_to_be_written_to(motion: Motion, tmp_path: Path) -> None:
     loaded = pp.load(pp.save(motion, tmp_path / "motion"), Motion)
     for each in (motion, loaded):
-        for array in (each.targets, each.asked, each.clock, each.q):
+        for array in (each.targets, each.target_mask, each.plan_time, each.q):
             with pytest.raises(ValueError, match="read-only"):
                 array[0] = 0
 
@@ -124,7 +126,7 @@ def test_files_of_other_kinds_name_who_reads_them(arm: pp.Arm, motion: Motion, t
     whole = pp.save(motion, tmp_path / "motion")
     run = pp.save(motion.run, tmp_path / "run")
     batch = pp.save(
-        pp.track_many(arm, [target], [arm.neutral()], "qp", LIMITS, max_steps=3), tmp_path / "batch"
+        pp.track_many(arm, [target], [arm.neutral()], "geodesic", LIMITS, max_steps=3), tmp_path / "batch"
     )
     joints = pp.save(motion.joint_trajectory(force=True), tmp_path / "joints.npz")
     kinds = {whole: Motion, run: pp.Trajectory, batch: pp.Batch, joints: pp.JointTrajectory}
@@ -179,7 +181,7 @@ def repacked(content: bytes, tmp_path: Path, **changed: object) -> Path:
 
 def test_arrays_that_do_not_fit_are_refused(content: bytes, motion: Motion, tmp_path: Path) -> None:
     assert_equal(pp.load(repacked(content, tmp_path), Motion), motion)
-    for name in ("motion_targets", "motion_asked", "motion_clock"):
+    for name in ("motion_targets", "motion_target_mask", "motion_plan_time"):
         whole = getattr(motion, name.removeprefix("motion_"))
         for wrong in (None, whole[:-1], np.zeros(3), whole[..., None]):
             with pytest.raises(FileError, match=r"changed\.npz"):

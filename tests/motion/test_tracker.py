@@ -33,7 +33,7 @@ def run(tracker: Tracker, q: np.ndarray, steps: int) -> tuple[np.ndarray, np.nda
     return np.array(path), np.array(moved)
 
 
-@pytest.mark.parametrize("controller", ["qp", "joint", "lm", "switching"])
+@pytest.mark.parametrize("controller", ["geodesic", "joint", "lm", "switching"])
 @pytest.mark.parametrize("interface", ["position", "velocity"])
 def test_the_arm_comes_to_its_target_and_rests(arm: pp.Arm, controller: str, interface: str) -> None:
     rng = np.random.default_rng(1)
@@ -56,14 +56,14 @@ def test_it_goes_the_way_that_a_run_goes(arm: pp.Arm) -> None:
     start, goal = (smooth_configuration(arm, rng, 0.8) for _ in range(2))
     target = Target.from_configuration(arm, goal)
     motion = pp.track(arm, target, start, limits=LIMITS)
-    tracker = Tracker(arm, "qp", LIMITS)
+    tracker = Tracker(arm, "geodesic", LIMITS)
     tracker.update(target)
     path, _ = run(tracker, start, motion.steps)
     np.testing.assert_allclose(path, motion.q, atol=1e-9)
 
 
 def test_before_anything_is_known(arm: pp.Arm) -> None:
-    tracker = Tracker(arm, "qp", LIMITS)
+    tracker = Tracker(arm, "geodesic", LIMITS)
     assert tracker.report.status == "holding" and tracker.report.reason and tracker.target is None
     with pytest.raises(InvalidValue, match="command"):
         _ = tracker.command
@@ -76,16 +76,16 @@ def test_before_anything_is_known(arm: pp.Arm) -> None:
 
 
 def test_without_a_target_it_stands(arm: pp.Arm) -> None:
-    tracker = Tracker(arm, "qp", LIMITS)
+    tracker = Tracker(arm, "geodesic", LIMITS)
     for _ in range(5):
         assert not np.any(tracker.step(arm.neutral()))
     report = tracker.report
     assert report.status == "holding" and "no target" in report.reason
-    assert report.mean_error is None and report.target_age is None and report.disagreement == 0.0
+    assert report.mean_error is None and report.target_age is None and report.tracking_error == 0.0
 
 
 def test_a_target_that_does_not_fit_is_refused_and_the_one_before_stays(arm: pp.Arm) -> None:
-    tracker = Tracker(arm, "qp", LIMITS)
+    tracker = Tracker(arm, "geodesic", LIMITS)
     good = Target.from_configuration(arm, np.full(arm.nv, 0.2))
     tracker.update(good)
     tracker.step(arm.neutral())
@@ -133,7 +133,7 @@ def test_so_does_a_controller_that_works_in_a_thread_of_its_own(arm: pp.Arm) -> 
 
 
 def test_faults_of_the_program_are_raised(arm: pp.Arm) -> None:
-    tracker = Tracker(arm, "qp", LIMITS)
+    tracker = Tracker(arm, "geodesic", LIMITS)
     q = arm.neutral()
     for bad in (np.zeros(arm.nq - 1), np.zeros((2, arm.nq)), "here"):
         with pytest.raises(InvalidValue, match="q_measured"):
@@ -150,17 +150,17 @@ def test_faults_of_the_program_are_raised(arm: pp.Arm) -> None:
 def test_what_it_is_made_with_is_checked(arm: pp.Arm) -> None:
     for limits in (None, pp.Limits(), "fast"):
         with pytest.raises(InvalidValue, match="dt"):
-            Tracker(arm, "qp", limits)
-    for name in ("feedback", "disagreement", "patience", "timeout", "deadline"):
+            Tracker(arm, "geodesic", limits)
+    for name in ("feedback_time_constant", "max_tracking_error", "resync_time", "timeout", "deadline"):
         for value in (0.0, -1.0, np.nan):
             with pytest.raises(InvalidValue, match=name):
-                Tracker(arm, "qp", LIMITS, **{name: value})
+                Tracker(arm, "geodesic", LIMITS, **{name: value})
     with pytest.raises(UnknownName, match="torque"):
-        Tracker(arm, "qp", LIMITS, interface="torque")
+        Tracker(arm, "geodesic", LIMITS, interface="torque")
     with pytest.raises(UnknownName):
         Tracker(arm, "best", LIMITS)
     with pytest.raises(PostureError):
-        Tracker(arm, "qp", pp.Limits(step=np.ones(3), dt=0.01))
+        Tracker(arm, "geodesic", pp.Limits(step=np.ones(3), dt=0.01))
 
 
 def singular_goals(arm: pp.Arm) -> dict[str, np.ndarray]:
@@ -176,7 +176,7 @@ def test_singular_postures_are_taken_or_given_up_at_rest(arm: pp.Arm, name: str,
     goal = singular_goals(arm)[name]
     target = Target.from_configuration(arm, goal)
     target = target if known else Target.from_points(arm, target.points)
-    tracker = Tracker(arm, "qp", LIMITS)
+    tracker = Tracker(arm, "geodesic", LIMITS)
     tracker.update(target)
     path, moved = run(tracker, smooth_configuration(arm, np.random.default_rng(4), 0.5), 500)
     assert np.all(np.isfinite(path)) and np.abs(path).max() <= np.pi + 1e-9
@@ -193,7 +193,7 @@ def test_singular_postures_are_taken_or_given_up_at_rest(arm: pp.Arm, name: str,
 @pytest.mark.parametrize("factor", [1.05, 1.3, 5.0])
 def test_what_is_out_of_reach_ends_stuck_and_at_rest(arm: pp.Arm, factor: float) -> None:
     points = factor * arm.at(smooth_configuration(arm, np.random.default_rng(6), 0.4)).points
-    tracker = Tracker(arm, "qp", LIMITS)
+    tracker = Tracker(arm, "geodesic", LIMITS)
     tracker.update(Target.from_points(arm, points))
     path, moved = run(tracker, 0.1 * np.ones(arm.nv), 500)
     assert tracker.report.status == "stalled" and tracker.report.reason
@@ -205,7 +205,7 @@ def test_what_is_out_of_reach_ends_stuck_and_at_rest(arm: pp.Arm, factor: float)
 def test_a_target_that_moves_slowly_is_kept(arm: pp.Arm) -> None:
     rng = np.random.default_rng(7)
     one, two = (smooth_configuration(arm, rng, 0.6) for _ in range(2))
-    tracker, q, off = Tracker(arm, "qp", LIMITS), one, []
+    tracker, q, off = Tracker(arm, "geodesic", LIMITS), one, []
     for k in range(400):
         wanted = np.cos(0.01 * k) * one + np.sin(0.01 * k) * two
         tracker.update(Target.from_configuration(arm, wanted))
@@ -217,7 +217,7 @@ def test_a_target_that_moves_slowly_is_kept(arm: pp.Arm) -> None:
 
 def test_a_new_target_ahead_does_not_stop_the_arm() -> None:
     arm = pp.Arm.from_template("Rz", 1)
-    tracker, q, speeds = Tracker(arm, "qp", LIMITS), arm.neutral(), []
+    tracker, q, speeds = Tracker(arm, "geodesic", LIMITS), arm.neutral(), []
     for k in range(70):
         if k % 10 == 0:  # always a jump of its own, too far for the way to be bent
             tracker.update(Target.from_configuration(arm, np.array([2.6 + 0.05 * k / 10])))
@@ -229,7 +229,7 @@ def test_a_new_target_ahead_does_not_stop_the_arm() -> None:
 
 def test_a_restart_on_the_move_goes_on_at_that_speed(arm):
     limits = pp.Limits(step=None, dt=0.02, acceleration=5.0)
-    tracker = Tracker(arm, limits=limits, feedback=float("inf"))
+    tracker = Tracker(arm, limits=limits, feedback_time_constant=float("inf"))
     rng = np.random.default_rng(0)
     target = pp.Target.from_configuration(arm, smooth_configuration(arm, rng, 0.5))
     tracker.restart(arm.neutral())
@@ -237,12 +237,12 @@ def test_a_restart_on_the_move_goes_on_at_that_speed(arm):
     for _ in range(8):
         dq = tracker.step(tracker.command)
     assert np.abs(dq).max() > 2.0 * limits.acceleration * limits.dt**2
-    other = Tracker(arm, limits=limits, feedback=float("inf"))
+    other = Tracker(arm, limits=limits, feedback_time_constant=float("inf"))
     other.restart(tracker.command, dq)
     other.update(target)
     most = limits.acceleration * limits.dt**2 * (1.0 + 1e-9)
     assert np.abs(other.step(other.command) - dq).max() <= most
-    still = Tracker(arm, limits=limits, feedback=float("inf"))
+    still = Tracker(arm, limits=limits, feedback_time_constant=float("inf"))
     still.restart(tracker.command)
     still.update(target)
     assert np.abs(still.step(still.command)).max() <= most  # from rest it cannot be that fast
@@ -254,7 +254,7 @@ def test_a_restart_on_the_move_goes_on_at_that_speed(arm):
 def test_memory_does_not_grow() -> None:
     arm = pp.Arm.from_template("RyRz", 3)
     rng = np.random.default_rng(8)
-    tracker, q = Tracker(arm, "qp", LIMITS), arm.neutral()
+    tracker, q = Tracker(arm, "geodesic", LIMITS), arm.neutral()
     targets = [Target.from_configuration(arm, smooth_configuration(arm, rng, 0.5)) for _ in range(5)]
 
     def cycles(count: int, q: np.ndarray) -> np.ndarray:

@@ -118,8 +118,8 @@ def test_harsh_curves_within_narrow_limits_give_a_target_or_a_reason() -> None:
         target = pp.resolve_targets(arm, curve, incomplete="partial")
         outcomes.add((target.method, target.incomplete == ""))
         assert np.all(np.isfinite(target.points)) and np.all(np.isfinite(target.q))
-        assert np.all(target.residual[target.placed] < 0.1 * 0.05)
-        assert bool(target.incomplete) == (not target.placed.all())
+        assert np.all(target.residual[target.has_target] < 0.1 * 0.05)
+        assert bool(target.incomplete) == (not target.has_target.all())
     assert len(outcomes) > 1
 
 
@@ -153,7 +153,7 @@ def test_failures_are_named() -> None:
     with pytest.raises(CurveBendsTooMuch, match="closest that its end can come"):
         pp.resolve_targets(tight, HELIX, method="closest")
     partial = pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (0.2, 0, 0)), incomplete="partial")
-    assert partial.placed.tolist() == [True, True, True, False, False]
+    assert partial.has_target.tolist() == [True, True, True, False, False]
     assert np.all(np.isfinite(partial.points))
 
 

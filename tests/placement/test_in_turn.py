@@ -12,7 +12,7 @@ from sampling import seeds
 from scipy.optimize import least_squares
 
 import pinposture as pp
-from pinposture.placement.points import taken_exactly, taken_in_turn
+from pinposture.placement.points import place_sequentially, taken_exactly
 
 
 def hinges(*axes, low=-2.5, high=2.5):
@@ -69,8 +69,8 @@ def elbows(link: float, base: np.ndarray, heading: float, point: np.ndarray) -> 
     if distance > 2.0 * link:
         return []
     half = np.arccos(distance / (2.0 * link))
-    bearing = np.arctan2(way[1], way[0]) - heading
-    pairs = [(bearing + sign * half, -2.0 * sign * half) for sign in (1.0, -1.0)]
+    link_axes = np.arctan2(way[1], way[0]) - heading
+    pairs = [(link_axes + sign * half, -2.0 * sign * half) for sign in (1.0, -1.0)]
     return [(float(np.angle(np.exp(1j * a))), b) for a, b in pairs]
 
 
@@ -145,8 +145,8 @@ def test_points_out_of_the_limits_are_not_found() -> None:
     narrow = pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.5, 0.5)] * 4)
     wide, every = pp.Arm.from_template("RyRz", 4), np.ones(4, dtype=bool)
     bent = wide.at(wide.configuration(np.full(8, 0.8))).points
-    assert taken_in_turn(wide, bent, every, np.zeros(8))[1]
-    assert not taken_in_turn(narrow, bent, every, np.zeros(8))[1]
+    assert place_sequentially(wide, bent, every, np.zeros(8))[1]
+    assert not place_sequentially(narrow, bent, every, np.zeros(8))[1]
     assert taken_exactly(wide, bent, np.zeros(8)) is not None
     assert taken_exactly(narrow, bent, np.zeros(8)) is None
 
@@ -168,6 +168,6 @@ def test_of_two_elbows_the_nearer_is_taken() -> None:
     arm = pp.Arm.from_template("RzRz", 3)
     for seed in range(20):
         q = np.random.default_rng(seed).uniform(-1.5, 1.5, 6)
-        positions, taken = taken_in_turn(arm, arm.at(q).points, np.ones(3, dtype=bool), q + 1e-3)
+        positions, taken = place_sequentially(arm, arm.at(q).points, np.ones(3, dtype=bool), q + 1e-3)
         assert taken
         np.testing.assert_allclose(positions, q, atol=1e-7)

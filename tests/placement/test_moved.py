@@ -97,17 +97,17 @@ LIMITS = pp.Limits(step=None, dt=0.05)
 def test_among_obstacles_curves_stay_where_they_are_drawn(arm: pp.Arm) -> None:
     drawn = frames()[1].curve
     free = pp.move_through(arm, frames(), limits=LIMITS)
-    assert free.passed[1].moved.angle == pytest.approx(np.arctan2(0.02, 0.08))
+    assert free.waypoints[1].moved.angle == pytest.approx(np.arctan2(0.02, 0.08))
     among = pp.move_through(arm, frames(), limits=LIMITS, scene=BALL)
-    assert among.passed[1].moved == Moved((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    assert among.waypoints[1].moved == Moved((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     off = drawn.nearest(among.targets[-1])[1].max()
     assert off < 0.01 < drawn.nearest(free.targets[-1])[1].max()
     # Who says it explicitly has it.
     asked = pp.move_through(arm, frames(placement="align"), limits=LIMITS, scene=BALL)
-    assert asked.passed[1].moved == free.passed[1].moved
+    assert asked.waypoints[1].moved == free.waypoints[1].moved
     # A scene without obstacles is no place to be in.
     alone = pp.move_through(arm, frames(), limits=LIMITS, scene=pp.Scene(self_collision=True))
-    assert alone.passed[1].moved == free.passed[1].moved
+    assert alone.waypoints[1].moved == free.waypoints[1].moved
 
 
 def test_a_keyframe_that_is_taken_from_elsewhere_is_named(arm: pp.Arm) -> None:

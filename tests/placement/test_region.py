@@ -50,16 +50,16 @@ def test_a_region_is_a_copy_with_weight_only_inside(planar: pp.Arm) -> None:
     np.testing.assert_array_equal(whole.weights, weights)
     np.testing.assert_array_equal(part.q, whole.q)
     np.testing.assert_array_equal(part.points, whole.points)
-    assert np.flatnonzero(part.region(5, 20).placed).tolist() == [5, 6, 8, 9]
+    assert np.flatnonzero(part.region(5, 20).has_target).tolist() == [5, 6, 8, 9]
     np.testing.assert_array_equal(whole.region(0, 23).weights, weights)
 
 
 def test_a_region_of_a_partial_target_has_the_points_with_a_place(spatial: pp.Arm) -> None:
     curve = pp.Curve.line((0, 0, 0), (0.31, 0, 0))
     partial = pp.resolve_targets(spatial, curve, incomplete="partial")
-    assert np.flatnonzero(partial.placed).tolist() == [0, 1, 2, 3, 4, 5]
+    assert np.flatnonzero(partial.has_target).tolist() == [0, 1, 2, 3, 4, 5]
     part = partial.region(4, 8)
-    assert np.flatnonzero(part.placed).tolist() == [4, 5]
+    assert np.flatnonzero(part.has_target).tolist() == [4, 5]
     assert part.incomplete == partial.incomplete
     assert part.curve is partial.curve
     with pytest.raises(InvalidValue, match=r"region is \(6, 9\).*: 0, 1, 2, 3, 4, 5$"):

@@ -42,7 +42,7 @@ def assert_consistent(arm: pp.Arm, target: pp.Target, tolerance: float) -> None:
     assert np.max(distance) < tolerance * arm.length
     assert np.max(target.residual) < tolerance * arm.length
     assert arm.within_limits(target.q)
-    assert np.all(target.placed)
+    assert np.all(target.has_target)
 
 
 @pytest.mark.parametrize("template", ["RyRz", "RzRy"])
@@ -66,7 +66,7 @@ def test_the_line_is_the_straight_arm(arm: pp.Arm) -> None:
 
 def test_a_line_as_long_as_the_arm_is_long_enough(arm: pp.Arm) -> None:
     target = pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (1.0, 0, 0)))
-    assert np.all(target.placed)
+    assert np.all(target.has_target)
     with pytest.raises(CurveEndsEarly, match="module 20"):
         pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (0.999, 0, 0)))
 
@@ -161,7 +161,7 @@ def test_curves_that_do_not_fit_are_named(arm: pp.Arm) -> None:
 
 def test_a_partial_target_says_which_points_have_no_place(arm: pp.Arm) -> None:
     target = pp.resolve_targets(arm, pp.Curve.line((0, 0, 0), (0.31, 0, 0)), incomplete="partial")
-    assert target.placed.tolist() == [True] * 6 + [False] * 14
+    assert target.has_target.tolist() == [True] * 6 + [False] * 14
     assert "module 7" in target.incomplete
     assert np.all(np.isfinite(target.points))
     np.testing.assert_allclose(arm.at(target.q).points, target.points, atol=1e-12)
@@ -185,7 +185,7 @@ def test_every_failure_is_a_target_error_and_never_nan() -> None:
                 )
             assert np.all(np.isfinite(target.points))
             assert np.all(np.isfinite(target.q))
-            assert np.all(target.residual[target.placed] < 1e-4)
+            assert np.all(target.residual[target.has_target] < 1e-4)
     assert 10 < failures < 120
 
 
@@ -223,7 +223,7 @@ def test_targets_from_points_and_configurations(arm: pp.Arm) -> None:
     np.testing.assert_allclose(taken.points, arm.at(q).points, atol=1e-15)
     some = np.zeros(20)
     some[[4, 19]] = 1.0
-    assert pp.Target.from_points(arm, taken.points, some).placed.sum() == 2
+    assert pp.Target.from_points(arm, taken.points, some).has_target.sum() == 2
     for points, weights, message in (
         (np.zeros((19, 3)), None, r"\(20, 3\)"),
         (np.full((20, 3), np.nan), None, r"points\[0, 0\] is nan"),

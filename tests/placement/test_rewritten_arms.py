@@ -47,7 +47,7 @@ def test_axes_that_stand_aside_of_the_links_are_no_obstacle() -> None:
     assert [len(joints) for joints in arm.module_joints] == [2] * 8
     target = pp.resolve_targets(arm, gentle_curve(arm))
     assert target.method == "closest"
-    assert np.all(target.placed)
+    assert np.all(target.has_target)
     assert np.sqrt(np.mean(target.residual**2)) < 1e-6 * arm.length
     run = pp.track(arm, target, arm.random(np.random.default_rng(0)), "joint")
     assert run.converged

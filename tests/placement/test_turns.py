@@ -67,7 +67,7 @@ def test_targets_stay_near_the_one_before(method) -> None:
     np.testing.assert_allclose(arm.at(again.q).points, again.points, atol=1e-9 * arm.length)
 
 
-@pytest.mark.parametrize("known, controller", [(True, "qp"), (False, "qp"), (True, "joint")])
+@pytest.mark.parametrize("known, controller", [(True, "geodesic"), (False, "geodesic"), (True, "joint")])
 def test_runs_end_within_half_a_turn_of_their_start(known: bool, controller: str) -> None:
     arm, rng = arm_of(*OBLIQUE), np.random.default_rng(3)
     start, goal = rng.uniform(-1.0, 1.0, (2, arm.nv)) + 2.0 * np.pi * rng.integers(-4, 5, (2, arm.nv))

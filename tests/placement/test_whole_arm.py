@@ -46,9 +46,9 @@ def test_the_distance_is_that_of_dense_samples_of_links_and_curve(seed):
 
 
 def test_a_link_across_a_circle_is_as_far_from_it_as_its_chord():
-    radius, chord = 1.0, 0.8
-    arm = load(arm_text([("revolute", Z, HERE)], tip=f"{chord} 0 0"))
-    half = np.arcsin(chord / 2 / radius)
+    radius, relative_position_weight = 1.0, 0.8
+    arm = load(arm_text([("revolute", Z, HERE)], tip=f"{relative_position_weight} 0 0"))
+    half = np.arcsin(relative_position_weight / 2 / radius)
     turn = np.linspace(np.pi / 2 + half, np.pi / 2 - half, 200)
     circle = pp.Curve.points(radius * np.column_stack([np.cos(turn), np.sin(turn), 0 * turn]))
     laid = circle.moved(np.eye(3), -circle.start)

@@ -34,8 +34,8 @@ def made(arm, q, target=None, active=None, **fields) -> pp.Trajectory:
         "clipped": np.zeros((steps, arm.nv), dtype=bool),
         "method": np.full(steps, ""),
         "switched": np.full(steps, ""),
-        "escape": np.zeros(steps, dtype=bool),
-        "relaxed": np.full(steps, ""),
+        "error_increasing": np.zeros(steps, dtype=bool),
+        "violated_constraints": np.full(steps, ""),
         "clearance": np.full(steps + 1, np.inf),
     }
     return pp.Trajectory(**{**known, **fields})
@@ -46,7 +46,7 @@ def one(
     points=(10, 10),
     status="max_steps",
     modules=20,
-    sweep=1.0,
+    path_length_ratio=1.0,
     separation=None,
     descent=None,
     nearness=None,
@@ -85,7 +85,7 @@ def one(
         modules=modules,
         descent=descent or Descent(count, rose, 0, 0, int(counts.sum()), 0, int(counts.sum()), 0, 0),
         deficient=deficient,
-        sweep=sweep,
+        path_length_ratio=path_length_ratio,
         steps=Steps(row(nearness, 0.1), row(asked, 0.1), row(turn, 0.0), np.zeros(count)),
         by_projection=by_projection,
         separation=separation,

@@ -133,7 +133,11 @@ def test_runs_without_a_step_did_not_start():
 
 
 def test_predictable_runs_are_direct_and_insensitive():
-    runs = [one(sweep=1.5, separation=1e-3), one(sweep=1.6, separation=0.0), one(sweep=1.0, separation=0.01)]
+    runs = [
+        one(path_length_ratio=1.5, separation=1e-3),
+        one(path_length_ratio=1.6, separation=0.0),
+        one(path_length_ratio=1.0, separation=0.01),
+    ]
     assert list(judged("selection-predictable", {("helix", "selection"): runs}).values()) == [(1, 3)]
     assert list(judged("projection-unpredictable", {("helix", "projection"): runs}).values()) == [(2, 3)]
     without = {("helix", "selection"): [one()], ("helix", "projection"): [one()]}  # twins

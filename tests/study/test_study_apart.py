@@ -32,7 +32,7 @@ def test_baselines_have_names_once_they_are_imported():
         "from pinposture.control import CONTROLLERS\n"
         "before = set(CONTROLLERS)\n"
         "from pinposture.study.baselines import BASELINES\n"
-        "assert before == {'qp', 'selection', 'projection', 'switching', 'joint'}, before\n"
+        "assert before == {'geodesic', 'selection', 'projection', 'switching', 'joint'}, before\n"
         "assert set(CONTROLLERS) == before | set(BASELINES)\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -41,15 +41,15 @@ def test_the_run_of_qp_is_that_of_the_default_controller(directory: Path) -> Non
     error = np.mean([np.hypot.reduce(off) for off in points[-1] - target.points])
     paths = sum(np.hypot.reduce(after[k] - before[k]) for before, after in pairwise(points) for k in range(5))
     straight = sum(np.hypot.reduce(points[-1, k] - points[0, k]) for k in range(5))
-    assert found.qp == pytest.approx(error / arm.length, abs=1e-12)
-    assert found.path_excess == pytest.approx(paths / straight, rel=1e-9)
-    assert (found.qp_steps, found.qp_status) == (run.steps, "converged")
+    assert found.geodesic == pytest.approx(error / arm.length, abs=1e-12)
+    assert found.path_length_ratio == pytest.approx(paths / straight, rel=1e-9)
+    assert (found.geodesic_steps, found.qp_status) == (run.steps, "converged")
     assert np.all(np.abs(run.q) <= BEND + 1e-12)
     assert found.qp_within_limits
     assert found.within_limits
 
 
-@pytest.mark.parametrize("astray", ["joint", "switching", "qp"])
+@pytest.mark.parametrize("astray", ["joint", "switching", "geodesic"])
 def test_a_run_outside_the_limits_is_told_of(
     astray: str, directory: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -57,13 +57,13 @@ def test_a_run_outside_the_limits_is_told_of(
         q = np.tile(start, (2, 1))
         q[1, 3] = 1.2 * BEND if name == astray else 0.0
         points = np.array([arm.at(row).points for row in q])
-        found = {"q": q, "points": points, "point_errors": np.ones((2, 5)), "sweep": 1.0}
+        found = {"q": q, "points": points, "point_errors": np.ones((2, 5)), "path_length_ratio": 1.0}
         return SimpleNamespace(**found, steps=1, status="max_steps")
 
     monkeypatch.setattr("pinposture.study.arms.track", one_step)
     found = survey(directory)
     assert not found.within_limits
-    assert found.qp_within_limits == (astray != "qp")
+    assert found.qp_within_limits == (astray != "geodesic")
     assert found.qp_status == "max_steps"
 
 
@@ -88,7 +88,7 @@ def test_arms_of_awkward_shapes_are_cut_short_and_placed(name: str) -> None:
     assert ":" not in found.method
     assert found.residual <= 1.05 * found.reference + 1e-6
     assert found.farthest < 0.03
-    assert max(found.reached, found.qp) < 1e-6
+    assert max(found.reached, found.geodesic) < 1e-6
     assert found.within_limits
 
 
@@ -101,5 +101,5 @@ def test_a_file_that_is_refused_has_no_run(directory: Path) -> None:
     (directory / "arm.urdf").write_text('<robot name="r">\n')
     found = survey(directory)
     assert found.refused
-    assert found.qp is found.path_excess is found.switching is found.reached is None
-    assert (found.qp_steps, found.qp_status) == (0, "")
+    assert found.geodesic is found.path_length_ratio is found.switching is found.reached is None
+    assert (found.geodesic_steps, found.qp_status) == (0, "")

@@ -87,7 +87,7 @@ def test_the_default_is_a_thousand_cases_with_the_controllers_of_interest(monkey
     monkeypatch.setattr("pinposture.study.postures.gather_records", lambda *given: asked.append(given[1]))
     study_postures([built_subject("planar45")])
     assert asked == [1000]
-    assert CONTROLLERS == ("qp", "selection", "projection", "switching", "lm", "joint")
+    assert CONTROLLERS == ("geodesic", "selection", "projection", "switching", "lm", "joint")
 
 
 @pytest.mark.parametrize(
@@ -141,10 +141,10 @@ def test_groups_are_by_start_but_folds_by_target():
         one(start, target, controller)
         for start in ("straight", "noise", "uniform-0.6", "uniform-1.5", "smooth")
         for target in ("random", "folded")
-        for controller in ("qp", "lm")
+        for controller in ("geodesic", "lm")
     ]
     rows = summarise(runs)
-    assert [(row.group, row.controller) for row in rows[::2]] == [(group, "qp") for group in GROUPS]
+    assert [(row.group, row.controller) for row in rows[::2]] == [(group, "geodesic") for group in GROUPS]
     assert [row.runs for row in rows[::2]] == [1, 2, 2, 5]
     families = summarise(runs, families=True)
     assert len(families) == 20

@@ -29,9 +29,9 @@ def test_rises_are_counted_beyond_rounding_and_escapes_apart(arm):
     errors = np.array([2.0, 3.0, 1.0, 1.0 + 1e-9, 1.5, 0.3])
     escape = np.array([False, True, False, True, False])
     shares = np.array([0.2, 0.3, 0.5])  # of the three control points
-    run = made(arm, np.zeros((6, 3)), point_errors=np.outer(errors, shares), escape=escape)
-    found = record_run(run, CASE, "qp", seconds=0.5)
-    assert found[:5] == (*CASE, "qp")
+    run = made(arm, np.zeros((6, 3)), point_errors=np.outer(errors, shares), error_increasing=escape)
+    found = record_run(run, CASE, "geodesic", seconds=0.5)
+    assert found[:5] == (*CASE, "geodesic")
     assert (found.status, found.reason, found.steps) == ("max_steps", "made by hand", 5)
     assert found.rising == pytest.approx(2 / 5)  # the third step rises by less than 2e-9
     assert found.escaping == pytest.approx(1 / 5)  # of the two flagged, one falls

@@ -98,7 +98,7 @@ def test_paths_escapes_and_errors_of_a_run_made_by_hand() -> None:
     quarter = list(np.linspace(0.0, -np.pi / 2, 4))
     errors = np.outer([0.3, 0.2, 0.1, 0.05], [0.5, 1.5])
     escape = np.array([True, False, False])
-    found = measured(quarter, 1.0, escape=escape, point_errors=errors, reason="one\nline")
+    found = measured(quarter, 1.0, error_increasing=escape, point_errors=errors, reason="one\nline")
     assert found.path == pytest.approx(3 * 2.0 * np.sin(np.pi / 12) / np.sqrt(2.0))
     assert found.escaping == pytest.approx(1 / 3)
     assert found.error == pytest.approx(0.05 / (2.0 * LENGTH))

@@ -11,7 +11,8 @@ IN_A_TASK = r"""
 version = 1 + nam = 1 :: nam: there is no such key | 'name'
 modules = 6 + module = 1 :: arm.module: there is no such key (did you mean 'modules'?); allowed:
 cycle = "20 ms" + velocty = 1 :: limits.velocty: there is no such key (did you mean 'velocity'?); allowed:
-name = "qp" + hast = 1 :: controller.hast: there is no such key (did you mean 'haste'?); allowed:
+name = "geodesic" + joint_weigth = 1
+    :: controller.joint_weigth: there is no such key (did you mean 'joint_weight'?); allowed:
 posture = "straight" + joint = 1 :: start.joint: there is no such key (did you mean 'joints'?); allowed:
 margin = "5 mm" + margn = 1 :: scene.margn: there is no such key (did you mean 'margin'?); allowed:
 name = "bowed" + methd = 1 :: keyframe 2, methd: there is no such key (did you mean 'method'?); allowed:
@@ -83,11 +84,12 @@ cycle = "20 ms" -> position_margin = -1 :: limits.position_margin: is -1
 cycle = "20 ms" -> position_margin = 4 :: limits.position_margin: is 4; allowed: at most 2.98
 LIMITED -> feed = { stroke = 1 }\n[limits]\nvelocity = "90 deg/s"
     :: limits.velocity | turns and slides | turning = ..., sliding = ...
-"qp" -> "pq" :: controller.name: is 'pq' | 'selection', 'projection'
-name = "qp"\nhaste = 0.2 -> name = "projection"\nhaste = 0.2 :: controller.haste | 'qp' | 'projection'
-haste = 0.2 -> haste = "0.2" :: controller.haste: is '0.2'; allowed: a number
-haste = 0.2 -> haste = -1 :: controller.haste: is -1
-haste = 0.2 -> haste = nan :: controller.haste: is nan
+"geodesic" -> "pq" :: controller.name: is 'pq' | 'selection', 'projection'
+name = "geodesic"\njoint_weight = 0.2 -> name = "joint"\njoint_weight = 0.2
+    :: controller.joint_weight | 'geodesic' | 'joint'
+joint_weight = 0.2 -> joint_weight = "0.2" :: controller.joint_weight: is '0.2'; allowed: a number
+joint_weight = 0.2 -> joint_weight = -1 :: controller.joint_weight: is -1
+joint_weight = 0.2 -> joint_weight = nan :: controller.joint_weight: is nan
 "straight"\n\n[scene] -> "bent"§\n\n[scene] :: start.posture: is 'bent'; allowed: 'straight', 'neutral'
 posture = "straight" -> joints = [0, 0, 0] :: start.joints: is [0, 0, 0]; allowed: a list of 12
 posture = "straight" -> joints = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, nan] :: start.joint 12: is nan
@@ -141,7 +143,7 @@ hold = 0.1 -> region = 3 :: keyframe 2, region: is 3; allowed: two whole numbers
 hold = 0.1 -> region = [1, 7] :: keyframe 2, region: is [1, 7]; the arm has control points 1 to 6
 hold = 0.1 -> tip = { weight = 3 } :: keyframe 2, tip: the key 'position' is missing
 hold = 0.1 -> tip = { rotation = [0, 0, 0] } :: keyframe 2, tip: the key 'position' is missing
-hold = 0.1 -> tip = { position = [0, 0, 0], axis_only = true } :: keyframe 2, tip.axis_only: is True
+hold = 0.1 -> tip = { position = [0, 0, 0], direction_only = true } :: keyframe 2, tip.direction_only: is True
 hold = 0.1 -> tip = { position = [0, 0, 0], point = 0 } :: keyframe 2, tip.point: is 0; allowed: 1 or more
 hold = 0.1 -> tip = { position = [0, 0, 0], point = 7 } :: keyframe 2, tip.point: is 7; allowed: 1 to 6
 hold = 0.1 -> tip = { position = [0, 0, 0], point = "module_7" }
@@ -163,7 +165,7 @@ trim = true\n ->
     :: keyframe 2 'bowed': the curve is 0.377 m long | arm covers 0. | shorten it | set trim @ SECOND
 0.3, 0, 0 -> 0.2, 0, 0 :: keyframe 1 'straight': module 5 | curve ends | lengthen @ [[keyframes]]
 ["-170 deg", 3.0] -> [-0.1, 0.1] :: keyframe 2 'bowed': module 1 | joint limits | gentler curve @ SECOND
-hold = 0.1 -> tip = { position = [1, 1, 1], strict = true }
+hold = 0.1 -> tip = { position = [1, 1, 1], priority = true }
     :: keyframe 2 'bowed': its strict tip task is missed by | weight @ SECOND
 """
 """Found when the arm is to take the postures."""

@@ -101,24 +101,24 @@ def check_motion(motion: Motion, limits: pp.Limits, margin_from: int = 0) -> Non
 
 def check_clock(motion: Motion) -> None:
     """The clock begins at zero, never goes back, and never ahead of time; places are passed in order."""
-    dt, clock = motion.dt, motion.clock
+    dt, clock = motion.dt, motion.plan_time
     assert clock.shape == motion.time.shape == (motion.steps + 1,)
     np.testing.assert_allclose(motion.time, dt * np.arange(motion.steps + 1), rtol=1e-12)
-    assert np.all(clock[: motion.set_out + 1] == 0.0) and np.all(np.diff(clock) >= 0.0)
-    assert np.all(clock <= np.maximum(motion.time - motion.time[motion.set_out], 0.0) + ROUNDING)
+    assert np.all(clock[: motion.start_index + 1] == 0.0) and np.all(np.diff(clock) >= 0.0)
+    assert np.all(clock <= np.maximum(motion.time - motion.time[motion.start_index], 0.0) + ROUNDING)
     assert clock[-1] <= motion.planned
-    reached = [place.row for place in motion.passed]
+    reached = [place.row for place in motion.waypoints]
     came = [row for row in reached if row is not None]
     assert came == sorted(came) and reached[: len(came)] == came
-    for place in motion.passed:
+    for place in motion.waypoints:
         if place.row is None:
             assert place.reached is None and place.mean_error is None
         else:
-            assert place.reached == (place.row - motion.set_out) * dt
+            assert place.reached == (place.row - motion.start_index) * dt
             assert place.reached >= place.planned - dt
             assert 0.0 <= place.mean_error < motion.arm.length
             assert clock[place.row] >= place.planned - dt
-            assert place.row == motion.set_out or clock[place.row - 1] < place.planned
+            assert place.row == motion.start_index or clock[place.row - 1] < place.planned
 
 
 def off_the_reference(motion: Motion, reference: Reference) -> np.ndarray:
@@ -127,7 +127,7 @@ def off_the_reference(motion: Motion, reference: Reference) -> np.ndarray:
     Between rows the plan is taken to be straight, so that rows have to be close for this to be small.
     """
     arm = motion.arm
-    places = motion.clock / reference.interval
+    places = motion.plan_time / reference.interval
     found = []
     for q, place in zip(motion.q, places, strict=True):
         low = min(int(place), reference.rows - 2)

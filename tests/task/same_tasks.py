@@ -62,5 +62,5 @@ def assert_same_keyframes(one: pp.Keyframe, other: pp.Keyframe) -> None:
         assert one.tip == other.tip
         return
     np.testing.assert_allclose(one.tip.pose, other.tip.pose, **CLOSE)
-    for name in ("point", "weight", "strict", "axis_only", "length"):
+    for name in ("point", "weight", "priority", "direction_only", "length"):
         assert getattr(one.tip, name) == getattr(other.tip, name)

@@ -22,8 +22,8 @@ velocity = "90 deg/s"
 acceleration = 10
 
 [controller]
-name = "qp"
-haste = 0.2
+name = "geodesic"
+joint_weight = 0.2
 
 [start]
 posture = "straight"

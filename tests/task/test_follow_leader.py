@@ -60,7 +60,7 @@ def rows(reference):
 def links(arm, q):
     """Joints that bend and the tip, of an arm whose only control points between them are at joints."""
     state = arm.at(q)
-    return np.vstack([state.placed.origins[1:], state.points[-1]])
+    return np.vstack([state.forward.origins[1:], state.points[-1]])
 
 
 @pytest.mark.parametrize("method", ["closest", "sequential"])
@@ -284,7 +284,7 @@ def test_an_arm_of_twenty_modules_goes_through_a_pipe_with_two_bends():
 def test_performing_it_keeps_to_the_path():
     path = arc(0.2, 1.5)
     reference = follow_leader(crossed(), path, 0.1, 0.1)
-    motion = perform(reference, "qp", Limits(dt=0.1, acceleration=3.0))
+    motion = perform(reference, "geodesic", Limits(dt=0.1, acceleration=3.0))
     assert motion.run.status == "converged"
     planned = path_deviation(crossed(), rows(reference), path)
     performed = path_deviation(crossed(), motion.run.q, path)

@@ -80,7 +80,7 @@ def test_values_of_a_keyframe(options: dict[str, Any], kind: type[PostureError],
         (
             lambda: [
                 start(),
-                Keyframe(straight(1.0), duration=1.0, tip=pp.EndEffector((2, 0, 0), strict=True)),
+                Keyframe(straight(1.0), duration=1.0, tip=pp.EndEffector((2, 0, 0), priority=True)),
             ],
             {},
             TaskError,

@@ -181,7 +181,7 @@ def test_tips_are_served_and_the_rest_of_the_motion_stays(arm: pp.Arm) -> None:
     plain = keyframe_reference(arm, keyframes, 0.02)
     tips = [mark.target.points[-1] for mark in plain.marks]
     wanted = tips[1] - (0.05, 0.02, 0.0), tips[3] + (0.01, 0.0, 0.0)
-    keyframes[1] = replace(keyframes[1], tip=pp.EndEffector(wanted[0], strict=True), region=(0, 9))
+    keyframes[1] = replace(keyframes[1], tip=pp.EndEffector(wanted[0], priority=True), region=(0, 9))
     keyframes[3] = replace(keyframes[3], tip=pp.EndEffector(wanted[1], weight=100.0))
     reference = keyframe_reference(arm, keyframes, 0.02)
     first, last = reference.marks[1], reference.marks[3]

@@ -24,7 +24,7 @@ from performed import (
 from sampling import cases, examples
 
 import pinposture as pp
-from pinposture.control.planner.path import Course
+from pinposture.control.planner.path import PathProgress
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.task import Reference, perform
 
@@ -47,14 +47,14 @@ def test_a_feasible_reference_is_followed_exactly_and_in_time(name: str, acceler
     arm = arm_named(name)
     reference = random_reference(arm, 1, seconds=6.0, rows=301)
     limits = limits_of(arm, acceleration=acceleration)
-    motion = perform(reference, "qp", limits)
+    motion = perform(reference, "geodesic", limits)
     check_motion(motion, limits)
-    assert motion.converged and motion.run.status == "converged" and not motion.detours
-    assert motion.slowing == pytest.approx(1.0, abs=1e-9) and motion.set_out == 0
+    assert motion.converged and motion.run.status == "converged" and not motion.deviations
+    assert motion.time_scale == pytest.approx(1.0, abs=1e-9) and motion.start_index == 0
     assert motion.duration == pytest.approx(12.0) == motion.planned
     assert motion.mean_error.max() < 1e-9 * arm.length
     assert off_the_reference(motion, reference).max() < 1e-9 * arm.length
-    assert [place.row for place in motion.passed] == [0, 300, 600]
+    assert [place.row for place in motion.waypoints] == [0, 300, 600]
     np.testing.assert_allclose(motion.targets[300], reference.marks[1].target.points, atol=1e-12)
     assert "2 places" not in repr(motion) and "3 places" in repr(motion) and "as long" not in repr(motion)
 
@@ -64,9 +64,9 @@ def test_a_reference_ten_times_too_fast_is_slowed(name: str) -> None:
     arm = arm_named(name)
     reference = random_reference(arm, 2, seconds=0.15, rows=60)
     limits = limits_of(arm)
-    motion = perform(reference, "qp", limits)
+    motion = perform(reference, "geodesic", limits)
     check_motion(motion, limits)
-    assert motion.converged and not motion.detours
+    assert motion.converged and not motion.deviations
     # What it takes at least: the largest turn at full speed, and to reach and to leave that speed.
     bound, brake = limits.velocity, limits.acceleration
     turns = (
@@ -77,10 +77,10 @@ def test_a_reference_ten_times_too_fast_is_slowed(name: str) -> None:
         np.where(w > bound**2 / brake, w / bound + bound / brake, 2 * np.sqrt(w / brake)).max() for w in turns
     ]
     assert sum(long) < motion.duration < 2.2 * sum(long)
-    assert motion.slowing == pytest.approx(motion.duration / 0.3) and motion.slowing > 3.0
+    assert motion.time_scale == pytest.approx(motion.duration / 0.3) and motion.time_scale > 3.0
     assert motion.mean_error.max() < 1e-6 * arm.length
     assert off_the_reference(motion, reference).max() < 5e-3 * arm.length
-    assert f"{motion.slowing:.3g} times as long as planned" in repr(motion)
+    assert f"{motion.time_scale:.3g} times as long as planned" in repr(motion)
 
 
 @given(st.integers(0, 10_000))
@@ -101,9 +101,9 @@ def test_limits_hold_for_any_reference_and_any_cycle(seed: int) -> None:
         step=None if rng.random() < 0.6 else float(rng.uniform(0.01, 0.2)),
         position_margin=0.0 if rng.random() < 0.7 else 1e-3,
     )
-    motion = perform(reference, "qp", limits)
+    motion = perform(reference, "geodesic", limits)
     check_motion(motion, limits)
-    assert motion.converged and not motion.detours
+    assert motion.converged and not motion.deviations
     assert motion.mean_error.max() < 2e-3 * arm.length and motion.mean_error[-1] < 1e-6 * arm.length
 
 
@@ -112,9 +112,9 @@ def test_rows_may_be_far_apart_or_close_compared_to_cycles(dt: float) -> None:
     arm = arm_named("spatial")
     for rows in (5, 400):
         limits = limits_of(arm, dt=dt, velocity=1.0)
-        motion = perform(random_reference(arm, 3, stops=2, seconds=2.0, rows=rows), "qp", limits)
+        motion = perform(random_reference(arm, 3, stops=2, seconds=2.0, rows=rows), "geodesic", limits)
         check_motion(motion, limits)
-        assert motion.converged and not motion.detours and motion.mean_error.max() < 1e-5 * arm.length
+        assert motion.converged and not motion.deviations and motion.mean_error.max() < 1e-5 * arm.length
 
 
 @pytest.mark.parametrize("name", ARMS)
@@ -124,18 +124,18 @@ def test_an_arm_that_is_elsewhere_comes_to_the_first_posture_first(name: str, dt
     reference = random_reference(arm, 4, seconds=3.0)
     limits = limits_of(arm, dt=dt, velocity=1.0)
     q0 = drawn(arm, np.random.default_rng(5))
-    motion = perform(reference, "qp", limits, q0=q0)
+    motion = perform(reference, "geodesic", limits, q0=q0)
     check_motion(motion, limits)
     np.testing.assert_array_equal(motion.q[0], q0)
-    assert motion.converged and motion.set_out > 0
+    assert motion.converged and motion.start_index > 0
     # It is there, and at rest, when it sets out.
-    assert motion.mean_error[motion.set_out] <= 1.001e-6 * arm.length
-    assert np.abs(motion.velocities[motion.set_out - 1]).max() <= 15.0 * dt + 1e-9
-    assert motion.passed[0].row == motion.set_out and motion.passed[0].reached == 0.0
+    assert motion.mean_error[motion.start_index] <= 1.001e-6 * arm.length
+    assert np.abs(motion.velocities[motion.start_index - 1]).max() <= 15.0 * dt + 1e-9
+    assert motion.waypoints[0].row == motion.start_index and motion.waypoints[0].reached == 0.0
     np.testing.assert_allclose(
-        motion.targets[: motion.set_out + 1], motion.targets[:1].repeat(motion.set_out + 1, 0)
+        motion.targets[: motion.start_index + 1], motion.targets[:1].repeat(motion.start_index + 1, 0)
     )
-    assert motion.mean_error[motion.set_out :].max() < 2e-6 * arm.length
+    assert motion.mean_error[motion.start_index :].max() < 2e-6 * arm.length
 
 
 def test_coming_to_the_first_posture_slowly_uses_up_no_patience_for_the_rest() -> None:
@@ -144,9 +144,9 @@ def test_coming_to_the_first_posture_slowly_uses_up_no_patience_for_the_rest() -
     start = arm.configuration(np.full(arm.nv, 0.8))
     reference = reference_through(arm, [start, arm.configuration(np.full(arm.nv, 0.81))], 0.05, 11)
     motion = perform(
-        reference, "qp", pp.Limits(step=4.5e-4, dt=0.01), q0=arm.configuration(np.full(arm.nv, -0.8))
+        reference, "geodesic", pp.Limits(step=4.5e-4, dt=0.01), q0=arm.configuration(np.full(arm.nv, -0.8))
     )
-    assert motion.run.status == "converged" and motion.set_out > 3000
+    assert motion.run.status == "converged" and motion.start_index > 3000
 
 
 def test_another_limit_in_force_gives_another_time() -> None:
@@ -163,10 +163,10 @@ def test_another_limit_in_force_gives_another_time() -> None:
             acceleration=np.linspace(0.2, 2.0, arm.nv),
         ),
     ]
-    motions = [perform(reference, "qp", limits) for limits in given]
+    motions = [perform(reference, "geodesic", limits) for limits in given]
     for motion, limits in zip(motions, given, strict=True):
         check_motion(motion, limits)
-        assert motion.converged and not motion.detours
+        assert motion.converged and not motion.deviations
     durations = [motion.duration for motion in motions]
     assert durations[0] < durations[1] < durations[2] < 1.005 * durations[3]
 
@@ -175,15 +175,15 @@ def test_a_reference_beyond_the_margin_is_followed_as_far_as_the_margin() -> Non
     arm = pp.Arm.from_modules([pp.template("RyRz").with_limits(-0.8, 0.8)] * 4)
     ends = [arm.configuration(np.full(arm.nv, 0.3)), arm.configuration(np.full(arm.nv, 0.79))]
     limits = pp.Limits(step=None, velocity=1.0, dt=0.01, acceleration=10.0, position_margin=0.05)
-    motion = perform(reference_through(arm, ends, 2.0, 101), "qp", limits)
+    motion = perform(reference_through(arm, ends, 2.0, 101), "geodesic", limits)
     check_motion(motion, limits)
-    assert motion.converged and not motion.detours
+    assert motion.converged and not motion.deviations
     np.testing.assert_allclose(arm.positions(motion.q[-1]), 0.75, atol=1e-6)
-    assert motion.slowing < 1.2
+    assert motion.time_scale < 1.2
     # And one that begins there: the arm comes within first.
-    motion = perform(reference_through(arm, ends[::-1], 2.0, 101), "qp", limits)
-    check_motion(motion, limits, margin_from=motion.set_out)
-    assert motion.converged and motion.set_out > 0 and not motion.detours
+    motion = perform(reference_through(arm, ends[::-1], 2.0, 101), "geodesic", limits)
+    check_motion(motion, limits, margin_from=motion.start_index)
+    assert motion.converged and motion.start_index > 0 and not motion.deviations
 
 
 def test_joints_that_move_nothing_stand_still() -> None:
@@ -197,11 +197,11 @@ def test_joints_that_move_nothing_stand_still() -> None:
     rng = np.random.default_rng(7)
     reference = reference_through(arm, [rng.uniform(-1, 1, arm.nv) for _ in range(3)], 0.2, 31)
     limits = pp.Limits(step=None, velocity=1.5, dt=0.02, acceleration=10.0)
-    motion = perform(reference, "qp", limits)
+    motion = perform(reference, "geodesic", limits)
     check_motion(motion, limits)
     still = arm.moved == 0.0
     assert np.any(still) and not np.any(motion.velocities[:, still])
-    assert motion.converged and not motion.detours
+    assert motion.converged and not motion.deviations
 
 
 SWING = pp.Limits(step=None, velocity=1.5, dt=0.05, acceleration=8.0)
@@ -221,41 +221,43 @@ def ball() -> pp.Scene:
 
 def test_an_obstacle_in_the_way_is_gone_round() -> None:
     reference, scene = swing(), ball()
-    motion = perform(reference, "qp", SWING, scene)
+    motion = perform(reference, "geodesic", SWING, scene)
     assert motion.run.clearance.min() > 0.0 and motion.run.scene is scene
     check_motion(motion, SWING)
-    assert motion.converged and len(motion.detours) == 1
-    assert "left the way" in motion.detours[0] and "stop 1" in motion.detours[0]
-    assert motion.mean_error[motion.passed[1].row] < 1e-6 and motion.mean_error[-1] < 1e-6
+    assert motion.converged and len(motion.deviations) == 1
+    assert "left the way" in motion.deviations[0] and "stop 1" in motion.deviations[0]
+    assert motion.mean_error[motion.waypoints[1].row] < 1e-6 and motion.mean_error[-1] < 1e-6
     # The rest goes as planned, from when it was there.
-    reached = [place.reached for place in motion.passed]
+    reached = [place.reached for place in motion.waypoints]
     assert reached[1] > 6.0 and reached[2] - reached[1] == pytest.approx(6.0, abs=0.1)
-    free = perform(reference, "qp", SWING)
-    assert not free.detours and free.converged
+    free = perform(reference, "geodesic", SWING)
+    assert not free.deviations and free.converged
 
 
 def test_a_detour_that_is_early_waits_for_its_time() -> None:
-    motion = perform(swing(24.0), "qp", replace(SWING, dt=0.15), ball())
+    motion = perform(swing(24.0), "geodesic", replace(SWING, dt=0.15), ball())
     check_motion(motion, motion.run.limits)
-    assert motion.converged and len(motion.detours) == 1
+    assert motion.converged and len(motion.deviations) == 1
     # Before it leaves the way it waits a little; by its own way it is there long before the time.
     standing = np.flatnonzero(~np.any(motion.velocities, axis=1))
     assert len(standing) * 0.15 > 3.0
-    reached = [place.reached for place in motion.passed]
+    reached = [place.reached for place in motion.waypoints]
     assert 24.0 < reached[1] < 27.0 and reached[2] - reached[1] == pytest.approx(24.0, abs=0.31)
 
 
 def test_a_target_inside_an_obstacle_ends_honestly() -> None:
     reference = swing()
     tip = reference.marks[1].target.points[-1]
-    motion = perform(reference, "qp", SWING, pp.Scene({"ball": pp.Sphere(tuple(tip), 0.1)}, arm_radius=0.006))
+    motion = perform(
+        reference, "geodesic", SWING, pp.Scene({"ball": pp.Sphere(tuple(tip), 0.1)}, arm_radius=0.006)
+    )
     assert motion.run.status in ("stalled", "max_steps") and not motion.converged
     assert "on the way to stop 1" in motion.run.reason and motion.run.clearance.min() > 0.0
-    assert [place.row is None for place in motion.passed] == [False, True, True]
+    assert [place.row is None for place in motion.waypoints] == [False, True, True]
     check_clock(motion)
 
 
-@pytest.mark.parametrize("controller", ["qp", "joint"])
+@pytest.mark.parametrize("controller", ["geodesic", "joint"])
 @pytest.mark.parametrize("calls", [1, 7, 60])
 def test_progress_is_told_and_can_stop_the_motion(controller: str, calls: int) -> None:
     arm = arm_named("spatial")
@@ -272,21 +274,21 @@ def test_progress_is_told_and_can_stop_the_motion(controller: str, calls: int) -
     assert times == sorted(times)
     assert motion.run.status == "stopped" and "callback" in motion.run.reason and not motion.converged
     check_motion(motion, limits)
-    assert motion.passed[-1].row is None
+    assert motion.waypoints[-1].row is None
     # It brakes to rest from there, and no longer than that takes: v / (a dt) cycles.
     assert motion.steps <= calls + 2.0 / (15.0 * 0.02) + 1
-    assert motion.clock[-1] == pytest.approx(times[-1], abs=1e-9)
+    assert motion.plan_time[-1] == pytest.approx(times[-1], abs=1e-9)
 
 
 def test_a_motion_stopped_before_it_sets_out_passed_nothing() -> None:
     arm = arm_named("spatial")
     reference, limits = random_reference(arm, 9), limits_of(arm)
     q0 = drawn(arm, np.random.default_rng(1))
-    motion = perform(reference, "qp", limits, q0=q0, progress=lambda *_: True)
+    motion = perform(reference, "geodesic", limits, q0=q0, progress=lambda *_: True)
     check_motion(motion, limits)
     assert motion.run.status == "stopped" and "first posture" in motion.run.reason
-    assert all(place.row is None for place in motion.passed)
-    assert motion.set_out == motion.steps and motion.duration == 0.0 and motion.slowing == 1.0
+    assert all(place.row is None for place in motion.waypoints)
+    assert motion.start_index == motion.steps and motion.duration == 0.0 and motion.time_scale == 1.0
 
 
 def test_limits_of_none_and_a_progress_that_returns_nothing() -> None:
@@ -302,7 +304,7 @@ def test_bad_input_is_named() -> None:
     reference = random_reference(arm, 11)
     for limits in (pp.Limits(), "fast"):
         with pytest.raises(InvalidValue, match="dt"):
-            perform(reference, "qp", limits)
+            perform(reference, "geodesic", limits)
     with pytest.raises(UnknownName, match="qq"):
         perform(reference, "qq")
     with pytest.raises(InvalidValue, match="tolerance"):
@@ -312,7 +314,7 @@ def test_bad_input_is_named() -> None:
     with pytest.raises(InvalidValue, match="q0"):
         perform(reference, q0=np.full(arm.nq, np.nan))
     with pytest.raises(InvalidValue, match="position_margin"):
-        perform(reference, "qp", pp.Limits(dt=0.1, position_margin=9.0))
+        perform(reference, "geodesic", pp.Limits(dt=0.1, position_margin=9.0))
 
 
 def test_references_that_make_no_sense_are_refused() -> None:
@@ -335,16 +337,16 @@ def test_a_reference_that_rests_takes_its_time() -> None:
     arm = arm_named("spatial")
     q = drawn(arm, np.random.default_rng(12))
     reference = Reference(arm, 0.05, q, np.zeros((21, arm.nv)), np.ones((21, arm.n_modules)))
-    motion = perform(reference, "qp", limits_of(arm))
+    motion = perform(reference, "geodesic", limits_of(arm))
     assert motion.converged and motion.steps == 50 and not np.any(motion.velocities)
-    assert motion.slowing == pytest.approx(1.0)
+    assert motion.time_scale == pytest.approx(1.0)
 
 
 def test_the_course_of_a_motion_is_the_given_one_to_its_end() -> None:
     # What the controller remembers last is the way of the reference, gone to its end.
     arm, seen = arm_named("spatial"), []
 
-    class Watched(pp.ConstrainedQP):
+    class Watched(pp.Geodesic):
         def step(self, *given: object, **named: object) -> object:
             step = super().step(*given, **named)
             seen.append(step.memory.own)
@@ -352,7 +354,7 @@ def test_the_course_of_a_motion_is_the_given_one_to_its_end() -> None:
 
     reference = random_reference(arm, 13)
     motion = perform(reference, Watched(), limits_of(arm))
-    assert motion.converged and all(isinstance(own, Course) and own.given for own in seen)
+    assert motion.converged and all(isinstance(own, PathProgress) and own.given for own in seen)
     assert seen[-1].place == seen[-1].path.end == reference.rows - 1
 
 
@@ -360,7 +362,9 @@ def test_the_course_of_a_motion_is_the_given_one_to_its_end() -> None:
 def test_among_obstacles_limits_hold_from_one_part_of_a_motion_to_the_next(seed: int) -> None:
     # Obstacles are in the way of some, which then leave it and come to the next stop by another.
     course = drawn_course(seed, stops=3)
-    run = perform(reference_through(course.arm, course.stops, 2.0, 60), "qp", course.limits, course.scene).run
+    run = perform(
+        reference_through(course.arm, course.stops, 2.0, 60), "geodesic", course.limits, course.scene
+    ).run
     check_output(run)
-    assert run.excess is None and not np.any(run.relaxed != "")
+    assert run.excess is None and not np.any(run.violated_constraints != "")
     assert run.clearance.min() >= course.scene.margin - 1e-9 * course.arm.length

@@ -191,8 +191,8 @@ def test_tips_in_all_their_ways(tmp_path: Path) -> None:
     pose = pin.SE3(turn, np.array([0.1, 0.0, 0.2]))
     tips = [
         pp.EndEffector((0.1, 0, 0.2)),
-        pp.EndEffector(pose=pose, point=0, weight=10, axis_only=True),
-        pp.EndEffector(pose=pin.SE3(np.eye(3), pose.translation), point=-2, strict=True, length=0.05),
+        pp.EndEffector(pose=pose, point=0, weight=10, direction_only=True),
+        pp.EndEffector(pose=pin.SE3(np.eye(3), pose.translation), point=-2, priority=True, length=0.05),
         pp.EndEffector((0.1, 0, 0.2), point="module_03"),
     ]
     frames = [pp.Keyframe(bow(), duration=1.0, tip=tip, region=(1, 4)) for tip in tips]
@@ -201,8 +201,8 @@ def test_tips_in_all_their_ways(tmp_path: Path) -> None:
     place = [0.1, 0, 0.2]
     assert [each["tip"] for each in said] == [
         {"position": place},
-        {"position": place, "rotation": [0.5, -0.25, 1], "point": 1, "weight": 10, "axis_only": True},
-        {"position": place, "rotation": [0, 0, 0], "point": -2, "strict": True, "length": 0.05},
+        {"position": place, "rotation": [0.5, -0.25, 1], "point": 1, "weight": 10, "direction_only": True},
+        {"position": place, "rotation": [0, 0, 0], "point": -2, "priority": True, "length": 0.05},
         {"position": place, "point": "module_03"},
     ]
 
@@ -283,8 +283,8 @@ def test_starts_and_controllers(tmp_path: Path) -> None:
     assert "start" not in written(task_of(), path)
     assert "controller" not in written(task_of(), path)
     assert written(task_of(controller="switching"), path)["controller"] == {"name": "switching"}
-    quick = pp.ConstrainedQP(haste=1.5)
-    assert written(task_of(controller=quick), path)["controller"] == {"name": "qp", "haste": 1.5}
+    quick = pp.Geodesic(joint_weight=1.5)
+    assert written(task_of(controller=quick), path)["controller"] == {"name": "geodesic", "joint_weight": 1.5}
 
 
 def test_scans_are_named_relative_to_the_file(tmp_path: Path) -> None:
@@ -327,9 +327,9 @@ REFUSED: list[tuple[dict[str, Any], str, str]] = [
     ({"name": "\ud800"}, "task.toml", "half of a surrogate pair"),
     ({"name": "\ud800"}, "task.json", "half of a surrogate pair"),
     (
-        {"controller": pp.ConstrainedQP(tasks=(pp.EndEffector((0, 0, 1)),))},
+        {"controller": pp.Geodesic(tasks=(pp.EndEffector((0, 0, 1)),))},
         "task.toml",
-        "controller: no file can say all of ConstrainedQP",
+        "controller: no file can say all of Geodesic",
     ),
     ({"controller": pp.Selection(gain=0.5)}, "task.toml", "controller: no file can say all of Selection"),
 ]

@@ -71,7 +71,7 @@ def saved(arm: pp.Arm, path: Path, **more: Any) -> tuple[pp.Arm, dict[str, Any]]
         ),
         (
             lambda: six_modules().with_sliding_unit(0.2),
-            {"template": "RyRz", "modules": 6, "sliding_unit": 0.2},
+            {"template": "RyRz", "modules": 6, "characteristic_length": 0.2},
         ),
     ],
 )
@@ -249,12 +249,12 @@ def test_what_a_file_says_of_an_arm_stays(tmp_path: Path) -> None:
     text = (
         '[arm]\ntemplate = "RyRz"\nmodules = 4\nlink_lengths = ["3 cm", 0.02]\n'
         'joint_limits = ["-90 deg", 2]\nfeed = { stroke = "30 cm", speed = "5 cm/s" }\n'
-        'placement = { rotation = ["90 deg", 0, "-45 deg"] }\nsliding_unit = "3 cm"\n'
+        'placement = { rotation = ["90 deg", 0, "-45 deg"] }\ncharacteristic_length = "3 cm"\n'
         '[[keyframes]]\ncurve = "line"\n[[keyframes]]\ntime = 1\ncurve = "line"\n'
     )
     (tmp_path / "task.toml").write_text(text)
     task = pp.Task.load(tmp_path / "task.toml")
-    assert task.arm.sliding_unit == 0.03
+    assert task.arm.characteristic_length == 0.03
     assert task.arm.model.name == "RyRz_4"
     path = task.save(tmp_path / "other" / "task.toml")
     assert tomllib.loads(path.read_text())["arm"] == {
@@ -264,7 +264,7 @@ def test_what_a_file_says_of_an_arm_stays(tmp_path: Path) -> None:
         "joint_limits": ["-90 deg", 2],
         "feed": {"stroke": "30 cm", "speed": "5 cm/s"},
         "placement": {"rotation": ["90 deg", 0, "-45 deg"]},
-        "sliding_unit": "3 cm",
+        "characteristic_length": "3 cm",
     }
     task.edited(layout=None).save(path)
     assert tomllib.loads(path.read_text())["arm"] == {
@@ -274,6 +274,6 @@ def test_what_a_file_says_of_an_arm_stays(tmp_path: Path) -> None:
         "joint_limits": [-np.pi / 2, 2],
         "feed": {"stroke": 0.3, "speed": 0.05},
         "placement": {"rotation": [np.pi / 2, 0, -np.pi / 4]},
-        "sliding_unit": 0.03,
+        "characteristic_length": 0.03,
     }
     assert_same_arms(pp.Task.load(path).arm, task.arm)

@@ -204,7 +204,11 @@ def test_scans_that_are_missing_are_no_mistake(tmp_path: Path) -> None:
         ('"90 deg/s"', '["none", 1]', "limits.velocity: is ['none', 1]; allowed: a list of 12"),
         ('"20 ms"', '"none"', "limits.cycle: is 'none'; allowed: a number"),
         ("acceleration = 10", 'position_margin = "none"', "limits.position_margin: is 'none'"),
-        ("modules = 6", "modules = 6\nsliding_unit = 0", "arm.sliding_unit: is 0; allowed: more than 0"),
+        (
+            "modules = 6",
+            "modules = 6\ncharacteristic_length = 0",
+            "arm.characteristic_length: is 0; allowed: more than 0",
+        ),
         ("trim = true", "tip = { position = [0, 0, 0], length = 0 }", "keyframe 2, tip.length: is 0"),
     ],
 )

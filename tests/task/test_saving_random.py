@@ -82,13 +82,13 @@ def curves(draw: Any) -> pp.Curve:
 def tips(draw: Any, arm: pp.Arm) -> pp.EndEffector:
     m = arm.n_modules
     point = draw(st.integers(-m, m - 1) | st.sampled_from(arm.control_points))
-    options = {"point": point, "weight": draw(POSITIVE), "strict": draw(st.booleans())}
+    options = {"point": point, "weight": draw(POSITIVE), "priority": draw(st.booleans())}
     options["length"] = draw(st.none() | POSITIVE)
     place = np.array(draw(PLACE))
     if draw(st.booleans()):
         return pp.EndEffector(place, **options)
     pose = pin.SE3(pin.rpy.rpyToMatrix(*draw(ANGLES)), place)
-    return pp.EndEffector(pose=pose, axis_only=draw(st.booleans()), **options)
+    return pp.EndEffector(pose=pose, direction_only=draw(st.booleans()), **options)
 
 
 @st.composite
@@ -149,7 +149,9 @@ def scenes(draw: Any) -> pp.Scene:
     return pp.Scene(obstacles, draw(st.booleans()), draw(st.floats(0, 0.1)), draw(st.none() | radius))
 
 
-CONTROLLERS = st.sampled_from(["qp", "selection", "projection", "switching", "joint", "dls", "lm", "pinv"])
+CONTROLLERS = st.sampled_from(
+    ["geodesic", "selection", "projection", "switching", "joint", "dls", "lm", "pinv"]
+)
 
 
 @st.composite
@@ -168,14 +170,16 @@ def tasks(draw: Any) -> pp.Task:
         )
     else:
         motion = tuple(draw(st.lists(keyframes(arm), min_size=2, max_size=4)))
-    qp = st.builds(pp.ConstrainedQP, haste=st.floats(0.01, 9), chord=st.floats(0, 9))
+    geodesic = st.builds(
+        pp.Geodesic, joint_weight=st.floats(0.01, 9), relative_position_weight=st.floats(0, 9)
+    )
     starts = (None, arm.straight(), arm.neutral(), arm.random(np.random.default_rng(draw(st.integers(0, 9)))))
     formats = st.lists(st.sampled_from(["npz", "csv", "json", "png", "html"]), unique=True).map(tuple)
     return pp.Task(
         arm,
         motion,
         draw(limits(arm)),
-        draw(CONTROLLERS | qp),
+        draw(CONTROLLERS | geodesic),
         draw(st.none() | scenes()),
         starts[draw(st.integers(0, 3))],
         "velocity" if leading else draw(st.sampled_from(["velocity", "acceleration"])),

@@ -30,8 +30,8 @@ def test_line_ends_and_byte_order_marks_of_windows(tmp_path: Path, ending: str, 
     file = tmp_path / "task.toml"
     file.write_bytes(mark + VALID.replace("\n", ending).encode())
     assert pp.Task.load(file).name == "bow"
-    file.write_bytes(mark + VALID.replace("haste", "hast").replace("\n", ending).encode())
-    line = VALID[: VALID.index("haste")].count("\n") + 1
+    file.write_bytes(mark + VALID.replace("joint_weight", "hast").replace("\n", ending).encode())
+    line = VALID[: VALID.index("joint_weight")].count("\n") + 1
     with pytest.raises(FileError, match=f"task.toml: line {line}: controller.hast: "):
         pp.Task.load(file)
 
@@ -61,14 +61,15 @@ def test_json_and_toml_say_the_same(tmp_path: Path, text: str) -> None:
 
 def test_values_arrive_as_they_were_meant(tmp_path: Path) -> None:
     more = 'placement = "translate"\nroll = "90 deg"\nmethod = "closest"\nregion = [2, 6]\n'
-    tip = 'position = ["10 cm", 0, 0.1], rotation = ["90 deg", 0, 0], point = 3, weight = 4, axis_only = true'
+    tip = 'position = ["10 cm", 0, 0.1], rotation = ["90 deg", 0, 0], point = 3, weight = 4'
+    tip += ", direction_only = true"
     task = loaded(tmp_path, VALID.replace('placement = "align"\n', f"{more}tip = {{ {tip} }}\n"))
     arm, bowed = task.arm, task.motion[1]
     np.testing.assert_allclose(arm.chain.module_lengths, 0.05)
     np.testing.assert_allclose(arm.limits.lower, -170 * np.pi / 180)
     np.testing.assert_allclose(arm.limits.upper, 3.0)
     assert task.limits == pp.Limits(step=None, dt=0.02, velocity=np.pi / 2, acceleration=10.0)
-    assert task.controller == pp.ConstrainedQP(haste=0.2)
+    assert task.controller == pp.Geodesic(joint_weight=0.2)
     np.testing.assert_array_equal(task.start, arm.straight())
     assert task.scene == pp.Scene({"ball": pp.Sphere((0, 0, -0.5), 0.1)}, margin=0.005)
     assert (task.formats, task.name, task.continuity) == (("npz", "csv"), "bow", "velocity")
@@ -76,7 +77,12 @@ def test_values_arrive_as_they_were_meant(tmp_path: Path) -> None:
     assert (bowed.placement, bowed.method, bowed.region) == ("translate", "closest", (1, 5))
     assert bowed.roll == pytest.approx(np.pi / 2)
     assert bowed.curve == pp.Curve.helix(0.1, 0.0, 0.6)
-    assert (bowed.tip.point, bowed.tip.weight, bowed.tip.strict, bowed.tip.axis_only) == (2, 4.0, False, True)
+    assert (bowed.tip.point, bowed.tip.weight, bowed.tip.priority, bowed.tip.direction_only) == (
+        2,
+        4.0,
+        False,
+        True,
+    )
     np.testing.assert_allclose(bowed.tip.pose[:3, 3], [0.1, 0, 0.1])
     np.testing.assert_allclose(bowed.tip.pose[:3, :3], [[1, 0, 0], [0, 0, -1], [0, 1, 0]], atol=1e-15)
 
@@ -92,7 +98,7 @@ def test_what_is_not_said_has_the_usual_value(tmp_path: Path) -> None:
         pp.Keyframe(pp.Curve.line((0, 0, 0), (0.3, 0, 0)), duration=1.0, placement="align"),
     )
     assert task.limits == pp.Limits(step=None, dt=0.02)
-    assert task.controller == pp.ConstrainedQP()
+    assert task.controller == pp.Geodesic()
     assert (task.scene, task.start, task.name) == (None, None, "nothing said")
     assert task.formats == ("npz", "csv", "json", "png", "html")
 
@@ -170,7 +176,7 @@ def test_specifications_hold_what_a_file_says_in_si_units(tmp_path: Path) -> Non
     assert arm.joint_limits == (pytest.approx(-170 * np.pi / 180), 3.0)
     spec = document.read(TaskSpec, (), {"arm": pp.Arm.from_spec(arm)})
     assert spec.limits.said() == {"cycle": 0.02, "velocity": np.pi / 2, "acceleration": 10.0}
-    assert spec.controller.said() == {"name": "qp", "haste": 0.2}
+    assert spec.controller.said() == {"name": "geodesic", "joint_weight": 0.2}
     assert spec.scene.said() == {
         "margin": 0.005,
         "obstacles": {"ball": {"type": "sphere", "center": [0.0, 0.0, -0.5], "radius": 0.1}},

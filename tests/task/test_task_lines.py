@@ -56,7 +56,7 @@ radius = 1
 [[keyframes.parts]]
 x = 1
 [keyframes.tip]
-strict = true
+priority = true
 '''
 LINES: dict[tuple[str | int, ...], int] = {
     ("version",): 2,
@@ -91,7 +91,7 @@ LINES: dict[tuple[str | int, ...], int] = {
     ("keyframes", 2, "parts"): 36,
     ("keyframes", 2, "parts", 1): 37,
     ("keyframes", 2, "parts", 1, "x"): 38,
-    ("keyframes", 2, "tip", "strict"): 40,
+    ("keyframes", 2, "tip", "priority"): 40,
 }
 
 

@@ -149,7 +149,9 @@ WRONG = st.one_of(
     st.integers(-3, 3),
     st.sampled_from([10**18, -(2**63), 2**63 - 1, 1e308, -1e308, 1e-300, float("inf"), float("nan")]),
     st.floats(-10, 10),
-    st.sampled_from(["", "1 m", "-5 deg", "10 ms", "helix", "arm.urdf", "none.csv", "qp", "~", "\0", "true"]),
+    st.sampled_from(
+        ["", "1 m", "-5 deg", "10 ms", "helix", "arm.urdf", "none.csv", "geodesic", "~", "\0", "true"]
+    ),
     st.text(max_size=5),
     st.just([]),
     st.just({}),

@@ -64,9 +64,9 @@ def test_every_example_is_tested() -> None:
 def test_the_arm_takes_every_posture(examples: dict[str, Done], name: str) -> None:
     task, reference, motion = examples[name]
     assert motion.converged, motion.run.reason
-    assert not motion.detours
-    assert len(motion.passed) == len(reference.marks)
-    for place, mark in zip(motion.passed, reference.marks, strict=True):
+    assert not motion.deviations
+    assert len(motion.waypoints) == len(reference.marks)
+    for place, mark in zip(motion.waypoints, reference.marks, strict=True):
         # One that is passed through is between two cycles, unless time runs exactly as planned.
         rows = range(max(place.row - 1, 0), min(place.row + 2, motion.steps + 1))
         near = np.array([task.arm.at(motion.q[row]).points for row in rows])
@@ -95,12 +95,12 @@ def test_limits_hold_on_what_comes_out(examples: dict[str, Done], name: str) -> 
 
 def test_keyframes_lie_on_the_curves_of_the_file(examples: dict[str, Done]) -> None:
     task, reference, motion = examples["keyframes"]
-    rows = [place.row for place in motion.passed]
+    rows = [place.row for place in motion.waypoints]
     straight, _, _, helix, ring = (task.arm.at(motion.q[row]).points for row in rows)
     np.testing.assert_allclose(straight, [[0.05 * k, 0, 0] for k in range(1, 21)], atol=1e-9)
     # A circle through the base, of the radius in the file: all points have one distance from its centre.
-    tangent, chord = np.array([1.0, 0, 0]), ring[0]
-    normal = chord - (chord @ tangent) * tangent
+    tangent, relative_position_weight = np.array([1.0, 0, 0]), ring[0]
+    normal = relative_position_weight - (relative_position_weight @ tangent) * tangent
     centre = 0.16 * normal / np.linalg.norm(normal)
     np.testing.assert_allclose(np.linalg.norm(ring - centre, axis=1), 0.16, atol=1e-6)
     # The helix (6.17) has the radius 0.06 and the pitch 0.15, so all its chords over a turn are that long.
@@ -135,17 +135,17 @@ def test_the_arm_touches_no_wall_of_its_pipe(examples: dict[str, Done]) -> None:
 def test_a_start_elsewhere_comes_first(examples: dict[str, Done]) -> None:
     task, reference, motion = examples["around"]
     np.testing.assert_array_equal(motion.q[0], task.arm.straight())
-    assert motion.set_out > 0
-    np.testing.assert_allclose(motion.q[motion.set_out], reference.start, atol=1e-4)
-    assert motion.passed[0].reached == 0.0
+    assert motion.start_index > 0
+    np.testing.assert_allclose(motion.q[motion.start_index], reference.start, atol=1e-4)
+    assert motion.waypoints[0].reached == 0.0
 
 
 def test_the_tip_comes_to_where_it_was_asked_to_be_as_far_as_that_weighs(examples: dict[str, Done]) -> None:
     task, reference, motion = examples["around"]
     aim = np.array([0.62, 0.52, 0.3])
-    row = motion.passed[2].row
+    row = motion.waypoints[2].row
     assert np.linalg.norm(motion.arm.at(motion.q[row]).points[-1] - aim) < 0.005
-    assert motion.passed[2].tip_off < 0.005 and motion.passed[2].off_curve > 1e-3
+    assert motion.waypoints[2].tip_off < 0.005 and motion.waypoints[2].off_curve > 1e-3
     assert np.array_equal(reference.weights[-1] > 0, [True] * 5 + [False] * 7)
     assert task.continuity == "acceleration"
 
@@ -155,7 +155,9 @@ def test_the_tip_comes_to_where_it_was_asked_to_be_as_far_as_that_weighs(example
 def test_other_controllers_do_the_same_task(tmp_path: Path, name: str) -> None:
     (tmp_path / "task.toml").write_text(VALID)
     motion = done(
-        tmp_path / "task.toml", ('"qp"\nhaste = 0.2', f'"{name}"'), ("modules = 6", "modules = 6")
+        tmp_path / "task.toml",
+        ('"geodesic"\njoint_weight = 0.2', f'"{name}"'),
+        ("modules = 6", "modules = 6"),
     ).motion
     assert np.all(np.isfinite(motion.q))
     assert f"name='{name}'" in motion.run.controller

@@ -46,7 +46,7 @@ def test_every_scenario_has_a_case_that_its_seed_settles(scenario):
     other, another = case(arm, scenario, 4)
     np.testing.assert_array_equal(start, again)
     np.testing.assert_array_equal(target.points, same.points)
-    assert arm.within_limits(start) and target.placed.all()
+    assert arm.within_limits(start) and target.has_target.all()
     # The case differs from seed to seed, unless the start is straight and the target the one straight line.
     assert not (np.array_equal(start, other) and np.array_equal(target.points, another.points))
     if scenario.start == "straight":

@@ -77,7 +77,7 @@ def test_5_9_as_printed_does_not_do_what_5_10_asks() -> None:
         target = pp.Target.from_configuration(arm, smooth_configuration(arm, rng, 0.6))
         asked = {
             coupling: pp.Projection(coupling=coupling).posture_control_matrix(
-                state, task_errors(state, target), target.placed
+                state, task_errors(state, target), target.has_target
             )
             for coupling in missed
         }

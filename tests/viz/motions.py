@@ -8,7 +8,7 @@ import numpy as np
 from arms import template_arm
 
 import pinposture as pp
-from pinposture.motion.motion import Motion, Passed
+from pinposture.motion.motion import Motion, Waypoint
 
 LIMITS = pp.Limits(step=None, dt=0.05, velocity=2.0, acceleration=30.0)
 
@@ -29,7 +29,7 @@ def some_motion(
     limits: pp.Limits = LIMITS,
     scene: pp.Scene | None = None,
     planned: float | None = None,
-    set_out: int = 0,
+    start_index: int = 0,
     names: tuple[str, ...] = ("straight", "S", "coil"),
     off: float = 1e-3,
 ) -> Motion:
@@ -68,18 +68,18 @@ def some_motion(
         clipped=np.zeros((steps, arm.nv), dtype=bool),
         method=np.full(steps, ""),
         switched=np.full(steps, ""),
-        escape=np.zeros(steps, dtype=bool),
-        relaxed=np.full(steps, ""),
+        error_increasing=np.zeros(steps, dtype=bool),
+        violated_constraints=np.full(steps, ""),
     )
-    taken = (steps - set_out) * dt
+    taken = (steps - start_index) * dt
     planned = taken if planned is None else planned
-    clock = np.concatenate([np.zeros(set_out), np.linspace(0.0, planned, steps - set_out + 1)])
+    clock = np.concatenate([np.zeros(start_index), np.linspace(0.0, planned, steps - start_index + 1)])
     clock[-1] = planned
-    rows = np.linspace(set_out, steps, len(names)).round().astype(int)
+    rows = np.linspace(start_index, steps, len(names)).round().astype(int)
     passed = [
-        Passed(name, float(clock[row]), (int(row) - set_out) * dt, int(row), off)
+        Waypoint(name, float(clock[row]), (int(row) - start_index) * dt, int(row), off)
         for name, row in zip(names, rows, strict=True)
     ]
     aside = points + off * np.array([0.0, 0.0, 1.0])
     asked = np.ones((steps + 1, arm.n_modules), dtype=bool)
-    return Motion(run, aside, asked, clock, set_out, planned, tuple(passed))
+    return Motion(run, aside, asked, clock, start_index, planned, tuple(passed))

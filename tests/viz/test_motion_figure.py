@@ -38,7 +38,7 @@ def draw(figure: Figure) -> None:
 
 @cache
 def slowed() -> Motion:
-    return some_motion(planned=1.5, set_out=10)
+    return some_motion(planned=1.5, start_index=10)
 
 
 def panel(figure: Figure, label: str):
@@ -103,7 +103,7 @@ def test_a_slowed_motion_shows_the_time_of_the_plan_and_says_by_how_much():
     drawn = lines(panel(figure, "time of the plan [s]"))
     (was,) = [line for label, line in drawn.items() if label.startswith("as it was")]
     assert "1.67 times" in was.get_label()
-    np.testing.assert_array_equal(was.get_ydata(), motion.clock)
+    np.testing.assert_array_equal(was.get_ydata(), motion.plan_time)
     planned = drawn["as planned"]
     np.testing.assert_allclose(np.array(planned.get_data()).T, [[0.0, 0.0], [0.5, 0.0], [2.0, 1.5]])
     assert "from 0.5 s on 1.67 times as long as planned" in figure.get_suptitle()
@@ -123,7 +123,7 @@ def test_places_are_marked_in_every_panel_and_named_above_the_first():
     figure = pp.plot(motion)
     for ax in figure.axes[1:]:
         marks = [each.get_segments()[0][0][0] for each in ax.collections if hasattr(each, "get_segments")]
-        np.testing.assert_allclose(marks, [motion.time[place.row] for place in motion.passed])
+        np.testing.assert_allclose(marks, [motion.time[place.row] for place in motion.waypoints])
     named = names_above(figure.axes[1])
     assert [text.get_text() for text in named] == ["straight", "S", "coil"]
     assert [text.xy[0] for text in named] == pytest.approx([0.5, 1.75, 3.0])
@@ -149,8 +149,8 @@ def test_names_do_not_run_into_each_other(count):
 
 
 def test_words_above_the_figure_keep_clear_of_each_other():
-    motion = some_motion(scene=around_a_ball(), set_out=10)
-    figure = pp.plot(replace(motion, detours=("at 1 s it went round",)))
+    motion = some_motion(scene=around_a_ball(), start_index=10)
+    figure = pp.plot(replace(motion, deviations=("at 1 s it went round",)))
     draw(figure)
     heading, legend = figure.texts[0], figure.axes[0].get_legend()
     assert heading.get_window_extent().y0 > legend.get_window_extent().y1
@@ -165,13 +165,13 @@ def test_the_posture_of_each_place_is_drawn_in_its_colour_and_told_with_its_time
     figure = pp.plot(motion)
     ax = figure.axes[0]
     words = [text.get_text() for text in ax.get_legend().get_texts()]
-    for place in motion.passed:
+    for place in motion.waypoints:
         line = backbone(five_modules(), motion.q[place.row])
         assert any(np.array_equal(spatial(each), line) for each in ax.get_lines())
         assert f"{place.name}, {motion.time[place.row]:.3g} s" in words
     assert "initial posture" in words
     rings = [spatial(each) for each in ax.get_lines() if each.get_label() == "target points"]
-    rows = [place.row for place in motion.passed]
+    rows = [place.row for place in motion.waypoints]
     np.testing.assert_array_equal(rings[0], motion.targets[rows].reshape(-1, 3))
 
 
@@ -200,9 +200,9 @@ def test_in_a_scene_there_is_clearance_over_time_and_the_obstacle():
 def test_escapes_and_limits_that_gave_way_are_marked_at_their_moments():
     motion = some_motion()
     run = motion.run
-    escape, relaxed = run.escape.copy(), run.relaxed.astype("<U40")
+    escape, relaxed = run.error_increasing.copy(), run.violated_constraints.astype("<U40")
     escape[10:14], relaxed[20] = True, "acceleration of joint 3"
-    figure = pp.plot(replace(motion, run=replace(run, escape=escape, relaxed=relaxed)))
+    figure = pp.plot(replace(motion, run=replace(run, error_increasing=escape, violated_constraints=relaxed)))
     ax = panel(figure, "posture error [m]")
     (span,) = [each for each in ax.collections if str(each.get_label()).startswith("4 escape")]
     corners = span.get_paths()[0].vertices
@@ -228,13 +228,13 @@ def test_unusual_motions_are_drawn_too(case):
     steps = {"no step": 0, "one step": 1}.get(case, 30)
     motion = some_motion(steps, planar() if case == "planar" else None, names=names)
     if case == "lost":
-        late = [place._replace(reached=None, row=None, mean_error=None) for place in motion.passed[1:]]
+        late = [place._replace(reached=None, row=None, mean_error=None) for place in motion.waypoints[1:]]
         motion = replace(
             motion,
-            passed=(motion.passed[0], *late),
-            clock=0.4 * motion.clock,
+            waypoints=(motion.waypoints[0], *late),
+            plan_time=0.4 * motion.plan_time,
             run=replace(motion.run, status="stalled"),
-            detours=("one", "two", "three"),
+            deviations=("one", "two", "three"),
         )
     figure = pp.plot(motion)
     draw(figure)

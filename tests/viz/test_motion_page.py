@@ -56,7 +56,7 @@ def test_a_motion_of_minutes_is_played_faster_and_the_page_says_so(tmp_path):
 
 
 def test_the_caption_tells_time_place_error_and_clearance(tmp_path):
-    motion = some_motion(scene=around_a_ball(), planned=1.25, set_out=10)
+    motion = some_motion(scene=around_a_ball(), planned=1.25, start_index=10)
     texts = page_of(motion, tmp_path).constant("run")["texts"]
     near = motion.run.clearance
     assert texts[4] == (
@@ -81,7 +81,7 @@ def test_targets_of_the_moment_and_of_places_are_drawn_in_colours_that_the_legen
         position = np.frombuffer(moved[path][0]["values"].data, "<f4").reshape(-1, 3)
         np.testing.assert_allclose(position[1:-1], motion.targets[:, k], atol=1e-6)
     text = (tmp_path / "motion.html").read_text(encoding="utf-8")
-    for number, place in enumerate(motion.passed):
+    for number, place in enumerate(motion.waypoints):
         shape = drawn[f"/pinposture/target/place_{number + 1:03d}"]
         color = f"#{shape['materials'][0]['color']:06X}"
         assert f'style="background: {color}"></span>{place.name}' in text
@@ -134,7 +134,7 @@ def test_unusual_motions_are_written_too(tmp_path, case):
     names = () if case in ("no place", "no step") else ("a",)
     motion = some_motion(0 if case == "no step" else 10, arm, names=names)
     if case == "no target":
-        motion = replace(motion, asked=np.arange(5) * np.ones((11, 1)) == 4)
+        motion = replace(motion, target_mask=np.arange(5) * np.ones((11, 1)) == 4)
     page = page_of(motion, tmp_path)
     assert len(page.constant("run")["texts"]) == motion.steps + 1
     flat = json.dumps(page.constant("run"))

@@ -15,7 +15,7 @@ from viz.listening import told
 from viz.motions import five_modules, some_motion
 
 import pinposture as pp
-from pinposture.motion.motion import Motion, Passed
+from pinposture.motion.motion import Motion, Waypoint
 from pinposture.viz.animation import (
     REST_BEFORE,
     hoop_turns,
@@ -116,10 +116,10 @@ def test_everything_that_moves_was_drawn_where_it_starts():
 
 def test_hoops_of_points_without_a_target_are_not_seen():
     motion = known_motion()
-    asked = np.ones_like(motion.asked)
+    asked = np.ones_like(motion.target_mask)
     asked[:, 0] = False
     asked[20:40, 2] = False
-    motion = replace(motion, asked=asked)
+    motion = replace(motion, target_mask=asked)
     shown = playback(motion, 20.0, 1200)
     listed = moving_target_tracks(motion, shown)
     assert not any("hoop_001" in each.path for each in listed)
@@ -186,7 +186,7 @@ def test_of_many_places_the_first_the_last_and_some_between_are_shown():
 
 def test_places_that_were_not_reached_are_left_out_and_long_names_keep_both_ends():
     motion = some_motion(names=("the beginning of it all, and the end", "b"))
-    motion = replace(motion, passed=(*motion.passed, Passed("never", 9.0, None, None, None)))
+    motion = replace(motion, waypoints=(*motion.waypoints, Waypoint("never", 9.0, None, None, None)))
     first, last = shown_places(motion)
     assert first.name.startswith("the begin")
     assert first.name.endswith("the end")

@@ -93,18 +93,18 @@ def test_escape_steps_are_shaded_from_where_they_begin_to_where_they_lead():
     escape = np.zeros(free_run().steps, dtype=bool)
     escape[[1, 2, 4]] = True
     ax = panel()
-    mark_escapes(in_scene(escape=escape), ax)
+    mark_escapes(in_scene(error_increasing=escape), ax)
     spans = [np.ptp(path.vertices[:, 0]) for path in ax.collections[0].get_paths()]
     starts = [path.vertices[:, 0].min() for path in ax.collections[0].get_paths()]
     assert (starts, spans) == ([1.0, 4.0], [2.0, 1.0])
-    ax = pp.plot(in_scene(escape=escape)).axes[1]
+    ax = pp.plot(in_scene(error_increasing=escape)).axes[1]
     assert entries(ax) == ["3 escape steps, the error may rise"]
 
 
 def test_steps_in_which_something_gave_way_are_marked_and_quoted():
     relaxed = np.full(free_run().steps, "", dtype="<U200")
     relaxed[[1, 4]] = "margin of 20 mm, m1 to $ball: 3 mm; and much more that a legend has no room for"
-    ax = pp.plot(in_scene(relaxed=relaxed)).axes[1]
+    ax = pp.plot(in_scene(violated_constraints=relaxed)).axes[1]
     (words,) = entries(ax)
     assert words.startswith("gave way in 2 steps: margin of 20 mm, m1 to $ball: 3 mm")
     assert len(words) < 70
@@ -125,7 +125,7 @@ def test_a_run_without_either_has_no_marks_and_no_legend():
 
 def test_what_a_controller_does_not_have_is_left_out():
     free = free_run()
-    run = pp.track(free.arm, free.target, free.q[0], "qp", max_steps=5)
+    run = pp.track(free.arm, free.target, free.q[0], "geodesic", max_steps=5)
     assert not run.sigma_max.any()
     assert labels(pp.plot(run))[1:3] == ["posture error [m]", "point errors [m]"]
     assert not any("sigma" in label or "active" in label for label in labels(pp.plot(run)))

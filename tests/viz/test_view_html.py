@@ -152,7 +152,7 @@ def test_unusual_runs_are_written_too(tmp_path, case):
     target = Target.from_configuration(arm, goal)
     if case == "partial":
         target = resolve_targets(arm, Curve.helix(0.1, 0.3, 0.3), incomplete="partial")
-        assert not target.placed.all()
+        assert not target.has_target.all()
     elif case == "points only":
         target = Target.from_points(arm, arm.at(goal).points, [1, 1, 0, 0, 1, 1])
     elif case == "no target":

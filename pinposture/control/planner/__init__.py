@@ -1,5 +1,5 @@
 """The constrained controller: where to go, the most direct way there, a quadratic program for each step."""
 
-from pinposture.control.planner.geodesic import ConstrainedQP
+from pinposture.control.planner.geodesic import Geodesic
 
-__all__ = ["ConstrainedQP"]
+__all__ = ["Geodesic"]

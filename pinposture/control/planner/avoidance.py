@@ -137,7 +137,7 @@ APPROACH = 0.5
 SPARE = 0.002
 """What steps keep beyond the margin, in arm lengths: room for the curvature of the way within a step."""
 
-BERTH = 0.01
+PATH_CLEARANCE = 0.01
 """What a way keeps beyond the margin where it can, in arm lengths."""
 
 PUSH = 0.5
@@ -161,13 +161,13 @@ class Kept(NamedTuple):
         dq: the step, (nv,) [rad or m].
         share: the share of what was asked for beyond braking, 1, 1/2, 1/4, ... or 0.
         stopping: the steps that would follow to stop the arm, (k, nv) [rad or m].
-        relaxed: what gave way, in words.
+        violated_constraints: what gave way, in words.
     """
 
     dq: Array
     share: float
     stopping: Array
-    relaxed: tuple[str, ...] = ()
+    violated_constraints: tuple[str, ...] = ()
 
 
 class Avoidance:
@@ -233,7 +233,7 @@ class Avoidance:
 
     def intrusions(self, state: ArmState) -> Linear:
         """How far pairs are closer than a way should come; the errors should vanish."""
-        berth = self.margin + BERTH * self._length
+        berth = self.margin + PATH_CLEARANCE * self._length
         near = self.clearance.nearest(state, berth)
         return Linear(near.jacobian[:, self._posture.columns] * self._posture.units, berth - near.distances)
 
@@ -261,7 +261,7 @@ class Avoidance:
         if self.stops_clear(state, dq):
             return Kept(dq, 1.0, self._stopping(state, dq))
         bounds, rest = self._bounds, np.zeros((1, len(dq)))
-        rooms = bounds.edges - state.placed.positions
+        rooms = bounds.edges - state.forward.positions
         braking = np.vstack([stopping_steps(rooms, self._previous, bounds.bound, bounds.brake), rest])
         now = self.near(state).minimum
         lowest = min(now, self._lowest(state, braking, self.margin))
@@ -287,7 +287,7 @@ class Avoidance:
     def _stopping(self, state: ArmState, dq: Array) -> Array:
         """The steps that stop the arm after a step from a state, (k, nv)."""
         bounds = self._bounds
-        return stopping_steps(bounds.edges - (state.placed.positions + dq), dq, bounds.bound, bounds.brake)
+        return stopping_steps(bounds.edges - (state.forward.positions + dq), dq, bounds.bound, bounds.brake)
 
     def _keeps(self, state: ArmState, step: Array, stopping: Array, least: float) -> bool:
         """Whether nothing is nearer than that on a step, and while the arm then stops."""

@@ -12,8 +12,8 @@ from pinposture.arm import ArmState
 from pinposture.control.controller import Diagnostics, Memory, Step
 from pinposture.control.limits import ROUNDING, JointBounds, Limits, StepBox, farthest
 from pinposture.control.planner.avoidance import Avoidance, ConstraintRows, Solution, solve
-from pinposture.control.planner.objective import Linear, Posture, Sweeps
-from pinposture.control.planner.path import DISTURBED, FARTHEST, Course
+from pinposture.control.planner.objective import ChainSolver, Linear, Posture
+from pinposture.control.planner.path import DISTURBED, FARTHEST, PathProgress
 from pinposture.placement.points import TAKEN
 
 # The usual step in one call: along the way, where nothing but the limits has a say.
@@ -25,26 +25,26 @@ RISES = 1e-12
 """By how much the posture error rises if it does, in arm lengths: less is rounding."""
 
 
-def get_on(course: Course, state: ArmState, bounds: JointBounds) -> Step | None:
-    """The step that `ConstrainedQP` takes where it is simply the next one on a way.
+def fast_step(progress: PathProgress, state: ArmState, bounds: JointBounds) -> Step | None:
+    """The step that `Geodesic` takes where it is simply the next one on a way.
 
     It is looked for first, because most steps are such. What else they may be, the long way round finds out:
     limits that cannot be kept, an arm that is not where it should be, a way that is at its end or leads out
     of what limits allow.
 
     Args:
-        course: where the arm is on its way, with nothing to avoid.
+        progress: where the arm is on its way, with nothing to avoid.
         state: where the arm is.
         bounds: what the limits mean for its joints.
 
     Returns:
         The step; None if it is not that simple.
     """
-    posture, path = course.posture, course.path
-    if course.arrived or course.pace is not None or not posture.plain:
+    posture, path = progress.posture, progress.path
+    if progress.arrived or progress.pace is not None or not posture.plain:
         return None
-    arm, placed, chain, wanted = state.arm, state.placed, state.arm.kinematics, posture.chain
-    expected = placed.positions if course.expected is None else course.expected
+    arm, placed, chain, wanted = state.arm, state.forward, state.arm.kinematics, posture.chain
+    expected = placed.positions if progress.expected is None else progress.expected
     if len(wanted.which) < len(chain.columns):
         return None
     dq, reached, at_limit = np.zeros(arm.nv), np.empty(arm.nv), np.empty(arm.nv, dtype=np.bool_)
@@ -59,7 +59,7 @@ def get_on(course: Course, state: ArmState, bounds: JointBounds) -> Step | None:
         placed.points,
         path.offsets,
         path.positions,
-        course.place,
+        progress.place,
         expected,
         DISTURBED,
         ARRIVED,
@@ -73,7 +73,7 @@ def get_on(course: Course, state: ArmState, bounds: JointBounds) -> Step | None:
     )
     if not simple or not np.isfinite(after):
         return None
-    course = course.gone_to(place, bounds.travel, place <= course.place, reached)
+    progress = progress.gone_to(place, bounds.travel, place <= progress.place, reached)
     diagnostics = Diagnostics(
         0.0,
         0.0,
@@ -83,10 +83,10 @@ def get_on(course: Course, state: ArmState, bounds: JointBounds) -> Step | None:
         1.0,
         at_limit,
         "",
-        escape=after > before + RISES * arm.length,
-        on_way=course.waited == 0.0,
+        error_increasing=after > before + RISES * arm.length,
+        following_path=progress.waited == 0.0,
     )
-    return Step(dq, posture.active, diagnostics, Memory(dq, course))
+    return Step(dq, posture.active, diagnostics, Memory(dq, progress))
 
 
 # Damped least squares within limits: the step that reduces all errors at once, and where such steps end.
@@ -139,7 +139,7 @@ class Scope(NamedTuple):
         return cls(state, lower, upper, rows)
 
 
-class Settled(NamedTuple):
+class LeastSquaresResult(NamedTuple):
     """Where a search ended.
 
     Attributes:
@@ -176,12 +176,12 @@ def reducing_step(posture: Posture, scope: Scope, damping: float) -> Solution:
     least = BIAS * _typical(posture, linear.matrix)
     hessian = _damped(linear.matrix, damping * SHARE * float(errors @ errors) + least)
     strict = posture.task_rows(scope.state, strict=True)
-    first = None if strict is None else first_things_first(posture, scope, strict, scale * strict.errors)
-    return then_the_rest(hessian, -(linear.matrix.T @ errors), scope, first)
+    first = None if strict is None else solve_priority(posture, scope, strict, scale * strict.errors)
+    return solve_remaining(hessian, -(linear.matrix.T @ errors), scope, first)
 
 
 def _by_sweeps(posture: Posture, scope: Scope, damping: float, scale: float) -> Solution:
-    sweeps, (errors, squares) = Sweeps(posture, scope.state), posture.misses(scope.state)
+    sweeps, (errors, squares) = ChainSolver(posture, scope.state), posture.misses(scope.state)
     least = BIAS * max(sweeps.stiffness(), 1e-12 * posture.arm.length**2)
     weight = damping * SHARE * scale**2 * squares + least
     x = sweeps.step(scale * errors, weight, np.zeros(len(scope.lower)), scope.lower, scope.upper)
@@ -200,7 +200,7 @@ class First(NamedTuple):
     matrix: Array
 
 
-def first_things_first(posture: Posture, scope: Scope, strict: Linear, wanted: Array) -> First | None:
+def solve_priority(posture: Posture, scope: Scope, strict: Linear, wanted: Array) -> First | None:
     """Solve for the strict tasks alone; None if that fails.
 
     Args:
@@ -217,7 +217,7 @@ def first_things_first(posture: Posture, scope: Scope, strict: Linear, wanted: A
     return First(alone.x, right[sigma > INDEPENDENT * max(float(sigma[0]), 1e-300)])
 
 
-def then_the_rest(hessian: Array, gradient: Array, scope: Scope, first: First | None) -> Solution:
+def solve_remaining(hessian: Array, gradient: Array, scope: Scope, first: First | None) -> Solution:
     """Minimise x^T H x / 2 + g^T x with the freedom that strict tasks leave.
 
     What the step does for them is asked of the whole step, as equations. So there always is one; where
@@ -256,7 +256,7 @@ def settle(
     avoidance: Avoidance | None,
     good: float,
     borne: float = 0.0,
-) -> Settled:
+) -> LeastSquaresResult:
     """Think on from a state, step by step, until the merit falls no more.
 
     In a scene, a state that is too close to something first has to come clear; from then on it stays so.
@@ -293,12 +293,14 @@ def settle(
             idle += damping > MOST
         if idle >= PATIENCE:
             break
-    return Settled(state, merit, posture.mean_error(state), close - borne)
+    return LeastSquaresResult(state, merit, posture.mean_error(state), close - borne)
 
 
 def _capping(posture: Posture, state: ArmState) -> float:
     """Factor in (0, 1] that brings the largest error of a control point down to one module length."""
-    errors = np.linalg.norm((posture.target.points - state.points) * posture.target.placed[:, None], axis=1)
+    errors = np.linalg.norm(
+        (posture.target.points - state.points) * posture.target.has_target[:, None], axis=1
+    )
     typical = posture.arm.length / posture.arm.n_modules
     return min(1.0, typical / max(float(errors.max()), 1e-300))
 
@@ -339,19 +341,19 @@ class CandidateStep(NamedTuple):
 
     Attributes:
         dq: the step, (nv,) [rad or m].
-        course: where the arm will be on its course.
+        progress: where the arm will be on its progress.
         solution: what the program said; None if it need not be asked.
         reason: why the arm does not move; empty if it does.
     """
 
     dq: Array
-    course: Course
+    progress: PathProgress
     solution: Solution | None = None
     reason: str = ""
 
 
 def follow(
-    course: Course,
+    progress: PathProgress,
     state: ArmState,
     box: StepBox,
     limits: Limits,
@@ -364,20 +366,20 @@ def follow(
     weight mu of joint motion by which the way was found. Strict tasks come first; the way heeds the others.
 
     Args:
-        course: where the arm is on its way.
+        progress: where the arm is on its way.
         state: where it is.
         box: the steps that the limits allow.
         limits: what they are.
         mu: weight of joint motion [m per `Arm.joint_units`].
         avoidance: what to keep clear of; nothing if None.
     """
-    posture, path = course.posture, course.path
-    bounds, here = limits.for_arm(state.arm), course.place
+    posture, path = progress.posture, progress.path
+    bounds, here = limits.for_arm(state.arm), progress.place
     units = posture.chain.units
-    if course.pace is None:
+    if progress.pace is None:
         place, left, inside, dq = path.stride(state, here, posture.columns, units, box.sides)
         hindered = True  # unless it gets on
-    elif path.end == 1.0 and not course.given and bounds.brake is not None:
+    elif path.end == 1.0 and not progress.given and bounds.brake is not None:
         # So short a way need not be straight: each joint comes to its end as fast as it can stop there.
         rest = path.offsets[-1] - path.offset_of(state, here)
         left = float(np.abs(rest[posture.columns] / units).max(initial=0.0))
@@ -388,7 +390,7 @@ def follow(
     else:
         columns, offset = posture.columns, path.offset_of(state, here)
         left = float(np.abs((path.offsets[-1] - offset)[columns] / units).max(initial=0.0))
-        paced = min(course.pace.next(here, course.speed), path.end - here)
+        paced = min(progress.pace.next(here, progress.speed), path.end - here)
         onward, lag = path.smooth(here + paced) - path.smooth(here), path.smooth(here) - offset
         share = _share(onward[columns], lag[columns], bounds.bound[columns])
         place, hindered = here + share * paced, share < 1.0 or here >= path.end
@@ -401,39 +403,39 @@ def follow(
         within = (dq >= box.lower - STEP_ROUNDING * one) & (dq <= box.upper + STEP_ROUNDING * one)
         inside = bool(np.all((within & (np.abs(dq) <= FARTHEST * one))[posture.columns]))
     if place >= path.end and left <= ARRIVED:
-        course = course._replace(arrived=True, place=path.end)
-        return close_in(course, Scope.of(posture, state, box, avoidance))
+        progress = progress._replace(arrived=True, place=path.end)
+        return close_in(progress, Scope.of(posture, state, box, avoidance))
     if inside and avoidance is None and posture.plain:
         # Whatever is asked would lead to the same; and a step that leads on gets on (`JointPath.stride`).
-        return CandidateStep(dq, course.gone_to(place, bounds.travel, hindered and place <= here))
-    hindered = _behind(course, state) if course.pace is None and here < place else hindered
-    course = course.gone_to(place, bounds.travel, hindered)
+        return CandidateStep(dq, progress.gone_to(place, bounds.travel, hindered and place <= here))
+    hindered = _behind(progress, state) if progress.pace is None and here < place else hindered
+    progress = progress.gone_to(place, bounds.travel, hindered)
     scope, wanted = Scope.of(posture, state, box, avoidance), posture.own(dq)
     if posture.plain and scope.rows is None:
-        sweeps = Sweeps(posture, state)
+        sweeps = ChainSolver(posture, state)
         x = sweeps.step(sweeps.covered(wanted), mu**2, wanted, scope.lower, scope.upper)
-        return CandidateStep(posture.displacement(x), course)
+        return CandidateStep(posture.displacement(x), progress)
     strict = posture.task_rows(state, strict=True)
     if inside and strict is None and _clear(scope, wanted, dq, avoidance):
-        return CandidateStep(dq, course)
+        return CandidateStep(dq, progress)
     matrix = posture.rows(state).matrix
     hessian = matrix.T @ matrix
     hessian[np.diag_indices(len(hessian))] += mu**2
     first = None
     if strict is not None:
         share = place / path.end
-        before, after = course.strict_errors
+        before, after = progress.strict_errors
         intended = (1.0 - share) * before + share * after if len(before) == len(strict.errors) else 0.0
-        first = first_things_first(posture, scope, strict, strict.errors - intended)
-    found = then_the_rest(hessian, -(hessian @ wanted), scope, first)
+        first = solve_priority(posture, scope, strict, strict.errors - intended)
+    found = solve_remaining(hessian, -(hessian @ wanted), scope, first)
     x = np.clip(wanted, scope.lower, scope.upper) if found.x is None else corrected(posture, scope, found.x)
-    return CandidateStep(posture.displacement(x), course, found)
+    return CandidateStep(posture.displacement(x), progress, found)
 
 
-def _behind(course: Course, state: ArmState) -> bool:
+def _behind(progress: PathProgress, state: ArmState) -> bool:
     """Whether a joint is farther behind the place of the arm on its way than `BEHIND` allows."""
-    lag = course.path.offset(course.place) - course.path.offset_of(state, course.place)
-    return bool(np.any((np.abs(lag) > BEHIND * course.bounds.bound)[course.posture.columns]))
+    lag = progress.path.offset(progress.place) - progress.path.offset_of(state, progress.place)
+    return bool(np.any((np.abs(lag) > BEHIND * progress.bounds.bound)[progress.posture.columns]))
 
 
 def _share(onward: Array, lag: Array, bound: Array) -> float:
@@ -450,20 +452,20 @@ def _clear(scope: Scope, x: Array, dq: Array, avoidance: Avoidance | None) -> bo
     return bool(np.all(scope.rows.matrix @ x >= scope.rows.least)) or avoidance.stops_clear(scope.state, dq)
 
 
-def close_in(course: Course, scope: Scope) -> CandidateStep:
+def close_in(progress: PathProgress, scope: Scope) -> CandidateStep:
     """The step that reduces what errors are left, damped until it does.
 
     Args:
-        course: a course whose way is behind the arm.
+        progress: a progress whose way is behind the arm.
         scope: what the step may do.
     """
-    posture, damping, found = course.posture, course.damping, None
+    posture, damping, found = progress.posture, progress.damping, None
     merit = posture.merit(scope.state)
     for _ in range(TRIES if merit > (EXACT * posture.arm.length) ** 2 else 0):
         found = reducing_step(posture, scope, damping)
         x = None if found.x is None else corrected(posture, scope, found.x)
         if x is not None and posture.merit(posture.moved(scope.state, x)) < (1.0 - SETTLED) * merit:
-            easier = course._replace(damping=max(damping * EASIER, LEAST))
+            easier = progress._replace(damping=max(damping * EASIER, LEAST))
             return CandidateStep(posture.displacement(x), easier, found)
         damping *= HARDER
     rest = np.clip(np.zeros(len(scope.lower)), scope.lower, scope.upper)  # which braking may still forbid
@@ -472,7 +474,7 @@ def close_in(course: Course, scope: Scope) -> CandidateStep:
         if np.any(rest)
         else f"no step within the limits reduces the errors any more{_left(posture, scope)}"
     )
-    return CandidateStep(posture.displacement(rest), course, found, reason)
+    return CandidateStep(posture.displacement(rest), progress, found, reason)
 
 
 def _left(posture: Posture, scope: Scope) -> str:

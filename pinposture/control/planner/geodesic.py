@@ -16,9 +16,9 @@ from pinposture.collision import CollisionModel, Scene
 from pinposture.control.controller import Diagnostics, Memory, Step
 from pinposture.control.limits import JointBounds, Limits, StepBox
 from pinposture.control.planner.avoidance import Avoidance, solve
-from pinposture.control.planner.follow import RISES, CandidateStep, Scope, close_in, follow, get_on
+from pinposture.control.planner.follow import RISES, CandidateStep, Scope, close_in, fast_step, follow
 from pinposture.control.planner.objective import Posture
-from pinposture.control.planner.path import Course, JointPath
+from pinposture.control.planner.path import JointPath, PathProgress
 from pinposture.control.planner.plan import moved_little, plan, plan_on
 from pinposture.control.tasks import ControlTask
 from pinposture.errors import InvalidValue
@@ -26,20 +26,20 @@ from pinposture.placement import Target
 
 Array = NDArray[np.float64]
 
-WAIT, COURSES = 1.0, 3
+WAIT, MAX_PLANS = 1.0, 3
 """Joint travel without getting on after which another way is looked for [rad], and how many are."""
 
 GAIN = 1e-4
 """Least distance that a step out of an obstacle gains, in arm lengths; else a path is planned from there."""
 
-MOST_HASTE = 1e6
+MAX_JOINT_WEIGHT = 1e6
 """Haste beyond which numbers overflow; it is joint interpolation long before."""
 
 _ANY_STEP = np.array([[-np.inf], [np.inf]])
 
 
 @dataclass(frozen=True)
-class ConstrainedQP:
+class Geodesic:
     """Takes the arm along the most direct way to its target, by a constrained least-squares step at a time.
 
     Before it moves, it settles where to go: the configuration that the target knows, or the one that comes
@@ -52,32 +52,32 @@ class ConstrainedQP:
 
     The way is planned again when the target changes, and when the arm does not get on.
 
-    What gives way where not all can hold, named in `Diagnostics.relaxed`: tasks and posture first, by their
-    weights, strict tasks after the others; then the margin to obstacles, of which each step regains what it
-    can; then limits of acceleration, where braking would touch something, and of position, as `Limits.box`
-    says. Limits of speed never do.
+    What gives way where not all can hold, named in `Diagnostics.violated_constraints`: tasks and posture
+    first, by their weights, strict tasks after the others; then the margin to obstacles, of which each step
+    regains what it can; then limits of acceleration, where braking would touch something, and of position,
+    as `Limits.box` says. Limits of speed never do.
 
     Attributes:
-        haste: weight of the motion of joints against that of control points: how far, in module lengths, all
-            control points may move to save one radian of a joint. Smaller values let joints go longer ways so
-            that points go straighter, down to about 0.05; below that only the number of steps grows. Large
-            values lead to joint interpolation.
-        chord: weight of the squared error of a chord, where that of a point has weight 1.
+        joint_weight: weight of the motion of joints against that of control points: how far, in module
+            lengths, all control points may move to save one radian of a joint. Smaller values let joints go
+            longer ways so that points go straighter, down to about 0.05; below that only the number of steps
+            grows. Large values lead to joint interpolation.
+        relative_position_weight: weight of the squared error of a chord, where that of a point has weight 1.
         tasks: what else the arm is asked to do.
         scene: what to keep clear of; nothing if None. `track(..., scene=)` sets it.
     """
 
-    haste: float = 0.2
-    chord: float = 1.0
+    joint_weight: float = 0.2
+    relative_position_weight: float = 1.0
     tasks: tuple[ControlTask, ...] = ()
     scene: Scene | None = None
-    name: str = "qp"
+    name: str = "geodesic"
 
     def __post_init__(self) -> None:
-        require_positive("haste", self.haste)
-        if self.haste > MOST_HASTE:
-            raise InvalidValue("haste", self.haste, f"at most {MOST_HASTE:g}")
-        require_positive("chord", self.chord, zero=True)
+        require_positive("joint_weight", self.joint_weight)
+        if self.joint_weight > MAX_JOINT_WEIGHT:
+            raise InvalidValue("joint_weight", self.joint_weight, f"at most {MAX_JOINT_WEIGHT:g}")
+        require_positive("relative_position_weight", self.relative_position_weight, zero=True)
         tasks = tuple(self.tasks) if isinstance(self.tasks, Iterable) else (self.tasks,)
         for task in tasks:
             if isinstance(task, type) or not callable(getattr(task, "rows", None)):
@@ -86,7 +86,7 @@ class ConstrainedQP:
         if not (self.scene is None or isinstance(self.scene, Scene)):
             raise InvalidValue("scene", self.scene, "a Scene(...), or None")
 
-    def with_scene(self, scene: Scene | None) -> ConstrainedQP:
+    def with_scene(self, scene: Scene | None) -> Geodesic:
         """The same controller in another scene."""
         return replace(self, scene=scene)
 
@@ -98,9 +98,9 @@ class ConstrainedQP:
         _check_given(state, target, memory)
         state = state.compiled
         bounds = limits.for_arm(state.arm)
-        before = memory.own if memory is not None and isinstance(memory.own, Course) else None
+        before = memory.own if memory is not None and isinstance(memory.own, PathProgress) else None
         if before is not None and before.bounds is bounds and self._goes_on(before, state, target):
-            step = get_on(before, state, bounds)
+            step = fast_step(before, state, bounds)
             if step is not None:
                 return step
         previous = memory.dq if memory is not None else None
@@ -111,19 +111,19 @@ class ConstrainedQP:
             step = self._back_out(state, target, box, bounds, previous)
             if step is not None:
                 return step
-        course = self._course(state, target, bounds, before)
-        if before is None or course.path.start is not before.path.start:
-            course = course.under_way(previous)
-        posture, avoidance = course.posture, self._avoidance(course.posture, bounds, previous)
-        if avoidance is None and course is not before:
-            step = get_on(course, state, bounds)
+        progress = self._progress(state, target, bounds, before)
+        if before is None or progress.path.start is not before.path.start:
+            progress = progress.under_way(previous)
+        posture, avoidance = progress.posture, self._avoidance(progress.posture, bounds, previous)
+        if avoidance is None and progress is not before:
+            step = fast_step(progress, state, bounds)
             if step is not None:
                 return step
-        if course.arrived:
-            asked = close_in(course, Scope.of(posture, state, box, avoidance))
+        if progress.arrived:
+            asked = close_in(progress, Scope.of(posture, state, box, avoidance))
         else:
-            asked = follow(course, state, box, limits, self._mu(state), avoidance)
-        return _checked(asked, state, box, bounds, avoidance, course)
+            asked = follow(progress, state, box, limits, self._mu(state), avoidance)
+        return _checked(asked, state, box, bounds, avoidance, progress)
 
     def along(
         self,
@@ -138,7 +138,7 @@ class ConstrainedQP:
 
         The steps that follow stay on that way, as fast as limits and time allow, whatever target they are
         given, until its end. An arm that is not where it should be, or does not get on, leaves it: it then
-        plans a way of its own to the target (`Course.given` tells).
+        plans a way of its own to the target (`PathProgress.given` tells).
 
         Args:
             state: where the arm is, at the beginning of the way.
@@ -149,15 +149,20 @@ class ConstrainedQP:
             memory: `memory` of the step before; None: the arm is at rest.
         """
         target.check(state.arm)
-        bounds, posture = limits.for_arm(state.arm), Posture(state.arm, target, self.tasks, self.chord)
-        course = Course(posture, path, bounds, most=most, expected=state.placed.positions).within(bounds)
+        bounds, posture = (
+            limits.for_arm(state.arm),
+            Posture(state.arm, target, self.tasks, self.relative_position_weight),
+        )
+        progress = PathProgress(posture, path, bounds, most=most, expected=state.forward.positions).within(
+            bounds
+        )
         memory = Memory(np.zeros(state.arm.nv)) if memory is None else memory
-        return memory._replace(own=course)
+        return memory._replace(own=progress)
 
-    def _goes_on(self, course: Course, state: ArmState, target: Target) -> bool:
+    def _goes_on(self, progress: PathProgress, state: ArmState, target: Target) -> bool:
         """Whether that is what the arm was doing, and nothing else is asked of it."""
-        alone = not self.tasks and self.scene is None and course.waited < WAIT
-        return alone and course.posture.target is target and course.posture.arm is state.arm
+        alone = not self.tasks and self.scene is None and progress.waited < WAIT
+        return alone and progress.posture.target is target and progress.posture.arm is state.arm
 
     def _return(
         self, state: ArmState, target: Target, box: StepBox, bounds: JointBounds, previous: Array | None
@@ -165,7 +170,7 @@ class ConstrainedQP:
         """A step back into the position limits, by the joints that are outside; the way begins there."""
         arm = state.arm
         target.check(arm)
-        dq, relaxed = np.zeros(arm.nv), box.relaxed
+        dq, relaxed = np.zeros(arm.nv), box.violated_constraints
         dq[arm.columns] = np.clip(dq, box.lower, box.upper)[arm.columns]
         avoidance, share, stopping = self._avoidance(Posture(arm, target), bounds, previous), 1.0, None
         if avoidance is not None:
@@ -199,7 +204,7 @@ class ConstrainedQP:
         gained = avoidance.clearance.minimum(after.q).distance - avoidance.near(state).minimum
         if gained < GAIN * state.arm.length:
             return None
-        relaxed = box.relaxed + gave_way + avoidance.too_close(state)
+        relaxed = box.violated_constraints + gave_way + avoidance.too_close(state)
         return _step_before_planning(state, target, dq, share, relaxed, "", stopping)
 
     def _avoidance(
@@ -209,42 +214,48 @@ class ConstrainedQP:
             return None
         return Avoidance(CollisionModel(posture.arm, self.scene), posture, bounds, previous)
 
-    def _course(self, state: ArmState, target: Target, bounds: JointBounds, course: Course | None) -> Course:
-        """The course so far; a new one at first, for a new target, and where the arm does not get on."""
-        if course is None or not course.leads_on(state):
-            course = None
-        elif course.given and not course.arrived:
-            if course.waited < WAIT:
-                course = course._replace(posture=self._posture(state, target, course))
-                return course if course.bounds is bounds else course.within(bounds)
-            course = None
-        elif _alike(course.posture.target, target):
-            if course.posture.tasks != self.tasks:  # as they do where they follow something: the way stays
-                course = course._replace(posture=self._posture(state, target))
-            if course.waited < WAIT or course.arrived:
-                return course if course.bounds is bounds else course.within(bounds)
-            tries, posture = course.tries + 1, course.posture
-            if tries >= COURSES or course.place >= course.path.end:
-                return course._replace(arrived=True)
+    def _progress(
+        self, state: ArmState, target: Target, bounds: JointBounds, progress: PathProgress | None
+    ) -> PathProgress:
+        """The progress so far; a new one at first, for a new target, and where the arm does not get on."""
+        if progress is None or not progress.leads_on(state):
+            progress = None
+        elif progress.given and not progress.arrived:
+            if progress.waited < WAIT:
+                progress = progress._replace(posture=self._posture(state, target, progress))
+                return progress if progress.bounds is bounds else progress.within(bounds)
+            progress = None
+        elif _alike(progress.posture.target, target):
+            if progress.posture.tasks != self.tasks:  # as they do where they follow something: the way stays
+                progress = progress._replace(posture=self._posture(state, target))
+            if progress.waited < WAIT or progress.arrived:
+                return progress if progress.bounds is bounds else progress.within(bounds)
+            tries, posture = progress.tries + 1, progress.posture
+            if tries >= MAX_PLANS or progress.place >= progress.path.end:
+                return progress._replace(arrived=True)
             return plan(posture, state, bounds, self._avoidance(posture, bounds), self._mu(state), tries)
         target.check(state.arm)
-        posture = self._posture(state, target, course)
+        posture = self._posture(state, target, progress)
         avoidance, mu = self._avoidance(posture, bounds), self._mu(state)
-        if course is not None and posture.plain and (avoidance is None or moved_little(course, posture)):
-            return plan_on(course, posture, state, bounds, mu, avoidance)
+        if progress is not None and posture.plain and (avoidance is None or moved_little(progress, posture)):
+            return plan_on(progress, posture, state, bounds, mu, avoidance)
         return plan(posture, state, bounds, avoidance, mu)
 
-    def _posture(self, state: ArmState, target: Target, course: Course | None = None) -> Posture:
-        """What is asked of the arm; that of a course is taken on where only the target is another."""
-        if course is not None:
-            known = course.posture
-            if known.tasks == self.tasks == () and known.chord == self.chord and known.arm is state.arm:
+    def _posture(self, state: ArmState, target: Target, progress: PathProgress | None = None) -> Posture:
+        """What is asked of the arm; that of a progress is taken on where only the target is another."""
+        if progress is not None:
+            known = progress.posture
+            if (
+                known.tasks == self.tasks == ()
+                and known.relative_position_weight == self.relative_position_weight
+                and known.arm is state.arm
+            ):
                 return known.moved_to(target)
-        return Posture(state.arm, target, self.tasks, self.chord)
+        return Posture(state.arm, target, self.tasks, self.relative_position_weight)
 
     def _mu(self, state: ArmState) -> float:
-        """Weight of joint motion [m per `Arm.joint_units`]: `haste` module lengths of each of m points."""
-        return self.haste * state.arm.length / sqrt(state.arm.n_modules)
+        """Weight of joint motion [m per `Arm.joint_units`]: `joint_weight` module lengths for each point."""
+        return self.joint_weight * state.arm.length / sqrt(state.arm.n_modules)
 
 
 def _step_before_planning(
@@ -252,7 +263,7 @@ def _step_before_planning(
     target: Target,
     dq: Array,
     share: float,
-    relaxed: tuple[str, ...],
+    violated_constraints: tuple[str, ...],
     reason: str,
     stopping: Array | None,
 ) -> Step:
@@ -268,9 +279,9 @@ def _step_before_planning(
         scale=share,
         clipped=np.zeros(arm.nv, dtype=np.bool_),
         reason=reason,
-        escape=_posture_error(after, target) > _posture_error(state, target),
-        relaxed=relaxed,
-        on_way=True,
+        error_increasing=_posture_error(after, target) > _posture_error(state, target),
+        violated_constraints=violated_constraints,
+        following_path=True,
     )
     return Step(dq, active, diagnostics, Memory(dq, None, stopping))
 
@@ -281,11 +292,11 @@ def _checked(
     box: StepBox,
     bounds: JointBounds,
     avoidance: Avoidance | None,
-    begun: Course,
+    begun: PathProgress,
 ) -> Step:
     """The step as it leaves: finite, within its limits and clear, whatever was computed before."""
-    arm, course = state.arm, asked.course
-    dq, relaxed, share = asked.dq, box.relaxed, 1.0
+    arm, progress = state.arm, asked.progress
+    dq, relaxed, share = asked.dq, box.violated_constraints, 1.0
     stopping: Array | None = None
     near: tuple[str, ...] = ()
     if not isfinite(dq @ dq):
@@ -294,21 +305,21 @@ def _checked(
         dq[arm.columns] = np.minimum(np.maximum(dq, box.lower), box.upper)[arm.columns]
         wanted = dq
         dq, share, stopping, gave_way = avoidance.kept(state, wanted)
-        if share < 1.0 and not course.arrived:
+        if share < 1.0 and not progress.arrived:
             done = float(np.clip((dq @ wanted) / max(float(wanted @ wanted), 1e-300), 0.0, 1.0))
-            gone = begun.gone_to(begun.place + done * (course.place - begun.place), bounds.travel, True)
-            course = course._replace(
+            gone = begun.gone_to(begun.place + done * (progress.place - begun.place), bounds.travel, True)
+            progress = progress._replace(
                 place=gone.place, speed=gone.speed, passed=gone.passed, waited=gone.waited
             )
         relaxed += gave_way + avoidance.too_close(state)
         near = avoidance.holding(state, asked.solution, bool(asked.reason))
-        near += (course.hindrance,) if course.hindrance else ()
-    chain, placed, posture = arm.kinematics, state.placed, course.posture.chain
+        near += (progress.hindrance,) if progress.hindrance else ()
+    chain, placed, posture = arm.kinematics, state.forward, progress.posture.chain
     reached, at_limit = np.empty(arm.nv), np.empty(arm.nv, dtype=np.bool_)
     sides = box.sides if share == 1.0 else _ANY_STEP * np.ones((2, arm.nv))
     given = placed.positions, bounds.units, sides, bounds.edges, placed.points, posture.targets, posture.flags
     before, after = kernels.look_ahead(chain.constants, *given, dq, reached, at_limit)
-    active = course.posture.active
+    active = progress.posture.active
     diagnostics = Diagnostics(
         manipulability=0.0,
         sigma_min=0.0,
@@ -318,12 +329,12 @@ def _checked(
         scale=share,
         clipped=at_limit,
         reason=asked.reason,
-        escape=after > before + RISES * arm.length,
-        relaxed=relaxed,
+        error_increasing=after > before + RISES * arm.length,
+        violated_constraints=relaxed,
         near=near,
-        on_way=not course.arrived and course.waited == 0.0,
+        following_path=not progress.arrived and progress.waited == 0.0,
     )
-    return Step(dq, active, diagnostics, Memory(dq, course._replace(expected=reached), stopping))
+    return Step(dq, active, diagnostics, Memory(dq, progress._replace(expected=reached), stopping))
 
 
 def _check_given(state: ArmState, target: Target, memory: Memory | None) -> None:
@@ -344,4 +355,4 @@ def _alike(one: Target, other: Target) -> bool:
 
 
 def _posture_error(state: ArmState, target: Target) -> float:
-    return float((np.linalg.norm(target.points - state.points, axis=1) * target.placed).sum())
+    return float((np.linalg.norm(target.points - state.points, axis=1) * target.has_target).sum())

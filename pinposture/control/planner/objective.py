@@ -14,7 +14,7 @@ from pinposture import kernels
 from pinposture.arm import Arm, ArmState
 from pinposture.control.controller import task_errors
 from pinposture.control.tasks import ControlTask
-from pinposture.kernels.arrays import Springs
+from pinposture.kernels.arrays import PointObjective
 from pinposture.placement import Target
 
 # What the arm is asked to do, as one weighted sum of squares.
@@ -57,7 +57,7 @@ class ChainObjective(NamedTuple):
     which: NDArray[np.int64]
     ends: NDArray[np.int64]
     units: Array
-    placed: NDArray[np.intp]
+    has_target: NDArray[np.intp]
     flags: NDArray[np.bool_]
     targets: Array
     goals: Array
@@ -67,8 +67,8 @@ class ChainObjective(NamedTuple):
 
     def points_of(self, state: ArmState) -> Array:
         """The control points that have a target, where they are, (p, 3) [m]."""
-        points = state.placed.points
-        return points if len(self.placed) == len(points) else points[self.placed]
+        points = state.forward.points
+        return points if len(self.has_target) == len(points) else points[self.has_target]
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,13 +84,13 @@ class Posture:
         arm: the arm.
         target: where its control points should be; squared errors are weighed by `Target.weights`.
         tasks: what else it should do.
-        chord: weight of the squared error of a chord, where that of a point has weight 1.
+        relative_position_weight: weight of the squared error of a chord, where that of a point has weight 1.
     """
 
     arm: Arm
     target: Target
     tasks: Sequence[ControlTask] = ()
-    chord: float = 1.0
+    relative_position_weight: float = 1.0
 
     @cached_property
     def columns(self) -> NDArray[np.intp]:
@@ -105,7 +105,7 @@ class Posture:
 
     @cached_property
     def _placed(self) -> NDArray[np.intp]:
-        return np.flatnonzero(self.target.placed)
+        return np.flatnonzero(self.target.has_target)
 
     @cached_property
     def _every(self) -> NDArray[np.bool_]:
@@ -115,7 +115,7 @@ class Posture:
     def _roots(self) -> tuple[Array, Array]:
         """Square roots of the weights of points (p, 1) and of chords (p - 1, 1)."""
         weights = self.target.weights[self._placed]
-        chords = self.chord * np.minimum(weights[1:], weights[:-1])
+        chords = self.relative_position_weight * np.minimum(weights[1:], weights[:-1])
         return np.sqrt(weights)[:, None], np.sqrt(chords)[:, None]
 
     def rows(self, state: ArmState) -> Linear:
@@ -126,7 +126,7 @@ class Posture:
         n = len(self.columns)
         blocks = [(points[:, :, None] * jacobians).reshape(-1, n)]
         wanted = [(points * errors).ravel()]
-        if self.chord > 0.0:
+        if self.relative_position_weight > 0.0:
             blocks.append((chords[:, :, None] * (jacobians[1:] - jacobians[:-1])).reshape(-1, n))
             wanted.append((chords * (errors[1:] - errors[:-1])).ravel())
         weighed = self.task_rows(state, strict=False)
@@ -142,7 +142,7 @@ class Posture:
         """
         matrices, errors = [], []
         for task in self.tasks:
-            if task.strict == strict:
+            if task.priority == strict:
                 rows, root = task.rows(state, self.target), float(np.sqrt(task.weight))
                 matrices.append(root * rows.jacobian[:, self.columns] * self.units)
                 errors.append(root * rows.error)
@@ -150,7 +150,7 @@ class Posture:
 
     def moved_to(self, target: Target) -> Posture:
         """The same asked of another target; where the same points have one, what is known of them stays."""
-        other = Posture(self.arm, target, self.tasks, self.chord)
+        other = Posture(self.arm, target, self.tasks, self.relative_position_weight)
         if np.array_equal(target.weights, self.target.weights):
             known = {"columns", "units", "_placed", "_every", "_roots", "plain", "active"} & vars(self).keys()
             vars(other).update({name: vars(self)[name] for name in known})
@@ -180,8 +180,8 @@ class Posture:
             which=own,
             ends=np.searchsorted(own, self.arm.kinematics.ends[placed]).astype(np.int64),
             units=np.array(self.units),
-            placed=placed,
-            flags=np.array(self.target.placed),
+            has_target=placed,
+            flags=np.array(self.target.has_target),
             targets=np.array(self.target.points),
             goals=np.array(self.target.points[placed]),
             weights=points.ravel() ** 2,
@@ -196,7 +196,7 @@ class Posture:
         """
         chain, errors = self.chain, np.empty((len(self._placed), 3))
         given = chain.points_of(state), chain.goals, chain.weights, chain.chords, chain.normal
-        return errors, kernels.measure_misses(*given, errors)
+        return errors, kernels.measure_point_errors(*given, errors)
 
     def merit(self, state: ArmState) -> float:
         """Half the sum of all squares [m^2], those of strict tasks `STRICT` times."""
@@ -210,14 +210,14 @@ class Posture:
     def mean_error(self, state: ArmState) -> float:
         """Mean distance of the control points from their targets [m]."""
         errors = self.misses(state)[0]
-        return kernels.sum_distances(errors, np.zeros_like(errors), self._every) / len(errors)
+        return kernels.sum_point_errors(errors, np.zeros_like(errors), self._every) / len(errors)
 
     def distance_to(self, other: Posture) -> float:
         """Mean distance between the points of two targets [m]; infinite if not the same points have one."""
         if self.active != other.active:
             return float("inf")
         every = self._every
-        return kernels.sum_distances(self.chain.goals, other.chain.goals, every) / len(every)
+        return kernels.sum_point_errors(self.chain.goals, other.chain.goals, every) / len(every)
 
     def moved(self, state: ArmState, x: Array) -> ArmState:
         """The state after a step x, (n,)."""
@@ -237,7 +237,7 @@ class Posture:
 # The step that points and chords want, by sweeps along the chain: where nothing else has a say.
 
 
-class Sweeps:
+class ChainSolver:
     """Least squares over points and chords of a posture at one state, in time linear in the number of joints.
 
     With all rows A of the posture and its errors e, `control.planner.avoidance` would do the same; but it
@@ -245,11 +245,11 @@ class Sweeps:
     """
 
     def __init__(self, posture: Posture, state: ArmState) -> None:
-        chain, placed = posture.chain, state.placed
+        chain, placed = posture.chain, state.forward
         screws, points = np.empty((len(chain.which), 6)), chain.points_of(state)
         given = chain.which, state.arm.kinematics.slides, chain.units, placed.axes, placed.origins
         kernels.find_screws(*given, chain.ends, points, screws)
-        self._springs = Springs(screws, chain.ends, points, chain.weights, chain.chords)
+        self._springs = PointObjective(screws, chain.ends, points, chain.weights, chain.chords)
 
     def stiffness(self) -> float:
         """Mean diagonal of A^T A [m^2]."""

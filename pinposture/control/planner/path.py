@@ -124,7 +124,7 @@ class JointPath:
             sides: smallest and largest step, (2, nv) [rad or m].
         """
         dq = np.zeros(self.arm.nv)
-        positions, endless = state.placed.positions, self.arm.kinematics.endless
+        positions, endless = state.forward.positions, self.arm.kinematics.endless
         given = self.offsets, self.positions, positions, endless, columns, units, place, sides, FARTHEST
         place, left, inside = kernels.step_along(*given, dq)
         return Stride(place, left, inside, dq)
@@ -153,7 +153,7 @@ SMALL = 1e-12
 """Slope of a path that is none, relative to the largest."""
 
 
-class Pace:
+class SpeedProfile:
     """The pace along a path, at its waypoints.
 
     Args:
@@ -176,12 +176,12 @@ class Pace:
         self._slope, self._bend = np.empty(shape), np.empty(shape)
         self._cap, self.top = np.empty(shape[0]), np.empty(shape[0])
         shares, into = (SPEED, self._planned, CURVED, SMALL), (self._slope, self._bend, self._cap, self.top)
-        kernels.find_pace(path.offsets, np.array(bound), self._brake, begin, most, *shares, *into)
+        kernels.find_speed_profile(path.offsets, np.array(bound), self._brake, begin, most, *shares, *into)
 
     def next(self, place: float, pace: float) -> float:
         """Places to go in this step, after `pace` places in the step before."""
         given = self._slope, self._bend, self._cap, self.top, self._brake
-        return kernels.next_pace(place, pace, *given, self._planned, CURVED)
+        return kernels.next_path_speed(place, pace, *given, self._planned, CURVED)
 
 
 # Where a controller is on its way.
@@ -194,7 +194,7 @@ PROGRESS = 0.005
 """Share of a path that counts as getting on, for an arm that is hindered."""
 
 
-class Course(NamedTuple):
+class PathProgress(NamedTuple):
     """A way to a goal, and how far the arm has come on it.
 
     Attributes:
@@ -224,7 +224,7 @@ class Course(NamedTuple):
     path: JointPath
     bounds: JointBounds
     place: float = 0.0
-    pace: Pace | None = None
+    pace: SpeedProfile | None = None
     speed: float = 0.0
     passed: float = 0.0
     waited: float = 0.0
@@ -242,8 +242,10 @@ class Course(NamedTuple):
         """Whether the way was given, with its time: then it stays while the target moves along it."""
         return isfinite(self.most)
 
-    def gone_to(self, place: float, travel: float, hindered: bool, expected: Array | None = None) -> Course:
-        """The course after a step.
+    def gone_to(
+        self, place: float, travel: float, hindered: bool, expected: Array | None = None
+    ) -> PathProgress:
+        """The progress after a step.
 
         Args:
             place: where the step leads.
@@ -262,28 +264,28 @@ class Course(NamedTuple):
         )
 
     def leads_on(self, state: ArmState) -> bool:
-        """Whether the arm is where the course has it, or nearly: else the way begins anew where it is."""
+        """Whether the arm is where the progress has it, or nearly: else the way begins anew where it is."""
         arm = self.posture.arm
         if arm is not state.arm or self.expected is None:
             return arm is state.arm
         chain = arm.kinematics
-        given = self.expected, state.placed.positions, chain.endless, chain.columns, self.bounds.units
+        given = self.expected, state.forward.positions, chain.endless, chain.columns, self.bounds.units
         return kernels.joint_distance(*given) <= DISTURBED
 
-    def under_way(self, previous: Array | None) -> Course:
-        """The course of an arm that already moves along its way, as far as the step before, (nv,), did."""
+    def under_way(self, previous: Array | None) -> PathProgress:
+        """The progress of an arm that already moves along its way, as far as the step before, (nv,), did."""
         if self.pace is None or previous is None or self.place > 0.0:
             return self
         ahead = self.path.offsets[1] - self.path.offsets[0]
         squares = float(ahead @ ahead)
         speed = max(float(ahead @ previous), 0.0) / squares if squares > 0.0 else 0.0
         speed, bounds = min(speed, self.path.end), self.bounds
-        pace = Pace(self.path, bounds.bound, bounds.brake, self.most, speed)
+        pace = SpeedProfile(self.path, bounds.bound, bounds.brake, self.most, speed)
         return self._replace(speed=speed, pace=pace)
 
-    def within(self, bounds: JointBounds) -> Course:
-        """The same course with the pace that other limits allow."""
+    def within(self, bounds: JointBounds) -> PathProgress:
+        """The same progress with the pace that other limits allow."""
         pace = None
         if bounds.brake is not None or self.given:
-            pace = Pace(self.path, bounds.bound, bounds.brake, self.most)
+            pace = SpeedProfile(self.path, bounds.bound, bounds.brake, self.most)
         return self._replace(bounds=bounds, pace=pace)

@@ -13,11 +13,11 @@ from pinposture.arm import ArmState
 from pinposture.collision import Closest
 from pinposture.control.limits import JointBounds
 from pinposture.control.planner.avoidance import Avoidance
-from pinposture.control.planner.follow import Settled, settle
+from pinposture.control.planner.follow import LeastSquaresResult, settle
 from pinposture.control.planner.objective import STRICT, Linear, Posture
-from pinposture.control.planner.path import Course, JointPath
+from pinposture.control.planner.path import JointPath, PathProgress
 from pinposture.control.planner.trajectory_optimization import Penalty, direct_path
-from pinposture.placement.points import goal_starts
+from pinposture.placement.points import initial_guesses
 
 # The configuration to go to: found before the arm moves.
 
@@ -41,7 +41,7 @@ def find_goal(
     good: float,
     before: ArmState | None = None,
     enough: float = 0.0,
-) -> Settled:
+) -> LeastSquaresResult:
     """Find the configuration that does best what is asked of the arm.
 
     A configuration that the target knows is taken, and improved where it does not do all that is asked.
@@ -60,7 +60,7 @@ def find_goal(
         before: where to begin, if the target does not say: the goal of a target that was much like it.
         enough: mean distance with which the search ends, if no more was found for that target [m].
     """
-    known, strict = posture.target.q is not None, any(task.strict for task in posture.tasks)
+    known, strict = posture.target.q is not None, any(task.priority for task in posture.tasks)
     # Where a strict task holds the arm, what lies near can be reached, and what lies far perhaps not.
     held = _held(posture, state)
     better = MUCH_BETTER if held else 1.0
@@ -70,7 +70,7 @@ def find_goal(
     best = found = settle(posture, next(starts), edges, avoidance, good, borne)
     wanted, agree = max(good, enough), 1
     while agree < AGREE and not (
-        found.intrusion == 0.0 and (_does_it(posture, found, wanted) or (known and not strict))
+        found.intrusion == 0.0 and (_is_good_enough(posture, found, wanted) or (known and not strict))
     ):
         start = next(starts, None)  # asked for only now: to find one can take long
         if start is None:
@@ -83,7 +83,7 @@ def find_goal(
     return best
 
 
-def _does_it(posture: Posture, found: Settled, good: float) -> bool:
+def _is_good_enough(posture: Posture, found: LeastSquaresResult, good: float) -> bool:
     """Whether that takes the target posture, and does what comes before it."""
     strict = posture.task_rows(found.state, strict=True)
     kept = strict is None or float(np.linalg.norm(strict.errors)) <= good
@@ -110,7 +110,7 @@ def _starts(
     if not held:
         yield state
     if target.q is None:
-        for positions in goal_starts(arm, target, arm.positions(state.q)):
+        for positions in initial_guesses(arm, target, arm.positions(state.q)):
             yield _towards(posture, state, arm.configuration(positions), edges)
     rng = np.random.default_rng(0)
     for number in range(NUDGES):
@@ -128,7 +128,7 @@ def _towards(posture: Posture, state: ArmState, q: Array, edges: Array) -> ArmSt
     way = np.array(arm.difference(state.q, arm.nearest_turns(q, state.q, edges)))
     here = arm.positions(state.q)
     if not posture.tasks:  # joints beyond the last control point that has a target need not move
-        last = int(np.flatnonzero(posture.target.placed)[-1])
+        last = int(np.flatnonzero(posture.target.has_target)[-1])
         way = way * arm.support[last]
     moved = np.zeros(arm.nv)
     columns = posture.columns
@@ -174,7 +174,7 @@ def plan(
     avoidance: Avoidance | None,
     mu: float,
     tries: int = 0,
-) -> Course:
+) -> PathProgress:
     """Find where to go, and the most direct way there that is clear.
 
     Args:
@@ -187,34 +187,34 @@ def plan(
     """
     goal = find_goal(posture, state, bounds.edges, avoidance, GOOD * posture.arm.length).state
     path, hindrance = _way(posture, state, goal, bounds, avoidance, mu, tries)
-    course = Course(posture, path, bounds, tries=tries, hindrance=hindrance).within(bounds)
+    progress = PathProgress(posture, path, bounds, tries=tries, hindrance=hindrance).within(bounds)
     first, last = (posture.task_rows(at, strict=True) for at in (state, goal))
     if first is not None and last is not None:
-        course = course._replace(strict_errors=(first.errors, last.errors))
+        progress = progress._replace(strict_errors=(first.errors, last.errors))
     logger.debug("a way of %d pieces%s", path.end, f", hindered: {hindrance}" if hindrance else "")
-    return course
+    return progress
 
 
-def moved_little(course: Course, posture: Posture) -> bool:
-    """Whether a target is much like the one that a course leads to."""
-    return course.posture.distance_to(posture) <= LITTLE * posture.arm.length / posture.arm.n_modules
+def moved_little(progress: PathProgress, posture: Posture) -> bool:
+    """Whether a target is much like the one that a progress leads to."""
+    return progress.posture.distance_to(posture) <= LITTLE * posture.arm.length / posture.arm.n_modules
 
 
 def plan_on(
-    course: Course,
+    progress: PathProgress,
     posture: Posture,
     state: ArmState,
     bounds: JointBounds,
     mu: float,
     avoidance: Avoidance | None = None,
-) -> Course:
+) -> PathProgress:
     """What `plan` finds, for a target that is not far from the one before, from what was found for that.
 
     The search for a goal begins at the goal before. Where the new one is near, compared to what is left of
     the way, the way is bent to end there: a target that moves on in every step needs no new way in each.
 
     Args:
-        course: the course to the target before, which the arm is on.
+        progress: the progress to the target before, which the arm is on.
         posture: what is asked of the arm now.
         state: where it is.
         bounds: what the limits mean for its joints.
@@ -222,7 +222,7 @@ def plan_on(
         avoidance: what to keep clear of; nothing if None. A way that is bent a little is not looked along
             again: each step on it is.
     """
-    arm, path = posture.arm, course.path
+    arm, path = posture.arm, progress.path
     before = path.configuration(path.end)
     goal = _known(posture, bounds, before)
     if goal is not None and avoidance is not None and avoidance.intrusion(arm.at(goal).compiled) > 0.0:
@@ -230,30 +230,30 @@ def plan_on(
     if goal is None:
         start = arm.at(before).compiled
         first = start if posture.target.q is None else None
-        enough = _as_good(course, posture, start)
+        enough = _as_good(progress, posture, start)
         found = find_goal(posture, state, bounds.edges, avoidance, GOOD * arm.length, first, enough)
         goal = found.state.q
     change = posture.displacement(posture.own(arm.difference(before, goal)))
-    bent = change if course.bent is None else course.bent + change
+    bent = change if progress.bent is None else progress.bent + change
     if (
-        course.arrived
-        or course.tries
+        progress.arrived
+        or progress.tries
         or _size(posture, bent) > BENT * _size(posture, arm.difference(state.q, before))
     ):
         if avoidance is not None and _size(posture, arm.difference(state.q, goal)) > SHORT:
             return plan(posture, state, bounds, avoidance, mu)
         path = direct_path(posture, state.q, goal, mu, bounds.edges)
-        return Course(posture, path, bounds).within(bounds)
-    path = path.bent(course.place, change, bounds.edges)
-    return course._replace(posture=posture, path=path, bent=bent).within(bounds)
+        return PathProgress(posture, path, bounds).within(bounds)
+    path = path.bent(progress.place, change, bounds.edges)
+    return progress._replace(posture=posture, path=path, bent=bent).within(bounds)
 
 
-def _as_good(course: Course, posture: Posture, goal: ArmState) -> float:
+def _as_good(progress: PathProgress, posture: Posture, goal: ArmState) -> float:
     """Mean distance from its points that is as good as at the goal before, for a target that moved [m].
 
     Zero, which is to search on, where it moved so far that what could not be had before may be possible now.
     """
-    left, moved = course.posture.mean_error(goal), course.posture.distance_to(posture)
+    left, moved = progress.posture.mean_error(goal), progress.posture.distance_to(posture)
     little = LITTLE * posture.arm.length / posture.arm.n_modules
     return LITTLE_MOVED * (left + moved) if moved <= max(left, little) else 0.0
 
@@ -267,7 +267,7 @@ def _known(posture: Posture, bounds: JointBounds, before: Array) -> Array | None
     if q is None or len(posture.active) < arm.n_modules:
         return None
     goal = arm.at(arm.nearest_turns(q, before, bounds.edges)).compiled
-    inside = kernels.position_excess(goal.placed.positions, bounds.edges, arm.kinematics.columns) == 0.0
+    inside = kernels.position_excess(goal.forward.positions, bounds.edges, arm.kinematics.columns) == 0.0
     return goal.q if inside and posture.mean_error(goal) <= GOOD * arm.length else None
 
 

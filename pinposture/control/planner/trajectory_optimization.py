@@ -78,7 +78,7 @@ class _Band(NamedTuple):
     energy: float
 
 
-def relaxed_band(
+def optimize_with_penalties(
     posture: Posture, start: Array, mu: float, within: tuple[Array, Array], x: Array, penalty: Penalty
 ) -> Array:
     """Waypoints at a minimum, (N + 1, n), in `Arm.joint_units`.
@@ -235,10 +235,12 @@ def direct_path(
     found = np.vstack([np.zeros(len(whole)), whole])
     bend = _sway(posture, sway) * turn
     if penalty is not None:
-        found = relaxed_band(posture, start, mu, ways.within, ways.bent(whole, bend, PIECES[0]), penalty)
+        found = optimize_with_penalties(
+            posture, start, mu, ways.within, ways.bent(whole, bend, PIECES[0]), penalty
+        )
     else:
         detour = ways.detour(found)
-        for other in ways.relaxed(whole, bend) if detour > STRAIGHT else ():
+        for other in ways.violated_constraints(whole, bend) if detour > STRAIGHT else ():
             length = ways.detour(other)
             if length < detour:
                 found, detour = other, length
@@ -280,7 +282,7 @@ class _Ways:
         spline = CubicSpline(np.linspace(0.0, 1.0, len(x)), x, bc_type="natural")
         return self._inside(spline(np.linspace(0.0, 1.0, pieces + 1)))
 
-    def relaxed(self, whole: Array, bend: Array) -> Iterator[Array]:
+    def violated_constraints(self, whole: Array, bend: Array) -> Iterator[Array]:
         """Waypoints at a minimum, by more and more effort."""
         x = self.bent(whole, bend, LEVELS[0])
         for pieces in LEVELS:
@@ -299,7 +301,7 @@ class _Ways:
 
     def detour(self, x: Array) -> float:
         """Length of the ways of the control points, relative to the distances from start to end."""
-        path, direct = kernels.measure_ways(*self._look, x, LOOKS)
+        path, direct = kernels.measure_path_lengths(*self._look, x, LOOKS)
         return max(path / direct, 1.0) if direct > 1e-12 * path else 1.0
 
     def _inside(self, x: Array) -> Array:

@@ -148,7 +148,7 @@ def aligned_errors(state: ArmState, target: Target, placed: NDArray[np.bool_]) -
     Returns:
         Array (m, 3) [m]; the last column is zero for a planar arm.
     """
-    errors = (target.points - state.placed.points) * placed[:, None]
+    errors = (target.points - state.forward.points) * placed[:, None]
     if state.arm.dimension == 3:
         return np.asarray(errors)
     aligned = np.zeros(errors.shape)

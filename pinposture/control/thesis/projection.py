@@ -65,7 +65,7 @@ class Projection:
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
     ) -> Step:
         """Compute one step; see `Controller.step`."""
-        screws, errors = screws_of(state), aligned_errors(state, target, target.placed)
+        screws, errors = screws_of(state), aligned_errors(state, target, target.has_target)
         distances = np.sqrt(np.einsum("ij,ij->i", errors, errors))
         secondary = self.null_gain * descent(state.arm, screws, errors, distances)
         return self._step(secondary, screws, state, target, limits, memory)
@@ -101,7 +101,7 @@ class Projection:
     ) -> Step:
         limits = Limits() if limits is None else limits
         previous = memory.dq if memory is not None else None
-        placed, arm = target.placed, state.arm
+        placed, arm = target.has_target, state.arm
         rows, smallest = self._rows(arm, screws, placed)
         if rows is None:
             held = limits.hold(state, previous)
@@ -109,7 +109,7 @@ class Projection:
             none = Diagnostics(0.0, 0.0, 0.0, 0, (), held.scale, held.clipped, reason)
             return Step(held.dq, (), none, Memory(held.dq))
         matrix = PostureMatrix(screws, rows)
-        errors = (target.points - state.placed.points) * placed[:, None]
+        errors = (target.points - state.forward.points) * placed[:, None]
         asked = matrix.step(arm, self._along(rows, self.gain * errors), secondary)
         limited = limits.apply(state, asked, previous)
         diagnostics = Diagnostics(

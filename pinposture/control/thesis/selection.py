@@ -188,7 +188,7 @@ class Selection:
         """Compute one step; see `Controller.step`. Without a candidate set it stands still and says so."""
         limits = Limits() if limits is None else limits
         previous = memory.dq if memory is not None else None
-        arm, screws, placed = state.arm, screws_of(state), target.placed
+        arm, screws, placed = state.arm, screws_of(state), target.has_target
         errors = aligned_errors(state, target, placed)
         distances = np.sqrt(np.einsum("ij,ij->i", errors, errors))
         base = base_indices(arm, screws, self.absolute)

@@ -68,7 +68,8 @@ class Switching:
         patience: how long Selection may go on without progress [rad].
         progress: share by which the posture error has to fall in that time.
         stay: length of the first stint of Projection [rad].
-        reach: how far ahead a waypoint lies, as the largest change of a joint [rad or `Arm.sliding_unit`].
+        reach: how far ahead a waypoint lies, as the largest change of a joint [rad or
+            `Arm.characteristic_length`].
     """
 
     selection: Selection = field(default_factory=Selection)
@@ -177,7 +178,9 @@ class Switching:
             limited = limits.apply(state, ahead, memory.dq if memory is not None else None)
             moved = Diagnostics(0.0, 0.0, 0.0, 0, (), limited.scale, limited.clipped, "")
             step = Step(limited.dq, (), moved, Memory(limited.dq))
-        return step._replace(diagnostics=step.diagnostics._replace(escape=True, on_way=True))
+        return step._replace(
+            diagnostics=step.diagnostics._replace(error_increasing=True, following_path=True)
+        )
 
 
 def _labelled(step: Step, phase: Phase, switched: str) -> Step:

@@ -74,7 +74,7 @@ class CurveDrawing:
             shades[:] = color(palette.MARK)
             return shades
         parameters = verdict.target.parameters
-        covered = curve.length if parameters is None else float(parameters[verdict.target.placed].max())
+        covered = curve.length if parameters is None else float(parameters[verdict.target.has_target].max())
         inside = 0.5 * (along[1:] + along[:-1]) <= covered
         shades[:] = np.where(inside[:, None], color(palette.TARGET), color(palette.REST))[:, None]
         return shades

@@ -200,8 +200,8 @@ def _tip(tip: EndEffector) -> str:
     place = np.asarray(tip.position if tip.pose is None else np.asarray(tip.pose)[:3, 3])
     at = ", ".join(f"{value:.4g}" for value in place)
     which = "The tip" if tip.point == -1 else f"Control point {_name(tip.point)}"
-    turned = "" if tip.pose is None else ", pointing as given" if tip.axis_only else ", turned as given"
-    firm = "strictly" if tip.strict else f"with weight {tip.weight:g}"
+    turned = "" if tip.pose is None else ", pointing as given" if tip.direction_only else ", turned as given"
+    firm = "strictly" if tip.priority else f"with weight {tip.weight:g}"
     return f"{which} is asked to be at ({at}) m{turned}, {firm}."
 
 

@@ -282,7 +282,7 @@ class Plots:
         motion = playback.motion
         assert motion is not None
         if self._known is None or self._known[0] is not motion:
-            rows = sorted({passed.row for passed in motion.passed if passed.row is not None})
+            rows = sorted({passed.row for passed in motion.waypoints if passed.row is not None})
             self._known = motion, trace_of(motion), motion.time[rows]
         return self._known[1:]
 
@@ -520,7 +520,7 @@ def _passed(playback: Playback) -> tuple[float, Marks] | None:
     motion = playback.motion
     if motion is None:
         return None
-    rows = [passed.row for passed in motion.passed]
+    rows = [passed.row for passed in motion.waypoints]
     return playback.lasting, _numbered([None if row is None else float(motion.time[row]) for row in rows])
 
 

@@ -24,7 +24,7 @@ OFF_CURVE, OFF_TIP, OFF_POINTS = 0.02, 0.01, 0.01
 """How far the whole arm may be from the curve, the tip from its task and control points from their targets
 on average, in arm lengths, before the status is amber."""
 
-CLEAR = "qp"
+CLEAR = "geodesic"
 """The controller that keeps clear of a scene."""
 
 PATIENCE = 0.4

@@ -444,7 +444,7 @@ TWINS = ("helix", "planar-random")
 
 def predictable(run: MeasuredRun) -> bool:
     """Whether a run went directly, and would have gone the same way from a start beside its own."""
-    return run.sweep <= DIRECT and run.separation is not None and run.separation <= CALM
+    return run.path_length_ratio <= DIRECT and run.separation is not None and run.separation <= CALM
 
 
 def _largest_rise(run: MeasuredRun) -> float:
@@ -526,7 +526,7 @@ def _points_rise(reading: Reading) -> Finding:
 def _predictability(groups: Mapping[str, Sequence[MeasuredRun]]) -> dict[str, float]:
     figures = {}
     for name, runs in groups.items():
-        figures[f"median path per direct distance: {name}"] = median([run.sweep for run in runs])
+        figures[f"median path per direct distance: {name}"] = median([run.path_length_ratio for run in runs])
         apart = [run.separation for run in runs if run.separation is not None]
         figures[f"median separation of twins, per arm length: {name}"] = median(apart)
     return figures
@@ -539,8 +539,8 @@ def _predictable(method: str, expected: bool) -> Callable[[Reading], Finding]:
             for name, runs in reading.each(TWINS, (method,)).items()
         }
         told = "; ".join(
-            f"{name}: direct in {share(run.sweep <= DIRECT for run in runs).value:.0%}, insensitive to the "
-            f"nudge in {share((run.separation or 0.0) <= CALM for run in runs).value:.0%}"
+            f"{name}: direct in {share(run.path_length_ratio <= DIRECT for run in runs).value:.0%}, "
+            f"insensitive to the nudge in {share((run.separation or 0.0) <= CALM for run in runs).value:.0%}"
             for name, runs in groups.items()
         )
         shares = {name: share(predictable(run) is expected for run in runs) for name, runs in groups.items()}
@@ -551,7 +551,10 @@ def _predictable(method: str, expected: bool) -> Callable[[Reading], Finding]:
 
 def _more_predictable(reading: Reading) -> Finding:
     pairs = reading.pairs(TWINS, *BOTH)
-    shares = {f"{name}: way": share(a.sweep < b.sweep for a, b in runs) for name, runs in pairs.items()}
+    shares = {
+        f"{name}: way": share(a.path_length_ratio < b.path_length_ratio for a, b in runs)
+        for name, runs in pairs.items()
+    }
     for name, runs in pairs.items():
         both = [(a.separation, b.separation) for a, b in runs]
         shares[f"{name}: nudge"] = share(a < b for a, b in both if a is not None and b is not None)
@@ -703,7 +706,8 @@ def _switching_lower(reading: Reading) -> Finding:
 def _switching_predictable(reading: Reading) -> Finding:
     pairs = reading.pairs(TWINS, "switching", "selection")
     shares = {
-        f"{name}: way": share(a.sweep <= 1.2 * b.sweep for a, b in runs) for name, runs in pairs.items()
+        f"{name}: way": share(a.path_length_ratio <= 1.2 * b.path_length_ratio for a, b in runs)
+        for name, runs in pairs.items()
     }
     for name, runs in pairs.items():
         both = [(a.separation, b.separation) for a, b in runs]
@@ -711,7 +715,8 @@ def _switching_predictable(reading: Reading) -> Finding:
             a <= max(10.0 * b, CALM) for a, b in both if a is not None and b is not None
         )
     told = "; ".join(
-        f"{name}: {median([a.sweep for a, _ in runs]):.2f} against {median([b.sweep for _, b in runs]):.2f}"
+        f"{name}: {median([a.path_length_ratio for a, _ in runs]):.2f} against "
+        f"{median([b.path_length_ratio for _, b in runs]):.2f}"
         for name, runs in pairs.items()
     )
     return Finding(

@@ -158,7 +158,7 @@ def _described(name: str, run: Trajectory) -> dict[str, Any]:
         "start_error": float(errors[0]),
         "final_error": float(errors[-1]),
         "lowest_error": float(errors.min()),
-        "mean_point_error": float(errors[-1]) / int(run.target.placed.sum()),
+        "mean_point_error": float(errors[-1]) / int(run.target.has_target.sum()),
         "arm_length": run.arm.length,
         "steps": run.steps,
         "status": run.status,
@@ -248,7 +248,7 @@ def _batch(scenario: str, variant: str, runs: Sequence[MeasuredRun]) -> dict[str
         "final_error": float(np.median(final)),
         "final_error_90": float(np.percentile(final, 90)),
         "rising": float(np.median([run.outcome.rising for run in runs])),
-        "sweep": float(np.median([run.sweep for run in runs])),
+        "path_length_ratio": float(np.median([run.path_length_ratio for run in runs])),
         "endings": {status: endings.count(status) for status in sorted(set(endings))},
     }
 

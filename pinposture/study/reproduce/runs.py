@@ -165,7 +165,7 @@ def descent(run: Trajectory, states: Sequence[ArmState]) -> Descent:
     uphill = np.zeros((run.steps, run.arm.n_modules), dtype=bool)
     downhill = np.ones(run.steps, dtype=bool)
     for i, (state, dq) in enumerate(zip(states, displacements(run), strict=True)):
-        slopes = error_slopes(state, run.target.points, run.target.placed, dq)
+        slopes = error_slopes(state, run.target.points, run.target.has_target, dq)
         size = float(np.abs(dq).max(initial=0.0)) * run.arm.length
         uphill[i] = slopes > STEADY * size
         downhill[i] = float(slopes.sum()) <= STEADY * size
@@ -293,7 +293,7 @@ class MeasuredRun(NamedTuple):
         modules: number of control points that there are.
         descent: in how many steps errors fell.
         deficient: steps whose posture control matrix was not of full row rank.
-        sweep: length of the paths of the control points per direct distance.
+        path_length_ratio: length of the paths of the control points per direct distance.
         steps: what it was like in each step.
         by_projection: share of the steps that a switching controller left to Projection; 0 for others.
         separation: how far a twin that started 1e-6 rad beside it came from it, per arm length; None where
@@ -307,7 +307,7 @@ class MeasuredRun(NamedTuple):
     modules: int
     descent: Descent
     deficient: int
-    sweep: float
+    path_length_ratio: float
     steps: Steps
     by_projection: float
     separation: float | None
@@ -367,17 +367,17 @@ def measure(batch: RunSet, seed: int, max_steps: int = MAX_STEPS) -> MeasuredRun
 def measured(run: Trajectory, batch: RunSet, seed: int, twin: Trajectory | None = None) -> MeasuredRun:
     """What is kept of a run."""
     states = states_before_steps(run)
-    placed = int(run.target.placed.sum())
+    placed = int(run.target.has_target.sum())
     residual = run.target.residual
     return MeasuredRun(
         outcome=outcome(run, batch.scenario, batch.variant, seed),
         mean_errors=run.posture_error / (placed * run.arm.length),
-        off_curve=None if residual is None else float(residual[run.target.placed].max()) / run.arm.length,
+        off_curve=None if residual is None else float(residual[run.target.has_target].max()) / run.arm.length,
         points=run.active.sum(axis=1),
         modules=run.arm.n_modules,
         descent=descent(run, states),
         deficient=deficient_steps(run),
-        sweep=run.sweep,
+        path_length_ratio=run.path_length_ratio,
         steps=per_step(run, states),
         by_projection=float(np.mean(run.method == "projection")) if run.steps else 0.0,
         separation=None if twin is None else separation(run, twin),

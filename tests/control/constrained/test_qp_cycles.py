@@ -61,7 +61,7 @@ def test_what_it_remembers_outlives_a_change_of_target(name: str, acceleration: 
     """The target changes in mid-motion, twice, and once back to what it was; limits hold all the way."""
     arm = arm_called(name)
     limits = pp.Limits(step=0.1, dt=0.1, velocity=1.0, acceleration=acceleration)
-    controller = pp.ConstrainedQP()
+    controller = pp.Geodesic()
     one, two, three = corners(arm, known=True, seed=3)[:3]
     two = pp.Target.from_points(arm, two.points)
     q, memory, seen = arm.straight(), None, [arm.straight()]
@@ -78,7 +78,7 @@ def test_what_it_remembers_outlives_a_change_of_target(name: str, acceleration: 
 
 
 def test_an_equal_target_does_not_make_it_plan_again() -> None:
-    arm, controller = arm_called("spatial"), pp.ConstrainedQP()
+    arm, controller = arm_called("spatial"), pp.Geodesic()
     goal = within(arm, pp.Limits(), np.random.default_rng(1))
     q, memory, paths = arm.straight(), None, []
     for _ in range(5):
@@ -93,11 +93,11 @@ def test_an_equal_target_does_not_make_it_plan_again() -> None:
 def test_memory_of_another_arm_or_controller_is_no_memory() -> None:
     arm, other = arm_called("spatial"), arm_called("planar")
     target = pp.Target.from_configuration(arm, within(arm, pp.Limits(), np.random.default_rng(1)))
-    foreign = pp.ConstrainedQP().step(
+    foreign = pp.Geodesic().step(
         other.at(other.straight()), pp.Target.from_configuration(other, np.full(7, 0.3))
     )
     strange = foreign.memory._replace(dq=np.zeros(arm.nv))
-    fresh = pp.ConstrainedQP().step(arm.at(arm.straight()), target)
+    fresh = pp.Geodesic().step(arm.at(arm.straight()), target)
     for memory in (strange, strange._replace(own="something else")):
-        step = pp.ConstrainedQP().step(arm.at(arm.straight()), target, None, memory)
+        step = pp.Geodesic().step(arm.at(arm.straight()), target, None, memory)
         np.testing.assert_array_equal(step.dq, fresh.dq)

@@ -34,11 +34,11 @@ def error(state, target):
 @pytest.mark.parametrize("seed", range(4))
 def test_an_arm_that_was_pushed_away_after_it_arrived_comes_back(planar: pp.Arm, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    goal, qp = rng.uniform(-1, 1, 10), pp.ConstrainedQP()
+    goal, geodesic = rng.uniform(-1, 1, 10), pp.Geodesic()
     target = pp.Target.from_configuration(planar, goal)
-    _, memory = goes_on([qp], planar.at(goal), target)
+    _, memory = goes_on([geodesic], planar.at(goal), target)
     pushed = planar.at(np.clip(goal + 2.0 * rng.uniform(-1, 1, 10), -3, 3))
-    state, _ = goes_on([qp] * 150, pushed, target, memory)
+    state, _ = goes_on([geodesic] * 150, pushed, target, memory)
     assert error(state, target) < 1e-6
 
 
@@ -46,7 +46,7 @@ def test_a_task_that_is_replaced_on_the_way_does_not_lose_the_way(planar: pp.Arm
     start, goal = np.random.default_rng(1).uniform(-2, 2, (2, 10))
     target = pp.Target.from_configuration(planar, goal)
     tasks = [pp.JointPosture(q=goal, weight=weight) for weight in (1e-3, 2e-3)]
-    first, later = (pp.ConstrainedQP(tasks=(task,)) for task in tasks)
+    first, later = (pp.Geodesic(tasks=(task,)) for task in tasks)
     state, _ = goes_on([first] * 3 + [later] * 200, planar.at(start), target)
     assert error(state, target) < 1e-6
 
@@ -62,7 +62,7 @@ def test_a_start_far_outside_the_limits_comes_back_and_then_arrives(planar: pp.A
     steps = np.diff(run.q[:, 3])
     np.testing.assert_allclose(steps[outside[1:]], -0.1, atol=1e-12)  # as fast as it may
     assert not np.any(np.diff(outside.astype(int)) > 0)  # and never out again
-    assert all("position limits of joint" in text for text in run.relaxed[outside[:-1]])
+    assert all("position limits of joint" in text for text in run.violated_constraints[outside[:-1]])
 
 
 def test_a_blocked_goal_is_a_stall_with_a_limit_of_acceleration_too() -> None:
@@ -70,21 +70,23 @@ def test_a_blocked_goal_is_a_stall_with_a_limit_of_acceleration_too() -> None:
     start, goal = np.random.default_rng(0).uniform(-1, 1, (2, 4))
     scene = pp.Scene({"ball": pp.Sphere(arm.at(goal).points[-1], 0.04)}, margin=0.002)
     limits = pp.Limits(dt=0.1, acceleration=2.0)
-    run = pp.track(arm, pp.Target.from_configuration(arm, goal), start, "qp", limits, scene, max_steps=400)
+    run = pp.track(
+        arm, pp.Target.from_configuration(arm, goal), start, "geodesic", limits, scene, max_steps=400
+    )
     assert run.status == "stalled"
     assert "to ball" in run.reason
     assert run.clearance.min() >= scene.margin - 1e-9
 
 
 def test_what_is_no_state_no_target_and_no_memory_is_refused_by_name(planar: pp.Arm) -> None:
-    state, qp = planar.at(planar.neutral()), pp.ConstrainedQP()
+    state, geodesic = planar.at(planar.neutral()), pp.Geodesic()
     target = pp.Target.from_configuration(planar, planar.neutral())
     with pytest.raises(InvalidValue, match=r"state is .* an ArmState"):
-        qp.step(planar.neutral(), target)
+        geodesic.step(planar.neutral(), target)
     with pytest.raises(InvalidValue, match=r"memory is .*step.memory"):
-        qp.step(state, target, memory=qp.step(state, target))
+        geodesic.step(state, target, memory=geodesic.step(state, target))
     with pytest.raises(InvalidValue, match=r"target is .* a Target"):
-        qp.step(state, target.points)
+        geodesic.step(state, target.points)
     with pytest.raises(InvalidValue, match=r"target.points\[0, 0\]"):
-        qp.step(state, pp.Target(np.full((10, 3), np.nan), np.ones(10)))
-    assert isinstance(qp.step(state, target).memory, Memory)
+        geodesic.step(state, pp.Target(np.full((10, 3), np.nan), np.ones(10)))
+    assert isinstance(geodesic.step(state, target).memory, Memory)

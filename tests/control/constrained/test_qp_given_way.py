@@ -10,7 +10,7 @@ from sampling import seeds
 import pinposture as pp
 from pinposture.arm import smooth_configuration
 from pinposture.control import Memory
-from pinposture.control.planner.path import Course, JointPath
+from pinposture.control.planner.path import JointPath, PathProgress
 from pinposture.placement import Target
 
 
@@ -38,8 +38,8 @@ class Ride:
     """An arm that goes along a given way: its configurations, and the courses it was on."""
 
     def __init__(self, path: JointPath, limits: pp.Limits, most: float) -> None:
-        self.arm, self.path, self.limits, self.controller = path.arm, path, limits, pp.ConstrainedQP()
-        self.q, self.courses = [path.start], list[Course]()
+        self.arm, self.path, self.limits, self.controller = path.arm, path, limits, pp.Geodesic()
+        self.q, self.courses = [path.start], list[PathProgress]()
         state = self.arm.at(path.start)
         self.memory = self.controller.along(state, path, self.target(0.0), limits, most)
 
@@ -47,11 +47,11 @@ class Ride:
         q = self.arm.integrate(self.path.start, self.path.smooth(place))
         return Target.from_configuration(self.arm, q)
 
-    def step(self, limits: pp.Limits | None = None) -> Course:
+    def step(self, limits: pp.Limits | None = None) -> PathProgress:
         limits = self.limits if limits is None else limits
         place = self.courses[-1].place if self.courses else 0.0
         step = self.controller.step(self.arm.at(self.q[-1]), self.target(place), limits, self.memory)
-        assert not step.diagnostics.relaxed
+        assert not step.diagnostics.violated_constraints
         self.memory = step.memory
         self.q.append(self.arm.integrate(self.q[-1], step.dq))
         self.courses.append(step.memory.own)
@@ -92,7 +92,9 @@ def test_time_is_kept_where_limits_allow_it() -> None:
         smooth_path(arm(), 2, 80), pp.Limits(step=None, velocity=9.0, dt=0.02, acceleration=100.0), 0.5
     )
     ride.to_the_end()
-    np.testing.assert_allclose([course.place for course in ride.courses], 0.5 * np.arange(1, 159), atol=1e-9)
+    np.testing.assert_allclose(
+        [progress.place for progress in ride.courses], 0.5 * np.arange(1, 159), atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("seed", seeds(8))
@@ -147,11 +149,11 @@ def test_limits_that_change_change_the_pace_and_nothing_else() -> None:
     path = smooth_path(arm(), 5, 40)
     ride = Ride(path, pp.Limits(step=None, velocity=2.0, dt=0.02, acceleration=20.0), 0.4)
     for _ in range(10):
-        course = ride.step()
+        progress = ride.step()
     tight = pp.Limits(step=None, velocity=0.2, dt=0.02, acceleration=2.0).for_arm(arm())
-    other = course.within(tight)
-    assert other.path is course.path and other.place == course.place and other.most == course.most
-    assert np.all(other.pace.top <= course.pace.top + 1e-12) and other.pace.top[20] < course.pace.top[20]
+    other = progress.within(tight)
+    assert other.path is progress.path and other.place == progress.place and other.most == progress.most
+    assert np.all(other.pace.top <= progress.pace.top + 1e-12) and other.pace.top[20] < progress.pace.top[20]
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.005, -0.01])
@@ -159,17 +161,17 @@ def test_an_arm_that_moves_along_a_new_way_is_taken_to_be_under_way(speed: float
     path = JointPath(one(), one().neutral(), np.linspace(0.0, 1.0, 51)[:, None])
     bounds = pp.Limits(step=None, velocity=1.0, dt=0.02, acceleration=1.0).for_arm(one())
     ride = Ride(path, pp.Limits(step=None, velocity=1.0, dt=0.02, acceleration=1.0), 1.0)
-    course = Course(ride.memory.own.posture, path, bounds).within(bounds)
+    progress = PathProgress(ride.memory.own.posture, path, bounds).within(bounds)
     # Rows are 0.02 rad apart.
-    assert course.under_way(np.array([speed])).speed == pytest.approx(max(speed, 0.0) / 0.02)
-    assert course.under_way(None) is course
-    free = course.within(pp.Limits(step=0.1).for_arm(one()))
+    assert progress.under_way(np.array([speed])).speed == pytest.approx(max(speed, 0.0) / 0.02)
+    assert progress.under_way(None) is progress
+    free = progress.within(pp.Limits(step=0.1).for_arm(one()))
     assert free.pace is None and free.under_way(np.array([speed])) is free
 
 
 def test_an_arm_on_its_way_is_not_stopped_by_a_new_target_ahead() -> None:
     limits = pp.Limits(step=None, velocity=1.0, dt=0.02, acceleration=5.0)
-    controller, q, memory, steps = pp.ConstrainedQP(), one().neutral(), None, []
+    controller, q, memory, steps = pp.Geodesic(), one().neutral(), None, []
     for k in range(80):
         # From step 30 on the arm is sent farther, by a target that is another way.
         target = Target.from_configuration(one(), np.array([0.8 if k < 30 else 2.0]))
@@ -182,10 +184,10 @@ def test_an_arm_on_its_way_is_not_stopped_by_a_new_target_ahead() -> None:
 def test_a_way_begins_with_what_it_was_given() -> None:
     path = smooth_path(arm(), 6, 30)
     limits = pp.Limits(step=None, velocity=1.0, dt=0.02)
-    memory = pp.ConstrainedQP().along(
+    memory = pp.Geodesic().along(
         arm().at(path.start), path, Target.from_configuration(arm(), path.start), limits, 0.3
     )
     assert isinstance(memory, Memory) and not np.any(memory.dq)
-    course = memory.own
-    assert course.given and course.path is path and course.most == 0.3 and course.place == 0.0
-    assert not Course(course.posture, path, course.bounds).given
+    progress = memory.own
+    assert progress.given and progress.path is path and progress.most == 0.3 and progress.place == 0.0
+    assert not PathProgress(progress.posture, path, progress.bounds).given

@@ -13,7 +13,7 @@ import pinposture as pp
 from pinposture.arm import smooth_configuration
 from pinposture.control import Memory
 from pinposture.control.planner import geodesic, plan
-from pinposture.control.planner.path import Course
+from pinposture.control.planner.path import PathProgress
 from pinposture.placement import Target
 
 LIMITS = pp.Limits(step=0.04)
@@ -30,9 +30,9 @@ def postures(seed: int, steps: int, speed: float) -> list[np.ndarray]:
     return [np.cos(speed * k) * one + np.sin(speed * k) * two for k in range(steps)]
 
 
-def followed(targets: list[Target], q: np.ndarray) -> tuple[np.ndarray, list[Course]]:
+def followed(targets: list[Target], q: np.ndarray) -> tuple[np.ndarray, list[PathProgress]]:
     """Configurations of an arm that takes one step towards each target, and the courses that it was on."""
-    controller, memory, configurations, courses = pp.ConstrainedQP(), None, [q], []
+    controller, memory, configurations, courses = pp.Geodesic(), None, [q], []
     for target in targets:
         step = controller.step(arm().at(q), target, LIMITS, memory)
         q, memory = arm().integrate(q, step.dq), step.memory
@@ -55,7 +55,7 @@ def test_a_target_that_moves_slowly_is_caught_and_kept(known: bool) -> None:
     ]
     assert max(off[100:]) < 1e-6 * arm().length
     # On the way to it the way was bent far more often than it was planned.
-    lengths = [len(course.path.offsets) for course in courses]
+    lengths = [len(progress.path.offsets) for progress in courses]
     bent = sum(a.path.start is b.path.start for a, b in pairwise(courses))
     assert max(lengths) > 20 and bent > 5
 
@@ -84,8 +84,8 @@ def test_points_that_cannot_be_had_do_not_start_the_search_anew_in_each_step(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     asked = []
-    original = plan.goal_starts
-    monkeypatch.setattr(plan, "goal_starts", lambda *given: asked.append(1) or original(*given))
+    original = plan.initial_guesses
+    monkeypatch.setattr(plan, "initial_guesses", lambda *given: asked.append(1) or original(*given))
     rng = np.random.default_rng(5)
     points = arm().at(postures(2, 1, 0.0)[0]).points
     targets = [Target.from_points(arm(), points + 1e-3 * rng.normal(size=points.shape)) for _ in range(150)]
@@ -112,16 +112,16 @@ def test_the_usual_step_in_one_call_is_that_of_the_long_way_round(
 ) -> None:
     rng = np.random.default_rng(seed)
     start, end = (smooth_configuration(arm(), rng, 1.0) for _ in range(2))
-    target, controller = Target.from_configuration(arm(), end), pp.ConstrainedQP()
-    q, memory, quick, taken = start, None, geodesic.get_on, 0
+    target, controller = Target.from_configuration(arm(), end), pp.Geodesic()
+    q, memory, quick, taken = start, None, geodesic.fast_step, 0
     for _ in range(40):
         state = arm().at(q)
         step = controller.step(state, target, LIMITS, memory)
         if step.diagnostics.reason:
             break
-        monkeypatch.setattr(geodesic, "get_on", lambda *_: None)
+        monkeypatch.setattr(geodesic, "fast_step", lambda *_: None)
         slow = controller.step(state, target, LIMITS, memory)
-        monkeypatch.setattr(geodesic, "get_on", quick)
+        monkeypatch.setattr(geodesic, "fast_step", quick)
         taken += memory is not None and quick(memory.own, state, LIMITS.for_arm(arm())) is not None
         np.testing.assert_allclose(step.dq, slow.dq, atol=1e-14)
         assert step.active == slow.active
@@ -136,7 +136,7 @@ def test_the_usual_step_in_one_call_is_that_of_the_long_way_round(
 
 def test_an_arm_that_was_pushed_aside_begins_anew() -> None:
     target = Target.from_configuration(arm(), postures(6, 1, 0.0)[0])
-    controller, q = pp.ConstrainedQP(), arm().neutral()
+    controller, q = pp.Geodesic(), arm().neutral()
     first = controller.step(arm().at(q), target, LIMITS)
     pushed = arm().integrate(q, first.dq)
     pushed[3] += 0.2

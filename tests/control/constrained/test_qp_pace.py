@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from sampling import examples, seeds
 
 import pinposture as pp
-from pinposture.control.planner.path import JointPath, Pace
+from pinposture.control.planner.path import JointPath, SpeedProfile
 
 ROUNDING = 1e-9
 
@@ -38,7 +38,7 @@ def smooth_way(rng: np.random.Generator, rows: int, joints: int) -> JointPath:
 
 def gone(path: JointPath, bound: np.ndarray, brake: np.ndarray | None, most: float = np.inf) -> np.ndarray:
     """The places of a motion at the pace that is given, step by step until its end."""
-    pace, places, speed = Pace(path, bound, brake, most), [0.0], 0.0
+    pace, places, speed = SpeedProfile(path, bound, brake, most), [0.0], 0.0
     while places[-1] < path.end:
         speed = pace.next(places[-1], speed)
         assert 0.0 < speed <= most * (1.0 + ROUNDING)

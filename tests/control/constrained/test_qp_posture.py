@@ -26,25 +26,27 @@ def weighed(arm: pp.Arm) -> np.ndarray:
     return weights
 
 
-def errors_by_hand(state: pp.ArmState, target: pp.Target, chord: float) -> np.ndarray:
+def errors_by_hand(state: pp.ArmState, target: pp.Target, relative_position_weight: float) -> np.ndarray:
     """Weighted errors of points, then of chords between points that follow each other and have a target."""
     placed = [k for k in range(state.arm.n_modules) if target.weights[k] > 0.0]
     error = [state.arm.plane @ (target.points[k] - state.points[k]) for k in placed]
     rows = [np.sqrt(target.weights[k]) * e for k, e in zip(placed, error, strict=True)]
-    for i in range(len(placed) - 1 if chord else 0):
-        weight = chord * min(target.weights[placed[i]], target.weights[placed[i + 1]])
+    for i in range(len(placed) - 1 if relative_position_weight else 0):
+        weight = relative_position_weight * min(target.weights[placed[i]], target.weights[placed[i + 1]])
         rows.append(np.sqrt(weight) * (error[i + 1] - error[i]))
     return np.concatenate(rows)
 
 
 @pytest.mark.parametrize("name, seed", STATES)
-@pytest.mark.parametrize("chord", [0.0, 0.7])
-def test_errors_and_their_derivative(name: str, seed: int | None, chord: float) -> None:
+@pytest.mark.parametrize("relative_position_weight", [0.0, 0.7])
+def test_errors_and_their_derivative(name: str, seed: int | None, relative_position_weight: float) -> None:
     state, arm = state_of(name, seed), arm_called(name)
     target = apart(arm, 3, weighed(arm))
-    posture = Posture(arm, target, (), chord)
+    posture = Posture(arm, target, (), relative_position_weight)
     linear = posture.rows(state)
-    np.testing.assert_allclose(linear.errors, errors_by_hand(state, target, chord), atol=1e-14)
+    np.testing.assert_allclose(
+        linear.errors, errors_by_hand(state, target, relative_position_weight), atol=1e-14
+    )
     slope = derivative(state, lambda at: -posture.rows(at).errors)[:, posture.columns] * posture.units
     np.testing.assert_allclose(linear.matrix, slope, atol=1e-8)
     assert posture.merit(state) == pytest.approx(0.5 * float(linear.errors @ linear.errors))
@@ -70,7 +72,7 @@ def test_rows_of_tasks_follow_with_their_weights(name: str) -> None:
 
 def test_strict_tasks_are_listed_by_themselves() -> None:
     state, arm = state_of("spatial", 1), arm_called("spatial")
-    first = EndEffector(position=np.ones(3), weight=1.0, strict=True)
+    first = EndEffector(position=np.ones(3), weight=1.0, priority=True)
     posture = Posture(arm, apart(arm, 1), (JointPosture(q=arm.neutral()), first))
     strict = posture.task_rows(state, strict=True)
     moves = state.jacobians[-1][:, posture.columns] * posture.units

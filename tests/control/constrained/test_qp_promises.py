@@ -24,9 +24,9 @@ def test_limits_hold_and_errors_rise_only_in_escapes(seed: int, name: str, kind:
     run = case.track(max_steps=60)
     check_limits(case.arm, case.limits, run.q)
     assert np.all(np.isfinite(run.point_errors))
-    assert not any(run.relaxed)
+    assert not any(run.violated_constraints)
     rise = np.diff(run.posture_error)
-    assert np.all(rise[~run.escape] <= 1e-11 * case.arm.length)
+    assert np.all(rise[~run.error_increasing] <= 1e-11 * case.arm.length)
 
 
 def most_steps(case: Case, first: pp.ArmState) -> float:
@@ -35,7 +35,7 @@ def most_steps(case: Case, first: pp.ArmState) -> float:
     Each step but the last has a joint at its bound. No joint goes farther in a step than on the way between
     its ends, so each takes at least one unit off the way.
     """
-    step = pp.ConstrainedQP().step(first, case.target, case.limits)
+    step = pp.Geodesic().step(first, case.target, case.limits)
     largest = np.minimum(case.limits.for_arm(case.arm).bound, 10.0 * case.arm.joint_units)
     pieces = np.abs(np.diff(step.memory.own.path.offsets, axis=0)) / largest
     return float(pieces.max(axis=1).sum())
@@ -123,14 +123,14 @@ def test_a_slow_rail_among_obstacles_is_no_reason_to_give_up() -> None:
     goal[0] = 1.0
     limits = pp.Limits(step=np.where(arm.slides, 2e-4, 0.1))
     case = Case(arm, np.zeros(arm.nv), pp.Target.from_configuration(arm, goal), limits)
-    on_way: list[bool] = []
+    following_path: list[bool] = []
 
     def note(_: int, __: pp.ArmState, step: pp.Step) -> None:
-        on_way.append(step.diagnostics.on_way)
+        following_path.append(step.diagnostics.following_path)
 
     run = case.track(scene=pp.Scene({"far": pp.Sphere((0.0, 0.0, 9.0), 0.1)}), max_steps=200, callback=note)
     assert run.status == "max_steps", run.reason
-    assert all(on_way)
+    assert all(following_path)
     assert run.q[-1, 0] == pytest.approx(200 * 2e-4)
 
 
@@ -153,8 +153,8 @@ def test_a_known_configuration_is_reached_in_the_steps_that_its_way_takes(
 def test_the_way_is_no_longer_than_a_bound_known_beforehand(seed: int, name: str) -> None:
     """mu |way of the joints| <= length of joint interpolation in the metric J^T J + mu^2 I, by its energy."""
     case = drawn(seed, name, "known", pp.Limits())
-    arm, controller = case.arm, pp.ConstrainedQP()
-    mu = controller.haste * arm.length / np.sqrt(arm.n_modules)
+    arm, controller = case.arm, pp.Geodesic()
+    mu = controller.joint_weight * arm.length / np.sqrt(arm.n_modules)
     offsets = controller.step(arm.at(case.start), case.target).memory.own.path.offsets / arm.joint_units
     line = np.linspace(0.0, 1.0, len(offsets))[:, None] * offsets[-1]
     points = [arm.at(arm.integrate(case.start, x * arm.joint_units)).points for x in line]
@@ -196,7 +196,7 @@ def test_a_low_acceleration_limit_costs_little_more_than_joint_interpolation(
     assert each.converged
     run = pp.track(arm, target, start, limits=limits, max_steps=6 * each.steps)
     assert run.converged
-    assert run.escape.mean() < 0.1
+    assert run.error_increasing.mean() < 0.1
 
 
 @pytest.mark.parametrize("poison", ["nan", "garbage", "flag", "huge", "sometimes"])
@@ -219,7 +219,7 @@ def test_a_poisoned_solver_breaks_no_limit(poison: str, kind: str, monkeypatch: 
         run = case.track(max_steps=15)
         check_limits(case.arm, case.limits, run.q)
         rise = np.diff(run.posture_error)
-        assert np.all(rise[~run.escape] <= 1e-11 * case.arm.length)
+        assert np.all(rise[~run.error_increasing] <= 1e-11 * case.arm.length)
 
 
 def test_a_poisoned_solver_does_not_keep_an_unhindered_arm_from_a_known_configuration(
@@ -237,7 +237,7 @@ def test_disturbed_steps_still_arrive() -> None:
     """Between steps the arm is pushed by more than it moves itself, at first."""
     for seed, name in enumerate(("planar", "spatial", "short")):
         case = drawn(seed, name, "known", pp.Limits(step=0.1))
-        arm, controller, memory, rng = case.arm, pp.ConstrainedQP(), None, np.random.default_rng(seed)
+        arm, controller, memory, rng = case.arm, pp.Geodesic(), None, np.random.default_rng(seed)
         q, steps = case.start, 0
         while steps < 400:
             state = arm.at(q)

@@ -127,7 +127,7 @@ def test_a_strict_task_is_met_as_well_as_if_it_were_alone(name: str) -> None:
         tip = np.eye(arm.n_modules)[-1]
         alone = Posture(arm, pp.Target.from_points(arm, np.tile(place, (arm.n_modules, 1)), tip))
         least = np.sqrt(2.0 * best_of_many(alone, 4))
-        both = Posture(arm, target, (EndEffector(position=place, strict=True),))
+        both = Posture(arm, target, (EndEffector(position=place, priority=True),))
         found = find_goal(both, arm.at(start), edges_of(arm), None, GOOD)
         missed = float(np.linalg.norm(found.state.points[-1] - place))
         assert missed <= 1.02 * least + 1e-3 * arm.length, (seed, missed, least)

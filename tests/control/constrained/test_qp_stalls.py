@@ -43,7 +43,7 @@ def test_points_out_of_reach_end_at_the_best_posture_with_a_reason() -> None:
         arm = arm_called(name)
         points = 1.5 * arm.at(arm.configuration(np.full(arm.nv, 0.1))).points
         target = pp.Target.from_points(arm, points)
-        run = pp.track(arm, target, arm.straight(), "qp", max_steps=1000)
+        run = pp.track(arm, target, arm.straight(), "geodesic", max_steps=1000)
         assert run.status == "stalled"
         assert "no step" in run.reason or "no progress" in run.reason
         check_limits(arm, pp.Limits(), run.q)
@@ -89,7 +89,7 @@ def test_a_strict_end_effector_gets_what_it_would_get_alone() -> None:
     posture = pp.Target.from_points(arm, arm.at(np.array([-1.0, 0.8, 0.9])).points)
     tip = pp.Target.from_points(arm, np.tile(place, (3, 1)), np.array([0.0, 0.0, 1.0]))
     alone = pp.track(arm, tip, np.array([0.3, -0.2, 0.4]), max_steps=1000)
-    both = pp.ConstrainedQP(tasks=(EndEffector(position=place, strict=True),))
+    both = pp.Geodesic(tasks=(EndEffector(position=place, priority=True),))
     run = pp.track(arm, posture, np.array([0.3, -0.2, 0.4]), both, max_steps=1000)
     check_limits(arm, pp.Limits(), run.q)
     errors = [np.linalg.norm(each.points[-1][-1] - place) for each in (alone, run)]
@@ -101,9 +101,9 @@ def test_a_strict_end_effector_gets_what_it_would_get_alone() -> None:
 def test_a_strict_end_effector_in_reach_is_met_while_the_points_do_what_is_left() -> None:
     arm = arm_called("planar")
     start = np.full(7, 0.2)
-    held = EndEffector.held(arm.at(start), "position", strict=True)
+    held = EndEffector.held(arm.at(start), "position", priority=True)
     posture = pp.Target.from_points(arm, arm.at(np.full(7, -0.1)).points)
-    run = pp.track(arm, posture, start, pp.ConstrainedQP(tasks=(held,)), max_steps=300)
+    run = pp.track(arm, posture, start, pp.Geodesic(tasks=(held,)), max_steps=300)
     tip = np.linalg.norm(run.points[:, -1] - run.points[0, -1], axis=1)
     assert tip[-1] < 1e-4 * arm.length
     assert tip.max() < 0.01 * arm.length

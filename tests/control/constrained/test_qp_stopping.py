@@ -56,40 +56,42 @@ def test_nor_does_one_that_comes_upon_obstacles_at_full_speed(seed: int) -> None
 
 
 def check_run(seed: int, max_steps: int) -> None:
-    course = drawn_course(seed)
-    how = {"limits": course.limits, "scene": course.scene, "max_steps": max_steps}
-    run = pp.track(course.arm, course.goal, course.stops[0], **how)
+    progress = drawn_course(seed)
+    how = {"limits": progress.limits, "scene": progress.scene, "max_steps": max_steps}
+    run = pp.track(progress.arm, progress.goal, progress.stops[0], **how)
     check_output(run)
-    assert run.excess is None and not np.any(run.relaxed != "")
-    length = course.arm.length
-    assert run.clearance.min() >= course.scene.margin - 1e-9 * length
-    around = pp.CollisionModel(course.arm, course.scene)
+    assert run.excess is None and not np.any(run.violated_constraints != "")
+    length = progress.arm.length
+    assert run.clearance.min() >= progress.scene.margin - 1e-9 * length
+    around = pp.CollisionModel(progress.arm, progress.scene)
     ways = [(q, run.arm.difference(q, after)) for q, after in pairwise(run.q)]
     between = [around.minimum_between(q, way, 7).distance for q, way in ways]
-    assert min(between) >= course.scene.margin - 1e-3 * length
+    assert min(between) >= progress.scene.margin - 1e-3 * length
 
 
 @given(st.integers(0, 10**6))
 @examples(40)
 def test_what_gives_way_before_an_obstacle_that_is_put_in_the_way_is_named(seed: int) -> None:
-    course, rng = drawn_course(seed), np.random.default_rng(seed)
-    arm, length = course.arm, course.arm.length
-    loop = ControlLoop(arm, course.stops[0], course.goal, pp.ConstrainedQP(), course.limits)
-    loop.run(course.goal, 1e-6 * length, int(rng.integers(3, 30)))
+    progress, rng = drawn_course(seed), np.random.default_rng(seed)
+    arm, length = progress.arm, progress.arm.length
+    loop = ControlLoop(arm, progress.stops[0], progress.goal, pp.Geodesic(), progress.limits)
+    loop.run(progress.goal, 1e-6 * length, int(rng.integers(3, 30)))
     beside = loop.state.points[rng.integers(arm.n_modules)] + 0.08 * length * rng.normal(size=3)
     ball = pp.Scene({"ball": pp.Sphere(beside, 0.03 * length)}, margin=0.01 * length)
     around, first = pp.CollisionModel(arm, ball), loop.record.steps
     loop.controller = loop.controller.with_scene(ball)
-    loop.run(course.goal, 1e-6 * length, first + 60)
+    loop.run(progress.goal, 1e-6 * length, first + 60)
     loop.brake_to_rest()
-    run = loop.record.trajectory(arm, loop.controller, course.limits, "stopped", "enough")
+    run = loop.record.trajectory(arm, loop.controller, progress.limits, "stopped", "enough")
     check_output(run)
     distances = np.array([around.minimum(q).distance for q in run.q[first:]])
     closer = np.flatnonzero(distances < min(ball.margin, distances[0]) - 1e-9 * length)
     if len(closer):  # then it was too fast to stop
-        assert run.relaxed[first] != "" and np.all(run.relaxed[first : first + closer[0]] != "")
+        assert run.violated_constraints[first] != "" and np.all(
+            run.violated_constraints[first : first + closer[0]] != ""
+        )
     if run.excess is not None:
-        worst = accelerations(arm, run.q, course.limits).max()
+        worst = accelerations(arm, run.q, progress.limits).max()
         assert run.excess.ratio == pytest.approx(worst, rel=1e-6)
         assert "limits are exceeded in" in run.reason and "times as much" in run.reason
 
@@ -104,10 +106,10 @@ def test_what_gives_way_first_is_the_margin_and_then_acceleration() -> None:
         room = speed**2 / 0.02 - speed / 2.0
         # The side of the link is 1 mm from the wall at 1 rad.
         wall = pp.HalfSpace((0.0, length * np.sin(1.0) + 0.002, 0.0), (0.0, -1.0, 0.0))
-        controller = pp.ConstrainedQP(scene=pp.Scene({"wall": wall}, margin=0.002, arm_radius=0.001))
+        controller = pp.Geodesic(scene=pp.Scene({"wall": wall}, margin=0.002, arm_radius=0.001))
         start = arm.at(np.array([1.0 - room + (0.3 if speed > 0.2 else 0.0005)]))
         step = controller.step(start, target, limits, Memory(np.array([speed])))
-        found.append((float(speed - step.dq[0]), step.diagnostics.relaxed))
+        found.append((float(speed - step.dq[0]), step.diagnostics.violated_constraints))
     for change, relaxed in found[:2]:
         assert change == pytest.approx(0.01) and any("margin of 2 mm: braking" in words for words in relaxed)
     change, relaxed = found[2]
@@ -116,24 +118,24 @@ def test_what_gives_way_first_is_the_margin_and_then_acceleration() -> None:
 
 @pytest.mark.parametrize("seed", cases(range(6), 2))
 def test_without_a_measurement_a_tracker_brakes_clear(seed: int) -> None:
-    course = drawn_course(seed, stops=3)
-    tracker = pp.Tracker(course.arm, limits=course.limits, scene=course.scene)
+    progress = drawn_course(seed, stops=3)
+    tracker = pp.Tracker(progress.arm, limits=progress.limits, scene=progress.scene)
     rng, q, around = (
         np.random.default_rng(seed),
-        [course.stops[0]],
-        pp.CollisionModel(course.arm, course.scene),
+        [progress.stops[0]],
+        pp.CollisionModel(progress.arm, progress.scene),
     )
     for number in range(120):
         if number % 40 == 0:
-            goal = course.stops[1 + number // 40 % 2]
-            tracker.update(pp.Target.from_configuration(course.arm, goal))
+            goal = progress.stops[1 + number // 40 % 2]
+            tracker.update(pp.Target.from_configuration(progress.arm, goal))
         missing = number > 0 and rng.random() < 0.1
-        q.append(course.arm.integrate(q[-1], tracker.step(None if missing else q[-1])))
-        assert not tracker.report.relaxed
+        q.append(progress.arm.integrate(q[-1], tracker.step(None if missing else q[-1])))
+        assert not tracker.report.violated_constraints
     while np.any(dq := tracker.step(None)):
-        q.append(course.arm.integrate(q[-1], dq))
-    assert accelerations(course.arm, np.array(q), course.limits).max() <= 1.0 + 1e-9
-    assert min(around.minimum(each).distance for each in q) >= course.scene.margin - 1e-9
+        q.append(progress.arm.integrate(q[-1], dq))
+    assert accelerations(progress.arm, np.array(q), progress.limits).max() <= 1.0 + 1e-9
+    assert min(around.minimum(each).distance for each in q) >= progress.scene.margin - 1e-9
 
 
 @pytest.mark.parametrize("steps", range(4, 60, 5))
@@ -141,7 +143,7 @@ def test_a_step_that_was_asked_for_and_not_taken_is_none_to_brake_from(steps: in
     arm = arm_number(1)
     start, end = (arm.configuration(np.full(arm.nv, value)) for value in (0.0, 0.4))
     goal, limits = pp.Target.from_configuration(arm, end), pp.Limits(dt=0.05, acceleration=1.0)
-    loop = ControlLoop(arm, start, goal, pp.ConstrainedQP(), limits)
+    loop = ControlLoop(arm, start, goal, pp.Geodesic(), limits)
     for _ in range(min(steps, 24)):
         loop.take_step(loop.compute_step(goal))
     for _ in range(steps // 10):
@@ -156,7 +158,7 @@ def test_a_way_that_is_given_is_set_out_on_at_the_speed_of_now() -> None:
     arm = arm_number(1)
     limits, state = pp.Limits(dt=0.05, acceleration=1.0), arm.at(arm.neutral())
     path = JointPath(arm, state.q, np.linspace(0.0, 1.0, 30)[:, None] * np.ones(arm.nv))
-    controller, moving = pp.ConstrainedQP(), Memory(np.full(arm.nv, -0.0025))
+    controller, moving = pp.Geodesic(), Memory(np.full(arm.nv, -0.0025))
     target = pp.Target.from_configuration(arm, state.q)
     memory = controller.along(state, path, target, limits, 1.0, moving)
     change = controller.step(state, target, limits, memory).dq - moving.dq
@@ -164,17 +166,19 @@ def test_a_way_that_is_given_is_set_out_on_at_the_speed_of_now() -> None:
 
 
 def test_a_run_that_is_over_comes_to_rest() -> None:
-    course = drawn_course(3)
+    progress = drawn_course(3)
     for steps in (5, 9):
-        run = pp.track(course.arm, course.goal, course.stops[0], limits=course.limits, max_steps=steps)
+        run = pp.track(
+            progress.arm, progress.goal, progress.stops[0], limits=progress.limits, max_steps=steps
+        )
         assert run.status == "max_steps" and run.steps > steps and run.excess is None
         check_output(run)
         called: list[int] = []
         stopped = pp.track(
-            course.arm,
-            course.goal,
-            course.stops[0],
-            limits=course.limits,
+            progress.arm,
+            progress.goal,
+            progress.stops[0],
+            limits=progress.limits,
             callback=lambda number, *_: called.append(number) or number == steps,  # noqa: B023
         )
         assert stopped.status == "stopped" and called[-1] == steps and stopped.steps > steps
@@ -190,8 +194,8 @@ def test_a_step_that_exceeds_a_limit_is_named_whoever_took_it(number: int) -> No
             taken = 0 if memory is None else memory.own
             dq = np.zeros(state.arm.nv)
             dq[1] = (0.01, 0.02, 0.05, 0.04, 0.03, 0.02, 0.01)[taken]
-            step = pp.ConstrainedQP().step(state, target, replace(limits, acceleration=None))
-            note = step.diagnostics._replace(reason="", relaxed=())
+            step = pp.Geodesic().step(state, target, replace(limits, acceleration=None))
+            note = step.diagnostics._replace(reason="", violated_constraints=())
             return step._replace(dq=dq, diagnostics=note, memory=Memory(dq, taken + 1))
 
     arm = arm_number(number)
@@ -203,5 +207,5 @@ def test_a_step_that_exceeds_a_limit_is_named_whoever_took_it(number: int) -> No
     assert run.excess is not None and run.excess.steps == (2,) and run.excess.worst == 2
     assert run.excess.ratio == pytest.approx(3.0)
     joint = repr(arm.joint_names[1])
-    assert run.relaxed[2] == f"acceleration limit of joint {joint}: 3 times as much"
+    assert run.violated_constraints[2] == f"acceleration limit of joint {joint}: 3 times as much"
     assert f"limits are exceeded in 1 step, most in step 3 (of {run.steps})" in run.reason

@@ -17,7 +17,7 @@ from editor.browser.desk import PATIENCE, arrived, wait_until
 from editor.browser.window import Window
 
 import pinposture as pp
-from pinposture.control import ConstrainedQP
+from pinposture.control import Geodesic
 from pinposture.editor import Editor
 
 pytestmark = pytest.mark.browser
@@ -28,10 +28,10 @@ Edit, Look = Callable[..., Editor], Callable[..., Window]
 class Slow:
     """A controller that sleeps for a second in each step, and that can be kept from ending one."""
 
-    name = "qp"
+    name = "geodesic"
 
     def __init__(self) -> None:
-        self.own, self.begun, self.ended, self.free = ConstrainedQP(), 0, 0, Event()
+        self.own, self.begun, self.ended, self.free = Geodesic(), 0, 0, Event()
         self.free.set()
 
     def step(self, *given: Any, **named: Any) -> Any:
@@ -70,7 +70,7 @@ def test_the_ball_follows_while_the_controller_is_busy(edit: Edit, look: Look, f
         slow.free.set()
     x, y = window.at(session.shape.points[2])
     assert np.allclose((x, y), window.at(points[2] + [0.12, 0.0, 0.12]), atol=3.0)
-    editor.post(lambda session: session.edit(lambda task: task.edited(controller=ConstrainedQP()), "qp"))
-    wait_until(lambda: session.history.undoable == "qp", "another controller takes over")
+    editor.post(lambda session: session.edit(lambda task: task.edited(controller=Geodesic()), "geodesic"))
+    wait_until(lambda: session.history.undoable == "geodesic", "another controller takes over")
     arrived(editor)
     assert editor.live.mean_error < 1e-6
