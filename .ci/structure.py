@@ -33,16 +33,16 @@ ROOT = Path(__file__).resolve().parents[1]
 
 CEILINGS = {
     # What there is today, to be lowered whenever it falls; behind it, what it is to come to.
-    "files": 427,  # 180
-    "lines": 55595,  # 38000
+    "files": 190,  # 180
+    "lines": 53615,  # 38000
     "import cycles at run time": 0,  # 0
-    "import cycles with types": 11,  # 0
-    "imports that go up": 1,  # 0
-    "class names defined twice": 21,  # 0
-    "constants of two meanings in sight": 63,  # 0
-    "files of a step": 32,  # 12
-    "files of a task": 131,  # 40
-    "files of a drag": 41,  # 15
+    "import cycles with types": 2,  # 0
+    "imports that go up": 0,  # 0
+    "class names defined twice": 0,  # 0
+    "constants of two meanings in sight": 60,  # 0
+    "files of a step": 21,  # 12
+    "files of a task": 69,  # 40
+    "files of a drag": 33,  # 15
 }
 """The most that there may be of each."""
 
@@ -50,18 +50,18 @@ ORDER = (
     ("errors",),
     ("storage",),
     ("_validation",),
+    ("specification",),
     ("kernels",),
     ("curve",),
     ("arm",),
-    ("target", "placement"),
-    ("scene", "collision"),
+    ("placement",),
+    ("collision",),
     ("control",),
     ("motion",),
     ("task",),
-    ("view", "viz"),
     ("sim",),
+    ("viz",),
     ("editor",),
-    ("thesis",),
     ("study",),
     ("cli",),
     ("__main__",),

@@ -48,7 +48,7 @@ class Arm(Blueprint):
         frames: reads the control points from Pinocchio; None if the arm is too long for that.
         moved: 1 where a degree of freedom belongs to the chain, else 0, (nv,).
         characteristic_length: the slide that weighs as much as a turn of one radian, where both are compared
-            [m]: the mean module length, unless told otherwise by `with_sliding_unit`.
+            [m]: the mean module length, unless told otherwise by `with_characteristic_length`.
         joint_units: the motion of each joint that counts as one, (nv,): one radian, or
             `characteristic_length` metres.
         cache: what other packages derive from the arm and remember as long as it lives, such as its collision
@@ -290,7 +290,7 @@ class Arm(Blueprint):
             checked, np.where(turns == 0.0, 0.0, np.clip(positions + turn * turns, lower, upper) - positions)
         )
 
-    def with_sliding_unit(self, characteristic_length: float) -> Arm:
+    def with_characteristic_length(self, characteristic_length: float) -> Arm:
         """The same arm, with another slide that weighs as much as a turn of one radian [m].
 
         Manipulability conditions, the smallest joint motions that controllers look for, and singular values

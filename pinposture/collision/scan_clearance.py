@@ -33,7 +33,7 @@ _TOUCHING = 1e-12
 """Distance below which a body touches a scan [m]."""
 
 
-class Nearest(NamedTuple):
+class NearestPart(NamedTuple):
     """Where one of several bodies is nearest to a scan.
 
     Attributes:
@@ -54,7 +54,7 @@ ForwardKinematics: TypeAlias = list[tuple[Solid, coal.Transform3s]]
 """Solids, and where the shape of each is in the world."""
 
 
-def nearest_to_surface(scan: ScanGeometry, bodies: ForwardKinematics) -> Nearest:
+def nearest_to_surface(scan: ScanGeometry, bodies: ForwardKinematics) -> NearestPart:
     """Where bodies are nearest to a surface; exact.
 
     Args:
@@ -65,7 +65,7 @@ def nearest_to_surface(scan: ScanGeometry, bodies: ForwardKinematics) -> Nearest
     request.gjk_tolerance = 1e-9
     request.enable_signed_distance = False
     centers = np.array([place.getTranslation() for _, place in bodies])
-    best = Nearest(np.inf, 0, np.zeros(3), np.zeros(3))
+    best = NearestPart(np.inf, 0, np.zeros(3), np.zeros(3))
     # What one body has found bounds the search of those after it: the result is not cleared in between.
     for body in np.argsort(scan.tree.query(centers)[0]):
         shape, place = bodies[body]
@@ -75,14 +75,14 @@ def nearest_to_surface(scan: ScanGeometry, bodies: ForwardKinematics) -> Nearest
             coal.collide(shape.geometry, place, scan.surface, here, coal.CollisionRequest(), meeting)
             found = meeting.getContacts()[0] if meeting.isCollision() else result
             points = np.array(found.getNearestPoint1()), np.array(found.getNearestPoint2())
-            return Nearest(0.0, int(body), *points)
+            return NearestPart(0.0, int(body), *points)
         if result.min_distance < best.distance:
             points = np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())
-            best = Nearest(float(result.min_distance), int(body), *points)
+            best = NearestPart(float(result.min_distance), int(body), *points)
     return best
 
 
-def nearest_to_points(scan: ScanGeometry, bodies: ForwardKinematics) -> Nearest:
+def nearest_to_points(scan: ScanGeometry, bodies: ForwardKinematics) -> NearestPart:
     """Where bodies are nearest to a cloud of points; exact.
 
     Each body is covered by balls along its axis; the tree of the points tells which of the balls, and which
@@ -108,7 +108,7 @@ def nearest_to_points(scan: ScanGeometry, bodies: ForwardKinematics) -> Nearest:
     center, radius, owner = np.concatenate(centers), np.concatenate(radii), np.concatenate(owners)
     apart, first = scan.tree.query(center)
     lower = apart - radius
-    best = Nearest(np.inf, 0, np.zeros(3), np.zeros(3))
+    best = NearestPart(np.inf, 0, np.zeros(3), np.zeros(3))
     for ball in np.argsort(lower):
         if lower[ball] >= best.distance:
             break
@@ -117,10 +117,10 @@ def nearest_to_points(scan: ScanGeometry, bodies: ForwardKinematics) -> Nearest:
         # The nearest point to the centre of the ball bounds how far the others can be.
         given = shape, place, axes[body], narrow
         found = _nearest_point(scan.points[first[ball : ball + 1]], *given, best.distance)
-        best = best if found is None else Nearest(found[0], body, *found[1:])
+        best = best if found is None else NearestPart(found[0], body, *found[1:])
         around = scan.tree.query_ball_point(center[ball], best.distance + radius[ball] + _TOUCHING)
         found = _nearest_point(scan.points[around], *given, best.distance)
-        best = best if found is None else Nearest(found[0], body, *found[1:])
+        best = best if found is None else NearestPart(found[0], body, *found[1:])
         if best.distance <= 0.0:
             break
     return best
@@ -179,7 +179,7 @@ def _nearest_point(
     return best
 
 
-def _nearest(scan: ScanGeometry, solids: list[Solid], rotations: Array, positions: Array) -> Nearest:
+def _nearest(scan: ScanGeometry, solids: list[Solid], rotations: Array, positions: Array) -> NearestPart:
     """Where solids are nearest to a scan.
 
     Args:

@@ -496,7 +496,7 @@ def _unpack_joints(about: About, arrays: Arrays) -> JointTrajectory:
 register(
     Format(
         "pinposture-run",
-        3,
+        4,
         Trajectory,
         "run",
         _pack_run,
@@ -510,7 +510,7 @@ register(
 register(
     Format(
         "pinposture-motion",
-        1,
+        2,
         Motion,
         "motion",
         _pack_motion,
@@ -521,7 +521,7 @@ register(
         },
     )
 )
-register(Format("pinposture-batch", 1, Batch, "batch", _pack_batch, _unpack_batch, {}))
+register(Format("pinposture-batch", 2, Batch, "batch", _pack_batch, _unpack_batch, {}))
 register(
     Format(
         "pinposture-joint-trajectory",

@@ -28,7 +28,7 @@ from pinposture.task.reader import TaskParts, check_task, read_task
 from pinposture.task.reference import Outlook, Reference, outlook, require_room
 from pinposture.task.resolving import with_fitting_joints
 from pinposture.task.specification import RESULT_FORMATS
-from pinposture.task.toml import Layout, Place
+from pinposture.task.toml import Place, TomlLayout
 from pinposture.task.writer import layout_of, write_task
 
 Array = NDArray[np.float64]
@@ -82,7 +82,7 @@ class Task:
     name: str = ""
     scans: tuple[Path, ...] = ()
     described: Mapping[Hashable, object] = field(default_factory=dict, repr=False)
-    layout: Layout | None = field(default=None, repr=False)
+    layout: TomlLayout | None = field(default=None, repr=False)
     # Not among the arguments, so that `replace` leaves it behind.
     _document: Document | None = field(default=None, init=False, repr=False)
 

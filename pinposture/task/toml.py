@@ -161,7 +161,7 @@ class Usual(NamedTuple):
     value: Any
 
 
-class Layout(NamedTuple):
+class TomlLayout(NamedTuple):
     """The text of a TOML file, and what it says.
 
     Attributes:
@@ -174,7 +174,7 @@ class Layout(NamedTuple):
     says: Mapping[str, Any]
 
 
-def toml_text(values: Mapping[str, Any], layout: Layout | None = None) -> str:
+def toml_text(values: Mapping[str, Any], layout: TomlLayout | None = None) -> str:
     """A TOML file.
 
     Tables become sections, and so do lists of tables, and tables that hold nothing but tables. All others are

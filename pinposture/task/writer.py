@@ -46,7 +46,7 @@ from pinposture.task.specification import (
     SceneSpec,
     TipSpec,
 )
-from pinposture.task.toml import Layout, Usual, toml_text
+from pinposture.task.toml import TomlLayout, Usual, toml_text
 
 Array = NDArray[np.float64]
 
@@ -428,7 +428,7 @@ def write_start(start: Array, arm: Arm) -> dict[str, Any]:
 # A whole task file: what stands in it, and that it gives the task back before it is put in its place.
 
 
-def write_task(task: TaskParts, path: Path, layout: Layout | None = None) -> Path:
+def write_task(task: TaskParts, path: Path, layout: TomlLayout | None = None) -> Path:
     """Write a task file, and a URDF file beside it if it takes one; see `Task.save`.
 
     Args:
@@ -482,7 +482,7 @@ def _folder(folder: Path) -> Iterator[None]:
         raise
 
 
-def layout_of(task: TaskParts, path: Path, text: str) -> Layout:
+def layout_of(task: TaskParts, path: Path, text: str) -> TomlLayout:
     """What to keep of the TOML file that a task was just read from.
 
     Args:
@@ -491,7 +491,7 @@ def layout_of(task: TaskParts, path: Path, text: str) -> Layout:
         text: what it holds.
     """
     wording = Wording(path, task.described, read=True)
-    return Layout(text, _contents(task, write_arm(task.arm, wording).spec, wording))
+    return TomlLayout(text, _contents(task, write_arm(task.arm, wording).spec, wording))
 
 
 def _contents(task: TaskParts, arm: ArmSpec, wording: Wording) -> dict[str, Any]:
@@ -538,7 +538,9 @@ def _plain(value: Any) -> Any:
     return int(number) if whole else number
 
 
-def _text(task: TaskParts, arm: ArmSpec, path: Path, contents: dict[str, Any], layout: Layout | None) -> str:
+def _text(
+    task: TaskParts, arm: ArmSpec, path: Path, contents: dict[str, Any], layout: TomlLayout | None
+) -> str:
     """The text of the file, which reads back as the task; with the layout of the file it was read from.
 
     Raises:

@@ -97,7 +97,7 @@ LONGEST = 60.0
 
 
 @dataclass(frozen=True)
-class Playback:
+class Timeline:
     """The configurations of a run or a motion that are shown, one after the other.
 
     Attributes:
@@ -132,7 +132,7 @@ class Playback:
         return np.concatenate([[0.0], self.times, [self.end]])
 
 
-def playback(shown: Trajectory | Motion, fps: float, max_frames: int) -> Playback:
+def playback(shown: Trajectory | Motion, fps: float, max_frames: int) -> Timeline:
     """Choose what to show: every configuration, or as many as allowed, evenly spaced.
 
     A motion is shown in real time, unless that takes longer than `LONGEST`. Then it is shown 2, 5, 10, ...
@@ -157,17 +157,17 @@ def playback(shown: Trajectory | Motion, fps: float, max_frames: int) -> Playbac
     fps = min(fps, max(count - 1, 1) / SHORTEST)
     rows = np.round(np.linspace(0, shown.steps, count)).astype(np.intp)
     times = REST_BEFORE * fps + np.arange(count, dtype=np.float64)
-    return Playback(shown, None, rows, times, float(times[-1] + REST_AFTER * fps), float(fps))
+    return Timeline(shown, None, rows, times, float(times[-1] + REST_AFTER * fps), float(fps))
 
 
-def _motion_playback(motion: Motion, fps: float, max_frames: int) -> Playback:
+def _motion_playback(motion: Motion, fps: float, max_frames: int) -> Timeline:
     """Rows of a motion and when to show them; `fps` is but the unit of time then."""
     speedup = _speedup(float(motion.time[-1]))
     frames = int(np.ceil(motion.time[-1] / speedup * fps))
     count = min(frames, motion.steps, max_frames - 1) + 1
     rows = np.round(np.linspace(0, motion.steps, count)).astype(np.intp)
     times = (REST_BEFORE + motion.time[rows] / speedup) * fps
-    return Playback(motion.run, motion, rows, times, float(times[-1] + REST_AFTER * fps), fps, speedup)
+    return Timeline(motion.run, motion, rows, times, float(times[-1] + REST_AFTER * fps), fps, speedup)
 
 
 def _speedup(seconds: float) -> float:
@@ -176,7 +176,7 @@ def _speedup(seconds: float) -> float:
     return next(speedup for speedup in allowed if seconds <= LONGEST * speedup * (1.0 + 1e-9))
 
 
-def tracks(arm: Arm, shown: Playback) -> list[Track]:
+def tracks(arm: Arm, shown: Timeline) -> list[Track]:
     """How the bodies of the arm move and its control points change, for an arm that has been drawn.
 
     Args:
@@ -218,7 +218,7 @@ NO_SIZE = 1e-3
 """Size of a hoop that is not there."""
 
 
-def moving_target_tracks(motion: Motion, playback: Playback) -> list[Track]:
+def moving_target_tracks(motion: Motion, playback: Timeline) -> list[Track]:
     """How targets that have been drawn move, come and go."""
     held, times = playback.key_rows, playback.key_times
     targets, asked = motion.targets[playback.rows], motion.target_mask[playback.rows]

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm, Ellipsoid
 from pinposture.viz import palette
-from pinposture.viz.animation import ROOT, Playback, Track, same_signs
+from pinposture.viz.animation import ROOT, Timeline, Track, same_signs
 from pinposture.viz.drawing import link_radius
 from pinposture.viz.postures import PosturePanel
 
@@ -189,7 +189,7 @@ def axis_ends(shown: EllipsoidMotion) -> Array:
     return ends.reshape(-1, 3)
 
 
-def ellipsoid_tracks(shown: EllipsoidMotion, playback: Playback) -> list[Track]:
+def ellipsoid_tracks(shown: EllipsoidMotion, playback: Timeline) -> list[Track]:
     """How ellipsoids that have been drawn move, stretch and change their colour.
 
     Args:

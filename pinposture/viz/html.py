@@ -19,7 +19,7 @@ from pinposture.motion import Motion, Trajectory
 from pinposture.placement import Target
 from pinposture.storage import with_suffix, write_text
 from pinposture.viz import palette
-from pinposture.viz.animation import Playback, playback
+from pinposture.viz.animation import Timeline, playback
 from pinposture.viz.axes import controller_name, ending_text, is_slowed, motion_ending_text, placement_text
 from pinposture.viz.drawing import require_fitting
 from pinposture.viz.ellipsoids import KEY, scale_in_words
@@ -29,7 +29,7 @@ from pinposture.viz.panels import has_clearance
 # Captions and legend.
 
 
-def captions(shown: Playback) -> list[str]:
+def captions(shown: Timeline) -> list[str]:
     """What is written under each configuration that is shown."""
     listed, run = [], shown.run
     for row in shown.rows:
@@ -38,7 +38,7 @@ def captions(shown: Playback) -> list[str]:
     return listed
 
 
-def _step_text(shown: Playback, row: int) -> str:
+def _step_text(shown: Timeline, row: int) -> str:
     """A configuration of a run in words."""
     run = shown.run
     text = f"step {row} of {run.steps}, posture error {run.posture_error[row]:.3g} m"
@@ -63,7 +63,7 @@ def _motion_text(motion: Motion, row: int) -> str:
     return f"{text}, posture error {motion.run.posture_error[row]:.3g} m"
 
 
-def legend_html(shown: Playback, drawn: DrawnScene, target: bool, scale: str) -> str:
+def legend_html(shown: Timeline, drawn: DrawnScene, target: bool, scale: str) -> str:
     """What the colours mean, and how fast a motion is shown, as HTML.
 
     Args:
@@ -93,7 +93,7 @@ def legend_html(shown: Playback, drawn: DrawnScene, target: bool, scale: str) ->
     return "<br>".join(lines)
 
 
-def _speed_html(shown: Playback, drawn: DrawnScene) -> str:
+def _speed_html(shown: Timeline, drawn: DrawnScene) -> str:
     speed = (
         "shown in real time" if shown.speedup == 1.0 else f"shown {shown.speedup:.0f} times as fast as it was"
     )
@@ -160,7 +160,7 @@ def save_html(
     return path
 
 
-def _page_html(arm: Arm, shown: Playback, target: Target | None, points: tuple[int, ...]) -> str:
+def _page_html(arm: Arm, shown: Timeline, target: Target | None, points: tuple[int, ...]) -> str:
     run, motion = shown.run, shown.motion
     recording = CommandRecorder()
     viewer = Visualizer(window=recording)

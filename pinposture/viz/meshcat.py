@@ -34,7 +34,7 @@ from pinposture.viz.animation import (
     NO_SIZE,
     POINT_SIZE,
     ROOT,
-    Playback,
+    Timeline,
     Track,
     animation,
     body_path,
@@ -362,7 +362,7 @@ class DrawnScene(NamedTuple):
 def draw_scene(
     viewer: Visualizer,
     arm: Arm,
-    shown: Playback | None,
+    shown: Timeline | None,
     target: Target | None,
     scene: Scene | None,
     points: tuple[int, ...],

@@ -155,7 +155,7 @@ def test_slides_and_turns_are_compared_by_a_scale_that_can_be_chosen() -> None:
     q = arm.random(np.random.default_rng(1))
     assert arm.characteristic_length == pytest.approx(0.1)
     for unit in (0.1, 0.01):
-        scaled = arm.with_sliding_unit(unit)
+        scaled = arm.with_characteristic_length(unit)
         expected = enumeration.index(arm.at(q).jacobians[2] * np.tile([1.0, 1.0, unit], 3))
         assert scaled.at(q).manipulability()[0, 3] == pytest.approx(expected, abs=1e-7)
         assert pickle.loads(pickle.dumps(scaled)).characteristic_length == unit
@@ -172,7 +172,7 @@ def test_slides_and_turns_are_compared_by_a_scale_that_can_be_chosen() -> None:
         found = controller_named(name).step(large.at(bigger), ten_times, free).dq
         np.testing.assert_allclose(found, small * np.tile([1.0, 1.0, 10.0], 3), atol=1e-6)
     with pytest.raises(InvalidValue, match="characteristic_length"):
-        arm.with_sliding_unit(0.0)
+        arm.with_characteristic_length(0.0)
 
 
 def test_links_fixed_to_the_world_move_with_the_base(placed: pp.Arm) -> None:

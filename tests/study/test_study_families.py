@@ -123,7 +123,9 @@ def test_a_loaded_arm_keeps_its_limits(stiff):
 
 def test_slides_are_drawn_in_their_unit():
     joints = (pp.JointSpec("y"), pp.JointSpec("x", type="prismatic", lower=-1.0, upper=1.0))
-    arm = pp.Arm.from_modules([pp.ModuleTemplate("slide", joints, (0.1, 0.1))] * 6).with_sliding_unit(0.01)
+    arm = pp.Arm.from_modules(
+        [pp.ModuleTemplate("slide", joints, (0.1, 0.1))] * 6
+    ).with_characteristic_length(0.01)
     straight = arm.positions(arm.straight())
     start, _ = draw_case(loaded_subject(arm), Family("noise", "random"), 0)
     off = np.abs(arm.positions(start) - straight)

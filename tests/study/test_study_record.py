@@ -75,7 +75,9 @@ def test_the_worst_joint_outside_its_limits_counts():
 
 def test_slides_are_measured_in_their_unit_and_steps_against_the_limit_of_each_joint():
     joints = (pp.JointSpec("z"), pp.JointSpec("x", type="prismatic", lower=0.0, upper=0.1))
-    arm = pp.Arm.from_modules([pp.ModuleTemplate("s", joints, (0.1, 0.1))] * 2).with_sliding_unit(0.2)
+    arm = pp.Arm.from_modules([pp.ModuleTemplate("s", joints, (0.1, 0.1))] * 2).with_characteristic_length(
+        0.2
+    )
     q = np.array([[0.0, 0.1, 0.0, 0.1], [0.02, 0.13, 0.0, 0.1]])
     limits = pp.Limits(step=np.array([0.1, 0.05, 0.1, 0.1]))
     found = record_run(made(arm, q, limits=limits), CASE, "joint")

@@ -70,7 +70,7 @@ def saved(arm: pp.Arm, path: Path, **more: Any) -> tuple[pp.Arm, dict[str, Any]]
             {"template": "RzRy", "modules": 2, "placement": {"position": [0, 0, 0.5]}},
         ),
         (
-            lambda: six_modules().with_sliding_unit(0.2),
+            lambda: six_modules().with_characteristic_length(0.2),
             {"template": "RyRz", "modules": 6, "characteristic_length": 0.2},
         ),
     ],
@@ -173,7 +173,7 @@ def test_a_file_that_is_gone_is_told_and_not_named(tmp_path: Path) -> None:
         lambda: pp.Arm.from_modules([pp.template("RyRz"), pp.template("Rz")]),
         lambda: pp.Arm.from_urdf(arm_text(pairs(3)), modules=[2, 4], locked={}),
         lambda: pp.Arm.from_urdf(arm_text(pairs(3)), modules=["l2", "tip"]),
-        lambda: pp.Arm.from_template("Rz", 2).with_sliding_unit(0.3),
+        lambda: pp.Arm.from_template("Rz", 2).with_characteristic_length(0.3),
     ],
 )
 def test_an_arm_keeps_what_it_was_made_from(make: Callable[[], pp.Arm]) -> None:

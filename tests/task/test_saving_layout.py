@@ -16,7 +16,7 @@ from task.same_tasks import assert_same
 from task_texts import VALID
 
 import pinposture as pp
-from pinposture.task.toml import Layout, Usual, lines_of_toml, toml_text
+from pinposture.task.toml import TomlLayout, Usual, lines_of_toml, toml_text
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -111,8 +111,8 @@ def test_a_file_that_is_changed_says_what_is_new_and_loses_no_comment_of_what_st
         lines.append(line)
     text = "\n".join(lines)
     assert same(tomllib.loads(text), before)
-    assert toml_text(before, Layout(text, before)) == text
-    assert same(tomllib.loads(toml_text(after, Layout(text, before))), after)
+    assert toml_text(before, TomlLayout(text, before)) == text
+    assert same(tomllib.loads(toml_text(after, TomlLayout(text, before))), after)
 
 
 @given(CONTENT)
@@ -340,13 +340,13 @@ def test_line_ends_and_json(commented: pp.Task, tmp_path: Path) -> None:
 @pytest.mark.parametrize("above", ["# A coil.\n", "# A coil.\n\n", "", "\n# A\n\n# coil.\n"])
 def test_what_stands_above_all_else_stays_there(above: str) -> None:
     text, says = f"{above}[arm]  # long\nmodules = 6\n", {"arm": {"modules": 6}}
-    assert toml_text(says, Layout(text, says)) == text
+    assert toml_text(says, TomlLayout(text, says)) == text
     expected = f"{above}name = 3\n\n[arm]  # long\nmodules = 6\n"
-    assert toml_text({"name": 3, **says}, Layout(text, says)) == expected
+    assert toml_text({"name": 3, **says}, TomlLayout(text, says)) == expected
 
 
 def test_what_need_not_be_said_is_said_only_where_it_stands_and_differs() -> None:
     text = "b = 1 # here\n"
-    assert toml_text({"a": Usual(3), "b": Usual(1)}, Layout(text, {"b": Usual(1)})) == text
-    assert toml_text({"b": 1}, Layout("", {"b": Usual(1)})) == "b = 1\n"
-    assert toml_text({"b": Usual(2)}, Layout(text, {"b": Usual(1)})) == ""
+    assert toml_text({"a": Usual(3), "b": Usual(1)}, TomlLayout(text, {"b": Usual(1)})) == text
+    assert toml_text({"b": 1}, TomlLayout("", {"b": Usual(1)})) == "b = 1\n"
+    assert toml_text({"b": Usual(2)}, TomlLayout(text, {"b": Usual(1)})) == ""
