@@ -153,7 +153,7 @@ def read_tip(
     pose: str | None,
     hold: str | None,
     weight: float | None,
-    strict: bool,
+    priority: bool,
 ) -> EndEffector | None:
     """The task of the tip that these options ask for; None if they ask for none.
 
@@ -163,7 +163,7 @@ def read_tip(
         pose: three numbers [m] and three [rad], or None.
         hold: "position" or "pose", or None.
         weight: weight of the task; 1 if None.
-        strict: whether it comes before the shape.
+        priority: whether it comes before the shape.
 
     Raises:
         InvalidValue: more than one place for the tip; a weight, or a priority, without any; other numbers.
@@ -176,14 +176,14 @@ def read_tip(
     if len(given) > 1:
         first, second, *_ = given
         raise InvalidValue(second, given[second], f"without {first}")
-    options: dict[str, Any] = {"weight": 1.0 if weight is None else weight, "priority": strict}
+    options: dict[str, Any] = {"weight": 1.0 if weight is None else weight, "priority": priority}
     if position is not None:
         return EndEffector(position=_finite("--tip-position", position, "X,Y,Z"), **options)
     if pose is not None:
         return EndEffector(pose=_placement(_finite("--tip-pose", pose, "X,Y,Z,ROLL,PITCH,YAW")), **options)
     if hold is not None:
         return EndEffector.held(start, hold, **options)
-    for option, value in (("--tip-weight", weight), ("--strict-tip", strict or None)):
+    for option, value in (("--tip-weight", weight), ("--strict-tip", priority or None)):
         if value is not None:
             raise InvalidValue(option, value, f"together with one of {', '.join(places)}")
     return None

@@ -54,12 +54,12 @@ class Motion:
         run: the motion as a run; its `target` is the last one, its errors are distances from the targets of
             the moment.
         targets: where the control points should have been, (steps + 1, m, 3) [m], world frame.
-        asked: which control points had a target, (steps + 1, m).
-        clock: the time of the plan at each row, (steps + 1,) [s]; 0 while the arm comes to where it begins.
+        target_mask: which control points had a target, (steps + 1, m).
+        plan_time: the time of the plan at each row, (steps + 1,) [s]; 0 while the arm comes to where it begins.
         start_index: the row at which the arm sets out on the plan; before that it comes to its first
             posture. The last row if it did not get so far.
         planned: how long the plan takes if nothing slows it [s].
-        passed: the named places, in order.
+        waypoints: the named places, in order.
         deviations: where the arm left the way of the plan, or fell behind, in words.
     """
 

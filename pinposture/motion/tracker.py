@@ -67,17 +67,17 @@ class Feedback:
     Args:
         arm: the arm.
         time_constant: T [s]; 0 with a velocity interface: each step starts from the measurement.
-        disagreement: see `Tracker`.
-        patience: see there.
+        max_tracking_error: see `Tracker`.
+        resync_time: see there.
     """
 
-    def __init__(self, arm: Arm, time_constant: float, disagreement: float, patience: float) -> None:
+    def __init__(self, arm: Arm, time_constant: float, max_tracking_error: float, resync_time: float) -> None:
         self.arm = arm
         self.command: Array | None = None
         self.restarted = False
         self.points: Array | None = None
-        self._time_constant, self._max_difference = time_constant, disagreement
-        self._patience = patience
+        self._time_constant, self._max_difference = time_constant, max_tracking_error
+        self._patience = resync_time
         self._offset, self._shift = np.zeros(arm.nv), np.zeros((arm.n_modules, 3))
         self._deviating: Array | None = None
         self._agreed_for, self._at_rest = 0.0, True
@@ -287,7 +287,7 @@ class Report(NamedTuple):
         reason: why it is stalled or holding, in words; else empty.
         mean_error: mean distance of the control points from their targets at the beginning of the cycle, by
             the last measurement that could be used [m]; None before there is a target and a measurement.
-        disagreement: largest difference between measured and expected joint positions, in `Arm.joint_units`;
+        tracking_error: largest difference between measured and expected joint positions, in `Arm.joint_units`;
             None without a measurement that can be used.
         target_age: how long ago the target was given, as the cycles tell the time [s]; None without a target.
         violated_constraints: which constraints gave way in the step, as in `Diagnostics`.
@@ -314,7 +314,7 @@ class Tracker:
     with one that cannot be true, it brakes within its limits, stands still, and `report` says why.
 
     Drives that take positions are sent `command`, which moves by `dq`, so that limits hold on it exactly;
-    only where the arm turns out to be elsewhere (`patience`) does it begin anew from there. What the arm does
+    only where the arm turns out to be elsewhere (`resync_time`) does it begin anew from there. What the arm does
     otherwise, because it sags or lags, is fed back slowly: the command goes as far beyond the target as the
     arm stays behind. Drives that take velocities are sent dq / dt; each step then begins where the arm was
     measured.
@@ -333,11 +333,12 @@ class Tracker:
         limits: as above; `dt` is needed.
         scene: as for `track`.
         interface: what the drives take: "position" or "velocity".
-        feedback: time in which disagreement between measurement and command is fed back [s]. Several times
-            the delay of the drives, or the loop oscillates. Only for positions; infinite: not at all.
-        disagreement: largest difference between measured and expected joint positions that is fed back, in
-            `Arm.joint_units` (one radian). Where it is larger the arm holds.
-        patience: how long such measurements have to agree with each other to be believed [s]. The arm is
+        feedback_time_constant: time in which disagreement between measurement and command is fed back [s].
+            Several times the delay of the drives, or the loop oscillates. Only for positions; infinite: not
+            at all.
+        max_tracking_error: largest difference between measured and expected joint positions that is fed
+            back, in `Arm.joint_units` (one radian). Where it is larger the arm holds.
+        resync_time: how long such measurements have to agree with each other to be believed [s]. The arm is
             then taken to be there. Infinite: it holds until `restart`.
         timeout: age at which a target counts no more [s]; infinite: never.
         deadline: how long a cycle may wait for the controller [s]. A way round obstacles takes it seconds to
@@ -455,15 +456,15 @@ class Tracker:
         passed = self._period if dt is None else _duration(dt)
         dt = min(max(passed, MIN_CYCLE * self._period), self._period)
         limits = self.limits if dt == self._period else replace(self.limits, dt=dt)
-        feedback_time_constant = self._feedback.update(q_measured, points, dt)
+        feedback = self._feedback.update(q_measured, points, dt)
         memory = None if self._feedback.restarted else self._rescaled_memory(dt)
         self._age += passed
-        step, reason, compensated = None, feedback_time_constant.reason or self._target_problem(), None
-        if feedback_time_constant.state is not None and self._target is not None and not reason:
+        step, reason, compensated = None, feedback.reason or self._target_problem(), None
+        if feedback.state is not None and self._target is not None and not reason:
             compensated = self._feedback.compensate(self._target)
             try:
                 step, memory = self._async_step.compute(
-                    feedback_time_constant.state, compensated, limits, memory
+                    feedback.state, compensated, limits, memory
                 )
                 reason = NOT_DONE if step is None else step.diagnostics.reason
             except (PostureError, ArithmeticError, np.linalg.LinAlgError) as error:
@@ -478,7 +479,7 @@ class Tracker:
             memory = step.memory
         self._memory, self._dt, dq = memory, dt, memory.dq
         self._feedback.apply_step(dq)
-        self.report = self._make_report(feedback_time_constant, step, reason, compensated, dq)
+        self.report = self._make_report(feedback, step, reason, compensated, dq)
         return np.array(dq)
 
     def _rescaled_memory(self, dt: float) -> Memory | None:
@@ -502,7 +503,7 @@ class Tracker:
 
     def _make_report(
         self,
-        feedback_time_constant: FeedbackState,
+        feedback: FeedbackState,
         step: Step | None,
         reason: str,
         compensated: Target | None,
@@ -510,15 +511,15 @@ class Tracker:
     ) -> Report:
         status = "moving" if not reason else "stalled" if step is not None else "holding"
         still = bool(np.all(np.abs(dq) <= REST_TOLERANCE * self.arm.joint_units))
-        if compensated is not None and feedback_time_constant.state is not None and still:
-            distance = _mean_distance(feedback_time_constant.state.compiled.points, compensated)
+        if compensated is not None and feedback.state is not None and still:
+            distance = _mean_distance(feedback.state.compiled.points, compensated)
             if distance <= ARRIVAL_TOLERANCE * self.arm.length:
                 status, reason = "converged", ""
         target, points = self._target, self._feedback.points
         error = None if target is None or points is None else _mean_distance(points, target)
         age = None if target is None else self._age
         relaxed = () if step is None else step.diagnostics.violated_constraints
-        return Report(status, reason, error, feedback_time_constant.disagreement, age, relaxed, step)
+        return Report(status, reason, error, feedback.disagreement, age, relaxed, step)
 
 
 def _mean_distance(points: Array, target: Target) -> float:

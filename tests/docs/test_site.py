@@ -18,7 +18,8 @@ pytestmark = pytest.mark.site
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
-BEHIND = {"editor": ("Session", "Shape", "Live")}
+SPECS = ("TaskSpec", "KeyframeSpec", "TipSpec", "LeaderSpec", "LimitsSpec", "ControllerSpec", "SceneSpec")
+BEHIND = {"editor": ("Session", "Shape", "Live"), "task": SPECS}
 """What else a page shows: what the attributes of public classes are, where a program needs to know."""
 
 
