@@ -11,6 +11,8 @@ from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import TypeAlias
 
+from threadpoolctl import threadpool_limits
+
 from pinposture.editor.files import Files, restore
 from pinposture.editor.measured_arm import JointStates
 from pinposture.editor.session import Session
@@ -65,6 +67,8 @@ class Editor:
         joint_states: str | Path | None = None,
         folder: Path | None = None,
     ) -> None:
+        # Matrices are small here, and threads that wait for each other take the time that other parts need.
+        self._blas = threadpool_limits(1, user_api="blas")
         self.session = Session(task, path, folder=folder)
         restore(self.session)
         self._inbox: deque[tuple[str, Request]] = deque()
@@ -81,6 +85,7 @@ class Editor:
             self.page = Page(self.session, self.post, self.files, self.surroundings, self._states, host, port)
         except BaseException:
             self._close_parts()
+            self._blas.restore_original_limits()
             raise
         self._thread = Thread(target=self._run, name="pinposture-editor", daemon=True)
 
@@ -113,6 +118,7 @@ class Editor:
         self._solver.close()
         self._close_parts()
         self.page.close()
+        self._blas.restore_original_limits()
 
     def _close_parts(self) -> None:
         self.session.playback.close()

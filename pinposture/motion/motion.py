@@ -55,7 +55,8 @@ class Motion:
             the moment.
         targets: where the control points should have been, (steps + 1, m, 3) [m], world frame.
         target_mask: which control points had a target, (steps + 1, m).
-        plan_time: the time of the plan at each row, (steps + 1,) [s]; 0 while the arm comes to where it begins.
+        plan_time: the time of the plan at each row, (steps + 1,) [s]; 0 while the arm comes to where it
+            begins.
         start_index: the row at which the arm sets out on the plan; before that it comes to its first
             posture. The last row if it did not get so far.
         planned: how long the plan takes if nothing slows it [s].

@@ -287,8 +287,8 @@ class Report(NamedTuple):
         reason: why it is stalled or holding, in words; else empty.
         mean_error: mean distance of the control points from their targets at the beginning of the cycle, by
             the last measurement that could be used [m]; None before there is a target and a measurement.
-        tracking_error: largest difference between measured and expected joint positions, in `Arm.joint_units`;
-            None without a measurement that can be used.
+        tracking_error: largest difference between measured and expected joint positions, in
+            `Arm.joint_units`; None without a measurement that can be used.
         target_age: how long ago the target was given, as the cycles tell the time [s]; None without a target.
         violated_constraints: which constraints gave way in the step, as in `Diagnostics`.
         step: what the controller answered, its active control set for instance; None if it was not asked.
@@ -314,10 +314,10 @@ class Tracker:
     with one that cannot be true, it brakes within its limits, stands still, and `report` says why.
 
     Drives that take positions are sent `command`, which moves by `dq`, so that limits hold on it exactly;
-    only where the arm turns out to be elsewhere (`resync_time`) does it begin anew from there. What the arm does
-    otherwise, because it sags or lags, is fed back slowly: the command goes as far beyond the target as the
-    arm stays behind. Drives that take velocities are sent dq / dt; each step then begins where the arm was
-    measured.
+    only where the arm turns out to be elsewhere (`resync_time`) does it begin anew from there. What the arm
+    does otherwise, because it sags or lags, is fed back slowly: the command goes as far beyond the target as
+    the arm stays behind. Drives that take velocities are sent dq / dt; each step then begins where the arm
+    was measured.
 
     The constructor loads all compiled kernels, so that no cycle has to wait for them: half a second for the
     first one in a process, and about a minute where they are not compiled yet (`pinposture compile`).
@@ -463,9 +463,7 @@ class Tracker:
         if feedback.state is not None and self._target is not None and not reason:
             compensated = self._feedback.compensate(self._target)
             try:
-                step, memory = self._async_step.compute(
-                    feedback.state, compensated, limits, memory
-                )
+                step, memory = self._async_step.compute(feedback.state, compensated, limits, memory)
                 reason = NOT_DONE if step is None else step.diagnostics.reason
             except (PostureError, ArithmeticError, np.linalg.LinAlgError) as error:
                 reason = str(error)  # what it cannot work with, as a target that knows no configuration

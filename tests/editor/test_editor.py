@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from edited_tasks import L, six_modules, task
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import pinposture as pp
 from pinposture.control import Geodesic
@@ -251,3 +252,17 @@ def test_a_drag_does_not_go_on_in_another_keyframe() -> None:
     assert "another keyframe" in session.notice.text
     curve.move_point(2, place, True, session, keyframe=session.selected)
     assert session.proposal is not None
+
+
+def test_linear_algebra_has_one_thread_while_an_editor_is_open() -> None:
+    def counts() -> list[int]:
+        return [each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"]
+
+    with threadpool_limits(2, user_api="blas"):
+        before = counts()
+        opened = Editor(task(), port=PORT)
+        try:
+            assert counts() == [1] * len(before)
+        finally:
+            opened.close()
+        assert counts() == before
