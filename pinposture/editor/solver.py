@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import Scene
 from pinposture.control import Controller, Geodesic, Limits
-from pinposture.editor.verdict import NEAR_LIMIT, Verdict, judge, review, tip_error
+from pinposture.editor.verdict import NEAR_LIMIT, Verdict, judge, review
 from pinposture.errors import PostureError, PostureWarning
 from pinposture.motion import Tracker
 from pinposture.motion.tracker import Report
 from pinposture.placement import Target
 from pinposture.task import Keyframe
+from pinposture.task.reference import tip_off
 
 # The arm as it is at the moment, and what it makes of what was last asked of it.
 
@@ -314,7 +315,7 @@ class Solver:
     def _look(self, state: ArmState) -> Live:
         tracker, problem = self._tracker, self._problem
         report, target = tracker.report, tracker.target
-        tip = None if target is None else tip_error(state, problem.keyframe, target)
+        tip = None if target is None else tip_off(problem.keyframe.tip, target, state)
         return Live(
             number=problem.number,
             arm=tracker.arm,

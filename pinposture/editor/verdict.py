@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pinposture.arm import Arm, ArmState
+from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.model import MAX_DOF
 from pinposture.collision.scene import obstacles_around
@@ -22,6 +22,7 @@ from pinposture.errors import (
 )
 from pinposture.placement import Target
 from pinposture.task import Keyframe
+from pinposture.task.reference import tip_off
 from pinposture.task.resolving import resolve_keyframe
 
 NEAR_LIMIT = 1e-3
@@ -95,16 +96,9 @@ def review(arm: Arm, keyframe: Keyframe, target: Target, scene: Scene | None) ->
     """What is to be known of a target that the arm can take; arguments as for `judge`."""
     notes = [*_rest(arm, target), *_at_limits(arm, target)]
     touching = _touching(arm, target, scene) or _inside_itself(arm, target, scene)
-    tip = None if target.q is None else tip_error(arm.at(target.q), keyframe, target)
+    tip = None if target.q is None else tip_off(keyframe.tip, target, arm.at(target.q))
     away = target.distance_from_curve(arm)
     return Verdict(target, "", (*touching, *notes), bool(touching), away, tip)
-
-
-def tip_error(state: ArmState, keyframe: Keyframe, target: Target) -> float | None:
-    """By how much the arm misses the task of the tip [m], turns by their lever; None without one."""
-    if keyframe.tip is None:
-        return None
-    return float(np.linalg.norm(keyframe.tip.rows(state, target).error))
 
 
 def _reason(error: Exception) -> str:

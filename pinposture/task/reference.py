@@ -161,7 +161,7 @@ class Log:
             row -= 1
         placed = mark.target.has_target
         off = np.linalg.norm((mark.target.points - points[row])[placed], axis=1)
-        tip = None if mark.tip is None else tip_off(mark, self._reference.arm.at(q[row]))
+        tip = tip_off(mark.tip, mark.target, self._reference.arm.at(q[row]))
         reached, error, moved = (row - begun) * dt, float(off.mean()), mark.target.moved
         return Waypoint(mark.name, planned, reached, row, error, off_curve(mark), tip, moved)
 
@@ -172,10 +172,9 @@ def off_curve(mark: Mark) -> float | None:
     return None if residual is None else float(residual[mark.target.has_target].max())
 
 
-def tip_off(mark: Mark, state: ArmState) -> float:
-    """By how much the task of the tip of a named place is missed [m], turns by their lever."""
-    assert mark.tip is not None
-    return float(np.linalg.norm(mark.tip.rows(state, mark.target).error))
+def tip_off(tip: EndEffector | None, target: Target, state: ArmState) -> float | None:
+    """By how much the task of the tip is missed [m], turns by their lever; None without one."""
+    return None if tip is None else float(np.linalg.norm(tip.rows(state, target).error))
 
 
 # What can be said of a motion before anything moves: how well the arm can take its postures.
@@ -213,7 +212,7 @@ def outlook(reference: Reference, scene: Scene | None) -> list[Outlook]:
     for mark in _named(reference):
         q = reference.configuration(mark.row)
         room = None if clearance is None else clearance.minimum(q).distance
-        tip = None if mark.tip is None else tip_off(mark, arm.at(q))
+        tip = tip_off(mark.tip, mark.target, arm.at(q))
         planned, moved = mark.row * reference.interval, mark.target.moved
         found.append(Outlook(mark.name, planned, off_curve(mark), tip, room, moved))
     return found

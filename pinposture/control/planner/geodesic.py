@@ -191,6 +191,7 @@ class Geodesic:
         Returns:
             None if the arm is inside of nothing, or if no such step gains anything.
         """
+        target.check(state.arm)
         posture = Posture(state.arm, target)
         avoidance = self._avoidance(posture, bounds, previous)
         if avoidance is None or avoidance.near(state).minimum >= 0.0:
