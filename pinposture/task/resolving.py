@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pinposture import kernels
 from pinposture.arm import Arm
 from pinposture.arm.configurations import SLACK
-from pinposture.control.planner.objective import Posture
+from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.plan import find_goal
 from pinposture.control.tasks import EndEffector
 from pinposture.errors import PostureWarning, TargetError, TaskError
@@ -49,10 +49,10 @@ def settled_tip(arm: Arm, target: Target, tip: EndEffector, where: str) -> Array
         TaskError: a strict task that the arm cannot do.
     """
     assert target.q is not None
-    posture = Posture(arm, target, (tip,))
+    objective = Objective(arm, target, (tip,))
     edges = np.array([arm.limits.lower, arm.limits.upper])
-    state = find_goal(posture, arm.at(target.q).compiled, edges, None, GOOD * arm.length).state
-    left = posture.task_rows(state, strict=True)
+    state = find_goal(objective, arm.at(target.q).compiled, edges, None, GOOD * arm.length).state
+    left = objective.task_rows(state, priority=True)
     if left is not None and (missed := float(np.linalg.norm(left.errors))) > MET * arm.length:
         advice = (
             "move it nearer, let the posture count for a region only, or give a weight in place of strict"

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pinposture.arm import ArmState
 from pinposture.collision import CollisionModel, Distances
 from pinposture.control.limits import JointBounds, stopping_steps
-from pinposture.control.planner.objective import Linear, Posture
+from pinposture.control.planner.objective import LinearRows, Objective
 
 # One convex quadratic program; the only place that knows which solver does the work.
 
@@ -179,7 +179,7 @@ class Avoidance:
 
     Args:
         clearance: the distances.
-        posture: what is asked of the arm.
+        objective: what the arm is to achieve.
         bounds: what the limits mean for its joints.
         previous: the step before, (nv,) [rad or m]; None: the arm was at rest.
 
@@ -189,11 +189,15 @@ class Avoidance:
     """
 
     def __init__(
-        self, clearance: CollisionModel, posture: Posture, bounds: JointBounds, previous: Array | None = None
+        self,
+        clearance: CollisionModel,
+        objective: Objective,
+        bounds: JointBounds,
+        previous: Array | None = None,
     ) -> None:
         self.clearance, self.margin = clearance, clearance.scene.margin
-        self._posture, self._length, self._bounds = posture, posture.arm.length, bounds
-        self._previous = np.zeros(posture.arm.nv) if previous is None else previous
+        self._objective, self._length, self._bounds = objective, objective.arm.length, bounds
+        self._previous = np.zeros(objective.arm.nv) if previous is None else previous
         self._seen: tuple[ArmState, Distances] | None = None
         self._approved: tuple[Array, Array] | None = None
         brake = bounds.brake
@@ -222,7 +226,7 @@ class Avoidance:
         near = self.near(state)
         if not len(near.distances):
             return None
-        matrix = near.jacobian[:, self._posture.columns] * self._posture.units
+        matrix = near.jacobian[:, self._objective.columns] * self._objective.units
         least = -self._approach * (near.distances - self.margin - SPARE * self._length)
         most = np.maximum(matrix * lower, matrix * upper).sum(axis=1)
         return ConstraintRows(matrix, np.minimum(least, PUSH * most))
@@ -231,11 +235,13 @@ class Avoidance:
         """By how much the nearest pair is closer than the margin [m]; 0 if all keep it."""
         return max(0.0, self.margin - self.near(state).minimum)
 
-    def intrusions(self, state: ArmState) -> Linear:
+    def intrusions(self, state: ArmState) -> LinearRows:
         """How far pairs are closer than a way should come; the errors should vanish."""
-        berth = self.margin + PATH_CLEARANCE * self._length
-        near = self.clearance.nearest(state, berth)
-        return Linear(near.jacobian[:, self._posture.columns] * self._posture.units, berth - near.distances)
+        wanted = self.margin + PATH_CLEARANCE * self._length
+        near = self.clearance.nearest(state, wanted)
+        return LinearRows(
+            near.jacobian[:, self._objective.columns] * self._objective.units, wanted - near.distances
+        )
 
     def stops_clear(self, state: ArmState, dq: Array) -> bool:
         """Whether the arm keeps its margin on a step and while it then stops."""
@@ -295,7 +301,7 @@ class Avoidance:
 
     def _lowest(self, state: ArmState, steps: Array, below: float) -> float:
         """The smallest distance on the way of steps (k, nv) [m], exact if smaller than another."""
-        longest = np.abs(steps / self._posture.arm.joint_units).max(axis=1, initial=0.0)
+        longest = np.abs(steps / self._objective.arm.joint_units).max(axis=1, initial=0.0)
         counts = np.clip(np.ceil(longest / SPACING), 1, SAMPLES).astype(np.int64)
         whole = np.repeat(np.cumsum(steps, axis=0) - steps, counts, axis=0)
         first = np.repeat(np.cumsum(counts) - counts, counts)

@@ -196,21 +196,19 @@ class Selection:
         active, matrix = self._conditioned(arm, screws, chosen)
         if matrix is None:
             held, reason = limits.hold(state, previous), self._why_none(base, chosen, placed)
-            none = Diagnostics(0.0, 0.0, 0.0, 0, tuple(chosen.tolist()), held.scale, held.clipped, reason)
+            none = Diagnostics(held.clipped, reason, dropped=tuple(chosen.tolist()), scale=held.scale)
             return Step(held.dq, (), none, Memory(held.dq))
         gradient = self.null_gain * descent(arm, screws, errors, distances)
         asked = matrix.step(arm, self.gain * errors[active], gradient)
         limited = limits.apply(state, asked, previous)
         kept = tuple(active.tolist())
         diagnostics = Diagnostics(
+            limited.clipped,
             manipulability=kernels.weakest_index(*screws, constants_of(arm).plane, active, base),
-            sigma_min=matrix,
-            sigma_max=matrix,
+            spectrum=matrix,
             rows=matrix.size,
             dropped=tuple(k for k in chosen.tolist() if k not in kept) if len(kept) < len(chosen) else (),
             scale=limited.scale,
-            clipped=limited.clipped,
-            reason="",
         )
         return Step(limited.dq, kept, diagnostics, Memory(limited.dq))
 

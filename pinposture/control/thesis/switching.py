@@ -40,6 +40,14 @@ class Phase(NamedTuple):
 
 FIRST = Phase("selection", np.inf, 0.0, 0.0, 0)
 
+
+@dataclass(frozen=True, eq=False)
+class SwitchingMemory(Memory):
+    """The memory of `Switching`: the phase that it is in, too."""
+
+    phase: Phase = FIRST
+
+
 HANDED_BACK = "Projection has had its time, and Selection has control points"
 
 ROUNDING = 1e-6
@@ -95,8 +103,7 @@ class Switching:
         limits = Limits() if limits is None else limits
         error = float(np.linalg.norm(task_errors(state, target), axis=1).sum())
         travel = limits.travel(state)
-        known = memory.own if memory is not None else None
-        phase = known if isinstance(known, Phase) else FIRST
+        phase = memory.phase if isinstance(memory, SwitchingMemory) else FIRST
         idle = phase.method == "projection"
         if idle and phase.left > ROUNDING * travel:
             return self._project(state, target, limits, memory, phase, travel, "")
@@ -176,7 +183,7 @@ class Switching:
         step = self.projection.step_with(ahead / arm.joint_units, state, waypoint, limits, memory)
         if step.diagnostics.reason:  # no control point can move: the joints go on their own
             limited = limits.apply(state, ahead, memory.dq if memory is not None else None)
-            moved = Diagnostics(0.0, 0.0, 0.0, 0, (), limited.scale, limited.clipped, "")
+            moved = Diagnostics(limited.clipped, scale=limited.scale)
             step = Step(limited.dq, (), moved, Memory(limited.dq))
         return step._replace(
             diagnostics=step.diagnostics._replace(error_increasing=True, following_path=True)
@@ -185,4 +192,4 @@ class Switching:
 
 def _labelled(step: Step, phase: Phase, switched: str) -> Step:
     diagnostics = step.diagnostics._replace(method=phase.method, switched=switched)
-    return step._replace(diagnostics=diagnostics, memory=Memory(step.dq, phase))
+    return step._replace(diagnostics=diagnostics, memory=SwitchingMemory(step.dq, phase=phase))
