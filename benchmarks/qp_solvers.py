@@ -72,7 +72,7 @@ def arranged(hessian: Array, gradient: Array, lower: Array, upper: Array, rows=N
     """The arguments of `program.solve` with rows of length 1; equations do not occur here."""
     matrix, least = (np.zeros((0, len(gradient))), np.zeros(0)) if rows is None else rows
     lengths = np.maximum(np.linalg.norm(matrix, axis=1), 1e-12)
-    high = np.r_[upper, np.full(len(least), avoidance.NONE)]
+    high = np.r_[upper, np.full(len(least), avoidance.NO_BOUND)]
     return Program(hessian, gradient, matrix / lengths[:, None], np.r_[lower, least / lengths], high)
 
 

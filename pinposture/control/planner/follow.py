@@ -13,7 +13,7 @@ from pinposture import kernels
 from pinposture.arm import ArmState
 from pinposture.collision import CollisionModel
 from pinposture.control.controller import Diagnostics, Memory, Step
-from pinposture.control.limits import ROUNDING, JointBounds, Limits, StepBox, farthest
+from pinposture.control.limits import LIMIT_ROUNDING, JointBounds, Limits, StepBox, farthest
 from pinposture.control.planner.avoidance import Avoidance, Solution
 from pinposture.control.planner.damped_least_squares import (
     CONVERGED,
@@ -250,7 +250,7 @@ def fast_step(progress: PathProgress, state: ArmState, bounds: JointBounds) -> S
         expected,
         MAX_DEVIATION,
         ARRIVED,
-        ROUNDING,
+        LIMIT_ROUNDING,
         MAX_STEP,
         wanted.targets,
         wanted.flags,
@@ -484,7 +484,7 @@ def _check_step(
     if avoidance is not None:
         dq[arm.columns] = np.minimum(np.maximum(dq, box.lower), box.upper)[arm.columns]
         wanted = dq
-        dq, share, stopping, relaxed = avoidance.kept(state, wanted)
+        dq, share, stopping, relaxed = avoidance.clear_step(state, wanted)
         if share < 1.0 and not progress.arrived:
             done = float(np.clip((dq @ wanted) / max(float(wanted @ wanted), 1e-300), 0.0, 1.0))
             place = before.place + done * (progress.place - before.place)
@@ -495,8 +495,8 @@ def _check_step(
                 progress_place=moved.progress_place,
                 idle_travel=moved.idle_travel,
             )
-        violated += relaxed + avoidance.too_close(state)
-        near = avoidance.holding(state, candidate.solution, bool(candidate.reason))
+        violated += relaxed + avoidance.describe_violations(state)
+        near = avoidance.describe_obstruction(state, candidate.solution, bool(candidate.reason))
         near += (progress.path.hindrance,) if progress.path.hindrance else ()
     forward, objective = state.forward, progress.objective
     reached, at_limit = np.empty(arm.nv), np.empty(arm.nv, dtype=np.bool_)

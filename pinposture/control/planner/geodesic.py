@@ -228,7 +228,7 @@ class Geodesic:
         avoidance = self._avoidance(self.objective(arm, target), limits.for_arm(arm), previous)
         share, stopping = 1.0, None
         if avoidance is not None:
-            dq, share, stopping, relaxed = avoidance.kept(state, dq)
+            dq, share, stopping, relaxed = avoidance.clear_step(state, dq)
             if share < 1.0:
                 violated += ("position limits: coming back faster would come too close to something",)
             violated += relaxed
@@ -254,12 +254,12 @@ class Geodesic:
         found = solve(np.eye(n), np.zeros(n), bounds.lower, bounds.upper, bounds.rows).x
         if found is None:
             return None
-        dq, share, stopping, relaxed = avoidance.kept(state, objective.displacement(found))
+        dq, share, stopping, relaxed = avoidance.clear_step(state, objective.displacement(found))
         after = state.arm.at(state.arm.integrate(state.q, dq)).compiled
         gained = avoidance.clearance.minimum(after.q).distance - avoidance.near(state).minimum
         if gained < MIN_CLEARANCE_GAIN * state.arm.length:
             return None
-        violated = box.violated_constraints + relaxed + avoidance.too_close(state)
+        violated = box.violated_constraints + relaxed + avoidance.describe_violations(state)
         return _step_before_planning(state, target, dq, share, violated, "", stopping)
 
 

@@ -125,7 +125,7 @@ def _conditions(
     return clears, np.triu(indices[1:, 1:] > relative, 1) & clears[:, None] & clears[None, :]
 
 
-COUNTED = 50
+MAX_COUNTED_MODULES = 50
 """How many modules of an arm count as its length where its conditioning is judged."""
 
 SCORES = ("auto", "error", "geometric", "thesis")
@@ -236,7 +236,7 @@ class Selection:
         self, arm: Arm, screws: Screws, chosen: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], PostureMatrix | None]:
         """Drop points until the posture control matrix is far enough from singular."""
-        active, least, known = chosen, self.conditioning * _counted(arm), constants_of(arm)
+        active, least, known = chosen, self.conditioning * _effective_length(arm), constants_of(arm)
         while len(active):
             count = len(active)
             rows = Rows(active, known.dimensions[:count], known.frames[:count], FULL)
@@ -269,6 +269,6 @@ class Selection:
         )
 
 
-def _counted(arm: Arm) -> float:
+def _effective_length(arm: Arm) -> float:
     """The length of an arm as far as it counts for its conditioning [m]."""
-    return arm.length * min(1.0, COUNTED / arm.n_modules)
+    return arm.length * min(1.0, MAX_COUNTED_MODULES / arm.n_modules)
