@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scan, ScanClearance, Scene
-from pinposture.collision.model import MAX_DOF
 from pinposture.editor.verdict import TOUCHING, Verdict, itself, judge, review
 from pinposture.errors import PostureError
 from pinposture.task import Keyframe
@@ -212,8 +211,6 @@ def _of_obstacles(state: ArmState, scene: Scene | None) -> NearestObstacle | Non
 
 def _of_itself(state: ArmState, scene: Scene | None) -> NearestObstacle | None:
     """Where the arm is deepest inside itself; None if it is not."""
-    if state.arm.nv > MAX_DOF:
-        return None
     found = _closest_pair(itself(scene), state)
     return None if found is None or found.distance >= -TOUCHING * state.arm.length else found
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
-from pinposture.collision.model import MAX_DOF
 from pinposture.collision.scene import obstacles_around
 from pinposture.errors import (
     CurveBendsTooMuch,
@@ -161,7 +160,7 @@ def _touching(arm: Arm, target: Target, scene: Scene | None) -> list[str]:
 
 def _inside_itself(arm: Arm, target: Target, scene: Scene | None) -> list[str]:
     """Say which links of the arm would be inside each other."""
-    if target.q is None or arm.nv > MAX_DOF:
+    if target.q is None:
         return []
     closest = CollisionModel(arm, itself(scene)).minimum(target.q)
     if closest.pair is None or closest.distance >= -TOUCHING * arm.length:

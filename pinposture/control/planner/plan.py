@@ -53,7 +53,7 @@ NOISE_FACTOR = 2.0
 MAX_BEND = 0.5
 """By how much the end of a path may be moved in all, relative to the motion that is left."""
 
-SHORT_MOTION = 0.1
+MIN_PLANNED_MOTION = 0.1
 """Joint motion over which no path round something is looked for, in `Arm.joint_units`."""
 
 MAX_PATHS = 12
@@ -358,7 +358,7 @@ def replan(
         return replace(path.bent(place, change, bounds.edges), objective=objective), bent
     if avoidance is None:
         return direct_path(objective, state.q, goal, bounds.edges), None
-    if _size(objective, arm.difference(state.q, goal)) > SHORT_MOTION:
+    if _size(objective, arm.difference(state.q, goal)) > MIN_PLANNED_MOTION:
         return find_path(objective, state, bounds, avoidance), None
     return replace(direct_path(objective, state.q, goal, bounds.edges), scene=path.scene), None
 

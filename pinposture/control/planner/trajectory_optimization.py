@@ -40,7 +40,7 @@ COARSE_TO_FINE, MANY_PIECES = (6, 12, 24), (24, 48, 96)
 """Numbers of straight pieces of a path: first few and then more, which is quick; many from the beginning
 where that made a long detour, because long turns need them."""
 
-STRAIGHT, LONG, TOO_LONG = 1.01, 1.1, 2.0
+KEPT_RATIO, GOOD_RATIO, MAX_RATIO = 1.01, 1.1, 2.0
 """Path length ratios of the control points: up to the first, joint interpolation is kept; above the second,
 more pieces are tried; above the third, a path of few pieces is not refined."""
 
@@ -100,11 +100,11 @@ def direct_path(
         found = optimize_with_penalties(objective, start, waypoints.within, guess, penalty)
     else:
         shortest = waypoints.length_ratio(found)
-        for other in waypoints.relax(change, bend) if shortest > STRAIGHT else ():
+        for other in waypoints.relax(change, bend) if shortest > KEPT_RATIO else ():
             length = waypoints.length_ratio(other)
             if length < shortest:
                 found, shortest = other, length
-            if shortest <= LONG:
+            if shortest <= GOOD_RATIO:
                 break
     smooth = waypoints.refine(found, REFINEMENT * (len(found) - 1)) if len(found) > 2 else found
     offsets = np.zeros((len(smooth), arm.nv))
@@ -149,7 +149,7 @@ class _Waypoints:
             x = self.refine(x, pieces)
             fall = RELAXED if pieces == COARSE_TO_FINE[-1] else NEARLY_RELAXED
             kernels.relax_waypoints(*self._relax_given, self._weight, MAX_PASSES, fall, x)
-            if self.length_ratio(x) > TOO_LONG:
+            if self.length_ratio(x) > MAX_RATIO:
                 break
         else:
             yield x
