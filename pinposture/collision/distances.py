@@ -256,7 +256,7 @@ class PairDistances:
             centers=np.array([each.center for each in fixed]).reshape(-1, 3),
             frames=np.array([each.rotation for each in fixed]).reshape(-1, 3, 3),
             halves=np.array([each.half for each in fixed]).reshape(-1, 3),
-            spheres=np.array([_sphere_around(each) for each in fixed]).reshape(-1, 4),
+            shapes=np.ascontiguousarray(kinds[count:]),
             groups=np.ascontiguousarray(groups[begins]),
             starts=np.append(begins, len(listed)).astype(np.int64),
         )
@@ -297,12 +297,15 @@ class PairDistances:
         order = np.argsort(distances, kind="stable")
         return NearPairs(near[order], distances[order], points[order], normals[order], best, pair)
 
-    def minimum(self, placements: Placements, below: float = np.inf) -> tuple[float, int]:
+    def minimum(
+        self, placements: Placements, below: float = np.inf, enough: float = -np.inf
+    ) -> tuple[float, int]:
         """Return distance and index of the nearest pair at any of several configurations.
 
         Args:
             placements: where the joints are.
             below: distances that matter [m]: of larger ones some is found, or none, in less time.
+            enough: the search ends with the first that is smaller [m].
 
         Returns:
             Infinity and `NO_PAIR` if there are none.
@@ -310,10 +313,10 @@ class PairDistances:
         ends = self._ends(placements)
         candidates = len(ends) * self._open
         open_pairs, bounds = np.empty((candidates, 2), dtype=np.int64), np.empty(candidates)
-        best, pair, opened = kernels.smallest_distance(ends, self._arrays, below, open_pairs, bounds)
+        best, pair, opened = kernels.smallest_distance(ends, self._arrays, below, enough, open_pairs, bounds)
         places: dict[tuple[int, int], coal.Transform3s] = {}
         for at in np.argsort(bounds[:opened], kind="stable"):
-            if bounds[at] >= min(best, below):
+            if bounds[at] >= min(best, below) or best < enough:
                 break
             sample, candidate = (int(each) for each in open_pairs[at])
             distance = self._narrow.distance(self._posed(candidate, placements, sample, places))
@@ -367,11 +370,3 @@ def _kind_of(each: Solid) -> int:
 def _is_closed(each: Solid) -> bool:
     """Whether the distance of a capsule from an obstacle has a closed form."""
     return isinstance(each.geometry, coal.Box | coal.Cylinder | coal.Halfspace)
-
-
-def _sphere_around(each: Solid) -> list[float]:
-    """Centre and radius of a sphere around an obstacle."""
-    if each.bound == "box":
-        return [*each.center, float(np.linalg.norm(each.half))]
-    center = (each.start + each.end) / 2.0
-    return [*center, float(np.linalg.norm(each.end - each.start)) / 2.0 + each.radius]

@@ -409,6 +409,16 @@ class CollisionModel:
         placements = self._kinematics.place(q0, offsets)
         return self._closest(*self._distances.minimum(placements, below))
 
+    def keeps(self, q0: Array, offsets: Array, least: float) -> bool:
+        """Whether all distances are at least so large at several configurations.
+
+        Args:
+            q0: a configuration, (nq,) [rad or m], as `Arm.checked` returns it.
+            offsets: displacements from it, (s, nv) [rad or m]; those where it may not be come first.
+            least: the distance [m].
+        """
+        return self._distances.minimum(self._kinematics.place(q0, offsets), least, least)[0] >= least
+
     def _closest(self, distance: float, pair: int) -> Closest:
         return Closest(distance, self.pairs[pair] if pair >= 0 else None)
 

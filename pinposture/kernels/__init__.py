@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from pinposture.kernels.path import measure_path_lengths as measure_path_lengths
     from pinposture.kernels.path import position_excess as position_excess
     from pinposture.kernels.path import relax_waypoints as relax_waypoints
+    from pinposture.kernels.path import solve_tridiagonal as solve_tridiagonal
     from pinposture.kernels.path import step_along as step_along
     from pinposture.kernels.path import sum_point_errors as sum_point_errors
     from pinposture.kernels.posture_matrix import eliminated as eliminated
@@ -83,6 +84,7 @@ _HOMES = {
     "shorten_step": "time_parameterization",
     "best_branch": "manipulability",
     "advance": "path",
+    "solve_tridiagonal": "path",
     "step_along": "path",
     "joint_distance": "path",
     "sum_point_errors": "path",

@@ -136,7 +136,7 @@ class Pairs(NamedTuple):
         centers: centre of each obstacle that is no capsule, (o, 3).
         frames: its axes, as columns; z is the normal of a half-space and the axis of a cylinder, (o, 3, 3).
         halves: half its extent along them, (o, 3).
-        spheres: centre and radius of a sphere around each obstacle; infinite for half-spaces, (o, 4).
+        shapes: the kind of each obstacle, (o,).
         groups: block of bodies, and another block or the number of blocks plus that of an obstacle, (g, 2).
         starts: first pair of each group, and at the end how many pairs there are, (g + 1,).
     """
@@ -150,7 +150,7 @@ class Pairs(NamedTuple):
     centers: Array2
     frames: Array3
     halves: Array2
-    spheres: Array2
+    shapes: Ints1
     groups: Ints2
     starts: Ints1
 

@@ -463,17 +463,40 @@ def _bound_blocks(ends: Array3, pairs: Pairs, blocks: Array2) -> None:
 
 
 @subkernel
+def _point_distance(pairs: Pairs, obstacle: int, x: float, y: float, z: float) -> float:
+    """A lower bound of the distance of a point; less its radius, one for a ball around the point."""
+    kind, frame, center = pairs.shapes[obstacle], pairs.frames[obstacle], pairs.centers[obstacle]
+    if kind == SEGMENT:
+        line = pairs.lines[obstacle]
+        ux, uy, uz = line[1, 0] - line[0, 0], line[1, 1] - line[0, 1], line[1, 2] - line[0, 2]
+        gx, gy, gz = x - line[0, 0], y - line[0, 1], z - line[0, 2]
+        t = (gx * ux + gy * uy + gz * uz) / max(ux * ux + uy * uy + uz * uz, TINY)
+        t = min(max(t, 0.0), 1.0)
+        gx, gy, gz = gx - t * ux, gy - t * uy, gz - t * uz
+        return (
+            np.sqrt(gx * gx + gy * gy + gz * gz)
+            - pairs.radii[len(pairs.radii) - len(pairs.shapes) + obstacle]
+        )
+    x, y, z = x - center[0], y - center[1], z - center[2]
+    if kind == PLANE:
+        return frame[0, 2] * x + frame[1, 2] * y + frame[2, 2] * z
+    squares, inside = 0.0, -np.inf
+    for axis in range(3):
+        beyond = (
+            abs(frame[0, axis] * x + frame[1, axis] * y + frame[2, axis] * z) - pairs.halves[obstacle, axis]
+        )
+        inside = max(inside, beyond)
+        squares += max(beyond, 0.0) ** 2
+    return np.sqrt(squares) if inside > 0.0 else inside
+
+
+@subkernel
 def _group_bound(blocks: Array2, pairs: Pairs, group: int) -> float:
     """A lower bound of the distances in a group."""
     block, other = blocks[pairs.groups[group, 0]], pairs.groups[group, 1] - len(blocks)
-    if other >= 0 and np.isinf(pairs.spheres[other, 3]):  # a half-space
-        center, frame = pairs.centers[other], pairs.frames[other]
-        height = 0.0
-        for i in range(3):
-            height += frame[i, 2] * (block[i] - center[i])
-        return height - block[3]
-    sphere = blocks[other + len(blocks)] if other < 0 else pairs.spheres[other]
-    squares = 0.0
+    if other >= 0:
+        return _point_distance(pairs, other, block[0], block[1], block[2]) - block[3]
+    sphere, squares = blocks[other + len(blocks)], 0.0
     for i in range(3):
         squares += (block[i] - sphere[i]) ** 2
     return np.sqrt(squares) - block[3] - sphere[3]
@@ -481,24 +504,27 @@ def _group_bound(blocks: Array2, pairs: Pairs, group: int) -> float:
 
 @subkernel
 def _pair_bound(ends: Array3, pairs: Pairs, pair: int) -> float:
-    """A lower bound of a distance, by spheres around both solids."""
+    """A lower bound of a distance, by spheres around bodies."""
     body, other = pairs.first[pair], pairs.second[pair] - len(ends)
-    if other >= 0 and np.isinf(pairs.spheres[other, 3]):
-        return -np.inf
-    line, squares, lengths = ends[body], 0.0, 0.0
-    radius = pairs.radii[body]
-    if other < 0:
-        second, seconds = ends[other + len(ends)], 0.0
-        radius += pairs.radii[other + len(ends)]
-        for i in range(3):
-            squares += (0.5 * (line[0, i] + line[1, i] - second[0, i] - second[1, i])) ** 2
-            lengths += (line[1, i] - line[0, i]) ** 2
-            seconds += (second[1, i] - second[0, i]) ** 2
-        return np.sqrt(squares) - 0.5 * (np.sqrt(lengths) + np.sqrt(seconds)) - radius
-    for i in range(3):
-        squares += (0.5 * (line[0, i] + line[1, i]) - pairs.spheres[other, i]) ** 2
-        lengths += (line[1, i] - line[0, i]) ** 2
-    return np.sqrt(squares) - 0.5 * np.sqrt(lengths) - radius - pairs.spheres[other, 3]
+    line = ends[body]
+    x, y, z = (
+        0.5 * (line[0, 0] + line[1, 0]),
+        0.5 * (line[0, 1] + line[1, 1]),
+        0.5 * (line[0, 2] + line[1, 2]),
+    )
+    squares = (x - line[0, 0]) ** 2 + (y - line[0, 1]) ** 2 + (z - line[0, 2]) ** 2
+    reach = np.sqrt(squares) + pairs.radii[body]
+    if other >= 0:
+        return _point_distance(pairs, other, x, y, z) - reach
+    second = ends[other + len(ends)]
+    gx, gy, gz = (
+        0.5 * (second[0, 0] + second[1, 0]),
+        0.5 * (second[0, 1] + second[1, 1]),
+        0.5 * (second[0, 2] + second[1, 2]),
+    )
+    squares = (gx - second[0, 0]) ** 2 + (gy - second[0, 1]) ** 2 + (gz - second[0, 2]) ** 2
+    apart = np.sqrt((gx - x) ** 2 + (gy - y) ** 2 + (gz - z) ** 2)
+    return apart - reach - np.sqrt(squares) - pairs.radii[other + len(ends)]
 
 
 @compiled
@@ -565,7 +591,7 @@ def near_pairs(
 
 @compiled
 def smallest_distance(
-    ends: Array4, pairs: Pairs, below: float, open_pairs: Ints2, bounds: Array1
+    ends: Array4, pairs: Pairs, below: float, enough: float, open_pairs: Ints2, bounds: Array1
 ) -> tuple[float, int, int]:
     """Find the smallest distance at any of several configurations.
 
@@ -573,6 +599,7 @@ def smallest_distance(
         ends: ends of the axes of the bodies, (s, b, 2, 3).
         pairs: the pairs.
         below: distances that matter: if none is smaller, none may be found.
+        enough: a distance below which the search ends with the first that is found.
         open_pairs: filled with configuration and pair where only a lower bound is known that may be smaller,
             (s times the number of pairs that are not exact, 2).
         bounds: filled with these bounds.
@@ -598,4 +625,6 @@ def smallest_distance(
                         opened += 1
                 elif distance < best:
                     best, best_pair = distance, pair
+        if best < enough:
+            break
     return best, best_pair, opened

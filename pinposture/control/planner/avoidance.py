@@ -203,6 +203,10 @@ class Avoidance:
         steps = 0.0 if brake is None else float(np.max(np.abs(self._previous) / brake)) + 2.0
         self._approach = 2.0 / max(steps, 2.0 / MAX_CLEARANCE_LOSS)
 
+    def for_objective(self, objective: Objective) -> Avoidance:
+        """Return the same around an arm at rest, for another objective."""
+        return Avoidance(self.clearance, objective, self._bounds)
+
     def near(self, state: ArmState) -> Distances:
         """Return the pairs in sight; the last answer is kept, because a step needs it more than once."""
         if self._seen is None or self._seen[0] is not state:

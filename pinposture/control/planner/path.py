@@ -56,6 +56,7 @@ class JointPath:
         scene: obstacles to keep clear of on the path; None: there are none.
         attempt: how many paths to the same target were given up before this one.
         hindrance: what the path comes too close to, in words; empty if it is clear.
+        found_by: how it was found: "relaxation", "tree search" or "withdrawal".
         task_errors: errors of the tasks with priority at the start and at the end, 2 x (r,) [m]. Between
             them they change in proportion to the place.
     """
@@ -66,6 +67,7 @@ class JointPath:
     scene: Scene | None = None
     attempt: int = 0
     hindrance: str = ""
+    found_by: str = "relaxation"
     task_errors: tuple[Array, Array] = (NO_ERRORS, NO_ERRORS)
 
     @property

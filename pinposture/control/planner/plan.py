@@ -17,7 +17,8 @@ from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.damped_least_squares import LeastSquaresResult, minimize
 from pinposture.control.planner.objective import PRIORITY_WEIGHT, LinearRows, Objective, check_objective
 from pinposture.control.planner.path import JointPath
-from pinposture.control.planner.trajectory_optimization import Penalty, direct_path
+from pinposture.control.planner.path_search import PathSearch
+from pinposture.control.planner.trajectory_optimization import Penalty, direct_path, relax_path
 from pinposture.control.tasks import ControlTask
 from pinposture.errors import InvalidValue
 from pinposture.placement import Target
@@ -57,7 +58,10 @@ MIN_PLANNED_MOTION = 0.1
 """Joint motion over which no path round something is looked for, in `Arm.joint_units`."""
 
 MAX_PATHS = 12
-"""How many paths are tried until one is clear of all obstacles; fewer in later attempts."""
+"""How many relaxed paths are tried until one is clear of all obstacles; fewer in later attempts."""
+
+SEARCHED_PIECES = 24, 64
+"""Smallest and largest number of pieces of a path that was searched, when it is relaxed."""
 
 SAMPLES_PER_PIECE = 2
 """Places on each straight piece of a path at which its distance is sampled."""
@@ -117,14 +121,13 @@ def find_path(
         attempt: how many paths were given up before; each attempt tries others.
     """
     goal = find_goal(objective, state, bounds.edges, avoidance, GOAL_TOLERANCE * objective.arm.length).state
-    path, hindrance = _clearest_path(objective, state, goal, bounds, avoidance, attempt)
-    logger.debug("a path of %d pieces%s", path.end, f", hindered: {hindrance}" if hindrance else "")
+    path = _clearest_path(objective, state, goal, bounds, avoidance, attempt)
+    logger.debug("a path of %d pieces by %s %s", path.end, path.found_by, path.hindrance)
     scene = None if avoidance is None else avoidance.clearance.scene
     first, last = (objective.task_rows(at, priority=True) for at in (state, goal))
     if first is None or last is None:
-        return replace(path, scene=scene, attempt=attempt, hindrance=hindrance)
-    errors = first.errors, last.errors
-    return replace(path, scene=scene, attempt=attempt, hindrance=hindrance, task_errors=errors)
+        return replace(path, scene=scene, attempt=attempt)
+    return replace(path, scene=scene, attempt=attempt, task_errors=(first.errors, last.errors))
 
 
 # The configuration to go to: found before the arm moves.
@@ -243,29 +246,64 @@ def _clearest_path(
     bounds: JointBounds,
     avoidance: Avoidance | None,
     attempt: int,
-) -> tuple[JointPath, str]:
-    """Return the most direct path, or the first that is clear, and what the best comes too close to."""
+) -> JointPath:
+    """Return the most direct path that is clear, or the one that comes least close to something.
 
-    def path_of(variant: int) -> JointPath:
+    Candidates are, in this order: the most direct path of all; two that are relaxed among the obstacles from
+    different first guesses; one that is searched and then relaxed; more that are relaxed.
+    """
+    start = state.q
+
+    def relaxed(variant: int) -> JointPath:
         root = CLEARANCE_ROOTS[variant % len(CLEARANCE_ROOTS)]
         penalty = _penalty(objective, state, goal, avoidance, root)
-        return direct_path(objective, state.q, goal.q, bounds.edges, penalty, variant)
+        return direct_path(objective, start, goal.q, bounds.edges, penalty, variant)
 
     if avoidance is None:
-        return path_of(attempt), ""
+        return relaxed(attempt)
     # A path cannot be clearer than its ends.
     ends = (avoidance.clearance.minimum(at.q).distance for at in (state, goal))
     possible = min(avoidance.margin, *ends) - 1e-9 * objective.arm.length
-    tried = []
-    for variant in range(attempt, attempt + MAX_PATHS // (1 + attempt)):
-        path = path_of(variant)
+    tried: list[tuple[float, JointPath]] = []
+
+    def candidates() -> Iterator[JointPath]:
+        if attempt == 0 and not objective.tasks:
+            yield direct_path(objective, start, goal.q, bounds.edges)
+        first = 2 * attempt
+        yield from (relaxed(first + k) for k in range(2))
+        yield from _searched(objective, state, goal, bounds, avoidance, possible, attempt)
+        yield from (relaxed(first + k) for k in range(2, MAX_PATHS // (1 + attempt)))
+
+    for path in candidates():
         closest = _closest_on(path, avoidance)
         if closest.distance >= possible:
-            return path, ""
-        tried.append((closest, path))
-    closest, best = max(tried, key=lambda each: each[0].distance)
-    pair = " to ".join(closest.pair or ())
-    return best, f"no clear path was found, the best has {pair}: {1e3 * closest.distance:.3g} mm apart"
+            return path
+        pair = " to ".join(closest.pair or ())
+        words = f"no clear path was found, the best has {pair}: {1e3 * closest.distance:.3g} mm apart"
+        tried.append((closest.distance, replace(path, hindrance=words)))
+    return max(tried, key=lambda each: each[0])[1]
+
+
+def _searched(
+    objective: Objective,
+    state: ArmState,
+    goal: ArmState,
+    bounds: JointBounds,
+    avoidance: Avoidance,
+    least: float,
+    seed: int,
+) -> Iterator[JointPath]:
+    """Search for a clear path; yield it relaxed, and as it was found."""
+    search = PathSearch(objective, state, goal, bounds.edges, avoidance, least, seed)
+    found = search.find()
+    if found is None:
+        return
+    penalty = _penalty(objective, state, goal, avoidance, CLEARANCE_ROOTS[0])
+    if penalty is not None:
+        pieces = int(np.clip(len(found.offsets), *SEARCHED_PIECES))
+        path = relax_path(objective, state.q, found.offsets, bounds.edges, penalty, pieces)
+        yield replace(path, found_by=found.found_by)
+    yield JointPath(objective, state.q, found.offsets, found_by=found.found_by)
 
 
 def _penalty(

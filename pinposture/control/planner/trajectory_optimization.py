@@ -24,7 +24,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.linalg.lapack import dpbsv
 
 from pinposture import kernels
 from pinposture.arm import ArmState
@@ -112,6 +111,29 @@ def direct_path(
     return JointPath(objective, start, offsets)
 
 
+def relax_path(
+    objective: Objective, start: Array, offsets: Array, edges: Array, penalty: Penalty, pieces: int
+) -> JointPath:
+    """Find the most direct path near a given one.
+
+    Args:
+        objective: the arm, its joints, and their weight.
+        start: configuration to start from, (nq,).
+        offsets: waypoints of the given path as displacements from there, (N + 1, nv) [rad or m].
+        edges: joint positions to stay between, (2, nv) [rad or m].
+        penalty: rows whose errors should vanish at each waypoint between the ends.
+        pieces: number of pieces of the path, before it is refined.
+    """
+    waypoints = _Waypoints(objective, start, edges)
+    x = offsets[:, objective.columns] / objective.units
+    x = waypoints.space(x, pieces)
+    found = optimize_with_penalties(objective, start, waypoints.within, x, penalty)
+    smooth = waypoints.refine(found, REFINEMENT * pieces)
+    relaxed = np.zeros((len(smooth), objective.arm.nv))
+    relaxed[:, objective.columns] = smooth * objective.units
+    return JointPath(objective, start, relaxed)
+
+
 class _Waypoints:
     """Operations on waypoints as displacements from the start, (N + 1, n), in `Arm.joint_units`.
 
@@ -121,6 +143,7 @@ class _Waypoints:
 
     def __init__(self, objective: Objective, start: Array, edges: Array) -> None:
         arm, chain, self._weight = objective.arm, objective.chain, objective.mu**2
+        self._objective = objective
         self._start = arm.positions(start)
         lower, upper = ((edge - self._start)[objective.columns] / objective.units for edge in edges)
         # From a start outside its limits, the waypoints come back along the path.
@@ -141,6 +164,21 @@ class _Waypoints:
             return x
         spline = CubicSpline(np.linspace(0.0, 1.0, len(x)), x, bc_type="natural")
         return self._clip(spline(np.linspace(0.0, 1.0, pieces + 1)))
+
+    def space(self, x: Array, pieces: int) -> Array:
+        """Return waypoints on the same path at equal distances, in the metric that is minimised."""
+        points = np.array([self._points(each) for each in x])
+        squares = (np.diff(points, axis=0) ** 2).sum(axis=(1, 2)) + self._weight * (
+            np.diff(x, axis=0) ** 2
+        ).sum(axis=1)
+        places = np.concatenate([[0.0], np.cumsum(np.sqrt(squares))])
+        wanted = np.linspace(0.0, places[-1], pieces + 1)
+        return self._clip(np.column_stack([np.interp(wanted, places, joint) for joint in x.T]))
+
+    def _points(self, x: Array) -> Array:
+        positions = self._start.copy()
+        positions[self._objective.columns] += x * self._objective.units
+        return self._objective.arm.kinematics.forward(positions).points
 
     def relax(self, change: Array, bend: Array) -> Iterator[Array]:
         """Yield waypoints at a minimum, found with increasing effort."""
@@ -278,29 +316,5 @@ class _GaussNewton:
             diagonal[:, np.arange(n), np.arange(n)] += ~free
             above *= free[:-1, :, None] & free[1:, None, :]
             gradient = gradient * free
-        return solve_tridiagonal(diagonal, above, -gradient)
-
-
-def solve_tridiagonal(diagonal: Array, above: Array, right: Array) -> Array | None:
-    """Solve a symmetric positive definite block tridiagonal system by band Cholesky, in O(N n^3).
-
-    It is one call of LAPACK: many small ones, a few for each block, spend a hundred times as long waiting for
-    the threads of BLAS where other processes use the cores.
-
-    Args:
-        diagonal: diagonal blocks, (N, n, n).
-        above: blocks right of the diagonal ones, (N - 1, n, n).
-        right: right-hand side, (N, n).
-
-    Returns:
-        The solution (N, n), or None if the matrix is not positive definite.
-    """
-    count, n = right.shape
-    band = np.zeros((2 * n, count * n), order="F")  # element (row, column) is kept at (row - column, column)
-    first = n * np.arange(count)[:, None]
-    row, column = np.tril_indices(n)
-    band[row - column, first + column] = diagonal[:, row, column]
-    row, column = np.indices((n, n)).reshape(2, -1)
-    band[n + column - row, first[:-1] + row] = above[:, row, column]
-    _, solution, failed = dpbsv(band, right.ravel(), lower=1, overwrite_ab=1)
-    return None if failed else np.reshape(solution, (count, n))
+        found = np.empty_like(gradient)
+        return found if kernels.solve_tridiagonal(diagonal, above, -gradient, found) else None
