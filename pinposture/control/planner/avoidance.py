@@ -276,16 +276,17 @@ class Avoidance:
         now = self.near(state).minimum
         lowest = min(now, self._lowest(state, braking, self.margin))
         least = min(self.margin, lowest) - self._rounding
+        close = f"margin of {1e3 * self.margin:.3g} mm: braking comes as close as {1e3 * lowest:.3g} mm"
+        relaxed = (close,) if lowest < min(self.margin, now) else ()
         for number in range(MAX_HALVINGS):
             share = 0.5**number
             step = braking[0] + share * (dq - braking[0])
             stopping = self._stopping(state, step)
             if self._is_clear(state, step, stopping, least):
-                return ClearStep(step, share, stopping)
+                return ClearStep(step, share, stopping, relaxed)
         touching = min(now, 0.0) - self._rounding
         if lowest >= touching:
-            close = f"margin of {1e3 * self.margin:.3g} mm: braking comes as close as {1e3 * lowest:.3g} mm"
-            return ClearStep(braking[0], 0.0, braking[1:], (close,) if lowest < min(self.margin, now) else ())
+            return ClearStep(braking[0], 0.0, braking[1:], relaxed)
         for number in range(1, MAX_HALVINGS + 1):
             step = 0.5**number * braking[0] * (number < MAX_HALVINGS)
             stopping = self._stopping(state, step)
