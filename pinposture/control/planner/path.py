@@ -91,6 +91,16 @@ class JointPath:
         return float(len(self.offsets) - 1)
 
     @cached_property
+    def length(self) -> float:
+        """Length in the metric of the planner [m]: motion of control points, and of joints times `mu`."""
+        objective = self.objective
+        chain = self.arm.kinematics
+        points = np.array([chain.forward(self.positions + offset).points for offset in self.offsets])
+        joints = np.diff(self.offsets[:, objective.columns], axis=0) / objective.units
+        squares = (np.diff(points, axis=0) ** 2).sum(axis=(1, 2)) + objective.mu**2 * (joints**2).sum(axis=1)
+        return float(np.sqrt(squares).sum())
+
+    @cached_property
     def configurations(self) -> Array:
         """Configurations at the waypoints, (N + 1, nq)."""
         return np.array([self.arm.integrate(self.start, offset) for offset in self.offsets])

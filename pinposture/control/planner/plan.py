@@ -60,6 +60,9 @@ MIN_PLANNED_MOTION = 0.1
 MAX_PATHS = 12
 """How many relaxed paths are tried until one is clear of all obstacles; fewer in later attempts."""
 
+MAX_DETOUR = 2.0
+"""Length of a clear path, relative to the most direct of all, above which a shorter one is searched."""
+
 SEARCHED_PIECES = 24, 64
 """Smallest and largest number of pieces of a path that was searched, when it is relaxed."""
 
@@ -247,10 +250,11 @@ def _clearest_path(
     avoidance: Avoidance | None,
     attempt: int,
 ) -> JointPath:
-    """Return the most direct path that is clear, or the one that comes least close to something.
+    """Return a direct path that is clear; if there is none, the one that comes least close to something.
 
     Candidates are, in this order: the most direct path of all; two that are relaxed among the obstacles from
-    different first guesses; one that is searched and then relaxed; more that are relaxed.
+    different first guesses; one that is searched and then relaxed; more that are relaxed. The first that is
+    clear is taken, unless it is long: then the search may find a shorter one.
     """
     start = state.q
 
@@ -264,24 +268,32 @@ def _clearest_path(
     # A path cannot be clearer than its ends.
     ends = (avoidance.clearance.minimum(at.q).distance for at in (state, goal))
     possible = min(avoidance.margin, *ends) - 1e-9 * objective.arm.length
-    tried: list[tuple[float, JointPath]] = []
+    most_direct = direct_path(objective, start, goal.q, bounds.edges)
+    short = MAX_DETOUR * most_direct.length
+    clear: list[JointPath] = []
+    hindered: list[tuple[float, JointPath]] = []
 
     def candidates() -> Iterator[JointPath]:
-        if attempt == 0 and not objective.tasks:
-            yield direct_path(objective, start, goal.q, bounds.edges)
         first = 2 * attempt
-        yield from (relaxed(first + k) for k in range(2))
+        if attempt == 0 and not objective.tasks:
+            yield most_direct
+        yield from (relaxed(first + k) for k in range(2) if not clear)
         yield from _searched(objective, state, goal, bounds, avoidance, possible, attempt)
-        yield from (relaxed(first + k) for k in range(2, MAX_PATHS // (1 + attempt)))
+        yield from (relaxed(first + k) for k in range(2, MAX_PATHS // (1 + attempt)) if not clear)
 
     for path in candidates():
         closest = _closest_on(path, avoidance)
         if closest.distance >= possible:
-            return path
-        pair = " to ".join(closest.pair or ())
-        words = f"no clear path was found, the best has {pair}: {1e3 * closest.distance:.3g} mm apart"
-        tried.append((closest.distance, replace(path, hindrance=words)))
-    return max(tried, key=lambda each: each[0])[1]
+            clear.append(path)
+            if path.length <= short:
+                return path
+        else:
+            pair = " to ".join(closest.pair or ())
+            words = f"no clear path was found, the best has {pair}: {1e3 * closest.distance:.3g} mm apart"
+            hindered.append((closest.distance, replace(path, hindrance=words)))
+    if clear:
+        return min(clear, key=lambda path: path.length)
+    return max(hindered, key=lambda each: each[0])[1]
 
 
 def _searched(
