@@ -19,7 +19,7 @@ from editor.edited_tasks import six_modules, task
 
 import pinposture as pp
 from pinposture.editor.clearances import NearestObstacle
-from pinposture.editor.obstacles import obstacles_of, select_obstacle, take_in
+from pinposture.editor.obstacles import insert_obstacle, obstacles_of, select_obstacle
 from pinposture.editor.session import Session
 from pinposture.editor.surroundings import ScanShelf
 from pinposture.editor.ui import parts
@@ -324,7 +324,7 @@ def test_a_mesh_is_drawn_where_its_corners_are(arm, live, server, desk):
     session, post = desk
     corners = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]) + 0.5
     mesh = pp.Mesh(corners, (0.1, 0.0, 0.0), (0.3, 0.0, 0.0))
-    take_in("part", mesh, session)
+    insert_obstacle("part", mesh, session)
     drawing = Obstacles(server, arm, post)
     drawing.show(session, live)
     handle = drawing._drawn["part"].handle

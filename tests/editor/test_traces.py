@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from played import LIMITS, Clock, by_hand, four_modules, live_of, moved, short
 
 from pinposture.editor.session import Session
-from pinposture.editor.solver import CYCLE
+from pinposture.editor.solver import STEP_TIME
 from pinposture.editor.ui.player import ROWS, SPAN, Recent, trace_of, with_lines
 
 
@@ -45,7 +45,7 @@ def test_the_arm_of_the_moment_is_kept_for_some_seconds() -> None:
     arm, session, clock = four_modules(), Session(short()), Clock()
     recent, live = Recent(clock), live_of(session)
     step = np.zeros(arm.nv)
-    step[3] = 0.5 * 3.0 * CYCLE  # half of what it may
+    step[3] = 0.5 * 3.0 * STEP_TIME  # half of what it may
     for count in range(1, 900):
         q = live.state.q + (step if count > 600 else 0.0)
         live = live._replace(steps=count, state=arm.at(q), errors=np.full(arm.n_modules, 0.001 * count))

@@ -13,9 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm
 from pinposture.curve import Curve
-from pinposture.editor.edits import keyframes_of
 from pinposture.editor.session import Session
-from pinposture.editor.shape import Shape, enough
+from pinposture.editor.shape import Shape, keyframes_of, required_length
 from pinposture.editor.solver import Live
 from pinposture.editor.ui.parts import Post, Typed, color, on_change, on_choice, put
 from pinposture.placement.curve_placement import lay
@@ -372,7 +371,7 @@ class OtherCurves:
 def _line(arm: Arm, keyframe: Keyframe) -> Array:
     """Places along the curve of a keyframe, as far as the arm needs it, (PIECES + 1, 3) [m]."""
     laid = lay(arm, keyframe.curve, keyframe.placement, keyframe.roll)
-    return np.asarray(laid.at(np.linspace(0.0, min(laid.length, enough(arm)), OTHER_PIECES + 1)))
+    return np.asarray(laid.at(np.linspace(0.0, min(laid.length, required_length(arm)), OTHER_PIECES + 1)))
 
 
 # The tab for the curve: its control points in numbers, more of them, fewer.

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import viser
 
-from pinposture.editor.files import KINDS, Files, exported, within
+from pinposture.editor.files import EXPORT_KINDS, Files, export, within
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
 from pinposture.editor.ui.parts import Post, on_change, on_click, put
@@ -175,7 +175,7 @@ class Wanted(NamedTuple):
     """A file that somebody waits for.
 
     Attributes:
-        kind: one of `KINDS`.
+        kind: one of `EXPORT_KINDS`.
         client: whose browser it goes to.
         task: whose motion.
         stem: what to call it.
@@ -241,7 +241,7 @@ class ExportButtons:
             )
 
     async def _pressed(self, event: Any) -> None:
-        if event.client is not None and event.target.value in KINDS:
+        if event.client is not None and event.target.value in EXPORT_KINDS:
             self._post(partial(self._want, event.target.value, event.client))
 
     def _want(self, kind: str, client: viser.ClientHandle, session: Session) -> None:
@@ -251,7 +251,7 @@ class ExportButtons:
 
     def _make(self, wanted: Wanted, motion: Motion) -> None:
         try:
-            made = exported(motion, wanted.kind, wanted.stem)
+            made = export(motion, wanted.kind, wanted.stem)
             wanted.client.send_file_download(made.name, made.content, save_immediately=True)
         except PostureError as error:
             self._post(partial(say, f"{wanted.kind}: not made: {error}", "error"))
@@ -259,7 +259,7 @@ class ExportButtons:
             logger.exception("an export failed")
             self._post(partial(say, f"{wanted.kind}: not made ({error})", "error"))
         else:
-            self._post(partial(say, made.told, "info"))
+            self._post(partial(say, made.summary, "info"))
 
 
 def say(text: str, kind: str, session: Session) -> None:

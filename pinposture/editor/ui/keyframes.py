@@ -11,6 +11,7 @@ import viser
 from pinposture.control import EndEffector
 from pinposture.editor import edits
 from pinposture.editor.session import Session
+from pinposture.editor.shape import keyframes_of
 from pinposture.editor.solver import Live
 from pinposture.editor.ui.parts import Post, Typed, color, on_change, on_choice, on_click, put
 from pinposture.placement.resolve import METHODS
@@ -73,7 +74,7 @@ class KeyframesTab:
     def show(self, session: Session, live: Live) -> None:
         """Bring it up to date."""
         del live
-        keyframes, times = edits.keyframes_of(session.task), edits.times_of(session.task)
+        keyframes, times = keyframes_of(session.task), edits.times_of(session.task)
         self._list(keyframes, times, session.selected, session.marks)
         if session.selected != self._index:
             self._index = session.selected
@@ -117,7 +118,7 @@ class KeyframesTab:
 
     def _scrolled(self, rows: int) -> None:
         def scroll(session: Session) -> None:
-            last = max(len(edits.keyframes_of(session.task)) - ROWS, 0)
+            last = max(len(keyframes_of(session.task)) - ROWS, 0)
             self._first = min(max(self._first + rows, 0), last)
 
         self._post(scroll)

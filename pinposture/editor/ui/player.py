@@ -15,10 +15,11 @@ from viser import uplot
 
 from pinposture.arm import Arm
 from pinposture.control import Limits
-from pinposture.editor.edits import keyframes_of, times_of
+from pinposture.editor.edits import times_of
 from pinposture.editor.playback import SPEEDS, Playback
 from pinposture.editor.session import Session
-from pinposture.editor.solver import Live, in_cycles
+from pinposture.editor.shape import keyframes_of
+from pinposture.editor.solver import Live, limits_per_step
 from pinposture.editor.ui.parts import Post, on_change, on_choice, put
 from pinposture.motion import Motion
 from pinposture.motion.trajectory import limit_shares
@@ -111,7 +112,7 @@ class Recent:
             return
         speed = 0.0
         if last is not None and live.arm is last.arm and live.steps > last.steps:
-            bound = in_cycles(limits).for_arm(live.arm).bound * (live.steps - last.steps)
+            bound = limits_per_step(limits).for_arm(live.arm).bound * (live.steps - last.steps)
             limited = np.isfinite(bound) & (bound > 0.0)
             moved = np.abs(live.arm.difference(last.state.q, live.state.q))
             speed = float((moved[limited] / bound[limited]).max(initial=0.0))

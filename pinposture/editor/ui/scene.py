@@ -17,22 +17,22 @@ from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Mesh, Obstac
 from pinposture.editor.clearances import NearestObstacle
 from pinposture.editor.edits import with_scene
 from pinposture.editor.obstacles import (
-    KINDS,
-    Measures,
+    NEW_OBSTACLE_KINDS,
+    ArmScale,
     Pose,
     add_obstacle,
     at_pose,
+    bounding_radius,
+    change_obstacle,
     delete_obstacle,
     edit_obstacle,
-    grips,
     moved,
     obstacles_of,
     pose_of,
-    pulled,
-    reach,
-    rearrange,
     rename_obstacle,
+    resized,
     select_obstacle,
+    size_handles,
 )
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
@@ -55,7 +55,7 @@ AXES = 0.16
 """Least size of the axes by which the selected one is moved and turned, relative to the arm."""
 
 OUT = 1.5
-"""How far these axes reach, relative to the obstacle."""
+"""How far these axes bounding_radius, relative to the obstacle."""
 
 PLATE = 1.6
 """Width of the plate that stands for a half-space, relative to the arm."""
@@ -96,7 +96,7 @@ class Obstacles:
 
     def __init__(self, server: viser.ViserServer, arm: Arm, post: Post) -> None:
         self._server, self._arm, self._post = server, arm, post
-        self._measures = Measures.of(arm)
+        self._measures = ArmScale.of(arm)
         self._drawn: dict[str, DrawnObstacle] = {}
         self._made = 0
         self._name = ""  # of the one that axes and handles belong to
@@ -196,7 +196,7 @@ class Obstacles:
                 axes.position = pose.position
             if not _same_turn(obstacle, axes.wxyz, pose.rotation):
                 axes.wxyz = _quaternion(pose.rotation)
-            scale = max(AXES * self._arm.length, OUT * min(reach(obstacle), 0.4 * self._arm.length))
+            scale = max(AXES * self._arm.length, OUT * min(bounding_radius(obstacle), 0.4 * self._arm.length))
             if abs(axes.scale - scale) > 1e-9:
                 axes.scale = scale
             if axes.disable_rotations != isinstance(obstacle, Sphere):
@@ -205,7 +205,7 @@ class Obstacles:
             axes.visible = visible
 
     def _put_balls(self, obstacle: Obstacle | None) -> None:
-        listed = () if obstacle is None else grips(obstacle, self._measures)
+        listed = () if obstacle is None else size_handles(obstacle, self._measures)
         for index, ball in enumerate(self._balls):
             visible = index < len(listed)
             if visible and not np.allclose(ball.position, listed[index].place, atol=1e-9):
@@ -243,7 +243,7 @@ class Obstacles:
     def _request(self, key: str, name: str, change: Any, what: str, final: bool) -> None:
         if final:
             self._taken.pop(key, None)
-        self._post(partial(rearrange, name, change, what, final), "" if final else "obstacle")
+        self._post(partial(change_obstacle, name, change, what, final), "" if final else "obstacle")
 
 
 def _shifted(shift: Array, obstacle: Obstacle) -> Obstacle:
@@ -254,8 +254,8 @@ def _posed(pose: Pose, obstacle: Obstacle) -> Obstacle:
     return at_pose(obstacle, pose)
 
 
-def _pulled(index: int, place: Array, measures: Measures, obstacle: Obstacle) -> Obstacle:
-    return pulled(obstacle, grips(obstacle, measures)[index].name, place, measures)
+def _pulled(index: int, place: Array, measures: ArmScale, obstacle: Obstacle) -> Obstacle:
+    return resized(obstacle, size_handles(obstacle, measures)[index].name, place, measures)
 
 
 def _look(obstacle: Obstacle) -> tuple[object, ...]:
@@ -372,7 +372,7 @@ LABELS = {
 DIGITS = 4
 """Digits behind the point of coordinates [m]; two of angles [deg]."""
 
-assert set(LABELS.values()) == set(KINDS)
+assert set(LABELS.values()) == set(NEW_OBSTACLE_KINDS)
 
 VECTORS = {
     "center": ("Centre [m]", "Of the obstacle, in the world"),
