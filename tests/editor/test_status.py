@@ -14,7 +14,7 @@ from pinposture.editor.clearances import ClearanceQuery, Marks, MarksQuery, near
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live, Solver, VerdictCache, judge, review
 from pinposture.editor.ui.keyframes import row_label
-from pinposture.editor.ui.status import told
+from pinposture.editor.ui.status import status_of
 from pinposture.task import Keyframe, Task
 
 THICK = 0.01
@@ -38,7 +38,7 @@ def settled(given: Task) -> tuple[Session, Live]:
 
 
 def told_of(*keyframes: Keyframe, **values: object) -> tuple[str, str, str]:
-    return told(*settled(task(*keyframes, Keyframe(straight_line(), time=9.0), **values)))
+    return status_of(*settled(task(*keyframes, Keyframe(straight_line(), time=9.0), **values)))
 
 
 def crossing() -> tuple[pp.Arm, np.ndarray]:
@@ -70,21 +70,21 @@ def test_a_tip_that_is_met_is_green() -> None:
 def test_an_arm_far_from_its_curve_is_amber() -> None:
     session, live = settled(task(Keyframe(straight_line()), Keyframe(straight_line(), time=9.0)))
     away = live.verdict._replace(distance_from_curve=0.021 * live.arm.length)
-    assert told(session, live._replace(verdict=away))[0] == "warning"
+    assert status_of(session, live._replace(verdict=away))[0] == "warning"
     near = live.verdict._replace(distance_from_curve=0.019 * live.arm.length)
-    assert told(session, live._replace(verdict=near))[0] == "good"
+    assert status_of(session, live._replace(verdict=near))[0] == "good"
 
 
 def test_the_curve_in_an_obstacle_and_the_arm_in_an_obstacle_are_two_things() -> None:
     ball = pp.Scene({"ball": pp.Sphere((0.5 * L, 0.0, 0.0), 0.02)}, arm_radius=THICK)
     session, live = settled(task(Keyframe(straight_line()), Keyframe(straight_line(), time=9.0)))
     led = review(live.arm, session.keyframe, live.verdict.target, ball)
-    assert told(session, live._replace(verdict=led))[:2] == (
+    assert status_of(session, live._replace(verdict=led))[:2] == (
         "warning",
         "The curve leads the arm into something",
     )
     session.nearest = nearest(ClearanceQuery(live.arm, live.state.q, ball, {}))
-    kind, head, more = told(session, live._replace(verdict=led))
+    kind, head, more = status_of(session, live._replace(verdict=led))
     assert (kind, head) == ("error", "The arm is in collision")
     assert "inside ball" in more
 
@@ -96,7 +96,7 @@ def test_links_inside_each_other_are_red() -> None:
     session, live = settled(task(Keyframe(straight_line()), Keyframe(straight_line(), time=9.0)))
     assert session.nearest is None  # straight links touch nothing
     session.nearest = found
-    assert told(session, live)[:2] == ("error", "The arm is in collision")
+    assert status_of(session, live)[:2] == ("error", "The arm is in collision")
     verdict = review(arm, session.keyframe, pp.Target.from_configuration(arm, q), None)
     assert verdict.collision
     assert verdict.mark == "collides"
