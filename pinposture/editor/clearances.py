@@ -27,25 +27,15 @@ MIN_PERIOD = 0.1  # of computing an answer [s]
 
 
 class NearestObstacle(NamedTuple):
-    """Where an arm is nearest to its surroundings, or inside itself.
+    """Where an arm is nearest to its surroundings, or inside itself."""
 
-    Attributes:
-        distance: between the surfaces, negative where they overlap [m]; from a scan, 0 where they overlap.
-        body: name of the body of the arm.
-        other: name of the obstacle, of the scan, or of another body that the first is inside of.
-        on_arm: point of the body, nearest to the other or deepest in it, (3,) [m], world frame.
-        on_other: point of the other's surface, (3,) [m], world frame.
-        margin: the distance to keep [m]; 0 for scans, which are not avoided.
-        scanned: whether the other is a scan.
-    """
-
-    distance: float
-    body: str
-    other: str
-    on_arm: Array
-    on_other: Array
-    margin: float
-    scanned: bool = False
+    distance: float  # between the surfaces [m]; where they overlap, negative, or 0 for a scan
+    body: str  # name of the body of the arm
+    other: str  # name of the obstacle, of the scan, or of another body that the first is inside of
+    on_arm: Array  # point of the body, nearest to the other or deepest in it, (3,) [m], world frame
+    on_other: Array  # point of the other's surface, (3,) [m], world frame
+    margin: float  # the distance to keep [m]; 0 for scans, which are not avoided
+    scanned: bool = False  # whether the other is a scan
 
     @property
     def level(self) -> str:
@@ -56,19 +46,12 @@ class NearestObstacle(NamedTuple):
 
 
 class ClearanceQuery(NamedTuple):
-    """An arm and its surroundings.
-
-    Attributes:
-        arm: the arm.
-        q: its configuration, (nq,).
-        scene: the obstacles; None if there are none.
-        scans: the scans, by name.
-    """
+    """An arm and its surroundings."""
 
     arm: Arm
-    q: Array
-    scene: Scene | None
-    scans: Mapping[str, Scan]
+    q: Array  # its configuration, (nq,)
+    scene: Scene | None  # the obstacles; None if there are none
+    scans: Mapping[str, Scan]  # the scans, by name
 
     def same_as(self, other: ClearanceQuery) -> bool:
         """Whether another query has the same answer."""
@@ -185,17 +168,11 @@ class Clearances(Background[ClearanceQuery, NearestObstacle]):
 
 
 class MarksQuery(NamedTuple):
-    """Keyframes to mark.
-
-    Attributes:
-        arm: the arm.
-        keyframes: the keyframes.
-        scene: the obstacles to avoid; None if there are none.
-    """
+    """Keyframes to mark."""
 
     arm: Arm
     keyframes: tuple[Keyframe, ...]
-    scene: Scene | None
+    scene: Scene | None  # the obstacles to avoid; None if there are none
 
     def same_as(self, other: MarksQuery) -> bool:
         """Whether another query has the same answer."""

@@ -27,17 +27,11 @@ MAX_WAIT = 10.0  # for files that are being written [s]
 
 
 class Version(NamedTuple):
-    """Identity of a file, which differs from that of a file that had its name before.
+    """Identity of a file, which differs from that of a file that had its name before."""
 
-    Attributes:
-        number: inode.
-        written: time of the last change [ns].
-        size: of the file [bytes].
-    """
-
-    number: int
-    written: int
-    size: int
+    number: int  # inode
+    written: int  # time of the last change [ns]
+    size: int  # of the file [bytes]
 
 
 def version_of(path: Path) -> Version | None:
@@ -50,19 +44,12 @@ def version_of(path: Path) -> Version | None:
 
 
 class Recovered(NamedTuple):
-    """What was autosaved by an editor that ended before it saved.
+    """What was autosaved by an editor that ended before it saved."""
 
-    Attributes:
-        task: the task; None if it cannot be read.
-        complaint: why not.
-        path: of the autosave file.
-        older: whether the task file was written after it.
-    """
-
-    task: Task | None
-    complaint: str
-    path: Path
-    older: bool = False
+    task: Task | None  # the task; None if it cannot be read
+    complaint: str  # why not
+    path: Path  # of the autosave file
+    older: bool = False  # whether the task file was written after it
 
 
 def autosave_path(path: Path) -> Path:
@@ -335,31 +322,19 @@ def within(folder: Path, name: str, start: Path | None = None) -> Path:
 
 
 class ExportKind(NamedTuple):
-    """A file format of motions.
+    """A file format of motions."""
 
-    Attributes:
-        suffix: of the file name.
-        noun: what the file is, in words.
-        write: writes a motion to a path.
-    """
-
-    suffix: str
-    noun: str
-    write: Callable[[Motion, Path], object]
+    suffix: str  # of the file name
+    noun: str  # what the file is, in words
+    write: Callable[[Motion, Path], object]  # writes a motion to a path
 
 
 class Export(NamedTuple):
-    """A file to download.
+    """A file to download."""
 
-    Attributes:
-        name: of the file.
-        content: of the file.
-        summary: what it is and how long the motion is, in words.
-    """
-
-    name: str
-    content: bytes
-    summary: str
+    name: str  # of the file
+    content: bytes  # of the file
+    summary: str  # what it is and how long the motion is, in words
 
 
 def export(motion: Motion, kind: str, stem: str) -> Export:

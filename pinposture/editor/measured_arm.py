@@ -39,19 +39,12 @@ MAX_JOINTS_NAMED = 6  # in a complaint
 
 
 class JointPositions(NamedTuple):
-    """The content of a line.
+    """The content of a line."""
 
-    Attributes:
-        columns: the degrees of freedom that it has positions of, (k,); none, if none of this arm.
-        positions: of these, (k,) [rad or m].
-        unknown: names of joints that the arm does not have.
-        stamp: the time of the measurement, by the clock of the writer [s]; None if it is not given.
-    """
-
-    columns: NDArray[np.intp]
-    positions: Array
-    unknown: tuple[str, ...]
-    stamp: float | None
+    columns: NDArray[np.intp]  # the degrees of freedom with positions, (k,); perhaps none of this arm
+    positions: Array  # of these, (k,) [rad or m]
+    unknown: tuple[str, ...]  # names of joints that the arm does not have
+    stamp: float | None  # time of the measurement, by the clock of the writer [s]; None if not given
 
 
 class JointStateLines:
@@ -141,20 +134,12 @@ def _stamp(content: Mapping[str, Any]) -> float | None:
 
 
 class Lines(NamedTuple):
-    """Lines of a source.
+    """Lines of a source."""
 
-    Attributes:
-        first: number of the first of them in the source, from 1.
-        lines: the lines, without their ends.
-        partial: the beginning of the line after them, if it has grown; it may be the whole last line of a
-            file.
-        restarted: whether the source was read from its start again.
-    """
-
-    first: int
-    lines: list[bytes]
-    partial: bytes
-    restarted: bool
+    first: int  # number of the first of them in the source, from 1
+    lines: list[bytes]  # the lines, without their ends
+    partial: bytes  # the beginning of the next line, if it has grown; perhaps all of a file's last line
+    restarted: bool  # whether the source was read from its start again
 
 
 class LineSource:
@@ -284,27 +269,16 @@ class LineSource:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """The latest measurement of an arm.
+    """The latest measurement of an arm."""
 
-    Attributes:
-        q: its configuration, (nq,) [rad or m]; read-only. Joints without a measurement are at zero.
-        age: time since the last line with positions of this arm [s]; infinite if there was none.
-        count: number of lines with positions of this arm.
-        complaint: the last error, with the number of its line and what is allowed; empty if there was none.
-        refused: number of malformed lines.
-        skipped: number of lines without positions of this arm, or older than lines that came with them.
-        stamp: time of the measurement, by the clock of the writer [s]; None if it is not given.
-        unheard: names of joints of the chain without a measurement.
-    """
-
-    q: Array
-    age: float
-    count: int
-    complaint: str
-    refused: int
-    skipped: int
-    stamp: float | None
-    unheard: tuple[str, ...]
+    q: Array  # its configuration, (nq,) [rad or m]; read-only. Joints without a measurement are at zero
+    age: float  # time since the last line with positions of this arm [s]; infinite if there was none
+    count: int  # number of lines with positions of this arm
+    complaint: str  # the last error, with the number of its line and what is allowed; empty if there was none
+    refused: int  # number of malformed lines
+    skipped: int  # number of lines without positions of this arm, or older than lines that came with them
+    stamp: float | None  # time of the measurement, by the clock of the writer [s]; None if not given
+    unheard: tuple[str, ...]  # names of joints of the chain without a measurement
 
 
 class JointStates:

@@ -42,15 +42,10 @@ ARM_SAMPLES = 200  # points of the arm that a new obstacle keeps away from
 
 
 class ArmScale(NamedTuple):
-    """The size of an arm, for handles.
+    """The size of an arm, for handles."""
 
-    Attributes:
-        middle: half-spaces have their handles at their point nearest to this, (3,) [m], world frame.
-        length: of the arm [m].
-    """
-
-    middle: Array
-    length: float
+    middle: Array  # half-spaces have their handles at their point nearest to this, (3,) [m], world frame
+    length: float  # of the arm [m]
 
     @classmethod
     def of(cls, arm: Arm) -> ArmScale:
@@ -70,27 +65,17 @@ class ArmScale(NamedTuple):
 
 
 class Pose(NamedTuple):
-    """The pose of an obstacle.
+    """The pose of an obstacle."""
 
-    Attributes:
-        position: of its middle, (3,) [m], world frame.
-        rotation: from its axes to the world's, (3, 3). The third is the axis of obstacles with only one.
-    """
-
-    position: Array
-    rotation: Array
+    position: Array  # of its middle, (3,) [m], world frame
+    rotation: Array  # from its axes to the world's, (3, 3). The third is the axis of obstacles with only one
 
 
 class SizeHandle(NamedTuple):
-    """A handle that changes the size of an obstacle.
+    """A handle that changes the size of an obstacle."""
 
-    Attributes:
-        name: "x", "y", "z", "radius", "start", "end" or "height".
-        place: where it is, (3,) [m], world frame.
-    """
-
-    name: str
-    place: Array
+    name: str  # "x", "y", "z", "radius", "start", "end" or "height"
+    place: Array  # where it is, (3,) [m], world frame
 
 
 def pose_of(obstacle: Obstacle, scale: ArmScale) -> Pose:

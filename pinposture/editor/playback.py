@@ -29,17 +29,11 @@ REPORTED_TIME_SCALE = 1.005  # from which on it is reported that a motion takes 
 
 
 class Rehearsed(NamedTuple):
-    """The motion of a task.
-
-    Attributes:
-        task: the task.
-        motion: its motion; None if there is none.
-        reason: why there is none; empty if there is one.
-    """
+    """The motion of a task."""
 
     task: Task
-    motion: Motion | None
-    reason: str = ""
+    motion: Motion | None  # its motion; None if there is none
+    reason: str = ""  # why there is none; empty if there is one
 
 
 class _Cancelled(Exception):
@@ -141,17 +135,11 @@ class Rehearsal:
 
 
 class Moment(NamedTuple):
-    """A motion at some time, perhaps between two of its cycles.
+    """A motion at some time, perhaps between two of its cycles."""
 
-    Attributes:
-        state: where the arm is.
-        target: where its control points should be.
-        row: the last cycle before or at that time.
-    """
-
-    state: ArmState
-    target: Target
-    row: int
+    state: ArmState  # where the arm is
+    target: Target  # where its control points should be
+    row: int  # the last cycle before or at that time
 
 
 class Playback:

@@ -24,19 +24,12 @@ JOINT_DIGITS = 6  # of the joint positions kept with an accepted shape [rad or m
 
 
 class HistoryEntry(NamedTuple):
-    """A state of the task.
-
-    Attributes:
-        task: the task.
-        what: the edit that led to it, in words.
-        before: the keyframe that was selected before the edit, 0-based.
-        after: the keyframe that was selected by the edit.
-    """
+    """A state of the task."""
 
     task: Task
-    what: str
-    before: int
-    after: int
+    what: str  # the edit that led to it, in words
+    before: int  # the keyframe that was selected before the edit, 0-based
+    after: int  # the keyframe that was selected by the edit
 
 
 class History:
@@ -91,35 +84,21 @@ class History:
 
 
 class Notice(NamedTuple):
-    """A message.
-
-    Attributes:
-        text: the message.
-        kind: "info", "warning" or "error".
-        number: rises with each message.
-    """
+    """A message."""
 
     text: str
-    kind: str
-    number: int
+    kind: str  # "info", "warning" or "error"
+    number: int  # rises with each message
 
 
 class Proposal(NamedTuple):
-    """A change of the shape that is accepted once the solver has found that the arm can take it.
+    """A change of the shape that is accepted once the solver has found that the arm can take it."""
 
-    Attributes:
-        task: the task with the change.
-        what: the change in words.
-        final: whether it is to be accepted; else the hand is still dragging.
-        number: of its problem to the solver.
-        note: a further message when it is accepted.
-    """
-
-    task: Task
-    what: str
-    final: bool
-    number: int
-    note: str = ""
+    task: Task  # the task with the change
+    what: str  # the change in words
+    final: bool  # whether it is to be accepted; else the hand is still dragging
+    number: int  # of its problem to the solver
+    note: str = ""  # a further message when it is accepted
 
 
 class Session:
@@ -156,11 +135,7 @@ class Session:
     """
 
     def __init__(
-        self,
-        task: Task,
-        path: Path | None = None,
-        selected: int | None = None,
-        folder: Path | None = None,
+        self, task: Task, path: Path | None = None, selected: int | None = None, folder: Path | None = None
     ) -> None:
         count = len(keyframes_of(task))
         self.selected = count - 1 if selected is None else selected

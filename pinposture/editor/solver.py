@@ -50,24 +50,14 @@ TRACKER_FIELDS = ("controller", "limits", "scene")  # of a problem; a change of 
 
 
 class Verdict(NamedTuple):
-    """What an arm can make of the shape of a keyframe.
+    """What an arm can make of the shape of a keyframe."""
 
-    Attributes:
-        target: the target that it takes; None if it cannot.
-        reason: why it cannot; empty if it can.
-        notes: remarks on a shape that it can take: in collision, at limits, curve longer than the arm.
-        collision: whether it touches something, comes nearer than the margin, or is inside itself.
-        distance_from_curve: of the farthest place on its links from the curve [m], as in
-            `Target.distance_from_curve`; None if it cannot take the shape.
-        tip_error: by how much it misses the task of the tip [m], rotations by their lever; None without one.
-    """
-
-    target: Target | None
-    reason: str = ""
-    notes: tuple[str, ...] = ()
-    collision: bool = False
-    distance_from_curve: float | None = None
-    tip_error: float | None = None
+    target: Target | None  # the target that it takes; None if it cannot
+    reason: str = ""  # why it cannot; empty if it can
+    notes: tuple[str, ...] = ()  # collisions, joints at limits, curve longer than the arm
+    collision: bool = False  # whether it touches something, comes nearer than the margin, or is inside itself
+    distance_from_curve: float | None = None  # as in `Target.distance_from_curve` [m]
+    tip_error: float | None = None  # of the task of the tip [m], rotations by their lever; None without one
 
     @property
     def mark(self) -> str:
@@ -215,31 +205,18 @@ class VerdictCache:
 
 
 class Problem(NamedTuple):
-    """What is asked of the arm.
+    """What is asked of the arm."""
 
-    Attributes:
-        number: rises with every problem.
-        arm: the arm.
-        keyframe: the keyframe whose shape to take.
-        controller: what moves the arm there.
-        limits: of the motion; the control cycle is the solver's own.
-        scene: the obstacles to avoid; None if there are none.
-        at_once: whether to jump there, whatever the limits.
-        asked: when it was asked, by `time.monotonic` [s].
-        shaping: whether the shape was made by hand from the one before, so that the target is near.
-        passing: whether the hand is still dragging, so that a long search is not worth it.
-    """
-
-    number: int
+    number: int  # rises with every problem
     arm: Arm
-    keyframe: Keyframe
-    controller: Controller
-    limits: Limits
-    scene: Scene | None
-    at_once: bool
-    asked: float
-    shaping: bool = False
-    passing: bool = False
+    keyframe: Keyframe  # the keyframe whose shape to take
+    controller: Controller  # what moves the arm there
+    limits: Limits  # of the motion; the control cycle is the solver's own
+    scene: Scene | None  # the obstacles to avoid; None if there are none
+    at_once: bool  # whether to jump there, whatever the limits
+    asked: float  # when it was asked, by `time.monotonic` [s]
+    shaping: bool = False  # whether the shape was made from the one before, so that the target is near
+    passing: bool = False  # whether the hand is still dragging, so that a long search is not worth it
 
 
 class Live(NamedTuple):

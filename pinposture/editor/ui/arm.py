@@ -38,15 +38,10 @@ FACTS_PERIOD = 0.25  # for which facts stay, so that they can be read [s]
 
 
 class BodyKind(NamedTuple):
-    """Bodies that look alike.
+    """Bodies that look alike."""
 
-    Attributes:
-        handle: what draws them.
-        members: which bodies these are, by their joint in the chain, 0-based.
-    """
-
-    handle: viser.BatchedMeshHandle
-    members: NDArray[np.intp]
+    handle: viser.BatchedMeshHandle  # what draws them
+    members: NDArray[np.intp]  # which bodies these are, by their joint in the chain, 0-based
 
 
 class ArmDrawing:
@@ -183,12 +178,7 @@ def near_singular(state: ArmState) -> list[tuple[int, int]]:
 
 
 class Ellipsoids:
-    """Manipulability ellipsoids at some control points, evenly along the arm.
-
-    Args:
-        server: the page.
-        arm: the arm.
-    """
+    """Manipulability ellipsoids at some control points, evenly along the arm."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm) -> None:
         every = -(-arm.n_modules // MAX_ELLIPSOIDS)
@@ -235,14 +225,7 @@ class Ellipsoids:
 
 
 class MeasuredArm:
-    """A see-through arm at its measured configuration, and its distance from the plan.
-
-    Args:
-        server: the page; the text is added where it is at.
-        arm: the arm.
-        states: the joint states; None if there are none. Nothing is shown then, nor if they are of another
-            arm.
-    """
+    """A see-through arm at its measured configuration, and its distance from the plan."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm, states: JointStates | None) -> None:
         # Joint states of an arm that was edited before say nothing of this one.
@@ -277,13 +260,7 @@ class MeasuredArm:
 
 
 class ArmTab:
-    """Controls for the arm: what moves it, its limits, and what of it is shown.
-
-    Args:
-        server: the page; the controls are added where it is at.
-        drawing: the arm in the page.
-        post: posts a request to the loop.
-    """
+    """Controls for the arm: what moves it, its limits, and what of it is shown."""
 
     def __init__(self, server: viser.ViserServer, drawing: ArmDrawing, post: Post) -> None:
         self._drawing, self._post, gui = drawing, post, server.gui

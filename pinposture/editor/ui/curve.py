@@ -15,16 +15,7 @@ from pinposture.curve import Curve
 from pinposture.editor.session import Session
 from pinposture.editor.shape import keyframes_of, required_length
 from pinposture.editor.solver import Live
-from pinposture.editor.ui.parts import (
-    Post,
-    Typed,
-    color,
-    on_change,
-    on_choice,
-    put,
-    put_at,
-    quaternions,
-)
+from pinposture.editor.ui.parts import Post, Typed, color, on_change, on_choice, put, put_at, quaternions
 from pinposture.placement.curve_placement import lay
 from pinposture.task import Keyframe
 from pinposture.viz import palette
@@ -45,12 +36,7 @@ SHOWN_DIGITS = 4  # of coordinates [m]
 
 
 class CurveDrawing:
-    """The curve of the keyframe that is edited: what the arm covers of it, and whether it can.
-
-    Args:
-        server: the page.
-        arm: the arm.
-    """
+    """The curve of the keyframe that is edited: what the arm covers of it, and whether it can."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm) -> None:
         self._shown: tuple[object, ...] = ()
@@ -138,11 +124,6 @@ class Handles:
     """The control points of the curve that is edited, dragged by the mouse; the selected one along axes, too.
 
     A drag moves them at once in the page, and is posted; the loop then puts them where they may be.
-
-    Args:
-        server: the page.
-        arm: the arm.
-        post: posts a request to the loop.
     """
 
     def __init__(self, server: viser.ViserServer, arm: Arm, post: Post) -> None:
@@ -240,12 +221,7 @@ class Handles:
 
 
 class Points:
-    """The posture control points of an arm: coloured by their errors, active ones ringed.
-
-    Args:
-        server: the page.
-        arm: the arm.
-    """
+    """The posture control points of an arm: coloured by their errors, active ones ringed."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm) -> None:
         self._steps = -1
@@ -304,13 +280,7 @@ def error_colors(errors: Array, unit: float) -> Colors:
 
 
 class OtherCurves:
-    """The curves of the keyframes that are not edited, faintly: pale to dark as time goes on.
-
-    Args:
-        server: the page.
-        arm: the arm.
-        wanted: whether they are to be shown.
-    """
+    """The curves of the keyframes that are not edited, faintly: pale to dark as time goes on."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm, wanted: Callable[[], bool]) -> None:
         self._arm, self._wanted = arm, wanted
@@ -354,12 +324,7 @@ class OtherCurves:
 
 
 class ShapeTab:
-    """Controls for the control points of the curve that is edited.
-
-    Args:
-        server: the page; the controls are added where it is at.
-        post: posts a request to the loop.
-    """
+    """Controls for the control points of the curve that is edited."""
 
     def __init__(self, server: viser.ViserServer, post: Post) -> None:
         self._post, gui = post, server.gui

@@ -87,13 +87,7 @@ def show_tour(client: viser.ClientHandle, step: int = 0) -> None:
 
 
 class FileTab:
-    """Controls for the task file.
-
-    Args:
-        server: the page; the controls are added where it is at.
-        files: saves and opens files.
-        post: posts a request to the loop.
-    """
+    """Controls for the task file."""
 
     def __init__(self, server: viser.ViserServer, files: Files, post: Post) -> None:
         self._files, self._post, gui = files, post, server.gui
@@ -158,28 +152,16 @@ EXPORT_GROUPS = (("Motion as", ("npz", "CSV", "ROS JSON")), ("Shown as", ("Pictu
 
 
 class RequestedExport(NamedTuple):
-    """A file that somebody waits for.
+    """A file that somebody waits for."""
 
-    Attributes:
-        kind: one of `EXPORT_KINDS`.
-        client: whose browser it goes to.
-        task: whose motion.
-        stem: of the file name.
-    """
-
-    kind: str
-    client: viser.ClientHandle
-    task: Task
-    stem: str
+    kind: str  # one of `EXPORT_KINDS`
+    client: viser.ClientHandle  # whose browser it goes to
+    task: Task  # whose motion
+    stem: str  # of the file name
 
 
 class ExportButtons:
-    """Buttons to download the motion, and the progress of that.
-
-    Args:
-        server: the page; the buttons are added where it is at.
-        post: posts a request to the loop.
-    """
+    """Buttons to download the motion, and the progress of that."""
 
     def __init__(self, server: viser.ViserServer, post: Post) -> None:
         self._post = post

@@ -24,12 +24,7 @@ SECOND_DIGITS = 3  # of times, behind the point
 
 
 class KeyframesTab:
-    """Controls for the keyframes of the task.
-
-    Args:
-        server: the page; the controls are added where it is at.
-        post: posts a request to the loop.
-    """
+    """Controls for the keyframes of the task."""
 
     def __init__(self, server: viser.ViserServer, post: Post) -> None:
         self._post, gui = post, server.gui

@@ -53,19 +53,12 @@ FLOOR_CELLS = 10  # along the arm
 
 
 class Shortcut(NamedTuple):
-    """A key, and what it does.
+    """A key, and what it does."""
 
-    Attributes:
-        label: what it does, in words.
-        key: as the page names it.
-        modifier: the key held with it, as the page names it.
-        act: called with the session.
-    """
-
-    label: str
-    key: str
-    modifier: str | None
-    act: Callable[[Session], object]
+    label: str  # what it does, in words
+    key: str  # as the page names it
+    modifier: str | None  # the key held with it, as the page names it
+    act: Callable[[Session], object]  # called with the session
 
 
 def shortcuts(files: Files) -> tuple[Shortcut, ...]:
@@ -117,17 +110,11 @@ def _nudge(axis: int, sign: float, session: Session) -> None:
 
 
 class Viewpoint(NamedTuple):
-    """The initial camera.
+    """The initial camera."""
 
-    Attributes:
-        position: (3,) [m], world frame.
-        look_at: the place in the middle of the picture, (3,) [m], world frame.
-        opening: angle from the bottom of the picture to its top [rad].
-    """
-
-    position: Array
-    look_at: Array
-    opening: float
+    position: Array  # (3,) [m], world frame
+    look_at: Array  # the place in the middle of the picture, (3,) [m], world frame
+    opening: float  # angle from the bottom of the picture to its top [rad]
 
 
 def viewpoint(arm: Arm) -> Viewpoint:
@@ -163,10 +150,7 @@ def set_stage(server: viser.ViserServer, arm: Arm) -> None:
         shadow_opacity=0.12,
     )
     server.scene.add_frame(
-        "/axes",
-        axes_length=0.08 * length,
-        axes_radius=0.15 * link_radius(arm),
-        position=(*base[:2], floor),
+        "/axes", axes_length=0.08 * length, axes_radius=0.15 * link_radius(arm), position=(*base[:2], floor)
     )
 
 
@@ -178,15 +162,6 @@ def _round_length(value: float) -> float:
 
 class Page:
     """What browsers show, all of them the same.
-
-    Args:
-        session: what is edited, to begin with.
-        post: posts a request to the loop.
-        files: saves and opens files.
-        surroundings: the surroundings of the arm.
-        states: the measured joint states; None if there are none.
-        host: the address to listen at.
-        port: the port; another if it is taken.
 
     Attributes:
         url: where a browser on this machine finds it; whoever has it can edit.

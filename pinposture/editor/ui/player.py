@@ -51,21 +51,13 @@ MAX_NUMBERED = 24  # keyframes with numbers at the slider
 
 
 class Trace(NamedTuple):
-    """Values to plot.
+    """Values to plot."""
 
-    Attributes:
-        time: (n,) [s].
-        mean: mean distance of the control points from their targets, (n,) [m].
-        largest: the largest, (n,) [m].
-        speed: the largest joint speed relative to its limit, (n,); None if there is no limit.
-        acceleration: the same of accelerations, (n,); None if there is no limit.
-    """
-
-    time: Array
-    mean: Array
-    largest: Array
-    speed: Array | None
-    acceleration: Array | None
+    time: Array  # (n,) [s]
+    mean: Array  # mean distance of the control points from their targets, (n,) [m]
+    largest: Array  # the largest, (n,) [m]
+    speed: Array | None  # the largest joint speed relative to its limit, (n,); None if there is no limit
+    acceleration: Array | None  # the same of accelerations, (n,); None if there is no limit
 
     def at(self, moment: float) -> tuple[float, float, float | None, float | None]:
         """Return mean and largest error, speed and acceleration at a moment [s]."""
@@ -188,11 +180,6 @@ class Plots:
     """Errors of the control points, and joint rates relative to their limits, against time.
 
     Of the motion that is shown, with a line at its moment; without one, of the last seconds.
-
-    Args:
-        server: the page.
-        tab: where the plot is.
-        length: of the arm [m].
     """
 
     def __init__(self, server: viser.ViserServer, tab: viser.GuiTabHandle, length: float) -> None:
@@ -319,13 +306,7 @@ def _lighter(color: str) -> str:
 
 
 class Player:
-    """The panel below the picture: the buttons and the slider of the player, and the plots.
-
-    Args:
-        server: the page.
-        arm: the arm.
-        post: posts a request to the loop.
-    """
+    """The panel below the picture: the buttons and the slider of the player, and the plots."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm, post: Post) -> None:
         self._server, self._post, self._touched, self._stale = server, post, 0.0, False

@@ -29,13 +29,7 @@ EXPLANATION = (
 
 
 class Scans:
-    """The scans of the task in the page.
-
-    Args:
-        server: the page.
-        arm: the arm.
-        shelf: the scans that have been read.
-    """
+    """The scans of the task in the page."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm, shelf: ScanShelf) -> None:
         self._server, self._shelf, self._size = server, shelf, POINT_SIZE * arm.length
@@ -81,13 +75,7 @@ class Scans:
 
 
 class ScanControls:
-    """Controls that load scans and meshes.
-
-    Args:
-        server: the page; the controls are added where it is at.
-        shelf: reads the files.
-        post: posts a request to the loop.
-    """
+    """Controls that load scans and meshes."""
 
     def __init__(self, server: viser.ViserServer, shelf: ScanShelf, post: Post) -> None:
         self._shelf, self._post, gui = shelf, post, server.gui

@@ -63,11 +63,7 @@ AXES_REACH = 1.5  # of these axes, relative to the obstacle
 PLATE_WIDTH, PLATE_THICKNESS = 1.6, 0.01  # of the plate that stands for a half-space, relative to the arm
 SELECTED_COLOR = palette.mixed(palette.OBSTACLE, palette.START, 0.55)
 HANDLE_COLOR = palette.SPARE[1]  # differs from that of the control points of the curve
-CLEARANCE_COLORS = {
-    "inside": palette.MARK,
-    "within the margin": palette.ACTIVE,
-    "clear": palette.REGULAR,
-}
+CLEARANCE_COLORS = {"inside": palette.MARK, "within the margin": palette.ACTIVE, "clear": palette.REGULAR}
 MAX_LINE_LENGTH = 0.5  # of the line that shows the clearance, relative to the arm
 
 KIND_LABELS = {
@@ -92,28 +88,17 @@ LENGTH_DIGITS, ANGLE_DIGITS = 4, 2  # of shown coordinates [m] and angles [deg]
 
 
 class DrawnObstacle(NamedTuple):
-    """An obstacle in the page.
+    """An obstacle in the page."""
 
-    Attributes:
-        handle: what draws it, in its own frame.
-        obstacle: as it is drawn.
-        look: what its surface depends on.
-    """
-
-    handle: viser.MeshHandle
-    obstacle: Obstacle
-    look: tuple[object, ...]
+    handle: viser.MeshHandle  # what draws it, in its own frame
+    obstacle: Obstacle  # as it is drawn
+    look: tuple[object, ...]  # what its surface depends on
 
 
 class Obstacles:
     """The obstacles of the scene, dragged by the mouse; the selected one by axes and handles, too.
 
     A half-space is moved by its handle only.
-
-    Args:
-        server: the page.
-        arm: the arm.
-        post: posts a request to the loop.
     """
 
     def __init__(self, server: viser.ViserServer, arm: Arm, post: Post) -> None:
@@ -288,12 +273,7 @@ def _matrix(wxyz: Array) -> Array:
 
 
 class ClearanceLine:
-    """A line from the arm to what it is nearest to.
-
-    Args:
-        server: the page.
-        arm: the arm.
-    """
+    """A line from the arm to what it is nearest to."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm) -> None:
         self._max_length, radius = MAX_LINE_LENGTH * arm.length, link_radius(arm)
@@ -350,13 +330,7 @@ def clearance_text(found: NearestObstacle | None) -> str:
 
 
 class SceneTab:
-    """Controls for the surroundings of the arm: obstacles in numbers, margins, scans, and the clearance.
-
-    Args:
-        server: the page; the controls are added where it is at.
-        scans: reads scans.
-        post: posts a request to the loop.
-    """
+    """Controls for the surroundings of the arm: obstacles in numbers, margins, scans, and the clearance."""
 
     def __init__(self, server: viser.ViserServer, scans: ScanShelf, post: Post) -> None:
         self._post, gui = post, server.gui

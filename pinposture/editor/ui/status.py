@@ -30,11 +30,7 @@ SMALLEST_ERROR = 1e-6  # that is told from none [mm]
 
 
 class Status:
-    """A few lines, always in sight.
-
-    Args:
-        server: the page.
-    """
+    """A few lines, always in sight."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._html = server.gui.add_html("")
