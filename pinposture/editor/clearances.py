@@ -99,13 +99,7 @@ def _closest_pair(scene: Scene, state: ArmState) -> NearestObstacle | None:
 
 
 class Background(Generic[Query, Answer]):
-    """Answers the latest query in a thread of its own, at most ten times a second; older ones are dropped.
-
-    Args:
-        answer: computes an answer.
-        same: whether two queries have the same answer.
-        name: of the thread.
-    """
+    """Answers the latest query in a thread of its own, at most ten times a second; older ones are dropped."""
 
     def __init__(
         self, answer: Callable[[Query], Answer | None], same: Callable[[Query, Query], bool], name: str
@@ -181,11 +175,7 @@ class MarksQuery(NamedTuple):
 
 
 class Marks(Background[MarksQuery, tuple[str, ...]]):
-    """Whether each keyframe can be taken: "fine", "collides" or "refused".
-
-    Args:
-        verdicts: the verdicts that are known.
-    """
+    """Whether each keyframe can be taken: "fine", "collides" or "refused"."""
 
     def __init__(self, verdicts: VerdictCache) -> None:
         def answer(query: MarksQuery) -> tuple[str, ...]:

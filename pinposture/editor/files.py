@@ -149,12 +149,7 @@ class Autosave:
 
 
 class Files:
-    """The task file of a session, and its autosave.
-
-    Args:
-        post: posts a request to the editor's loop.
-        path: the task file, as it was read a moment ago; None if there is none.
-    """
+    """The task file of a session, and its autosave."""
 
     def __init__(self, post: Callable[[Callable[[Session], None]], None], path: Path | None = None) -> None:
         self._post = post

@@ -148,43 +148,27 @@ class Playback:
     Attributes:
         rehearsal: computes the motions.
         motion: the motion that is shown; None while the live arm is.
+        playing: whether the motion is running, or will be as soon as there is one.
+        waiting: whether a motion is to be shown that is not computed yet.
+        speed: of the playback, relative to real time.
         loop: whether it starts again at its end.
-
-    Args:
-        clock: returns the time [s].
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.rehearsal = Rehearsal()
         self.motion: Motion | None = None
-        self.loop = False
+        self.playing, self.waiting, self.loop, self.speed = False, False, False, 1.0
         self._clock = clock
         self._task: Task | None = None  # whose motion is shown or waited for
-        self._playing, self._waiting = False, False
         # The motion was at time `_from` when the clock was at `_since`.
-        self._from, self._since, self._speed = 0.0, 0.0, 1.0
+        self._from, self._since = 0.0, 0.0
         self._last_moment: tuple[float, Moment] | None = None
         self._reported: Task | None = None
-
-    @property
-    def playing(self) -> bool:
-        """Whether the motion is running, or will be as soon as there is one."""
-        return self._playing
-
-    @property
-    def waiting(self) -> bool:
-        """Whether a motion is to be shown that is not computed yet."""
-        return self._waiting
 
     @property
     def shown(self) -> bool:
         """Whether a motion is shown, and not the live arm."""
         return self.motion is not None
-
-    @property
-    def speed(self) -> float:
-        """The speed of the playback, relative to real time."""
-        return self._speed
 
     @property
     def lasting(self) -> float:
@@ -196,9 +180,9 @@ class Playback:
         """Which moment of the motion is shown [s]; the one asked for, while there is no motion yet."""
         if self.motion is None:
             return self._from
-        if not self._playing:
+        if not self.playing:
             return min(self._from, self.lasting)
-        at = self._from + self._speed * (self._clock() - self._since)
+        at = self._from + self.speed * (self._clock() - self._since)
         if self.loop and self.lasting > 0.0:
             return at % self.lasting
         return min(at, self.lasting)
@@ -228,7 +212,7 @@ class Playback:
         at = self.time
         ended = self.motion is not None and at >= self.lasting
         self._set_time(0.0 if ended else at)
-        self._playing = True
+        self.playing = True
 
     def rehearse(self, task: Task) -> None:
         """Have the motion of a task computed and the result reported, but show nothing."""
@@ -240,7 +224,7 @@ class Playback:
     def pause(self) -> None:
         """Stop at the moment that is shown."""
         self._set_time(self.time)
-        self._playing = False
+        self.playing = False
 
     def seek(self, task: Task, at: float) -> None:
         """Stop at another moment.
@@ -255,20 +239,20 @@ class Playback:
         if not math.isfinite(at):
             raise InvalidValue("time", at, "a finite number of seconds")
         self._request(task)
-        self._playing = False
+        self.playing = False
         self._set_time(max(at, 0.0) if self.motion is None else min(max(at, 0.0), self.lasting))
 
     def stop(self) -> None:
         """Return to the live arm and to the beginning; a motion being computed for this is abandoned."""
-        if self._waiting:
+        if self.waiting:
             self.rehearsal.cancel()
         self.motion, self._task, self._last_moment = None, None, None
-        self._playing, self._waiting, self._from = False, False, 0.0
+        self.playing, self.waiting, self._from = False, False, 0.0
 
     def at_speed(self, speed: float) -> None:
         """Play at another speed, relative to real time."""
         self._set_time(self.time)
-        self._speed = speed
+        self.speed = speed
 
     def in_loop(self, loop: bool) -> None:
         """Start again at the end, or not."""
@@ -292,13 +276,13 @@ class Playback:
         if done is not None and self._reported is not task:
             self._reported = task
             message = _report(done.motion, done.reason)
-        if self._waiting and done is not None:
+        if self.waiting and done is not None:
             if done.motion is None:
                 self.stop()
                 return message
-            self._waiting, self.motion = False, done.motion
+            self.waiting, self.motion = False, done.motion
             self._set_time(min(self._from, self.lasting))
-        elif self._playing and self.motion is not None and not self.loop and self.time >= self.lasting:
+        elif self.playing and self.motion is not None and not self.loop and self.time >= self.lasting:
             self.pause()
         return message
 
@@ -331,10 +315,10 @@ class Playback:
 
     def _request(self, task: Task) -> None:
         """Show the motion of a task as soon as it is there."""
-        if self._task is task and (self._waiting or self.motion is not None):
+        if self._task is task and (self.waiting or self.motion is not None):
             return
         at = self.time
-        self.motion, self._task, self._last_moment, self._waiting = None, task, None, True
+        self.motion, self._task, self._last_moment, self.waiting = None, task, None, True
         self._set_time(at)
         self.rehearse(task)
 

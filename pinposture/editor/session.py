@@ -33,12 +33,7 @@ class HistoryEntry(NamedTuple):
 
 
 class History:
-    """The states of a task, for undo and redo.
-
-    Args:
-        task: the first state.
-        selected: the keyframe that is selected in it.
-    """
+    """The states of a task, for undo and redo."""
 
     def __init__(self, task: Task, selected: int = 0) -> None:
         self._states = [HistoryEntry(task, "", selected, selected)]

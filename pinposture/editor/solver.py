@@ -181,14 +181,9 @@ class VerdictCache:
         near: Target | None = None,
         passing: bool = False,
     ) -> Verdict:
-        """Return the verdict on a keyframe; one that is known is only reviewed in the scene.
+        """Return the verdict on a keyframe as `judge` does; a known one is only reviewed in the scene.
 
-        Args:
-            arm: the arm.
-            keyframe: the keyframe.
-            scene: the obstacles to avoid; None if there are none.
-            near: as for `judge`.
-            passing: whether the shape is about to change again: no long search, and nothing is kept.
+        While the hand is only passing a shape, there is no long search, and nothing is kept.
         """
         with self._lock:
             reference, judged_arm, verdict = self._known.get(id(keyframe), (None, None, None))

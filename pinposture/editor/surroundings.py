@@ -37,9 +37,6 @@ class ScanShelf:
     """The scans of a task, as far as they have been read.
 
     Files are read and written in a thread, which posts requests to the editor's loop.
-
-    Args:
-        post: posts a request to the loop.
     """
 
     def __init__(self, post: Post) -> None:
@@ -209,10 +206,6 @@ class Surroundings:
 
     Attributes:
         scans: the scans of the task, as far as they have been read.
-
-    Args:
-        post: posts a request to the editor's loop.
-        verdicts: the verdicts that are known.
     """
 
     def __init__(self, post: Post, verdicts: VerdictCache | None = None) -> None:

@@ -91,7 +91,7 @@ def test_hands_that_do_anything_at_all_leave_a_sound_task(
             file = chance.choice([path, other])
             requests: list[Callable[[Session], object]] = [
                 partial(curve.move_point, k, place, final),
-                partial(curve.select_point, k),
+                lambda session, k=k: session.take_hold(k),  # type: ignore[misc]
                 curve.insert_point,
                 curve.delete_point,
                 Session.undo,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from functools import partial
 from html import escape
-from typing import NamedTuple
 
 import numpy as np
 import viser
@@ -35,13 +34,6 @@ MAX_ELLIPSOIDS, ELLIPSOID_OPACITY = 8, 0.4
 MEASURED_OPACITY = 0.45
 OLD_AGE = 1.0  # from which on joint states are called old [s]
 FACTS_PERIOD = 0.25  # for which facts stay, so that they can be read [s]
-
-
-class BodyKind(NamedTuple):
-    """Bodies that look alike."""
-
-    handle: viser.BatchedMeshHandle  # what draws them
-    members: NDArray[np.intp]  # which bodies these are, by their joint in the chain, 0-based
 
 
 class ArmDrawing:
@@ -76,7 +68,8 @@ class ArmDrawing:
             color=color(tint or palette.BASE),
             opacity=opacity,
         )
-        self._kinds: list[BodyKind] = []
+        # Bodies that look alike: what draws them, and their joints in the chain, 0-based.
+        self._kinds: list[tuple[viser.BatchedMeshHandle, NDArray[np.intp]]] = []
         for k, (surface, members) in enumerate(_group_alike(surfaces.bodies)):
             handle = server.scene.add_batched_meshes_simple(
                 f"{name}/kind_{k}",
@@ -88,7 +81,7 @@ class ArmDrawing:
                 opacity=opacity,
                 lod="off",
             )
-            self._kinds.append(BodyKind(handle, members))
+            self._kinds.append((handle, members))
 
     def move(self, q: Array) -> None:
         """Show it at another configuration, (nq,)."""
@@ -112,7 +105,7 @@ class ArmDrawing:
 
     def set_visible(self, visible: bool) -> None:
         """Show or hide it."""
-        for node in (self._base, *(kind.handle for kind in self._kinds)):
+        for node in (self._base, *(handle for handle, _ in self._kinds)):
             put(node, visible=visible)
 
 

@@ -97,11 +97,6 @@ def move_point(
     session.reshape(lambda arm, shape: shape.moved(arm, index, position), f"moved point {index + 1}", final)
 
 
-def select_point(index: int | None, session: Session) -> None:
-    """Select a control point of the curve, instead of an obstacle."""
-    session.take_hold(index)
-
-
 def insert_point(session: Session) -> None:
     """Propose a further control point after the selected one, or after the last but one."""
     after = session.handle if session.handle is not None else max(len(session.shape.points) - 2, 0)
@@ -207,7 +202,7 @@ class Handles:
         self._post_move(index, place, final)
 
     async def _on_click(self, index: int, _: Any) -> None:
-        self._post(partial(select_point, index))
+        self._post(lambda session: session.take_hold(index))
 
     async def _on_axes(self, event: Any) -> None:
         if not self._axes_dragged:
@@ -353,7 +348,8 @@ class ShapeTab:
         self._place.show(shown, disabled=handle is None or handle == 0)
 
     def _select(self, name: str) -> None:
-        self._post(partial(select_point, None if name == "none" else int(name.split(maxsplit=1)[0]) - 1))
+        index = None if name == "none" else int(name.split(maxsplit=1)[0]) - 1
+        self._post(lambda session: session.take_hold(index))
 
     def _move(self, place: tuple[float, float, float], final: bool) -> None:
         index, keyframe = self._index, self._keyframe

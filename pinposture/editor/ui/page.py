@@ -28,7 +28,6 @@ from pinposture.editor.ui.curve import (
     delete_point,
     insert_point,
     move_point,
-    select_point,
 )
 from pinposture.editor.ui.files import ExportButtons, FileTab, offer_tour
 from pinposture.editor.ui.keyframes import KeyframesTab
@@ -72,7 +71,7 @@ def shortcuts(files: Files) -> tuple[Shortcut, ...]:
         Shortcut("Delete the control point", "delete", None, delete_point),
         Shortcut("Next control point", "N", None, partial(_select_next, 1)),
         Shortcut("Previous control point", "B", None, partial(_select_next, -1)),
-        Shortcut("Select nothing", "escape", None, partial(select_point, None)),
+        Shortcut("Select nothing", "escape", None, lambda session: session.take_hold(None)),
         Shortcut("Move it ahead (+x)", "arrowright", "shift", partial(_nudge, 0, 1.0)),
         Shortcut("Move it back (-x)", "arrowleft", "shift", partial(_nudge, 0, -1.0)),
         Shortcut("Move it up (+z)", "arrowup", "shift", partial(_nudge, 2, 1.0)),
@@ -96,7 +95,7 @@ def _select_next(by: int, session: Session) -> None:
     """Select the next or previous control point; the one at the base is skipped."""
     count = len(session.shape.points)
     at = session.handle if session.handle is not None else (0 if by > 0 else count)
-    select_point((at - 1 + by) % (count - 1) + 1, session)
+    session.take_hold((at - 1 + by) % (count - 1) + 1)
 
 
 def _nudge(axis: int, sign: float, session: Session) -> None:

@@ -43,15 +43,7 @@ def quaternions(rotations: ArrayLike) -> Array:
 
 
 def framed_html(name: str, shade: str, title: str, text: str, below: str = "") -> str:
-    """Return a titled text beside a coloured bar.
-
-    Args:
-        name: id of the element.
-        shade: colour of the bar.
-        title: the title, as HTML.
-        text: the text, as HTML.
-        below: further HTML.
-    """
+    """Return a title and a text beside a bar of some shade, in an element with an id; all as HTML."""
     return (
         '<div style="font-size:13px;line-height:1.35;padding:2px 10px 4px 10px">'
         f'<div id="{name}" style="border-left:4px solid {shade};padding-left:8px">'
@@ -60,12 +52,7 @@ def framed_html(name: str, shade: str, title: str, text: str, below: str = "") -
 
 
 def on_change(control: Any, act: Callable[[Any], None]) -> None:
-    """Call a function when somebody changes a control, not when the program does.
-
-    Args:
-        control: a control with a value.
-        act: called with the new value; may only post.
-    """
+    """Call a function, which may only post, with the value when somebody (not the program) changes it."""
 
     # viser calls asynchronous functions in order, others in a pool of threads.
     async def changed(event: GuiEvent[Any]) -> None:

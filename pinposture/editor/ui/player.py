@@ -87,11 +87,7 @@ def trace_of(motion: Motion) -> Trace:
 
 
 class Recent:
-    """The trace of the live arm over the last seconds.
-
-    Args:
-        clock: returns the time [s].
-    """
+    """The trace of the live arm over the last seconds."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -99,12 +95,7 @@ class Recent:
         self._last: Live | None = None
 
     def add(self, live: Live, limits: Limits) -> None:
-        """Add a row.
-
-        Args:
-            live: the arm.
-            limits: of its motion.
-        """
+        """Add the arm at this moment, and its speed relative to the limits."""
         now, last = self._clock(), self._last
         if self._rows and self._rows[-1][0] < now - MAX_GAP:
             self._rows.clear()
@@ -207,12 +198,7 @@ class Plots:
             )
 
     def show(self, session: Session, live: Live) -> None:
-        """Bring it up to date.
-
-        Args:
-            session: what is edited.
-            live: the arm as it is shown.
-        """
+        """Bring it up to date."""
         playback, motion, now = session.playback, session.playback.motion, time.monotonic()
         if motion is None:
             self._recent.add(live, session.task.limits)

@@ -14,26 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm
 from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Mesh, Obstacle, Scene, Sphere
+from pinposture.editor import obstacles
 from pinposture.editor.clearances import NearestObstacle
 from pinposture.editor.edits import with_scene
-from pinposture.editor.obstacles import (
-    ArmScale,
-    Change,
-    Pose,
-    add_obstacle,
-    at_pose,
-    bounding_radius,
-    change_obstacle,
-    delete_obstacle,
-    edit_obstacle,
-    moved,
-    obstacles_of,
-    pose_of,
-    rename_obstacle,
-    resized,
-    select_obstacle,
-    size_handles,
-)
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
 from pinposture.editor.surroundings import ScanShelf
@@ -66,13 +49,7 @@ HANDLE_COLOR = palette.SPARE[1]  # differs from that of the control points of th
 CLEARANCE_COLORS = {"inside": palette.MARK, "within the margin": palette.ACTIVE, "clear": palette.REGULAR}
 MAX_LINE_LENGTH = 0.5  # of the line that shows the clearance, relative to the arm
 
-KIND_LABELS = {
-    "Sphere": "sphere",
-    "Box": "box",
-    "Cylinder": "cylinder",
-    "Capsule": "capsule",
-    "Half-space": "half_space",
-}
+KIND_LABELS = {kind.replace("_", "-").capitalize(): kind for kind in obstacles.NEW_OBSTACLE_KINDS}
 VECTOR_LABELS = {
     "center": ("Centre [m]", "Of the obstacle, in the world"),
     "start": ("Start [m]", "Middle of one end, in the world"),
@@ -103,7 +80,7 @@ class Obstacles:
 
     def __init__(self, server: viser.ViserServer, arm: Arm, post: Post) -> None:
         self._server, self._arm, self._post = server, arm, post
-        self._scale = ArmScale.of(arm)
+        self._scale = obstacles.ArmScale.of(arm)
         self._drawn: dict[str, DrawnObstacle] = {}
         self._made = 0
         self._name = ""  # of the obstacle with axes and handles
@@ -132,7 +109,7 @@ class Obstacles:
 
     def show(self, session: Session, _: Live) -> None:
         """Bring them up to date."""
-        listed = obstacles_of(session.shown)
+        listed = obstacles.obstacles_of(session.shown)
         for name in [name for name in self._drawn if name not in listed]:
             self._drawn.pop(name).handle.remove()
         opacity = palette.SHEER if len(listed) > MANY else palette.SEE_THROUGH
@@ -142,7 +119,7 @@ class Obstacles:
         chosen = session.obstacle
         selected = None if session.handle is not None or chosen is None else listed.get(chosen)
         self._show_axes(chosen or "", selected)
-        handles = () if selected is None else size_handles(selected, self._scale)
+        handles = () if selected is None else obstacles.size_handles(selected, self._scale)
         for index, ball in enumerate(self._balls):
             if index < len(handles):
                 put_at(ball, handles[index].place, 1e-9)
@@ -151,7 +128,7 @@ class Obstacles:
     def _draw(self, name: str, obstacle: Obstacle, opacity: float, selected: bool) -> None:
         drawn = self._drawn.get(name)
         if drawn is None or drawn.obstacle is not obstacle:
-            look, pose = _look(obstacle), pose_of(obstacle, self._scale)
+            look, pose = _look(obstacle), obstacles.pose_of(obstacle, self._scale)
             if drawn is not None and drawn.look[0] != look[0]:  # of another task
                 drawn.handle.remove()
                 drawn = None
@@ -192,32 +169,34 @@ class Obstacles:
         if isinstance(obstacle, HalfSpace):
             width, thick = PLATE_WIDTH * self._arm.length, PLATE_THICKNESS * self._arm.length
             return surface(Box((0.0, 0.0, -0.5 * thick), (width, width, thick)))
-        return surface(at_pose(obstacle, Pose(np.zeros(3), np.eye(3))))  # type: ignore[arg-type]
+        return surface(obstacles.at_pose(obstacle, obstacles.Pose(np.zeros(3), np.eye(3))))  # type: ignore[arg-type]
 
     def _show_axes(self, name: str, obstacle: Obstacle | None) -> None:
         axes = self._axes
         if obstacle is not None and not self._axes_dragged:
             self._name = name
-            pose = pose_of(obstacle, self._scale)
+            pose = obstacles.pose_of(obstacle, self._scale)
             put_at(axes, pose.position, 1e-9)
             if not _same_rotation(obstacle, axes.wxyz, pose.rotation):
                 axes.wxyz = quaternions(pose.rotation)
             length = self._arm.length
-            scale = max(MIN_AXES_SIZE * length, AXES_REACH * min(bounding_radius(obstacle), 0.4 * length))
+            radius = obstacles.bounding_radius(obstacle)
+            scale = max(MIN_AXES_SIZE * length, AXES_REACH * min(radius, 0.4 * length))
             if abs(axes.scale - scale) > 1e-9:
                 axes.scale = scale
             put(axes, disable_rotations=isinstance(obstacle, Sphere))
         put(axes, visible=obstacle is not None)
 
     async def _on_click(self, name: str, _: Any) -> None:
-        self._post(partial(select_obstacle, name))
+        self._post(partial(obstacles.select_obstacle, name))
 
     async def _on_drag(self, name: str, event: Any) -> None:
         key, end = f"move {name}", np.asarray(event.end_position)
         if event.phase == "start" or key not in self._grabbed:
             self._grabbed[key] = np.asarray(event.start_position)
         shift = end - self._grabbed[key]
-        self._post_change(key, name, lambda each: moved(each, shift), f"moved {name}", event.phase == "end")
+        change = partial(obstacles.moved, shift=shift)
+        self._post_change(key, name, change, f"moved {name}", event.phase == "end")
 
     async def _on_resize(self, index: int, event: Any) -> None:
         key, scale = f"pull {index}", self._scale
@@ -226,24 +205,25 @@ class Obstacles:
         place = np.asarray(event.end_position) - self._grabbed[key]
 
         def change(obstacle: Obstacle) -> Obstacle:
-            return resized(obstacle, size_handles(obstacle, scale)[index].name, place, scale)
+            handle = obstacles.size_handles(obstacle, scale)[index]
+            return obstacles.resized(obstacle, handle.name, place, scale)
 
         self._post_change(key, self._name, change, f"resized {self._name}", event.phase == "end")
 
     async def _on_axes(self, event: Any) -> None:
         if event.client_id is None or (event.phase != "start" and not self._axes_dragged):
             return
-        pose, final = Pose(np.array(self._axes.position), _matrix(self._axes.wxyz)), event.phase == "end"
+        pose = obstacles.Pose(np.array(self._axes.position), _matrix(self._axes.wxyz))
+        final = event.phase == "end"
         self._axes_dragged = not final
         if event.phase != "start":
-            self._post_change(
-                "axes", self._name, lambda each: at_pose(each, pose), f"moved {self._name}", final
-            )
+            change = partial(obstacles.at_pose, pose=pose)
+            self._post_change("axes", self._name, change, f"moved {self._name}", final)
 
-    def _post_change(self, key: str, name: str, change: Change, what: str, final: bool) -> None:
+    def _post_change(self, key: str, name: str, change: obstacles.Change, what: str, final: bool) -> None:
         if final:
             self._grabbed.pop(key, None)
-        self._post(partial(change_obstacle, name, change, what, final), "" if final else "obstacle")
+        self._post(partial(obstacles.change_obstacle, name, change, what, final), "" if final else "obstacle")
 
 
 def _look(obstacle: Obstacle) -> tuple[object, ...]:
@@ -363,16 +343,16 @@ class SceneTab:
             self._arm_radius = Typed(thickness, self._set_arm_radius)
         with gui.add_folder("Meshes and scans", expand_by_default=False):
             self._scans = ScanControls(server, scans, post)
-        on_choice(add, lambda label: post(partial(add_obstacle, KIND_LABELS[label], self._points)))
-        on_change(self._chosen, lambda name: post(partial(select_obstacle, None if name == "none" else name)))
-        on_click(self._delete, lambda: post(delete_obstacle))
+        on_choice(add, lambda label: post(partial(obstacles.add_obstacle, KIND_LABELS[label], self._points)))
+        on_change(self._chosen, self._select)
+        on_click(self._delete, lambda: post(obstacles.delete_obstacle))
         on_change(self._self_collision, self._set_self_collision)
 
     def show(self, session: Session, live: Live) -> None:
         """Bring it up to date."""
         places = [live.state.points] if live.target is None else [live.state.points, live.target.points[::-1]]
         self._points = np.vstack(places)
-        listed, scene = obstacles_of(session.shown), session.shown.scene or Scene()
+        listed, scene = obstacles.obstacles_of(session.shown), session.shown.scene or Scene()
         names = ("none", *listed)
         if tuple(self._chosen.options) != names:
             self._chosen.options = names
@@ -404,27 +384,28 @@ class SceneTab:
         shown = 0.0 if radius is None else round(radius, LENGTH_DIGITS + 1)
         self._radius.show(shown, visible=radius is not None)
 
-    def _rename(self, to: str, final: bool) -> None:
-        if final:
-            self._post(partial(rename_obstacle, self._name, to))
+    def _select(self, name: str) -> None:
+        self._post(partial(obstacles.select_obstacle, None if name == "none" else name))
+
+    def _rename(self, to: str, _: bool) -> None:
+        self._post(partial(obstacles.rename_obstacle, self._name, to))
 
     def _set_value(self, key: str, value: Any, final: bool) -> None:
         if key == "rotation":
             value = tuple(np.radians(value))
         elif key == "radius":
             value = float(value)
-        self._post(partial(edit_obstacle, self._name, key, value, final), "" if final else "obstacle")
+        request = partial(obstacles.edit_obstacle, self._name, key, value, final)
+        self._post(request, "" if final else "obstacle")
 
-    def _set_margin(self, value: float, final: bool) -> None:
-        if final:
-            edit = with_scene(margin=float(value))
-            self._post(lambda session: session.edit(edit, f"margin {1000.0 * value:.4g} mm"))
+    def _set_margin(self, value: float, _: bool) -> None:
+        edit = with_scene(margin=float(value))
+        self._post(lambda session: session.edit(edit, f"margin {1000.0 * value:.4g} mm"))
 
-    def _set_arm_radius(self, value: float, final: bool) -> None:
-        if final:
-            edit = with_scene(arm_radius=float(value) if value > 0.0 else None)
-            text = f"arm radius {1000.0 * value:.4g} mm" if value > 0.0 else "arm as thick as described"
-            self._post(lambda session: session.edit(edit, text))
+    def _set_arm_radius(self, value: float, _: bool) -> None:
+        edit = with_scene(arm_radius=float(value) if value > 0.0 else None)
+        text = f"arm radius {1000.0 * value:.4g} mm" if value > 0.0 else "arm as thick as described"
+        self._post(lambda session: session.edit(edit, text))
 
     def _set_self_collision(self, value: bool) -> None:
         text = "the arm keeps clear of itself" if value else "the arm may touch itself"
