@@ -387,13 +387,7 @@ def select_obstacle(name: str | None, session: Session) -> None:
 
 
 def add_obstacle(kind: str, points: Array, session: Session) -> None:
-    """Add a new obstacle.
-
-    Args:
-        kind: one of `NEW_OBSTACLE_KINDS`.
-        points: where the arm is, from base to tip, (n, 3) [m].
-        session: what is edited.
-    """
+    """Add a new obstacle; arguments as for `new_obstacle`."""
     obstacle = new_obstacle(kind, session.arm, points, session.task.scene)
     insert_obstacle(free_name(kind, obstacles_of(session.task)), obstacle, session)
 

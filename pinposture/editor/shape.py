@@ -197,13 +197,7 @@ class Shape:
 
 
 def reshaped(index: int, change: Callable[[Arm, Shape], Shape], shape: Shape) -> Callable[[Task], Task]:
-    """Return an edit that gives a keyframe another shape, made from the one that it has.
-
-    Args:
-        index: of the keyframe, 0-based.
-        change: makes the new shape for an arm.
-        shape: the shape of the keyframe.
-    """
+    """Return an edit that gives a keyframe, 0-based, another shape, made from the one that it has."""
 
     def edit(task: Task) -> Task:
         keyframes = list_keyframes(task, index)

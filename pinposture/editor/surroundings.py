@@ -216,12 +216,7 @@ class Surroundings:
         self._solved_since: float | None = None  # when the solver was first seen to have the latest problem
 
     def watch(self, session: Session, live: Live) -> None:
-        """Update clearance and marks; called by the loop, each time before the solver is asked.
-
-        Args:
-            session: what is edited.
-            live: the arm.
-        """
+        """Update clearance and marks; called by the loop, each time before the solver is asked."""
         proposal = session.proposal
         pending = proposal is not None and not proposal.final and proposal.number > session.number
         if live.number < session.number:

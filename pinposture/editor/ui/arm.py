@@ -37,14 +37,9 @@ FACTS_PERIOD = 0.25  # for which facts stay, so that they can be read [s]
 
 
 class ArmDrawing:
-    """An arm in the page, drawn as few kinds of bodies, so that long arms move quickly.
+    """An arm in the page, in the shades of its modules or in one tint.
 
-    Args:
-        server: the page.
-        arm: the arm.
-        name: of its nodes in the page.
-        opacity: below 1 to see through it.
-        tint: one colour for all of it; None for the two shades of modules.
+    It is drawn as few kinds of bodies, so that long arms move quickly.
     """
 
     def __init__(
@@ -119,13 +114,7 @@ def _group_alike(surfaces: tuple[TriangleMesh, ...]) -> list[tuple[TriangleMesh,
 
 
 def body_colors(coloring: str, live: Live, shades: Colors) -> Colors:
-    """Return the colours of the bodies, (n, 3).
-
-    Args:
-        coloring: one of `COLORINGS`.
-        live: the arm.
-        shades: their own colours.
-    """
+    """Return the colours of the bodies, (n, 3), by one of `COLORINGS`; their own shades are the default."""
     if coloring == COLORINGS[0] and np.any(live.at_limit):
         colors: Colors = shades.copy()
         colors[live.at_limit] = color(palette.MARK)
@@ -195,13 +184,7 @@ class Ellipsoids:
         )
 
     def show(self, state: ArmState, steps: int, visible: bool) -> None:
-        """Show them at a state of the arm, or hide them.
-
-        Args:
-            state: the state.
-            steps: a number that differs where the state does.
-            visible: whether to show them.
-        """
+        """Show them at a state of the arm, identified by a number of steps, or hide them."""
         put(self._balls, visible=visible)
         if not visible or steps == self._steps:
             return

@@ -15,7 +15,17 @@ from pinposture.curve import Curve
 from pinposture.editor.session import Session
 from pinposture.editor.shape import keyframes_of, required_length
 from pinposture.editor.solver import Live
-from pinposture.editor.ui.parts import Post, Typed, color, on_change, on_choice, put, put_at, quaternions
+from pinposture.editor.ui.parts import (
+    Post,
+    Typed,
+    add_lines,
+    color,
+    on_change,
+    on_choice,
+    put,
+    put_at,
+    quaternions,
+)
 from pinposture.placement.curve_placement import lay
 from pinposture.task import Keyframe
 from pinposture.viz import palette
@@ -40,12 +50,7 @@ class CurveDrawing:
 
     def __init__(self, server: viser.ViserServer, arm: Arm) -> None:
         self._shown: tuple[object, ...] = ()
-        self._line = server.scene.add_line_segments(
-            "/curve/line",
-            np.zeros((CURVE_PIECES, 2, 3)),
-            np.zeros((CURVE_PIECES, 2, 3), dtype=np.uint8),
-            thickness=0.7 * link_radius(arm),
-        )
+        self._line = add_lines(server, "/curve/line", CURVE_PIECES, 0.7 * link_radius(arm))
 
     def show(self, session: Session, live: Live) -> None:
         """Bring it up to date."""
@@ -230,9 +235,7 @@ class Points:
         self._rings = server.scene.add_batched_meshes_simple(
             "/points/rings", *ring, *poses, batched_colors=color(palette.ACTIVE), lod="off"
         )
-        self._error_lines = server.scene.add_line_segments(
-            "/points/ways", np.zeros((m, 2, 3)), np.zeros((m, 2, 3), dtype=np.uint8), thickness=0.5 * radius
-        )
+        self._error_lines = add_lines(server, "/points/errors", m, 0.5 * radius)
         self._colors: Colors = np.zeros((m, 3), dtype=np.uint8)
         self._ringed: NDArray[np.bool_] = np.zeros(m, dtype=np.bool_)
 
@@ -260,12 +263,7 @@ class Points:
 
 
 def error_colors(errors: Array, unit: float) -> Colors:
-    """Return colours of points by their errors: green, yellow, red, evenly by orders of magnitude.
-
-    Args:
-        errors: (m,) [m].
-        unit: length of a module [m].
-    """
+    """Return colours of errors (m,) [m] by their orders of magnitude, relative to a module length [m]."""
     sizes = np.clip(errors / unit, SMALL_ERROR, LARGE_ERROR)
     shares = 1.0 - np.log(sizes / SMALL_ERROR) / np.log(LARGE_ERROR / SMALL_ERROR)
     # Squared, since `index_color` takes the square root of the index.
@@ -282,13 +280,7 @@ class OtherCurves:
         self._drawn: dict[int, tuple[Keyframe, Array]] = {}
         self._shown: tuple[Keyframe, ...] = ()
         self._selected = -1
-        self._lines = server.scene.add_line_segments(
-            "/curve/others",
-            np.zeros((1, 2, 3)),
-            np.zeros((1, 2, 3), dtype=np.uint8),
-            thickness=0.45 * link_radius(arm),
-            visible=False,
-        )
+        self._lines = add_lines(server, "/curve/others", 1, 0.45 * link_radius(arm), visible=False)
 
     def show(self, session: Session, _: Live) -> None:
         """Bring them up to date."""

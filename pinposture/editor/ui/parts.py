@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
+import viser
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 from viser import GuiEvent
@@ -91,6 +92,14 @@ def put_at(handle: Any, place: Array, tolerance: float = 1e-7) -> None:
     """Move a node to a place, (3,) [m], unless it is within a tolerance [m] of it."""
     if not np.allclose(handle.position, place, atol=tolerance):
         handle.position = place
+
+
+def add_lines(
+    server: viser.ViserServer, name: str, count: int, thickness: float, visible: bool = True
+) -> viser.LineSegmentsHandle:
+    """Add straight pieces of a thickness [m], whose places and colours are set later."""
+    points, colors = np.zeros((count, 2, 3)), np.zeros((count, 2, 3), dtype=np.uint8)
+    return server.scene.add_line_segments(name, points, colors, thickness=thickness, visible=visible)
 
 
 class Typed:

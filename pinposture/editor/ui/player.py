@@ -132,19 +132,10 @@ class Recent:
 def with_lines(
     times: Array, columns: Sequence[Array], marks: Sequence[Array], low: float, high: float
 ) -> tuple[Array, ...]:
-    """Add columns that draw vertical lines at some moments.
+    """Return times (n,) [s] and columns (n,) with further columns that draw vertical lines.
 
-    A line is a step from below the picture to above it, or back: only its flank is seen.
-
-    Args:
-        times: of the columns, (n,) [s].
-        columns: each (n,).
-        marks: the moments of the lines of each further column, each (k,) [s], increasing.
-        low: a value below the picture.
-        high: a value above it.
-
-    Returns:
-        Times, columns and further columns, all of one length.
+    Each further column has its lines at increasing moments (k,) [s]. A line is a step from a low value, below
+    the picture, to a high one above it, or back: only its flank is seen.
     """
     ends = [np.concatenate([moments, np.nextafter(moments, np.inf)]) for moments in marks]
     x = np.sort(np.concatenate([times, *ends]))

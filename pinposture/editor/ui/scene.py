@@ -23,6 +23,7 @@ from pinposture.editor.surroundings import ScanShelf
 from pinposture.editor.ui.parts import (
     Post,
     Typed,
+    add_lines,
     color,
     framed_html,
     on_change,
@@ -166,10 +167,11 @@ class Obstacles:
 
     def _surface(self, obstacle: Obstacle) -> Surface:
         """Return the surface of an obstacle in its own frame; of a half-space, a plate."""
-        if isinstance(obstacle, HalfSpace):
+        centered = obstacles.at_pose(obstacle, obstacles.Pose(np.zeros(3), np.eye(3)))
+        if isinstance(centered, HalfSpace):
             width, thick = PLATE_WIDTH * self._arm.length, PLATE_THICKNESS * self._arm.length
             return surface(Box((0.0, 0.0, -0.5 * thick), (width, width, thick)))
-        return surface(obstacles.at_pose(obstacle, obstacles.Pose(np.zeros(3), np.eye(3))))  # type: ignore[arg-type]
+        return surface(centered)
 
     def _show_axes(self, name: str, obstacle: Obstacle | None) -> None:
         axes = self._axes
@@ -257,13 +259,7 @@ class ClearanceLine:
 
     def __init__(self, server: viser.ViserServer, arm: Arm) -> None:
         self._max_length, radius = MAX_LINE_LENGTH * arm.length, link_radius(arm)
-        self._line = server.scene.add_line_segments(
-            "/clearance/line",
-            np.zeros((1, 2, 3)),
-            color(palette.REGULAR),
-            thickness=0.6 * radius,
-            visible=False,
-        )
+        self._line = add_lines(server, "/clearance/line", 1, 0.6 * radius, visible=False)
         self._ends = [
             server.scene.add_icosphere(
                 f"/clearance/end_{k + 1}",
