@@ -184,7 +184,7 @@ def _with_gaps(task: Task, keyframes: list[Keyframe], gaps: list[float]) -> Task
     Raises:
         InvalidValue: the motion would last too long.
     """
-    retimed_keyframes: list[Keyframe] = []
+    timed: list[Keyframe] = []
     left = 0.0
     for index, (keyframe, gap) in enumerate(zip(keyframes, gaps, strict=True)):
         time = left + gap if index > 0 else 0.0
@@ -196,12 +196,12 @@ def _with_gaps(task: Task, keyframes: list[Keyframe], gaps: list[float]) -> Task
         if given is None or abs(given - new) > TIME_TOLERANCE:
             value = None if index == 0 else round(new, TIME_DIGITS)
             changes = {"time": None, "duration": value} if by_duration else {"time": value, "duration": None}
-        retimed_keyframes.append(replace(keyframe, **changes) if changes else keyframe)  # type: ignore[arg-type]
+        timed.append(replace(keyframe, **changes) if changes else keyframe)  # type: ignore[arg-type]
         left = time + keyframe.hold
     longest = MOST_CYCLES * cycle_of(task.limits)
     if not left <= longest:
         raise InvalidValue("end of the motion", left, f"{longest:g} s at most, {MOST_CYCLES} control cycles")
-    return task.edited(motion=tuple(retimed_keyframes))
+    return task.edited(motion=tuple(timed))
 
 
 def _min_gap(task: Task) -> float:

@@ -145,7 +145,7 @@ class LineSource:
     """A source of lines.
 
     A file is followed: what is appended to it is read, and when it gets shorter or another file takes its
-    name, it is read from the start. A pipe is read until it is closed here, whoever writes into it; the
+    name, it is read from the start. A pipe is read until it is closed here, even if its writers change; the
     standard input, until it ends.
     """
 

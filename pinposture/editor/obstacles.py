@@ -49,7 +49,7 @@ class ArmScale(NamedTuple):
 
     @classmethod
     def of(cls, arm: Arm) -> ArmScale:
-        """Return that of an arm: the middle is half way along it where it is straight."""
+        """Return the scale of an arm, with the middle half way along the straight arm."""
         state = arm.at(arm.straight())
         return cls(0.5 * (arm.chain.base + state.points[-1]), arm.length)
 

@@ -129,7 +129,7 @@ class Rehearsal:
             return Rehearsed(task, None, " ".join(str(error).split()))
         except _Cancelled:
             raise
-        except Exception as error:  # a bug, which whoever waits has to be told
+        except Exception as error:  # a bug, which has to be reported, too
             logger.exception("a motion could not be worked out")
             return Rehearsed(task, None, f"the motion could not be worked out ({error})")
 

@@ -152,7 +152,7 @@ EXPORT_GROUPS = (("Motion as", ("npz", "CSV", "ROS JSON")), ("Shown as", ("Pictu
 
 
 class RequestedExport(NamedTuple):
-    """A file that somebody waits for."""
+    """A file that a user waits for."""
 
     kind: str  # one of `EXPORT_KINDS`
     client: viser.ClientHandle  # whose browser it goes to
@@ -222,7 +222,7 @@ class ExportButtons:
             text, kind = made.summary, "info"
         except PostureError as error:
             text = f"{wanted.kind}: not made: {error}"
-        except Exception as error:  # a bug, which whoever waits has to be told
+        except Exception as error:  # a bug, which has to be reported, too
             logger.exception("an export failed")
             text = f"{wanted.kind}: not made ({error})"
         self._post(lambda session: session.say(text, kind))

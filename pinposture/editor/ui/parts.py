@@ -53,7 +53,7 @@ def framed_html(name: str, shade: str, title: str, text: str, below: str = "") -
 
 
 def on_change(control: Any, act: Callable[[Any], None]) -> None:
-    """Call a function, which may only post, with the value when somebody (not the program) changes it."""
+    """Call a function, which may only post, with the value when a user, not the program, changes it."""
 
     # viser calls asynchronous functions in order, others in a pool of threads.
     async def changed(event: GuiEvent[Any]) -> None:
@@ -64,7 +64,7 @@ def on_change(control: Any, act: Callable[[Any], None]) -> None:
 
 
 def on_click(button: Any, act: Callable[[], None]) -> None:
-    """Call a function, which may only post, when somebody clicks a button."""
+    """Call a function, which may only post, when a user clicks a button."""
 
     async def clicked(_: GuiEvent[Any]) -> None:
         act()
@@ -73,7 +73,7 @@ def on_click(button: Any, act: Callable[[], None]) -> None:
 
 
 def on_choice(buttons: Any, act: Callable[[str], None]) -> None:
-    """Call a function, which may only post, with the label that somebody clicks in a group of buttons."""
+    """Call a function, which may only post, with the label that a user clicks in a group of buttons."""
 
     async def clicked(event: GuiEvent[Any]) -> None:
         act(event.target.value)
@@ -105,8 +105,8 @@ def add_lines(
 class Typed:
     """A field that is typed into.
 
-    The browser reports each key. "12" on the way to "125" is not meant, and may be invalid; so a value counts
-    only after a pause, and nobody writes into the field before.
+    The browser reports each key. A "12" typed as part of "125" is not meant, and may be invalid; so a value
+    counts only after a pause, and the field is not written to before.
 
     Attributes:
         control: the field.

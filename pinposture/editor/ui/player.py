@@ -38,7 +38,7 @@ RESTING_PERIOD = 3.0  # the same while nothing changes, for browsers that connec
 AXIS_JITTER = 5e-4  # relative change of the time axis from plot to plot
 PLOT_HEIGHT = 100  # [pixels]
 SMALLEST_PLOTTED = 1e-5  # error, in arm lengths
-SMALLEST_ERROR = 1e-9  # that is told from none, in arm lengths
+SMALLEST_ERROR = 1e-9  # smaller ones are shown as 0, in arm lengths
 MAX_SHARE = 1.2  # of limits that is shown
 OUTSIDE = 1e3  # value of lines outside of the picture
 SPEED_COLOR, ACCELERATION_COLOR = palette.SPARE[2], palette.SPARE[0]
@@ -46,7 +46,7 @@ NO_TIMES = np.zeros(0)
 
 PANEL_WIDTH, PANEL_GAP = 620, 15  # of the panel, and from the edges of the picture [pixels]
 TIME_STEP = 0.01  # of the slider [s]
-HELD_TIME, LEFT_TIME = 0.5, 2.0  # since a hand moved the slider, until it is moved, and made anew [s]
+HELD_TIME, LEFT_TIME = 0.5, 2.0  # after a hand moved the slider, before it is set, and replaced [s]
 MAX_NUMBERED = 24  # keyframes with numbers at the slider
 
 

@@ -1,6 +1,6 @@
 """The server of the page, which only admits calls with the secret address, from the page itself.
 
-A web page that somebody has open can call servers on that machine. So each call, of the page as of its
+Any web page that is open in a browser can call servers on that machine. So each call, of the page as of its
 websocket, must name this machine (`Host`: another name can be made to lead here), come from this page
 (`Origin`), and have the secret of the address in its path. The page of viser connects to the path that it
 was loaded from, so the secret needs no cookie, which other servers of the same machine would be sent.
@@ -133,7 +133,7 @@ def _guarded_servers(entrance: Entrance) -> Iterator[list[Entrance]]:
     plain = websockets.asyncio.server.serve
 
     def guarding(*given: Any, process_request: Any = None, **named: Any) -> Any:
-        if getattr(process_request, "__module__", "") != "viser.infra._infra":  # of somebody else's thread
+        if getattr(process_request, "__module__", "") != "viser.infra._infra":  # from another thread
             return plain(*given, process_request=process_request, **named)
         guarded.append(entrance)
 

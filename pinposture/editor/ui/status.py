@@ -25,8 +25,8 @@ STATUS_COLORS = {
 MAX_CURVE_DISTANCE, MAX_TIP_ERROR, MAX_MEAN_ERROR = 0.02, 0.01, 0.01
 
 AVOIDING_CONTROLLER = "geodesic"
-JUDGING_TIME = 0.4  # of a problem before the status tells of it [s]
-SMALLEST_ERROR = 1e-6  # that is told from none [mm]
+JUDGING_TIME = 0.4  # of a problem before the status mentions it [s]
+SMALLEST_ERROR = 1e-6  # smaller ones are shown as 0 [mm]
 
 
 class Status:
