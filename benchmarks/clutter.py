@@ -23,7 +23,7 @@ from pinposture.collision import CollisionModel
 from pinposture.control import plan
 from pinposture.motion.trajectory import path_length_ratio
 from pinposture.placement import Target
-from pinposture.study.clutter import KINDS_OF_CLUTTER, LIMITS, Problem, dense_clearance, draw_problem
+from pinposture.study.clutter import KINDS_OF_CLUTTER, LIMITS, ClutterProblem, dense_clearance, draw_problem
 from pinposture.study.scenes import situation_arm
 
 SIMPLIFY, RANGE, RESOLUTION = 2.0, 1.0, 0.05
@@ -36,7 +36,7 @@ def ratio_of(arm: Arm, q: np.ndarray) -> float:
     return path_length_ratio(np.array([arm.at(each).compiled.points for each in q]))
 
 
-def by_pinposture(arm: Arm, problem: Problem) -> tuple[float, np.ndarray | None]:
+def by_pinposture(arm: Arm, problem: ClutterProblem) -> tuple[float, np.ndarray | None]:
     """Time to plan [s] and the path, (N, nq); None if it is not clear."""
     target = Target.from_configuration(arm, problem.goal)
     began = perf_counter()
@@ -44,7 +44,7 @@ def by_pinposture(arm: Arm, problem: Problem) -> tuple[float, np.ndarray | None]
     return perf_counter() - began, None if path.hindrance else path.configurations
 
 
-def by_rrt_connect(arm: Arm, problem: Problem, budget: float) -> tuple[float, np.ndarray | None]:
+def by_rrt_connect(arm: Arm, problem: ClutterProblem, budget: float) -> tuple[float, np.ndarray | None]:
     """Time to plan [s] and the simplified path, (N, nq); None if there is none within the budget [s]."""
     model, n = CollisionModel(arm, problem.scene), arm.nv
     space, bounds = base.RealVectorStateSpace(n), base.RealVectorBounds(n)

@@ -47,7 +47,7 @@ MAX_DRAWS, MAX_RUN_STEPS = 5000, 6000
 LIMITS = Limits(step=None, velocity=1.0, acceleration=5.0, dt=0.02)
 
 
-class Problem(NamedTuple):
+class ClutterProblem(NamedTuple):
     """A scene, and two configurations that are clear in it.
 
     Attributes:
@@ -133,7 +133,7 @@ KINDS_OF_CLUTTER: Mapping[str, Draw] = MappingProxyType(
 """How to draw a problem of each kind: obstacles, start and goal; None where the arm cannot take a curve."""
 
 
-def draw_problem(arm: Arm, kind: str, seed: int) -> Problem:
+def draw_problem(arm: Arm, kind: str, seed: int) -> ClutterProblem:
     """Draw a problem until start and goal are clear. Nothing is planned for it.
 
     Args:
@@ -157,7 +157,7 @@ def draw_problem(arm: Arm, kind: str, seed: int) -> Problem:
             warnings.simplefilter("ignore", PostureWarning)
             model = CollisionModel(arm, scene)
         if min(model.minimum(q).distance for q in (start, goal)) > CLUTTER_MARGIN + SPARE_CLEARANCE:
-            return Problem(scene, start, goal)
+            return ClutterProblem(scene, start, goal)
     raise InvalidValue("seed", seed, f"one with a clear start and goal in {MAX_DRAWS} draws")
 
 
