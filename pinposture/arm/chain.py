@@ -1,4 +1,4 @@
-"""The arm as a serial chain of joint axes, in one reference posture and in the world frame."""
+"""The arm as a serial chain of joint axes, at its neutral configuration and in the world frame."""
 
 from __future__ import annotations
 
@@ -11,17 +11,16 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pinposture.arm.configurations import carry_base, without_limits
 from pinposture.errors import InvalidValue, UnknownName
-
-# The moving joints of a serial arm before it is cut into modules.
 
 Array = NDArray[np.float64]
 
 PARALLEL = 1e-3
 """Largest angle between parallel axes [rad]; files round a quarter turn to 1.571 or even 1.57."""
 ON_AXIS = 1e-6
-"""How far from a joint axis a point may be to count as not moved by it, relative to the arm."""
+"""Distance from a joint axis below which the joint does not move a point, relative to the arm."""
+UNLIMITED_RANGE = 100.0
+"""Range beyond which position limits mean none [arm lengths, or rad]: files write +-1e6 for it."""
 
 
 class JointLines(NamedTuple):
@@ -39,9 +38,10 @@ class JointLines(NamedTuple):
 
 
 def neutral_placements(model: pin.Model) -> list[pin.SE3]:
-    """Placements of all joints at the neutral configuration, world frame, where every joint is the identity.
+    """Compute the placements of all joints at the neutral configuration, world frame.
 
-    A `pin.Data` would know them as well; that of an arm of 1,000 joints fits in no memory.
+    Every joint is the identity there. `pin.Data` has the same placements, but that of an arm of 1,000 joints
+    does not fit into memory.
     """
     placements = [pin.SE3.Identity()]
     for joint in range(1, model.njoints):
@@ -49,23 +49,27 @@ def neutral_placements(model: pin.Model) -> list[pin.SE3]:
     return placements
 
 
+def frame_position(frame: pin.Frame, placements: Sequence[pin.SE3]) -> Array:
+    """Return the position of a frame (3,) [m], given the placements of all joints."""
+    return np.array((placements[frame.parentJoint] * frame.placement).translation)
+
+
 def joint_screws(model: pin.Model, joints: list[int]) -> Array:
-    """How joints with one degree of freedom move, (n, 6): velocity and turning, in their own frames."""
+    """Return the motions of joints with one degree of freedom, (n, 6): linear and angular, joint frames."""
     return np.array([np.ravel(model.joints[joint].createData().S) for joint in joints])
 
 
 def joint_axes(model: pin.Model, joints: list[int]) -> Array:
-    """Unit axes of joints that turn or slide, (n, 3), in their own frames."""
+    """Return the unit axes of joints that turn or slide, (n, 3), in their own frames."""
     screws = joint_screws(model, joints)
     return np.ascontiguousarray(np.where(_turn(screws)[:, None], screws[:, 3:], screws[:, :3]))
 
 
-def joint_lines(model: pin.Model, joints: list[int]) -> JointLines:
-    """Read the axes of joints that turn or slide."""
-    placements = neutral_placements(model)
-    turns = np.array([placements[joint].rotation for joint in joints])
+def joint_lines(model: pin.Model, joints: list[int], placements: Sequence[pin.SE3]) -> JointLines:
+    """Read the axes of joints that turn or slide, given the placements of all joints."""
+    rotations = np.array([placements[joint].rotation for joint in joints])
     origins = np.array([placements[joint].translation for joint in joints])
-    axes = np.einsum("nij,nj->ni", turns, joint_axes(model, joints))
+    axes = np.einsum("nij,nj->ni", rotations, joint_axes(model, joints))
     return JointLines(axes, origins, _turn(joint_screws(model, joints)))
 
 
@@ -74,10 +78,10 @@ def _turn(screws: Array) -> NDArray[np.bool_]:
 
 
 def plane_normal(lines: JointLines, tip: Array, length: float) -> Array | None:
-    """Normal of the plane in which joints move an arm, (3,), or None if they leave every plane.
+    """Return the normal of the plane in which joints move an arm, (3,), or None if there is no such plane.
 
-    Joints that turn do so about the normal, joints that slide do so across it. Joints at the end that turn
-    about axes through the tip move nothing, so they may have any axis.
+    Revolute joints turn about the normal, slides move across it. Revolute joints at the end whose axes pass
+    through the tip move nothing, so they may have any axis.
 
     Args:
         lines: the joints from base to tip.
@@ -105,14 +109,41 @@ def plane_normal(lines: JointLines, tip: Array, length: float) -> Array | None:
     return normal if parallel and np.all(np.abs(slides @ normal) < PARALLEL) else None
 
 
+def find_unlimited(lower: Array, upper: Array, slides: NDArray[np.bool_], length: float) -> NDArray[np.bool_]:
+    """Find the joints without real position limits: none, or limits so wide that they mean none.
+
+    Args:
+        lower: smallest positions, (n,) [rad or m].
+        upper: largest positions, (n,) [rad or m].
+        slides: True for a joint that slides, (n,).
+        length: of the arm, with its slides at zero [m].
+
+    Returns:
+        True where there is more than 100 arm lengths to slide, or more than 100 rad to turn, (n,).
+    """
+    return np.asarray(upper - lower > UNLIMITED_RANGE * np.where(slides, length, 1.0))
+
+
+def find_base_slides(unlimited: NDArray[np.bool_], revolute: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Find the slides without real limits that carry the base, as of a mobile robot, (n,).
+
+    They come before the first revolute joint; an arm without revolute joints has none.
+
+    Args:
+        unlimited: True for a joint without real limits, from base to tip, (n,).
+        revolute: True for a joint that turns, (n,).
+    """
+    return np.asarray(unlimited & ~np.logical_or.accumulate(revolute) & np.any(revolute))
+
+
 class Skeleton:
-    """Joints of a serial arm from base to tip at its neutral configuration, world frame.
+    """Joints of a serial arm at its neutral configuration, before it is cut into modules; world frame.
 
     Attributes:
-        names: names of the joints, (n,).
+        names: names of the joints from base to tip, (n,).
         axes: unit joint axes, (n, 3).
         revolute: True for a joint that turns, (n,).
-        stations: where each joint sits, and the tip after them, (n + 1, 3) [m].
+        stations: origins of the joints, and the tip after them, (n + 1, 3) [m].
         lower: smallest joint positions, (n,) [rad or m].
         upper: largest joint positions, (n,) [rad or m].
     """
@@ -127,9 +158,9 @@ class Skeleton:
 
     @cached_property
     def length(self) -> float:
-        """Arc length from the first joint by way of the others to the tip [m]; inf or NaN if out of range."""
+        """Arc length from the first joint through the others to the tip [m]; inf or NaN if out of range."""
         with np.errstate(over="ignore", invalid="ignore"):
-            return float(np.linalg.norm(np.diff(self.stations, axis=0), axis=1).sum())
+            return _polyline_length(self.stations)
 
     @cached_property
     def normal(self) -> Array | None:
@@ -137,22 +168,23 @@ class Skeleton:
         return plane_normal(self._lines, self.stations[-1], self.length)
 
     @cached_property
-    def roaming(self) -> NDArray[np.bool_]:
-        """Which joints are slides without real limits on which the base stands, (n,)."""
-        without = without_limits(self.lower, self.upper, ~self.revolute, self.length)
-        return carry_base(without, self.revolute)
+    def base_slides(self) -> NDArray[np.bool_]:
+        """Which joints are slides without real limits that carry the base, (n,)."""
+        unlimited = find_unlimited(self.lower, self.upper, ~self.revolute, self.length)
+        return find_base_slides(unlimited, self.revolute)
 
 
-# The arm as a chain of joint axes, all given in one reference posture and in the world frame.
-#
-# Every joint u is a screw fixed to the body before it; at the reference (neutral) configuration its axis
-# passes through `origins[u]` along `axes[u]`. Together with the control points in that posture this is the
-# whole kinematics (product of exponentials), whatever frames the file happened to use.
+def _polyline_length(stations: Array) -> float:
+    return float(np.linalg.norm(np.diff(stations, axis=0), axis=1).sum())
 
 
 @dataclass(frozen=True, eq=False)
 class Chain:
     """Joints and control points of a serial arm at its neutral configuration, world frame.
+
+    Every joint u is a screw fixed to the body before it; at the neutral configuration its axis passes through
+    `origins[u]` along `axes[u]`. Together with the control points this is the whole kinematics (product of
+    exponentials), whatever frames the file uses.
 
     Attributes:
         joints: names of the moving joints from base to tip, (n,).
@@ -192,7 +224,7 @@ class Chain:
         for k, joints in enumerate(self.module_slices):
             stations.extend(self.origins[joints])
             stations.append(self.points[k])
-        return float(np.linalg.norm(np.diff(np.array(stations), axis=0), axis=1).sum())
+        return _polyline_length(np.array(stations))
 
     @cached_property
     def plane(self) -> Array:
@@ -210,9 +242,9 @@ class Chain:
 
     @cached_property
     def plane_bound(self) -> NDArray[np.bool_]:
-        """Which modules move their ends in one plane only, in an arm that leaves every plane, (m,).
+        """Which modules of a spatial arm move their ends in one plane only, (m,).
 
-        Their joints turn about parallel axes; nowhere if the arm itself is planar.
+        Their joints turn about parallel axes. All False for a planar arm.
         """
         bound = np.zeros(len(self.points), dtype=np.bool_)
         if len(self.plane) == 2:
@@ -225,10 +257,10 @@ class Chain:
 
     @cached_property
     def spans(self) -> Array:
-        """Length over which each part of the arm bends either way across a curve, (m,) [m].
+        """Length of arm that it takes to bend in every direction across a curve, for each module, (m,) [m].
 
-        That of its module. Modules in a row that are bound to one plane do so together, with the modules
-        before and behind them that turn the plane.
+        Usually the length of the module. Consecutive modules bound to one plane bend together with the
+        modules before and after them, which turn the plane.
         """
         spans, m = self.module_lengths.copy(), len(self.points)
         edges = np.flatnonzero(np.diff(np.concatenate([[0], self.plane_bound.astype(int), [0]])))
@@ -238,14 +270,14 @@ class Chain:
         return np.asarray(spans)
 
     def flattened(self, places: Array) -> Array:
-        """Places on the arm as seen in the plane in which it moves, world frame.
+        """Project points of a planar arm into its plane, world frame.
 
         Args:
             places: points that the arm carries, at any of its configurations, (..., 3) [m].
 
         Returns:
-            For a planar arm, the places moved along the normal of its plane into the plane of its base, where
-            its joints leave them; for a spatial one, the places as they are.
+            For a planar arm, the points moved along its normal into the plane of its base; for a spatial one,
+            the points unchanged.
         """
         if len(self.plane) == 3:
             return places
@@ -254,7 +286,7 @@ class Chain:
 
 
 def read_chain(model: pin.Model, control_points: tuple[str, ...]) -> Chain:
-    """Read the chain that leads to the last control point out of a model.
+    """Read the chain that leads to the last control point from a model.
 
     Args:
         model: the arm, base placement already applied.
@@ -283,7 +315,8 @@ def read_chain(model: pin.Model, control_points: tuple[str, ...]) -> Chain:
             raise InvalidValue(f"control point {name!r}", f"moved by {reached} joints of the chain", allowed)
         starts.append(count)
         count = reached
-    lines, placements = joint_lines(model, support), neutral_placements(model)
+    placements = neutral_placements(model)
+    lines = joint_lines(model, support, placements)
     return Chain(
         joints=tuple(str(model.names[j]) for j in support),
         columns=np.array([model.joints[j].idx_v for j in support], dtype=np.intp),
@@ -291,13 +324,13 @@ def read_chain(model: pin.Model, control_points: tuple[str, ...]) -> Chain:
         axes=lines.axes,
         origins=lines.origins,
         base=lines.origins[0].copy(),
-        points=np.array([(placements[frame.parentJoint] * frame.placement).translation for frame in frames]),
+        points=np.array([frame_position(frame, placements) for frame in frames]),
         module_starts=np.array(starts, dtype=np.intp),
     )
 
 
 def frame_ids(model: pin.Model, names: Sequence[str]) -> list[int]:
-    """Indices of frames; where a link and a joint have the same name, that of the link.
+    """Return the indices of frames; if a link and a joint have the same name, that of the link.
 
     Raises:
         UnknownName: there is no such frame.

@@ -14,13 +14,15 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from pinposture.arm.chain import ON_AXIS, Skeleton, joint_lines, neutral_placements
+from pinposture._validation import rigid_placement
+from pinposture.arm.chain import ON_AXIS, Skeleton, frame_position, joint_lines, neutral_placements
 from pinposture.arm.configurations import UNLIMITED
 from pinposture.arm.segmentation import Segmentation, equal_modules, given_modules, segment
 from pinposture.arm.urdf_reader import (
     CHAIN_JOINTS,
     Description,
     JointDescription,
+    is_urdf_text,
     leading_joint,
     read_description,
 )
@@ -251,7 +253,7 @@ def modules_to_links(model: pin.Model, skeleton: Skeleton, links: Sequence[str])
         frame = bodies[link]
         name = str(model.names[frame.parentJoint])
         end = skeleton.names.index(name) + 1 if name in skeleton.names else 0
-        place = (placements[frame.parentJoint] * frame.placement).translation
+        place = frame_position(frame, placements)
         if end and link != links[-1] and skeleton.revolute[end - 1]:
             lever = np.cross(skeleton.axes[end - 1], place - skeleton.stations[end - 1])
             end -= int(np.linalg.norm(lever) <= ON_AXIS * skeleton.length)
@@ -323,26 +325,29 @@ class LoadedModel(NamedTuple):
     Attributes:
         model: the chain, base placement applied, with a frame at the end of each module.
         control_points: names of those frames, from base to tip.
+        base_placement: where the root link stands in the world; None if not given.
         text: the URDF that was read.
         report: what was decided on the way.
     """
 
     model: pin.Model
     control_points: tuple[str, ...]
+    base_placement: pin.SE3 | None
     text: str
     report: LoadReport
 
 
 def load_model(
     source: str | Path,
-    base: str | None,
-    tip: str | None,
-    modules: Modules,
-    locked: Mapping[str, float],
-    base_placement: pin.SE3,
+    base: str | None = None,
+    tip: str | None = None,
+    modules: Modules = None,
+    locked: Mapping[str, float] | None = None,
     package_dirs: Sequence[str | Path] | None = None,
+    base_placement: pin.SE3 | None = None,
 ) -> LoadedModel:
     """Load, check, reduce to the chain from base to tip, cut into modules. See `Arm.from_urdf`."""
+    placement = None if base_placement is None else rigid_placement("base_placement", base_placement)
     description = read_description(source)
     links, sizes = _read_modules(modules)
     if tip is None and links:
@@ -353,7 +358,7 @@ def load_model(
         message = "base= alone does not say which chain; pass tip= as well"
         raise InvalidValue("tip", None, f"the link at which the arm ends ({message})")
     base = description.root if base is None else base
-    locks = checked_locks(description, locked)
+    locks = checked_locks(description, locked or {})
     moving = _moving_joints(description, base, tip, locks)
     names = [joint.name for joint in moving]
     try:
@@ -362,7 +367,8 @@ def load_model(
         raise URDFError(description.source, "<robot>", f"is refused by Pinocchio: {error}") from None
     model = hold(model, description, names, locks)
     _set_limits(model, moving)
-    place_base(model, base_placement)
+    if placement is not None:
+        place_base(model, placement)
     skeleton = _skeleton(model, moving, tip)
     if not LENGTHS[0] <= skeleton.length <= LENGTHS[1]:
         reason = f"is {skeleton.length:.3g} m long; allowed: {LENGTHS[0]:g} to {LENGTHS[1]:g} m"
@@ -376,7 +382,7 @@ def load_model(
         warnings.append(segmentation.reason)
     folders = _package_dirs(source, package_dirs)
     report = LoadReport(base, tip, folders, tuple(warnings), segmentation)
-    return LoadedModel(model, points, description.text, report)
+    return LoadedModel(model, points, placement, description.text, report)
 
 
 def place_base(model: pin.Model, placement: pin.SE3) -> None:
@@ -463,9 +469,9 @@ def _set_limits(model: pin.Model, moving: Sequence[JointDescription]) -> None:
 
 
 def _skeleton(model: pin.Model, moving: Sequence[JointDescription], tip: str) -> Skeleton:
-    lines = joint_lines(model, [model.getJointId(joint.name) for joint in moving])
-    frame = model.frames[model.getFrameId(tip, pin.FrameType.BODY)]
-    place = (neutral_placements(model)[frame.parentJoint] * frame.placement).translation
+    placements = neutral_placements(model)
+    lines = joint_lines(model, [model.getJointId(joint.name) for joint in moving], placements)
+    place = frame_position(model.frames[model.getFrameId(tip, pin.FrameType.BODY)], placements)
     lower = np.array([joint.lower for joint in moving])
     upper = np.array([joint.upper for joint in moving])
     return Skeleton(tuple(joint.name for joint in moving), lines, place, lower, upper)
@@ -487,6 +493,6 @@ def _package_dirs(source: str | Path, given: Sequence[str | Path] | None) -> tup
         folders = [Path(folder).absolute() for folder in given or ()]
     except TypeError:
         raise InvalidValue("package_dirs", given, "paths of folders") from None
-    if not (isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<")):
+    if not is_urdf_text(source):
         folders.append(Path(source).absolute().parent)
     return tuple(dict.fromkeys(map(str, folders)))

@@ -120,7 +120,7 @@ class Placing:
         self._known: dict[tuple[int, int], _Motion] = {}
         swing = np.where(skeleton.revolute, _SWING, self._pitch)
         middle = np.clip(0.0, skeleton.lower, skeleton.upper)
-        swing[skeleton.roaming] = 0.0
+        swing[skeleton.base_slides] = 0.0
         low, high = np.maximum(skeleton.lower, middle - swing), np.minimum(skeleton.upper, middle + swing)
         self._positions = np.random.default_rng(0).uniform(low, high, (POSTURES, len(middle)))
         self.needed = 2 if skeleton.normal is None else 1
@@ -191,7 +191,7 @@ class Placing:
             for axis, origin, turns in zip(axes, origins, arm.revolute[first:stop], strict=True)
         ]
         # A base that drives anywhere stays where it is when the arm takes a shape.
-        return place, np.where(arm.roaming[first:stop], 0.0, np.stack(columns, axis=2))
+        return place, np.where(arm.base_slides[first:stop], 0.0, np.stack(columns, axis=2))
 
 
 def _leaving(skeleton: Skeleton) -> list[int]:

@@ -255,6 +255,11 @@ def load_text(source: str | Path) -> tuple[str, str]:
     return text, str(path)
 
 
+def is_urdf_text(source: object) -> bool:
+    """Tell whether a source is the text of a URDF, not the path of a file."""
+    return isinstance(source, str) and source.lstrip(_BLANK).startswith("<")
+
+
 def parse_xml(text: str, source: str) -> ET.Element:
     """Parse XML, refusing what could fetch files or blow up.
 
