@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from pinposture.errors import InvalidValue, UnknownName
 
 Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 PARALLEL = 1e-3
 """Largest angle between parallel axes [rad]; files round a quarter turn to 1.571 or even 1.57."""
@@ -23,28 +23,13 @@ UNLIMITED_RANGE = 100.0
 """Range beyond which position limits mean none [arm lengths, or rad]: files write +-1e6 for it."""
 
 
-class JointLines(NamedTuple):
-    """Axes of joints at the neutral configuration, world frame.
-
-    Attributes:
-        axes: unit joint axes, (n, 3).
-        origins: a point on each axis, the origin of the joint's frame, (n, 3) [m].
-        revolute: True for a joint that turns, False for one that slides, (n,).
-    """
-
-    axes: Array
-    origins: Array
-    revolute: NDArray[np.bool_]
-
-
 def neutral_placements(model: pin.Model) -> list[pin.SE3]:
     """Compute the placements of all joints at the neutral configuration, world frame.
 
-    Every joint is the identity there. `pin.Data` has the same placements, but that of an arm of 1,000 joints
-    does not fit into memory.
+    `pin.Data` has the same placements, but that of an arm of 1,000 joints does not fit into memory.
     """
     placements = [pin.SE3.Identity()]
-    for joint in range(1, model.njoints):
+    for joint in range(1, model.njoints):  # at the neutral configuration a joint moves nothing
         placements.append(placements[model.parents[joint]] * model.jointPlacements[joint])
     return placements
 
@@ -59,42 +44,25 @@ def joint_screws(model: pin.Model, joints: list[int]) -> Array:
     return np.array([np.ravel(model.joints[joint].createData().S) for joint in joints])
 
 
-def joint_axes(model: pin.Model, joints: list[int]) -> Array:
-    """Return the unit axes of joints that turn or slide, (n, 3), in their own frames."""
+def joint_axes(model: pin.Model, joints: list[int]) -> tuple[Array, BoolArray]:
+    """Return the unit axes of joints, (n, 3), in their own frames, and whether they are revolute, (n,)."""
     screws = joint_screws(model, joints)
-    return np.ascontiguousarray(np.where(_turn(screws)[:, None], screws[:, 3:], screws[:, :3]))
+    revolute = np.asarray(np.linalg.norm(screws[:, 3:], axis=1) > 0.5)
+    return np.ascontiguousarray(np.where(revolute[:, None], screws[:, 3:], screws[:, :3])), revolute
 
 
-def joint_lines(model: pin.Model, joints: list[int], placements: Sequence[pin.SE3]) -> JointLines:
-    """Read the axes of joints that turn or slide, given the placements of all joints."""
-    rotations = np.array([placements[joint].rotation for joint in joints])
-    origins = np.array([placements[joint].translation for joint in joints])
-    axes = np.einsum("nij,nj->ni", rotations, joint_axes(model, joints))
-    return JointLines(axes, origins, _turn(joint_screws(model, joints)))
-
-
-def _turn(screws: Array) -> NDArray[np.bool_]:
-    return np.asarray(np.linalg.norm(screws[:, 3:], axis=1) > 0.5)
-
-
-def plane_normal(lines: JointLines, tip: Array, length: float) -> Array | None:
+def plane_normal(axes: Array, origins: Array, revolute: BoolArray, tip: Array, length: float) -> Array | None:
     """Return the normal of the plane in which joints move an arm, (3,), or None if there is no such plane.
 
     Revolute joints turn about the normal, slides move across it. Revolute joints at the end whose axes pass
     through the tip move nothing, so they may have any axis.
-
-    Args:
-        lines: the joints from base to tip.
-        tip: the tip, (3,) [m].
-        length: length of the arm [m].
     """
-    n = len(lines.axes)
-    while n > 1 and lines.revolute[n - 1]:
-        if np.linalg.norm(np.cross(lines.axes[n - 1], tip - lines.origins[n - 1])) > ON_AXIS * length:
+    n = len(axes)
+    while n > 1 and revolute[n - 1]:
+        if np.linalg.norm(np.cross(axes[n - 1], tip - origins[n - 1])) > ON_AXIS * length:
             break
         n -= 1
-    axes, revolute = lines.axes[:n], lines.revolute[:n]
-    turns, slides = axes[revolute], axes[~revolute]
+    turns, slides = axes[:n][revolute[:n]], axes[:n][~revolute[:n]]
     if len(turns):
         signs = np.where(turns @ turns[0] < 0.0, -1.0, 1.0)
         normal = signs @ turns
@@ -109,33 +77,23 @@ def plane_normal(lines: JointLines, tip: Array, length: float) -> Array | None:
     return normal if parallel and np.all(np.abs(slides @ normal) < PARALLEL) else None
 
 
-def find_unlimited(lower: Array, upper: Array, slides: NDArray[np.bool_], length: float) -> NDArray[np.bool_]:
-    """Find the joints without real position limits: none, or limits so wide that they mean none.
+def find_unlimited(lower: Array, upper: Array, slides: BoolArray, length: float) -> BoolArray:
+    """Find the joints without real position limits, (n,): none, or so wide that they mean none.
 
-    Args:
-        lower: smallest positions, (n,) [rad or m].
-        upper: largest positions, (n,) [rad or m].
-        slides: True for a joint that slides, (n,).
-        length: of the arm, with its slides at zero [m].
-
-    Returns:
-        True where there is more than 100 arm lengths to slide, or more than 100 rad to turn, (n,).
+    These allow more than 100 lengths of the arm to slide, or more than 100 rad to turn.
     """
     return np.asarray(upper - lower > UNLIMITED_RANGE * np.where(slides, length, 1.0))
 
 
-def find_base_slides(unlimited: NDArray[np.bool_], revolute: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def find_base_slides(unlimited: BoolArray, revolute: BoolArray) -> BoolArray:
     """Find the slides without real limits that carry the base, as of a mobile robot, (n,).
 
     They come before the first revolute joint; an arm without revolute joints has none.
-
-    Args:
-        unlimited: True for a joint without real limits, from base to tip, (n,).
-        revolute: True for a joint that turns, (n,).
     """
     return np.asarray(unlimited & ~np.logical_or.accumulate(revolute) & np.any(revolute))
 
 
+@dataclass(frozen=True, eq=False)
 class Skeleton:
     """Joints of a serial arm at its neutral configuration, before it is cut into modules; world frame.
 
@@ -148,13 +106,12 @@ class Skeleton:
         upper: largest joint positions, (n,) [rad or m].
     """
 
-    def __init__(
-        self, names: tuple[str, ...], lines: JointLines, tip: Array, lower: Array, upper: Array
-    ) -> None:
-        self.names, self._lines = names, lines
-        self.axes, self.revolute = lines.axes, lines.revolute
-        self.stations = np.vstack([lines.origins, tip])
-        self.lower, self.upper = lower, upper
+    names: tuple[str, ...]
+    axes: Array
+    revolute: BoolArray
+    stations: Array
+    lower: Array
+    upper: Array
 
     @cached_property
     def length(self) -> float:
@@ -165,13 +122,31 @@ class Skeleton:
     @cached_property
     def normal(self) -> Array | None:
         """Normal of the plane in which the arm moves, (3,), or None if it is spatial."""
-        return plane_normal(self._lines, self.stations[-1], self.length)
+        return plane_normal(self.axes, self.stations[:-1], self.revolute, self.stations[-1], self.length)
 
     @cached_property
-    def base_slides(self) -> NDArray[np.bool_]:
+    def base_slides(self) -> BoolArray:
         """Which joints are slides without real limits that carry the base, (n,)."""
         unlimited = find_unlimited(self.lower, self.upper, ~self.revolute, self.length)
         return find_base_slides(unlimited, self.revolute)
+
+
+def read_skeleton(model: pin.Model, names: Sequence[str], tip: str, lower: Array, upper: Array) -> Skeleton:
+    """Read the joints of a chain that ends at a link from a model; see `Skeleton`."""
+    placements = neutral_placements(model)
+    joints = [model.getJointId(name) for name in names]
+    axes, revolute = _world_axes(model, joints, placements)
+    end = frame_position(model.frames[model.getFrameId(tip, pin.FrameType.BODY)], placements)
+    stations = np.vstack([*(placements[joint].translation for joint in joints), end])
+    return Skeleton(tuple(names), axes, revolute, stations, lower, upper)
+
+
+def _world_axes(
+    model: pin.Model, joints: list[int], placements: Sequence[pin.SE3]
+) -> tuple[Array, BoolArray]:
+    axes, revolute = joint_axes(model, joints)
+    rotations = np.array([placements[joint].rotation for joint in joints])
+    return np.einsum("nij,nj->ni", rotations, axes), revolute
 
 
 def _polyline_length(stations: Array) -> float:
@@ -199,7 +174,7 @@ class Chain:
 
     joints: tuple[str, ...]
     columns: NDArray[np.intp]
-    revolute: NDArray[np.bool_]
+    revolute: BoolArray
     axes: Array
     origins: Array
     base: Array
@@ -220,17 +195,15 @@ class Chain:
     @cached_property
     def length(self) -> float:
         """Arc length from the first joint along the joint origins and control points to the tip [m]."""
-        stations = [self.base]
-        for k, joints in enumerate(self.module_slices):
-            stations.extend(self.origins[joints])
-            stations.append(self.points[k])
-        return _polyline_length(np.array(stations))
+        stations = [self.base[None]]
+        for joints, point in zip(self.module_slices, self.points, strict=True):
+            stations += [self.origins[joints], point[None]]
+        return _polyline_length(np.vstack(stations))
 
     @cached_property
     def plane(self) -> Array:
         """Orthonormal basis (2, 3) of the plane in which the arm moves, or (3, 3) if it is spatial."""
-        lines = JointLines(self.axes, self.origins, self.revolute)
-        normal = plane_normal(lines, self.points[-1], self.length)
+        normal = plane_normal(self.axes, self.origins, self.revolute, self.points[-1], self.length)
         if normal is None:
             return np.eye(3)
         reach = self.points[-1] - self.base
@@ -241,7 +214,7 @@ class Chain:
         return np.array([along, np.cross(normal, along)])
 
     @cached_property
-    def plane_bound(self) -> NDArray[np.bool_]:
+    def plane_bound(self) -> BoolArray:
         """Which modules of a spatial arm move their ends in one plane only, (m,).
 
         Their joints turn about parallel axes. All False for a planar arm.
@@ -250,9 +223,9 @@ class Chain:
         if len(self.plane) == 2:
             return bound
         for k, joints in enumerate(self.module_slices):
-            lines = JointLines(self.axes[joints], self.origins[joints], self.revolute[joints])
+            own = self.axes[joints], self.origins[joints], self.revolute[joints]
             alone = joints.stop - joints.start == 1
-            bound[k] = alone or plane_normal(lines, self.points[k], self.length) is not None
+            bound[k] = alone or plane_normal(*own, self.points[k], self.length) is not None
         return bound
 
     @cached_property
@@ -286,14 +259,7 @@ class Chain:
 
 
 def read_chain(model: pin.Model, control_points: tuple[str, ...]) -> Chain:
-    """Read the chain that leads to the last control point from a model.
-
-    Args:
-        model: the arm, base placement already applied.
-        control_points: frame names in order from base to tip.
-
-    Returns:
-        The chain in the neutral configuration.
+    """Read the chain that leads to the last control point from a model, base placement applied.
 
     Raises:
         InvalidValue: a control point that does not lie farther along the chain than the one before it,
@@ -316,14 +282,15 @@ def read_chain(model: pin.Model, control_points: tuple[str, ...]) -> Chain:
         starts.append(count)
         count = reached
     placements = neutral_placements(model)
-    lines = joint_lines(model, support, placements)
+    axes, revolute = _world_axes(model, support, placements)
+    origins = np.array([placements[joint].translation for joint in support])
     return Chain(
         joints=tuple(str(model.names[j]) for j in support),
         columns=np.array([model.joints[j].idx_v for j in support], dtype=np.intp),
-        revolute=lines.revolute,
-        axes=lines.axes,
-        origins=lines.origins,
-        base=lines.origins[0].copy(),
+        revolute=revolute,
+        axes=axes,
+        origins=origins,
+        base=origins[0].copy(),
         points=np.array([frame_position(frame, placements) for frame in frames]),
         module_starts=np.array(starts, dtype=np.intp),
     )

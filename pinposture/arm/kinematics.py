@@ -130,17 +130,18 @@ class Kinematics:
             InvalidValue: a joint that neither turns about one axis nor slides along one.
         """
         joints = [model.getJointId(name) for name in chain.joints]
-        self.slides = np.array([_slides(model, joint) for joint in joints], dtype=np.bool_)
+        for joint in joints:
+            _require_simple(model, joint)
+        self.slides = ~chain.revolute
         self.endless = np.zeros(model.nv, dtype=np.bool_)
         for joint in joints:
             self.endless[model.joints[joint].idx_v] = model.joints[joint].nq == 2
-        self.columns = np.array([model.joints[joint].idx_v for joint in joints], dtype=np.int64)
+        self.columns = chain.columns.astype(np.int64)
         placements = [model.jointPlacements[joint] for joint in joints]
         fixed = np.array([[*each.rotation.ravel(), *each.translation] for each in placements])
-        axes = joint_axes(model, joints)
-        number = {joint: u + 1 for u, joint in enumerate(joints)}
+        axes, _ = joint_axes(model, joints)
         points = [model.frames[frame] for frame in frames]
-        self.ends = np.array([number[point.parentJoint] for point in points], dtype=np.int64)
+        self.ends = np.array([joints.stop for joints in chain.module_slices], dtype=np.int64)
         offsets = np.array([point.placement.translation for point in points])
         rotations = np.array([point.placement.rotation for point in points])
         self.constants = ChainArrays(self.slides, self.columns, fixed, axes, self.ends, offsets, rotations)
@@ -174,12 +175,11 @@ class Kinematics:
         )
 
 
-def _slides(model: pin.Model, joint: int) -> bool:
+def _require_simple(model: pin.Model, joint: int) -> None:
     kind = model.joints[joint].shortname().removeprefix("JointModel")
     if kind[0] not in "PR":
         allowed = "a joint that turns about one axis, or slides along one"
         raise InvalidValue(f"joint {model.names[joint]!r}", kind, allowed)
-    return bool(kind[0] == "P")
 
 
 class HasKinematics(Protocol):

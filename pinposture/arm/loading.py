@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinposture._validation import rigid_placement
-from pinposture.arm.chain import ON_AXIS, Skeleton, frame_position, joint_lines, neutral_placements
+from pinposture.arm.chain import ON_AXIS, Skeleton, frame_position, neutral_placements, read_skeleton
 from pinposture.arm.configurations import UNLIMITED
 from pinposture.arm.segmentation import Segmentation, count_joints, equal_modules, given_modules, segment
 from pinposture.arm.urdf_reader import (
@@ -120,7 +120,8 @@ def load_model(
     _set_limits(model, moving)
     if placement is not None:
         place_base(model, placement)
-    skeleton = _skeleton(model, moving, tip)
+    limits = np.array([[joint.lower, joint.upper] for joint in moving]).T
+    skeleton = read_skeleton(model, names, tip, *limits)
     if not LENGTHS[0] <= skeleton.length <= LENGTHS[1]:
         reason = f"is {skeleton.length:.3g} m long; allowed: {LENGTHS[0]:g} to {LENGTHS[1]:g} m"
         if skeleton.length == 0.0:
@@ -363,15 +364,6 @@ def _set_limits(model: pin.Model, moving: Sequence[JointDescription]) -> None:
         if index.nq == 1:
             model.lowerPositionLimit[index.idx_q] = joint.lower
             model.upperPositionLimit[index.idx_q] = joint.upper
-
-
-def _skeleton(model: pin.Model, moving: Sequence[JointDescription], tip: str) -> Skeleton:
-    placements = neutral_placements(model)
-    lines = joint_lines(model, [model.getJointId(joint.name) for joint in moving], placements)
-    position = frame_position(model.frames[model.getFrameId(tip, pin.FrameType.BODY)], placements)
-    lower = np.array([joint.lower for joint in moving])
-    upper = np.array([joint.upper for joint in moving])
-    return Skeleton(tuple(joint.name for joint in moving), lines, position, lower, upper)
 
 
 def _modules_to_links(model: pin.Model, skeleton: Skeleton, links: Sequence[str]) -> Segmentation:
