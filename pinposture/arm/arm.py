@@ -364,7 +364,7 @@ class Arm(ConfigurationSpace):
         return check_feasibility(self.chain, self.limits.lower, self.limits.upper, curve)
 
     def straight(self) -> Array:
-        """Return the configuration of longest reach, (nq,); the neutral one for our templates.
+        """Return the configuration of longest reach, (nq,); the neutral one for shipped templates.
 
         A base that slides without real limits (`roaming`) stays at zero.
         """

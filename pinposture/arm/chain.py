@@ -95,23 +95,14 @@ def find_base_slides(unlimited: BoolArray, revolute: BoolArray) -> BoolArray:
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
-    """Joints of a serial arm at its neutral configuration, before it is cut into modules; world frame.
+    """Joints of a serial arm at its neutral configuration, before it is cut into modules; world frame."""
 
-    Attributes:
-        names: names of the joints from base to tip, (n,).
-        axes: unit joint axes, (n, 3).
-        revolute: True for a joint that turns, (n,).
-        stations: origins of the joints, and the tip after them, (n + 1, 3) [m].
-        lower: smallest joint positions, (n,) [rad or m].
-        upper: largest joint positions, (n,) [rad or m].
-    """
-
-    names: tuple[str, ...]
-    axes: Array
-    revolute: BoolArray
-    stations: Array
-    lower: Array
-    upper: Array
+    names: tuple[str, ...]  # names of the joints from base to tip, (n,)
+    axes: Array  # unit joint axes, (n, 3)
+    revolute: BoolArray  # True for a joint that turns, (n,)
+    stations: Array  # origins of the joints, and the tip after them, (n + 1, 3) [m]
+    lower: Array  # smallest joint positions, (n,) [rad or m]
+    upper: Array  # largest joint positions, (n,) [rad or m]
 
     @cached_property
     def length(self) -> float:

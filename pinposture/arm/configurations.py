@@ -17,7 +17,7 @@ from pinposture.errors import InvalidValue, PostureWarning
 
 Array = NDArray[np.float64]
 
-UNLIMITED = 1e9
+NO_LIMIT = 1e9
 """A limit this large [rad, m, rad/s or m/s] means none: files write 1e16 or the largest float for it."""
 SLACK = 1e-4
 """How far outside its limits a joint may be without a warning [rad or m]: rounding to four digits."""
@@ -56,8 +56,8 @@ def joint_limits(model: pin.Model) -> JointLimits:
             lower[joint.idx_v] = model.lowerPositionLimit[joint.idx_q]
             upper[joint.idx_v] = model.upperPositionLimit[joint.idx_q]
     # A model built by hand has the largest floats for limits it was never given.
-    lower[lower <= -UNLIMITED], upper[upper >= UNLIMITED] = -np.inf, np.inf
-    velocity[(velocity <= 0.0) | (velocity >= UNLIMITED)] = np.inf
+    lower[lower <= -NO_LIMIT], upper[upper >= NO_LIMIT] = -np.inf, np.inf
+    velocity[(velocity <= 0.0) | (velocity >= NO_LIMIT)] = np.inf
     for array in (lower, upper, velocity):
         array.flags.writeable = False
     return JointLimits(lower, upper, velocity)
@@ -183,17 +183,10 @@ class ConfigurationSpace:
 def check_joint_positions(
     name: str, positions: Array, limits: JointLimits, slides: NDArray[np.bool_], joints: Sequence[str]
 ) -> None:
-    """Check joint positions that a caller gave, as a start or a goal, for degrees and violated limits.
+    """Check joint positions (nv,) [rad or m] that a caller gave, as a start or a goal, against the limits.
 
     A `PostureWarning` reports joints outside their limits, and many joints without limits that are wound by
     several turns.
-
-    Args:
-        name: what to call the positions in messages.
-        positions: one for each degree of freedom, (nv,) [rad or m].
-        limits: of the joints.
-        slides: which of them slide, (nv,).
-        joints: their names, (nv,).
 
     Raises:
         InvalidValue: a revolute joint is outside its limits by more than a turn, or many are: degrees.

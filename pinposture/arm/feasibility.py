@@ -24,6 +24,7 @@ QUARTER_TURN = np.pi / 2
 
 With fewer than four modules per turn the control points no longer show the shape of the curve: the chain can
 meet it in each point and still cut across its loops."""
+SAMPLES_PER_CURVE = 2000
 MIN_BEND = 0.1
 """Bend of a curve within one module below which it is almost straight [rad]: less than an eightieth of the
 module's length off its chord."""
@@ -91,26 +92,17 @@ class Feasibility:
         return not self.excesses
 
 
-def check_feasibility(
-    chain: Chain, lower: Array, upper: Array, curve: CurveShape, samples: int = 2000
-) -> Feasibility:
+def check_feasibility(chain: Chain, lower: Array, upper: Array, curve: CurveShape) -> Feasibility:
     """Compare the curvature and torsion that the modules can follow with those of a curve.
 
-    Args:
-        chain: the arm.
-        lower: smallest joint positions, (nv,) [rad or m].
-        upper: largest joint positions, (nv,) [rad or m].
-        curve: the curve to follow.
-        samples: number of places on the curve to evaluate.
-
-    Returns:
-        The comparison, over the part of the curve that the arm can cover. Torsion is averaged over one
-        module, weighted by curvature, because it has peaks where a curve hardly bends that no arm notices.
+    Only the part of the curve that the arm can cover counts. Torsion is averaged over one module, weighted by
+    curvature, because its peaks where a curve hardly bends do not matter. `lower` and `upper` are the
+    position limits, (nv,) [rad or m].
     """
     span = float(chain.spans.max())
     allowed_curvature = min(_largest_curvature(chain, k, lower, upper) for k in range(len(chain.points)))
     allowed_torsion = QUARTER_TURN / span
-    s = np.linspace(0.0, min(curve.length, chain.length), samples)
+    s = np.linspace(0.0, min(curve.length, chain.length), SAMPLES_PER_CURVE)
     curvature = np.asarray(curve.curvature(s))
     torsion = _weighted_torsion(s, curvature, np.abs(curve.torsion(s)), span)
     excesses = [

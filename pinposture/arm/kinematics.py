@@ -29,17 +29,12 @@ MAX_PINOCCHIO_DOF = 100
 
 
 class Frames(NamedTuple):
-    """Control points and joints of an arm at one configuration, by Pinocchio; world frame.
+    """Control points and joints of an arm at one configuration, by Pinocchio; world frame."""
 
-    Attributes:
-        points: positions of the control points, (m, 3) [m].
-        rotations: their orientations, (m, 3, 3), from control-point to world frame.
-        motions: how each degree of freedom moves a body at the world origin, (nv, 6): velocity [m/rad], then
-            angular velocity [rad/rad]; the columns of `data.J`.
-    """
-
-    points: Array
-    rotations: Array
+    points: Array  # positions of the control points, (m, 3) [m]
+    rotations: Array  # their orientations, (m, 3, 3), from control-point to world frame
+    # how each degree of freedom moves a body at the world origin, (nv, 6): velocity [m/rad], then angular
+    # velocity [rad/rad]; the columns of `data.J`
     motions: Array
 
 
@@ -69,41 +64,24 @@ class FrameReader:
 
 
 class ForwardKinematics(NamedTuple):
-    """Placements of a chain, world frame: arrays for kernels, not to be written to.
+    """Placements of a chain, world frame: arrays for kernels, not to be written to."""
 
-    Attributes:
-        axes: unit joint axes, (n, 3).
-        origins: origins of the joints, a point on each axis, (n, 3) [m].
-        points: control points, (m, 3) [m].
-        rotations: orientations of the control points, (m, 3, 3), from control-point to world frame.
-        positions: the joint positions, (nv,) [rad or m].
-    """
-
-    axes: Array
-    origins: Array
-    points: Array
-    rotations: Array
-    positions: Array
+    axes: Array  # unit joint axes, (n, 3)
+    origins: Array  # origins of the joints, a point on each axis, (n, 3) [m]
+    points: Array  # control points, (m, 3) [m]
+    rotations: Array  # orientations of the control points, (m, 3, 3), from control-point to world frame
+    positions: Array  # the joint positions, (nv,) [rad or m]
 
 
 class TaskConstants(NamedTuple):
-    """What kernels of task rows need and no configuration changes; arrays not to be written to.
+    """What kernels of task rows need and no configuration changes; arrays not to be written to."""
 
-    Attributes:
-        joints: the joints by their numbers along the chain, (n,).
-        units: the motion of each joint of the chain that counts as one, (n,) [rad or m].
-        plane: directions in which the arm can move, (2, 3) or (3, 3), world axes.
-        every: the control points by their numbers, (m,).
-        dimensions: number of these directions, once for each control point, (m,).
-        frames: these directions, and the normal of a planar arm, once for each control point, (m, 3, 3).
-    """
-
-    joints: IntArray
-    units: Array
-    plane: Array
-    every: IntArray
-    dimensions: IntArray
-    frames: Array
+    joints: IntArray  # the joints by their numbers along the chain, (n,)
+    units: Array  # the motion of each joint of the chain that counts as one, (n,) [rad or m]
+    plane: Array  # directions in which the arm can move, (2, 3) or (3, 3), world axes
+    every: IntArray  # the control points by their numbers, (m,)
+    dimensions: IntArray  # number of these directions, once for each control point, (m,)
+    frames: Array  # these directions, and the normal of a planar arm, once for each control point, (m, 3, 3)
 
 
 class Kinematics:
@@ -118,10 +96,10 @@ class Kinematics:
     """
 
     def __init__(self, model: pin.Model, chain: Chain, frames: Sequence[int], joint_units: Array) -> None:
-        """Read the constants from a model.
+        """Read the constants of a chain from a model, base placement applied.
 
         Args:
-            model: the arm, base placement applied.
+            model: the arm.
             chain: its chain.
             frames: indices of the control points.
             joint_units: the motion of each degree of freedom that counts as one, (nv,) [rad or m].

@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from pinposture._validation import rigid_placement
 from pinposture.arm.chain import ON_AXIS, Skeleton, frame_position, neutral_placements, read_skeleton
-from pinposture.arm.configurations import UNLIMITED
+from pinposture.arm.configurations import NO_LIMIT
 from pinposture.arm.segmentation import Segmentation, count_joints, equal_modules, given_modules, segment
 from pinposture.arm.urdf_reader import (
     CHAIN_JOINTS,
@@ -71,21 +71,13 @@ class LoadReport:
 
 
 class LoadedModel(NamedTuple):
-    """A model reduced to one chain.
+    """A model reduced to one chain."""
 
-    Attributes:
-        model: the chain, base placement applied, with a frame at the end of each module.
-        control_points: names of those frames, from base to tip.
-        base_placement: where the root link stands in the world; None if not given.
-        text: the URDF that was read.
-        report: what was decided.
-    """
-
-    model: pin.Model
-    control_points: tuple[str, ...]
-    base_placement: pin.SE3 | None
-    text: str
-    report: LoadReport
+    model: pin.Model  # the chain, base placement applied, with a frame at the end of each module
+    control_points: tuple[str, ...]  # names of those frames, from base to tip
+    base_placement: pin.SE3 | None  # where the root link stands in the world; None if not given
+    text: str  # the URDF that was read
+    report: LoadReport  # what was decided
 
 
 def load_model(
@@ -243,8 +235,8 @@ def _checked_locks(description: Description, locked: Mapping[str, float]) -> dic
             checked[name] = float(value)
         except (TypeError, ValueError):
             checked[name] = np.nan
-        if not abs(checked[name]) < UNLIMITED:
-            raise InvalidValue(f"locked[{name!r}]", value, f"a joint position within +-{UNLIMITED:g}")
+        if not abs(checked[name]) < NO_LIMIT:
+            raise InvalidValue(f"locked[{name!r}]", value, f"a joint position within +-{NO_LIMIT:g}")
     return checked
 
 
@@ -299,7 +291,7 @@ def _locked_positions(description: Description, locked: Mapping[str, float]) -> 
 def _lock_warnings(
     description: Description, base: str, tip: str, moving: Iterable[str], locked: Mapping[str, float]
 ) -> list[str]:
-    """Report joints that are locked without the user having asked for it, and joints without limits."""
+    """Report joints without limits, and joints that are locked although the user did not lock them."""
     free, chain = set(moving), description.chain(base, tip)
     on_chain = {joint.name for joint in chain}
     before = description.chain(description.root, base)

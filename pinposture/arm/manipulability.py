@@ -72,15 +72,7 @@ class Ellipsoid:
 
 
 def section_ellipsoid(jacobian: Array, plane: Array, point: int, base: int, center: Array) -> Ellipsoid:
-    """Compute the ellipsoid of one control point.
-
-    Args:
-        jacobian: its position Jacobian, the columns of the section alone, (d, n), n >= 1, along `plane`.
-        plane: orthonormal directions in which the arm can move, (d, 3), world frame.
-        point: index of the control point, 0-based.
-        base: where the section begins, see `Ellipsoid`.
-        center: position of the control point, (3,) [m], world frame.
-    """
+    """Compute an ellipsoid from the position Jacobian of a section along `plane`, (d, n), n >= 1."""
     dimension, columns = jacobian.shape
     # Columns of zeros do not change the ellipsoid, but give it as many axes as dimensions.
     filled = np.hstack([jacobian, np.zeros((dimension, max(dimension - columns, 0)))])
@@ -116,15 +108,7 @@ def chosen_points(names: Sequence[str], points: ControlPoints) -> tuple[int, ...
 
 
 def section_bases(chosen: Sequence[int], relative_to: str) -> tuple[int, ...]:
-    """Return where the section of each chosen control point begins, see `Ellipsoid.base`.
-
-    Args:
-        chosen: indices of control points, 0-based, in any order.
-        relative_to: "base", or "previous" for the previous chosen control point along the arm.
-
-    Raises:
-        UnknownName: no such start of a section.
-    """
+    """Return where the section of each chosen control point begins, see `Ellipsoid.base` and `SECTIONS`."""
     if relative_to not in SECTIONS:
         raise UnknownName("start of a section", relative_to, SECTIONS)
     if relative_to == "base":

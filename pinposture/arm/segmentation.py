@@ -54,17 +54,11 @@ class Segmentation:
 
 
 class Repetition(NamedTuple):
-    """A stretch of joints that repeats a shorter one at least twice.
+    """A stretch of joints that repeats a shorter one at least twice."""
 
-    Attributes:
-        period: number of joints after which it repeats.
-        first: index of the first joint of the stretch.
-        stop: index after its last joint.
-    """
-
-    period: int
-    first: int
-    stop: int
+    period: int  # number of joints after which it repeats
+    first: int  # index of the first joint of the stretch
+    stop: int  # index after its last joint
 
 
 def equal_modules(joints: int, size: int) -> Segmentation:
@@ -169,17 +163,11 @@ def _link_invariants(skeleton: Skeleton) -> Array:
 
 
 class _Motion(NamedTuple):
-    """How joints move their end across the line from their base to it, for one radian and unit distance.
+    """How joints move their end across the line from their base to it, for one radian and unit distance."""
 
-    Attributes:
-        easiest: in the direction in which they move it farthest.
-        hardest: in the last of the required directions.
-        movers: how many of them move it.
-    """
-
-    easiest: float
-    hardest: float
-    movers: int
+    easiest: float  # in the direction in which they move it farthest
+    hardest: float  # in the last of the required directions
+    movers: int  # how many of them move it
 
 
 class EndMobility:

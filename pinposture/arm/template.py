@@ -338,19 +338,12 @@ def _add_shape(link: ET.Element, tag: str, center: float, colour: str) -> ET.Ele
 
 
 class LinkInertia(NamedTuple):
-    """Inertia of a link about its centre of mass, axes parallel to the link frame.
+    """Inertia of a link about its centre of mass, axes parallel to the link frame."""
 
-    Attributes:
-        mass: mass [kg].
-        center: x coordinate of the centre of mass in the link frame [m].
-        along: moment of inertia about x [kg m^2].
-        across: moment of inertia about y, and about z [kg m^2].
-    """
-
-    mass: float
-    center: float
-    along: float
-    across: float
+    mass: float  # mass [kg]
+    center: float  # x coordinate of the centre of mass in the link frame [m]
+    along: float  # moment of inertia about x [kg m^2]
+    across: float  # moment of inertia about y, and about z [kg m^2]
 
 
 def link_inertia(length: float, radius: float) -> LinkInertia:

@@ -50,48 +50,28 @@ _PARTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 
 
 class Follows(NamedTuple):
-    """What <mimic> says: position = multiplier * position of another joint + offset.
+    """What <mimic> says: position = multiplier * position of another joint + offset."""
 
-    Attributes:
-        joint: name of the joint that is followed.
-        multiplier: factor of its position; 1 if not given.
-        offset: added to it [rad or m]; 0 if not given.
-    """
-
-    joint: str
-    multiplier: float
-    offset: float
+    joint: str  # name of the joint that is followed
+    multiplier: float  # factor of its position; 1 if not given
+    offset: float  # added to it [rad or m]; 0 if not given
 
 
 @dataclass(frozen=True)
 class JointDescription:
-    """A joint of a robot description.
+    """A joint of a robot description."""
 
-    Attributes:
-        name: its name.
-        type: one of `JOINT_TYPES`.
-        parent: the link before it.
-        child: the link after it.
-        origin: position of the joint in the frame of its parent link, (3,) [m].
-        rpy: orientation of its frame there: roll, pitch, yaw, (3,) [rad].
-        axis: unit vector, (3,), in the frame of the joint; x if the description gives none.
-        lower: smallest position [rad or m]; -inf without limits, 0 if fixed.
-        upper: largest position [rad or m]; inf without limits, 0 if fixed.
-        velocity: largest speed [rad/s or m/s], may be infinite; None without <limit>.
-        follows: how it follows another joint; None if it moves by itself.
-    """
-
-    name: str
-    type: str
-    parent: str
-    child: str
-    origin: Vector
-    rpy: Vector
-    axis: Vector
-    lower: float
-    upper: float
-    velocity: float | None
-    follows: Follows | None
+    name: str  # its name
+    type: str  # one of `JOINT_TYPES`
+    parent: str  # the link before it
+    child: str  # the link after it
+    origin: Vector  # position of the joint in the frame of its parent link, (3,) [m]
+    rpy: Vector  # orientation of its frame there: roll, pitch, yaw, (3,) [rad]
+    axis: Vector  # unit vector, (3,), in the frame of the joint; x if the description gives none
+    lower: float  # smallest position [rad or m]; -inf without limits, 0 if fixed
+    upper: float  # largest position [rad or m]; inf without limits, 0 if fixed
+    velocity: float | None  # largest speed [rad/s or m/s], may be infinite; None without <limit>
+    follows: Follows | None  # how it follows another joint; None if it moves by itself
 
     @property
     def mimic(self) -> bool:
@@ -106,23 +86,14 @@ class JointDescription:
 
 @dataclass(frozen=True)
 class Description:
-    """A robot description without faults: a tree of links.
+    """A robot description without faults: a tree of links."""
 
-    Attributes:
-        name: name of the robot.
-        text: the URDF, fit for Pinocchio: vectors broken over several lines are joined.
-        source: the file it came from, or "URDF text".
-        links: names of the links, in the order of the text.
-        joints: the joints, in the order of the text.
-        root: the one link that is not the child of any joint.
-    """
-
-    name: str
-    text: str = field(repr=False)
-    source: str
-    links: tuple[str, ...]
-    joints: tuple[JointDescription, ...]
-    root: str
+    name: str  # name of the robot
+    text: str = field(repr=False)  # the URDF, fit for Pinocchio: vectors broken over several lines are joined
+    source: str  # the file it came from, or "URDF text"
+    links: tuple[str, ...]  # names of the links, in the order of the text
+    joints: tuple[JointDescription, ...]  # the joints, in the order of the text
+    root: str  # the one link that is not the child of any joint
 
     @cached_property
     def joint_before(self) -> dict[str, JointDescription]:

@@ -25,35 +25,23 @@ _NARROW = 1e-14  # of the whole: knots closer than this are lost in rounding
 
 
 class Parts(NamedTuple):
-    """The knots, coefficients and degree of a B-spline, unchecked.
+    """The knots, coefficients and degree of a B-spline, unchecked."""
 
-    Attributes:
-        knots: shape (n + degree + 1,).
-        coefficients: shape (n, 3) [m].
-        degree: 1 to 5.
-    """
-
-    knots: Array
-    coefficients: Array
-    degree: int
+    knots: Array  # shape (n + degree + 1,)
+    coefficients: Array  # shape (n, 3) [m]
+    degree: int  # 1 to 5
 
 
 @dataclass(frozen=True, eq=False)
 class Spline:
-    """A B-spline in the arrays that kernels take, which are writeable for their sake; do not write to them.
+    """A B-spline in the arrays that kernels take; these are writeable for numba, but do not write to them."""
 
-    Attributes:
-        knots: shape (n + degree + 1,), not decreasing.
-        table: coefficients of the spline (n, 3) [m], of its first derivative, and so on (see
-            `kernels.spline_coefficients`), shape (degree + 1, n, 3).
-        degree: 1 to 5.
-        breaks: ends of the knot spans that the curve runs through, increasing.
-    """
-
-    knots: Array
+    knots: Array  # shape (n + degree + 1,), not decreasing
+    # coefficients of the spline (n, 3) [m], of its first derivative, and so on (see
+    # `kernels.spline_coefficients`), shape (degree + 1, n, 3)
     table: Array
-    degree: int
-    breaks: Array
+    degree: int  # 1 to 5
+    breaks: Array  # ends of the knot spans that the curve runs through, increasing
 
     def values(self, u: Array, order: int = 0) -> Array:
         """Evaluate the spline or a derivative by the parameter, shape (n, 3), at the parameters u (n,)."""
@@ -175,19 +163,13 @@ class ArcLength:
     The speed is sampled at Gauss nodes on pieces of the knot spans; pieces are halved until the Legendre
     series of the speed has died out. Its integral is the arc length; Newton's method on the polynomial
     inverts it.
-
-    Attributes:
-        edges: parameters where the pieces meet, shape (k + 1,).
-        lengths: arc length at the edges, shape (k + 1,) [m].
-        series: power coefficients, highest first, of each piece's length in x from -1 to 1,
-            shape (k, GAUSS_NODES + 1) [m].
-        total: the whole length [m].
     """
 
-    edges: Array
-    lengths: Array
+    edges: Array  # parameters where the pieces meet, shape (k + 1,)
+    lengths: Array  # arc length at the edges, shape (k + 1,) [m]
+    # power coefficients, highest first, of each piece's length in x from -1 to 1, (k, GAUSS_NODES + 1) [m]
     series: Array
-    total: float
+    total: float  # the whole length [m]
 
     @classmethod
     def of(cls, spline: Spline) -> ArcLength:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
-from pinposture.arm.configurations import UNLIMITED
+from pinposture.arm.configurations import NO_LIMIT
 from pinposture.errors import FileError, InvalidValue
 
 Array = NDArray[np.float64]
@@ -108,8 +108,8 @@ def _numbers(name: str, values: Any, count: int) -> list[float]:
         raise InvalidValue(f"{name} (length)", len(values), f"{count}")
     for k, value in enumerate(values):
         # NaN fails every comparison; a bool is no number here.
-        if type(value) not in (float, int) or not -UNLIMITED <= value <= UNLIMITED:
-            raise InvalidValue(f"{name}[{k}]", value, f"a finite number within {UNLIMITED:g} either way")
+        if type(value) not in (float, int) or not -NO_LIMIT <= value <= NO_LIMIT:
+            raise InvalidValue(f"{name}[{k}]", value, f"a finite number within {NO_LIMIT:g} either way")
     return [float(value) for value in values]
 
 
