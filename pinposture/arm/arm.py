@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -276,7 +277,7 @@ class Arm(ConfigurationSpace):
         described: dict[str, Any] = {"control_points": list(self.control_points)}
         described["base_placement"] = np.asarray(self.base_placement.homogeneous).tolist()
         described["urdf"] = self.urdf
-        described["report"] = self.report.to_dict() if self.report else None
+        described["report"] = asdict(self.report) if self.report else None
         described["characteristic_length"] = self.characteristic_length
         if self.spec is not None:
             described["spec"] = self.spec.model_dump(mode="json", exclude_defaults=True)

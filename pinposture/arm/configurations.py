@@ -47,22 +47,6 @@ class JointLimits(NamedTuple):
     velocity: Array
 
 
-def joint_limits(model: pin.Model) -> JointLimits:
-    """Read the limits of a model; continuous joints have none, a zero speed limit means none."""
-    lower, upper = np.full(model.nv, -np.inf), np.full(model.nv, np.inf)
-    velocity = np.array(model.velocityLimit, dtype=np.float64)
-    for joint in list(model.joints)[1:]:  # the first one is the world, which claims entries of its own
-        if joint.nq == joint.nv == 1:  # not continuous
-            lower[joint.idx_v] = model.lowerPositionLimit[joint.idx_q]
-            upper[joint.idx_v] = model.upperPositionLimit[joint.idx_q]
-    # A model built by hand has the largest floats for limits it was never given.
-    lower[lower <= -NO_LIMIT], upper[upper >= NO_LIMIT] = -np.inf, np.inf
-    velocity[(velocity <= 0.0) | (velocity >= NO_LIMIT)] = np.inf
-    for array in (lower, upper, velocity):
-        array.flags.writeable = False
-    return JointLimits(lower, upper, velocity)
-
-
 class ConfigurationSpace:
     """The configurations of a Pinocchio model.
 
@@ -106,8 +90,24 @@ class ConfigurationSpace:
 
     @cached_property
     def limits(self) -> JointLimits:
-        """Joint limits, one entry per degree of freedom."""
-        return joint_limits(self.model)
+        """Joint limits, one entry per degree of freedom.
+
+        Continuous joints have no position limits; a zero speed limit means none.
+        """
+        lower, upper = np.full(self.nv, -np.inf), np.full(self.nv, np.inf)
+        velocity = np.array(self.model.velocityLimit, dtype=np.float64)
+        for joint in list(self.model.joints)[
+            1:
+        ]:  # the first one is the world, which claims entries of its own
+            if joint.nq == joint.nv == 1:  # not continuous
+                lower[joint.idx_v] = self.model.lowerPositionLimit[joint.idx_q]
+                upper[joint.idx_v] = self.model.upperPositionLimit[joint.idx_q]
+        # A model built by hand has the largest floats for limits it was never given.
+        lower[lower <= -NO_LIMIT], upper[upper >= NO_LIMIT] = -np.inf, np.inf
+        velocity[(velocity <= 0.0) | (velocity >= NO_LIMIT)] = np.inf
+        for array in (lower, upper, velocity):
+            array.flags.writeable = False
+        return JointLimits(lower, upper, velocity)
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ import operator
 import os
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -57,13 +57,9 @@ class LoadReport:
     warnings: tuple[str, ...]
     segmentation: Segmentation
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the report as data that JSON can hold."""
-        return asdict(self)
-
     @classmethod
     def from_dict(cls, described: Mapping[str, Any]) -> LoadReport:
-        """Return the report that `to_dict` described."""
+        """Return the report that `dataclasses.asdict` described."""
         sizes = tuple(described["segmentation"]["sizes"])
         segmentation = Segmentation(**{**described["segmentation"], "sizes": sizes})
         lists = tuple(described["package_dirs"]), tuple(described["warnings"])

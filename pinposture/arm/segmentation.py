@@ -162,12 +162,16 @@ def _link_invariants(skeleton: Skeleton) -> Array:
     return np.column_stack([np.linalg.norm(spans, axis=1), np.abs(invariants)])
 
 
-class _Motion(NamedTuple):
-    """How joints move their end across the line from their base to it, for one radian and unit distance."""
+class Motion(NamedTuple):
+    """How joints move their end across the line from their base to it, for one radian and unit distance.
+
+    It is the median over several postures, not the least, because any module has singular ones. It is zero if
+    the end stays at the base.
+    """
 
     easiest: float  # in the direction in which they move it farthest
     hardest: float  # in the last of the required directions
-    movers: int  # how many of them move it
+    movers: int  # number of joints that move it
 
 
 class EndMobility:
@@ -184,7 +188,7 @@ class EndMobility:
     def __init__(self, skeleton: Skeleton) -> None:
         self._skeleton = skeleton
         self._pitch = skeleton.length / len(skeleton.names)
-        self._known: dict[tuple[int, int], _Motion] = {}
+        self._known: dict[tuple[int, int], Motion] = {}
         swing = np.where(skeleton.revolute, MAX_SAMPLE_ANGLE, self._pitch)
         middle = np.clip(0.0, skeleton.lower, skeleton.upper)
         swing[skeleton.base_slides] = 0.0
@@ -195,31 +199,19 @@ class EndMobility:
 
     def can_place(self, first: int, stop: int) -> bool:
         """Tell whether joints first, ..., stop - 1 can place station `stop` on any curve through `first`."""
-        return stop > self._flat_ends[first] and self.motion(first, stop) > MIN_MOTION
+        return stop > self._flat_ends[first] and self.motion(first, stop).hardest > MIN_MOTION
 
-    def motion(self, first: int, stop: int) -> float:
-        """Return how far those joints move station `stop` in the hardest direction across.
-
-        Returns:
-            The motion for one radian, relative to the distance from station `first`: the median over the
-            postures, not the least, because any module has singular ones. Zero if the end stays at the base.
-        """
-        return self._motion(first, stop).hardest
-
-    def moves(self, first: int, stop: int) -> bool:
+    def can_move(self, first: int, stop: int) -> bool:
         """Tell whether those joints move station `stop` in at least one direction across."""
-        return self._motion(first, stop).easiest > MIN_MOTION
+        return self.motion(first, stop).easiest > MIN_MOTION
 
-    def movers(self, first: int, stop: int) -> int:
-        """Return how many of those joints move station `stop` across."""
-        return self._motion(first, stop).movers
-
-    def _motion(self, first: int, stop: int) -> _Motion:
+    def motion(self, first: int, stop: int) -> Motion:
+        """Measure how those joints move station `stop`."""
         if (first, stop) not in self._known:
             self._known[first, stop] = self._measure(first, stop)
         return self._known[first, stop]
 
-    def _measure(self, first: int, stop: int) -> _Motion:
+    def _measure(self, first: int, stop: int) -> Motion:
         normal = self._skeleton.normal
         ends, jacobians = self._jacobians(first, stop)
         distance = np.linalg.norm(ends, axis=1)
@@ -237,7 +229,7 @@ class EndMobility:
         single = np.median(np.linalg.norm(across, axis=1), axis=0)
         easiest, hardest = np.median(sizes, axis=0)[[0, -1]]
         # Rounded, so that groups of equal motion compare equal whatever the order of summation.
-        return _Motion(round(float(easiest), 9), round(float(hardest), 9), int(np.sum(single > MIN_MOTION)))
+        return Motion(round(float(easiest), 9), round(float(hardest), 9), int(np.sum(single > MIN_MOTION)))
 
     def _jacobians(self, first: int, stop: int) -> tuple[Array, Array]:
         """End relative to the base (s, 3) [m] and its Jacobian (s, 3, k) [m/rad] in every sampled posture."""
@@ -309,7 +301,7 @@ def _best_cuts(
             if end in best and admissible(start, end):
                 placed, count, motion, cuts = best[end]
                 placed += mobility.can_place(start, end)
-                found = (placed, count + 1, min(motion, mobility.motion(start, end)), [end, *cuts])
+                found = (placed, count + 1, min(motion, mobility.motion(start, end).hardest), [end, *cuts])
                 best[start] = max(best.get(start, found), found, key=lambda entry: entry[:3])
     return best[first][3] if first in best else [stop]
 
@@ -354,8 +346,8 @@ def _cut_redundant(mobility: EndMobility, sizes: Sequence[int]) -> list[int]:
     for size in sizes:
         stop = start + size
         cuts = [stop]
-        if mobility.movers(start, stop) > mobility.needed + MAX_IDLE_JOINTS:
-            cuts = _best_cuts(mobility, start, stop, mobility.moves)
+        if mobility.motion(start, stop).movers > mobility.needed + MAX_IDLE_JOINTS:
+            cuts = _best_cuts(mobility, start, stop, mobility.can_move)
         pieces = list(pairwise([start, *cuts]))
         if sum(not mobility.can_place(*piece) for piece in pieces) < 2:
             pieces = [(start, stop)]
