@@ -18,7 +18,7 @@ from pinposture import kernels
 from pinposture._validation import as_number, finite_vector, rigid_placement
 from pinposture.arm.chain import Chain, find_base_slides, find_unlimited, frame_ids, read_chain
 from pinposture.arm.configurations import ConfigurationSpace, check_joint_positions
-from pinposture.arm.feasibility import CurveShape, Feasibility, check_feasibility
+from pinposture.arm.feasibility import Feasibility, check_feasibility
 from pinposture.arm.kinematics import (
     MAX_PINOCCHIO_DOF,
     ForwardKinematics,
@@ -40,6 +40,7 @@ from pinposture.arm.segmentation import Segmentation
 from pinposture.arm.specification import ArmSpec, PlacementSpec
 from pinposture.arm.template import ModuleTemplate, modules_to_urdf, template
 from pinposture.arm.urdf_reader import is_urdf_text
+from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, PostureWarning
 from pinposture.storage import settled
 
@@ -352,7 +353,7 @@ class Arm(ConfigurationSpace):
         """Length from the first joint to the tip, along the arm [m]."""
         return self.chain.length
 
-    def can_follow(self, curve: CurveShape) -> Feasibility:
+    def can_follow(self, curve: Curve) -> Feasibility:
         """Tell whether the modules can follow a curve within their joint limits (Section 4.1).
 
         Args:

@@ -96,9 +96,7 @@ class ConfigurationSpace:
         """
         lower, upper = np.full(self.nv, -np.inf), np.full(self.nv, np.inf)
         velocity = np.array(self.model.velocityLimit, dtype=np.float64)
-        for joint in list(self.model.joints)[
-            1:
-        ]:  # the first one is the world, which claims entries of its own
+        for joint in list(self.model.joints)[1:]:  # not the world, which claims entries of its own
             if joint.nq == joint.nv == 1:  # not continuous
                 lower[joint.idx_v] = self.model.lowerPositionLimit[joint.idx_q]
                 upper[joint.idx_v] = self.model.upperPositionLimit[joint.idx_q]

@@ -9,13 +9,13 @@ for any target.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pinposture.arm.chain import Chain
+from pinposture.curve import Curve
 
 Array = NDArray[np.float64]
 
@@ -28,20 +28,6 @@ SAMPLES_PER_CURVE = 2000
 MIN_BEND = 0.1
 """Bend of a curve within one module below which it is almost straight [rad]: less than an eightieth of the
 module's length off its chord."""
-
-
-class CurveShape(Protocol):
-    """A curve, as far as `check_feasibility` uses it."""
-
-    @property
-    def length(self) -> float:
-        """Arc length [m]."""
-
-    def curvature(self, s: Array, /) -> Array:
-        """Curvature [1/m] at arc length s, (n,)."""
-
-    def torsion(self, s: Array, /) -> Array:
-        """Torsion [1/m] at arc length s, (n,)."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +78,7 @@ class Feasibility:
         return not self.excesses
 
 
-def check_feasibility(chain: Chain, lower: Array, upper: Array, curve: CurveShape) -> Feasibility:
+def check_feasibility(chain: Chain, lower: Array, upper: Array, curve: Curve) -> Feasibility:
     """Compare the curvature and torsion that the modules can follow with those of a curve.
 
     Only the part of the curve that the arm can cover counts. Torsion is averaged over one module, weighted by
