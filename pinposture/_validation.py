@@ -19,11 +19,11 @@ Matrix: TypeAlias = tuple[Vector, Vector, Vector]
 
 LARGEST_COORDINATE = 1e9
 """Largest coordinate of a curve [m]; no product of two coordinates overflows."""
-SMALLEST = 1e-9
+SMALLEST_DISTANCE = 1e-9
 """Smallest distance of points of a curve [m]; no product of two distances vanishes."""
-REPEATED = 1e-9
+SAME_POINT_EXTENT = 1e-9
 """Distance below which two points are one, relative to the extent of all."""
-ROUNDED = 1e-10
+SAME_POINT_ROUNDING = 1e-10
 """Distance below which two points are one, relative to their coordinates."""
 LARGEST_LENGTH = 1e4
 """Largest coordinate or size of an obstacle [m]; larger squares lose the digits that distances need."""
@@ -177,7 +177,9 @@ def check_distinct(points: NDArray[np.float64], name: Callable[[int], str] = "po
         CurveError: naming both points.
     """
     extent = float(np.linalg.norm(np.ptp(points, axis=0)))
-    tolerance = max(REPEATED * extent, ROUNDED * float(np.abs(points).max()), SMALLEST)
+    tolerance = max(
+        SAME_POINT_EXTENT * extent, SAME_POINT_ROUNDING * float(np.abs(points).max()), SMALLEST_DISTANCE
+    )
     gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     repeated = np.flatnonzero(gaps <= tolerance)
     if repeated.size:

@@ -28,7 +28,7 @@ CLEARLY_OUTSIDE = 0.1
 """How far outside its limits a joint counts as a sign of degrees [rad]."""
 DEGREES_FRACTION, DEGREES_MIN_COUNT = 0.5, 3
 """Fraction of all comparable joints, and the least number of joints, that mean degrees."""
-WOUND = 4.0 * FULL_TURN
+WOUND_POSITION = 4.0 * FULL_TURN
 """Position beyond which a joint without limits is a sign of degrees [rad]."""
 DEGREES_HINT = "is it in degrees? np.deg2rad makes radians of them (--degrees on the command line)"
 
@@ -208,11 +208,11 @@ def check_joint_positions(
         at = f"{which} is at {positions[worst]:.4g}, allowed {allowed}"
         warnings.warn(f"{name}: {count} outside of the limits; {at}", PostureWarning, stacklevel=4)
     free = ~slides & ~limited
-    wound = free & (np.abs(positions) > WOUND)
+    wound = free & (np.abs(positions) > WOUND_POSITION)
     if _suggest_degrees(wound, free):
         worst = int(np.argmax(np.where(free, np.abs(positions), 0.0)))
         count = f"{np.count_nonzero(wound)} joints without limits"
-        turns = f"{count} are wound by more than {WOUND / FULL_TURN:g} turns"
+        turns = f"{count} are wound by more than {WOUND_POSITION / FULL_TURN:g} turns"
         text = f"{name}: {turns}, {joints[worst]!r} at {positions[worst]:.4g} rad; {DEGREES_HINT}"
         warnings.warn(text, PostureWarning, stacklevel=4)
 

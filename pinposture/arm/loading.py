@@ -32,11 +32,11 @@ from pinposture.errors import InvalidValue, UnknownName, URDFError
 Modules: TypeAlias = "int | Sequence[int] | Sequence[str] | None"
 """How to cut the chain: joints per module, one number for all or one for each, or links where modules end."""
 
-LENGTHS = (1e-9, 1e9)
+ALLOWED_LENGTHS = (1e-9, 1e9)
 """Shortest and longest chain that is accepted [m]; the squares of others leave the range of numbers."""
-UNACTUATED = ("floating", "planar")
+MULTI_DOF_JOINTS = ("floating", "planar")
 """Types of joints with several degrees of freedom."""
-_MARK = "\n"  # no name in a description has one
+_LINK_SUFFIX = "\n"  # no name in a description has one
 
 
 @dataclass(frozen=True)
@@ -110,8 +110,10 @@ def load_model(
         place_base(model, placement)
     limits = np.array([[joint.lower, joint.upper] for joint in moving]).T
     skeleton = read_skeleton(model, names, tip, *limits)
-    if not LENGTHS[0] <= skeleton.length <= LENGTHS[1]:
-        reason = f"is {skeleton.length:.3g} m long; allowed: {LENGTHS[0]:g} to {LENGTHS[1]:g} m"
+    if not ALLOWED_LENGTHS[0] <= skeleton.length <= ALLOWED_LENGTHS[1]:
+        reason = (
+            f"is {skeleton.length:.3g} m long; allowed: {ALLOWED_LENGTHS[0]:g} to {ALLOWED_LENGTHS[1]:g} m"
+        )
         if skeleton.length == 0.0:
             reason = "has no length: all its joints and its tip are in one place"
         raise URDFError(description.source, f"chain from {base!r} to {tip!r}", reason)
@@ -207,7 +209,7 @@ def _moving_joints(
 
 def _why_still(chain: Sequence[JointDescription], locked: Mapping[str, float]) -> str:
     """Say why no joint of a chain moves."""
-    other = [joint.name for joint in chain if joint.type in UNACTUATED]
+    other = [joint.name for joint in chain if joint.type in MULTI_DOF_JOINTS]
     still = {
         "limits leave one position to": [j.name for j in chain if j.type != "fixed" and not j.moves],
         "locked= holds": [joint.name for joint in chain if joint.name in locked],
@@ -224,7 +226,7 @@ def _checked_locks(description: Description, locked: Mapping[str, float]) -> dic
     for name, value in locked.items():
         if name not in known:
             raise UnknownName("moving joint", name, known)
-        if known[name].type in UNACTUATED:
+        if known[name].type in MULTI_DOF_JOINTS:
             allowed = f"nothing: it is {known[name].type}, its position is not one number"
             raise InvalidValue(f"locked[{name!r}]", value, allowed)
         try:
@@ -258,13 +260,13 @@ def _lock_others(
     # Pinocchio cannot reduce a model in which a link and a joint have the same name.
     for frame in model.frames:
         if frame.type == pin.FrameType.BODY:
-            frame.name += _MARK
+            frame.name += _LINK_SUFFIX
     try:
         reduced = pin.buildReducedModel(model, others, reference)
     except (ValueError, RuntimeError) as error:
         raise URDFError(description.source, "<robot>", f"cannot be reduced to one chain: {error}") from None
     for frame in reduced.frames:
-        frame.name = frame.name.removesuffix(_MARK)
+        frame.name = frame.name.removesuffix(_LINK_SUFFIX)
     return reduced
 
 
@@ -294,7 +296,7 @@ def _lock_warnings(
     messages = [
         f"joint {joint.name!r} ({joint.type}) at the base of the arm is treated as fixed"
         for joint in (*before, *chain)
-        if joint.type in UNACTUATED
+        if joint.type in MULTI_DOF_JOINTS
     ]
     stuck = [j.name for j in chain if j.type != "fixed" and not j.moves and j.name not in locked]
     if stuck:
@@ -308,7 +310,7 @@ def _lock_warnings(
         if joint.moves
         and joint.name not in on_chain
         and joint.name not in locked
-        and not (joint in before and joint.type in UNACTUATED)
+        and not (joint in before and joint.type in MULTI_DOF_JOINTS)
     ]
     if still:
         messages.append(_off_chain(description, base, tip, still))

@@ -63,12 +63,12 @@ class JointSpec:
             object.__setattr__(self, "axis", _axis_vector(self.axis))
         elif self.axis not in _UNIT_VECTORS:
             raise InvalidValue("joint axis", self.axis, "'x', 'y', 'z' or three numbers")
-        self._settle_limits()
+        self._check_limits()
         for name in ("velocity", "effort"):
             value = _number(name, getattr(self, name), "a finite number above 0", lowest=math.ulp(0.0))
             object.__setattr__(self, name, value)
 
-    def _settle_limits(self) -> None:
+    def _check_limits(self) -> None:
         given = (self.lower, self.upper)
         if self.type == "continuous":
             if given not in (_FULL_TURN, _NO_LIMITS):

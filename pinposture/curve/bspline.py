@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline
 
 from pinposture import kernels
-from pinposture._validation import LARGEST_COORDINATE, SMALLEST, as_count, as_points
+from pinposture._validation import LARGEST_COORDINATE, SMALLEST_DISTANCE, as_count, as_points
 from pinposture.errors import CurveError
 
 Array = NDArray[np.float64]
@@ -19,9 +19,9 @@ Array = NDArray[np.float64]
 MAX_DEGREE = 5
 GAUSS_NODES = 12
 """Gauss nodes per piece of the arc length."""
-TAIL = 1e-12
+LENGTH_TOLERANCE = 1e-12
 """Largest last terms of the series of a piece, relative to the whole length."""
-_NARROW = 1e-14  # of the whole: knots closer than this are lost in rounding
+_MIN_SPAN = 1e-14  # of the whole: knots closer than this are lost in rounding
 
 
 class Parts(NamedTuple):
@@ -87,15 +87,15 @@ def _checked_breaks(t: Array, k: int) -> Array:
         i = int(np.flatnonzero(wrong)[0])
         raise CurveError(f"knot {i}", f"{t[i]}; allowed: finite numbers up to {LARGEST_COORDINATE:g} in size")
     begin, end = t[k], t[-k - 1]
-    if end - begin <= SMALLEST:
+    if end - begin <= SMALLEST_DISTANCE:
         raise CurveError("knots", f"the curve runs from knot {begin} to {end}; allowed: an increase")
     gaps = t[1:] - t[:-1]
-    wrong = (gaps != 0) & (gaps < _NARROW * (end - begin))
+    wrong = (gaps != 0) & (gaps < _MIN_SPAN * (end - begin))
     if wrong.any():
         i = int(np.flatnonzero(wrong)[0])
         raise CurveError(
             f"knots {i} and {i + 1}",
-            f"{t[i]}, {t[i + 1]}; allowed: equal, or an increase by more than {_NARROW:g} of the whole",
+            f"{t[i]}, {t[i + 1]}; allowed: equal, or an increase by more than {_MIN_SPAN:g} of the whole",
         )
     wrong = (t[k:] == t[:-k]) & (t[k:] > begin) & (t[k:] < end)
     if wrong.any():
@@ -178,7 +178,7 @@ class ArcLength:
         taylors = kernels.expand_spans(*parts)
         refuse_standstill(spline, taylors)
         error = rounding(spline.table[0])
-        edges, lengths, series = kernels.measure_length(*parts, taylors, _RULE, TAIL, error)
+        edges, lengths, series = kernels.measure_length(*parts, taylors, _RULE, LENGTH_TOLERANCE, error)
         return cls(edges, lengths, series, float(lengths[-1]))
 
     def parameter(self, s: Array) -> Array:

@@ -38,9 +38,9 @@ SAMPLES_PER_SPAN = 2
 
 _SPANS_PER_TURN = 256  # the torsion of a quintic with this many is right to 1.2e-7
 _MAX_TURNS = 1000
-_EVEN = 1e-12  # of the whole: how far knots may be from even ones
-_CUBIC = 3
-_PENALISED = 3  # order of the derivative that smoothing keeps small; the second would flatten the ends
+_KNOT_TOLERANCE = 1e-12  # of the whole: how far knots may be from even ones
+_FIT_DEGREE = 3
+_PENALTY_ORDER = 3  # order of the derivative that smoothing keeps small; the second would flatten the ends
 
 
 def chord_parameters(points: Array) -> Array:
@@ -136,7 +136,7 @@ def points(xyz: ArrayLike, smoothing: float) -> Parts:
     distance = as_number("smoothing", smoothing, allowed, lambda x: 0 <= x <= 1e9)
     check_distinct(data)
     n = len(data)
-    if distance > 0 and n > _CUBIC:
+    if distance > 0 and n > _FIT_DEGREE:
         spans = 4
         while spans < n:
             fit = _Fit(data, spans)
@@ -144,29 +144,29 @@ def points(xyz: ArrayLike, smoothing: float) -> Parts:
                 return fit.smoothest(distance)
             spans *= 2
     # The points are too few to smooth, or no smoother curve is close enough.
-    return interpolate(data, min(_CUBIC, n - 1))
+    return interpolate(data, min(_FIT_DEGREE, n - 1))
 
 
 class _Fit:
     """Cubic splines of evenly spaced knots near the points, with a penalty on the third derivative."""
 
     def __init__(self, data: Array, spans: int) -> None:
-        n_coefficients = spans + _CUBIC
+        n_coefficients = spans + _FIT_DEGREE
         self.data = data
-        self.knots = clamped_uniform_knots(n_coefficients, _CUBIC)
-        self.basis = csr_array(BSpline.design_matrix(chord_parameters(data), self.knots, _CUBIC))
+        self.knots = clamped_uniform_knots(n_coefficients, _FIT_DEGREE)
+        self.basis = csr_array(BSpline.design_matrix(chord_parameters(data), self.knots, _FIT_DEGREE))
         scale = spans / len(data)  # so that both matrices have entries of the order of one
         normal = (self.basis.T @ self.basis) * scale
         difference = self._difference(spans)
         self.normal, self.penalty = _upper_bands(normal), _upper_bands(difference.T @ difference)
         self.right = (self.basis.T @ data) * scale
         # Logarithms of the penalty's weight: enough to make a solution unique, and all but a parabola.
-        self.least, self.most = math.log(1e-8), math.log(1e-3 * spans ** (2 * _PENALISED))
+        self.least, self.most = math.log(1e-8), math.log(1e-3 * spans ** (2 * _PENALTY_ORDER))
 
     def _difference(self, spans: int) -> csr_array:
         """Coefficients -> coefficients of the third derivative, in units of one span."""
-        knots, result = self.knots, csr_array(eye_array(len(self.knots) - _CUBIC - 1))
-        for degree in range(_CUBIC, _CUBIC - _PENALISED, -1):
+        knots, result = self.knots, csr_array(eye_array(len(self.knots) - _FIT_DEGREE - 1))
+        for degree in range(_FIT_DEGREE, _FIT_DEGREE - _PENALTY_ORDER, -1):
             widths = (knots[degree + 1 : -1] - knots[1 : -degree - 1]) / degree * spans
             result = diags_array(1 / widths) @ (result[1:] - result[:-1])
             knots = knots[1:-1]
@@ -186,12 +186,12 @@ class _Fit:
         weight = self.most
         if self.rms(weight) > distance:
             weight = brentq(lambda w: self.rms(w) - distance, self.least, self.most, xtol=1e-6)
-        return Parts(self.knots, self.coefficients(weight), _CUBIC)
+        return Parts(self.knots, self.coefficients(weight), _FIT_DEGREE)
 
 
 def _upper_bands(matrix: csr_array) -> Array:
     """Diagonals of a symmetric matrix, from the one furthest above the main, as LAPACK wants them."""
-    bands = range(max(_CUBIC, _PENALISED), -1, -1)
+    bands = range(max(_FIT_DEGREE, _PENALTY_ORDER), -1, -1)
     return np.stack([np.append(np.zeros(i), matrix.diagonal(i)) for i in bands])
 
 
@@ -199,7 +199,7 @@ def control_points(curve: Geometry) -> Array | None:
     """Return `Curve.control_points`."""
     knots = curve.knots - curve.knots[0]
     even = clamped_uniform_knots(len(curve.coefficients), curve.degree)
-    return curve.coefficients if np.abs(knots / knots[-1] - even).max() <= _EVEN else None
+    return curve.coefficients if np.abs(knots / knots[-1] - even).max() <= _KNOT_TOLERANCE else None
 
 
 def controlled(curve: Geometry, count: int, degree: int) -> Parts:

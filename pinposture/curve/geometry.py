@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture import kernels
 from pinposture._validation import LARGEST_COORDINATE, as_count, as_points
-from pinposture.curve.bspline import TAIL, ArcLength, Spline, make_spline, rounding
+from pinposture.curve.bspline import LENGTH_TOLERANCE, ArcLength, Spline, make_spline, rounding
 from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
@@ -19,9 +19,9 @@ Made = TypeVar("Made", bound="Geometry")
 Lengths = Sequence[float] | NDArray[Any]
 
 _MIN_PIECES = 256  # into which the search for the nearest place divides a curve
-_ROUNDING = 1e-9  # of the length: how far beyond the ends an arc length still counts as the end
-_FLAT = 1e-9  # of the length: how far the coefficients of a plane curve may leave its plane
-_STRAIGHT = 1e-6  # over the length: curvature below which a curve counts as straight
+_END_TOLERANCE = 1e-9  # of the length: how far beyond the ends an arc length still counts as the end
+_PLANE_TOLERANCE = 1e-9  # of the length: how far the coefficients of a plane curve may leave its plane
+_MIN_CURVATURE = 1e-6  # over the length: curvature below which a curve counts as straight
 _MAX_SAMPLES = 10_000_000
 
 
@@ -78,7 +78,9 @@ class Geometry:
         The measured length is kept if the stretch and rounding change it less than its tolerance.
         """
         change = max(stretch * self.length, rounding(coefficients))
-        if not (np.abs(coefficients).max() <= LARGEST_COORDINATE and change <= TAIL * self.length):
+        if not (
+            np.abs(coefficients).max() <= LARGEST_COORDINATE and change <= LENGTH_TOLERANCE * self.length
+        ):
             return type(self)(self.knots, coefficients, self.degree)
         moved = object.__new__(type(self))
         moved._set(self._spline.with_coefficients(coefficients), self._arc)
@@ -104,7 +106,7 @@ class Geometry:
 
     def __repr__(self) -> str:
         places = np.stack([self.start, self.end])
-        places[np.abs(places) < _ROUNDING * self.length] = 0
+        places[np.abs(places) < _END_TOLERANCE * self.length] = 0
         begin, end = (", ".join(f"{x:.4g}" for x in place) for place in places)
         spans = len(self._spline.breaks) - 1
         return (
@@ -142,7 +144,7 @@ class Geometry:
         offsets = self.coefficients - self.coefficients.mean(axis=0)
         # The covariance would square the rounding errors.
         normal = np.linalg.svd(offsets, full_matrices=len(offsets) < 3)[2][2]
-        return 2 if float(np.abs(offsets @ normal).max()) <= _FLAT * self.length else 3
+        return 2 if float(np.abs(offsets @ normal).max()) <= _PLANE_TOLERANCE * self.length else 3
 
     def at(self, s: float | Lengths) -> Array:
         """Return places, shape (n, 3) or (3,) [m], at the arc lengths `s` [m]."""
@@ -178,7 +180,7 @@ class Geometry:
         u, shape = self._parameter(s)
         bending, v = self._bending(u)
         square = np.einsum("ni,ni->n", bending, bending)
-        bent = np.sqrt(square) * self.length > _STRAIGHT * v**3
+        bent = np.sqrt(square) * self.length > _MIN_CURVATURE * v**3
         volume = np.einsum("ni,ni->n", bending, self._spline.values(u, 3))
         torsion = np.divide(volume, square, out=np.zeros_like(v), where=bent & (self.dimension == 3))
         return _scalar(torsion, shape)
@@ -210,7 +212,7 @@ class Geometry:
 
     def _parameter(self, s: ArrayLike) -> tuple[Array, tuple[int, ...]]:
         """Return the parameters (n,) of the spline at arc lengths, and the shape of these."""
-        slack = _ROUNDING * self.length
+        slack = _END_TOLERANCE * self.length
         if type(s) is float and -slack <= s <= self.length + slack:
             return self._arc.parameter(np.array([min(max(s, 0.0), self.length)])), ()
         try:
