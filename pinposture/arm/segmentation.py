@@ -273,16 +273,13 @@ def _flat_ends(skeleton: Skeleton) -> list[int]:
 
 def _smallest_modules(mobility: EndMobility, first: int, stop: int) -> list[int]:
     """Where modules end if each is as small as possible; joints may be left before `stop`."""
-    cuts, end = list[int](), first
-    while True:
-        start = end
-        end = next((end for end in range(start + 1, stop + 1) if mobility.can_place(start, end)), 0)
-        if not end:
-            return cuts
-        cuts.append(end)
+    bounds = [first]
+    while end := next((k for k in range(bounds[-1] + 1, stop + 1) if mobility.can_place(bounds[-1], k)), 0):
+        bounds.append(end)
+    return bounds[1:]
 
 
-def _all_joints(mobility: EndMobility, first: int, stop: int) -> list[int]:
+def _exhaustive_modules(mobility: EndMobility, first: int, stop: int) -> list[int]:
     """Where modules end if each is as small as possible; joints that are left join the last one."""
     return [*_smallest_modules(mobility, first, stop)[:-1], stop]
 
@@ -316,9 +313,9 @@ def _repeated_cuts(mobility: EndMobility, repetition: Repetition, head: int, n: 
     times = (stop - head) // unit
     if 2 * times * unit < n:
         return None
-    within = [cut - head for cut in _all_joints(mobility, head, head + unit)]
+    within = [cut - head for cut in _exhaustive_modules(mobility, head, head + unit)]
     repeated = [head + k * unit + cut for k in range(times) for cut in within]
-    tail = _all_joints(mobility, repeated[-1], n) if repeated[-1] < n else []
+    tail = _exhaustive_modules(mobility, repeated[-1], n) if repeated[-1] < n else []
     return [*_smallest_modules(mobility, 0, head), *repeated, *tail]
 
 
