@@ -162,7 +162,7 @@ def _link_invariants(skeleton: Skeleton) -> Array:
     return np.column_stack([np.linalg.norm(spans, axis=1), np.abs(invariants)])
 
 
-class Motion(NamedTuple):
+class EndMotion(NamedTuple):
     """How joints move their end across the line from their base to it, for one radian and unit distance.
 
     It is the median over several postures, not the least, because any module has singular ones. It is zero if
@@ -188,7 +188,7 @@ class EndMobility:
     def __init__(self, skeleton: Skeleton) -> None:
         self._skeleton = skeleton
         self._pitch = skeleton.length / len(skeleton.names)
-        self._known: dict[tuple[int, int], Motion] = {}
+        self._known: dict[tuple[int, int], EndMotion] = {}
         swing = np.where(skeleton.revolute, MAX_SAMPLE_ANGLE, self._pitch)
         middle = np.clip(0.0, skeleton.lower, skeleton.upper)
         swing[skeleton.base_slides] = 0.0
@@ -205,13 +205,13 @@ class EndMobility:
         """Tell whether those joints move station `stop` in at least one direction across."""
         return self.motion(first, stop).easiest > MIN_MOTION
 
-    def motion(self, first: int, stop: int) -> Motion:
+    def motion(self, first: int, stop: int) -> EndMotion:
         """Measure how those joints move station `stop`."""
         if (first, stop) not in self._known:
             self._known[first, stop] = self._measure(first, stop)
         return self._known[first, stop]
 
-    def _measure(self, first: int, stop: int) -> Motion:
+    def _measure(self, first: int, stop: int) -> EndMotion:
         normal = self._skeleton.normal
         ends, jacobians = self._jacobians(first, stop)
         distance = np.linalg.norm(ends, axis=1)
@@ -229,7 +229,7 @@ class EndMobility:
         single = np.median(np.linalg.norm(across, axis=1), axis=0)
         easiest, hardest = np.median(sizes, axis=0)[[0, -1]]
         # Rounded, so that groups of equal motion compare equal whatever the order of summation.
-        return Motion(round(float(easiest), 9), round(float(hardest), 9), int(np.sum(single > MIN_MOTION)))
+        return EndMotion(round(float(easiest), 9), round(float(hardest), 9), int(np.sum(single > MIN_MOTION)))
 
     def _jacobians(self, first: int, stop: int) -> tuple[Array, Array]:
         """End relative to the base (s, 3) [m] and its Jacobian (s, 3, k) [m/rad] in every sampled posture."""
