@@ -12,6 +12,7 @@ from pinposture.study.arms import (
     survey_arms,
 )
 from pinposture.study.baselines import BASELINES
+from pinposture.study.clutter import ClutterRow, ClutterRun, by_kind, study_clutter
 from pinposture.study.cycles import cycle_drift, study_cycles
 from pinposture.study.leader import Following, study_leader
 from pinposture.study.methods import MethodResult, compare_methods
@@ -45,6 +46,8 @@ __all__ = [
     "ArmSurvey",
     "Bin",
     "Case",
+    "ClutterRow",
+    "ClutterRun",
     "Family",
     "Following",
     "MethodResult",
@@ -60,6 +63,7 @@ __all__ = [
     "bent_configuration",
     "built_subject",
     "by_heading",
+    "by_kind",
     "by_scene",
     "case",
     "compare_methods",
@@ -76,6 +80,7 @@ __all__ = [
     "read_records",
     "record_run",
     "study",
+    "study_clutter",
     "study_cycles",
     "study_headings",
     "study_leader",

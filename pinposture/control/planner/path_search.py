@@ -42,14 +42,19 @@ MAX_FAILURES = 3
 JOIN_EVERY = 0.1
 """Depth of withdrawal after which a join is tried again, in arm lengths."""
 
-JOIN_NODES, SEARCH_NODES = 300, 3000
+JOIN_NODES, SEARCH_NODES = 500, 5000
 """Largest number of tree nodes of a join, and of the search between start and goal."""
 
-TREE_STEP = 0.1
-"""Largest joint motion of an edge of the trees, in `Arm.joint_units`."""
+TREE_STEP, PIECE_TURN = 0.3, 0.1
+"""Largest joint motion of an edge of the trees, and of a piece of the path when it is shortened, in
+`Arm.joint_units`."""
 
-MAX_AMPLITUDE, NOISE = 1.5, 0.3
-"""Samples of the tree search: amplitude of smooth random configurations, and noise about known ones."""
+UNIFORM_SHARE, MAX_AMPLITUDE, NOISE = 0.5, 1.5, 0.3
+"""Samples of the tree search: the share that is uniform within limits; of the others, the largest amplitude
+of smooth random configurations, and the noise about the line from one end to the other."""
+
+MAX_TURN = np.pi
+"""Largest motion of a joint from the start in a sample, in `Arm.joint_units`."""
 
 SHORTCUTS = 150
 """Number of shortcuts that are tried."""
@@ -94,6 +99,12 @@ class PathSearch:
         self._arm, self._edges, self._avoidance, self._least = objective.arm, edges, avoidance, least
         self._rng = np.random.default_rng(seed)
         self._positions = self._arm.positions(start.q)
+        lowest, highest = edges - self._positions
+        farthest = MAX_TURN * self._arm.joint_units * self._arm.moved
+        self._sides = (
+            np.maximum(np.minimum(lowest, 0.0), -farthest),
+            np.minimum(np.maximum(highest, 0.0), farthest),
+        )
 
     def find(self) -> FoundPath | None:
         """Return a clear path, shortened; None if none was found."""
@@ -106,15 +117,17 @@ class PathSearch:
             joined, found_by = self._connect(np.zeros(self._arm.nv), end, SEARCH_NODES), "tree search"
         return None if joined is None else FoundPath(self._shorten(joined), found_by)
 
-    def is_clear(self, one: Array, other: Array) -> bool:
-        """Whether a straight motion between two offsets, (nv,), keeps clear; the first one is taken to."""
-        change = other - one
-        moved = self._points(other) - self._points(one)
-        farthest = float(np.sqrt((moved**2).sum(axis=1).max()))
-        turned = float(np.abs(change / self._arm.joint_units).max())
-        count = max(farthest / (SAMPLE_MOTION * self._arm.length), turned / SAMPLE_TURN, 1.0)
-        shares = _by_halves(int(np.ceil(count)))
-        return self._avoidance.clearance.keeps(self._start.q, one + shares[:, None] * change, self._least)
+    def is_clear(self, path: Array) -> bool:
+        """Whether the straight motions between offsets, (N + 1, nv), keep clear, if the first one does."""
+        points = np.array([self._points(each) for each in path])
+        changes = np.diff(path, axis=0)
+        moved = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=2).max(axis=1))
+        turned = np.abs(changes / self._arm.joint_units).max(axis=1)
+        counts = np.maximum(moved / (SAMPLE_MOTION * self._arm.length), turned / SAMPLE_TURN)
+        shares = [_by_halves(max(int(np.ceil(count)), 1)) for count in counts]
+        pieces = zip(path[:-1], changes, shares, strict=True)
+        offsets = np.concatenate([start + share[:, None] * change for start, change, share in pieces])
+        return self._avoidance.clearance.keeps(self._start.q, offsets, self._least)
 
     def _points(self, offset: Array) -> Array:
         return self._arm.kinematics.forward(self._positions + offset).points
@@ -167,49 +180,59 @@ class PathSearch:
         if size == 0.0:
             return near
         reached = wanted if size <= TREE_STEP else tree.offsets[near] + change * (TREE_STEP / size)
-        return tree.add(reached, near) if self.is_clear(tree.offsets[near], reached) else None
+        return tree.add(reached, near) if self.is_clear(np.array([tree.offsets[near], reached])) else None
 
     def _sample(self, one: Array, other: Array) -> Array:
         """Return a random offset: of a smooth posture, or near the line between two."""
         arm, rng = self._arm, self._rng
-        if rng.random() < 0.5:
+        kind = rng.random()
+        if kind < UNIFORM_SHARE:
+            return np.asarray(rng.uniform(*self._sides))
+        if kind < 0.5 * (1.0 + UNIFORM_SHARE):
             q = smooth_configuration(arm, rng, float(rng.uniform(0.1, MAX_AMPLITUDE)))
             offset = np.asarray(arm.difference(self._start.q, q))
         else:
             offset = one + rng.uniform(-0.2, 1.2) * (other - one)
             offset = offset + NOISE * rng.normal(size=arm.nv) * arm.joint_units * arm.moved
-        lowest, highest = self._edges - self._positions
-        return np.asarray(np.clip(offset, np.minimum(lowest, 0.0), np.maximum(highest, 0.0)))
+        return np.asarray(np.clip(offset, *self._sides))
 
     # What comes out is made shorter.
 
     def _shorten(self, offsets: Array) -> Array:
-        """Replace parts by straight motions that are clear, and on which control points travel less."""
-        path = list(offsets)
-        points = [self._points(each) for each in path]
-        for _ in range(SHORTCUTS):
-            if len(path) < 3:
-                break
+        """Straighten parts of a path, of all joints or of some in a row, where that is clear and shorter."""
+        path = self._divide(offsets)
+        columns = self._objective.columns
+        for number in range(SHORTCUTS):
             i, j = np.sort(self._rng.choice(len(path), 2, replace=False))
             if j - i < 2:
                 continue
-            before = sum(self._distance(points[k], points[k + 1], path[k + 1] - path[k]) for k in range(i, j))
-            # The motion is split, so that the length of what the points do is measured.
-            turned = float(np.abs((path[j] - path[i]) / self._arm.joint_units).max())
-            count = max(int(np.ceil(turned / TREE_STEP)), 1)
-            between = [path[i] + (path[j] - path[i]) * (k / count) for k in range(1, count)]
-            placed = [self._points(each) for each in between]
-            along = [points[i], *placed, points[j]]
-            change = (path[j] - path[i]) / count
-            after = sum(self._distance(a, b, change) for a, b in pairwise(along))
-            if after < 0.999 * before and self.is_clear(path[i], path[j]):
-                path[i + 1 : j], points[i + 1 : j] = between, placed
-        return np.array(path)
+            before = path[i : j + 1]
+            shares = np.linspace(0.0, 1.0, len(before))[:, None]
+            straight = before[0] + shares * (before[-1] - before[0])
+            if number % 2:  # some joints only
+                first, last = np.sort(self._rng.choice(len(columns) + 1, 2, replace=False))
+                some = columns[first:last]
+                straight, whole = before.copy(), straight
+                straight[:, some] = whole[:, some]
+            if self._length(straight) < 0.999 * self._length(before) and self.is_clear(straight):
+                path = np.concatenate([path[:i], self._divide(straight), path[j + 1 :]])
+        return path
 
-    def _distance(self, one: Array, other: Array, change: Array) -> float:
-        """Return the length of a small motion in the metric of the planner [m]."""
-        joints = float((self._objective.normalize(change) ** 2).sum())
-        return float(np.sqrt(((one - other) ** 2).sum() + self._objective.mu**2 * joints))
+    def _divide(self, path: Array) -> Array:
+        """Return a path with long pieces divided."""
+        parts = [path[:1]]
+        for start, end in pairwise(path):
+            size = float(np.abs((end - start) / self._arm.joint_units).max())
+            count = max(int(np.ceil(size / PIECE_TURN)), 1)
+            parts.append(start + (np.arange(1, count + 1)[:, None] / count) * (end - start))
+        return np.concatenate(parts)
+
+    def _length(self, path: Array) -> float:
+        """Return the length of a path in the metric of the planner [m]."""
+        points = np.array([self._points(each) for each in path])
+        joints = np.diff(path, axis=0)[:, self._objective.columns] / self._objective.units
+        squares = (np.diff(points, axis=0) ** 2).sum(axis=(1, 2))
+        return float(np.sqrt(squares + self._objective.mu**2 * (joints**2).sum(axis=1)).sum())
 
 
 @lru_cache(maxsize=256)
@@ -298,7 +321,7 @@ class _Withdrawal:
             return False
         change = np.asarray(arm.difference(self._state.q, found.state.q))
         offset = self.offsets[-1] + change
-        if not search.is_clear(self.offsets[-1], offset):
+        if not search.is_clear(np.array([self.offsets[-1], offset])):
             return False
         self.offsets.append(offset)
         self._state = found.state
