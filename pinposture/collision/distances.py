@@ -70,20 +70,23 @@ class TreeKinematics:
             q: a configuration, (nq,), as `ConfigurationSpace.checked` returns it.
             offsets: displacements from it, (s, nv) [rad or m]; one of zero if None.
         """
+        positions, others = self.positions(q, offsets)
+        count, joints = len(positions), self._model.njoints
+        found = Placements(np.empty((count, joints, 3, 3)), np.empty((count, joints, 3)))
+        kernels.place_joints(self.tree, positions, others, *found)
+        return found
+
+    def positions(self, q: Array, offsets: Array | None) -> tuple[Array, Array]:
+        """Return joint positions, (s, nv), and placements of other joints, as kernels take them; see `place`."""
         offsets = np.zeros((1, self._model.nv)) if offsets is None else offsets
-        count = len(offsets)
-        others = np.empty((count, len(self._others), 12))
-        for at in range(count if self._others else 0):
+        others = np.empty((len(offsets), len(self._others), 12))
+        for at in range(len(offsets) if self._others else 0):
             moved = pin.integrate(self._model, q, np.array(offsets[at]))
             for number, joint in enumerate(self._others):
                 data = self._model.joints[joint].createData()
                 self._model.joints[joint].calc(data, moved)
                 others[at, number] = [*data.M.rotation.ravel(), *data.M.translation]
-        found = Placements(
-            np.empty((count, self._model.njoints, 3, 3)), np.empty((count, self._model.njoints, 3))
-        )
-        kernels.place_joints(self.tree, self._space.positions(q) + offsets, others, *found)
-        return found
+        return self._space.positions(q) + offsets, others
 
     def differentiate(
         self, placements: Placements, first: Indices, second: Indices, points: Array, normals: Array
@@ -297,15 +300,12 @@ class PairDistances:
         order = np.argsort(distances, kind="stable")
         return NearPairs(near[order], distances[order], points[order], normals[order], best, pair)
 
-    def minimum(
-        self, placements: Placements, below: float = np.inf, enough: float = -np.inf
-    ) -> tuple[float, int]:
+    def minimum(self, placements: Placements, below: float = np.inf) -> tuple[float, int]:
         """Return distance and index of the nearest pair at any of several configurations.
 
         Args:
             placements: where the joints are.
             below: distances that matter [m]: of larger ones some is found, or none, in less time.
-            enough: the search ends with the first that is smaller [m].
 
         Returns:
             Infinity and `NO_PAIR` if there are none.
@@ -313,10 +313,10 @@ class PairDistances:
         ends = self._ends(placements)
         candidates = len(ends) * self._open
         open_pairs, bounds = np.empty((candidates, 2), dtype=np.int64), np.empty(candidates)
-        best, pair, opened = kernels.smallest_distance(ends, self._arrays, below, enough, open_pairs, bounds)
+        best, pair, opened = kernels.smallest_distance(ends, self._arrays, below, open_pairs, bounds)
         places: dict[tuple[int, int], coal.Transform3s] = {}
         for at in np.argsort(bounds[:opened], kind="stable"):
-            if bounds[at] >= min(best, below) or best < enough:
+            if bounds[at] >= min(best, below):
                 break
             sample, candidate = (int(each) for each in open_pairs[at])
             distance = self._narrow.distance(self._posed(candidate, placements, sample, places))
@@ -325,6 +325,23 @@ class PairDistances:
             if distance < best:
                 best, pair = distance, candidate
         return best, pair
+
+    def keep(self, kinematics: TreeKinematics, q: Array, offsets: Array, least: float) -> bool:
+        """Whether all distances are at least so large at several configurations.
+
+        Args:
+            kinematics: of the model that carries the bodies.
+            q: as for `TreeKinematics.place`.
+            offsets: likewise.
+            least: the distance [m].
+        """
+        positions, others = kinematics.positions(q, offsets)
+        open_places = np.zeros(len(positions), dtype=np.bool_)
+        given = kinematics.tree, self._carriers, self._local, self._arrays, positions, others
+        if not kernels.keeps_distance(*given, least, open_places):
+            return False
+        rest = offsets[open_places]
+        return not len(rest) or self.minimum(kinematics.place(q, rest), least)[0] >= least
 
     def axes(self, pair: int, placements: Placements) -> tuple[Array, Array]:
         """Return the ends of the axes of the capsules around both solids of a pair, (2, 3) each [m]."""

@@ -417,7 +417,7 @@ class CollisionModel:
             offsets: displacements from it, (s, nv) [rad or m]; those where it may not be come first.
             least: the distance [m].
         """
-        return self._distances.minimum(self._kinematics.place(q0, offsets), least, least)[0] >= least
+        return self._distances.keep(self._kinematics, q0, offsets, least)
 
     def _closest(self, distance: float, pair: int) -> Closest:
         return Closest(distance, self.pairs[pair] if pair >= 0 else None)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pinposture.kernels.chain_solver import move_points as move_points
     from pinposture.kernels.chain_solver import stiffness as stiffness
     from pinposture.kernels.collision import differentiate_distances as differentiate_distances
+    from pinposture.kernels.collision import keeps_distance as keeps_distance
     from pinposture.kernels.collision import near_pairs as near_pairs
     from pinposture.kernels.collision import place_axes as place_axes
     from pinposture.kernels.collision import place_joints as place_joints
@@ -75,6 +76,7 @@ _HOMES = {
     "parameters_at": "spline",
     "minimise_in_box": "chain_solver",
     "differentiate_distances": "collision",
+    "keeps_distance": "collision",
     "near_pairs": "collision",
     "place_axes": "collision",
     "place_joints": "collision",

@@ -22,6 +22,7 @@ from pinposture.kernels.arrays import (
     Array2,
     Array3,
     Array4,
+    Flags1,
     Ints1,
     Ints2,
     JointTree,
@@ -57,43 +58,51 @@ def place_joints(
         rotations: filled with the orientations of the joint frames, (s, njoints, 3, 3), world frame.
         origins: filled with their origins, (s, njoints, 3).
     """
-    moved = np.empty((3, 3))
     for at in range(len(positions)):
-        rotations[at, 0] = np.eye(3)
-        origins[at, 0] = 0.0
-        number = 0
-        for joint in range(1, len(tree.parents)):
-            parent, fixed = tree.parents[joint], tree.fixed[joint]
-            before, place = rotations[at, parent], origins[at, parent]
-            turned, origin = rotations[at, joint], origins[at, joint]
-            for i in range(3):
-                origin[i] = place[i]
+        _place_joints(tree, positions[at], others[at], rotations[at], origins[at])
+
+
+@subkernel
+def _place_joints(
+    tree: JointTree, positions: Array1, others: Array2, rotations: Array3, origins: Array2
+) -> None:
+    """`place_joints` at one configuration."""
+    moved = np.empty((3, 3))
+    rotations[0] = np.eye(3)
+    origins[0] = 0.0
+    number = 0
+    for joint in range(1, len(tree.parents)):
+        parent, fixed = tree.parents[joint], tree.fixed[joint]
+        before, place = rotations[parent], origins[parent]
+        turned, origin = rotations[joint], origins[joint]
+        for i in range(3):
+            origin[i] = place[i]
+            for k in range(3):
+                origin[i] += before[i, k] * fixed[9 + k]
+            for j in range(3):
+                turned[i, j] = 0.0
                 for k in range(3):
-                    origin[i] += before[i, k] * fixed[9 + k]
-                for j in range(3):
-                    turned[i, j] = 0.0
-                    for k in range(3):
-                        turned[i, j] += before[i, k] * fixed[3 * k + j]
-            axis = tree.axes[joint]
-            if tree.kinds[joint] == 2:  # any other joint
-                other = others[at, number]
-                number += 1
+                    turned[i, j] += before[i, k] * fixed[3 * k + j]
+        axis = tree.axes[joint]
+        if tree.kinds[joint] == 2:  # any other joint
+            other = others[number]
+            number += 1
+            for i in range(3):
+                for k in range(3):
+                    origin[i] += turned[i, k] * other[9 + k]
+            moved[:, :] = other[:9].reshape(3, 3)
+        else:
+            position = positions[tree.columns[joint]]
+            if tree.kinds[joint] == 1:  # it slides
                 for i in range(3):
                     for k in range(3):
-                        origin[i] += turned[i, k] * other[9 + k]
-                moved[:, :] = other[:9].reshape(3, 3)
-            else:
-                position = positions[at, tree.columns[joint]]
-                if tree.kinds[joint] == 1:  # it slides
-                    for i in range(3):
-                        for k in range(3):
-                            origin[i] += turned[i, k] * axis[k] * position
-                    continue
-                _rotate(axis, position, moved)
-            for i in range(3):
-                x, y, z = turned[i, 0], turned[i, 1], turned[i, 2]
-                for j in range(3):
-                    turned[i, j] = x * moved[0, j] + y * moved[1, j] + z * moved[2, j]
+                        origin[i] += turned[i, k] * axis[k] * position
+                continue
+            _rotate(axis, position, moved)
+        for i in range(3):
+            x, y, z = turned[i, 0], turned[i, 1], turned[i, 2]
+            for j in range(3):
+                turned[i, j] = x * moved[0, j] + y * moved[1, j] + z * moved[2, j]
 
 
 @subkernel
@@ -119,12 +128,18 @@ def place_axes(carriers: Ints1, local: Array3, rotations: Array4, origins: Array
         ends: filled with the ends, (s, b, 2, 3), world frame.
     """
     for at in range(len(rotations)):
-        for body in range(len(carriers)):
-            turn, place = rotations[at, carriers[body]], origins[at, carriers[body]]
-            for end in range(2):
-                x, y, z = local[body, end, 0], local[body, end, 1], local[body, end, 2]
-                for i in range(3):
-                    ends[at, body, end, i] = place[i] + turn[i, 0] * x + turn[i, 1] * y + turn[i, 2] * z
+        _place_axes(carriers, local, rotations[at], origins[at], ends[at])
+
+
+@subkernel
+def _place_axes(carriers: Ints1, local: Array3, rotations: Array3, origins: Array2, ends: Array3) -> None:
+    """`place_axes` at one configuration."""
+    for body in range(len(carriers)):
+        turn, place = rotations[carriers[body]], origins[carriers[body]]
+        for end in range(2):
+            x, y, z = local[body, end, 0], local[body, end, 1], local[body, end, 2]
+            for i in range(3):
+                ends[body, end, i] = place[i] + turn[i, 0] * x + turn[i, 1] * y + turn[i, 2] * z
 
 
 @compiled
@@ -591,7 +606,7 @@ def near_pairs(
 
 @compiled
 def smallest_distance(
-    ends: Array4, pairs: Pairs, below: float, enough: float, open_pairs: Ints2, bounds: Array1
+    ends: Array4, pairs: Pairs, below: float, open_pairs: Ints2, bounds: Array1
 ) -> tuple[float, int, int]:
     """Find the smallest distance at any of several configurations.
 
@@ -599,7 +614,6 @@ def smallest_distance(
         ends: ends of the axes of the bodies, (s, b, 2, 3).
         pairs: the pairs.
         below: distances that matter: if none is smaller, none may be found.
-        enough: a distance below which the search ends with the first that is found.
         open_pairs: filled with configuration and pair where only a lower bound is known that may be smaller,
             (s times the number of pairs that are not exact, 2).
         bounds: filled with these bounds.
@@ -625,6 +639,47 @@ def smallest_distance(
                         opened += 1
                 elif distance < best:
                     best, best_pair = distance, pair
-        if best < enough:
-            break
     return best, best_pair, opened
+
+
+@compiled
+def keeps_distance(
+    tree: JointTree,
+    carriers: Ints1,
+    local: Array3,
+    pairs: Pairs,
+    positions: Array2,
+    others: Array3,
+    least: float,
+    open_places: Flags1,
+) -> bool:
+    """Whether all distances are at least so large at several configurations. The first that is not ends it.
+
+    Args:
+        tree: the joints.
+        carriers: the joint that carries each body, (b,).
+        local: ends of the axes of the bodies in the frames of these joints, (b, 2, 3).
+        pairs: the pairs.
+        positions: joint positions, (s, nv).
+        others: as for `place_joints`.
+        least: the distance.
+        open_places: filled with the configurations at which bounds alone do not tell, (s,).
+    """
+    count = len(tree.parents)
+    rotations, origins, ends = np.empty((count, 3, 3)), np.empty((count, 3)), np.empty(local.shape)
+    blocks = np.empty(((len(carriers) + BLOCK - 1) // BLOCK, 4))
+    for at in range(len(positions)):
+        open_places[at] = False
+        _place_joints(tree, positions[at], others[at], rotations, origins)
+        _place_axes(carriers, local, rotations, origins, ends)
+        _bound_blocks(ends, pairs, blocks)
+        for group in range(len(pairs.groups)):
+            if _group_bound(blocks, pairs, group) >= least:
+                continue
+            for pair in range(pairs.starts[group], pairs.starts[group + 1]):
+                if _pair_bound(ends, pairs, pair) >= least or pair_contact(ends, pairs, pair)[0] >= least:
+                    continue
+                if pairs.exact[pair]:
+                    return False
+                open_places[at] = True
+    return True
