@@ -77,7 +77,7 @@ class TreeKinematics:
         return found
 
     def positions(self, q: Array, offsets: Array | None) -> tuple[Array, Array]:
-        """Return joint positions, (s, nv), and placements of other joints, as kernels take them; see `place`."""
+        """Return joint positions, (s, nv), and placements of other joints, for kernels; see `place`."""
         offsets = np.zeros((1, self._model.nv)) if offsets is None else offsets
         others = np.empty((len(offsets), len(self._others), 12))
         for at in range(len(offsets) if self._others else 0):

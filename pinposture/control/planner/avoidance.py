@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+from math import ceil
 from typing import NamedTuple
 
 import daqp
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture.arm import ArmState
+from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Distances
 from pinposture.control.limits import JointBounds, stopping_steps
 from pinposture.control.planner.objective import LinearRows, Objective
@@ -144,12 +146,42 @@ GAIN_SHARE = 0.5
 MAX_LISTED_PAIRS = 3
 """Largest number of pairs that are listed."""
 
-MAX_SAMPLES, SAMPLE_SPACING = 10, 0.01
-"""Largest number of places in a step at which distances are sampled, and the joint motion between two of
-them, in `Arm.joint_units`; the end of a step always is one."""
+SAMPLE_MOTION, SAMPLE_TURN = 0.005, 0.1
+"""Largest motion of a control point, in arm lengths, and of a joint, in `Arm.joint_units`, between two places
+at which distances are sampled; the end of a step always is one."""
 
 MAX_HALVINGS = 6
 """How often a step after which the arm cannot stop clear is moved halfway to braking, before it brakes."""
+
+
+def sample_motion(arm: Arm, positions: Array, path: Array) -> Array:
+    """Return displacements on straight motions at which distances are to be sampled, (s, nv) [rad or m].
+
+    Args:
+        arm: the arm.
+        positions: joint positions that displacements are counted from, (nv,) [rad or m].
+        path: displacements between which the motions are, (N + 1, nv); the first one is not sampled.
+    """
+    points = np.array([arm.kinematics.forward(positions + offset).points for offset in path])
+    changes = np.diff(path, axis=0)
+    moved = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=2).max(axis=1))
+    turned = np.abs(changes / arm.joint_units).max(axis=1, initial=0.0)
+    counts = np.maximum(moved / (SAMPLE_MOTION * arm.length), turned / SAMPLE_TURN)
+    pieces = zip(path[:-1], changes, counts, strict=True)
+    found = [start + by_halves(max(ceil(n), 1))[:, None] * change for start, change, n in pieces]
+    return np.concatenate(found)
+
+
+@lru_cache(maxsize=256)
+def by_halves(count: int) -> Array:
+    """Return the shares 1/n, ..., 1 in an order that halves the widest gap: collisions are found early."""
+    order, gaps = [count], [(0, count)]
+    for low, high in gaps:
+        middle = (low + high) // 2
+        if low < middle < high:
+            order.append(middle)
+            gaps += [(low, middle), (middle, high)]
+    return np.array(order) / count
 
 
 class ClearStep(NamedTuple):
@@ -306,12 +338,8 @@ class Avoidance:
 
     def _lowest(self, state: ArmState, steps: Array, below: float) -> float:
         """Return the smallest distance during steps (k, nv) [m], exact if it is smaller than `below`."""
-        longest = np.abs(steps / self._objective.arm.joint_units).max(axis=1, initial=0.0)
-        counts = np.clip(np.ceil(longest / SAMPLE_SPACING), 1, MAX_SAMPLES).astype(np.int64)
-        whole = np.repeat(np.cumsum(steps, axis=0) - steps, counts, axis=0)
-        first = np.repeat(np.cumsum(counts) - counts, counts)
-        shares = (np.arange(len(first)) - first + 1) / np.repeat(counts, counts)
-        offsets = whole + shares[:, None] * np.repeat(steps, counts, axis=0)
+        path = np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
+        offsets = sample_motion(self._objective.arm, state.forward.positions, path)
         return self.clearance.minimum_along(state.q, offsets, below).distance
 
     @property

@@ -9,7 +9,6 @@ relaxation then make it direct.
 
 from __future__ import annotations
 
-from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -17,18 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import ArmState, smooth_configuration
-from pinposture.control.planner.avoidance import Avoidance
+from pinposture.control.planner.avoidance import Avoidance, sample_motion
 from pinposture.control.planner.damped_least_squares import minimize
 from pinposture.control.planner.objective import Objective
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
-
-SAMPLE_MOTION = 0.005
-"""Largest motion of a control point between two places at which distances are sampled, in arm lengths."""
-
-SAMPLE_TURN = 0.1
-"""Largest motion of a joint between two such places, in `Arm.joint_units`."""
 
 WITHDRAWAL_STEP, NEAR_SHARE = 0.01, 0.3
 """By how much a withdrawal moves on in a step, and how much of the arm takes up the slack, in arm lengths."""
@@ -119,14 +112,7 @@ class PathSearch:
 
     def is_clear(self, path: Array) -> bool:
         """Whether the straight motions between offsets, (N + 1, nv), keep clear, if the first one does."""
-        points = np.array([self._points(each) for each in path])
-        changes = np.diff(path, axis=0)
-        moved = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=2).max(axis=1))
-        turned = np.abs(changes / self._arm.joint_units).max(axis=1)
-        counts = np.maximum(moved / (SAMPLE_MOTION * self._arm.length), turned / SAMPLE_TURN)
-        shares = [_by_halves(max(int(np.ceil(count)), 1)) for count in counts]
-        pieces = zip(path[:-1], changes, shares, strict=True)
-        offsets = np.concatenate([start + share[:, None] * change for start, change, share in pieces])
+        offsets = sample_motion(self._arm, self._positions, path)
         return self._avoidance.clearance.keeps(self._start.q, offsets, self._least)
 
     def _points(self, offset: Array) -> Array:
@@ -233,18 +219,6 @@ class PathSearch:
         joints = np.diff(path, axis=0)[:, self._objective.columns] / self._objective.units
         squares = (np.diff(points, axis=0) ** 2).sum(axis=(1, 2))
         return float(np.sqrt(squares + self._objective.mu**2 * (joints**2).sum(axis=1)).sum())
-
-
-@lru_cache(maxsize=256)
-def _by_halves(count: int) -> Array:
-    """Return the shares 1/n, ..., 1, such that each next one halves a gap: collisions are found early."""
-    order, steps = [count], [(0, count)]
-    for low, high in steps:
-        middle = (low + high) // 2
-        if low < middle < high:
-            order.append(middle)
-            steps += [(low, middle), (middle, high)]
-    return np.array(order) / count
 
 
 class _Tree:

@@ -13,7 +13,7 @@ from pinposture import kernels
 from pinposture.arm import ArmState
 from pinposture.collision import Closest, CollisionModel, Scene
 from pinposture.control.limits import JointBounds, Limits
-from pinposture.control.planner.avoidance import Avoidance
+from pinposture.control.planner.avoidance import Avoidance, sample_motion
 from pinposture.control.planner.damped_least_squares import LeastSquaresResult, minimize
 from pinposture.control.planner.objective import PRIORITY_WEIGHT, LinearRows, Objective, check_objective
 from pinposture.control.planner.path import JointPath
@@ -65,9 +65,6 @@ MAX_DETOUR = 2.0
 
 SEARCHED_PIECES = 24, 64
 """Smallest and largest number of pieces of a path that was searched, when it is relaxed."""
-
-SAMPLES_PER_PIECE = 2
-"""Places on each straight piece of a path at which its distance is sampled."""
 
 
 def plan(
@@ -282,7 +279,7 @@ def _clearest_path(
         yield from (relaxed(first + k) for k in range(2, MAX_PATHS // (1 + attempt)) if not clear)
 
     for path in candidates():
-        closest = _closest_on(path, avoidance)
+        closest = _closest_on(path, avoidance, possible)
         if closest.distance >= possible:
             clear.append(path)
             if path.length <= short:
@@ -345,14 +342,10 @@ def _penalty(
     return penalty
 
 
-def _closest_on(path: JointPath, avoidance: Avoidance) -> Closest:
-    """Return the pair that comes closest on a path, its ends included."""
-    pieces = zip(path.offsets[:-1], np.diff(path.offsets, axis=0), strict=True)
-    found = [
-        avoidance.clearance.minimum_between(path.arm.integrate(path.start, offset), piece, SAMPLES_PER_PIECE)
-        for offset, piece in pieces
-    ]
-    return min([avoidance.clearance.minimum(path.start), *found], key=lambda each: each.distance)
+def _closest_on(path: JointPath, avoidance: Avoidance, below: float) -> Closest:
+    """Return the pair that comes closest on a path, its ends included; any if none is nearer than `below`."""
+    offsets = np.concatenate([path.offsets[:1], sample_motion(path.arm, path.positions, path.offsets)])
+    return avoidance.clearance.minimum_along(path.start, offsets, below)
 
 
 # A target that moves: the path so far is bent where that will do.
