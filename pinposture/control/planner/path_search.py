@@ -10,6 +10,8 @@ relaxation then make it direct.
 from __future__ import annotations
 
 from itertools import pairwise
+from math import inf
+from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
@@ -76,6 +78,7 @@ class PathSearch:
         avoidance: what to keep clear of.
         least: the distance that must be kept on the path [m].
         seed: other seeds may lead to other paths.
+        until: time of `perf_counter` at which the search is given up.
     """
 
     def __init__(
@@ -87,10 +90,11 @@ class PathSearch:
         avoidance: Avoidance,
         least: float,
         seed: int = 0,
+        until: float = inf,
     ) -> None:
         self._objective, self._start, self._goal = objective, start, goal
         self._arm, self._edges, self._avoidance, self._least = objective.arm, edges, avoidance, least
-        self._rng = np.random.default_rng(seed)
+        self._rng, self._until = np.random.default_rng(seed), until
         self._positions = self._arm.positions(start.q)
         lowest, highest = edges - self._positions
         farthest = MAX_TURN * self._arm.joint_units * self._arm.moved
@@ -123,7 +127,7 @@ class PathSearch:
     def _join_withdrawn(self, end: Array) -> Array | None:
         """Withdraw both ends step by step until they can be joined."""
         ends = [_Withdrawal(self, np.zeros(self._arm.nv)), _Withdrawal(self, end)]
-        while any(each.go_on(JOIN_EVERY) for each in ends):
+        while perf_counter() < self._until and any(each.go_on(JOIN_EVERY) for each in ends):
             joined = self._connect(ends[0].offsets[-1], ends[1].offsets[-1], JOIN_NODES)
             if joined is not None:
                 return np.concatenate([ends[0].offsets, joined[1:-1], ends[1].offsets[::-1]])
@@ -140,6 +144,8 @@ class PathSearch:
         trees = _Tree(one), _Tree(other)
         units = self._arm.joint_units
         for turn in range(nodes):
+            if perf_counter() >= self._until:
+                break
             from_, to = trees if turn % 2 == 0 else trees[::-1]
             wanted = other if turn == 0 else self._sample(one, other)
             at = self._extend(from_, wanted, units)

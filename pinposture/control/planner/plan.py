@@ -5,11 +5,14 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from math import inf
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
+from pinposture._validation import require_positive
 from pinposture.arm import ArmState
 from pinposture.collision import Closest, CollisionModel, Scene
 from pinposture.control.limits import JointBounds, Limits
@@ -75,6 +78,7 @@ def plan(
     tasks: Sequence[ControlTask] = (),
     joint_weight: float = 0.2,
     relative_position_weight: float = 1.0,
+    budget: float = inf,
 ) -> JointPath:
     """Find the most direct clear path to a target posture: the first stage of `Geodesic`.
 
@@ -86,9 +90,12 @@ def plan(
         tasks: further tasks, as for `Geodesic`.
         joint_weight: as for `Geodesic`.
         relative_position_weight: as for `Geodesic`.
+        budget: time after which no further path is tried among obstacles [s]. The result then depends on how
+            fast the machine is; without it, it is always the same.
 
     Returns:
-        The path. `hindrance` says what it comes too close to, if no clear path was found.
+        The path. `hindrance` says what it comes too close to, if no clear path was found; `found_by` how it
+        was found.
 
     Raises:
         InvalidValue: something of another type, or that does not fit the arm.
@@ -101,15 +108,22 @@ def plan(
         raise InvalidValue("scene", scene, "a Scene(...), or None")
     check_objective(joint_weight, relative_position_weight, tasks)
     target.check(state.arm)
+    if budget != inf:
+        require_positive("budget", budget)
     objective = Objective(state.arm, target, tuple(tasks), relative_position_weight, joint_weight)
     bounds, avoidance = (Limits() if limits is None else limits).for_arm(state.arm), None
     if scene is not None:
         avoidance = Avoidance(CollisionModel(state.arm, scene), objective, bounds)
-    return find_path(objective, state.compiled, bounds, avoidance)
+    return find_path(objective, state.compiled, bounds, avoidance, until=perf_counter() + budget)
 
 
 def find_path(
-    objective: Objective, state: ArmState, bounds: JointBounds, avoidance: Avoidance | None, attempt: int = 0
+    objective: Objective,
+    state: ArmState,
+    bounds: JointBounds,
+    avoidance: Avoidance | None,
+    attempt: int = 0,
+    until: float = inf,
 ) -> JointPath:
     """Find where to go, and the most direct clear path there.
 
@@ -119,9 +133,10 @@ def find_path(
         bounds: what the limits mean for its joints.
         avoidance: what to keep clear of; None: nothing.
         attempt: how many paths were given up before; each attempt tries others.
+        until: time of `perf_counter` from which on no further path is tried.
     """
     goal = find_goal(objective, state, bounds.edges, avoidance, GOAL_TOLERANCE * objective.arm.length).state
-    path = _clearest_path(objective, state, goal, bounds, avoidance, attempt)
+    path = _clearest_path(objective, state, goal, bounds, avoidance, attempt, until)
     logger.debug("a path of %d pieces by %s %s", path.end, path.found_by, path.hindrance)
     scene = None if avoidance is None else avoidance.clearance.scene
     first, last = (objective.task_rows(at, priority=True) for at in (state, goal))
@@ -246,6 +261,7 @@ def _clearest_path(
     bounds: JointBounds,
     avoidance: Avoidance | None,
     attempt: int,
+    until: float,
 ) -> JointPath:
     """Return a direct path that is clear; if there is none, the one that comes least close to something.
 
@@ -275,7 +291,7 @@ def _clearest_path(
         if attempt == 0 and not objective.tasks:
             yield most_direct
         yield from (relaxed(first + k) for k in range(2) if not clear)
-        yield from _searched(objective, state, goal, bounds, avoidance, possible, attempt)
+        yield from _searched(objective, state, goal, bounds, avoidance, possible, attempt, until)
         yield from (relaxed(first + k) for k in range(2, MAX_PATHS // (1 + attempt)) if not clear)
 
     for path in candidates():
@@ -288,6 +304,8 @@ def _clearest_path(
             pair = " to ".join(closest.pair or ())
             words = f"no clear path was found, the best has {pair}: {1e3 * closest.distance:.3g} mm apart"
             hindered.append((closest.distance, replace(path, hindrance=words)))
+        if perf_counter() >= until:
+            break
     if clear:
         return min(clear, key=lambda path: path.length)
     return max(hindered, key=lambda each: each[0])[1]
@@ -301,9 +319,10 @@ def _searched(
     avoidance: Avoidance,
     least: float,
     seed: int,
+    until: float,
 ) -> Iterator[JointPath]:
     """Search for a clear path; yield it relaxed, and as it was found."""
-    search = PathSearch(objective, state, goal, bounds.edges, avoidance, least, seed)
+    search = PathSearch(objective, state, goal, bounds.edges, avoidance, least, seed, until)
     found = search.find()
     if found is None:
         return

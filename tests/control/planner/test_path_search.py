@@ -142,3 +142,12 @@ def test_samples_are_as_dense_as_the_arm_moves() -> None:
     points = np.array([arm().at(each).compiled.points for each in [path[0], *first[order]]])
     # Straight in joint space is nearly straight for points: twice the spacing is not exceeded.
     assert np.linalg.norm(np.diff(points, axis=0), axis=2).max() <= 2.0 * 0.005
+
+
+def test_a_budget_ends_the_search() -> None:
+    scene, start, goal = through_a_hole(1)
+    target = pp.Target.from_configuration(arm(), goal)
+    path = pp.plan(arm().at(start), target, scene, budget=1e-3)
+    assert path.hindrance  # the most direct one alone was tried
+    with pytest.raises(pp.PostureError, match="budget"):
+        pp.plan(arm().at(start), target, scene, budget=0.0)
