@@ -46,8 +46,8 @@ EXAMPLES = (
     "pinposture simulate joints.csv --urdf arm.urdf --no-gravity --json",
 )
 
-SIMULATION, PLOT = "simulation.npz", "simulation.png"
-FILES = {"simulation": SIMULATION, "plot": PLOT}
+SIMULATION, PICTURE = "simulation.npz", "simulation.png"
+SIMULATION_FILES = {"simulation": SIMULATION, "plot": PICTURE}
 
 
 def run(
@@ -121,7 +121,10 @@ def run(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", metavar="DIR", help=f"Leave {SIMULATION} and {PLOT} here; else nothing is kept."
+            "--output",
+            "-o",
+            metavar="DIR",
+            help=f"Leave {SIMULATION} and {PICTURE} here; else nothing is kept.",
         ),
     ] = None,
     as_json: JsonOption = False,
@@ -155,7 +158,7 @@ def run(
         )
     if output is not None:
         keep(simulation, output)
-    files = {} if output is None else {kind: str(output / name) for kind, name in FILES.items()}
+    files = {} if output is None else {kind: str(output / name) for kind, name in SIMULATION_FILES.items()}
     summary = simulation.summary()
     if as_json:
         print_json({"run": str(path), **summary, "files": files})
@@ -177,7 +180,7 @@ def keep(simulation: Simulation, directory: Path) -> None:
     from pinposture.motion import save
     from pinposture.viz.simulation import plot_simulation
 
-    write_picture(plot_simulation(simulation), directory / PLOT)
+    write_picture(plot_simulation(simulation), directory / PICTURE)
     save(simulation, directory / SIMULATION)  # last: where it is, its picture is
 
 

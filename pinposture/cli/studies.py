@@ -118,7 +118,7 @@ ARMS_EXAMPLES = (
 AS_CLOSE = 1.05
 """How much farther from the curve than the reference a placement may be to count as good."""
 
-ROUNDING = 1e-6
+RESIDUAL_ROUNDING = 1e-6
 """Distance from the curve, relative to the arm length, that is no fault: sampling of the curve, rounding."""
 
 _PLACED = ("placed by", "residual", "reference", "ratio", "farthest")
@@ -206,14 +206,14 @@ def _is_close(result: ArmSurvey) -> bool | None:
     """Whether an arm is placed about as close to the curve as can be; None if it was not placed."""
     if result.residual is None or result.reference is None:
         return None
-    return result.residual <= AS_CLOSE * result.reference + ROUNDING
+    return result.residual <= AS_CLOSE * result.reference + RESIDUAL_ROUNDING
 
 
 def _ratio(result: ArmSurvey) -> float | None:
     """Residual relative to the reference, where both are more than rounding."""
     if result.residual is None or result.reference is None:
         return None
-    return max(result.residual, ROUNDING) / max(result.reference, ROUNDING)
+    return max(result.residual, RESIDUAL_ROUNDING) / max(result.reference, RESIDUAL_ROUNDING)
 
 
 def _arms_row(result: ArmSurvey) -> tuple[str | float | None, ...]:
@@ -390,7 +390,7 @@ def run_postures(
     """
     from pinposture.study import keep_study, loaded_subject, study_postures, summarise
     from pinposture.study.pictures import draw_postures
-    from pinposture.study.postures import CONTROLLERS
+    from pinposture.study.postures import COMPARED
 
     check_output(output)
     if urdf is None:
@@ -401,7 +401,7 @@ def run_postures(
         raise InvalidValue("--arms", arms, "nothing where --urdf names the arm")
     else:
         subjects = [loaded_subject(read_arm(urdf, base, tip, modules, locked, package_dir))]
-    names = CONTROLLERS if controllers is None else split_names("--controllers", controllers)
+    names = COMPARED if controllers is None else split_names("--controllers", controllers)
     with count_progress("case") as progress:
         records = study_postures(subjects, names, cases, seed0, jobs, progress)
     rows = summarise(records, families)
@@ -496,11 +496,11 @@ def run_headings(
     """
     from pinposture.study import by_heading, keep_study, study_headings
     from pinposture.study.pictures import draw_headings
-    from pinposture.study.postures import BINS, CONTROLLERS
+    from pinposture.study.postures import BINS, COMPARED
 
     check_output(output)
     subjects = built_subjects(arms)
-    names = CONTROLLERS if controllers is None else split_names("--controllers", controllers)
+    names = COMPARED if controllers is None else split_names("--controllers", controllers)
     with count_progress("pair") as progress:
         records = study_headings(subjects, names, pairs, seed0, target, jobs, progress)
     bins = by_heading(records)

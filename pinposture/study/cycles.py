@@ -24,13 +24,13 @@ from pinposture.study.scenarios import arbitrary_configuration
 
 Array = NDArray[np.float64]
 
-CORNERS, ROUNDS, CYCLES = 4, 5, 10
+CORNERS, ROUNDS_OF_A_CYCLE, CYCLES = 4, 5, 10
 """Postures of a cycle; rounds and number of cycles for each arm unless told otherwise."""
 
 CLOSE = 1e-9
 """Mean point error, relative to the arm length, at which a posture of the cycle is taken."""
 
-KNOWLEDGE = ("configuration", "points")
+CYCLE_KNOWLEDGE = ("configuration", "points")
 
 
 class Rounds(NamedTuple):
@@ -72,7 +72,7 @@ def cycle_drift(
     arm: Arm,
     targets: Sequence[Target],
     q0: ArrayLike,
-    rounds: int = ROUNDS,
+    rounds: int = ROUNDS_OF_A_CYCLE,
     controller: str | Controller = "geodesic",
 ) -> Rounds:
     """Go round a closed cycle of postures, and see how far the joints drift.
@@ -110,10 +110,10 @@ def cycle_drift(
 
 def study_cycles(
     subjects: Sequence[Subject],
-    knowledge: Sequence[str] = KNOWLEDGE,
+    knowledge: Sequence[str] = CYCLE_KNOWLEDGE,
     controller: str | Controller = "geodesic",
     cycles: int = CYCLES,
-    rounds: int = ROUNDS,
+    rounds: int = ROUNDS_OF_A_CYCLE,
     first_seed: int = 0,
     jobs: int = 1,
     progress: Progress | None = None,
@@ -122,7 +122,7 @@ def study_cycles(
 
     Args:
         subjects: the arms; see `built_subject`.
-        knowledge: what is known of the postures, some of `KNOWLEDGE`.
+        knowledge: what is known of the postures, some of `CYCLE_KNOWLEDGE`.
         controller: a controller, or the name of one.
         cycles: number of cycles for each arm and kind of knowledge.
         rounds: how often to go round each.
@@ -143,8 +143,8 @@ def study_cycles(
         if len(listed) == 0:
             raise InvalidValue(name, list(listed), "at least one")
     for known in knowledge:
-        if known not in KNOWLEDGE:
-            raise UnknownName("knowledge of the target", known, KNOWLEDGE)
+        if known not in CYCLE_KNOWLEDGE:
+            raise UnknownName("knowledge of the target", known, CYCLE_KNOWLEDGE)
     chosen = controller_named(controller)
     seeds = range(first_seed, first_seed + cycles)
     todo = [(subject, known, seed) for subject in subjects for known in knowledge for seed in seeds]

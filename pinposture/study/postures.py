@@ -21,10 +21,10 @@ from pinposture.study.scenarios import bent_configuration, curve_along
 
 # Many starts, targets and controllers: does it get there, how directly, and what does it do on the way.
 
-CONTROLLERS = ("geodesic", "selection", "projection", "switching", "lm", "joint")
+COMPARED = ("geodesic", "selection", "projection", "switching", "lm", "joint")
 """The controllers that are compared unless others are named."""
 
-CASES = 1000
+CASES_OF_A_KIND = 1000
 """Number of cases for each arm unless told otherwise."""
 
 Progress = Callable[[int, int], object]
@@ -32,8 +32,8 @@ Progress = Callable[[int, int], object]
 
 def study_postures(
     subjects: Sequence[Subject],
-    controllers: Sequence[str | Controller] = CONTROLLERS,
-    cases: int = CASES,
+    controllers: Sequence[str | Controller] = COMPARED,
+    cases: int = CASES_OF_A_KIND,
     first_seed: int = 0,
     jobs: int = 1,
     progress: Progress | None = None,
@@ -122,7 +122,7 @@ PAIRS = 300
 
 HEADING = 4.2
 """Largest heading of a link in either posture of a planar arm, at most [rad]."""
-AMPLITUDE = 0.6
+BENDING = 0.6
 """Largest joint position in either posture of a spatial arm, at most [rad or m]."""
 
 EDGES = (0.0, 2.0, np.pi, 4.0, 6.0, np.inf)
@@ -156,19 +156,19 @@ def draw_pair(arm: Arm, seed: int) -> tuple[Array, Array]:
     """Two smooth configurations (nq,), each bent by a random amount so that all bins are populated.
 
     The largest heading of a link of a planar arm is uniform up to `HEADING`, the largest joint position of a
-    spatial arm up to `AMPLITUDE`.
+    spatial arm up to `BENDING`.
     """
     rng = np.random.default_rng(seed)
     if arm.dimension == 2:
         start, goal = (bent_configuration(arm, rng, rng.uniform(0.0, HEADING)) for _ in range(2))
     else:
-        start, goal = (smooth_configuration(arm, rng, rng.uniform(0.0, AMPLITUDE)) for _ in range(2))
+        start, goal = (smooth_configuration(arm, rng, rng.uniform(0.0, BENDING)) for _ in range(2))
     return start, goal
 
 
 def study_headings(
     subjects: Sequence[Subject],
-    controllers: Sequence[str | Controller] = CONTROLLERS,
+    controllers: Sequence[str | Controller] = COMPARED,
     pairs: int = PAIRS,
     first_seed: int = 0,
     knowledge: str = "configuration",

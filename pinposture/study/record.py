@@ -362,7 +362,7 @@ def _row(arm: str, group: str, controller: str, runs: list[Record]) -> SummaryRo
 
 # Records of runs as files: a CSV of one row for each run, a summary as JSON, a picture.
 
-CASES, SUMMARY = "cases.csv", "summary.json"
+CASES_FILE, SUMMARY = "cases.csv", "summary.json"
 
 _PARSERS: dict[object, Callable[[str], Any]] = {
     str: str,
@@ -447,7 +447,7 @@ def keep_study(
         FileError: a file cannot be written.
     """
     directory = Path(directory)
-    files = [write_records(records, directory / CASES, fields)]
+    files = [write_records(records, directory / CASES_FILE, fields)]
     for name, figure in figures.items():
         picture = io.BytesIO()
         figure.savefig(picture, format="png")

@@ -35,7 +35,7 @@ MARGIN = 0.01
 OWN_MARGIN = 0.005
 """Distance that parts of the arm keep from each other [m]: half of that of next neighbours but one."""
 
-AMPLITUDE = 0.02
+VARIATION = 0.02
 """Largest change of a joint between the starts, or the targets, of two seeds of a situation [rad]."""
 DRAWS = 100
 """How many starts, or targets, are drawn until one is as clear as the situation says."""
@@ -111,7 +111,7 @@ def draw_situation(arm: Arm, situation: Situation, seed: int) -> Draw:
         ("goal", situation.goal, situation.goal_clear),
     ):
         for _ in range(DRAWS):
-            change = arm.positions(smooth_configuration(arm, rng, AMPLITUDE))
+            change = arm.positions(smooth_configuration(arm, rng, VARIATION))
             q = arm.configuration(np.clip(positions + change, arm.limits.lower, arm.limits.upper))
             if _as_clear(around, q, clear):
                 break
@@ -206,10 +206,10 @@ out: a start that overlaps with a ball, and a target on the other side of it.
 
 # What is kept of one run among obstacles.
 
-SAMPLES = 10
+SAMPLES_OF_A_STEP = 10
 """Places on each step at which the distance is looked up, its end among them."""
 
-ROUNDING = 1e-9
+DISTANCE_ROUNDING = 1e-9
 """How much closer than the margin counts as rounding [m]."""
 
 
@@ -228,7 +228,7 @@ class SceneRun(NamedTuple):
         error: mean point error at the end, relative to the arm length.
         margin: the distance to keep [m].
         start: smallest distance at the start [m]; negative in penetration, as the following.
-        closest: smallest distance at the start and at `SAMPLES` places of every step [m].
+        closest: smallest distance at the start and at `SAMPLES_OF_A_STEP` places of every step [m].
         end: smallest distance at the end [m].
         loss: how much closer, within a step, the arm came than the margin, or than it was before the step
             where that was closer still [m]; the most of all steps, 0 if it never did.
@@ -266,7 +266,7 @@ class SceneRun(NamedTuple):
 
         Such an arm must come out, and must not go deeper before it has.
         """
-        return self.loss <= ROUNDING and self.end >= self.margin - ROUNDING
+        return self.loss <= DISTANCE_ROUNDING and self.end >= self.margin - DISTANCE_ROUNDING
 
     @property
     def explained(self) -> bool:
@@ -294,7 +294,7 @@ def record_scene_run(
     around, margin = CollisionModel(run.arm, situation.scene), situation.scene.margin
     at = np.array([around.minimum(q).distance for q in run.q])
     ways = zip(run.q[:-1], displacements(run), strict=True)
-    between = np.array([around.minimum_between(q, dq, SAMPLES).distance for q, dq in ways])
+    between = np.array([around.minimum_between(q, dq, SAMPLES_OF_A_STEP).distance for q, dq in ways])
     lost = np.minimum(at[:-1], margin) - between
     return SceneRun(
         scene=situation.name,

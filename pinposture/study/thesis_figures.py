@@ -28,10 +28,10 @@ from pinposture.viz.panels import (
 )
 from pinposture.viz.postures import PosturePanel, draw_intermediate_postures, draw_runs
 
-WIDTH = 12.0
+FIGURE_WIDTH = 12.0
 """Width of a figure [inch]; 1200 pixels at the default resolution."""
 
-BETWEEN = 14
+SHOWN_POSTURES = 14
 """How many of the postures on the way are drawn, the first ones closer together than the last."""
 
 
@@ -209,7 +209,7 @@ def _draw_progress(
 def _draw_way(run: Trajectory, ax: Axes) -> None:
     """The final posture and the target, with some of the postures on the way."""
     panel, color = PosturePanel(run.arm, ax), palette.controller_color(run.controller)
-    steps = np.unique(np.geomspace(1, max(run.steps, 1), BETWEEN).round().astype(np.intp))
+    steps = np.unique(np.geomspace(1, max(run.steps, 1), SHOWN_POSTURES).round().astype(np.intp))
     draw_intermediate_postures(panel, run, color, steps[steps < run.steps])
     panel.target(run.target)
     panel.posture(run.q[-1], color, "final posture", width=2.0)
@@ -218,7 +218,7 @@ def _draw_way(run: Trajectory, ax: Axes) -> None:
 
 def _figure(height: float, title: str) -> Figure:
     layout = ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08, wspace=0.03, hspace=0.03)
-    figure = Figure(figsize=(WIDTH, height), layout=layout)
+    figure = Figure(figsize=(FIGURE_WIDTH, height), layout=layout)
     text = "\n".join(textwrap.fill(line, 150) for line in title.splitlines())
     figure.suptitle(text, fontsize=10, x=0.012, ha="left", color=palette.INK, parse_math=False)
     return figure

@@ -16,7 +16,7 @@ from pinposture.study import (
     study_postures,
     summarise,
 )
-from pinposture.study.postures import CONTROLLERS
+from pinposture.study.postures import COMPARED
 from pinposture.study.record import GROUPS, Spread
 
 NAMES = ("joint", "lm")
@@ -87,7 +87,7 @@ def test_the_default_is_a_thousand_cases_with_the_controllers_of_interest(monkey
     monkeypatch.setattr("pinposture.study.postures.gather_records", lambda *given: asked.append(given[1]))
     study_postures([built_subject("planar45")])
     assert asked == [1000]
-    assert CONTROLLERS == ("geodesic", "selection", "projection", "switching", "lm", "joint")
+    assert COMPARED == ("geodesic", "selection", "projection", "switching", "lm", "joint")
 
 
 @pytest.mark.parametrize(

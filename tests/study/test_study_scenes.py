@@ -16,7 +16,7 @@ from pinposture.errors import InvalidValue, UnknownName
 from pinposture.study import scenes
 from pinposture.study.record import keep_study
 from pinposture.study.scenes import (
-    ROUNDING,
+    DISTANCE_ROUNDING,
     SITUATIONS,
     SceneRun,
     Situation,
@@ -144,7 +144,7 @@ def test_starts_and_goals_are_as_clear_as_they_claim(arm: pp.Arm, name: str) -> 
         ):
             distance = around.minimum(q).distance
             assert distance >= margin if clear else distance < 0.0
-            assert np.abs(arm.positions(q) - middle).max() == pytest.approx(scenes.AMPLITUDE, abs=1e-12)
+            assert np.abs(arm.positions(q) - middle).max() == pytest.approx(scenes.VARIATION, abs=1e-12)
             np.testing.assert_array_equal(q, same)
         seen += [draw.start, draw.goal]
     assert len({q.tobytes() for q in seen}) == 8
@@ -208,7 +208,7 @@ def test_each_scene_keeps_the_margin_and_ends_where_it_should(runs: list[SceneRu
         assert run.kept, run
         assert run.reached is run.reachable, run
         if run.scene != "out":
-            assert run.closest >= run.margin - ROUNDING
+            assert run.closest >= run.margin - DISTANCE_ROUNDING
     by_name = {run.scene: run for run in runs}
     assert (by_name["inside"].status, by_name["inside"].blamed) == ("stalled", "ball")
     assert by_name["inside"].end < 0.02  # as near as it may, and a little

@@ -17,8 +17,8 @@ from pinposture.study.reproduce.claims import RULES, Finding, Share, Verdict, ju
 from pinposture.study.reproduce.runs import (
     BUNDLE,
     DEFAULT,
-    MAX_STEPS,
     READINGS,
+    THESIS_STEPS,
     Pool,
     Reading,
     RunSet,
@@ -298,7 +298,7 @@ class Evidence(NamedTuple):
 
 def gather(
     seeds: int = 100,
-    max_steps: int = MAX_STEPS,
+    max_steps: int = THESIS_STEPS,
     jobs: int = 1,
     progress: Callable[[int], object] | None = None,
 ) -> Evidence:

@@ -21,9 +21,9 @@ from pinposture.study.reproduce.claims import RULES, Finding, Share, Verdict
 from pinposture.study.reproduce.evaluate import BATCHES, Evidence, JudgedClaim, gather, judge_claims
 from pinposture.study.reproduce.runs import (
     DEFAULT,
-    MAX_STEPS,
     NUDGE,
     STEP_LIMIT,
+    THESIS_STEPS,
     MeasuredRun,
     RunSet,
     label,
@@ -60,7 +60,7 @@ class FigureRuns(NamedTuple):
 
 def run_figures(
     numbers: Iterable[str],
-    max_steps: int = MAX_STEPS,
+    max_steps: int = THESIS_STEPS,
     jobs: int = 1,
     progress: Callable[[int], object] | None = None,
 ) -> list[FigureRuns]:
@@ -368,7 +368,7 @@ def reproduce(
     names: Sequence[str],
     directory: str | Path | None = None,
     seeds: int = 100,
-    max_steps: int = MAX_STEPS,
+    max_steps: int = THESIS_STEPS,
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> Reproduction:

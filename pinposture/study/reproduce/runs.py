@@ -210,7 +210,7 @@ def deficient_steps(run: Trajectory) -> int:
 
 # The runs from which every claim takes its numbers: each scenario by each controller, over many seeds.
 
-MAX_STEPS = 200
+THESIS_STEPS = 200
 """Steps after which a run ends."""
 
 STEP_LIMIT = 0.1
@@ -334,7 +334,7 @@ def thesis_arm(name: str, free: bool = False) -> Arm:
     return Arm.from_modules(modules, name=name)
 
 
-def run_one(batch: RunSet, seed: int, max_steps: int = MAX_STEPS, nudged: bool = False) -> Trajectory:
+def run_one(batch: RunSet, seed: int, max_steps: int = THESIS_STEPS, nudged: bool = False) -> Trajectory:
     """The run of one seed, or its twin.
 
     Raises:
@@ -357,7 +357,7 @@ def run_one(batch: RunSet, seed: int, max_steps: int = MAX_STEPS, nudged: bool =
     return track(arm, target, start, variant.controller(), variant.limits, max_steps=max_steps)
 
 
-def measure(batch: RunSet, seed: int, max_steps: int = MAX_STEPS) -> MeasuredRun:
+def measure(batch: RunSet, seed: int, max_steps: int = THESIS_STEPS) -> MeasuredRun:
     """Run one seed, and its twin if it has one, and keep what claims are judged by."""
     run = run_one(batch, seed, max_steps)
     twin = run_one(batch, seed, max_steps, nudged=True) if batch.twins else None
@@ -387,7 +387,7 @@ def measured(run: Trajectory, batch: RunSet, seed: int, twin: Trajectory | None 
 def make_pool(
     batches: Iterable[RunSet],
     seeds: int,
-    max_steps: int = MAX_STEPS,
+    max_steps: int = THESIS_STEPS,
     jobs: int = 1,
     progress: Callable[[int], object] | None = None,
 ) -> Pool:
