@@ -559,7 +559,7 @@ def _mark(laid: Passage, begin: Array, name: str, offsets: Array) -> Mark:
 PATH_PLACEMENTS = ("align", "as_is")
 """How a path may be put to the tip of the arm."""
 
-MOST = 1000
+MAX_SIZE_RATIO = 1000
 """How many arms long a path is at most, and how many pipe radii an arm."""
 
 
@@ -603,8 +603,10 @@ def check_leader(leader: Leader, arm: Arm) -> None:
             raise UnknownName(name, getattr(leader, name), allowed)
     if not isinstance(leader.and_back, bool):
         raise InvalidValue("and_back", leader.and_back, "True or False")
-    if leader.path.length > MOST * arm.length:
-        longest = f"{MOST * arm.length:.4g} m, {MOST} times the arm"
+    if leader.path.length > MAX_SIZE_RATIO * arm.length:
+        longest = f"{MAX_SIZE_RATIO * arm.length:.4g} m, {MAX_SIZE_RATIO} times the arm"
         raise InvalidValue("length of the path [m]", leader.path.length, longest)
-    if leader.pipe is not None and leader.pipe < arm.length / MOST:
-        raise InvalidValue("pipe", leader.pipe, f"{arm.length / MOST:.4g} m or more, 1/{MOST} of the arm")
+    if leader.pipe is not None and leader.pipe < arm.length / MAX_SIZE_RATIO:
+        raise InvalidValue(
+            "pipe", leader.pipe, f"{arm.length / MAX_SIZE_RATIO:.4g} m or more, 1/{MAX_SIZE_RATIO} of the arm"
+        )

@@ -97,7 +97,7 @@ Progress = Callable[[float, float], object]
 
 logger = logging.getLogger(__name__)
 
-CYCLE = 0.02
+DEFAULT_CYCLE = 0.02
 """Duration of a control cycle where nobody says [s]."""
 
 BEHIND = 0.1
@@ -151,7 +151,7 @@ def perform(
     """
     arm = reference.arm
     controller, scene = in_scene(controller_named(controller), scene)
-    limits = Limits(step=None, dt=CYCLE) if limits is None else limits
+    limits = Limits(step=None, dt=DEFAULT_CYCLE) if limits is None else limits
     dt = cycle_of(limits)
     tolerance = 1e-6 * arm.length if tolerance is None else tolerance
     require_positive("tolerance", tolerance)
@@ -194,7 +194,7 @@ def move_through(
     Raises:
         PostureError: as those two.
     """
-    limits = Limits(step=None, dt=CYCLE) if limits is None else limits
+    limits = Limits(step=None, dt=DEFAULT_CYCLE) if limits is None else limits
     if usual_placement(scene) == "as_is":
         keyframes = [replace(each, placement=each.placement or "as_is") for each in keyframes]
     reference = keyframe_reference(arm, keyframes, cycle_of(limits), continuity)
