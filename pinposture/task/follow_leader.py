@@ -319,7 +319,7 @@ class ClosestPlacement:
         lengths = np.linalg.norm(np.diff(ends, axis=0), axis=1)
         self._s = np.cumsum(lengths)
         self._depth = 0.0
-        self._positions = fed.straight.copy()
+        self._positions: Array = fed.straight.copy()
         self._bending = (BENDING_WEIGHT * float(lengths.mean()) / fed.body.joint_units) ** 2
 
     def place(self, depth: float) -> Array:
