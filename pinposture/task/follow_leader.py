@@ -270,7 +270,7 @@ MAX_LINK_DISTANCE = 0.25
 """Largest distance of the end of a link from the route, in module lengths: that of the middle of a module of
 one hinge whose ends are on an arc on which it turns by a quarter turn."""
 
-SAMPLES_PER_LINK = 80
+ROUTE_SAMPLES_PER_LINK = 80
 """Samples of the route per mean link length, for the sequential placement."""
 
 
@@ -281,7 +281,7 @@ class SequentialPlacement:
         fed = route.fed
         self._route = route
         self._samples = (
-            int(np.ceil(SAMPLES_PER_LINK * route.whole.length * fed.links.n_modules / fed.length)) + 1
+            int(np.ceil(ROUTE_SAMPLES_PER_LINK * route.whole.length * fed.links.n_modules / fed.length)) + 1
         )
 
     def place(self, depth: float) -> Array:

@@ -18,12 +18,12 @@ from pinposture.control import Controller, Geodesic, Limits, controller_named
 from pinposture.control.limits import cycle_of
 from pinposture.control.planner.path import JointPath, PathProgress, SpeedProfile
 from pinposture.errors import InvalidValue
-from pinposture.motion.motion import Motion
+from pinposture.motion.motion import Motion, Waypoint
 from pinposture.motion.track import PROGRESS_SHARE, STALL_TRAVEL, ControlLoop, in_scene
 from pinposture.placement import Target
 from pinposture.task.keyframe import Keyframe, usual_placement
 from pinposture.task.keyframes import keyframe_reference
-from pinposture.task.reference import Log, Mark, Reference
+from pinposture.task.reference import Mark, Reference, off_curve, tip_off
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, float], object]
@@ -36,6 +36,9 @@ DEFAULT_CYCLE = 0.02
 MAX_LAG = 0.1
 """Mean distance of the control points from their targets beyond which time waits for the arm, in module
 lengths; for controllers that do not look ahead."""
+
+ROW_TOLERANCE = 1e-9
+"""Distance before a row, in rows, at which it counts as reached."""
 
 STOPPED = "stopped by the callback"
 
@@ -159,7 +162,7 @@ def perform(
     performance = _Performance(guide, loop, tolerance, progress)
     status, reason = performance.run()
     logger.info("%s: %s after %.4g s: %s", controller.name, status, dt * loop.record.steps, reason)
-    return performance.log.motion(loop, status, reason)
+    return performance.motion(status, reason)
 
 
 def move_through(
@@ -197,25 +200,57 @@ def move_through(
 
 
 class _Performance:
-    """One motion in progress."""
+    """One motion in progress: which places of the reference it reached, step by step, with their targets."""
 
     def __init__(
         self, guide: ReferencePath, loop: ControlLoop, tolerance: float, progress: Progress | None
     ) -> None:
         self.guide, self.loop, self.tolerance, self.progress = guide, loop, tolerance, progress
-        self.log = Log(guide.reference, guide.target(0.0))
-        self._place = 0.0
         self._max_steps = STEP_BUDGET_EXTRA + int(STEP_BUDGET_RATIO * guide.steps)
+        self._place = 0.0
+        self._places, self._targets = [0.0], [guide.target(0.0)]
+        self._start_index: int | None = None  # None until the first posture is reached
+        self._notes: list[str] = []
 
     def run(self) -> tuple[str, str]:
         """Go to the first posture, along the reference, and to rest; returns status and reason."""
         status, reason = self._go_to(0.0)
         if status != "converged":
             return status, f"on the way to the first posture: {reason}"
-        self.log.start_index()
+        self._start_index = len(self._places) - 1
         controller = self.loop.controller
         ended = self._look_ahead(controller) if isinstance(controller, Geodesic) else self._lead()
         return self._go_to(self.guide.end) if ended is None else ended
+
+    def motion(self, status: str, reason: str) -> Motion:
+        """Return everything so far as a result."""
+        reference, loop, places = self.guide.reference, self.loop, np.array(self._places)
+        run = loop.record.trajectory(loop.arm, loop.controller, loop.limits, status, reason)
+        dt = reference.duration if loop.limits.dt is None else loop.limits.dt
+        return Motion(
+            run=run,
+            targets=np.array([target.points for target in self._targets]),
+            target_mask=np.array([target.has_target for target in self._targets]),
+            plan_time=np.minimum(places * reference.interval, reference.duration),
+            start_index=len(places) - 1 if self._start_index is None else self._start_index,
+            planned=reference.duration,
+            waypoints=tuple(self._waypoint(mark, places, run.q, run.points, dt) for mark in reference.marks),
+            deviations=tuple(self._notes),
+        )
+
+    def _waypoint(self, mark: Mark, places: Array, q: Array, points: Array, dt: float) -> Waypoint:
+        """Return how a named place was passed, at the step nearest to it in time."""
+        reference, begun, moved = self.guide.reference, self._start_index, mark.target.moved
+        planned, off = mark.row * reference.interval, off_curve(mark)
+        there = np.flatnonzero(places[begun:] >= mark.row - ROW_TOLERANCE)
+        if begun is None or not len(there):
+            return Waypoint(mark.name, planned, None, None, None, off, moved=moved)
+        row = begun + int(there[0])
+        if row > begun and mark.row - places[row - 1] < places[row] - mark.row:
+            row -= 1
+        errors = np.linalg.norm((mark.target.points - points[row])[mark.target.has_target], axis=1)
+        tip = tip_off(mark.tip, mark.target, reference.arm.at(q[row]))
+        return Waypoint(mark.name, planned, (row - begun) * dt, row, float(errors.mean()), off, tip, moved)
 
     def _go_to(self, place: float, due: int = 0) -> tuple[str, str]:
         """Come to rest at a place, by any path, but not before step `due`; returns status and reason."""
@@ -232,7 +267,7 @@ class _Performance:
                 ended = "stopped", STOPPED
         if ended[0] == "converged":
             self._place = place
-        self.log.fill(loop, self._place, target)
+        self._fill(self._place, target)
         self._max_steps += record.steps - begun
         return ended
 
@@ -254,7 +289,8 @@ class _Performance:
     def _record(self, place: float, target: Target) -> tuple[str, str] | None:
         """Record the place after a step; returns status and reason if the motion ends there."""
         self._place = place
-        self.log.add(place, target)
+        self._places.append(place)
+        self._targets.append(target)
         ended = None
         if self._report():
             ended = "stopped", STOPPED
@@ -263,8 +299,19 @@ class _Performance:
             ended = "max_steps", f"still at {seconds:.4g} s of the plan after {self._max_steps} cycles"
         if ended is not None:
             self.loop.brake_to_rest()
-            self.log.fill(self.loop, place, target)
+            self._fill(place, target)
         return ended
+
+    def _fill(self, place: float, target: Target) -> None:
+        """Record the steps that were taken towards a target while the plan stood still."""
+        missing = self.loop.record.steps + 1 - len(self._places)
+        self._places += [self._places[-1]] * missing
+        self._targets += [target] * missing
+        self._places[-1] = place
+
+    def _note(self, place: float, text: str) -> None:
+        """Record a deviation from the plan."""
+        self._notes.append(f"at {place * self.guide.reference.interval:.4g} s of the plan {text}")
 
     def _look_ahead(self, controller: Geodesic) -> tuple[str, str] | None:
         """Follow the path with a controller that knows it; None at its end, else status and reason."""
@@ -296,9 +343,9 @@ class _Performance:
             due = loop.record.steps + ceil((mark.row - self._place) / guide.most)
             status, reason = self._go_to(float(mark.row), due)
             if status != "converged":
-                self.log.note(left, f"the arm left the way, and did not come to {mark.name} by another")
+                self._note(left, f"the arm left the way, and did not come to {mark.name} by another")
                 return status, f"on the way to {mark.name}: {reason}"
-            self.log.note(left, f"the arm left the way, and came to {mark.name} by another")
+            self._note(left, f"the arm left the way, and came to {mark.name} by another")
         return None
 
     def _lead(self) -> tuple[str, str] | None:
@@ -311,7 +358,7 @@ class _Performance:
             place, behind = self._place, loop.record.mean_error > allowed
             if behind and patient and loop.record.travel_without_progress(PROGRESS_SHARE) >= STALL_TRAVEL:
                 error = loop.record.mean_error
-                self.log.note(place, f"the arm was {error:.3g} m behind on average, and did not catch up")
+                self._note(place, f"the arm was {error:.3g} m behind on average, and did not catch up")
                 patient = False
             if behind and patient:
                 speed = 0.0

@@ -14,8 +14,6 @@ from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import EndEffector
 from pinposture.errors import InvalidValue, PostureWarning, TaskError
-from pinposture.motion.motion import Motion, Waypoint
-from pinposture.motion.track import ControlLoop
 from pinposture.placement import Target
 from pinposture.placement.curve_placement import Moved
 
@@ -89,78 +87,6 @@ class Reference:
     def configuration(self, row: int) -> Array:
         """Return the configuration of a row, (nq,)."""
         return self.arm.integrate(self.start, self.offsets[row])
-
-
-# The record of a motion besides its steps: targets, times, named places.
-
-ROW_TOLERANCE = 1e-9
-"""Distance before a row, in rows, at which it counts as reached."""
-
-
-class Log:
-    """The places of a reference that a motion reached, step by step, with their targets.
-
-    Args:
-        reference: the reference.
-        first: the target of its first row.
-    """
-
-    def __init__(self, reference: Reference, first: Target) -> None:
-        self._reference = reference
-        self._places, self._targets = [0.0], [first]
-        self._begun: int | None = None
-        self._notes: list[str] = []
-
-    def add(self, place: float, target: Target) -> None:
-        """Record the place after a step."""
-        self._places.append(place)
-        self._targets.append(target)
-
-    def fill(self, loop: ControlLoop, place: float, target: Target) -> None:
-        """Record the steps that were taken towards a target since then, while the plan stood still."""
-        missing = loop.record.steps + 1 - len(self._places)
-        self._places += [self._places[-1]] * missing
-        self._targets += [target] * missing
-        self._places[-1] = place
-
-    def start_index(self) -> None:
-        """Record that the plan begins here."""
-        self._begun = len(self._places) - 1
-
-    def note(self, place: float, what: str) -> None:
-        """Record in words a deviation from the plan."""
-        self._notes.append(f"at {place * self._reference.interval:.4g} s of the plan {what}")
-
-    def motion(self, loop: ControlLoop, status: str, reason: str) -> Motion:
-        """Return everything so far as a result."""
-        reference, places = self._reference, np.array(self._places)
-        run = loop.record.trajectory(loop.arm, loop.controller, loop.limits, status, reason)
-        dt = reference.duration if loop.limits.dt is None else loop.limits.dt
-        return Motion(
-            run=run,
-            targets=np.array([target.points for target in self._targets]),
-            target_mask=np.array([target.has_target for target in self._targets]),
-            plan_time=np.minimum(places * reference.interval, reference.duration),
-            start_index=len(places) - 1 if self._begun is None else self._begun,
-            planned=reference.duration,
-            waypoints=tuple(self._waypoint(mark, places, run.q, run.points, dt) for mark in reference.marks),
-            deviations=tuple(self._notes),
-        )
-
-    def _waypoint(self, mark: Mark, places: Array, q: Array, points: Array, dt: float) -> Waypoint:
-        """Return how a named place was passed, at the step nearest to it in time."""
-        planned, begun = mark.row * self._reference.interval, self._begun
-        there = np.flatnonzero(places[begun:] >= mark.row - ROW_TOLERANCE)
-        if begun is None or not len(there):
-            return Waypoint(mark.name, planned, None, None, None, off_curve(mark), moved=mark.target.moved)
-        row = begun + int(there[0])
-        if row > begun and mark.row - places[row - 1] < places[row] - mark.row:
-            row -= 1
-        placed = mark.target.has_target
-        off = np.linalg.norm((mark.target.points - points[row])[placed], axis=1)
-        tip = tip_off(mark.tip, mark.target, self._reference.arm.at(q[row]))
-        reached, error, moved = (row - begun) * dt, float(off.mean()), mark.target.moved
-        return Waypoint(mark.name, planned, reached, row, error, off_curve(mark), tip, moved)
 
 
 def off_curve(mark: Mark) -> float | None:

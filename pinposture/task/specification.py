@@ -74,12 +74,24 @@ def _unknown_key(key: str, allowed: Sequence[str]) -> Misplaced:
     return Misplaced(f"there is no such key{hint}; allowed: {', '.join(allowed)}", key)
 
 
+def _is_text(value: object) -> bool:
+    return isinstance(value, str)
+
+
+def _is_table(value: object) -> bool:
+    return isinstance(value, Mapping)
+
+
 def _is_whole(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool)
 
 
 def _is_finite(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _is_list_of(test: Callable[[object], bool]) -> Callable[[object], bool]:
+    return lambda value: isinstance(value, list) and all(map(test, value))
 
 
 def _check(test: Callable[[Any], bool], allowed: str) -> BeforeValidator:
@@ -102,15 +114,20 @@ def _one_of(*words: str) -> BeforeValidator:
     return BeforeValidator(read)
 
 
-def _quantity(kind: str, above_zero: bool = False) -> BeforeValidator:
-    read = _above_zero if above_zero else read_quantity
-    return BeforeValidator(lambda value: read(value, kind))
+def _quantity(*kinds: str) -> BeforeValidator:
+    return BeforeValidator(lambda value: read_quantity(value, *kinds))
 
 
-def _above_zero(value: object, kind: str) -> float:
+def _positive(kind: str, most: float = math.inf) -> BeforeValidator:
+    return BeforeValidator(lambda value: _read_positive(value, kind, most))
+
+
+def _read_positive(value: object, kind: str, most: float = math.inf) -> float:
     number = read_quantity(value, kind)
     if number <= 0.0:
         raise _wrong(value, "more than 0")
+    if number > most:
+        raise _wrong(value, f"{most:g} s at most")
     return number
 
 
@@ -128,6 +145,21 @@ def _read_quantities(value: object, kinds: Sequence[str], unlimited: bool = Fals
     ]
 
 
+def _read_joints(value: Any, info: ValidationInfo) -> list[float]:
+    return _read_quantities(value, ["length" if slides else "angle" for slides in _arm(info).slides])
+
+
+def _read_joints_of_any_arm(value: Any, info: ValidationInfo) -> list[float]:
+    """Read joint positions that may be those of another arm, and are then ignored later."""
+    fitting = not isinstance(value, list) or len(value) in (0, _arm(info).nv)
+    return _read_joints(value, info) if fitting else _read_quantities(value, ["angle"] * len(value))
+
+
+def _arm(info: ValidationInfo) -> Arm:
+    arm: Arm = (info.context or {})["arm"]
+    return arm
+
+
 def _in_si(table: Mapping[str, Any], kinds: Mapping[str, str]) -> dict[str, Any]:
     """Read the text in these keys as quantities, alone or listed; keep all other values."""
     plain = dict(table)
@@ -138,10 +170,6 @@ def _in_si(table: Mapping[str, Any], kinds: Mapping[str, str]) -> dict[str, Any]
         elif isinstance(value, list) and any(isinstance(each, str) for each in value):
             plain[key] = _within(key, _read_quantities, value, [kind] * len(value))
     return plain
-
-
-def _of_joints(arm: Arm) -> list[str]:
-    return ["length" if slides else "angle" for slides in arm.slides]
 
 
 _CURVE_UNITS = dict.fromkeys(("radius", "pitch", "smoothing", "a", "b", "center"), "length") | {
@@ -163,36 +191,22 @@ def _curve(value: object) -> object:
     return _in_si(value, _CURVE_UNITS)
 
 
-def _obstacle(value: object) -> object:
-    if not isinstance(value, Mapping):
-        raise _wrong(value, "a table")
-    return _in_si(value, _OBSTACLE_UNITS)
-
-
-def _locked(value: object) -> object:
-    if not isinstance(value, Mapping):
-        raise _wrong(value, "a table")
-    return {name: _within(name, read_quantity, each, "angle", "length") for name, each in value.items()}
-
-
-_is_text = _check(lambda value: isinstance(value, str), "text")
-_is_table = _check(lambda value: isinstance(value, Mapping), "a table")
-
-Text = Annotated[str, _is_text]
-TextOrNone = Annotated[str | None, _is_text]
+Text = Annotated[str, _check(_is_text, "text")]
+TextOrNone = Annotated[str | None, _check(_is_text, "text")]
 Flag = Annotated[bool, _check(lambda value: isinstance(value, bool), "true, false")]
-NumberOrNone = Annotated[float | None, _check(_is_finite, "a number")]
-LengthOrNone = Annotated[float | None, _quantity("length", above_zero=True)]
+Number = Annotated[float, _check(_is_finite, "a number")]
+LengthOrNone = Annotated[float | None, _positive("length")]
 AnyLength = Annotated[float | None, _quantity("length")]
 Time = Annotated[float | None, _quantity("time")]
-Speed = Annotated[float, _quantity("speed", above_zero=True)]
+Speed = Annotated[float, _positive("speed")]
 Position = Annotated[tuple[float, ...] | None, _quantities("length", 3)]
 Rotation = Annotated[tuple[float, ...] | None, _quantities("angle", 3)]
+Table = _check(_is_table, "a table")
 
 CurveSpec = Annotated[str | dict[str, Any], BeforeValidator(_curve)]
 """A curve: the name of a preset, that of a file, or a description as `Curve.from_dict` takes it."""
 
-ObstacleSpec = Annotated[dict[str, Any], BeforeValidator(_obstacle)]
+ObstacleSpec = Annotated[dict[str, Any], BeforeValidator(lambda value: _in_si(value, _OBSTACLE_UNITS)), Table]
 """An obstacle, as `Scene.from_dict` takes it."""
 
 # Tables.
@@ -258,9 +272,16 @@ class PlacementTable(TableSpec):
 class FeedTable(TableSpec):
     """A slide below the arm, as `FeedSpec`."""
 
-    stroke: Annotated[float, _quantity("length", above_zero=True)]
+    stroke: Annotated[float, _positive("length")]
     length: AnyLength = None
     speed: Speed = 0.1
+
+
+def _modules_or_links(value: object) -> object:
+    listed = value if isinstance(value, list) else [value]
+    if not listed or not any(_is_list_of(test)(listed) for test in (_is_whole, _is_text)):
+        raise _wrong(value, "a whole number, whole numbers, or names of links")
+    return listed if isinstance(value, str) else value
 
 
 class ArmTable(TableSpec):
@@ -280,9 +301,13 @@ class ArmTable(TableSpec):
     urdf: TextOrNone = None
     base: TextOrNone = None
     tip: TextOrNone = None
-    split: Any = None
-    locked: Annotated[dict[str, float], BeforeValidator(_locked)] = Field(default_factory=dict)
-    package_dirs: list[str] = Field(default_factory=list)
+    split: Annotated[Any, BeforeValidator(_modules_or_links)] = None
+    locked: Annotated[dict[str, Annotated[float, _quantity("angle", "length")]], Table] = Field(
+        default_factory=dict
+    )
+    package_dirs: Annotated[list[str], _check(_is_list_of(_is_text), "a list of folders")] = Field(
+        default_factory=list
+    )
     placement: PlacementTable | None = None
     characteristic_length: LengthOrNone = None
 
@@ -315,43 +340,21 @@ class ArmTable(TableSpec):
         joints = len(template(info.data["template"]).joints) if info.data.get("template") else 0
         return tuple(_read_quantities(value, ["length"] * joints))
 
-    @field_validator("split", mode="before")
-    @classmethod
-    def _in_numbers_or_links(cls, value: object) -> object:
-        listed = value if isinstance(value, list) else [value]
-        if not (all(map(_is_whole, listed)) or all(isinstance(each, str) for each in listed)) or not listed:
-            raise _wrong(value, "a whole number, whole numbers, or names of links")
-        return listed if isinstance(value, str) else value
-
-    @field_validator("package_dirs", mode="before")
-    @classmethod
-    def _folders(cls, value: object) -> object:
-        if not isinstance(value, list) or not all(isinstance(each, str) for each in value):
-            raise _wrong(value, "a list of folders")
-        return value
-
 
 class LimitsSpec(TableSpec):
     """The limits of each control cycle; the context "arm" is needed to read it."""
 
-    cycle: Annotated[float, _quantity("time", above_zero=True)] = DEFAULT_CYCLE
+    cycle: Annotated[float, _positive("time", LONGEST_CYCLE)] = DEFAULT_CYCLE
     step: Any = None
     velocity: Any = None
     acceleration: Any = None
     position_margin: Any = 0.0
 
-    @field_validator("cycle", mode="before")
-    @classmethod
-    def _short(cls, value: object) -> object:
-        if read_quantity(value, "time") > LONGEST_CYCLE:
-            raise _wrong(value, f"{LONGEST_CYCLE:g} s at most")
-        return value
-
     @field_validator("step", "velocity", "acceleration")
     @classmethod
     def _for_joints(cls, value: object, info: ValidationInfo) -> Any:
         """Read a limit for all joints, for those that turn and those that slide, or one for each."""
-        arm: Arm = (info.context or {})["arm"]
+        arm = _arm(info)
         turning, sliding = {
             "step": ("angle", "length"),
             "velocity": ("rate of turning", "speed"),
@@ -371,7 +374,7 @@ class LimitsSpec(TableSpec):
             if name not in parts:
                 raise _unknown_key(name, list(parts))
             kind, joints = parts[name]
-            limit[joints] = _within(name, _above_zero, each, kind)
+            limit[joints] = _within(name, _read_positive, each, kind)
         if info.field_name == "velocity":  # joints that are not mentioned keep the speed of the description
             limit = np.where(np.isinf(limit), arm.limits.velocity, limit)
         return limit
@@ -379,7 +382,7 @@ class LimitsSpec(TableSpec):
     @field_validator("position_margin")
     @classmethod
     def _margin(cls, value: object, info: ValidationInfo) -> float:
-        return _for_all(value, (info.context or {})["arm"], "a number, for all", "angle", "length")
+        return _for_all(value, _arm(info), "a number, for all", "angle", "length")
 
 
 def _for_all(value: object, arm: Arm, allowed: str, turning: str, sliding: str) -> float:
@@ -393,15 +396,15 @@ class ControllerSpec(TableSpec):
     """The controller, by name, with the parameters of "geodesic"."""
 
     name: Annotated[str, _one_of(*CONTROLLERS)] = "geodesic"
-    joint_weight: NumberOrNone = None
-    relative_position_weight: NumberOrNone = None
+    joint_weight: Number | None = None
+    relative_position_weight: Number | None = None
 
 
 class StartSpec(TableSpec):
     """The configuration to start from; the context "arm" is needed to read it."""
 
     posture: Annotated[str | None, _one_of("straight", "neutral")] = None
-    joints: Any = None
+    joints: Annotated[Any, BeforeValidator(_read_joints)] = None
 
     @classmethod
     def check_keys(cls, values: Mapping[str, Any]) -> None:
@@ -409,18 +412,13 @@ class StartSpec(TableSpec):
         if "joints" in values and "posture" in values:
             raise Misplaced("does not go with 'joints'", "posture")
 
-    @field_validator("joints")
-    @classmethod
-    def _positions(cls, value: object, info: ValidationInfo) -> list[float]:
-        return _read_quantities(value, _of_joints((info.context or {})["arm"]))
-
 
 class SceneSpec(TableSpec):
     """The obstacles: a scene file, or the content of one."""
 
     file: TextOrNone = None
     version: Any = None
-    obstacles: Annotated[dict[str, ObstacleSpec], _is_table] = Field(default_factory=dict)
+    obstacles: Annotated[dict[str, ObstacleSpec], Table] = Field(default_factory=dict)
     self_collision: Any = None
     margin: AnyLength = None
     arm_radius: AnyLength = None
@@ -445,14 +443,23 @@ class TipSpec(TableSpec):
             "1 or more, counted from the base; -1 or less, counted from the tip; or a name",
         ),
     ] = -1
-    weight: Annotated[float, _check(_is_finite, "a number")] = 1.0
+    weight: Number = 1.0
     priority: Flag = False
     direction_only: Flag = False
     length: LengthOrNone = None
 
 
+def _region(value: Any) -> object:
+    if not _is_list_of(_is_whole)(value) or len(value) != 2:
+        allowed = "two whole numbers: the first and the last control point, counted from 1 at the base"
+        raise _wrong(value, allowed)
+    if not 1 <= value[0] <= value[1]:
+        raise _wrong(value, "1 or more, the last not before the first")
+    return value
+
+
 class KeyframeSpec(TableSpec):
-    """A posture and its time; control points are counted from 1."""
+    """A posture and its time; control points are counted from 1. The context "arm" is needed to read it."""
 
     name: Text = ""
     time: Time = None
@@ -463,26 +470,9 @@ class KeyframeSpec(TableSpec):
     trim: Flag = False
     roll: Annotated[float, _quantity("angle")] = 0.0
     method: Annotated[str, _one_of(*METHODS)] = "auto"
-    region: tuple[int, int] | None = None
-    joints: Any = None
+    region: Annotated[tuple[int, int] | None, BeforeValidator(_region)] = None
+    joints: Annotated[Any, BeforeValidator(_read_joints_of_any_arm)] = None
     tip: TipSpec | None = None
-
-    @field_validator("region", mode="before")
-    @classmethod
-    def _counted(cls, value: object) -> object:
-        if not isinstance(value, list) or len(value) != 2 or not all(map(_is_whole, value)):
-            allowed = "two whole numbers: the first and the last control point, counted from 1 at the base"
-            raise _wrong(value, allowed)
-        if not 1 <= value[0] <= value[1]:
-            raise _wrong(value, "1 or more, the last not before the first")
-        return value
-
-    @field_validator("joints")
-    @classmethod
-    def _positions(cls, value: object, info: ValidationInfo) -> list[float]:
-        """Read joint positions near which a posture is taken; those of another arm are ignored later."""
-        kinds, count = _of_joints((info.context or {})["arm"]), len(value) if isinstance(value, list) else 0
-        return _read_quantities(value, kinds if count in (0, len(kinds)) else ["angle"] * count)
 
 
 class LeaderSpec(TableSpec):
@@ -500,30 +490,23 @@ class LeaderSpec(TableSpec):
 class OutputSpec(TableSpec):
     """What to keep of the result."""
 
-    formats: tuple[str, ...] = RESULT_FORMATS
+    formats: Annotated[
+        tuple[str, ...],
+        _check(_is_list_of(lambda each: each in RESULT_FORMATS), f"a list of {', '.join(RESULT_FORMATS)}"),
+    ] = RESULT_FORMATS
 
-    @field_validator("formats", mode="before")
-    @classmethod
-    def _known(cls, value: object) -> object:
-        if not isinstance(value, list) or not all(each in RESULT_FORMATS for each in value):
-            raise _wrong(value, f"a list of {', '.join(RESULT_FORMATS)}")
-        return tuple(each for each in RESULT_FORMATS if each in value)
+
+def _is_file_name(value: object) -> bool:
+    return isinstance(value, str) and bool(value.strip()) and "\0" not in value
 
 
 class EditorSpec(TableSpec):
     """Files that the editor shows; they need not exist."""
 
-    scans: tuple[str, ...] = ()
-
-    @field_validator("scans", mode="before")
-    @classmethod
-    def _names(cls, value: object) -> object:
-        if not isinstance(value, list):
-            raise _wrong(value, "a list of files")
-        for number, name in enumerate(value):
-            if not isinstance(name, str) or not name.strip() or "\0" in name:
-                raise Misplaced(str(_wrong(name, "the name of a file")), number)
-        return value
+    scans: Annotated[
+        tuple[Annotated[str, _check(_is_file_name, "the name of a file")], ...],
+        _check(lambda value: isinstance(value, list), "a list of files"),
+    ] = ()
 
 
 class TaskSpec(TableSpec):
@@ -535,7 +518,10 @@ class TaskSpec(TableSpec):
     continuity: Annotated[str, _one_of(*CONTINUITIES)] = "velocity"
     arm: Any = None
     scene: SceneSpec = SceneSpec()
-    keyframes: tuple[KeyframeSpec, ...] = ()
+    keyframes: Annotated[
+        tuple[KeyframeSpec, ...],
+        _check(_is_list_of(_is_table), "a list of tables, each begun by [[keyframes]]"),
+    ] = ()
     leader: LeaderSpec | None = None
     limits: LimitsSpec = LimitsSpec()
     controller: ControllerSpec = ControllerSpec()
@@ -565,13 +551,6 @@ class TaskSpec(TableSpec):
         kind = values.get("kind", "keyframes")
         others = {key for other, keys in _KEYS_OF_KIND.items() if other != kind for key in keys}
         return [key for key in cls.model_fields if key not in others]
-
-    @field_validator("keyframes", mode="before")
-    @classmethod
-    def _tables(cls, value: object) -> object:
-        if not isinstance(value, list) or not all(isinstance(each, Mapping) for each in value):
-            raise _wrong(value, "a list of tables, each begun by [[keyframes]]")
-        return value
 
 
 _KEYS_OF_KIND = {"keyframes": ("keyframes", "continuity"), "follow_leader": ("leader",)}
