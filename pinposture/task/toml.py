@@ -9,8 +9,7 @@ from __future__ import annotations
 import re
 import sys
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
 from difflib import SequenceMatcher
 from itertools import count
 from typing import Any, NamedTuple
@@ -185,90 +184,59 @@ def toml_text(values: Mapping[str, Any], layout: TomlLayout | None = None) -> st
     """
     given, old = ("", {}) if layout is None else layout
     text = given.replace("\r\n", "\n")
-    pieces = _Pieces()
-    pieces.update(_sections(text), old, values, ())
-    changed = pieces.text()
+    editor = _Editor(_sections(text))
+    editor.update((), old, values)
+    changed = editor.text()
     if not text.endswith("\n\n") and changed.strip():
         changed = changed.rstrip("\n") + "\n" * (changed != text or text.endswith("\n"))
     return changed if text == given else changed.replace("\n", "\r\n")
 
 
-@dataclass
-class _Section:
-    """A section of a file, with the sections below it.
+class _Section(NamedTuple):
+    """A section of a file.
 
     Attributes:
-        number: its place among the sections of the file; -1 if it has no header, as "a" where only [a.b] has.
+        number: its number in the file.
         header: the comments above it, and the header itself.
         body: its entries.
         tail: blank lines and comments after the last entry, up to what belongs to the next header.
-        children: sections below this one by their keys; a list for a list of tables.
     """
 
-    number: int = -1
-    header: str = ""
-    body: str = ""
-    tail: str = ""
-    children: dict[str, _Section | list[_Section]] = field(default_factory=dict)
-
-    def written(self) -> Iterator[_Section]:
-        """Yield this section and those below, as far as they have headers, in any order."""
-        if self.number >= 0:
-            yield self
-        for child in self.children.values():
-            for each in child if isinstance(child, list) else [child]:
-                yield from each.written()
-
-    @property
-    def first(self) -> int:
-        return min(each.number for each in self.written())
-
-    @property
-    def last(self) -> int:
-        return max(each.number for each in self.written())
+    number: int
+    header: str
+    body: str
+    tail: str
 
 
-def _sections(text: str) -> _Section:
-    """Cut a file at its headers."""
+def _sections(text: str) -> dict[Place, _Section]:
+    """Cut a file at its headers; returns sections by place, the entries above all headers at ()."""
     headers = _Scanner(text).headers
     lines = re.findall(r"[^\n]*\n|[^\n]+", text)
-    root = section = _Section(number=0)
-    ends = [line - 1 for line, _ in headers] + [len(lines)]
-    begin = lead = 0
-    for number, end in enumerate(ends):
-        entries = end
+    sections: dict[Place, _Section] = {}
+    place: Place = ()
+    header, begin = "", 0
+    for number, (line, following) in enumerate([*headers, (len(lines) + 1, ())]):
+        end = entries = line - 1
         while entries > begin and lines[entries - 1].lstrip(" \t")[:1] in ("#", "\n", ""):
             entries -= 1
         blank = (at for at in range(entries, end) if not lines[at].strip())
         lead = end if number == len(headers) else next(blank, entries - 1) + 1
-        section.body, section.tail = "".join(lines[begin:entries]), "".join(lines[entries:lead])
-        if section is root and not section.body:  # what is above everything else stays there
-            section.header, section.tail, lead = "".join(lines[:end]), "", end
-        if number < len(headers):
-            section = _section_at(root, headers[number][1])
-            section.header = "".join(lines[lead : end + 1])
-            section.number, begin = number + 1, end + 1
-    return root
+        body, tail = "".join(lines[begin:entries]), "".join(lines[entries:lead])
+        if not place and not body:  # what is above everything else stays there
+            header, tail, lead = "".join(lines[:end]), "", end
+        sections[place] = _Section(number, header, body, tail)
+        place, header, begin = following, "".join(lines[lead : end + 1]), end + 1
+    return sections
 
 
-def _section_at(section: _Section, place: Place) -> _Section:
-    """Return the section at a place, made if there is none yet."""
-    for key, item in zip(place, (*place[1:], None), strict=True):
-        if isinstance(key, int):
-            continue
-        child = section.children.setdefault(key, [] if isinstance(item, int) else _Section())
-        if isinstance(child, list):
-            number = item if isinstance(item, int) else 0
-            child.extend(_Section() for _ in range(len(child), number + 1))
-            child = child[number]
-        section = child
-    return section
+class _Editor:
+    """Edits a file section by section.
 
+    The pieces of the new text are sorted by the section that they belong to or follow, then by their order.
+    """
 
-class _Pieces:
-    """Pieces of the new text, in the order of the sections that they belong to or follow."""
-
-    def __init__(self) -> None:
+    def __init__(self, sections: Mapping[Place, _Section]) -> None:
+        self._sections = sections
         self._pieces: dict[tuple[int, int], tuple[str, bool]] = {}
         self._count = count(1)
 
@@ -285,40 +253,55 @@ class _Pieces:
     def _insert(self, after: int, text: str, new: bool = True) -> None:
         self._pieces[after, next(self._count)] = text, new
 
-    def update(self, section: _Section, old: Mapping[str, Any], new: Mapping[str, Any], place: Place) -> None:
-        """Write a section that exists, and those below it, with new values."""
-        written = section.number >= 0
-        children = {key: child for key, child in section.children.items() if _fits(child, new.get(key))}
-        own_old = {key: value for key, value in old.items() if key not in children}
-        own = {key: value for key, value in new.items() if key not in children}
-        present = tomllib.loads(section.body) if own_old != own else own
+    def _within(self, place: Place) -> list[_Section]:
+        """Return the sections at and below a place, in the order of the file."""
+        return [each for other, each in self._sections.items() if other[: len(place)] == place]
+
+    def _children(self, place: Place) -> dict[str, bool]:
+        """Return the keys of sections below a place, and whether each is a list of tables."""
+        depth, found = len(place), dict[str, bool]()
+        for other in self._sections:
+            if len(other) > depth and other[:depth] == place:
+                found[str(other[depth])] = len(other) > depth + 1 and isinstance(other[depth + 1], int)
+        return found
+
+    def update(self, place: Place, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
+        """Write the sections at and below a place with new values."""
+        section, children = self._sections.get(place), self._children(place)
+        kept = {
+            key
+            for key, listed in children.items()
+            if (_is_list_of_tables if listed else _is_table)(new.get(key))
+        }
+        own_old = {key: value for key, value in old.items() if key not in kept}
+        own = {key: value for key, value in new.items() if key not in kept}
+        present = own if own_old == own else tomllib.loads(section.body) if section else {}
         added = {key for key in own if key not in present and not _unchanged(own_old, own, key)}
-        sections = {key for key in added if _is_section(own[key], place, written)}
+        outermost, headless = not place, section is None
+        sections = {key for key in added if _is_section(own[key], outermost, headless)}
         own = {key: value for key, value in own.items() if key not in sections}
-        at = (section.number, 0)
-        if written:
+        if section:
+            at = (section.number, 0)
             body = section.body if own_old == own else _edited(section.body, own_old, own)
-            begun = not place and bool(body) and not section.body
+            begun = outermost and bool(body) and not section.body
             self._pieces[at] = (section.header + body + section.tail, begun)
         else:
-            at = (section.first - 1, next(self._count))
+            at = (self._within(place)[0].number - 1, next(self._count))
             if _spoken(own).keys() & added:
                 self._pieces[at] = _new_section(place, {key: own[key] for key in own if key in added}), True
         for key, value in new.items():
-            child = children.get(key)
+            child = (*place, key)
             if key in sections:
-                self._add((*place, key), value, at[0])
-            elif isinstance(child, list):
-                self._update_list(child, old.get(key), value, (*place, key))
-                at = max(at, (max(each.last for each in child), 0))
-            elif child is not None:
-                self.update(child, old.get(key, {}), value, (*place, key))
-                at = max(at, (child.last, 0))
-        for key, child in section.children.items():
-            if key not in new and key not in old:  # a section of the user's own
-                for each in child if isinstance(child, list) else [child]:
-                    for kept in each.written():
-                        self._pieces[kept.number, 0] = (kept.header + kept.body + kept.tail, False)
+                self._add(child, value, at[0])
+            elif key in kept:
+                if children[key]:
+                    self._update_list(child, old.get(key), value)
+                else:
+                    self.update(child, old.get(key, {}), value)
+                at = max(at, (self._within(child)[-1].number, 0))
+        for key in children.keys() - new.keys() - old.keys():  # the user's own
+            for each in self._within((*place, key)):
+                self._pieces[each.number, 0] = (each.header + each.body + each.tail, False)
 
     def _add(self, place: Place, value: Any, after: int) -> None:
         """Write a new section, or a list of them."""
@@ -326,7 +309,7 @@ class _Pieces:
             for each in value:
                 self._insert(after, _new_section(place, each, listed=True))
             return
-        nested = {key: each for key, each in value.items() if _is_section(each, place, True)}
+        nested = {key: each for key, each in value.items() if _is_section(each)}
         own = {key: each for key, each in value.items() if key not in nested}
         if own or not nested:
             self._insert(after, _new_section(place, own))
@@ -334,40 +317,38 @@ class _Pieces:
             for name, table in tables.items():
                 self._add((*place, key, name), table, after)
 
-    def _update_list(self, sections: list[_Section], old: Any, new: Any, place: Place) -> None:
+    def _update_list(self, place: Place, old: Any, new: Any) -> None:
         """Write a list of sections, some of which may be new, gone, or elsewhere in it."""
-        same_count = isinstance(old, list) and len(old) == len(sections)
+        items = {other[: len(place) + 1] for other in self._sections if other[: len(place)] == place}
+        same_count = isinstance(old, list) and len(old) == len(items)
         origins = _matches(old, new) if same_count else [None] * len(new)
-        first = min(section.first for section in sections)
-        in_place = origins == list(range(len(sections)))
-        before = -1
+        first, before = self._within(place)[0].number, -1
+        in_place = origins == list(range(len(items)))
         for origin, value in zip(origins, new, strict=True):
             if origin is None:
                 self._insert(first, _new_section(place, value, listed=True))
             elif in_place:
-                self.update(sections[origin], old[origin], value, place)
+                self.update((*place, origin), old[origin], value)
             else:
-                own = _Pieces()
-                own.update(sections[origin], old[origin], value, place)
-                self._insert(first, own.text(), origin != before + 1)
+                item = _Editor(self._sections)
+                item.update((*place, origin), old[origin], value)
+                self._insert(first, item.text(), origin != before + 1)
             before = -2 if origin is None else origin
 
 
 def _is_list_of_tables(value: object) -> bool:
-    return isinstance(value, list) and bool(value) and all(isinstance(each, Mapping) for each in value)
+    return isinstance(value, list) and bool(value) and all(map(_is_table, value))
 
 
-def _fits(child: _Section | list[_Section], value: object) -> bool:
-    """Whether a value can be written into the sections that exist."""
-    return _is_list_of_tables(value) if isinstance(child, list) else isinstance(value, Mapping)
+def _is_table(value: object) -> bool:
+    return isinstance(value, Mapping)
 
 
-def _is_section(value: object, place: Place, written: bool) -> bool:
-    """Whether a new value becomes a section, and not an entry of the section at a place."""
+def _is_section(value: object, outermost: bool = False, headless: bool = False) -> bool:
+    """Whether a new value becomes a section, and not an entry of the section that it is in."""
     if not isinstance(value, Mapping):
-        return not place and _is_list_of_tables(value)
-    nested = bool(value) and all(isinstance(each, Mapping) for each in value.values())
-    return not place or not written or nested
+        return outermost and _is_list_of_tables(value)
+    return outermost or headless or (bool(value) and all(map(_is_table, value.values())))
 
 
 def _matches(old: Sequence[Any], new: Sequence[Any]) -> list[int | None]:
@@ -411,7 +392,7 @@ def _new_section(place: Place, values: Mapping[str, Any], listed: bool = False) 
     document = tomlkit.document()
     for key, value in _spoken(values).items():
         document.append(key, _entry(key, value))
-    name = ".".join(tomlkit.key(str(key)).as_string() for key in place)
+    name = ".".join(tomlkit.key(key).as_string() for key in place if isinstance(key, str))
     header = "" if not place else f"[[{name}]]\n" if listed else f"[{name}]\n"
     return header + document.as_string()
 
