@@ -39,13 +39,22 @@ MIN_LINK_LENGTH = 1e-9
 """Length below which a link counts as none, relative to the arm."""
 
 
-@dataclass(frozen=True, eq=False)
+TIP_LEAD = 0.1
+"""How far the tip may be ahead of the feed, or behind, in arm lengths: links that cut bends short gain a
+share of (kappa l)^2 / 24, which is that for a quarter turn in each."""
+
+
 class FedArm:
     """An arm on a feed, split into the feed and the body that it carries.
 
+    Args:
+        arm: the arm.
+        start: the first configuration, straight, (nq,); if None, the feed is pulled back as far as it goes
+            and the arm is stretched.
+
     Attributes:
         arm: the whole arm.
-        start: the first configuration, straight, (nq,).
+        start: the first configuration, (nq,).
         column: index of the feed in the tangent space of the arm.
         sense: 1 if larger positions of the feed push the arm out, -1 if smaller ones do.
         travel: how far the feed can push from the start [m].
@@ -56,87 +65,53 @@ class FedArm:
         straight: joint positions of the body at the start, (nv - 1,) [rad or m].
         axis: direction in which the feed pushes, unit vector (3,), world frame.
         tip: place of the tip at the start, (3,) [m], world frame.
-    """
-
-    arm: Arm
-    start: Array
-    column: int
-    sense: float
-    travel: float
-    body: Arm
-    links: Arm
-    columns: NDArray[np.intp]
-    straight: Array
-    axis: Array
-    tip: Array
-
-    @property
-    def length(self) -> float:
-        """Length of the body, from its first joint to the tip [m]."""
-        return self.body.length
-
-    @property
-    def run_up(self) -> float:
-        """Length of the straight line from the first joint of the body to the tip at the start [m]."""
-        return float((self.tip - self.body.chain.base) @ self.axis)
-
-    @property
-    def max_tip_lead(self) -> float:
-        """How far the tip may be ahead of the feed or behind along the route, and a link more [m]."""
-        return TIP_LEAD * self.length + float(self.links.chain.module_lengths.max())
-
-
-def split_feed(arm: Arm, start: ArrayLike | None = None) -> FedArm:
-    """Find the feed of an arm.
-
-    Args:
-        arm: the arm.
-        start: the first configuration, straight, (nq,); if None, the feed is pulled back as far as it goes
-            and the arm is stretched.
+        length: length of the body, from its first joint to the tip [m].
+        run_up: length of the straight line from the first joint of the body to the tip at the start [m].
+        max_tip_lead: how far the tip may be ahead of the feed or behind along the route, and a link more [m].
 
     Raises:
         InvalidValue: not an arm on a feed, a feed without limits, or a start that is not straight.
     """
-    if not isinstance(arm, Arm):
-        raise InvalidValue("arm", arm, FEED_REQUIREMENT)
-    chain = arm.chain
-    if len(chain.joints) < 2 or chain.revolute[0] or not chain.revolute[1]:
-        kinds = ["revolute" if turns else "prismatic" for turns in chain.revolute[:2]]
-        first = ", ".join(f"{name} ({kind})" for name, kind in zip(chain.joints, kinds, strict=False))
-        raise InvalidValue("first joints of the arm", first, FEED_REQUIREMENT)
-    column = int(chain.columns[0])
-    lower, upper = float(arm.limits.lower[column]), float(arm.limits.upper[column])
-    if not (np.isfinite(lower) and np.isfinite(upper)):
-        raise InvalidValue(f"limits of the feed {chain.joints[0]!r}", (lower, upper), "finite positions [m]")
-    columns = np.delete(np.arange(arm.nv), column)
-    rest = arm.positions(arm.neutral() if start is None else arm.checked(start, "start"))
-    body, links = _without_feed(arm, rest)
-    axis, stretched = arm_axis(body), body.positions(body.straight())
-    along = float(chain.axes[0] @ axis)
-    if float(np.linalg.norm(np.cross(chain.axes[0], axis))) > FEED_AXIS_TOLERANCE:
-        angle = float(np.degrees(np.arccos(np.clip(abs(along), 0.0, 1.0))))
-        text = f"{angle:.3g} degrees off the straight arm"
-        raise InvalidValue(f"axis of the feed {chain.joints[0]!r}", text, FEED_REQUIREMENT)
-    if start is None:
-        rest[column], rest[columns] = lower if along > 0.0 else upper, stretched
+
+    def __init__(self, arm: Arm, start: ArrayLike | None = None) -> None:
+        if not isinstance(arm, Arm):
+            raise InvalidValue("arm", arm, FEED_REQUIREMENT)
+        chain = arm.chain
+        if len(chain.joints) < 2 or chain.revolute[0] or not chain.revolute[1]:
+            kinds = ["revolute" if turns else "prismatic" for turns in chain.revolute[:2]]
+            first = ", ".join(f"{name} ({kind})" for name, kind in zip(chain.joints, kinds, strict=False))
+            raise InvalidValue("first joints of the arm", first, FEED_REQUIREMENT)
+        column, feed = int(chain.columns[0]), repr(chain.joints[0])
+        lower, upper = float(arm.limits.lower[column]), float(arm.limits.upper[column])
+        if not (np.isfinite(lower) and np.isfinite(upper)):
+            raise InvalidValue(f"limits of the feed {feed}", (lower, upper), "finite positions [m]")
+        columns = np.delete(np.arange(arm.nv), column)
+        rest = arm.positions(arm.neutral() if start is None else arm.checked(start, "start"))
         body, links = _without_feed(arm, rest)
-    else:
-        bent = np.abs(rest[columns] - stretched) / body.joint_units
-        if bent.max() > STRAIGHT_START_TOLERANCE or not arm.within_limits(arm.configuration(rest)):
-            raise InvalidValue("start", start, "the straight arm, within its limits, wherever the feed is")
-    return FedArm(
-        arm=arm,
-        start=arm.configuration(rest),
-        column=column,
-        sense=1.0 if along > 0.0 else -1.0,
-        travel=upper - float(rest[column]) if along > 0.0 else float(rest[column]) - lower,
-        body=body,
-        links=links,
-        columns=columns,
-        straight=rest[columns],
-        axis=axis,
-        tip=body.at(body.configuration(rest[columns])).compiled.points[-1],
-    )
+        axis, stretched = arm_axis(body), body.positions(body.straight())
+        along = float(chain.axes[0] @ axis)
+        if float(np.linalg.norm(np.cross(chain.axes[0], axis))) > FEED_AXIS_TOLERANCE:
+            angle = float(np.degrees(np.arccos(np.clip(abs(along), 0.0, 1.0))))
+            text = f"{angle:.3g} degrees off the straight arm"
+            raise InvalidValue(f"axis of the feed {feed}", text, FEED_REQUIREMENT)
+        if start is None:
+            rest[column], rest[columns] = lower if along > 0.0 else upper, stretched
+            body, links = _without_feed(arm, rest)
+        else:
+            bent = np.abs(rest[columns] - stretched) / body.joint_units
+            if bent.max() > STRAIGHT_START_TOLERANCE or not arm.within_limits(arm.configuration(rest)):
+                allowed = "the straight arm, within its limits, wherever the feed is"
+                raise InvalidValue("start", start, allowed)
+        self.arm, self.body, self.links = arm, body, links
+        self.start: Array = arm.configuration(rest)
+        self.column, self.columns, self.axis = column, columns, axis
+        self.sense = 1.0 if along > 0.0 else -1.0
+        self.travel = upper - float(rest[column]) if along > 0.0 else float(rest[column]) - lower
+        self.straight: Array = rest[columns]
+        self.tip: Array = body.at(body.configuration(rest[columns])).compiled.points[-1]
+        self.length = body.length
+        self.run_up = float((self.tip - body.chain.base) @ axis)
+        self.max_tip_lead = TIP_LEAD * body.length + float(links.chain.module_lengths.max())
 
 
 def _without_feed(arm: Arm, positions: Array) -> tuple[Arm, Arm]:
@@ -170,10 +145,6 @@ LINE_TOLERANCE = 1e-5
 
 MAX_ENTRY_ANGLE = 1e-3
 """Largest angle between the path and the axis of the arm at the entry [rad]."""
-
-TIP_LEAD = 0.1
-"""How far the tip may be ahead of the feed, or behind, in arm lengths: links that cut bends short gain a
-share of (kappa l)^2 / 24, which is that for a quarter turn in each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +183,7 @@ def find_route(arm: Arm, path: Curve, placement: str = "align", start: ArrayLike
         raise InvalidValue("path", path, "a Curve")
     if placement not in PATH_PLACEMENTS:
         raise UnknownName("placement", placement, PATH_PLACEMENTS)
-    fed = split_feed(arm, start)
+    fed = FedArm(arm, start)
     placed, moved = laid_at(fed.body, path, placement, 0.0)
     if placement == "align":
         placed = placed.moved(np.eye(3), fed.tip - placed.start)
