@@ -174,33 +174,27 @@ def write_arm(arm: Arm, wording: Wording) -> WrittenArm:
 
 def write_keyframe(keyframe: Keyframe, default: str, wording: Wording) -> dict[str, Any]:
     """Return the table of a keyframe without defaults; `default` is that of its placement."""
+    curve, tip = keyframe.curve, keyframe.tip
     values = {key: getattr(keyframe, key) for key in KeyframeSpec.model_fields}
-    values["curve"] = _write_curve(keyframe.curve, "curve", wording)
-    values["placement"] = _placement(keyframe, default)
+    values["curve"] = wording.description(curve, "curve", CurveSpec, make_curve) or write_curve(curve)
+    values["placement"] = Usual(default) if keyframe.placement == default else keyframe.placement
     if keyframe.region is not None:
         values["region"] = [end + 1 for end in keyframe.region]
-    if keyframe.tip is not None:
-        values["tip"] = _write_tip(keyframe.tip, wording)
+    if tip is not None:
+        values["tip"] = wording.description(tip, "tip", TipSpec, make_tip) or write_tip(tip)
     return KeyframeSpec.without_defaults(values)
 
 
 def write_leader(leader: Leader, default: str, wording: Wording) -> dict[str, Any]:
     """Return the table of the leader without defaults; `default` is that of its placement."""
-    values = leader._asdict()
-    values["path"] = _write_curve(leader.path, "path", wording)
-    values["placement"] = _placement(leader, default)
+    values, path = leader._asdict(), leader.path
+    values["path"] = wording.description(path, "path", CurveSpec, make_curve) or write_curve(path)
+    values["placement"] = Usual(default) if leader.placement == default else leader.placement
     return LeaderSpec.without_defaults(values)
 
 
-def _placement(motion: Keyframe | Leader, default: str) -> Any:
-    return Usual(default) if motion.placement == default else motion.placement
-
-
-def _write_curve(curve: Curve, key: str, wording: Wording) -> Any:
-    """Return the description of a curve, or its control points, or its knots and coefficients."""
-    known = wording.description(curve, key, CurveSpec, make_curve)
-    if known is not None:
-        return known
+def write_curve(curve: Curve) -> dict[str, Any]:
+    """Describe a curve by its control points, or by its knots and coefficients."""
     if curve.control_points is not None:
         points = curve.control_points.tolist()
         table: dict[str, Any] = {"type": "spline", "control_points": points, "degree": curve.degree}
@@ -214,10 +208,8 @@ def _write_curve(curve: Curve, key: str, wording: Wording) -> Any:
     return curve.to_dict()
 
 
-def _write_tip(tip: EndEffector, wording: Wording) -> Any:
-    known = wording.description(tip, "tip", TipSpec, make_tip)
-    if known is not None:
-        return known
+def write_tip(tip: EndEffector) -> dict[str, Any]:
+    """Describe the task of the tip, or of another control point."""
     values = {key: getattr(tip, key) for key in ("weight", "priority", "direction_only", "length")}
     if tip.pose is None:
         values["position"] = np.asarray(tip.position).tolist()
@@ -279,25 +271,23 @@ def write_controller(controller: Controller, wording: Wording) -> dict[str, Any]
     )
 
 
-def write_scene(scene: Scene, wording: Wording) -> Any:
-    """Return the table of the scene: the file that it came from, or its content."""
-    known = wording.description(scene, "scene", SceneSpec, make_scene)
-    if known is not None:
-        return known
+def write_scene(scene: Scene, wording: Wording) -> dict[str, Any]:
+    """Return the table of the content of a scene."""
     table: dict[str, Any] = {"margin": scene.margin}
     if scene.self_collision:
         table["self_collision"] = True
     if scene.arm_radius is not None:
         table["arm_radius"] = scene.arm_radius
     if scene.obstacles:
-        table["obstacles"] = {name: _write_obstacle(each, wording) for name, each in scene.obstacles.items()}
+        table["obstacles"] = {
+            name: wording.description(each, "obstacle", ObstacleSpec, make_obstacle) or write_obstacle(each)
+            for name, each in scene.obstacles.items()
+        }
     return table
 
 
-def _write_obstacle(obstacle: Obstacle, wording: Wording) -> Any:
-    known = wording.description(obstacle, "obstacle", ObstacleSpec, make_obstacle)
-    if known is not None:
-        return known
+def write_obstacle(obstacle: Obstacle) -> dict[str, Any]:
+    """Describe an obstacle without a rotation or a centre that is zero."""
     table = obstacle.to_dict()
     if table.get("rotation") == np.eye(3).tolist():
         del table["rotation"]
@@ -324,20 +314,14 @@ ROTATION_TOLERANCE = 1e-12
 def _differences(task: TaskParts, parts: TaskParts) -> list[str]:
     """Return the names of the attributes that differ, arm and descriptions aside."""
     plain = ("limits", "controller", "scene", "continuity", "formats", "name", "scans")
-    wrong = [key for key in plain if getattr(task, key) != getattr(parts, key)]
-    if not _same_motion(task.motion, parts.motion):
-        wrong.append("motion")
-    if task.start is None or parts.start is None:
-        same_start = task.start is parts.start
+    same = {key: getattr(task, key) == getattr(parts, key) for key in plain}
+    same["start"] = _close(task.start, parts.start)
+    if isinstance(task.motion, Leader) or isinstance(parts.motion, Leader):
+        same["motion"] = task.motion == parts.motion
     else:
-        same_start = _close(task.start, parts.start)
-    return wrong if same_start else [*wrong, "start"]
-
-
-def _same_motion(one: tuple[Keyframe, ...] | Leader, other: tuple[Keyframe, ...] | Leader) -> bool:
-    if isinstance(one, Leader) or isinstance(other, Leader):
-        return one == other
-    return len(one) == len(other) and all(map(_same_keyframe, one, other))
+        count = len(task.motion) == len(parts.motion)
+        same["motion"] = count and all(map(_same_keyframe, task.motion, parts.motion))
+    return [key for key, equal in same.items() if not equal]
 
 
 def _same_keyframe(one: Keyframe, other: Keyframe) -> bool:
@@ -349,7 +333,9 @@ def _same_keyframe(one: Keyframe, other: Keyframe) -> bool:
     return same and _close(mine.pose, its.pose)
 
 
-def _close(one: Array, other: Array) -> bool:
+def _close(one: Array | None, other: Array | None) -> bool:
+    if one is None or other is None:
+        return one is other
     tolerance = ROTATION_TOLERANCE
     return one.shape == other.shape and bool(np.allclose(one, other, rtol=tolerance, atol=tolerance))
 
@@ -460,7 +446,8 @@ def _contents(task: TaskParts, arm: ArmSpec, wording: Wording) -> dict[str, Any]
     if task.start is not None:
         contents["start"] = write_start(task.start, task.arm)
     if task.scene is not None:
-        contents["scene"] = write_scene(task.scene, wording)
+        known = wording.description(task.scene, "scene", SceneSpec, make_scene)
+        contents["scene"] = known or write_scene(task.scene, wording)
     if isinstance(task.motion, Leader):
         contents["leader"] = write_leader(task.motion, placement, wording)
     else:
