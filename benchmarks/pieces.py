@@ -85,7 +85,7 @@ def _bound_step(arm: pp.Arm, q: Array, geodesic: Controller, target: pp.Target) 
 
     def action() -> object:
         if not made:
-            way = _step(arm, q, geodesic, target, None).memory.own
+            way = _step(arm, q, geodesic, target, None).memory.progress
             made.append(Memory(np.full(arm.nv, 5.0 * 0.004), way))
         return _step(arm, q, geodesic, target, made[0])
 

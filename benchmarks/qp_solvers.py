@@ -29,7 +29,7 @@ import pinposture as pp
 from pinposture.arm import smooth_configuration
 from pinposture.collision import Scene, Sphere
 from pinposture.control import Geodesic, JointPosture
-from pinposture.control.planner import avoidance, follow
+from pinposture.control.planner import avoidance, damped_least_squares
 
 Array = np.ndarray
 SITUATIONS = ("free", "joint limits", "acceleration", "obstacles")
@@ -61,10 +61,10 @@ def recorded(modules: int, situation: str) -> list[Program]:
                 found[:], stride = found[::2], 2 * stride
         return solution
 
-    follow.solve = spying
+    damped_least_squares.solve = spying
     for seed in range(RUNS):
         run(modules, situation, np.random.default_rng(seed))
-    follow.solve = avoidance.solve
+    damped_least_squares.solve = avoidance.solve
     return found
 
 
@@ -72,7 +72,7 @@ def arranged(hessian: Array, gradient: Array, lower: Array, upper: Array, rows=N
     """The arguments of `program.solve` with rows of length 1; equations do not occur here."""
     matrix, least = (np.zeros((0, len(gradient))), np.zeros(0)) if rows is None else rows
     lengths = np.maximum(np.linalg.norm(matrix, axis=1), 1e-12)
-    high = np.r_[upper, np.full(len(least), avoidance.NONE)]
+    high = np.r_[upper, np.full(len(least), avoidance.NO_BOUND)]
     return Program(hessian, gradient, matrix / lengths[:, None], np.r_[lower, least / lengths], high)
 
 

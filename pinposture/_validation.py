@@ -1,4 +1,4 @@
-"""Checks of arguments: numbers, vectors, points, rotations."""
+"""Checks of arguments: numbers, vectors, points, rotations; errors name the argument and what is allowed."""
 
 from __future__ import annotations
 
@@ -14,11 +14,25 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture.errors import CurveError, InvalidValue
 
-# Checks that the parameters of controllers and loops have in common.
+Vector: TypeAlias = tuple[float, float, float]
+Matrix: TypeAlias = tuple[Vector, Vector, Vector]
+
+LARGEST_COORDINATE = 1e9
+"""Largest coordinate of a curve [m]; no product of two coordinates overflows."""
+SMALLEST_DISTANCE = 1e-9
+"""Smallest distance of points of a curve [m]; no product of two distances vanishes."""
+SAME_POINT_EXTENT = 1e-9
+"""Distance below which two points are one, relative to the extent of all."""
+SAME_POINT_ROUNDING = 1e-10
+"""Distance below which two points are one, relative to their coordinates."""
+LARGEST_LENGTH = 1e4
+"""Largest coordinate or size of an obstacle [m]; larger squares lose the digits that distances need."""
+SMALLEST_LENGTH = 1e-9
+"""Smallest size of something solid [m]."""
 
 
 def is_number(value: object) -> bool:
-    """Whether it is a real number, of Python or of numpy; truth values are not."""
+    """Tell whether a value is a real number, of Python or numpy, and not a truth value."""
     return isinstance(value, Real) and not isinstance(value, bool)
 
 
@@ -35,22 +49,58 @@ def require_share(name: str, value: float) -> None:
 
 
 def is_whole(value: object) -> bool:
-    """Whether it is a whole number, of Python or of numpy; truth values are not."""
+    """Tell whether a value is a whole number, of Python or numpy, and not a truth value."""
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
 def require_whole(name: str, value: int, least: int) -> None:
-    """Raise InvalidValue unless the value is a whole number of at least that much."""
+    """Raise InvalidValue unless the value is a whole number of at least `least`."""
     if not (is_whole(value) and value >= least):
         raise InvalidValue(name, value, f"a whole number of at least {least}")
 
 
-# Checks of what a caller hands in, each naming the culprit and what was allowed.
+def is_count(value: object) -> bool:
+    """Tell whether a value is a whole number of at least 1, and not a truth value."""
+    return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= 1
 
-LARGEST_COORDINATE = 1e9  # [m] so that no product of coordinates can overflow
-SMALLEST = 1e-9  # [m] so that none can vanish
-REPEATED = 1e-9  # points closer than this fraction of the extent are one point,
-ROUNDED = 1e-10  # and so are points closer than this fraction of the coordinates
+
+def as_number(name: str, value: object, allowed: str, test: Callable[[float], bool]) -> float:
+    """Read one finite number for which `test` holds, else raise InvalidValue with the words `allowed`."""
+    if isinstance(value, Real) and not isinstance(value, bool):
+        number = float(value)
+        if math.isfinite(number) and test(number):
+            return number
+    raise InvalidValue(name, value, allowed)
+
+
+def as_count(name: str, value: object, low: int, high: int) -> int:
+    """Read an integer from `low` to `high`, else raise InvalidValue."""
+    allowed = f"an integer from {low} to {high}"
+    return int(as_number(name, value, allowed, lambda x: low <= x <= high and x == int(x)))
+
+
+def as_flag(name: str, value: object) -> bool:
+    """Read True or False, else raise InvalidValue."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise InvalidValue(name, value, "true or false")
+    return bool(value)
+
+
+def length(name: str, value: Any, zero: bool = False) -> float:
+    """Read a length above 0, or not below it [m], else raise InvalidValue."""
+    least = 0.0 if zero else SMALLEST_LENGTH
+    allowed = f"a length of {least:g} to {LARGEST_LENGTH:g} m"
+    return as_number(name, value, allowed, lambda x: least <= x <= LARGEST_LENGTH)
+
+
+def known_keys(what: str, given: Mapping[str, Any], allowed: Iterable[str]) -> None:
+    """Raise InvalidValue for an unknown key; the message suggests a similar one."""
+    names = tuple(allowed)
+    for key in given:
+        if key not in names:
+            close = get_close_matches(str(key), names, n=1)
+            hint = f" (did you mean {close[0]!r}?)" if close else ""
+            raise InvalidValue(f"key of {what}", key, ", ".join(names) + hint)
 
 
 def as_points(
@@ -76,7 +126,8 @@ def as_points(
     if raw.dtype.kind not in "iuf" or (raw.ndim != 2 and raw.size):
         raise _malformed(value, name)
     if len(raw) < least:
-        raise CurveError("points", f"{_count(len(raw))} given, at least {least} needed")
+        count = f"{len(raw)} point{'s' * (len(raw) != 1)}"
+        raise CurveError("points", f"{count} given, at least {least} needed")
     if raw.shape[1] not in (2, 3):
         raise CurveError("points", f"{raw.shape[1]} coordinates each; allowed: 2 (then z = 0) or 3")
     points = np.zeros((len(raw), 3))
@@ -91,18 +142,11 @@ def as_points(
     return points
 
 
-def _count(n: int) -> str:
-    return f"{n} point" + "s" * (n != 1)
-
-
 def _malformed(value: object, name: Callable[[int], str]) -> CurveError:
-    """Find the first row that keeps `value` from being a table of numbers."""
+    """Return the error about the first row that keeps a value from being a table of numbers."""
     allowed = "allowed: rows of 2 or of 3 numbers"
-    if (
-        getattr(value, "ndim", 1) == 0
-        or not isinstance(value, (Sequence, np.ndarray))
-        or isinstance(value, str)
-    ):
+    scalar = getattr(value, "ndim", 1) == 0
+    if scalar or not isinstance(value, (Sequence, np.ndarray)) or isinstance(value, str):
         return CurveError("points", f"{_short(value)} is not a list of points; {allowed}")
     size = None
     for i, row in enumerate(value):
@@ -123,7 +167,7 @@ def _short(value: object) -> str:
 
 
 def check_distinct(points: NDArray[np.float64], name: Callable[[int], str] = "point {}".format) -> None:
-    """Refuse a point that repeats the one before it, and points that all lie in one place.
+    """Refuse consecutive points in the same place.
 
     Args:
         points: shape (n, 3) [m].
@@ -133,7 +177,9 @@ def check_distinct(points: NDArray[np.float64], name: Callable[[int], str] = "po
         CurveError: naming both points.
     """
     extent = float(np.linalg.norm(np.ptp(points, axis=0)))
-    tolerance = max(REPEATED * extent, ROUNDED * float(np.abs(points).max()), SMALLEST)
+    tolerance = max(
+        SAME_POINT_EXTENT * extent, SAME_POINT_ROUNDING * float(np.abs(points).max()), SMALLEST_DISTANCE
+    )
     gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     repeated = np.flatnonzero(gaps <= tolerance)
     if repeated.size:
@@ -145,29 +191,6 @@ def check_distinct(points: NDArray[np.float64], name: Callable[[int], str] = "po
         )
 
 
-def as_number(name: str, value: object, allowed: str, test: Callable[[float], bool]) -> float:
-    """Read one finite number for which `test` holds, else raise InvalidValue with the words `allowed`."""
-    if isinstance(value, Real) and not isinstance(value, bool):
-        number = float(value)
-        if math.isfinite(number) and test(number):
-            return number
-    raise InvalidValue(name, value, allowed)
-
-
-def as_count(name: str, value: object, low: int, high: int) -> int:
-    """Read an integer from `low` to `high`, else raise InvalidValue."""
-    allowed = f"an integer from {low} to {high}"
-    number = as_number(name, value, allowed, lambda x: low <= x <= high and x == int(x))
-    return int(number)
-
-
-def as_flag(name: str, value: object) -> bool:
-    """Read True or False, else raise InvalidValue."""
-    if not isinstance(value, (bool, np.bool_)):
-        raise InvalidValue(name, value, "true or false")
-    return bool(value)
-
-
 def as_vector(name: str, value: ArrayLike) -> NDArray[np.float64]:
     """Read 3 finite numbers (or 2, then z = 0) into shape (3,), else raise InvalidValue."""
     allowed = f"3 finite numbers, or 2 (then z = 0), at most {LARGEST_COORDINATE:g} in size"
@@ -175,11 +198,8 @@ def as_vector(name: str, value: ArrayLike) -> NDArray[np.float64]:
         raw = np.asarray(value)
     except ValueError:
         raise InvalidValue(name, value, allowed) from None
-    if (
-        raw.dtype.kind not in "iuf"
-        or raw.shape not in ((2,), (3,))
-        or not (np.abs(raw) <= LARGEST_COORDINATE).all()
-    ):
+    numeric = raw.dtype.kind in "iuf" and raw.shape in ((2,), (3,))
+    if not (numeric and (np.abs(raw) <= LARGEST_COORDINATE).all()):
         raise InvalidValue(name, value, allowed)
     vector = np.zeros(3)
     vector[: len(raw)] = raw
@@ -187,7 +207,7 @@ def as_vector(name: str, value: ArrayLike) -> NDArray[np.float64]:
 
 
 def float_array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """A fresh array of floats, finite or not.
+    """Return a fresh array of floats, finite or not.
 
     Raises:
         InvalidValue: not numbers, or another shape.
@@ -202,7 +222,7 @@ def float_array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> NDArray
 
 
 def finite_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
-    """A fresh vector (size,) of finite floats.
+    """Return a fresh vector (size,) of finite floats.
 
     Raises:
         InvalidValue: not numbers, another shape, or an entry that is not finite; names the entry.
@@ -216,7 +236,7 @@ def finite_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64
 
 
 def rigid_placement(name: str, value: object) -> pin.SE3:
-    """A fresh placement: that of a `pin.SE3` or of a homogeneous matrix (4, 4); the identity for None.
+    """Return a fresh placement, from a `pin.SE3` or a homogeneous matrix (4, 4); the identity for None.
 
     Raises:
         InvalidValue: anything else, or a matrix that is not finite, or scales, shears or mirrors.
@@ -229,74 +249,39 @@ def rigid_placement(name: str, value: object) -> pin.SE3:
         matrix = np.zeros(0)
     if matrix.shape == (4, 4) and np.all(np.isfinite(matrix)):
         turn = matrix[:3, :3]
-        rigid = np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) and np.linalg.det(turn) > 0.0
-        if rigid and np.allclose(matrix[3], (0.0, 0.0, 0.0, 1.0), atol=1e-12):
+        proper = _is_orthogonal(turn) and np.linalg.det(turn) > 0.0
+        if proper and np.allclose(matrix[3], (0.0, 0.0, 0.0, 1.0), atol=1e-12):
             return pin.SE3(turn, matrix[:3, 3])
     raise InvalidValue(name, value, "a pin.SE3, or a finite rigid transform (4, 4)")
 
 
-# Checks of the numbers that describe obstacles, each naming the value and what was allowed.
-
-Vector: TypeAlias = tuple[float, float, float]
-Matrix: TypeAlias = tuple[Vector, Vector, Vector]
-
-LARGEST_LENGTH = 1e4
-"""Largest coordinate or size [m]; squares and products of larger ones lose the digits that distances need."""
-SMALLEST_LENGTH = 1e-9
-"""Smallest size of something solid [m]."""
-
-
-def length(name: str, value: Any, zero: bool = False) -> float:
-    """A length [m]: a finite number above 0, or not below it, that is no truth value.
-
-    Raises:
-        InvalidValue: anything else.
-    """
-    least = 0.0 if zero else SMALLEST_LENGTH
-    if isinstance(value, Real) and not isinstance(value, bool):
-        number = float(value)
-        if math.isfinite(number) and least <= number <= LARGEST_LENGTH:
-            return number
-    raise InvalidValue(name, value, f"a length of {least:g} to {LARGEST_LENGTH:g} m")
-
-
-def is_count(value: object) -> bool:
-    """Whether it is a whole number of at least 1; truth values are not."""
-    return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= 1
+def _is_orthogonal(matrix: NDArray[np.float64]) -> bool:
+    return matrix.shape == (3, 3) and np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-6)
 
 
 def point(name: str, value: Any) -> Vector:
-    """Three finite numbers, none larger than `LARGEST_LENGTH`.
-
-    Raises:
-        InvalidValue: anything else; names the coordinate.
-    """
+    """Read three finite numbers up to `LARGEST_LENGTH`, else raise InvalidValue."""
     numbers = _numbers(name, value, (3,), "three finite numbers")
-    if np.abs(numbers).max() > LARGEST_LENGTH:
-        worst = int(np.argmax(np.abs(numbers)))
-        raise InvalidValue(
-            f"{name}[{worst}]", float(numbers[worst]), f"at most {LARGEST_LENGTH:g} either way"
-        )
-    x, y, z = (float(number) for number in numbers)
+    worst = int(np.argmax(np.abs(numbers)))
+    if abs(numbers[worst]) > LARGEST_LENGTH:
+        allowed = f"at most {LARGEST_LENGTH:g} either way"
+        raise InvalidValue(f"{name}[{worst}]", float(numbers[worst]), allowed)
+    x, y, z = numbers.tolist()
     return x, y, z
 
 
 def direction(name: str, value: Any) -> Vector:
-    """The unit vector along three finite numbers that are not all 0.
-
-    Raises:
-        InvalidValue: anything else.
-    """
+    """Return the unit vector along three finite numbers that are not all 0, else raise InvalidValue."""
     x, y, z = point(name, value)
     size = math.hypot(x, y, z)
     if size < SMALLEST_LENGTH:
         raise InvalidValue(name, value, "three numbers, not all 0")
-    # Left alone where it is a unit vector already, so that what is written to a file reads back the same.
+    # A unit vector stays as it is, so that what is written to a file reads back the same.
     return (x, y, z) if abs(size - 1.0) < 1e-15 else (x / size, y / size, z / size)
 
 
 def rotation(name: str, value: Any) -> Matrix:
-    """A rotation: (3, 3), or roll, pitch and yaw [rad] as in URDF, or None for no turn.
+    """Read a rotation: (3, 3), or roll, pitch and yaw [rad] as in URDF, or None for the identity.
 
     Raises:
         InvalidValue: anything else, or a matrix that scales, shears or mirrors.
@@ -309,7 +294,7 @@ def rotation(name: str, value: Any) -> Matrix:
         if numbers.shape == (3,) and np.abs(numbers).max() > 2.0 * np.pi:
             raise InvalidValue(name, value, "angles within 2 pi either way, in rad, not in degrees")
         turn = pin.rpy.rpyToMatrix(*numbers) if numbers.shape == (3,) else numbers
-        if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6):
+        if not _is_orthogonal(turn):
             raise InvalidValue(name, value, allowed)
         if np.linalg.det(turn) < 0.0:
             raise InvalidValue(name, value, "a rotation; this matrix mirrors")
@@ -317,25 +302,10 @@ def rotation(name: str, value: Any) -> Matrix:
     return x, y, z  # type: ignore[return-value]
 
 
-def known_keys(what: str, given: Mapping[str, Any], allowed: Iterable[str]) -> None:
-    """Refuse keys that nobody reads, with the nearest one that somebody does.
-
-    Raises:
-        InvalidValue: a key that is not among those allowed.
-    """
-    names = tuple(allowed)
-    for key in given:
-        if key not in names:
-            close = get_close_matches(str(key), names, n=1)
-            hint = f" (did you mean {close[0]!r}?)" if close else ""
-            raise InvalidValue(f"key of {what}", key, ", ".join(names) + hint)
-
-
 def _numbers(name: str, value: Any, shape: tuple[int, ...] | None, allowed: str) -> np.ndarray:
     try:
         array = np.array(value)
-        sound = array.dtype.kind in "iuf"
-        numbers = array.astype(np.float64) if sound else np.zeros(0)
+        numbers = array.astype(np.float64) if array.dtype.kind in "iuf" else np.zeros(0)
     except (TypeError, ValueError, OverflowError):
         numbers = np.zeros(0)
     if not numbers.size or (shape is not None and numbers.shape != shape) or not np.all(np.isfinite(numbers)):

@@ -1,11 +1,10 @@
 """What the robot is: module templates, URDF, loading, the arm and its state."""
 
-from pinposture.arm.arm import Arm
-from pinposture.arm.configurations import JointLimits, smooth_configuration
+from pinposture.arm.arm import Arm, ArmState, smooth_configuration
+from pinposture.arm.configurations import JointLimits
 from pinposture.arm.feasibility import Feasibility, Violation
 from pinposture.arm.manipulability import ControlPoints, Ellipsoid
 from pinposture.arm.specification import ArmSpec, FeedSpec, PlacementSpec
-from pinposture.arm.state import ArmState
 from pinposture.arm.template import TEMPLATES, JointSpec, ModuleTemplate, template
 
 __all__ = [

@@ -1,34 +1,56 @@
-"""The arm: a Pinocchio model with control points at its module boundaries."""
+"""The arm, a Pinocchio model with control points at its module boundaries, and its states."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from functools import cached_property
-from numbers import Real
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize
 
-from pinposture._validation import finite_vector
-from pinposture.arm.chain import Chain, frame_ids, read_chain
-from pinposture.arm.configurations import carry_base, check_joint_positions, full_reach, without_limits
-from pinposture.arm.feasibility import CurveShape, Feasibility, adequacy
-from pinposture.arm.kinematics import MOST_IN_DATA, FrameReader, Kinematics
-from pinposture.arm.loading import LoadReport
+from pinposture import kernels
+from pinposture._validation import as_number, finite_vector, rigid_placement
+from pinposture.arm.chain import Chain, find_base_slides, find_unlimited, frame_ids, read_chain
+from pinposture.arm.configurations import ConfigurationSpace, check_joint_positions
+from pinposture.arm.feasibility import Feasibility, check_feasibility
+from pinposture.arm.kinematics import (
+    MAX_PINOCCHIO_DOF,
+    ForwardKinematics,
+    FrameReader,
+    Frames,
+    Kinematics,
+    constants_of,
+    screws_of,
+)
+from pinposture.arm.loading import LoadedModel, LoadReport, Modules, load_model, place_base
+from pinposture.arm.manipulability import (
+    ControlPoints,
+    Ellipsoid,
+    chosen_points,
+    section_bases,
+    section_ellipsoid,
+)
 from pinposture.arm.segmentation import Segmentation
-from pinposture.arm.specification import ArmSpec, Blueprint
-from pinposture.arm.state import ArmState
-from pinposture.errors import InvalidValue
+from pinposture.arm.specification import ArmSpec, PlacementSpec
+from pinposture.arm.template import ModuleTemplate, modules_to_urdf, template
+from pinposture.arm.urdf_reader import is_urdf_text
+from pinposture.curve import Curve
+from pinposture.errors import InvalidValue, PostureWarning
+from pinposture.storage import settled
 
 Array = NDArray[np.float64]
 
-ROUNDING = 1e-9
-"""Share of a turn that is none."""
+TURN_TOLERANCE = 1e-9
+"""Fraction of a turn that counts as rounding."""
 
 
-class Arm(Blueprint):
+class Arm(ConfigurationSpace):
     """A serial arm with posture control points at its module boundaries.
 
     Make one with `from_template`, `from_modules`, `from_urdf` or `from_model`. An arm is immutable and
@@ -48,11 +70,11 @@ class Arm(Blueprint):
         frames: reads the control points from Pinocchio; None if the arm is too long for that.
         moved: 1 where a degree of freedom belongs to the chain, else 0, (nv,).
         characteristic_length: the slide that weighs as much as a turn of one radian, where both are compared
-            [m]: the mean module length, unless told otherwise by `with_characteristic_length`.
+            [m]: the mean module length, unless set by `with_characteristic_length`.
         joint_units: the motion of each joint that counts as one, (nv,): one radian, or
             `characteristic_length` metres.
-        cache: what other packages derive from the arm and remember as long as it lives, such as its collision
-            models, by class or function; neither copied nor pickled.
+        cache: what other packages derive from the arm, such as its collision models, by class or function;
+            neither copied nor pickled.
     """
 
     def __init__(
@@ -65,23 +87,228 @@ class Arm(Blueprint):
         characteristic_length: float | None = None,
         spec: ArmSpec | None = None,
     ) -> None:
-        super().__init__(model, control_points, base_placement, urdf, report, characteristic_length, spec)
+        super().__init__(model)
+        self.control_points = tuple(control_points)
+        self.base_placement = pin.SE3.Identity() if base_placement is None else base_placement
+        self.urdf, self.report, self.spec = urdf, report, spec
         self.cache: dict[object, Any] = {}
         if not self.control_points:
             raise InvalidValue("control_points", list(control_points), "at least one frame name")
         self.chain: Chain = read_chain(model, self.control_points)
         sizes = tuple(joints.stop - joints.start for joints in self.chain.module_slices)
         self.segmentation = report.segmentation if report else Segmentation(sizes, "control points as given")
-        frames = frame_ids(model, self.control_points)
-        self.kinematics = Kinematics(model, self.chain.joints, frames)
-        self.frames = FrameReader(model, frames) if self.nv <= MOST_IN_DATA else None
-        self.moved = np.zeros(self.nv)
-        self.moved[self.chain.columns] = 1.0
-        self.moved.flags.writeable = False
         if characteristic_length is None:
-            self.characteristic_length = float(self.chain.module_lengths.mean())
-        self.joint_units = np.where(self.slides, self.characteristic_length, 1.0)
-        self.joint_units.flags.writeable = False
+            characteristic_length = float(self.chain.module_lengths.mean())
+        self.characteristic_length = characteristic_length
+        self.joint_units = _read_only(np.where(self.slides, characteristic_length, 1.0))
+        frames = frame_ids(model, self.control_points)
+        self.kinematics = Kinematics(model, self.chain, frames, self.joint_units)
+        self.frames = FrameReader(model, frames) if self.nv <= MAX_PINOCCHIO_DOF else None
+        moved = np.zeros(self.nv)
+        moved[self.chain.columns] = 1.0
+        self.moved = _read_only(moved)
+
+    @classmethod
+    def from_template(
+        cls,
+        name: str,
+        modules: int,
+        link_lengths: Sequence[float] | None = None,
+        base_placement: pin.SE3 | None = None,
+    ) -> Arm:
+        """Build an arm of equal modules from a shipped template.
+
+        Args:
+            name: template name, for instance "RyRz".
+            modules: number of modules, at least 1.
+            link_lengths: length of the link after each joint of the module [m]; the template's own if None.
+            base_placement: where the base stands in the world; the origin if None.
+
+        Returns:
+            The arm, stretched along x at its neutral configuration.
+
+        Raises:
+            UnknownName: no such template.
+            InvalidValue: a number of modules or link lengths that make no arm.
+        """
+        if isinstance(modules, bool) or not isinstance(modules, int) or modules < 1:
+            raise InvalidValue("modules", modules, "a whole number of at least 1")
+        module, lengths = template(name), None
+        if link_lengths is not None:
+            module = module.with_lengths(link_lengths)
+            lengths = tuple(module.link_lengths)
+        spec = ArmSpec(template=name, modules=modules, link_lengths=lengths)
+        return cls._from_templates(spec, [module] * modules, base_placement)
+
+    @classmethod
+    def from_spec(cls, spec: ArmSpec) -> Arm:
+        """Build the arm that a specification describes.
+
+        Args:
+            spec: a template or a URDF, and how to make an arm of it.
+
+        Returns:
+            The arm, which keeps `spec`.
+
+        Raises:
+            PostureError: as `from_template` and `from_urdf`, or neither a template nor a URDF is named.
+        """
+        placement = None if spec.placement is None else spec.placement.build()
+        if spec.urdf is None:
+            return cls._from_templates(spec, spec.module_templates(), placement)
+        given = (spec.urdf, spec.base, spec.tip, spec.split, spec.locked, spec.package_dirs)
+        return cls._from_loaded(load_model(*given, base_placement=placement), spec)
+
+    @classmethod
+    def _from_templates(
+        cls, spec: ArmSpec, modules: Sequence[ModuleTemplate], base_placement: pin.SE3 | None
+    ) -> Arm:
+        text = modules_to_urdf(modules, f"{spec.template}_{spec.modules}")
+        sizes = [len(module.joints) for module in modules]
+        return cls._from_loaded(load_model(text, modules=sizes, base_placement=base_placement), spec)
+
+    @classmethod
+    def from_modules(
+        cls,
+        modules: Iterable[ModuleTemplate],
+        base_placement: pin.SE3 | None = None,
+        name: str = "arm",
+    ) -> Arm:
+        """Build an arm by chaining module templates from base to tip; they may differ.
+
+        Args:
+            modules: the templates in order.
+            base_placement: where the base stands in the world; the origin if None.
+            name: robot name written into the URDF.
+
+        Returns:
+            The arm, stretched along x at its neutral configuration.
+        """
+        listed = list(modules)
+        text = modules_to_urdf(listed, name)
+        return cls.from_urdf(text, modules=[len(m.joints) for m in listed], base_placement=base_placement)
+
+    @classmethod
+    def from_urdf(
+        cls,
+        source: str | Path,
+        base: str | None = None,
+        tip: str | None = None,
+        modules: Modules = None,
+        locked: Mapping[str, float] | None = None,
+        package_dirs: Sequence[str | Path] | None = None,
+        base_placement: pin.SE3 | None = None,
+    ) -> Arm:
+        """Load an arm from a URDF file or from URDF text; meshes are not needed.
+
+        Args:
+            source: path of the file, or the XML text itself.
+            base: link at which the arm begins; the root if None.
+            tip: link at which it ends; if None, the last of the links in `modules`, or the end of the longest
+                moving chain (`pinposture.arm.urdf_reader`).
+            modules: joints per module: one number for all, or one for each module; or names of the links at
+                whose origins modules end. If None, the smallest modules that can follow any curve
+                (`pinposture.arm.segmentation`).
+            locked: joints to lock and their positions [rad or m]. Joints off the chain are locked anyway,
+                where the joint that they mimic puts them or at the position nearest zero within their limits.
+            package_dirs: folders in which viewers look for meshes; loading needs none.
+            base_placement: where the root link stands in the world; the origin if None.
+
+        Returns:
+            The arm, with control points named "module_01", "module_02", ... at the ends of its modules.
+            Decisions that may surprise are in `warnings`, and each is issued as a `PostureWarning`.
+
+        Raises:
+            FileError: the file is missing or unreadable.
+            URDFError: the description cannot be used; names the link or joint and the reason.
+            UnknownName: `base`, `tip` or a locked joint does not exist.
+            InvalidValue: `modules` does not fit the chain, or another argument is invalid.
+        """
+        loaded = load_model(source, base, tip, modules, locked or {}, package_dirs, base_placement)
+        folders = [package_dirs] if isinstance(package_dirs, str | Path) else package_dirs or ()
+        spec = ArmSpec(
+            urdf=loaded.text if is_urdf_text(source) else settled(source),
+            base=base,
+            tip=tip,
+            split=_plain_modules(modules),
+            locked={name: float(position) for name, position in (locked or {}).items()},
+            package_dirs=tuple(settled(folder) for folder in folders),
+        )
+        return cls._from_loaded(loaded, spec)
+
+    @classmethod
+    def _from_loaded(cls, loaded: LoadedModel, spec: ArmSpec) -> Arm:
+        for message in loaded.report.warnings:
+            warnings.warn(message, PostureWarning, stacklevel=3)
+        if loaded.base_placement is not None and spec.placement is None:
+            spec = spec.model_copy(update={"placement": PlacementSpec.of(loaded.base_placement)})
+        parts = (loaded.model, loaded.control_points, loaded.base_placement, loaded.text, loaded.report)
+        return cls(*parts, spec.characteristic_length, spec)
+
+    @classmethod
+    def from_model(
+        cls,
+        model: pin.Model,
+        control_points: Sequence[str],
+        base_placement: pin.SE3 | None = None,
+    ) -> Arm:
+        """Use an existing Pinocchio model; it is copied and never written to.
+
+        Args:
+            model: the model; each joint on the chain has one degree of freedom.
+            control_points: names of existing frames from base to tip, the ends of the modules.
+            base_placement: moves the whole model in the world; not at all if None.
+
+        Returns:
+            The arm. Joints that move none of the control points stay in `q` and are never moved.
+
+        Raises:
+            UnknownName: a frame that does not exist.
+            InvalidValue: frames that are not in order along one chain.
+        """
+        if not isinstance(model, pin.Model):
+            raise InvalidValue("model", model, "a pin.Model")
+        own = pin.Model(model)
+        placement = rigid_placement("base_placement", base_placement)
+        place_base(own, placement)
+        return cls(own, control_points, placement)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what is needed to build this arm again, as data that JSON can hold."""
+        described: dict[str, Any] = {"control_points": list(self.control_points)}
+        described["base_placement"] = np.asarray(self.base_placement.homogeneous).tolist()
+        described["urdf"] = self.urdf
+        described["report"] = asdict(self.report) if self.report else None
+        described["characteristic_length"] = self.characteristic_length
+        if self.spec is not None:
+            described["spec"] = self.spec.model_dump(mode="json", exclude_defaults=True)
+            if isinstance(self.spec.urdf, str):  # the text is under "urdf" already
+                del described["spec"]["urdf"]
+        described["model"] = self.model.saveToString()
+        return described
+
+    @classmethod
+    def from_dict(cls, described: Mapping[str, Any]) -> Arm:
+        """Build the arm that `to_dict` described."""
+        model = pin.Model()
+        model.loadFromString(described["model"])
+        placement = pin.SE3(np.array(described["base_placement"]))
+        report = LoadReport.from_dict(described["report"]) if described.get("report") else None
+        points, urdf, unit = (described[key] for key in ("control_points", "urdf", "characteristic_length"))
+        spec = described.get("spec")
+        if spec is not None:
+            spec = ArmSpec(**({} if "template" in spec else {"urdf": urdf}) | spec)
+        return cls(model, points, placement, urdf, report, unit, spec)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Decisions made while loading that the user may not expect."""
+        return self.report.warnings if self.report else ()
+
+    @property
+    def package_dirs(self) -> tuple[str, ...]:
+        """Folders in which viewers look for meshes."""
+        return self.report.package_dirs if self.report else ()
 
     @property
     def n_modules(self) -> int:
@@ -109,10 +336,9 @@ class Arm(Blueprint):
         support = np.zeros((self.n_modules, self.nv))
         for row, end in zip(support, self.kinematics.ends, strict=True):
             row[self.columns[:end]] = 1.0
-        support.flags.writeable = False
-        return support
+        return _read_only(support)
 
-    @cached_property
+    @property
     def plane(self) -> Array:
         """Orthonormal basis of the directions in which the arm can move, (2, 3) or (3, 3), world frame."""
         return self.chain.plane
@@ -122,12 +348,12 @@ class Arm(Blueprint):
         """2 if every joint axis is parallel (a planar arm), else 3."""
         return len(self.plane)
 
-    @cached_property
+    @property
     def length(self) -> float:
         """Length from the first joint to the tip, along the arm [m]."""
         return self.chain.length
 
-    def can_follow(self, curve: CurveShape) -> Feasibility:
+    def can_follow(self, curve: Curve) -> Feasibility:
         """Tell whether the modules can follow a curve within their joint limits (Section 4.1).
 
         Args:
@@ -137,10 +363,10 @@ class Arm(Blueprint):
             The largest curvature and torsion that the modules can follow, and the stretches of the curve
             that exceed them; truthy if there are none.
         """
-        return adequacy(self.chain, self.limits.lower, self.limits.upper, curve)
+        return check_feasibility(self.chain, self.limits.lower, self.limits.upper, curve)
 
     def straight(self) -> Array:
-        """The configuration that stretches the arm farthest, (nq,); the neutral one for our templates.
+        """Return the configuration of longest reach, (nq,); the neutral one for shipped templates.
 
         A base that slides without real limits (`roaming`) stays at zero.
         """
@@ -148,7 +374,33 @@ class Arm(Blueprint):
 
     @cached_property
     def _stretched(self) -> Array:
-        return full_reach(self)
+        """Joint positions (nv,) [rad or m] that maximise the distance from base to tip, within the limits.
+
+        They are zero if the arm is straight there and cannot slide; otherwise the maximum is searched from
+        there, and is a local one for arms that can stretch in several ways. A slide without real limits goes
+        as far as the arm is long, or stays at zero if it carries the base.
+        """
+        base, length, units = self.chain.base, self.length, self.joint_units
+        straight = np.linalg.norm(self.chain.points[-1] - base) > (1.0 - 1e-9) * length
+        if straight and np.all(self.chain.revolute) and self.within_limits(self.neutral()):
+            return np.zeros(self.nv)
+
+        def negative_reach(scaled: Array) -> tuple[float, Array]:
+            state = self.at(self.configuration(scaled * units)).compiled
+            reach = (state.points[-1] - base) / length
+            distance = max(float(np.linalg.norm(reach)), 1e-12)
+            return -distance, -(reach / distance) @ state.jacobians[-1] * units / length
+
+        low, high = np.array(self.usual_positions) / units
+        # Revolute joints need no finite bounds: they are periodic.
+        low[~self.slides], high[~self.slides] = (np.array(self.limits[:2]) / units)[:, ~self.slides]
+        fixed = np.clip(0.0, self.limits.lower, self.limits.upper) / units
+        low, high = np.where(self.roaming, fixed, low), np.where(self.roaming, fixed, high)
+        # Zero itself can be a stationary point, for instance of an arm that is folded there.
+        start = np.clip(np.full(self.nv, 1e-3), low, high)
+        bounds = list(zip(low, high, strict=True))
+        found = minimize(negative_reach, start, jac=True, bounds=bounds, method="L-BFGS-B").x
+        return np.asarray(np.clip(found, low, high) * units)
 
     @cached_property
     def slides(self) -> NDArray[np.bool_]:
@@ -158,9 +410,9 @@ class Arm(Blueprint):
         return slides
 
     def checked_start(self, q: ArrayLike, name: str = "q") -> Array:
-        """A configuration that somebody gave to start from, or to go to; see `checked`.
+        """Check a configuration given as a start or a goal; see `checked`.
 
-        A `PostureWarning` tells of joints outside of their limits.
+        A `PostureWarning` reports joints outside their limits.
 
         Args:
             q: configuration, (nq,).
@@ -177,7 +429,7 @@ class Arm(Blueprint):
         return checked
 
     def check_positions(self, positions: ArrayLike, name: str = "positions") -> None:
-        """Look whether joint positions (nv,) [rad or m] are within the limits, as `checked_start` does.
+        """Check joint positions (nv,) [rad or m] against the limits, as `checked_start` does.
 
         Raises:
             InvalidValue: not (nv,) finite numbers, or so far outside that degrees may have been meant.
@@ -189,82 +441,76 @@ class Arm(Blueprint):
     def unlimited(self) -> NDArray[np.bool_]:
         """True for a degree of freedom without real limits, (nv,): none, or so wide that they mean none.
 
-        They leave it more than 100 arm lengths to slide, or more than 100 rad to turn. Limits that it has are
-        kept all the same; it only is not sent out to them.
+        They allow more than 100 arm lengths of sliding, or more than 100 rad of turning. Such limits are
+        still enforced, but the joint is not driven towards them.
         """
-        unlimited = without_limits(self.limits.lower, self.limits.upper, self.slides, self.length)
-        unlimited.flags.writeable = False
-        return unlimited
+        return _read_only(find_unlimited(self.limits.lower, self.limits.upper, self.slides, self.length))
 
     @cached_property
     def roaming(self) -> NDArray[np.bool_]:
-        """True for the slides without real limits on which the base stands, (nv,), as of a mobile robot.
+        """True for the slides without real limits that carry the base, (nv,), as of a mobile robot.
 
-        They come before the first joint that turns. The straight arm has them at zero, and they stay where
-        they are when the arm takes the shape of a curve that begins at its base.
+        They come before the first revolute joint. The straight arm has them at zero, and they keep their
+        positions when the arm takes the shape of a curve that begins at its base.
         """
         roaming = np.zeros(self.nv, dtype=np.bool_)
-        roaming[self.columns] = carry_base(self.unlimited[self.columns], self.chain.revolute)
-        roaming.flags.writeable = False
-        return roaming
+        roaming[self.columns] = find_base_slides(self.unlimited[self.columns], self.chain.revolute)
+        return _read_only(roaming)
 
     @cached_property
     def usual_positions(self) -> tuple[Array, Array]:
-        """Smallest and largest joint positions to draw from or to search, (nv,) each [rad or m].
+        """Smallest and largest joint positions to sample or to search, (nv,) each [rad or m].
 
-        The limits; where those are none (`unlimited`), a half turn either way of the position nearest zero,
-        or as far as the arm is long if the joint slides, cut at the limits that there are.
+        The limits; where those are none (`unlimited`), half a turn either side of the position nearest zero,
+        or the length of the arm for a slide, clipped to the limits.
         """
         lower, upper = self.limits.lower, self.limits.upper
         middle, far = np.clip(0.0, lower, upper), np.where(self.slides, self.length, np.pi)
         low = np.where(self.unlimited, np.maximum(lower, middle - far), lower)
         high = np.where(self.unlimited, np.minimum(upper, middle + far), upper)
-        low.flags.writeable = high.flags.writeable = False
-        return low, high
+        return _read_only(low), _read_only(high)
 
     def random(self, rng: np.random.Generator) -> Array:
-        """A configuration drawn uniformly from `usual_positions`, (nq,): within limits and within reach."""
+        """Draw a configuration uniformly from `usual_positions`, (nq,): within limits and within reach."""
         return self.configuration(rng.uniform(*self.usual_positions))
 
     def within_limits(self, q: ArrayLike, tolerance: float = 1e-9) -> bool:
-        """True if no joint of q is outside its limits by more than the tolerance, in `joint_units`."""
+        """Tell whether no joint of q exceeds its limits by more than the tolerance, in `joint_units`."""
         positions, slack = self.positions(q), tolerance * self.joint_units
         low, high = self.limits.lower - slack, self.limits.upper + slack
         return bool(np.all((positions >= low) & (positions <= high)))
 
     def at(self, q: ArrayLike) -> ArmState:
-        """The state of the arm at a configuration.
+        """Return the state of the arm at a configuration.
 
         Args:
             q: configuration, (nq,).
 
         Returns:
-            Placements of all control points, world frame; whatever else it knows is worked out when it is
-            first asked for.
+            The state, which computes placements and Jacobians on first use.
 
         Raises:
             InvalidValue: q has the wrong size or is not finite.
         """
-        checked = self.checked(q)
-        return ArmState(self, checked)
+        return ArmState(self, self.checked(q))
 
     @cached_property
-    def _winding(self) -> NDArray[np.bool_]:
-        """Degrees of freedom that can be more than a turn away from where the posture is the same, (nv,)."""
+    def _multi_turn(self) -> NDArray[np.bool_]:
+        """Degrees of freedom that can reach the same posture at positions a full turn apart, (nv,)."""
         room = self.limits.upper - self.limits.lower > 2.0 * np.pi
         return np.asarray(room & (self.moved > 0.0) & ~self.slides & ~self.kinematics.endless)
 
     def nearest_turns(
         self, q: ArrayLike, near: ArrayLike | None = None, edges: ArrayLike | None = None
     ) -> Array:
-        """The same posture, with every joint within half a turn of where it is to be near.
+        """Return the same posture with every joint within half a turn of a reference.
 
-        Joints that turn take the same place again after each turn. Where limits forbid the turn that is
-        nearest, the nearest that they allow is taken.
+        A revolute joint reaches the same posture again after each turn. Where limits forbid the nearest turn,
+        the nearest one that they allow is taken.
 
         Args:
             q: configuration, (nq,).
-            near: configuration to be near, (nq,); the straight one if None.
+            near: reference configuration, (nq,); the straight one if None.
             edges: joint positions to stay between, (2, nv) [rad or m]; the limits of the arm if None.
 
         Returns:
@@ -273,17 +519,17 @@ class Arm(Blueprint):
         Raises:
             InvalidValue: a configuration has the wrong size or is not finite.
         """
-        checked, which = self.checked(q), self._winding
-        if not np.any(which):
+        checked, multi_turn = self.checked(q), self._multi_turn
+        if not np.any(multi_turn):
             return checked
         positions, turn = self.positions(checked), 2.0 * np.pi
         preferred = self._stretched if near is None else self.positions(self.checked(near, "near"))
         lower, upper = (self.limits.lower, self.limits.upper) if edges is None else np.asarray(edges)
         away = (preferred - positions) / turn
-        turns = np.sign(away) * np.ceil(np.abs(away) - 0.5 - ROUNDING)
-        least = np.ceil((lower - positions) / turn - ROUNDING)
-        most = np.floor((upper - positions) / turn + ROUNDING)
-        turns = np.where(which & (least <= most), np.maximum(np.minimum(turns, most), least), 0.0)
+        turns = np.sign(away) * np.ceil(np.abs(away) - 0.5 - TURN_TOLERANCE)
+        least = np.ceil((lower - positions) / turn - TURN_TOLERANCE)
+        most = np.floor((upper - positions) / turn + TURN_TOLERANCE)
+        turns = np.where(multi_turn & (least <= most), np.maximum(np.minimum(turns, most), least), 0.0)
         if not np.any(turns):
             return checked
         return self.integrate(
@@ -291,7 +537,7 @@ class Arm(Blueprint):
         )
 
     def with_characteristic_length(self, characteristic_length: float) -> Arm:
-        """The same arm, with another slide that weighs as much as a turn of one radian [m].
+        """Return the same arm with another slide that weighs as much as a turn of one radian [m].
 
         Manipulability conditions, the smallest joint motions that controllers look for, and singular values
         compare motions of all joints; for slides and turns there is no natural scale between them.
@@ -299,13 +545,8 @@ class Arm(Blueprint):
         Raises:
             InvalidValue: not a finite length above 0.
         """
-        if not (
-            isinstance(characteristic_length, Real)
-            and np.isfinite(characteristic_length)
-            and characteristic_length > 0.0
-        ):
-            raise InvalidValue("characteristic_length", characteristic_length, "a finite length above 0 [m]")
-        unit = float(characteristic_length)
+        allowed = "a finite length above 0 [m]"
+        unit = as_number("characteristic_length", characteristic_length, allowed, lambda x: x > 0.0)
         spec = None if self.spec is None else self.spec.model_copy(update={"characteristic_length": unit})
         parts = (self.model, self.control_points, self.base_placement, self.urdf, self.report)
         return Arm(*parts, unit, spec)
@@ -319,3 +560,229 @@ class Arm(Blueprint):
         return (
             f"Arm({self.model.name!r}, {kind}, {self.n_modules} modules, {self.nv} DOF, {self.length:.4g} m)"
         )
+
+
+def _plain_modules(modules: Modules) -> Any:
+    """Return the `modules` argument as plain data."""
+    if modules is None:
+        return None
+    return (modules,) if isinstance(modules, str) else np.asarray(modules).tolist()
+
+
+class ArmState:
+    """The arm at one configuration; everything in it is read-only and computed on first use.
+
+    Pinocchio supplies placements and Jacobians: `computeJointJacobians` and `updateFramePlacements`, once for
+    a state. Arms with more than `kinematics.MAX_PINOCCHIO_DOF` degrees of freedom, for which `pin.Data` would
+    need too much memory, use the compiled pass along the chain instead.
+
+    Attributes:
+        arm: the arm.
+    """
+
+    def __init__(self, arm: Arm, q: Array) -> None:
+        self.arm, self._q = arm, q
+
+    @cached_property
+    def compiled(self) -> ArmState:
+        """The same state computed by the compiled pass along the chain, for use inside solvers.
+
+        It equals this one up to rounding; an iteration takes all its numbers from one of the two.
+        """
+        state = _CompiledState(self.arm, self._q)
+        state.__dict__["forward"] = self.forward
+        return state
+
+    @cached_property
+    def forward(self) -> ForwardKinematics:
+        """The result of the compiled pass along the chain, for kernels; do not write to it."""
+        return self.arm.kinematics.forward(self.arm.difference(self.arm.origin, self._q))
+
+    @cached_property
+    def frames(self) -> Frames | None:
+        """The control points as computed by Pinocchio; None if the arm is too long for `pin.Data`."""
+        reader = self.arm.frames
+        return None if reader is None else reader.read(self._q)
+
+    @cached_property
+    def q(self) -> Array:
+        """Configuration, (nq,) [rad or m]."""
+        return _read_only(self._q)
+
+    @cached_property
+    def points(self) -> Array:
+        """Positions of the control points, (m, 3) [m], world frame."""
+        return _read_only((self.frames or self.forward).points)
+
+    @cached_property
+    def links(self) -> Array:
+        """The polyline from the base through joints and control points to the tip, (k, 3) [m], world frame.
+
+        If the base moves on slides without real limits, the line begins after those slides.
+        """
+        chain = self.arm.chain
+        origins = [self.forward.origins[joints] for joints in chain.module_slices]
+        parts = [part for pair in zip(origins, self.forward.points[:, None], strict=True) for part in pair]
+        roaming = int(self.arm.roaming.sum())
+        return _read_only(np.vstack([chain.base, *parts])[roaming + bool(roaming) :])
+
+    @cached_property
+    def rotations(self) -> Array:
+        """Orientations of the control points, (m, 3, 3), from control-point to world frame."""
+        return _read_only((self.frames or self.forward).rotations)
+
+    @cached_property
+    def positions(self) -> Array:
+        """Joint positions (nv,) [rad or m]; continuous joints within +-pi."""
+        return _read_only(self.arm.difference(self.arm.origin, self._q))
+
+    @cached_property
+    def jacobians(self) -> Array:
+        """Position Jacobians of the control points, (m, 3, nv) [m/rad], world axes.
+
+        A column is v + w x p for a joint that carries the control point p, else zero: v is the velocity at
+        the world origin and w the angular velocity that one unit of joint motion gives to a body.
+        """
+        if self.frames is None:
+            return _read_only(self.arm.kinematics.jacobians(self.forward))
+        (vx, vy, vz, wx, wy, wz), support = self.frames.motions.T, self.arm.support
+        x, y, z = self.frames.points.T[:, :, None]
+        jacobians = np.empty((self.arm.n_modules, 3, self.arm.nv))
+        jacobians[:, 0] = (vx + wy * z - wz * y) * support
+        jacobians[:, 1] = (vy + wz * x - wx * z) * support
+        jacobians[:, 2] = (vz + wx * y - wy * x) * support
+        return _read_only(jacobians)
+
+    @cached_property
+    def axes(self) -> Array:
+        """Angular velocity per unit of joint motion, (3, nv) [rad/rad], world axes.
+
+        The unit axis of a revolute joint; zero for a slide and for a joint off the chain.
+        """
+        if self.frames is not None:
+            return _read_only(self.frames.motions[:, 3:].T * self.arm.moved)
+        axes = np.zeros((3, self.arm.nv))
+        revolute = self.arm.chain.revolute
+        axes[:, self.arm.columns[revolute]] = self.forward.axes[revolute].T
+        return _read_only(axes)
+
+    @cached_property
+    def angular_jacobians(self) -> Array:
+        """Angular Jacobians of the control points, (m, 3, nv) [rad/rad], world axes.
+
+        A column is the rotation vector of the control point per unit of joint motion; zero where the joint
+        does not rotate it.
+        """
+        return _read_only(self.axes * self.arm.support[:, None, :])
+
+    @cached_property
+    def task_jacobians(self) -> Array:
+        """Position Jacobians in comparable units, along the directions in which the arm can move.
+
+        Returns:
+            Array (m, d, nv) [m per unit of joint motion, see `Arm.joint_units`]: d = 3 in world axes, or
+            d = 2 along the plane of a planar arm.
+        """
+        if self.arm.dimension == 3 and np.all(self.arm.chain.revolute):
+            return self.jacobians
+        return _read_only((self.arm.plane @ self.jacobians) * self.arm.joint_units)
+
+    def manipulability(self) -> Array:
+        """Return the manipulability indices of all sections, (4.3) and (4.4); computed once per state.
+
+        w = (product of sigma) / sigma_max^d, from the Gram matrices of the sections. It is resolved to about
+        1e-8, because the determinant of a Gram matrix is only known to machine precision.
+
+        Returns:
+            Array (m + 1, m + 1): entry [s, i] is the index of control point i relative to control
+            point s, in [0, 1]; 0 stands for the base; zero where s >= i.
+        """
+        return self._manipulability
+
+    @cached_property
+    def _manipulability(self) -> Array:
+        indices = np.zeros((self.arm.n_modules + 1, self.arm.n_modules + 1))
+        kernels.all_indices(*screws_of(self), constants_of(self.arm).plane, indices)
+        return _read_only(indices)
+
+    def ellipsoids(
+        self, points: ControlPoints | None = None, relative_to: str = "base"
+    ) -> tuple[Ellipsoid, ...]:
+        """Compute manipulability ellipsoids, which tell how close a singularity is (Section 3.3).
+
+        Args:
+            points: control points, by their indices, 0-based or from the tip as -1, or by their names; all of
+                them if None.
+            relative_to: "base" to let all joints move; "previous" for only those that come after the previous
+                chosen control point, as in the relative manipulability condition of a control set.
+
+        Returns:
+            One ellipsoid for each, in the order of `points`. Radii and measures are in comparable units, as
+            `task_jacobians` is.
+
+        Raises:
+            InvalidValue: an index that no control point has, or a control point chosen twice.
+            UnknownName: a name that no control point has, or another `relative_to`.
+        """
+        arm = self.arm
+        chosen = chosen_points(arm.control_points, range(arm.n_modules) if points is None else points)
+        ellipsoids = []
+        for point, base in zip(chosen, section_bases(chosen, relative_to), strict=True):
+            jacobian = self.task_jacobians[point][:, arm.columns[arm.module_starts[base] :]]
+            ellipsoids.append(section_ellipsoid(jacobian, arm.plane, point, base, self.points[point]))
+        return tuple(ellipsoids)
+
+    def __repr__(self) -> str:
+        return f"ArmState(q={np.array2string(self.q, precision=3, threshold=8)}, m={self.arm.n_modules})"
+
+
+class _CompiledState(ArmState):
+    """A state that does not use Pinocchio."""
+
+    @property
+    def compiled(self) -> ArmState:
+        return self
+
+    @property
+    def frames(self) -> None:
+        return None
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """Return a view that cannot be written to."""
+    view: NDArray[Any] = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def smooth_configuration(arm: Arm, rng: np.random.Generator, amplitude: float) -> Array:
+    """Draw a configuration that varies smoothly along the arm, like an arm at rest.
+
+    The joints at the same place in their modules follow a sum of three sine waves along the arm with
+    random phases; the largest joint position is the amplitude.
+
+    Args:
+        arm: the arm.
+        rng: source of randomness.
+        amplitude: largest joint position [rad or m].
+
+    Returns:
+        Configuration within the limits of the arm, (nq,).
+
+    Raises:
+        InvalidValue: the amplitude is not a finite number >= 0.
+    """
+    if not (np.isfinite(amplitude) and amplitude >= 0.0):
+        raise InvalidValue("amplitude", amplitude, "a finite number >= 0 [rad or m]")
+    along = np.linspace(0.0, 1.0, arm.n_modules)
+    waves = np.zeros((arm.n_modules, max(len(joints) for joints in arm.module_joints)))
+    for place in range(waves.shape[1]):
+        for number in (1, 2, 3):
+            amount = rng.normal() / number
+            waves[:, place] += amount * np.sin(np.pi * number * along + rng.uniform(0, 2 * np.pi))
+    positions = np.zeros(arm.nv)
+    for wave, joints in zip(waves, arm.chain.module_slices, strict=True):
+        columns = arm.columns[joints]
+        positions[columns] = wave[: len(columns)]
+    positions *= amplitude / max(float(np.abs(positions).max()), 1e-300)
+    return arm.configuration(np.clip(positions, arm.limits.lower, arm.limits.upper))

@@ -1,96 +1,68 @@
-"""The arm as a serial chain of joint axes, in one reference posture and in the world frame."""
+"""The arm as a serial chain of joint axes, at its neutral configuration and in the world frame."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pinposture.arm.configurations import carry_base, without_limits
 from pinposture.errors import InvalidValue, UnknownName
 
-# The moving joints of a serial arm before it is cut into modules.
-
 Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 PARALLEL = 1e-3
 """Largest angle between parallel axes [rad]; files round a quarter turn to 1.571 or even 1.57."""
 ON_AXIS = 1e-6
-"""How far from a joint axis a point may be to count as not moved by it, relative to the arm."""
-
-
-class JointLines(NamedTuple):
-    """Axes of joints at the neutral configuration, world frame.
-
-    Attributes:
-        axes: unit joint axes, (n, 3).
-        origins: a point on each axis, the origin of the joint's frame, (n, 3) [m].
-        revolute: True for a joint that turns, False for one that slides, (n,).
-    """
-
-    axes: Array
-    origins: Array
-    revolute: NDArray[np.bool_]
+"""Distance from a joint axis below which the joint does not move a point, relative to the arm."""
+UNLIMITED_RANGE = 100.0
+"""Range beyond which position limits mean none [arm lengths, or rad]: files write +-1e6 for it."""
 
 
 def neutral_placements(model: pin.Model) -> list[pin.SE3]:
-    """Placements of all joints at the neutral configuration, world frame, where every joint is the identity.
+    """Compute the placements of all joints at the neutral configuration, world frame.
 
-    A `pin.Data` would know them as well; that of an arm of 1,000 joints fits in no memory.
+    `pin.Data` has the same placements, but that of an arm of 1,000 joints does not fit into memory.
     """
     placements = [pin.SE3.Identity()]
-    for joint in range(1, model.njoints):
+    for joint in range(1, model.njoints):  # at the neutral configuration a joint moves nothing
         placements.append(placements[model.parents[joint]] * model.jointPlacements[joint])
     return placements
 
 
+def frame_position(frame: pin.Frame, placements: Sequence[pin.SE3]) -> Array:
+    """Return the position of a frame (3,) [m], given the placements of all joints."""
+    return np.array((placements[frame.parentJoint] * frame.placement).translation)
+
+
 def joint_screws(model: pin.Model, joints: list[int]) -> Array:
-    """How joints with one degree of freedom move, (n, 6): velocity and turning, in their own frames."""
+    """Return the motions of joints with one degree of freedom, (n, 6): linear and angular, joint frames."""
     return np.array([np.ravel(model.joints[joint].createData().S) for joint in joints])
 
 
-def joint_axes(model: pin.Model, joints: list[int]) -> Array:
-    """Unit axes of joints that turn or slide, (n, 3), in their own frames."""
+def joint_axes(model: pin.Model, joints: list[int]) -> tuple[Array, BoolArray]:
+    """Return the unit axes of joints, (n, 3), in their own frames, and whether they are revolute, (n,)."""
     screws = joint_screws(model, joints)
-    return np.ascontiguousarray(np.where(_turn(screws)[:, None], screws[:, 3:], screws[:, :3]))
+    revolute = np.asarray(np.linalg.norm(screws[:, 3:], axis=1) > 0.5)
+    return np.ascontiguousarray(np.where(revolute[:, None], screws[:, 3:], screws[:, :3])), revolute
 
 
-def joint_lines(model: pin.Model, joints: list[int]) -> JointLines:
-    """Read the axes of joints that turn or slide."""
-    placements = neutral_placements(model)
-    turns = np.array([placements[joint].rotation for joint in joints])
-    origins = np.array([placements[joint].translation for joint in joints])
-    axes = np.einsum("nij,nj->ni", turns, joint_axes(model, joints))
-    return JointLines(axes, origins, _turn(joint_screws(model, joints)))
+def plane_normal(axes: Array, origins: Array, revolute: BoolArray, tip: Array, length: float) -> Array | None:
+    """Return the normal of the plane in which joints move an arm, (3,), or None if there is no such plane.
 
-
-def _turn(screws: Array) -> NDArray[np.bool_]:
-    return np.asarray(np.linalg.norm(screws[:, 3:], axis=1) > 0.5)
-
-
-def plane_normal(lines: JointLines, tip: Array, length: float) -> Array | None:
-    """Normal of the plane in which joints move an arm, (3,), or None if they leave every plane.
-
-    Joints that turn do so about the normal, joints that slide do so across it. Joints at the end that turn
-    about axes through the tip move nothing, so they may have any axis.
-
-    Args:
-        lines: the joints from base to tip.
-        tip: the tip, (3,) [m].
-        length: length of the arm [m].
+    Revolute joints turn about the normal, slides move across it. Revolute joints at the end whose axes pass
+    through the tip move nothing, so they may have any axis.
     """
-    n = len(lines.axes)
-    while n > 1 and lines.revolute[n - 1]:
-        if np.linalg.norm(np.cross(lines.axes[n - 1], tip - lines.origins[n - 1])) > ON_AXIS * length:
+    n = len(axes)
+    while n > 1 and revolute[n - 1]:
+        if np.linalg.norm(np.cross(axes[n - 1], tip - origins[n - 1])) > ON_AXIS * length:
             break
         n -= 1
-    axes, revolute = lines.axes[:n], lines.revolute[:n]
-    turns, slides = axes[revolute], axes[~revolute]
+    turns, slides = axes[:n][revolute[:n]], axes[:n][~revolute[:n]]
     if len(turns):
         signs = np.where(turns @ turns[0] < 0.0, -1.0, 1.0)
         normal = signs @ turns
@@ -105,54 +77,80 @@ def plane_normal(lines: JointLines, tip: Array, length: float) -> Array | None:
     return normal if parallel and np.all(np.abs(slides @ normal) < PARALLEL) else None
 
 
-class Skeleton:
-    """Joints of a serial arm from base to tip at its neutral configuration, world frame.
+def find_unlimited(lower: Array, upper: Array, slides: BoolArray, length: float) -> BoolArray:
+    """Find the joints without real position limits, (n,): none, or so wide that they mean none.
 
-    Attributes:
-        names: names of the joints, (n,).
-        axes: unit joint axes, (n, 3).
-        revolute: True for a joint that turns, (n,).
-        stations: where each joint sits, and the tip after them, (n + 1, 3) [m].
-        lower: smallest joint positions, (n,) [rad or m].
-        upper: largest joint positions, (n,) [rad or m].
+    These allow more than 100 lengths of the arm to slide, or more than 100 rad to turn.
     """
+    return np.asarray(upper - lower > UNLIMITED_RANGE * np.where(slides, length, 1.0))
 
-    def __init__(
-        self, names: tuple[str, ...], lines: JointLines, tip: Array, lower: Array, upper: Array
-    ) -> None:
-        self.names, self._lines = names, lines
-        self.axes, self.revolute = lines.axes, lines.revolute
-        self.stations = np.vstack([lines.origins, tip])
-        self.lower, self.upper = lower, upper
+
+def find_base_slides(unlimited: BoolArray, revolute: BoolArray) -> BoolArray:
+    """Find the slides without real limits that carry the base, as of a mobile robot, (n,).
+
+    They come before the first revolute joint; an arm without revolute joints has none.
+    """
+    return np.asarray(unlimited & ~np.logical_or.accumulate(revolute) & np.any(revolute))
+
+
+@dataclass(frozen=True, eq=False)
+class Skeleton:
+    """Joints of a serial arm at its neutral configuration, before it is cut into modules; world frame."""
+
+    names: tuple[str, ...]  # names of the joints from base to tip, (n,)
+    axes: Array  # unit joint axes, (n, 3)
+    revolute: BoolArray  # True for a joint that turns, (n,)
+    stations: Array  # origins of the joints, and the tip after them, (n + 1, 3) [m]
+    lower: Array  # smallest joint positions, (n,) [rad or m]
+    upper: Array  # largest joint positions, (n,) [rad or m]
 
     @cached_property
     def length(self) -> float:
-        """Arc length from the first joint by way of the others to the tip [m]; inf or NaN if out of range."""
+        """Arc length from the first joint through the others to the tip [m]; inf or NaN if out of range."""
         with np.errstate(over="ignore", invalid="ignore"):
-            return float(np.linalg.norm(np.diff(self.stations, axis=0), axis=1).sum())
+            return _polyline_length(self.stations)
 
     @cached_property
     def normal(self) -> Array | None:
         """Normal of the plane in which the arm moves, (3,), or None if it is spatial."""
-        return plane_normal(self._lines, self.stations[-1], self.length)
+        return plane_normal(self.axes, self.stations[:-1], self.revolute, self.stations[-1], self.length)
 
     @cached_property
-    def roaming(self) -> NDArray[np.bool_]:
-        """Which joints are slides without real limits on which the base stands, (n,)."""
-        without = without_limits(self.lower, self.upper, ~self.revolute, self.length)
-        return carry_base(without, self.revolute)
+    def base_slides(self) -> BoolArray:
+        """Which joints are slides without real limits that carry the base, (n,)."""
+        unlimited = find_unlimited(self.lower, self.upper, ~self.revolute, self.length)
+        return find_base_slides(unlimited, self.revolute)
 
 
-# The arm as a chain of joint axes, all given in one reference posture and in the world frame.
-#
-# Every joint u is a screw fixed to the body before it; at the reference (neutral) configuration its axis
-# passes through `origins[u]` along `axes[u]`. Together with the control points in that posture this is the
-# whole kinematics (product of exponentials), whatever frames the file happened to use.
+def read_skeleton(model: pin.Model, names: Sequence[str], tip: str, lower: Array, upper: Array) -> Skeleton:
+    """Read the joints of a chain that ends at a link from a model; see `Skeleton`."""
+    placements = neutral_placements(model)
+    joints = [model.getJointId(name) for name in names]
+    axes, revolute = _world_axes(model, joints, placements)
+    end = frame_position(model.frames[model.getFrameId(tip, pin.FrameType.BODY)], placements)
+    stations = np.vstack([*(placements[joint].translation for joint in joints), end])
+    return Skeleton(tuple(names), axes, revolute, stations, lower, upper)
+
+
+def _world_axes(
+    model: pin.Model, joints: list[int], placements: Sequence[pin.SE3]
+) -> tuple[Array, BoolArray]:
+    axes, revolute = joint_axes(model, joints)
+    rotations = np.array([placements[joint].rotation for joint in joints])
+    return np.einsum("nij,nj->ni", rotations, axes), revolute
+
+
+def _polyline_length(stations: Array) -> float:
+    return float(np.linalg.norm(np.diff(stations, axis=0), axis=1).sum())
 
 
 @dataclass(frozen=True, eq=False)
 class Chain:
     """Joints and control points of a serial arm at its neutral configuration, world frame.
+
+    Every joint u is a screw fixed to the body before it; at the neutral configuration its axis passes through
+    `origins[u]` along `axes[u]`. Together with the control points this is the whole kinematics (product of
+    exponentials), whatever frames the file uses.
 
     Attributes:
         joints: names of the moving joints from base to tip, (n,).
@@ -167,7 +165,7 @@ class Chain:
 
     joints: tuple[str, ...]
     columns: NDArray[np.intp]
-    revolute: NDArray[np.bool_]
+    revolute: BoolArray
     axes: Array
     origins: Array
     base: Array
@@ -188,17 +186,15 @@ class Chain:
     @cached_property
     def length(self) -> float:
         """Arc length from the first joint along the joint origins and control points to the tip [m]."""
-        stations = [self.base]
-        for k, joints in enumerate(self.module_slices):
-            stations.extend(self.origins[joints])
-            stations.append(self.points[k])
-        return float(np.linalg.norm(np.diff(np.array(stations), axis=0), axis=1).sum())
+        stations = [self.base[None]]
+        for joints, point in zip(self.module_slices, self.points, strict=True):
+            stations += [self.origins[joints], point[None]]
+        return _polyline_length(np.vstack(stations))
 
     @cached_property
     def plane(self) -> Array:
         """Orthonormal basis (2, 3) of the plane in which the arm moves, or (3, 3) if it is spatial."""
-        lines = JointLines(self.axes, self.origins, self.revolute)
-        normal = plane_normal(lines, self.points[-1], self.length)
+        normal = plane_normal(self.axes, self.origins, self.revolute, self.points[-1], self.length)
         if normal is None:
             return np.eye(3)
         reach = self.points[-1] - self.base
@@ -209,26 +205,26 @@ class Chain:
         return np.array([along, np.cross(normal, along)])
 
     @cached_property
-    def plane_bound(self) -> NDArray[np.bool_]:
-        """Which modules move their ends in one plane only, in an arm that leaves every plane, (m,).
+    def plane_bound(self) -> BoolArray:
+        """Which modules of a spatial arm move their ends in one plane only, (m,).
 
-        Their joints turn about parallel axes; nowhere if the arm itself is planar.
+        Their joints turn about parallel axes. All False for a planar arm.
         """
         bound = np.zeros(len(self.points), dtype=np.bool_)
         if len(self.plane) == 2:
             return bound
         for k, joints in enumerate(self.module_slices):
-            lines = JointLines(self.axes[joints], self.origins[joints], self.revolute[joints])
+            own = self.axes[joints], self.origins[joints], self.revolute[joints]
             alone = joints.stop - joints.start == 1
-            bound[k] = alone or plane_normal(lines, self.points[k], self.length) is not None
+            bound[k] = alone or plane_normal(*own, self.points[k], self.length) is not None
         return bound
 
     @cached_property
     def spans(self) -> Array:
-        """Length over which each part of the arm bends either way across a curve, (m,) [m].
+        """Length of arm that it takes to bend in every direction across a curve, for each module, (m,) [m].
 
-        That of its module. Modules in a row that are bound to one plane do so together, with the modules
-        before and behind them that turn the plane.
+        Usually the length of the module. Consecutive modules bound to one plane bend together with the
+        modules before and after them, which turn the plane.
         """
         spans, m = self.module_lengths.copy(), len(self.points)
         edges = np.flatnonzero(np.diff(np.concatenate([[0], self.plane_bound.astype(int), [0]])))
@@ -238,14 +234,14 @@ class Chain:
         return np.asarray(spans)
 
     def flattened(self, places: Array) -> Array:
-        """Places on the arm as seen in the plane in which it moves, world frame.
+        """Project points of a planar arm into its plane, world frame.
 
         Args:
             places: points that the arm carries, at any of its configurations, (..., 3) [m].
 
         Returns:
-            For a planar arm, the places moved along the normal of its plane into the plane of its base, where
-            its joints leave them; for a spatial one, the places as they are.
+            For a planar arm, the points moved along its normal into the plane of its base; for a spatial one,
+            the points unchanged.
         """
         if len(self.plane) == 3:
             return places
@@ -254,14 +250,7 @@ class Chain:
 
 
 def read_chain(model: pin.Model, control_points: tuple[str, ...]) -> Chain:
-    """Read the chain that leads to the last control point out of a model.
-
-    Args:
-        model: the arm, base placement already applied.
-        control_points: frame names in order from base to tip.
-
-    Returns:
-        The chain in the neutral configuration.
+    """Read the chain that leads to the last control point from a model, base placement applied.
 
     Raises:
         InvalidValue: a control point that does not lie farther along the chain than the one before it,
@@ -283,21 +272,23 @@ def read_chain(model: pin.Model, control_points: tuple[str, ...]) -> Chain:
             raise InvalidValue(f"control point {name!r}", f"moved by {reached} joints of the chain", allowed)
         starts.append(count)
         count = reached
-    lines, placements = joint_lines(model, support), neutral_placements(model)
+    placements = neutral_placements(model)
+    axes, revolute = _world_axes(model, support, placements)
+    origins = np.array([placements[joint].translation for joint in support])
     return Chain(
         joints=tuple(str(model.names[j]) for j in support),
         columns=np.array([model.joints[j].idx_v for j in support], dtype=np.intp),
-        revolute=lines.revolute,
-        axes=lines.axes,
-        origins=lines.origins,
-        base=lines.origins[0].copy(),
-        points=np.array([(placements[frame.parentJoint] * frame.placement).translation for frame in frames]),
+        revolute=revolute,
+        axes=axes,
+        origins=origins,
+        base=origins[0].copy(),
+        points=np.array([frame_position(frame, placements) for frame in frames]),
         module_starts=np.array(starts, dtype=np.intp),
     )
 
 
 def frame_ids(model: pin.Model, names: Sequence[str]) -> list[int]:
-    """Indices of frames; where a link and a joint have the same name, that of the link.
+    """Return the indices of frames; if a link and a joint have the same name, that of the link.
 
     Raises:
         UnknownName: there is no such frame.

@@ -1,4 +1,4 @@
-"""Can the modules follow a curve? The thesis's own question about a segmentation (Section 4.1).
+"""Whether the modules of an arm can follow a curve (Section 4.1).
 
 A module whose joints keep the same angles from module to module puts its control points on a helix:
 repeating one rigid motion is a screw motion. The curvature and torsion of that helix follow from the
@@ -9,40 +9,25 @@ for any target.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pinposture.arm.chain import Chain
+from pinposture.curve import Curve
 
 Array = NDArray[np.float64]
 
 QUARTER_TURN = np.pi / 2
 """Largest turn of the curve, or of its bending direction, within one module [rad].
 
-With fewer than four modules to a turn the control points no longer show the shape of the curve: the
-chain can meet it in each point and still cut across its loops."""
-
-
-STRAIGHT = 0.1
-"""How little a curve bends within one module to be almost straight [rad]: less than an eightieth of the
+With fewer than four modules per turn the control points no longer show the shape of the curve: the chain can
+meet it in each point and still cut across its loops."""
+SAMPLES_PER_CURVE = 2000
+MIN_BEND = 0.1
+"""Bend of a curve within one module below which it is almost straight [rad]: less than an eightieth of the
 module's length off its chord."""
-
-
-class CurveShape(Protocol):
-    """The little that adequacy needs to know of a curve; lengths in [m]."""
-
-    @property
-    def length(self) -> float:
-        """Arc length [m]."""
-
-    def curvature(self, s: Array, /) -> Array:
-        """Curvature [1/m] at arc length s, (n,)."""
-
-    def torsion(self, s: Array, /) -> Array:
-        """Torsion [1/m] at arc length s, (n,)."""
 
 
 @dataclass(frozen=True)
@@ -93,30 +78,22 @@ class Feasibility:
         return not self.excesses
 
 
-def adequacy(chain: Chain, lower: Array, upper: Array, curve: CurveShape, samples: int = 2000) -> Feasibility:
-    """Compare what the modules can follow with what a curve asks for.
+def check_feasibility(chain: Chain, lower: Array, upper: Array, curve: Curve) -> Feasibility:
+    """Compare the curvature and torsion that the modules can follow with those of a curve.
 
-    Args:
-        chain: the arm.
-        lower: smallest joint positions, (nv,) [rad or m].
-        upper: largest joint positions, (nv,) [rad or m].
-        curve: the curve to follow.
-        samples: number of places on the curve to look at.
-
-    Returns:
-        The comparison, over the part of the curve that the arm can cover. Torsion is that of the bending
-        within one module, weighted by curvature, because an almost straight curve has a bending direction in
-        name only: where it hardly bends, torsion has peaks that no arm notices.
+    Only the part of the curve that the arm can cover counts. Torsion is averaged over one module, weighted by
+    curvature, because its peaks where a curve hardly bends do not matter. `lower` and `upper` are the
+    position limits, (nv,) [rad or m].
     """
     span = float(chain.spans.max())
     allowed_curvature = min(_largest_curvature(chain, k, lower, upper) for k in range(len(chain.points)))
     allowed_torsion = QUARTER_TURN / span
-    s = np.linspace(0.0, min(curve.length, chain.length), samples)
+    s = np.linspace(0.0, min(curve.length, chain.length), SAMPLES_PER_CURVE)
     curvature = np.asarray(curve.curvature(s))
-    torsion = _felt_torsion(s, curvature, np.abs(curve.torsion(s)), span)
+    torsion = _weighted_torsion(s, curvature, np.abs(curve.torsion(s)), span)
     excesses = [
-        *_stretches("curvature", s, curvature, allowed_curvature),
-        *_stretches("torsion", s, torsion, allowed_torsion),
+        *_exceeding("curvature", s, curvature, allowed_curvature),
+        *_exceeding("torsion", s, torsion, allowed_torsion),
     ]
     return Feasibility(
         max_curvature=allowed_curvature,
@@ -127,30 +104,30 @@ def adequacy(chain: Chain, lower: Array, upper: Array, curve: CurveShape, sample
     )
 
 
-def _felt_torsion(s: Array, curvature: Array, torsion: Array, span: float) -> Array:
-    """Torsion of the bending within a span around each place, (n,) [1/m]; 0 where that is almost straight."""
+def _weighted_torsion(s: Array, curvature: Array, torsion: Array, span: float) -> Array:
+    """Average torsion within a span around each place, weighted by curvature, (n,) [1/m]; 0 if straight."""
     low, high = np.maximum(s - span / 2.0, s[0]), np.minimum(s + span / 2.0, s[-1])
 
-    def total(values: Array) -> Array:
+    def integral(values: Array) -> Array:
         sums = np.concatenate([[0.0], np.cumsum(np.diff(s) * (values[1:] + values[:-1]) / 2.0)])
         return np.asarray(np.interp(high, s, sums) - np.interp(low, s, sums))
 
-    bend = total(curvature)
-    return np.where(bend > STRAIGHT, total(curvature * torsion) / np.maximum(bend, STRAIGHT), 0.0)
+    bend = integral(curvature)
+    return np.where(bend > MIN_BEND, integral(curvature * torsion) / np.maximum(bend, MIN_BEND), 0.0)
 
 
 def _largest_curvature(chain: Chain, module: int, lower: Array, upper: Array) -> float:
     """Curvature that the weakest joint of a module reaches alone, in its weaker direction.
 
-    A curve may ask for a bend in any direction; the directions in which only one joint helps are the
-    hardest. Joints that do not bend the module across its axis (a roll, a slide) are not asked.
+    A curve may bend in any direction; the directions in which only one joint contributes are the hardest.
+    Joints that do not bend the module across its axis (a roll, a slide) do not count.
     """
     start = chain.base if module == 0 else chain.points[module - 1]
     span = chain.points[module] - start
     if chain.module_lengths[module] <= 1e-12 * chain.length:
-        return 0.0  # its end is where it begins: it bends nothing
+        return 0.0  # its end is where it begins
     along = span / chain.module_lengths[module]
-    reachable: dict[int, float] = {}
+    reachable = []
     for u in range(*chain.module_slices[module].indices(len(chain.joints))):
         across = chain.axes[u] - along * (along @ chain.axes[u])
         if not chain.revolute[u] or np.linalg.norm(across) < 0.1:
@@ -161,12 +138,12 @@ def _largest_curvature(chain: Chain, module: int, lower: Array, upper: Array) ->
             lever = chain.origins[u] - start
             ends = lever + Rotation.from_rotvec(angles[:, None] * chain.axes[u]).apply(span - lever)
             bends.append(float(_screw_curvature(ends, angles, chain.axes[u]).max()))
-        reachable[u] = min(bends)
-    return min(reachable.values(), default=0.0)
+        reachable.append(min(bends))
+    return min(reachable, default=0.0)
 
 
 def _screw_curvature(displacements: Array, angles: Array, axis: Array) -> Array:
-    """Curvature of the helix through points that repeat one displacement and one turn about an axis."""
+    """Curvature of the helix that repeats one displacement and one rotation about an axis."""
     along = displacements @ axis
     across = np.linalg.norm(displacements - along[:, None] * axis, axis=1)
     turns = np.where(np.abs(angles) > 1e-12, np.abs(angles), 1e-12)
@@ -174,7 +151,7 @@ def _screw_curvature(displacements: Array, angles: Array, axis: Array) -> Array:
     return np.where(np.abs(angles) > 1e-12, radius / (radius**2 + (along / turns) ** 2), 0.0)
 
 
-def _stretches(quantity: str, s: Array, values: Array, allowed: float) -> list[Violation]:
+def _exceeding(quantity: str, s: Array, values: Array, allowed: float) -> list[Violation]:
     over = np.concatenate([[False], values > allowed * (1.0 + 1e-9), [False]])
     edges = np.flatnonzero(np.diff(over.astype(np.int8)))
     return [

@@ -1,50 +1,40 @@
-"""Placements and Jacobians of control points: by Pinocchio, and by a compiled pass along the chain.
+"""Placements and Jacobians of the control points, by Pinocchio and by a compiled pass along the chain.
 
-`FrameReader` reads them from Pinocchio: what `ArmState` shows and what the methods of the thesis stand on.
-`Kinematics` computes the same numbers on plain arrays, for kernels and for arms that are too long for
-`pin.Data`, whose memory grows with the cube of the number of joints. A test holds both equal.
+`FrameReader` reads them from Pinocchio, for `ArmState` and the methods of the thesis. `Kinematics` computes
+the same numbers on plain arrays, for kernels and for arms that are too long for `pin.Data`, whose memory
+grows with the cube of the number of joints. A test compares the two.
 """
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
-from weakref import WeakKeyDictionary
+from functools import cached_property
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture.arm.chain import joint_axes
+from pinposture.arm.chain import Chain, joint_axes
 from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import ChainArrays, Screws
 
-if TYPE_CHECKING:
-    from pinposture.arm.arm import Arm
-    from pinposture.arm.state import ArmState
-
-
 Array = NDArray[np.float64]
-Whole = NDArray[np.int64]
+IntArray = NDArray[np.int64]
 
-MOST_IN_DATA = 100
-"""Degrees of freedom up to which an arm is read from Pinocchio; a `pin.Data` then takes 66 MB a thread."""
+MAX_PINOCCHIO_DOF = 100
+"""Degrees of freedom up to which an arm is read from Pinocchio; a `pin.Data` then takes 66 MB per thread."""
 
 
 class Frames(NamedTuple):
-    """Control points and joints of an arm at one configuration, as Pinocchio has them; world frame.
+    """Control points and joints of an arm at one configuration, by Pinocchio; world frame."""
 
-    Attributes:
-        points: positions of the control points, (m, 3) [m].
-        rotations: their orientations, (m, 3, 3), from control-point to world frame.
-        motions: how each degree of freedom moves a body at the world origin, (nv, 6): velocity [m/rad], then
-            angular velocity [rad/rad]; the columns of `data.J`.
-    """
-
-    points: Array
-    rotations: Array
+    points: Array  # positions of the control points, (m, 3) [m]
+    rotations: Array  # their orientations, (m, 3, 3), from control-point to world frame
+    # how each degree of freedom moves a body at the world origin, (nv, 6): velocity [m/rad], then angular
+    # velocity [rad/rad]; the columns of `data.J`
     motions: Array
 
 
@@ -52,49 +42,46 @@ class FrameReader:
     """Reads the frames of the control points from Pinocchio, with one `pin.Data` for each thread."""
 
     def __init__(self, model: pin.Model, frames: Sequence[int]) -> None:
-        """Keep what to read.
-
-        Args:
-            model: the arm, base placement applied.
-            frames: the control points.
-        """
-        self._model, self._frames, self._kept = model, tuple(frames), threading.local()
+        """Store the model, base placement applied, and the indices of the control points."""
+        self._model, self._frames, self._local = model, tuple(frames), threading.local()
 
     def read(self, q: Array) -> Frames:
-        """The frames at a configuration (nq,), copied: Pinocchio fills the same memory the next time."""
+        """Compute the frames at a configuration (nq,); the arrays are copies that stay as they are."""
         try:
-            data, positions, orientations = self._kept.read
+            data, positions, orientations = self._local.buffers
         except AttributeError:
             data = self._model.createData()
             placements = [data.oMf[frame] for frame in self._frames]
             positions = [placement.translation for placement in placements]
             orientations = [placement.rotation for placement in placements]
-            self._kept.read = data, positions, orientations
+            self._local.buffers = data, positions, orientations
         pin.computeJointJacobians(self._model, data, q)
         pin.updateFramePlacements(self._model, data)
         m = len(positions)
         points, rotations = np.concatenate(positions), np.concatenate(orientations)
-        return Frames(
-            points.reshape(m, 3), rotations.reshape(m, 3, 3), np.array(data.J.reshape(6, -1).T, order="C")
-        )
+        motions = np.array(data.J.reshape(6, -1).T, order="C")
+        return Frames(points.reshape(m, 3), rotations.reshape(m, 3, 3), motions)
 
 
 class ForwardKinematics(NamedTuple):
-    """Where a chain is, world frame: arrays for kernels, not to be written to.
+    """Placements of a chain, world frame: arrays for kernels, not to be written to."""
 
-    Attributes:
-        axes: unit joint axes, (n, 3).
-        origins: origins of the joints, a point on each axis, (n, 3) [m].
-        points: control points, (m, 3) [m].
-        rotations: orientations of the control points, (m, 3, 3), from control-point to world frame.
-        positions: the joint positions that put it there, (nv,) [rad or m].
-    """
+    axes: Array  # unit joint axes, (n, 3)
+    origins: Array  # origins of the joints, a point on each axis, (n, 3) [m]
+    points: Array  # control points, (m, 3) [m]
+    rotations: Array  # orientations of the control points, (m, 3, 3), from control-point to world frame
+    positions: Array  # the joint positions, (nv,) [rad or m]
 
-    axes: Array
-    origins: Array
-    points: Array
-    rotations: Array
-    positions: Array
+
+class TaskConstants(NamedTuple):
+    """What kernels of task rows need and no configuration changes; arrays not to be written to."""
+
+    joints: IntArray  # the joints by their numbers along the chain, (n,)
+    units: Array  # the motion of each joint of the chain that counts as one, (n,) [rad or m]
+    plane: Array  # directions in which the arm can move, (2, 3) or (3, 3), world axes
+    every: IntArray  # the control points by their numbers, (m,)
+    dimensions: IntArray  # number of these directions, once for each control point, (m,)
+    frames: Array  # these directions, and the normal of a planar arm, once for each control point, (m, 3, 3)
 
 
 class Kinematics:
@@ -104,110 +91,112 @@ class Kinematics:
         slides: True for a joint that slides, (n,); others turn.
         columns: column of each joint in the tangent space, (n,).
         ends: number of joints that carry each control point, (m,).
-        endless: which joint positions come round to where they were, (nv,).
-        constants: what `kernels.placements` wants to know of the chain.
+        endless: which joint positions are periodic, (nv,).
+        constants: the arguments of `kernels.placements` that no configuration changes.
     """
 
-    def __init__(self, model: pin.Model, names: Sequence[str], frames: Sequence[int]) -> None:
-        """Read a chain out of a model.
+    def __init__(self, model: pin.Model, chain: Chain, frames: Sequence[int], joint_units: Array) -> None:
+        """Read the constants of a chain from a model, base placement applied.
 
         Args:
-            model: the arm, base placement applied.
-            names: the joints of the chain from base to tip, each the parent of the next.
-            frames: the control points.
+            model: the arm.
+            chain: its chain.
+            frames: indices of the control points.
+            joint_units: the motion of each degree of freedom that counts as one, (nv,) [rad or m].
 
         Raises:
             InvalidValue: a joint that neither turns about one axis nor slides along one.
         """
-        joints = [model.getJointId(name) for name in names]
-        self.slides = np.array([_slides(model, joint) for joint in joints], dtype=np.bool_)
+        joints = [model.getJointId(name) for name in chain.joints]
+        for joint in joints:
+            _require_simple(model, joint)
+        self.slides = ~chain.revolute
         self.endless = np.zeros(model.nv, dtype=np.bool_)
         for joint in joints:
             self.endless[model.joints[joint].idx_v] = model.joints[joint].nq == 2
-        self.columns = np.array([model.joints[joint].idx_v for joint in joints], dtype=np.int64)
+        self.columns = chain.columns.astype(np.int64)
         placements = [model.jointPlacements[joint] for joint in joints]
         fixed = np.array([[*each.rotation.ravel(), *each.translation] for each in placements])
-        axes = joint_axes(model, joints)
-        number = {joint: u + 1 for u, joint in enumerate(joints)}
+        axes, _ = joint_axes(model, joints)
         points = [model.frames[frame] for frame in frames]
-        self.ends = np.array([number[point.parentJoint] for point in points], dtype=np.int64)
+        self.ends = np.array([joints.stop for joints in chain.module_slices], dtype=np.int64)
         offsets = np.array([point.placement.translation for point in points])
-        turns = np.array([point.placement.rotation for point in points])
-        self.constants = ChainArrays(self.slides, self.columns, fixed, axes, self.ends, offsets, turns)
+        rotations = np.array([point.placement.rotation for point in points])
+        self.constants = ChainArrays(self.slides, self.columns, fixed, axes, self.ends, offsets, rotations)
+        self._chain, self._units = chain, joint_units
 
     def forward(self, positions: Array) -> ForwardKinematics:
-        """Where everything is with the joints at positions (nv,) [rad or m]."""
+        """Compute all placements with the joints at positions (nv,) [rad or m]."""
         n, m = len(self.columns), len(self.ends)
-        filled = np.empty((n, 3)), np.empty((n, 3)), np.empty((m, 3)), np.empty((m, 3, 3))
-        kernels.placements(self.constants, positions, *filled)
-        return ForwardKinematics(*filled, positions)
+        arrays = np.empty((n, 3)), np.empty((n, 3)), np.empty((m, 3)), np.empty((m, 3, 3))
+        kernels.placements(self.constants, positions, *arrays)
+        return ForwardKinematics(*arrays, positions)
 
     def jacobians(self, forward: ForwardKinematics) -> Array:
-        """Position Jacobians of the control points, (m, 3, nv) [m/rad], world axes."""
+        """Compute the position Jacobians of the control points, (m, 3, nv) [m/rad], world axes."""
         jacobians = np.zeros((len(self.ends), 3, len(self.endless)))
         kernels.jacobians(self.constants, forward.axes, forward.origins, forward.points, jacobians)
         return jacobians
 
-
-def _slides(model: pin.Model, joint: int) -> bool:
-    kind = model.joints[joint].shortname().removeprefix("JointModel")
-    if kind[0] not in "PR":
-        allowed = "a joint that turns about one axis, or slides along one"
-        raise InvalidValue(f"joint {model.names[joint]!r}", kind, allowed)
-    return bool(kind[0] == "P")
-
-
-# How the joints of an arm move its control points, as kernels see it: one screw for each joint.
-
-
-class Constants(NamedTuple):
-    """What does not change with the configuration; arrays for kernels, not to be written to.
-
-    Attributes:
-        joints: the joints by their numbers along the chain, (n,).
-        units: the motion of each joint of the chain that counts as one, (n,) [rad or m].
-        plane: directions in which the arm can move, (2, 3) or (3, 3), world axes.
-        every: the control points by their numbers, (m,).
-        dimensions: number of these directions, once for each control point, (m,).
-        frames: these directions, and the normal of a planar arm, once for each control point, (m, 3, 3).
-    """
-
-    joints: Whole
-    units: Array
-    plane: Array
-    every: Whole
-    dimensions: Whole
-    frames: Array
-
-
-_KNOWN: WeakKeyDictionary[Arm, Constants] = WeakKeyDictionary()
-
-
-def constants_of(arm: Arm) -> Constants:
-    """What kernels want to know of an arm; remembered as long as it lives."""
-    known = _KNOWN.get(arm)
-    if known is None:
-        m, plane = arm.n_modules, np.array(arm.plane)
+    @cached_property
+    def task_constants(self) -> TaskConstants:
+        """The constants of `screws_of` and of task rows."""
+        n, m, plane = len(self.columns), len(self.ends), np.array(self._chain.plane)
         frame = plane if len(plane) == 3 else np.vstack([plane, np.cross(plane[0], plane[1])])
-        known = _KNOWN[arm] = Constants(
-            joints=np.arange(len(arm.columns), dtype=np.int64),
-            units=np.array(arm.joint_units[arm.columns]),
+        return TaskConstants(
+            joints=np.arange(n, dtype=np.int64),
+            units=np.array(self._units[self.columns]),
             plane=plane,
             every=np.arange(m, dtype=np.int64),
             dimensions=np.full(m, len(plane), dtype=np.int64),
             frames=np.repeat(frame[None], m, axis=0),
         )
-    return known
 
 
-def screws_of(state: ArmState) -> Screws:
-    """The screws of the joints of an arm where it is."""
-    chain, known, frames = state.arm.kinematics, constants_of(state.arm), state.frames
+def _require_simple(model: pin.Model, joint: int) -> None:
+    kind = model.joints[joint].shortname().removeprefix("JointModel")
+    if kind[0] not in "PR":
+        allowed = "a joint that turns about one axis, or slides along one"
+        raise InvalidValue(f"joint {model.names[joint]!r}", kind, allowed)
+
+
+class HasKinematics(Protocol):
+    """An arm, as far as this module uses it."""
+
+    kinematics: Kinematics
+
+
+class HasPlacements(Protocol):
+    """A state of an arm, as far as this module uses it."""
+
+    @property
+    def arm(self) -> HasKinematics:
+        """The arm."""
+
+    @property
+    def forward(self) -> ForwardKinematics:
+        """The result of the compiled pass along the chain."""
+
+    @property
+    def frames(self) -> Frames | None:
+        """The control points by Pinocchio, if it computes them."""
+
+
+def constants_of(arm: HasKinematics) -> TaskConstants:
+    """Return what kernels of task rows need of an arm."""
+    return arm.kinematics.task_constants
+
+
+def screws_of(state: HasPlacements) -> Screws:
+    """Compute the screws of the joints of an arm at one configuration."""
+    chain, constants, frames = state.arm.kinematics, constants_of(state.arm), state.frames
     points = state.forward.points if frames is None else frames.points
-    found = Screws(np.empty((len(known.joints), 6)), chain.ends, points)
+    found = Screws(np.empty((len(constants.joints), 6)), chain.ends, points)
     if frames is not None:
-        kernels.carry_screws(frames.motions, chain.columns, known.units, chain.ends, points, found.screws)
+        motions, units = frames.motions, constants.units
+        kernels.carry_screws(motions, chain.columns, units, chain.ends, points, found.screws)
     else:
+        joints = constants.joints, chain.slides, constants.units
         lines = state.forward.axes, state.forward.origins
-        kernels.find_screws(known.joints, chain.slides, known.units, *lines, chain.ends, points, found.screws)
+        kernels.find_screws(*joints, *lines, chain.ends, points, found.screws)
     return found

@@ -6,7 +6,7 @@ import operator
 import os
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -14,19 +14,29 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from pinposture.arm.chain import ON_AXIS, Skeleton, joint_lines, neutral_placements
-from pinposture.arm.configurations import UNLIMITED
-from pinposture.arm.segmentation import Segmentation, equal_modules, given_modules, segment
+from pinposture._validation import rigid_placement
+from pinposture.arm.chain import ON_AXIS, Skeleton, frame_position, neutral_placements, read_skeleton
+from pinposture.arm.configurations import NO_LIMIT
+from pinposture.arm.segmentation import Segmentation, count_joints, equal_modules, given_modules, segment
 from pinposture.arm.urdf_reader import (
     CHAIN_JOINTS,
     Description,
     JointDescription,
+    is_urdf_text,
     leading_joint,
+    quote_names,
     read_description,
 )
 from pinposture.errors import InvalidValue, UnknownName, URDFError
 
-# What was decided while an arm was loaded.
+Modules: TypeAlias = "int | Sequence[int] | Sequence[str] | None"
+"""How to cut the chain: joints per module, one number for all or one for each, or links where modules end."""
+
+ALLOWED_LENGTHS = (1e-9, 1e9)
+"""Shortest and longest chain that is accepted [m]; the squares of others leave the range of numbers."""
+MULTI_DOF_JOINTS = ("floating", "planar")
+"""Types of joints with several degrees of freedom."""
+_LINK_SUFFIX = "\n"  # no name in a description has one
 
 
 @dataclass(frozen=True)
@@ -37,7 +47,7 @@ class LoadReport:
         base: link at which the arm begins.
         tip: link at which it ends.
         package_dirs: folders in which viewers look for meshes, the file's own last.
-        warnings: what was settled in a way that the user may not expect.
+        warnings: decisions that the user may not expect.
         segmentation: how the joints were grouped into modules.
     """
 
@@ -47,302 +57,36 @@ class LoadReport:
     warnings: tuple[str, ...]
     segmentation: Segmentation
 
-    def to_dict(self) -> dict[str, Any]:
-        """The report as data that JSON can hold."""
-        return asdict(self)
-
     @classmethod
     def from_dict(cls, described: Mapping[str, Any]) -> LoadReport:
-        """The report that `to_dict` described."""
-        cut = dict(described["segmentation"])
-        cut["sizes"] = tuple(cut["sizes"])
-        return cls(
-            described["base"],
-            described["tip"],
-            tuple(described["package_dirs"]),
-            tuple(described["warnings"]),
-            Segmentation(**cut),
-        )
-
-
-# Joints that hold still: those off the chain, and those that the user or the file locks.
-
-_MARK = "\n"  # no name in a description has one
-
-
-def checked_locks(description: Description, locked: Mapping[str, float]) -> dict[str, float]:
-    """Positions of the joints that the user locks, [rad or m].
-
-    Raises:
-        UnknownName: no such joint, or one that cannot move.
-        InvalidValue: not a number, or one out of range, or a joint whose position is not one number.
-    """
-    known = {joint.name: joint for joint in description.joints if joint.type != "fixed"}
-    checked = {}
-    for name, value in locked.items():
-        if name not in known:
-            raise UnknownName("moving joint", name, known)
-        if known[name].type in ("floating", "planar"):
-            allowed = f"nothing: it is {known[name].type}, its position is not one number"
-            raise InvalidValue(f"locked[{name!r}]", value, allowed)
-        try:
-            checked[name] = float(value)
-        except (TypeError, ValueError):
-            checked[name] = np.nan
-        if not abs(checked[name]) < UNLIMITED:
-            raise InvalidValue(f"locked[{name!r}]", value, f"a joint position within +-{UNLIMITED:g}")
-    return checked
-
-
-def hold(
-    model: pin.Model, description: Description, moving: Iterable[str], locked: Mapping[str, float]
-) -> pin.Model:
-    """A model in which only the listed joints move.
-
-    The others stay at their locked position, or where the joint that they mimic puts them, or at the position
-    nearest zero within their limits.
-
-    Raises:
-        URDFError: Pinocchio cannot reduce the model.
-    """
-    free = set(moving)
-    positions = held_positions(description, locked)
-    reference = pin.neutral(model)
-    held = []
-    for index in range(1, model.njoints):
-        name, joint = model.names[index], model.joints[index]
-        if name in free:
-            continue
-        held.append(index)
-        if joint.nq == 1:
-            reference[joint.idx_q] = positions[name]
-        elif joint.nv == 1:
-            reference[joint.idx_q : joint.idx_q + 2] = np.cos(positions[name]), np.sin(positions[name])
-    if not held:
-        return model
-    # Pinocchio cannot reduce a model in which a link and a joint have the same name.
-    for frame in model.frames:
-        if frame.type == pin.FrameType.BODY:
-            frame.name += _MARK
-    try:
-        reduced = pin.buildReducedModel(model, held, reference)
-    except (ValueError, RuntimeError) as error:
-        raise URDFError(description.source, "<robot>", f"cannot be reduced to one chain: {error}") from None
-    for frame in reduced.frames:
-        frame.name = frame.name.removesuffix(_MARK)
-    return reduced
-
-
-def held_positions(description: Description, locked: Mapping[str, float]) -> dict[str, float]:
-    """Where each joint with one degree of freedom stays if it is held [rad or m]."""
-    named = {joint.name: joint for joint in description.joints if joint.type != "fixed"}
-    positions: dict[str, float] = {}
-
-    def position(joint: JointDescription, above: frozenset[str]) -> float:
-        if joint.name in locked:
-            return locked[joint.name]
-        follows = joint.follows
-        if follows is None or follows.joint not in named or follows.joint in above:
-            return min(max(0.0, joint.lower), joint.upper)
-        leader = position(named[follows.joint], above | {joint.name})
-        return follows.multiplier * leader + follows.offset
-
-    for name, joint in named.items():
-        positions[name] = position(joint, frozenset({name}))
-    return positions
-
-
-def holding_warnings(
-    description: Description,
-    base: str,
-    tip: str,
-    moving: Iterable[str],
-    locked: Mapping[str, float],
-) -> list[str]:
-    """What the user should know about the joints that hold still without having been asked to."""
-    free, chain = set(moving), description.chain(base, tip)
-    on_chain = {joint.name for joint in chain}
-    before = description.chain(description.root, base)
-    messages = [
-        f"joint {joint.name!r} ({joint.type}) at the base of the arm is treated as fixed"
-        for joint in (*before, *chain)
-        if joint.type in ("floating", "planar")
-    ]
-    stuck = [joint.name for joint in chain if joint.type != "fixed" and not joint.moves]
-    stuck = [name for name in stuck if name not in locked]
-    if stuck:
-        messages.append(f"limits that leave one position lock {_joints(stuck)} on the chain")
-    endless = [joint.name for joint in chain if joint.name in free and _lacks_limits(joint)]
-    if endless:
-        messages.append(f"no limits are given for {_joints(endless)}; taken as unlimited")
-    still = [
-        joint
-        for joint in description.joints
-        if joint.moves and joint.name not in on_chain and joint.name not in locked
-    ]
-    still = [joint for joint in still if joint not in before or joint.type not in ("floating", "planar")]
-    if still:
-        messages.append(_off_chain(description, base, tip, still))
-    named = {joint.name: joint for joint in description.joints}
-    led = [joint.name for joint in still if joint.mimic and leading_joint(joint, named).name in free]
-    if led:
-        messages.append(
-            f"{_joints(led)} off the chain mimic joints on it, but are held where those are at zero"
-        )
-    lost = [joint.name for joint in still if joint.follows is not None and joint.follows.joint not in named]
-    if lost:
-        messages.append(f"{_joints(lost)} off the chain mimic joints that do not exist")
-    return messages
-
-
-def _lacks_limits(joint: JointDescription) -> bool:
-    return joint.type in ("revolute", "prismatic") and joint.lower == -np.inf and joint.upper == np.inf
-
-
-def _off_chain(description: Description, base: str, tip: str, still: list[JointDescription]) -> str:
-    """How many joints off the chain are held, and at which link of the chain their branches begin."""
-    links = {base, *(joint.child for joint in description.chain(base, tip))}
-    parents = {joint.child: joint.parent for joint in description.joints}
-    branches = defaultdict[str, list[str]](list)
-    for joint in still:
-        link = joint.parent
-        while link not in links and link != description.root:
-            link = parents[link]
-        branches[link].append(joint.name)
-    places = [f"{len(names)} at link {link!r} ({_few(names)})" for link, names in branches.items()]
-    count = "1 joint" if len(still) == 1 else f"{len(still)} joints"
-    return f"{count} off the chain from {base!r} to {tip!r} held still: {'; '.join(places[:6])}" + (
-        "; ..." if len(places) > 6 else ""
-    )
-
-
-def _joints(names: list[str]) -> str:
-    return ("joint " if len(names) == 1 else "joints ") + _few(names, 8)
-
-
-def _few(names: list[str], most: int = 3) -> str:
-    return ", ".join(map(repr, names[:most])) + (", ..." if len(names) > most else "")
-
-
-# Control points of a loaded arm: frames at the ends of its modules.
-
-
-def modules_to_links(model: pin.Model, skeleton: Skeleton, links: Sequence[str]) -> Segmentation:
-    """Modules that end at the origins of links.
-
-    A joint that turns about an axis through the origin of a link does not move it, so it belongs to the next
-    module: the origin of a link is where the joint that carries it sits.
-
-    Args:
-        model: the arm, reduced to its chain.
-        skeleton: its joints.
-        links: names of links from base to tip; the last one is moved by the last joint.
-
-    Raises:
-        UnknownName: there is no such link.
-        InvalidValue: links that are not in order along the chain, or that leave joints over.
-    """
-    bodies = {frame.name: frame for frame in model.frames if frame.type == pin.FrameType.BODY}
-    placements = neutral_placements(model)
-    n, ends = len(skeleton.names), [0]
-    for link in links:
-        if link not in bodies:
-            raise UnknownName("link", link, bodies)
-        frame = bodies[link]
-        name = str(model.names[frame.parentJoint])
-        end = skeleton.names.index(name) + 1 if name in skeleton.names else 0
-        place = (placements[frame.parentJoint] * frame.placement).translation
-        if end and link != links[-1] and skeleton.revolute[end - 1]:
-            lever = np.cross(skeleton.axes[end - 1], place - skeleton.stations[end - 1])
-            end -= int(np.linalg.norm(lever) <= ON_AXIS * skeleton.length)
-        if end <= ends[-1]:
-            allowed = (
-                "links in order from base to tip, each moved by a joint that does not move the one before"
-            )
-            raise InvalidValue(f"modules: link {link!r}", f"moved by {end} joints of the chain", allowed)
-        ends.append(end)
-    if ends[-1] != n:
-        allowed = f"a link moved by all {n} joints of the chain"
-        raise InvalidValue(f"modules: last link {links[-1]!r}", f"moved by {ends[-1]} of them", allowed)
-    sizes = tuple(b - a for a, b in pairwise(ends))
-    return Segmentation(sizes, "modules end at the links that were given")
-
-
-def end_frames(
-    model: pin.Model, joints: Sequence[str], tip: str, sizes: Sequence[int], links: Sequence[str]
-) -> tuple[str, ...]:
-    """Add a frame where each module ends: at its link, or where the next joint sits, or at the tip.
-
-    Args:
-        model: the arm, reduced to its chain; frames are added to it.
-        joints: names of the joints of the chain.
-        tip: link at which the chain ends.
-        sizes: number of joints of each module.
-        links: the links at which modules end, if they were given.
-
-    Returns:
-        Names of the frames: "module_01" and so on, with as many underscores after "module" as it takes for
-        them to be new.
-    """
-    ids = [model.getJointId(name) for name in joints]
-    ends = np.cumsum(sizes)
-    taken = {frame.name for frame in model.frames}
-    prefix = "module_"
-    while any(name in taken for name in _names(prefix, len(ends))):
-        prefix += "_"
-    names = _names(prefix, len(ends))
-    for k, (name, end) in enumerate(zip(names, ends, strict=True)):
-        if links or end == len(ids):
-            link = links[k] if links else tip
-            frame = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
-            parent, placement = frame.parentJoint, frame.placement
-            if parent != ids[end - 1]:  # the link turns about its own origin: the point is on the body before
-                parent, placement = model.parents[parent], model.jointPlacements[parent] * placement
-        else:
-            parent, placement = model.parents[ids[end]], model.jointPlacements[ids[end]]
-        model.addFrame(pin.Frame(name, parent, placement, pin.FrameType.OP_FRAME))
-    return names
-
-
-def _names(prefix: str, count: int) -> tuple[str, ...]:
-    return tuple(f"{prefix}{k:02d}" for k in range(1, count + 1))
-
-
-# From a robot description to a model that holds one chain and its control points.
-
-Modules: TypeAlias = "int | Sequence[int] | Sequence[str] | None"
-"""How to cut the chain: joints per module, one number for all or one for each, or links where modules end."""
-
-LENGTHS = (1e-9, 1e9)
-"""Shortest and longest chain that is accepted [m]; the squares of others leave the range of numbers."""
+        """Return the report that `dataclasses.asdict` described."""
+        sizes = tuple(described["segmentation"]["sizes"])
+        segmentation = Segmentation(**{**described["segmentation"], "sizes": sizes})
+        lists = tuple(described["package_dirs"]), tuple(described["warnings"])
+        return cls(described["base"], described["tip"], *lists, segmentation)
 
 
 class LoadedModel(NamedTuple):
-    """A model reduced to one chain.
+    """A model reduced to one chain."""
 
-    Attributes:
-        model: the chain, base placement applied, with a frame at the end of each module.
-        control_points: names of those frames, from base to tip.
-        text: the URDF that was read.
-        report: what was decided on the way.
-    """
-
-    model: pin.Model
-    control_points: tuple[str, ...]
-    text: str
-    report: LoadReport
+    model: pin.Model  # the chain, base placement applied, with a frame at the end of each module
+    control_points: tuple[str, ...]  # names of those frames, from base to tip
+    base_placement: pin.SE3 | None  # where the root link stands in the world; None if not given
+    text: str  # the URDF that was read
+    report: LoadReport  # what was decided
 
 
 def load_model(
     source: str | Path,
-    base: str | None,
-    tip: str | None,
-    modules: Modules,
-    locked: Mapping[str, float],
-    base_placement: pin.SE3,
+    base: str | None = None,
+    tip: str | None = None,
+    modules: Modules = None,
+    locked: Mapping[str, float] | None = None,
     package_dirs: Sequence[str | Path] | None = None,
+    base_placement: pin.SE3 | None = None,
 ) -> LoadedModel:
     """Load, check, reduce to the chain from base to tip, cut into modules. See `Arm.from_urdf`."""
+    placement = None if base_placement is None else rigid_placement("base_placement", base_placement)
     description = read_description(source)
     links, sizes = _read_modules(modules)
     if tip is None and links:
@@ -353,34 +97,46 @@ def load_model(
         message = "base= alone does not say which chain; pass tip= as well"
         raise InvalidValue("tip", None, f"the link at which the arm ends ({message})")
     base = description.root if base is None else base
-    locks = checked_locks(description, locked)
+    locks = _checked_locks(description, locked or {})
     moving = _moving_joints(description, base, tip, locks)
     names = [joint.name for joint in moving]
     try:
         model = pin.buildModelFromXML(description.text)
     except (ValueError, RuntimeError) as error:
         raise URDFError(description.source, "<robot>", f"is refused by Pinocchio: {error}") from None
-    model = hold(model, description, names, locks)
+    model = _lock_others(model, description, names, locks)
     _set_limits(model, moving)
-    place_base(model, base_placement)
-    skeleton = _skeleton(model, moving, tip)
-    if not LENGTHS[0] <= skeleton.length <= LENGTHS[1]:
-        reason = f"is {skeleton.length:.3g} m long; allowed: {LENGTHS[0]:g} to {LENGTHS[1]:g} m"
+    if placement is not None:
+        place_base(model, placement)
+    limits = np.array([[joint.lower, joint.upper] for joint in moving]).T
+    skeleton = read_skeleton(model, names, tip, *limits)
+    if not ALLOWED_LENGTHS[0] <= skeleton.length <= ALLOWED_LENGTHS[1]:
+        reason = (
+            f"is {skeleton.length:.3g} m long; allowed: {ALLOWED_LENGTHS[0]:g} to {ALLOWED_LENGTHS[1]:g} m"
+        )
         if skeleton.length == 0.0:
             reason = "has no length: all its joints and its tip are in one place"
         raise URDFError(description.source, f"chain from {base!r} to {tip!r}", reason)
-    segmentation = modules_to_links(model, skeleton, links) if links else _segmentation(skeleton, sizes)
-    points = end_frames(model, names, tip, segmentation.sizes, links)
-    warnings = holding_warnings(description, base, tip, names, locks)
+    segmentation = _modules_to_links(model, skeleton, links) if links else _segmentation(skeleton, sizes)
+    points = _add_end_frames(model, names, tip, segmentation.sizes, links)
+    warnings = _lock_warnings(description, base, tip, names, locks)
     if segmentation.can_follow is False:
         warnings.append(segmentation.reason)
-    folders = _package_dirs(source, package_dirs)
+    folders = _mesh_folders(source, package_dirs)
     report = LoadReport(base, tip, folders, tuple(warnings), segmentation)
-    return LoadedModel(model, points, description.text, report)
+    return LoadedModel(model, points, placement, description.text, report)
+
+
+def _segmentation(skeleton: Skeleton, sizes: int | tuple[int, ...] | None) -> Segmentation:
+    if sizes is None:
+        return segment(skeleton)
+    if isinstance(sizes, int):
+        return equal_modules(len(skeleton.names), sizes)
+    return given_modules(len(skeleton.names), sizes)
 
 
 def place_base(model: pin.Model, placement: pin.SE3) -> None:
-    """Move everything that is fixed to the world, in a model that belongs to us."""
+    """Move everything in a model that is fixed to the world; writes to the model."""
     for joint in range(1, model.njoints):
         if model.parents[joint] == 0:
             model.jointPlacements[joint] = placement * model.jointPlacements[joint]
@@ -391,7 +147,7 @@ def place_base(model: pin.Model, placement: pin.SE3) -> None:
 
 
 def _read_modules(modules: Modules) -> tuple[tuple[str, ...], int | tuple[int, ...] | None]:
-    """Links at which modules end, if any are given, and sizes of modules, if any are given."""
+    """Return the links at which modules end, if any are given, and the sizes of modules, if any are given."""
     if modules is None:
         return (), None
     if isinstance(modules, str):
@@ -410,9 +166,23 @@ def _read_modules(modules: Modules) -> tuple[tuple[str, ...], int | tuple[int, .
     return (), whole[0] if listed is None else whole
 
 
+def _mesh_folders(source: str | Path, given: Sequence[str | Path] | None) -> tuple[str, ...]:
+    """Return the folders to look for meshes in: those given, then that of the file."""
+    if isinstance(given, (str, os.PathLike)):
+        given = [given]
+    try:
+        folders = [Path(folder).absolute() for folder in given or ()]
+    except TypeError:
+        raise InvalidValue("package_dirs", given, "paths of folders") from None
+    if not is_urdf_text(source):
+        folders.append(Path(source).absolute().parent)
+    return tuple(dict.fromkeys(map(str, folders)))
+
+
 def _moving_joints(
     description: Description, base: str, tip: str, locked: Mapping[str, float]
 ) -> list[JointDescription]:
+    """Return the joints of the chain that move, or say why they make no arm."""
     moving: list[JointDescription] = []
     chain = description.chain(base, tip)
     for joint in chain:
@@ -420,7 +190,7 @@ def _moving_joints(
         if joint.name in locked or not joint.moves:
             continue
         if joint.type not in CHAIN_JOINTS:
-            if not moving:  # a base that floats: it stays where it is
+            if not moving:  # a floating base, which keeps its place
                 continue
             allowed = ", ".join(CHAIN_JOINTS)
             reason = f"type {joint.type!r} cannot be part of the chain; allowed: {allowed}, fixed"
@@ -438,23 +208,147 @@ def _moving_joints(
 
 
 def _why_still(chain: Sequence[JointDescription], locked: Mapping[str, float]) -> str:
-    """Why no joint of a chain moves, in words."""
-    other = [joint.name for joint in chain if joint.type in ("floating", "planar")]
-    held = {
+    """Say why no joint of a chain moves."""
+    other = [joint.name for joint in chain if joint.type in MULTI_DOF_JOINTS]
+    still = {
         "limits leave one position to": [j.name for j in chain if j.type != "fixed" and not j.moves],
         "locked= holds": [joint.name for joint in chain if joint.name in locked],
         f"floating and planar joints are none of them ({', '.join(CHAIN_JOINTS)})": other,
     }
-    said = [
-        f"; {why}: {', '.join(map(repr, names[:8]))}{', ...' * (len(names) > 8)}"
-        for why, names in held.items()
-        if names
+    reasons = [f"; {why}: {quote_names(names)}" for why, names in still.items() if names]
+    return f"has no {'joint that can move an arm' if other else 'moving joint'}{''.join(reasons)}"
+
+
+def _checked_locks(description: Description, locked: Mapping[str, float]) -> dict[str, float]:
+    """Return the positions of the joints that the user locks, [rad or m]."""
+    known = {joint.name: joint for joint in description.joints if joint.type != "fixed"}
+    checked = {}
+    for name, value in locked.items():
+        if name not in known:
+            raise UnknownName("moving joint", name, known)
+        if known[name].type in MULTI_DOF_JOINTS:
+            allowed = f"nothing: it is {known[name].type}, its position is not one number"
+            raise InvalidValue(f"locked[{name!r}]", value, allowed)
+        try:
+            checked[name] = float(value)
+        except (TypeError, ValueError):
+            checked[name] = np.nan
+        if not abs(checked[name]) < NO_LIMIT:
+            raise InvalidValue(f"locked[{name!r}]", value, f"a joint position within +-{NO_LIMIT:g}")
+    return checked
+
+
+def _lock_others(
+    model: pin.Model, description: Description, moving: Iterable[str], locked: Mapping[str, float]
+) -> pin.Model:
+    """Return a model in which only the listed joints move.
+
+    The others stay at their locked position, or where the joint that they mimic puts them, or at the position
+    nearest zero within their limits.
+    """
+    free, positions = set(moving), _locked_positions(description, locked)
+    reference = pin.neutral(model)
+    others = [index for index in range(1, model.njoints) if model.names[index] not in free]
+    if not others:
+        return model
+    for index in others:
+        name, joint = model.names[index], model.joints[index]
+        if joint.nq == 1:
+            reference[joint.idx_q] = positions[name]
+        elif joint.nv == 1:
+            reference[joint.idx_q : joint.idx_q + 2] = np.cos(positions[name]), np.sin(positions[name])
+    # Pinocchio cannot reduce a model in which a link and a joint have the same name.
+    for frame in model.frames:
+        if frame.type == pin.FrameType.BODY:
+            frame.name += _LINK_SUFFIX
+    try:
+        reduced = pin.buildReducedModel(model, others, reference)
+    except (ValueError, RuntimeError) as error:
+        raise URDFError(description.source, "<robot>", f"cannot be reduced to one chain: {error}") from None
+    for frame in reduced.frames:
+        frame.name = frame.name.removesuffix(_LINK_SUFFIX)
+    return reduced
+
+
+def _locked_positions(description: Description, locked: Mapping[str, float]) -> dict[str, float]:
+    """Return the position that each joint with one degree of freedom has if it is locked [rad or m]."""
+    named = {joint.name: joint for joint in description.joints if joint.type != "fixed"}
+
+    def position(joint: JointDescription, above: frozenset[str]) -> float:
+        if joint.name in locked:
+            return locked[joint.name]
+        follows = joint.follows
+        if follows is None or follows.joint not in named or follows.joint in above:
+            return min(max(0.0, joint.lower), joint.upper)
+        leader = position(named[follows.joint], above | {joint.name})
+        return follows.multiplier * leader + follows.offset
+
+    return {name: position(joint, frozenset({name})) for name, joint in named.items()}
+
+
+def _lock_warnings(
+    description: Description, base: str, tip: str, moving: Iterable[str], locked: Mapping[str, float]
+) -> list[str]:
+    """Report joints without limits, and joints that are locked although the user did not lock them."""
+    free, chain = set(moving), description.chain(base, tip)
+    on_chain = {joint.name for joint in chain}
+    before = description.chain(description.root, base)
+    messages = [
+        f"joint {joint.name!r} ({joint.type}) at the base of the arm is treated as fixed"
+        for joint in (*before, *chain)
+        if joint.type in MULTI_DOF_JOINTS
     ]
-    return f"has no {'joint that can move an arm' if other else 'moving joint'}{''.join(said)}"
+    stuck = [j.name for j in chain if j.type != "fixed" and not j.moves and j.name not in locked]
+    if stuck:
+        messages.append(f"limits that leave one position lock {_quote_joints(stuck)} on the chain")
+    endless = [joint.name for joint in chain if joint.name in free and _lacks_limits(joint)]
+    if endless:
+        messages.append(f"no limits are given for {_quote_joints(endless)}; taken as unlimited")
+    still = [
+        joint
+        for joint in description.joints
+        if joint.moves
+        and joint.name not in on_chain
+        and joint.name not in locked
+        and not (joint in before and joint.type in MULTI_DOF_JOINTS)
+    ]
+    if still:
+        messages.append(_off_chain(description, base, tip, still))
+    named = {joint.name: joint for joint in description.joints}
+    led = [joint.name for joint in still if joint.mimic and leading_joint(joint, named).name in free]
+    if led:
+        what = "mimic joints on it, but are held where those are at zero"
+        messages.append(f"{_quote_joints(led)} off the chain {what}")
+    lost = [joint.name for joint in still if joint.follows is not None and joint.follows.joint not in named]
+    if lost:
+        messages.append(f"{_quote_joints(lost)} off the chain mimic joints that do not exist")
+    return messages
+
+
+def _lacks_limits(joint: JointDescription) -> bool:
+    return joint.type in ("revolute", "prismatic") and joint.lower == -np.inf and joint.upper == np.inf
+
+
+def _off_chain(description: Description, base: str, tip: str, still: list[JointDescription]) -> str:
+    """Say how many joints off the chain are locked, and at which link of the chain their branches begin."""
+    links = {base, *(joint.child for joint in description.chain(base, tip))}
+    branches = defaultdict[str, list[str]](list)
+    for joint in still:
+        link = joint.parent
+        while link not in links and link != description.root:
+            link = description.joint_before[link].parent
+        branches[link].append(joint.name)
+    places = [f"{len(names)} at link {link!r} ({quote_names(names, 3)})" for link, names in branches.items()]
+    listed = "; ".join(places[:6]) + ("; ..." if len(places) > 6 else "")
+    return f"{count_joints(len(still))} off the chain from {base!r} to {tip!r} held still: {listed}"
+
+
+def _quote_joints(names: list[str]) -> str:
+    return ("joint " if len(names) == 1 else "joints ") + quote_names(names)
 
 
 def _set_limits(model: pin.Model, moving: Sequence[JointDescription]) -> None:
-    """Pinocchio reads a limit without lower and upper as (0, 0); it means that there is none."""
+    """Set position limits; Pinocchio reads a limit without lower and upper, which means none, as (0, 0)."""
     for joint in moving:
         index = model.joints[model.getJointId(joint.name)]
         if index.nq == 1:
@@ -462,31 +356,60 @@ def _set_limits(model: pin.Model, moving: Sequence[JointDescription]) -> None:
             model.upperPositionLimit[index.idx_q] = joint.upper
 
 
-def _skeleton(model: pin.Model, moving: Sequence[JointDescription], tip: str) -> Skeleton:
-    lines = joint_lines(model, [model.getJointId(joint.name) for joint in moving])
-    frame = model.frames[model.getFrameId(tip, pin.FrameType.BODY)]
-    place = (neutral_placements(model)[frame.parentJoint] * frame.placement).translation
-    lower = np.array([joint.lower for joint in moving])
-    upper = np.array([joint.upper for joint in moving])
-    return Skeleton(tuple(joint.name for joint in moving), lines, place, lower, upper)
+def _modules_to_links(model: pin.Model, skeleton: Skeleton, links: Sequence[str]) -> Segmentation:
+    """Return the modules that end at the origins of links, given from base to tip.
+
+    A joint that turns about an axis through the origin of a link does not move it, so it belongs to the next
+    module: the origin of a link is where the joint that carries it sits.
+    """
+    bodies = {frame.name: frame for frame in model.frames if frame.type == pin.FrameType.BODY}
+    placements = neutral_placements(model)
+    n, ends = len(skeleton.names), [0]
+    for link in links:
+        if link not in bodies:
+            raise UnknownName("link", link, bodies)
+        frame = bodies[link]
+        name = str(model.names[frame.parentJoint])
+        end = skeleton.names.index(name) + 1 if name in skeleton.names else 0
+        if end and link != links[-1] and skeleton.revolute[end - 1]:
+            arm = frame_position(frame, placements) - skeleton.stations[end - 1]
+            lever = np.cross(skeleton.axes[end - 1], arm)
+            end -= int(np.linalg.norm(lever) <= ON_AXIS * skeleton.length)
+        if end <= ends[-1]:
+            allowed = (
+                "links in order from base to tip, each moved by a joint that does not move the one before"
+            )
+            raise InvalidValue(f"modules: link {link!r}", f"moved by {end} joints of the chain", allowed)
+        ends.append(end)
+    if ends[-1] != n:
+        allowed = f"a link moved by all {n} joints of the chain"
+        raise InvalidValue(f"modules: last link {links[-1]!r}", f"moved by {ends[-1]} of them", allowed)
+    sizes = tuple(b - a for a, b in pairwise(ends))
+    return Segmentation(sizes, "modules end at the links that were given")
 
 
-def _segmentation(skeleton: Skeleton, sizes: int | tuple[int, ...] | None) -> Segmentation:
-    if sizes is None:
-        return segment(skeleton)
-    if isinstance(sizes, int):
-        return equal_modules(len(skeleton.names), sizes)
-    return given_modules(len(skeleton.names), sizes)
+def _add_end_frames(
+    model: pin.Model, joints: Sequence[str], tip: str, sizes: Sequence[int], links: Sequence[str]
+) -> tuple[str, ...]:
+    """Add a frame where each module ends: at its link, if given, or at the next joint, or at the tip.
 
-
-def _package_dirs(source: str | Path, given: Sequence[str | Path] | None) -> tuple[str, ...]:
-    """Folders to look for meshes in: those given, then the one of the file."""
-    if isinstance(given, (str, os.PathLike)):
-        given = [given]
-    try:
-        folders = [Path(folder).absolute() for folder in given or ()]
-    except TypeError:
-        raise InvalidValue("package_dirs", given, "paths of folders") from None
-    if not (isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<")):
-        folders.append(Path(source).absolute().parent)
-    return tuple(dict.fromkeys(map(str, folders)))
+    Returns:
+        Names of the frames: "module_01" and so on, with enough underscores after "module" to be new.
+    """
+    ids = [model.getJointId(name) for name in joints]
+    ends = np.cumsum(sizes)
+    taken = {frame.name for frame in model.frames}
+    prefix = "module_"
+    while taken & set(names := [f"{prefix}{k:02d}" for k in range(1, len(ends) + 1)]):
+        prefix += "_"
+    for k, (name, end) in enumerate(zip(names, ends, strict=True)):
+        if links or end == len(ids):
+            link = links[k] if links else tip
+            frame = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
+            parent, placement = frame.parentJoint, frame.placement
+            if parent != ids[end - 1]:  # the link turns about its own origin: the point is on the body before
+                parent, placement = model.parents[parent], model.jointPlacements[parent] * placement
+        else:
+            parent, placement = model.parents[ids[end]], model.jointPlacements[ids[end]]
+        model.addFrame(pin.Frame(name, parent, placement, pin.FrameType.OP_FRAME))
+    return tuple(names)

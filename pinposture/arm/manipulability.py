@@ -1,55 +1,24 @@
-"""Manipulability indices and ellipsoids of the sections of an arm (Sections 3.3 and 4.3)."""
+"""Manipulability ellipsoids of sections of an arm (Section 3.3)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture import kernels
-from pinposture.arm.kinematics import constants_of, screws_of
 from pinposture.errors import InvalidValue, UnknownName
 
-if TYPE_CHECKING:
-    from pinposture.arm.state import ArmState
-
-
-# Manipulability indices of every section of the arm at once (Section 4.3).
-
 Array = NDArray[np.float64]
-
-
-def all_pairs(state: ArmState) -> Array:
-    """Index w[s, i] of every control point i relative to every control point s < i (0 is the base).
-
-    w = (product of sigma) / sigma_max^d, (4.3) and (4.4), by the Gram matrices of the sections. It is
-    resolved to about 1e-8, because the determinant of a Gram matrix is only known to machine precision.
-
-    Args:
-        state: where the arm is.
-
-    Returns:
-        Array (m + 1, m + 1) of indices in [0, 1], zero on and below the diagonal.
-    """
-    m = state.arm.n_modules
-    indices = np.zeros((m + 1, m + 1))
-    kernels.all_indices(*screws_of(state), constants_of(state.arm).plane, indices)
-    return indices
-
-
-# Manipulability ellipsoids, and how close they say an arm is to a singularity (Section 3.3).
 
 ControlPoints = int | str | Sequence[int | str]
 """Control points, or a single one: their indices, 0-based or from the tip as -1, or their names."""
 
 SECTIONS = ("base", "previous")
-"""Where the section may begin whose joints move: at the base, or at the chosen control point before."""
-
-ROUNDING = 1e-14
-"""A singular value below this share of the largest is zero but for rounding."""
+"""Where the section that moves begins: at the base, or at the previous chosen control point."""
+ZERO_SINGULAR_VALUE = 1e-14
+"""Fraction of the largest singular value below which another is zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +29,8 @@ class Ellipsoid:
 
     Attributes:
         point: index of the control point, 0-based.
-        base: where the section begins whose joints move: 0 for the base of the arm, k for the control point
-            of index k - 1, as in `ArmState.manipulability()`, where its index is at [base, point + 1].
+        base: where the section that moves begins: 0 for the base of the arm, k for the control point of
+            index k - 1. The index of the section is `ArmState.manipulability()[base, point + 1]`.
         center: position of the control point, (3,) [m], world frame.
         directions: unit vectors along the principal axes, one per row, (d, 3), world frame; d = 3, or d = 2
             for a planar arm. Right-handed; in the plane, about the normal of `Arm.plane`.
@@ -103,22 +72,14 @@ class Ellipsoid:
 
 
 def section_ellipsoid(jacobian: Array, plane: Array, point: int, base: int, center: Array) -> Ellipsoid:
-    """The ellipsoid of one control point.
-
-    Args:
-        jacobian: its position Jacobian, the columns of the section alone, (d, n), n >= 1, along `plane`.
-        plane: orthonormal directions in which the arm can move, (d, 3), world frame.
-        point: index of the control point, 0-based.
-        base: where the section begins, see `Ellipsoid`.
-        center: position of the control point, (3,) [m], world frame.
-    """
+    """Compute an ellipsoid from the position Jacobian of a section along `plane`, (d, n), n >= 1."""
     dimension, columns = jacobian.shape
-    # Columns of zeros do not change the ellipsoid; with them there are as many axes as dimensions.
+    # Columns of zeros do not change the ellipsoid, but give it as many axes as dimensions.
     filled = np.hstack([jacobian, np.zeros((dimension, max(dimension - columns, 0)))])
     axes, radii, _ = np.linalg.svd(filled, full_matrices=False)
     if np.linalg.det(axes) < 0.0:
         axes[:, -1] *= -1.0
-    radii = np.where(radii > ROUNDING * radii[0], radii, 0.0)
+    radii = np.where(radii > ZERO_SINGULAR_VALUE * radii[0], radii, 0.0)
     directions = axes.T @ plane
     center = center.copy()
     for array in (center, directions, radii):
@@ -127,7 +88,7 @@ def section_ellipsoid(jacobian: Array, plane: Array, point: int, base: int, cent
 
 
 def chosen_points(names: Sequence[str], points: ControlPoints) -> tuple[int, ...]:
-    """Indices, 0-based, of the control points of a choice, in its order.
+    """Return the indices of chosen control points, 0-based, in the order of the choice.
 
     Args:
         names: names of all control points, (m,).
@@ -147,15 +108,7 @@ def chosen_points(names: Sequence[str], points: ControlPoints) -> tuple[int, ...
 
 
 def section_bases(chosen: Sequence[int], relative_to: str) -> tuple[int, ...]:
-    """Where the section of each chosen control point begins, as `Ellipsoid.base` says it.
-
-    Args:
-        chosen: indices of control points, 0-based, in any order.
-        relative_to: "base", or "previous" for the chosen control point before along the arm.
-
-    Raises:
-        UnknownName: no such start of a section.
-    """
+    """Return where the section of each chosen control point begins, see `Ellipsoid.base` and `SECTIONS`."""
     if relative_to not in SECTIONS:
         raise UnknownName("start of a section", relative_to, SECTIONS)
     if relative_to == "base":

@@ -1,9 +1,9 @@
-"""Where one module ends and the next begins (Section 4.1)."""
+"""How the joints of an arm are grouped into modules (Section 4.1)."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -15,43 +15,128 @@ from scipy.spatial.transform import Rotation
 from pinposture.arm.chain import PARALLEL, Skeleton
 from pinposture.errors import InvalidValue
 
-# Where the joints of an arm repeat.
-
 Array = NDArray[np.float64]
 
-ALIKE = 0.02
-"""How far links that count as equal may differ, relative to the mean distance between joints."""
-LONGEST_PERIOD = 12
+LINK_TOLERANCE = 0.02
+"""Largest difference of links that count as equal, relative to the mean distance between joints."""
+MAX_PERIOD = 12
+"""Largest number of joints after which a repetition is looked for."""
+SAMPLED_POSTURES = 16
+"""Number of postures in which the motion of the end of a module is measured."""
+MAX_SAMPLE_ANGLE = 1.2
+"""Largest excursion of a joint from its position nearest zero in those postures [rad]."""
+MIN_MOTION = 0.05
+"""How far one radian must move the end across, relative to its distance from the base of the module."""
+MIN_DISTANCE = 1e-3
+"""Distance of the end from the base of the module, relative to the mean distance between joints."""
+MAX_EXTRA_JOINTS = 4
+"""How many joints more than the fewest a module may have where nothing repeats."""
+MAX_IDLE_JOINTS = 1
+"""How many joints may move the end of a module beyond those that it takes to place it."""
+
+
+@dataclass(frozen=True)
+class Segmentation:
+    """How the joints of an arm were grouped into modules.
+
+    Attributes:
+        sizes: number of joints of each module, from base to tip.
+        reason: why, in words.
+        period: number of joints after which the arm repeats; None if it does not, or was not analysed.
+        can_follow: False if the end of some module cannot be placed on every curve, for instance where axes
+            are parallel in a spatial arm; None if not analysed.
+    """
+
+    sizes: tuple[int, ...]
+    reason: str
+    period: int | None = None
+    can_follow: bool | None = None
 
 
 class Repetition(NamedTuple):
-    """A stretch of joints that repeats a shorter one at least twice.
+    """A stretch of joints that repeats a shorter one at least twice."""
 
-    Attributes:
-        period: number of joints after which it repeats.
-        first: index of the first joint of the stretch.
-        stop: index after its last joint.
+    period: int  # number of joints after which it repeats
+    first: int  # index of the first joint of the stretch
+    stop: int  # index after its last joint
+
+
+def equal_modules(joints: int, size: int) -> Segmentation:
+    """Return modules with the same number of joints each.
+
+    Raises:
+        InvalidValue: not a divisor of the number of joints.
     """
+    if size < 1 or joints % size:
+        divisors = ", ".join(str(k) for k in range(1, joints + 1) if joints % k == 0)
+        allowed = f"a divisor of {joints} joints: {divisors}"
+        raise InvalidValue("modules (joints per module)", size, allowed)
+    return Segmentation((size,) * (joints // size), f"{count_joints(size)} for each module, as asked")
 
-    period: int
-    first: int
-    stop: int
+
+def given_modules(joints: int, sizes: Sequence[int]) -> Segmentation:
+    """Return modules with given numbers of joints.
+
+    Raises:
+        InvalidValue: numbers that are not positive or do not add up to the number of joints.
+    """
+    if not sizes or min(sizes) < 1 or sum(sizes) != joints:
+        allowed = f"positive whole numbers that add up to {joints} joints"
+        raise InvalidValue("modules (sizes)", list(sizes), allowed)
+    return Segmentation(tuple(sizes), "sizes as asked")
 
 
-def repetitions(skeleton: Skeleton) -> list[Repetition]:
-    """Every stretch of the arm that repeats, shortest period first.
+def segment(skeleton: Skeleton) -> Segmentation:
+    """Group the joints into the smallest modules whose ends can be placed on any curve.
+
+    A module ends where the next joint sits, the last one at the tip. Its end must be able to move in every
+    direction across the line from its base to its end (see `EndMobility`), which also keeps control points
+    apart. Where the arm repeats, the cuts repeat with it: they are made in the smallest number of periods
+    that allows it, at the phase that gives most modules. Where it does not, there are as many modules as
+    possible, cut so that their ends move as well as possible. Joints before and behind the repetition form
+    modules of their own if they can, and otherwise join the neighbour, as do joints that move nothing: a roll
+    about the link at the tip, a last joint with no link after it.
+
+    A module whose end is moved by more joints than that takes would leave the links between undetermined,
+    however well its end lies on the curve: consecutive parallel axes make such modules. It is cut again, into
+    pieces whose ends move in at least one direction across, as many as possible of them in both.
+
+    Args:
+        skeleton: the joints of the arm.
+
+    Returns:
+        The sizes of the modules, and why.
+    """
+    mobility, n = EndMobility(skeleton), len(skeleton.names)
+    choices = []
+    for repetition in find_repetitions(skeleton):
+        for head in range(repetition.first, repetition.first + repetition.period):
+            cuts = _repeated_cuts(mobility, repetition, head, n)
+            if cuts is not None:
+                sizes = _merge_unplaceable(mobility, cuts)
+                usual = Counter(sizes).most_common(1)[0][1]
+                choices.append((len(sizes), usual, -head, -repetition.period, sizes, repetition))
+    if choices:
+        *_, sizes, found = max(choices, key=lambda choice: choice[:4])
+        return _explain(skeleton, mobility, _cut_redundant(mobility, sizes), found)
+    sizes = _merge_unplaceable(mobility, _best_cuts(mobility, 0, n, mobility.can_place))
+    return _explain(skeleton, mobility, _cut_redundant(mobility, sizes), None)
+
+
+def find_repetitions(skeleton: Skeleton) -> list[Repetition]:
+    """Find every stretch of the arm that repeats, shortest period first.
 
     Two joints are alike if both turn or both slide and the links after them are alike up to a rigid motion
     or reflection. A link is described by quantities that no joint position and no choice of frames changes:
     its length, how far along either joint axis it reaches, the angle between the axes and their volume with
-    the link. The link of the last joint of the stretch may differ, for what follows it may.
+    the link. The link of the last joint of the stretch may differ, because what follows it may.
     """
-    links, n = _links(skeleton), len(skeleton.names)
+    links, n = _link_invariants(skeleton), len(skeleton.names)
     found = []
-    for period in range(1, min(n // 2, LONGEST_PERIOD) + 1):
+    for period in range(1, min(n // 2, MAX_PERIOD) + 1):
         same_kind = skeleton.revolute[:-period] == skeleton.revolute[period:]
         difference = np.abs(links[:-period] - links[period:])
-        same_link = np.all(~(difference > ALIKE), axis=1)  # the last joint has no axis after it: NaN
+        same_link = np.all(~(difference > LINK_TOLERANCE), axis=1)  # NaN for the last joint: no axis after it
         u = 0
         while u < n - period:
             first = u
@@ -64,7 +149,7 @@ def repetitions(skeleton: Skeleton) -> list[Repetition]:
     return found
 
 
-def _links(skeleton: Skeleton) -> Array:
+def _link_invariants(skeleton: Skeleton) -> Array:
     """Invariants of the link after each joint, (n, 5), lengths relative to the mean."""
     spans = np.diff(skeleton.stations, axis=0) * (len(skeleton.names) / skeleton.length)
     before = skeleton.axes
@@ -77,86 +162,60 @@ def _links(skeleton: Skeleton) -> Array:
     return np.column_stack([np.linalg.norm(spans, axis=1), np.abs(invariants)])
 
 
-# Can a group of joints put its end on a curve? The question that decides where a module ends (Section 4.1).
-#
-# The end must be able to move in every direction across the line from the base of the group to its end: in
-# two of them in space, in one in the plane. Whether it can is a matter of the joints, not of the posture
-# that the file calls zero, so it is asked in several postures; a straight or folded one would give the wrong
-# answer.
-
-POSTURES = 16
-LEAST_MOTION = 0.05
-"""How far one radian must move the end across, relative to its distance from the base of the group."""
-LEAST_DISTANCE = 1e-3
-"""How far the end must be from the base of the group, relative to the mean distance between joints."""
-_SWING = 1.2
-"""Largest excursion of a joint from its position nearest zero in the postures that are tried [rad]."""
-
-
-class _Motion(NamedTuple):
+class EndMotion(NamedTuple):
     """How joints move their end across the line from their base to it, for one radian and unit distance.
 
-    Attributes:
-        easiest: in the direction in which they move it farthest.
-        hardest: in the last of the directions that a curve asks for.
-        movers: how many of them move it.
+    It is the median over several postures, not the least, because any module has singular ones. It is zero if
+    the end stays at the base.
     """
 
-    easiest: float
-    hardest: float
-    movers: int
+    easiest: float  # in the direction in which they move it farthest
+    hardest: float  # in the last of the required directions
+    movers: int  # number of joints that move it
 
 
-class Placing:
-    """Answers for one arm, remembered.
+class EndMobility:
+    """Whether groups of joints can place their ends on any curve; results are cached.
+
+    The end must be able to move in every direction across the line from the base of the group to its end.
+    Whether it can depends on the joints, not on the posture that the file calls zero, so it is measured in
+    several postures; a straight or folded one would give the wrong answer.
 
     Attributes:
-        needed: in how many directions across a curve asks an end to move: two in space, one in the plane.
+        needed: number of required directions: two in space, one in the plane.
     """
 
     def __init__(self, skeleton: Skeleton) -> None:
         self._skeleton = skeleton
         self._pitch = skeleton.length / len(skeleton.names)
-        self._known: dict[tuple[int, int], _Motion] = {}
-        swing = np.where(skeleton.revolute, _SWING, self._pitch)
+        self._known: dict[tuple[int, int], EndMotion] = {}
+        swing = np.where(skeleton.revolute, MAX_SAMPLE_ANGLE, self._pitch)
         middle = np.clip(0.0, skeleton.lower, skeleton.upper)
-        swing[skeleton.roaming] = 0.0
+        swing[skeleton.base_slides] = 0.0
         low, high = np.maximum(skeleton.lower, middle - swing), np.minimum(skeleton.upper, middle + swing)
-        self._positions = np.random.default_rng(0).uniform(low, high, (POSTURES, len(middle)))
+        self._positions = np.random.default_rng(0).uniform(low, high, (SAMPLED_POSTURES, len(middle)))
         self.needed = 2 if skeleton.normal is None else 1
-        self._leaving = _leaving(skeleton)
+        self._flat_ends = _flat_ends(skeleton)
 
-    def __call__(self, first: int, stop: int) -> bool:
-        """True if joints first, ..., stop - 1 can place station `stop` on any curve through `first`."""
-        return stop > self._leaving[first] and self.motion(first, stop) > LEAST_MOTION
+    def can_place(self, first: int, stop: int) -> bool:
+        """Tell whether joints first, ..., stop - 1 can place station `stop` on any curve through `first`."""
+        return stop > self._flat_ends[first] and self.motion(first, stop).hardest > MIN_MOTION
 
-    def motion(self, first: int, stop: int) -> float:
-        """How far those joints move station `stop` in the direction across that is hardest for them.
+    def can_move(self, first: int, stop: int) -> bool:
+        """Tell whether those joints move station `stop` in at least one direction across."""
+        return self.motion(first, stop).easiest > MIN_MOTION
 
-        Returns:
-            The motion for one radian, relative to the distance from station `first`: the median over the
-            postures, not the least, because any module has singular ones. Zero if the end stays at the base.
-        """
-        return self._motion(first, stop).hardest
-
-    def moves(self, first: int, stop: int) -> bool:
-        """True if those joints move station `stop` in one direction across at least."""
-        return self._motion(first, stop).easiest > LEAST_MOTION
-
-    def movers(self, first: int, stop: int) -> int:
-        """How many of those joints move station `stop` across."""
-        return self._motion(first, stop).movers
-
-    def _motion(self, first: int, stop: int) -> _Motion:
+    def motion(self, first: int, stop: int) -> EndMotion:
+        """Measure how those joints move station `stop`."""
         if (first, stop) not in self._known:
-            self._known[first, stop] = self._measured(first, stop)
+            self._known[first, stop] = self._measure(first, stop)
         return self._known[first, stop]
 
-    def _measured(self, first: int, stop: int) -> _Motion:
+    def _measure(self, first: int, stop: int) -> EndMotion:
         normal = self._skeleton.normal
-        ends, jacobians = self._motions(first, stop)
+        ends, jacobians = self._jacobians(first, stop)
         distance = np.linalg.norm(ends, axis=1)
-        apart = distance > LEAST_DISTANCE * self._pitch
+        apart = distance > MIN_DISTANCE * self._pitch
         distance = np.where(apart, distance, 1.0)
         along = ends / distance[:, None]
         if normal is None:
@@ -164,18 +223,18 @@ class Placing:
         else:
             across = np.einsum("si,sij->sj", np.cross(normal, along), jacobians)[:, None]
         across = np.where(apart[:, None, None], across / distance[:, None, None], 0.0)
-        sizes = np.zeros((POSTURES, self.needed))
+        sizes = np.zeros((SAMPLED_POSTURES, self.needed))
         values = np.linalg.svd(across, compute_uv=False)[:, : self.needed]
         sizes[:, : values.shape[1]] = values
         single = np.median(np.linalg.norm(across, axis=1), axis=0)
         easiest, hardest = np.median(sizes, axis=0)[[0, -1]]
-        # Rounded, so that groups that do the same are equal, however it was added up.
-        return _Motion(round(float(easiest), 9), round(float(hardest), 9), int(np.sum(single > LEAST_MOTION)))
+        # Rounded, so that groups of equal motion compare equal whatever the order of summation.
+        return EndMotion(round(float(easiest), 9), round(float(hardest), 9), int(np.sum(single > MIN_MOTION)))
 
-    def _motions(self, first: int, stop: int) -> tuple[Array, Array]:
-        """End relative to the base (s, 3) [m] and its Jacobian (s, 3, k) [m/rad] in every posture tried."""
-        arm = self._skeleton
-        place, turn = np.zeros((POSTURES, 3)), np.broadcast_to(np.eye(3), (POSTURES, 3, 3))
+    def _jacobians(self, first: int, stop: int) -> tuple[Array, Array]:
+        """End relative to the base (s, 3) [m] and its Jacobian (s, 3, k) [m/rad] in every sampled posture."""
+        arm, count = self._skeleton, SAMPLED_POSTURES
+        place, turn = np.zeros((count, 3)), np.broadcast_to(np.eye(3), (count, 3, 3))
         axes, origins = [], []
         for u in range(first, stop):
             amount = self._positions[:, u, None] * arm.axes[u]
@@ -190,15 +249,15 @@ class Placing:
             np.cross(axis, place - origin) if turns else axis * self._pitch
             for axis, origin, turns in zip(axes, origins, arm.revolute[first:stop], strict=True)
         ]
-        # A base that drives anywhere stays where it is when the arm takes a shape.
-        return place, np.where(arm.roaming[first:stop], 0.0, np.stack(columns, axis=2))
+        # Slides that carry the base keep their positions when the arm takes a shape.
+        return place, np.where(arm.base_slides[first:stop], 0.0, np.stack(columns, axis=2))
 
 
-def _leaving(skeleton: Skeleton) -> list[int]:
-    """For each joint the end of the longest group from there on with parallel axes and all links across them.
+def _flat_ends(skeleton: Skeleton) -> list[int]:
+    """For each joint the end of the longest group from there with parallel axes and all links across them.
 
-    In a spatial arm such a group moves its end in one direction across: that needs no measuring. In a planar
-    arm no group is too short.
+    In a spatial arm such a group moves its end in one direction across, which needs no measurement. In a
+    planar arm no group is too short.
     """
     n = len(skeleton.names)
     ends = list(range(1, n + 1)) if skeleton.normal is None else [0] * n
@@ -212,144 +271,60 @@ def _leaving(skeleton: Skeleton) -> list[int]:
     return ends
 
 
-SPARE = 4
-"""How many joints beyond the fewest a module may have where nothing repeats."""
+def _smallest_modules(mobility: EndMobility, first: int, stop: int) -> list[int]:
+    """Where modules end if each is as small as possible; joints may be left before `stop`."""
+    bounds = [first]
+    while end := next((k for k in range(bounds[-1] + 1, stop + 1) if mobility.can_place(bounds[-1], k)), 0):
+        bounds.append(end)
+    return bounds[1:]
 
-IDLE = 1
-"""How many joints may move the end of a module beyond those that placing it takes."""
+
+def _exhaustive_modules(mobility: EndMobility, first: int, stop: int) -> list[int]:
+    """Where modules end if each is as small as possible; joints that are left join the last one."""
+    return [*_smallest_modules(mobility, first, stop)[:-1], stop]
 
 
-@dataclass(frozen=True)
-class Segmentation:
-    """How the joints of an arm were grouped into modules.
+def _best_cuts(
+    mobility: EndMobility, first: int, stop: int, admissible: Callable[[int, int], bool]
+) -> list[int]:
+    """Where admissible pieces end, by dynamic programming.
 
-    Attributes:
-        sizes: number of joints of each module, from base to tip.
-        reason: why, in words.
-        period: number of joints after which the arm repeats; None if it does not, or was not asked.
-        can_follow: False if the end of some module cannot be placed on every curve, for instance where axes
-            are parallel in an arm that leaves every plane; None if not asked.
+    As many as possible place their ends, then there are as many as possible, then their ends move best.
     """
-
-    sizes: tuple[int, ...]
-    reason: str
-    period: int | None = None
-    can_follow: bool | None = None
-
-
-def segment(skeleton: Skeleton) -> Segmentation:
-    """Group the joints into the smallest modules whose ends can be placed on any curve.
-
-    A module ends where the next joint sits, the last one at the tip. Its end must be able to move in every
-    direction across the line from its base to its end (see `placing`), which also keeps control points apart.
-    Where the arm repeats, the cuts repeat with it: they are made in one period, or in as many periods as it
-    takes, and the phase is the one that gives most modules. Where it does not, there are as many modules as
-    can be, cut so that the end of each moves as well as can be. Joints before and behind the repetition form
-    modules of their own where they can, and join the neighbour where not, as do joints that move nothing: a
-    roll about the link at the tip, a last joint with no link after it.
-
-    A module whose end more joints move than that takes would leave the links between wherever they happen to
-    be, however well its end lies on the curve: parallel axes in a row make such modules. It is cut once more,
-    into pieces whose ends move in one direction across at least, as many of them as can be in both.
-
-    Args:
-        skeleton: the joints of the arm.
-
-    Returns:
-        The sizes of the modules, and why.
-    """
-    placing, n = Placing(skeleton), len(skeleton.names)
-    choices = []
-    for repetition in repetitions(skeleton):
-        for head in range(repetition.first, repetition.first + repetition.period):
-            cuts = _repeated(placing, repetition, head, n)
-            if cuts is not None:
-                sizes = _settled(placing, cuts)
-                usual = Counter(sizes).most_common(1)[0][1]
-                choices.append((len(sizes), usual, -head, -repetition.period, sizes, repetition))
-    if choices:
-        *_, sizes, found = max(choices, key=lambda choice: choice[:4])
-        return _explained(skeleton, placing, _shortened(placing, sizes), found)
-    sizes = _shortened(placing, _settled(placing, _most_modules(placing, n)))
-    return _explained(skeleton, placing, sizes, None)
+    best: dict[int, tuple[int, int, float, list[int]]] = {stop: (0, 0, np.inf, [])}
+    for start in range(stop - 1, first - 1, -1):
+        smallest = next((end for end in range(start + 1, stop) if admissible(start, end)), stop)
+        for end in dict.fromkeys([*range(smallest, min(smallest + MAX_EXTRA_JOINTS, stop)), stop]):
+            if end in best and admissible(start, end):
+                placed, count, motion, cuts = best[end]
+                placed += mobility.can_place(start, end)
+                found = (placed, count + 1, min(motion, mobility.motion(start, end).hardest), [end, *cuts])
+                best[start] = max(best.get(start, found), found, key=lambda entry: entry[:3])
+    return best[first][3] if first in best else [stop]
 
 
-def equal_modules(joints: int, size: int) -> Segmentation:
-    """The same number of joints for every module.
-
-    Raises:
-        InvalidValue: not a divisor of the number of joints.
-    """
-    if size < 1 or joints % size:
-        divisors = ", ".join(str(k) for k in range(1, joints + 1) if joints % k == 0)
-        allowed = f"a divisor of {joints} joints: {divisors}"
-        raise InvalidValue("modules (joints per module)", size, allowed)
-    return Segmentation((size,) * (joints // size), f"{_joints(size)} for each module, as asked")
-
-
-def given_modules(joints: int, sizes: Sequence[int]) -> Segmentation:
-    """A number of joints for each module.
-
-    Raises:
-        InvalidValue: numbers that are not positive or do not add up to the number of joints.
-    """
-    if not sizes or min(sizes) < 1 or sum(sizes) != joints:
-        allowed = f"positive whole numbers that add up to {joints} joints"
-        raise InvalidValue("modules (sizes)", list(sizes), allowed)
-    return Segmentation(tuple(sizes), "sizes as asked")
-
-
-def _filled(placing: Placing, first: int, stop: int) -> list[int]:
-    """Where modules end if each is made as small as it can be; joints may be left before `stop`."""
-    cuts, end = list[int](), first
-    while True:
-        start = end
-        end = next((end for end in range(start + 1, stop + 1) if placing(start, end)), 0)
-        if not end:
-            return cuts
-        cuts.append(end)
-
-
-def _most_modules(placing: Placing, n: int) -> list[int]:
-    """Where modules end if there are to be as many as possible, and the ends of all of them to move well."""
-    best: dict[int, tuple[int, float, list[int]]] = {n: (0, np.inf, [])}
-    for start in range(n - 1, -1, -1):
-        smallest = next((end for end in range(start + 1, n) if placing(start, end)), n)
-        for end in dict.fromkeys([*range(smallest, min(smallest + SPARE, n)), n]):
-            if end in best and placing(start, end):
-                count, motion, cuts = best[end]
-                found = (count + 1, min(motion, placing.motion(start, end)), [end, *cuts])
-                best[start] = max(best.get(start, found), found, key=lambda entry: entry[:2])
-    return best[0][2] if 0 in best else [n]
-
-
-def _cuts(placing: Placing, first: int, stop: int) -> list[int]:
-    """Where modules end if each is made as small as it can be; what is left joins the last one."""
-    return [*_filled(placing, first, stop)[:-1], stop]
-
-
-def _repeated(placing: Placing, repetition: Repetition, head: int, n: int) -> list[int] | None:
-    """Cuts that repeat from joint `head` on, or None if too little of the arm repeats in that way."""
+def _repeated_cuts(mobility: EndMobility, repetition: Repetition, head: int, n: int) -> list[int] | None:
+    """Cuts that repeat from joint `head` on, or None if they would cover less than half of the arm."""
     period, stop = repetition.period, repetition.stop
     sizes = range(period, (stop - head) // 2 + 1, period)
-    unit = next((size for size in sizes if placing(head, head + size)), None)
+    unit = next((size for size in sizes if mobility.can_place(head, head + size)), None)
     if unit is None:
         return None
     times = (stop - head) // unit
     if 2 * times * unit < n:
         return None
-    within = [cut - head for cut in _cuts(placing, head, head + unit)]
+    within = [cut - head for cut in _exhaustive_modules(mobility, head, head + unit)]
     repeated = [head + k * unit + cut for k in range(times) for cut in within]
-    tail = _cuts(placing, repeated[-1], n) if repeated[-1] < n else []
-    return [*_filled(placing, 0, head), *repeated, *tail]
+    tail = _exhaustive_modules(mobility, repeated[-1], n) if repeated[-1] < n else []
+    return [*_smallest_modules(mobility, 0, head), *repeated, *tail]
 
 
-def _settled(placing: Placing, cuts: Sequence[int]) -> list[int]:
+def _merge_unplaceable(mobility: EndMobility, cuts: Sequence[int]) -> list[int]:
     """Sizes of the modules after each one that cannot place its end has joined its neighbour."""
     bounds = [0, *cuts]
     k = 0
     while k < len(bounds) - 1:
-        if len(bounds) == 2 or placing(bounds[k], bounds[k + 1]):
+        if len(bounds) == 2 or mobility.can_place(bounds[k], bounds[k + 1]):
             k += 1
         elif k > 0:
             del bounds[k]
@@ -359,65 +334,48 @@ def _settled(placing: Placing, cuts: Sequence[int]) -> list[int]:
     return [stop - start for start, stop in pairwise(bounds)]
 
 
-def _shortened(placing: Placing, sizes: Sequence[int]) -> list[int]:
-    """The sizes after each module that too many joints move has been cut into pieces.
+def _cut_redundant(mobility: EndMobility, sizes: Sequence[int]) -> list[int]:
+    """Sizes of the modules after each one that too many joints move has been cut into pieces.
 
-    One piece that would be bound to a plane stays with its neighbour: so does a single joint elsewhere.
+    A single piece bound to a plane stays with its neighbour, as does a single joint elsewhere.
     """
-    shortened, start = list[int](), 0
+    result, start = list[int](), 0
     for size in sizes:
         stop = start + size
         cuts = [stop]
-        if placing.movers(start, stop) > placing.needed + IDLE:
-            cuts = _most_pieces(placing, start, stop)
+        if mobility.motion(start, stop).movers > mobility.needed + MAX_IDLE_JOINTS:
+            cuts = _best_cuts(mobility, start, stop, mobility.can_move)
         pieces = list(pairwise([start, *cuts]))
-        if sum(not placing(*piece) for piece in pieces) < 2:
+        if sum(not mobility.can_place(*piece) for piece in pieces) < 2:
             pieces = [(start, stop)]
-        shortened.extend(b - a for a, b in pieces)
+        result.extend(b - a for a, b in pieces)
         start = stop
-    return shortened
+    return result
 
 
-def _most_pieces(placing: Placing, first: int, stop: int) -> list[int]:
-    """Where the pieces of a module end: as many as can be that place their ends, then as many as can be."""
-    best: dict[int, tuple[int, int, float, list[int]]] = {stop: (0, 0, np.inf, [])}
-    for start in range(stop - 1, first - 1, -1):
-        smallest = next((end for end in range(start + 1, stop) if placing.moves(start, end)), stop)
-        for end in dict.fromkeys([*range(smallest, min(smallest + SPARE, stop)), stop]):
-            if end in best and placing.moves(start, end):
-                whole, count, motion, cuts = best[end]
-                whole += placing(start, end)
-                found = (whole, count + 1, min(motion, placing.motion(start, end)), [end, *cuts])
-                best[start] = max(best.get(start, found), found, key=lambda entry: entry[:3])
-    return best[first][3] if first in best else [stop]
-
-
-def _explained(
-    skeleton: Skeleton, placing: Placing, sizes: Sequence[int], found: Repetition | None
+def _explain(
+    skeleton: Skeleton, mobility: EndMobility, sizes: Sequence[int], found: Repetition | None
 ) -> Segmentation:
     n = len(skeleton.names)
-    if skeleton.normal is None:
-        need = "the arm is spatial, so the end of a module must move in two directions across the curve"
-    else:
-        need = "the arm is planar, so the end of a module must move in one direction across the curve"
-    if len(sizes) == 1 and not placing(0, n):
+    kind, directions = (
+        ("spatial", "two directions") if skeleton.normal is None else ("planar", "one direction")
+    )
+    need = f"the arm is {kind}, so the end of a module must move in {directions} across the curve"
+    if len(sizes) == 1 and not mobility.can_place(0, n):
         reason = f"{need}; no group of its joints does that, so the arm is one module"
         return Segmentation(tuple(sizes), reason, None, can_follow=False)
     usual = Counter(sizes).most_common(1)[0][0]
     bounds = np.cumsum([0, *sizes])
-    bound = [k for k, (start, stop) in enumerate(pairwise(bounds), 1) if not placing(start, stop)]
+    bound = [k for k, (a, b) in enumerate(pairwise(bounds), 1) if not mobility.can_place(a, b)]
     if found is None:
-        does = "these are the most modules that do that"
-        parts = [
-            need,
-            f"no pattern of joints repeats; {does if not bound else does + ', and pieces of others'}",
-        ]
+        does = "these are the most modules that do that" + (", and pieces of others" if bound else "")
+        parts = [need, f"no pattern of joints repeats; {does}"]
     else:
         first, last = skeleton.names[found.first], skeleton.names[found.stop - 1]
-        often = "every joint is like the next" if found.period == 1 else f"{_joints(found.period)} repeat"
+        often = f"{count_joints(found.period)} repeat" if found.period > 1 else "every joint is like the next"
         does = "does that" if not bound else "is the most common"
-        parts = [need, f"from {first!r} to {last!r} {often}; a module of {_joints(usual)} {does}"]
-        others = [f"module {k} has {_joints(size)}" for k, size in enumerate(sizes, 1) if size != usual]
+        parts = [need, f"from {first!r} to {last!r} {often}; a module of {count_joints(usual)} {does}"]
+        others = [f"module {k} has {count_joints(size)}" for k, size in enumerate(sizes, 1) if size != usual]
         if others and not bound:
             listed = ", ".join(others[:4]) + (", ..." if len(others) > 4 else "")
             parts.append(
@@ -432,5 +390,6 @@ def _explained(
     return Segmentation(tuple(sizes), "; ".join(parts), found.period if found else None, can_follow=not bound)
 
 
-def _joints(count: int) -> str:
+def count_joints(count: int) -> str:
+    """Return "1 joint", "2 joints" and so on."""
     return "1 joint" if count == 1 else f"{count} joints"

@@ -1,4 +1,13 @@
-"""Module templates, and the URDF of an arm of modules."""
+"""Module templates, what one module of an arm is made of, and the URDF of an arm of modules.
+
+At zero joint positions a module stretches along +x of its base. Joint i is followed by link i, which lies
+along the local x axis; the next joint sits at the end of that link. An RyRz module is thus a joint about
+y, a link l1, a joint about z and a link l2, whose end is the posture control point of the module (6.1).
+
+In the URDF each link is a solid of one density: a sphere at the joint before it and a cylinder along its
+local x axis, both of the radius of the module. Visuals, collision geometry and inertia describe this same
+solid; where sphere and cylinder overlap, mass counts twice, as in simulators that sum over geometries.
+"""
 
 from __future__ import annotations
 
@@ -12,18 +21,16 @@ from typing import Any, NamedTuple
 
 from pinposture.errors import InvalidValue, UnknownName
 
-# Module templates: what one module of an arm is made of, as data.
-#
-# At zero joint positions a module stretches along +x of its base. Joint i is followed by link i, which lies
-# along the local x axis; the next joint sits at the end of that link. An RyRz module is thus a joint about
-# y, a link l1, a joint about z and a link l2, whose end is the posture control point of the module (6.1).
-
 JOINT_TYPES = ("revolute", "prismatic", "continuous")
 
 _UNIT_VECTORS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.-]*")
 _FULL_TURN = (-math.pi, math.pi)
 _NO_LIMITS = (-math.inf, math.inf)
+_COLOURS = {"joint": (0.25, 0.27, 0.3, 1.0), "odd": (0.93, 0.55, 0.14, 1.0), "even": (0.9, 0.9, 0.88, 1.0)}
+
+DENSITY = 1000.0
+"""Density of every link [kg/m^3]."""
 
 
 @dataclass(frozen=True)
@@ -56,19 +63,19 @@ class JointSpec:
             object.__setattr__(self, "axis", _axis_vector(self.axis))
         elif self.axis not in _UNIT_VECTORS:
             raise InvalidValue("joint axis", self.axis, "'x', 'y', 'z' or three numbers")
-        self._settle_limits()
+        self._check_limits()
         for name in ("velocity", "effort"):
             value = _number(name, getattr(self, name), "a finite number above 0", lowest=math.ulp(0.0))
             object.__setattr__(self, name, value)
 
-    def _settle_limits(self) -> None:
+    def _check_limits(self) -> None:
+        given = (self.lower, self.upper)
         if self.type == "continuous":
-            if (self.lower, self.upper) not in (_FULL_TURN, _NO_LIMITS):
-                given = (self.lower, self.upper)
+            if given not in (_FULL_TURN, _NO_LIMITS):
                 raise InvalidValue("limits of a continuous joint", given, "none; a revolute joint has limits")
             lower, upper = _NO_LIMITS
         else:
-            if self.type == "prismatic" and (self.lower, self.upper) == _FULL_TURN:
+            if self.type == "prismatic" and given == _FULL_TURN:
                 raise InvalidValue("limits of a prismatic joint", None, "lower= and upper= [m], both given")
             lower = _number("lower", self.lower, "a finite number")
             upper = _number("upper", self.upper, "a finite number")
@@ -88,7 +95,7 @@ class JointSpec:
 
 @dataclass(frozen=True)
 class ModuleTemplate:
-    """What one module is made of; make a new kind by writing one down.
+    """What one module is made of.
 
         ModuleTemplate(
             "RxRyP",
@@ -121,7 +128,7 @@ class ModuleTemplate:
         lengths = _items(self.link_lengths, "link_lengths", allowed)
         if len(lengths) != len(joints):
             raise InvalidValue("link_lengths", self.link_lengths, allowed)
-        # Outside these bounds the inertia of a link would in the end under- or overflow.
+        # Outside these bounds the inertia of a link would under- or overflow.
         checked = tuple(
             _number(f"link_lengths[{i}]", length, "0 to 1e6 m", lowest=0.0, highest=1e6)
             for i, length in enumerate(lengths)
@@ -137,7 +144,7 @@ class ModuleTemplate:
         return math.fsum(self.link_lengths)
 
     def with_lengths(self, link_lengths: Sequence[float]) -> ModuleTemplate:
-        """The same module with other link lengths.
+        """Return the same module with other link lengths.
 
         Args:
             link_lengths: length of the link that follows each joint, (n,) [m].
@@ -148,7 +155,7 @@ class ModuleTemplate:
         return replace(self, link_lengths=link_lengths)
 
     def with_limits(self, lower: float, upper: float) -> ModuleTemplate:
-        """The same module with other limits on each of its revolute joints; other joints keep theirs.
+        """Return the same module with other limits on all its revolute joints; other joints keep theirs.
 
         Args:
             lower: smallest position [rad].
@@ -164,7 +171,7 @@ class ModuleTemplate:
 def _number(
     name: str, value: Any, allowed: str, lowest: float = -math.inf, highest: float = math.inf
 ) -> float:
-    """A finite number within bounds, as a plain float and never -0.0."""
+    """Return a finite number within bounds as a plain float, never -0.0."""
     try:
         number = math.nan if isinstance(value, (bool, str, bytes)) else float(value) + 0.0
     except (TypeError, ValueError, OverflowError):
@@ -208,11 +215,11 @@ TEMPLATES: Mapping[str, ModuleTemplate] = MappingProxyType(
         "RzRzRz": _planar("RzRzRz"),
     }
 )
-"""The templates that ship, by name. The spatial ones reach in space, those of "Rz" alone in a plane."""
+"""The shipped templates by name. Those of "Rz" alone make planar arms, the others spatial ones."""
 
 
 def template(name: str) -> ModuleTemplate:
-    """Look up a template that ships.
+    """Look up a shipped template.
 
     Args:
         name: for instance "RyRz".
@@ -223,19 +230,6 @@ def template(name: str) -> ModuleTemplate:
     if not isinstance(name, str) or name not in TEMPLATES:
         raise UnknownName("template", name, TEMPLATES)
     return TEMPLATES[name]
-
-
-# Writing an arm of modules as URDF.
-#
-# Each link is a solid of one density: a sphere at the joint before it and a cylinder along its local x axis,
-# both of the radius of the module. Visuals, collision geometry and inertia describe this same solid; where
-# the sphere and the cylinder overlap, matter counts twice, as it does in simulators that sum over
-# geometries.
-
-DENSITY = 1000.0
-"""Density of every link [kg/m^3]."""
-
-_COLOURS = {"joint": (0.25, 0.27, 0.3, 1.0), "odd": (0.93, 0.55, 0.14, 1.0), "even": (0.9, 0.9, 0.88, 1.0)}
 
 
 def modules_to_urdf(
@@ -270,106 +264,80 @@ def modules_to_urdf(
         raise InvalidValue("name", name, "printable text that is not blank")
     if not isinstance(command, str) or "--" in command or not command.isprintable():
         raise InvalidValue("command", command, "printable text without '--', which would end the comment")
-    robot = ET.Element("robot", name=name)
-    for colour, rgba in _COLOURS.items():
-        ET.SubElement(ET.SubElement(robot, "material", name=colour), "color", rgba=_numbers(*rgba))
-    _add_chain(robot, listed)
+    colours = (f'<material name="{k}"><color rgba="{_numbers(*v)}"/></material>' for k, v in _COLOURS.items())
+    robot = ET.fromstring(f"<robot>{''.join(colours)}{_chain(listed)}</robot>")
+    robot.set("name", name)
     ET.indent(robot)
     head = f'<?xml version="1.0" encoding="utf-8"?>\n<!-- Generated by {command}; do not edit. -->\n'
     return head + ET.tostring(robot, encoding="unicode") + "\n"
 
 
-def _add_chain(robot: ET.Element, modules: Sequence[ModuleTemplate]) -> None:
+def _chain(modules: Sequence[ModuleTemplate]) -> str:
+    """Return the links and joints of the arm as XML."""
     module_digits = max(2, len(str(len(modules))))
     joint_digits = len(str(max(len(module.joints) for module in modules)))
-    ET.SubElement(robot, "link", name="base")
-    parent, distance = "base", 0.0
+    parts, parent, distance = ['<link name="base"/>'], "base", 0.0
     for m, module in enumerate(modules, start=1):
         for j, (spec, length) in enumerate(zip(module.joints, module.link_lengths, strict=True), start=1):
             prefix, number = f"m{m:0{module_digits}d}", f"{j:0{joint_digits}d}"
             letter = f"_{spec.axis}" if isinstance(spec.axis, str) else ""
-            child = f"{prefix}_l{number}"
-            joint = _add_joint(
-                robot, f"{prefix}_j{number}{letter}", spec.type, parent, child, distance=distance
-            )
-            _add_motion(joint, spec)
-            _add_link(robot, child, length, module.radius, "odd" if m % 2 else "even")
+            child, motion = f"{prefix}_l{number}", _motion(spec)
+            parts.append(_joint(f"{prefix}_j{number}{letter}", spec.type, parent, child, distance, motion))
+            parts.append(_link(child, length, module.radius, "odd" if m % 2 else "even"))
             parent, distance = child, length
-    _add_joint(robot, "tip_joint", "fixed", parent, "tip", distance=distance)
-    ET.SubElement(robot, "link", name="tip")
+    tip = _joint("tip_joint", "fixed", parent, "tip", distance, "")
+    return "".join([*parts, tip, '<link name="tip"/>'])
 
 
-def _add_joint(
-    robot: ET.Element, name: str, kind: str, parent: str, child: str, *, distance: float
-) -> ET.Element:
-    joint = ET.SubElement(robot, "joint", name=name, type=kind)
-    ET.SubElement(joint, "parent", link=parent)
-    ET.SubElement(joint, "child", link=child)
-    ET.SubElement(joint, "origin", xyz=_numbers(distance, 0.0, 0.0), rpy=_numbers(0.0, 0.0, 0.0))
-    return joint
+def _joint(name: str, kind: str, parent: str, child: str, distance: float, motion: str) -> str:
+    ends = f'<parent link="{parent}"/><child link="{child}"/>{_origin(distance)}'
+    return f'<joint name="{name}" type="{kind}">{ends}{motion}</joint>'
 
 
-def _add_motion(joint: ET.Element, spec: JointSpec) -> None:
-    ET.SubElement(joint, "axis", xyz=_numbers(*spec.direction))
-    limit = ET.SubElement(joint, "limit")
-    if spec.type != "continuous":
-        limit.set("lower", _numbers(spec.lower))
-        limit.set("upper", _numbers(spec.upper))
-    limit.set("effort", _numbers(spec.effort))
-    limit.set("velocity", _numbers(spec.velocity))
+def _motion(spec: JointSpec) -> str:
+    limits = "" if spec.type == "continuous" else f'lower="{spec.lower!r}" upper="{spec.upper!r}" '
+    limit = f'<limit {limits}effort="{spec.effort!r}" velocity="{spec.velocity!r}"/>'
+    return f'<axis xyz="{_numbers(*spec.direction)}"/>{limit}'
 
 
-def _add_link(robot: ET.Element, name: str, length: float, radius: float, colour: str) -> None:
-    link = ET.SubElement(robot, "link", name=name)
+def _link(name: str, length: float, radius: float, colour: str) -> str:
     solid = link_inertia(length, radius)
-    inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "origin", xyz=_numbers(solid.center, 0.0, 0.0), rpy=_numbers(0.0, 0.0, 0.0))
-    ET.SubElement(inertial, "mass", value=_numbers(solid.mass))
-    along, across, none = _numbers(solid.along), _numbers(solid.across), _numbers(0.0)
-    ET.SubElement(inertial, "inertia", ixx=along, ixy=none, ixz=none, iyy=across, iyz=none, izz=across)
+    along, across = f'"{solid.along!r}"', f'"{solid.across!r}"'
+    moments = f'ixx={along} ixy="0.0" ixz="0.0" iyy={across} iyz="0.0" izz={across}'
+    mass = f'{_origin(solid.center)}<mass value="{solid.mass!r}"/><inertia {moments}/>'
+    ball, tube = f'<sphere radius="{radius!r}"/>', f'<cylinder radius="{radius!r}" length="{length!r}"/>'
+    shapes = ""
     for tag in ("visual", "collision"):
-        ball = _add_shape(link, tag, 0.0, "joint")
-        ET.SubElement(ball, "sphere", radius=_numbers(radius))
-        if length > 0.0:
-            tube = _add_shape(link, tag, length / 2.0, colour)
-            ET.SubElement(tube, "cylinder", radius=_numbers(radius), length=_numbers(length))
+        shapes += _shape(tag, 0.0, ball, "joint")
+        shapes += _shape(tag, length / 2.0, tube, colour) if length > 0.0 else ""
+    return f'<link name="{name}"><inertial>{mass}</inertial>{shapes}</link>'
 
 
-def _add_shape(link: ET.Element, tag: str, center: float, colour: str) -> ET.Element:
-    shape = ET.SubElement(link, tag)
-    # A quarter turn about y lays the axis of a cylinder, which is z, along x; a sphere does not mind.
-    ET.SubElement(shape, "origin", xyz=_numbers(center, 0.0, 0.0), rpy=_numbers(0.0, math.pi / 2.0, 0.0))
-    geometry = ET.SubElement(shape, "geometry")
-    if tag == "visual":
-        ET.SubElement(shape, "material", name=colour)
-    return geometry
+def _shape(tag: str, center: float, solid: str, colour: str) -> str:
+    origin = _origin(center, math.pi / 2.0)  # turns the axis of a cylinder from z to x
+    material = f'<material name="{colour}"/>' if tag == "visual" else ""
+    return f"<{tag}>{origin}<geometry>{solid}</geometry>{material}</{tag}>"
+
+
+def _origin(x: float, pitch: float = 0.0) -> str:
+    return f'<origin xyz="{_numbers(x, 0.0, 0.0)}" rpy="{_numbers(0.0, pitch, 0.0)}"/>'
 
 
 class LinkInertia(NamedTuple):
-    """Inertia of a link about its centre of mass, axes parallel to the link frame.
+    """Inertia of a link about its centre of mass, axes parallel to the link frame."""
 
-    Attributes:
-        mass: mass [kg].
-        center: x coordinate of the centre of mass in the link frame [m].
-        along: moment of inertia about x [kg m^2].
-        across: moment of inertia about y, and about z [kg m^2].
-    """
-
-    mass: float
-    center: float
-    along: float
-    across: float
+    mass: float  # mass [kg]
+    center: float  # x coordinate of the centre of mass in the link frame [m]
+    along: float  # moment of inertia about x [kg m^2]
+    across: float  # moment of inertia about y, and about z [kg m^2]
 
 
 def link_inertia(length: float, radius: float) -> LinkInertia:
-    """Inertia of a link: a ball at its joint and a cylinder from there along x, each of density `DENSITY`.
+    """Compute the inertia of a ball at the joint and a cylinder from there along x, of density `DENSITY`.
 
     Args:
         length: length of the cylinder, 0 for the ball alone [m].
         radius: radius of both [m].
-
-    Returns:
-        Mass, centre of mass and moments; positive, and they satisfy the triangle inequality.
     """
     ball = DENSITY * math.pi * radius**3 * 4.0 / 3.0
     tube = DENSITY * math.pi * radius**2 * length
@@ -382,4 +350,4 @@ def link_inertia(length: float, radius: float) -> LinkInertia:
 
 
 def _numbers(*values: float) -> str:
-    return " ".join(repr(value) for value in values)
+    return " ".join(map(repr, values))

@@ -1,18 +1,21 @@
-"""Reads a robot description, safely, and says what is wrong with it."""
+"""Reading of a robot description (URDF), with all checks that its kinematics depend on.
+
+Pinocchio tells only *that* a description is invalid, and accepts some that make no sense: an axis of no
+length, limits that exclude every position, links that form a circle.
+"""
 
 from __future__ import annotations
 
 import math
 import os
 import re
-import xml.etree.ElementTree as ET
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
 from typing import NamedTuple
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
 import numpy as np
@@ -20,19 +23,23 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture.errors import FileError, InvalidValue, UnknownName, URDFError
+from pinposture.storage import read_text
 
-# One joint of a robot description: its fields, and everything that can be wrong with them.
-
+Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
-Fault = Callable[[str], URDFError]
+MakeError = Callable[[str], URDFError]
 
 CHAIN_JOINTS = ("revolute", "continuous", "prismatic")
 JOINT_TYPES = (*CHAIN_JOINTS, "fixed", "floating", "planar")
 
+_BLANK = "\ufeff \t\r\n"
+_MAX_DEPTH = 400  # the XML parser behind Pinocchio gives up a little below 500
+_VECTOR_ATTRIBUTE = re.compile(r"""\b(?:xyz|rpy)\s*=\s*(?:"[^"<]*"|'[^'<]*')""")
+_INFINITE_ATTRIBUTE = re.compile(r"""(\b(?:velocity|effort)\s*=\s*["'])\+?inf(?:inity)?(?=["'])""", re.I)
 # What Pinocchio takes for a number; Python alone would take "1_0" and "inf" as well.
 _NUMBER = re.compile(r"[ \t\r\n]*[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _INFINITE = re.compile(r"\+?inf(inity)?", re.IGNORECASE)
-# The parts of a joint that hold numbers: attributes that must be there, and those that may.
+# The parts of a joint that hold numbers: required and optional attributes.
 _PARTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "limit": (("effort", "velocity"), ("lower", "upper")),
     "safety_controller": (("k_velocity",), ("soft_lower_limit", "soft_upper_limit", "k_position")),
@@ -43,48 +50,28 @@ _PARTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 
 
 class Follows(NamedTuple):
-    """What <mimic> says: position = multiplier * position of another joint + offset.
+    """What <mimic> says: position = multiplier * position of another joint + offset."""
 
-    Attributes:
-        joint: name of the joint that is followed.
-        multiplier: factor of its position; 1 if not given.
-        offset: added to it [rad or m]; 0 if not given.
-    """
-
-    joint: str
-    multiplier: float
-    offset: float
+    joint: str  # name of the joint that is followed
+    multiplier: float  # factor of its position; 1 if not given
+    offset: float  # added to it [rad or m]; 0 if not given
 
 
 @dataclass(frozen=True)
 class JointDescription:
-    """A joint as the description has it.
+    """A joint of a robot description."""
 
-    Attributes:
-        name: its name.
-        type: one of `JOINT_TYPES`.
-        parent: the link before it.
-        child: the link after it.
-        origin: where the joint sits in the frame of the link before it, (3,) [m].
-        rpy: how its frame is turned there: roll, pitch, yaw, (3,) [rad].
-        axis: unit vector, (3,), in the frame of the joint; x if the description gives none.
-        lower: smallest position [rad or m]; -inf without limits, 0 if fixed.
-        upper: largest position [rad or m]; inf without limits, 0 if fixed.
-        velocity: largest speed [rad/s or m/s], may be infinite; None without <limit>.
-        follows: how it follows another joint; None if it moves by itself.
-    """
-
-    name: str
-    type: str
-    parent: str
-    child: str
-    origin: Vector
-    rpy: Vector
-    axis: Vector
-    lower: float
-    upper: float
-    velocity: float | None
-    follows: Follows | None
+    name: str  # its name
+    type: str  # one of `JOINT_TYPES`
+    parent: str  # the link before it
+    child: str  # the link after it
+    origin: Vector  # position of the joint in the frame of its parent link, (3,) [m]
+    rpy: Vector  # orientation of its frame there: roll, pitch, yaw, (3,) [rad]
+    axis: Vector  # unit vector, (3,), in the frame of the joint; x if the description gives none
+    lower: float  # smallest position [rad or m]; -inf without limits, 0 if fixed
+    upper: float  # largest position [rad or m]; inf without limits, 0 if fixed
+    velocity: float | None  # largest speed [rad/s or m/s], may be infinite; None without <limit>
+    follows: Follows | None  # how it follows another joint; None if it moves by itself
 
     @property
     def mimic(self) -> bool:
@@ -97,399 +84,24 @@ class JointDescription:
         return self.lower < self.upper
 
 
-def read_joint(element: ET.Element, source: str) -> JointDescription:
-    """Read and check a <joint> that has a name.
-
-    Args:
-        element: the XML element.
-        source: what to call the description in messages.
-
-    Raises:
-        URDFError: a field is missing or cannot be used.
-    """
-    name, kind = element.get("name", ""), element.get("type")
-    fault = partial(URDFError, source, f"joint {name!r}")
-    if kind not in JOINT_TYPES:
-        raise fault(f"type is {kind!r}; allowed: {', '.join(JOINT_TYPES)}")
-    if name == "universe" and kind != "fixed":
-        raise fault("has the name that Pinocchio gives to the world; rename it")
-    parent, child = _end(element, "parent", fault), _end(element, "child", fault)
-    if parent == child:
-        raise fault(f"has link {parent!r} for its parent and for its child")
-    origin = _vector(element, "origin", "xyz", (0.0, 0.0, 0.0), fault)
-    rpy = _vector(element, "origin", "rpy", (0.0, 0.0, 0.0), fault)
-    axis: Vector = (1.0, 0.0, 0.0)
-    if kind not in ("fixed", "floating"):
-        axis = _unit(_vector(element, "axis", "xyz", axis, fault), fault)
-    numbers = {tag: _part(element, tag, fault) for tag in _PARTS}
-    lower, upper = _limits(kind, numbers["limit"], fault)
-    velocity = (numbers["limit"] or {}).get("velocity")
-    follows, mimic = None, element.find("mimic")
-    if mimic is not None:
-        given = {"multiplier": 1.0, "offset": 0.0, **(numbers["mimic"] or {})}
-        follows = Follows(mimic.attrib["joint"], **given)
-    return JointDescription(name, kind, parent, child, origin, rpy, axis, lower, upper, velocity, follows)
-
-
-def _end(element: ET.Element, role: str, fault: Fault) -> str:
-    end = element.find(role)
-    link = "" if end is None else end.get("link", "")
-    if not link:
-        raise fault(f'names no {role} link; allowed: <{role} link="..."/>')
-    return link
-
-
-def _number(text: str, what: str, fault: Fault) -> float:
-    number = float(text) if _NUMBER.fullmatch(text) else math.nan
-    if not math.isfinite(number):
-        raise fault(f"{what} is {text[:40]!r}; allowed: a finite number, no blank after it")
-    return number
-
-
-def _vector(element: ET.Element, tag: str, attribute: str, default: Vector, fault: Fault) -> Vector:
-    part = element.find(tag)
-    text = None if part is None else part.get(attribute)
-    if text is None:
-        return default
-    what = f"<{tag}> {attribute}"
-    numbers = [_number(piece, what, fault) for piece in text.split(" ") if piece]
-    if len(numbers) != 3:
-        raise fault(f"{what} is {text[:40]!r}; allowed: three numbers with blanks between them")
-    if max(map(abs, numbers)) > 1e100:
-        raise fault(f"{what} is {text[:40]!r}; allowed: numbers that can be squared")
-    x, y, z = numbers
-    return x, y, z
-
-
-def _unit(vector: Vector, fault: Fault) -> Vector:
-    norm = math.hypot(*vector)
-    if norm < 1e-100:
-        raise fault(f"<axis> xyz is {vector}; allowed: a vector that is not zero")
-    x, y, z = vector
-    return x / norm, y / norm, z / norm
-
-
-def _part(element: ET.Element, tag: str, fault: Fault) -> dict[str, float] | None:
-    part = element.find(tag)
-    if part is None:
-        return None
-    required, optional = _PARTS[tag]
-    for attribute in required:
-        if attribute not in part.attrib:
-            raise fault(f"<{tag}> has no {attribute}; it must have {' and '.join(required)}")
-    if tag == "mimic" and "joint" not in part.attrib:
-        raise fault("<mimic> names no joint")
-    given = [attribute for attribute in required + optional if attribute in part.attrib]
-    if tag == "dynamics" and not given:
-        raise fault("<dynamics> has neither damping nor friction")
-    return {
-        name: math.inf
-        if name in ("effort", "velocity") and _INFINITE.fullmatch(part.attrib[name])
-        else _number(part.attrib[name], f"<{tag}> {name}", fault)
-        for name in given
-    }
-
-
-def _limits(kind: str, limit: dict[str, float] | None, fault: Fault) -> tuple[float, float]:
-    if kind == "fixed":
-        return 0.0, 0.0
-    for attribute in ("effort", "velocity"):
-        if limit and limit[attribute] < 0.0:
-            raise fault(f"<limit> {attribute} is {limit[attribute]}; allowed: 0 or more")
-    if kind not in ("revolute", "prismatic"):
-        return -math.inf, math.inf
-    if limit is None:
-        free = "; a joint that turns for ever is continuous" if kind == "revolute" else ""
-        raise fault(f"is {kind} and has no <limit>{free}")
-    if "lower" not in limit and "upper" not in limit:
-        return -math.inf, math.inf
-    lower, upper = limit.get("lower", 0.0), limit.get("upper", 0.0)
-    if lower > upper:
-        raise fault(f"<limit> lower is {lower} and upper {upper}; allowed: lower <= upper (0 if not given)")
-    return lower, upper
-
-
-# From a file or a string to the XML elements of a robot, safely.
-
-_BLANK = "\ufeff \t\r\n"
-_DEEPEST = 400  # the XML parser behind Pinocchio gives up a little below 500
-_VECTOR_ATTRIBUTE = re.compile(r"""\b(?:xyz|rpy)\s*=\s*(?:"[^"<]*"|'[^'<]*')""")
-_INFINITE_ATTRIBUTE = re.compile(r"""(\b(?:velocity|effort)\s*=\s*["'])\+?inf(?:inity)?(?=["'])""", re.I)
-
-
-def load_text(source: str | Path) -> tuple[str, str]:
-    """Read a description without looking at what it says.
-
-    Args:
-        source: path of a file, or the text itself if it begins with "<".
-
-    Returns:
-        The text, and what to call it in messages: the path or "URDF text".
-
-    Raises:
-        InvalidValue: neither a path nor text.
-        FileError: the file is missing, not readable, not UTF-8 text, or empty.
-        URDFError: text of several lines, thus not a path, that does not begin with "<".
-    """
-    if not isinstance(source, (str, os.PathLike)):
-        raise InvalidValue("source", source, "path of a URDF file, or URDF text")
-    if isinstance(source, str):
-        text = source.lstrip(_BLANK)
-        if text.startswith("<"):
-            return source, "URDF text"
-        if "\n" in text:
-            raise URDFError("URDF text", "line 1", f"begins with {text[:20]!r}; allowed: '<'")
-    path = Path(source)
-    try:
-        text = path.read_bytes().decode("utf-8")
-    except FileNotFoundError:
-        raise FileError(path, "no such file") from None
-    except IsADirectoryError:
-        raise FileError(path, "is a directory; allowed: a URDF file") from None
-    except UnicodeDecodeError as error:
-        raise FileError(path, f"is not UTF-8 text (byte {error.start})") from None
-    except (OSError, ValueError) as error:
-        raise FileError(path, f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
-    if not text.strip(_BLANK):
-        raise FileError(path, "is empty")
-    return text, str(path)
-
-
-def parse_xml(text: str, source: str) -> ET.Element:
-    """Parse XML, refusing what could fetch files or blow up.
-
-    Args:
-        text: the XML; blanks may precede it.
-        source: what to call it in messages.
-
-    Returns:
-        The root element. Names keep their namespace prefixes, because extensions of URDF use prefixes that
-        they never declare.
-
-    Raises:
-        URDFError: malformed (names the line), with a document type, or nested too deep.
-    """
-    body = text.lstrip(_BLANK)
-    if _declares_document_type(body):
-        raise URDFError(source, "<!DOCTYPE>", "is refused, for it can define entities; remove it")
-    builder, parser = ET.TreeBuilder(), expat.ParserCreate("utf-8")
-    depth = 0
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal depth
-        depth += 1
-        if depth > _DEEPEST:
-            raise URDFError(source, f"<{tag}>", f"is nested too deep; allowed: {_DEEPEST} levels")
-        builder.start(tag, attributes)
-
-    def end(tag: str) -> None:
-        nonlocal depth
-        depth -= 1
-        builder.end(tag)
-
-    parser.StartElementHandler, parser.EndElementHandler = start, end
-    parser.CharacterDataHandler = builder.data
-    try:
-        parser.Parse(body, True)
-    except expat.ExpatError as error:
-        line = error.lineno + text[: len(text) - len(body)].count("\n")
-        reason = f"is not well-formed XML: {expat.ErrorString(error.code)}"
-        raise URDFError(source, f"line {line}", reason) from None
-    except UnicodeEncodeError as error:
-        raise URDFError(source, f"character {error.start}", "is half of a surrogate pair") from None
-    return builder.close()
-
-
-def text_for_pinocchio(text: str) -> str:
-    """The same XML as Pinocchio can read it.
-
-    Each vector is on one line, for Pinocchio splits them at blanks only; an infinite speed or effort is a
-    huge number, for it reads digits only.
-    """
-    text = _VECTOR_ATTRIBUTE.sub(lambda match: re.sub(r"[\t\r\n]", " ", match[0]), text.lstrip(_BLANK))
-    return _INFINITE_ATTRIBUTE.sub(r"\g<1>1e300", text)
-
-
-def _declares_document_type(text: str) -> bool:
-    # Answered without the parser, which expands entities even when a handler has raised.
-    at = text.find("<")
-    while at >= 0:
-        if text.startswith("<!--", at):
-            at = text.find("-->", at + 4)
-        elif text.startswith("<?", at):
-            at = text.find("?>", at + 2)
-        else:
-            return text.startswith("<!DOCTYPE", at)
-        at = text.find("<", at) if at >= 0 else at
-    return False
-
-
-# Which link of a robot description an arm ends at, when nobody says.
-
-Array = NDArray[np.float64]
-
-
-class _Place(NamedTuple):
-    """A link, as seen from the base: behind which joint, how many moving joints, where, how deep.
-
-    Its place (3,) [m] and the axes of its frame (3, 3) are those in the frame of the last moving joint.
-    """
-
-    link: str
-    joint: str | None
-    joints: int
-    place: Array
-    turn: Array
-    depth: int
-
-    @property
-    def distance(self) -> float:
-        """Distance from the last moving joint, or from the base [m]."""
-        return float(np.linalg.norm(self.place))
-
-
-def default_tip(description: Description, base: str) -> str:
-    """The end of the longest moving chain below a link.
-
-    A joint counts if it moves by itself. A gripper does not count: joints that <mimic> couples across several
-    branches open and close a tool, they do not carry the arm any farther, so the arm ends before them. Of the
-    ends that the last counted joint moves, the one farthest from that joint is taken; of those equally far
-    the deepest, and of those the first in the text. Frames of sensors beside the arm thus stay out of it,
-    however many fixed joints lead to them.
-
-    Args:
-        description: the description.
-        base: link at which the arm begins.
-
-    Returns:
-        Name of the link.
-
-    Raises:
-        URDFError: several chains have equally many moving joints; names their ends.
-    """
-    below = defaultdict[str, list[JointDescription]](list)
-    for joint in description.joints:
-        below[joint.parent].append(joint)
-    left_out = _gripper_joints(description, below, base)
-    places = _places(below, base, left_out)
-    inner = {joint.parent for joint in description.joints if joint.name not in left_out}
-    most = max(place.joints for place in places)
-    ends: dict[str | None, list[_Place]] = {}
-    for place in places:
-        if place.joints == most and place.link not in inner:
-            ends.setdefault(place.joint, []).append(place)
-    order = {link: number for number, link in enumerate(description.links)}
-    tips = [_farthest(group, order) for group in ends.values()]
-    if len(tips) > 1:
-        named = ", ".join(map(repr, sorted(tips, key=order.__getitem__)))
-        reason = f"are reached by different joints, {most} moving ones each; pass tip= to choose"
-        raise URDFError(description.source, f"links {named}", reason)
-    return tips[0]
-
-
-def _places(below: dict[str, list[JointDescription]], base: str, left_out: frozenset[str]) -> list[_Place]:
-    here, straight = np.zeros(3), np.eye(3)
-    places = [_Place(base, None, 0, here, straight, 0)]
-    for place in places:  # grows as we go: every link after the one before it
-        for joint in below.get(place.link, []):
-            if joint.name in left_out:
-                continue
-            depth = place.depth + 1
-            if joint.moves and not joint.mimic and joint.type in CHAIN_JOINTS:
-                places.append(_Place(joint.child, joint.name, place.joints + 1, here, straight, depth))
-            else:
-                at = place.place + place.turn @ joint.origin
-                turn = place.turn @ pin.rpy.rpyToMatrix(*joint.rpy)
-                places.append(_Place(joint.child, place.joint, place.joints, at, turn, depth))
-    return places
-
-
-def _farthest(group: list[_Place], order: dict[str, int]) -> str:
-    enough = max(place.distance for place in group) * (1.0 - 1e-6)
-    far = [place for place in group if place.distance >= enough]
-    return max(far, key=lambda place: (place.depth, -order[place.link])).link
-
-
-def _gripper_joints(
-    description: Description, below: dict[str, list[JointDescription]], base: str
-) -> frozenset[str]:
-    """Joints coupled by <mimic> across branches, with nothing behind them that moves by itself."""
-    named = {joint.name: joint for joint in description.joints if joint.moves}
-    groups = defaultdict[str, list[JointDescription]](list)
-    for joint in named.values():
-        if joint.follows is not None and joint.follows.joint in named:
-            leader = leading_joint(joint, named)
-            groups[leader.name].append(joint)
-    found: set[str] = set()
-    for leader_name, followers in groups.items():
-        group = {leader_name, *(joint.name for joint in followers)}
-        behind = {name: _joints_below(below, named[name].child) for name in group}
-        apart = any(a not in behind[b] and b not in behind[a] for a in group for b in group if a != b)
-        free = any(
-            named[name].follows is None and name not in group
-            for names in behind.values()
-            for name in names
-            if name in named
-        )
-        if apart and not free:
-            found |= group
-    path = {joint.name for joint in description.chain(description.root, base)}
-    moving = {name for name, joint in named.items() if not joint.mimic}
-    return frozenset() if moving <= found | path else frozenset(found)
-
-
-def leading_joint(joint: JointDescription, named: dict[str, JointDescription]) -> JointDescription:
-    """The joint at the end of a line of <mimic>; where the line goes round or breaks off, its last joint."""
-    seen = {joint.name}
-    while joint.follows is not None and joint.follows.joint in named and joint.follows.joint not in seen:
-        joint = named[joint.follows.joint]
-        seen.add(joint.name)
-    return joint
-
-
-def _joints_below(below: dict[str, list[JointDescription]], link: str) -> set[str]:
-    links, names = [link], set[str]()
-    for at in links:
-        for joint in below.get(at, []):
-            names.add(joint.name)
-            links.append(joint.child)
-    return names
-
-
-# Reading a robot description and saying what is wrong with it.
-#
-# Pinocchio tells only *that* a description is not valid, and takes some that nobody can mean: an axis of no
-# length, limits that shut out every position, links that hang on each other in a circle.
-
-__all__ = ["Description", "JointDescription", "read_description"]
-
-
 @dataclass(frozen=True)
 class Description:
-    """A robot description without faults: a tree of links.
+    """A robot description without faults: a tree of links."""
 
-    Attributes:
-        name: name of the robot.
-        text: the URDF, fit for Pinocchio: vectors broken over several lines are joined.
-        source: the file it came from, or "URDF text".
-        links: names of the links, in the order of the text.
-        joints: the joints, in the order of the text.
-        root: the one link that no joint leads to.
-    """
-
-    name: str
-    text: str = field(repr=False)
-    source: str
-    links: tuple[str, ...]
-    joints: tuple[JointDescription, ...]
-    root: str
+    name: str  # name of the robot
+    text: str = field(repr=False)  # the URDF, fit for Pinocchio: vectors broken over several lines are joined
+    source: str  # the file it came from, or "URDF text"
+    links: tuple[str, ...]  # names of the links, in the order of the text
+    joints: tuple[JointDescription, ...]  # the joints, in the order of the text
+    root: str  # the one link that is not the child of any joint
 
     @cached_property
-    def _joint_before(self) -> dict[str, JointDescription]:
+    def joint_before(self) -> dict[str, JointDescription]:
+        """For each link but the root the joint that it is the child of."""
         return {joint.child: joint for joint in self.joints}
 
     def chain(self, base: str, tip: str) -> tuple[JointDescription, ...]:
-        """The joints from one link to another.
+        """Return the joints from one link to another.
 
         Args:
             base: link at which the chain starts.
@@ -503,42 +115,58 @@ class Description:
             URDFError: the tip is not below the base.
         """
         for link in (base, tip):
-            if not isinstance(link, str) or (link != self.root and link not in self._joint_before):
+            if not isinstance(link, str) or (link != self.root and link not in self.joint_before):
                 raise UnknownName("link", link, self.links)
         path: list[JointDescription] = []
         link = tip
         while link != base:
             if link == self.root:
-                above = _listed([joint.parent for joint in path]) or "none, it is the root"
-                raise URDFError(
-                    self.source, f"link {tip!r}", f"is not below link {base!r}; above it: {above}"
-                )
-            path.append(self._joint_before[link])
+                above = quote_names([joint.parent for joint in path]) or "none, it is the root"
+                reason = f"is not below link {base!r}; above it: {above}"
+                raise URDFError(self.source, f"link {tip!r}", reason)
+            path.append(self.joint_before[link])
             link = path[-1].parent
         return tuple(reversed(path))
 
-    def longest_chain(self, base: str | None = None) -> tuple[str, str]:
-        """Where the chain with most moving joints begins and ends; see `default_tip`.
+    def longest_chain(self) -> tuple[str, str]:
+        """Find the chain from the root with most moving joints.
 
-        Args:
-            base: link at which it begins; the root if None.
+        A joint counts if it moves by itself. A gripper does not count: joints that <mimic> couples across
+        several branches open and close a tool and do not extend the arm, so the arm ends before them. Of the
+        ends that the last counted joint moves, the one farthest from that joint is taken; of those equally
+        far the deepest, and of those the first in the text. Frames of sensors beside the arm thus stay out of
+        it, however many fixed joints lead to them.
 
         Returns:
-            That link and the one at the end.
+            The link at which it begins, and the one at which it ends.
 
         Raises:
-            UnknownName: there is no such link.
-            URDFError: several chains with different joints have equally many; names their ends.
+            URDFError: several chains have equally many moving joints; names their ends.
         """
-        base = self.root if base is None else base
-        self.chain(base, base)
-        return base, default_tip(self, base)
+        below = defaultdict[str, list[JointDescription]](list)
+        for joint in self.joints:
+            below[joint.parent].append(joint)
+        excluded = _gripper_joints(self, below)
+        places = _place_links(below, self.root, excluded)
+        inner = {joint.parent for joint in self.joints if joint.name not in excluded}
+        most = max(place.joints for place in places)
+        ends: dict[str | None, list[_Place]] = {}
+        for place in places:
+            if place.joints == most and place.link not in inner:
+                ends.setdefault(place.joint, []).append(place)
+        order = {link: number for number, link in enumerate(self.links)}
+        tips = [_farthest(group, order) for group in ends.values()]
+        if len(tips) > 1:
+            named = ", ".join(map(repr, sorted(tips, key=order.__getitem__)))
+            reason = f"are reached by different joints, {most} moving ones each; pass tip= to choose"
+            raise URDFError(self.source, f"links {named}", reason)
+        return self.root, tips[0]
 
 
 def read_description(source: str | Path) -> Description:
     """Read a URDF and check everything that its kinematics depend on.
 
-    Meshes, inertias, transmissions, simulator extensions and elements that URDF does not know are left alone.
+    Meshes, inertias, transmissions, simulator extensions and elements that URDF does not know are ignored.
     A <limit> without lower and upper means no limits; where one of the two is missing it is 0, as in URDF.
 
     Args:
@@ -560,20 +188,125 @@ def read_description(source: str | Path) -> Description:
         raise URDFError(label, "<robot>", "has no name")
     if version not in ("1.0", "1.1", "1.2"):
         raise URDFError(label, "<robot>", f"version is {version!r}; allowed: 1.0, 1.1, 1.2")
-    links = _names(robot.findall("link"), "link", label)
+    links = _read_names(robot.findall("link"), "link", label)
     if not links:
         macros = any(element.tag.startswith("xacro:") for element in robot)
-        raise URDFError(
-            label, "<robot>", "has no links" + ("; expand its xacro macros first" if macros else "")
-        )
+        hint = "; expand its xacro macros first" if macros else ""
+        raise URDFError(label, "<robot>", f"has no links{hint}")
     _refuse_doubles([material.get("name", "") for material in robot.findall("material")], "material", label)
-    _names(robot.findall("joint"), "joint", label)
-    joints = tuple(read_joint(element, label) for element in robot.findall("joint"))
-    root = _root(links, joints, label)
+    _read_names(robot.findall("joint"), "joint", label)
+    joints = tuple(_read_joint(element, label) for element in robot.findall("joint"))
+    root = _find_root(links, joints, label)
     return Description(name, text_for_pinocchio(text), label, links, joints, root)
 
 
-def _names(elements: Iterable[Element], kind: str, source: str) -> tuple[str, ...]:
+def is_urdf_text(source: object) -> bool:
+    """Tell whether a source is the text of a URDF, not the path of a file."""
+    return isinstance(source, str) and source.lstrip(_BLANK).startswith("<")
+
+
+def load_text(source: str | Path) -> tuple[str, str]:
+    """Read a description without interpreting it.
+
+    Args:
+        source: path of a file, or the text itself if it begins with "<".
+
+    Returns:
+        The text, and what to call it in messages: the path or "URDF text".
+
+    Raises:
+        InvalidValue: neither a path nor text.
+        FileError: the file is missing, not readable, not UTF-8 text, or empty.
+        URDFError: text of several lines, thus not a path, that does not begin with "<".
+    """
+    if not isinstance(source, (str, os.PathLike)):
+        raise InvalidValue("source", source, "path of a URDF file, or URDF text")
+    if is_urdf_text(source):
+        return str(source), "URDF text"
+    if isinstance(source, str) and "\n" in (text := source.lstrip(_BLANK)):
+        raise URDFError("URDF text", "line 1", f"begins with {text[:20]!r}; allowed: '<'")
+    path = Path(source)
+    text = read_text(path)
+    if not text.strip(_BLANK):
+        raise FileError(path, "is empty")
+    return text, str(path)
+
+
+def parse_xml(text: str, source: str) -> Element:
+    """Parse XML, refusing what could fetch files or exhaust memory.
+
+    Args:
+        text: the XML; blanks may precede it.
+        source: what to call it in messages.
+
+    Returns:
+        The root element. Names keep their namespace prefixes, because extensions of URDF use prefixes that
+        they never declare.
+
+    Raises:
+        URDFError: malformed (names the line), with a document type, or nested too deep.
+    """
+    body = text.lstrip(_BLANK)
+    if _declares_document_type(body):
+        raise URDFError(source, "<!DOCTYPE>", "is refused, for it can define entities; remove it")
+    builder, parser = TreeBuilder(), expat.ParserCreate("utf-8")
+    depth = 0
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal depth
+        depth += 1
+        if depth > _MAX_DEPTH:
+            raise URDFError(source, f"<{tag}>", f"is nested too deep; allowed: {_MAX_DEPTH} levels")
+        builder.start(tag, attributes)
+
+    def end(tag: str) -> None:
+        nonlocal depth
+        depth -= 1
+        builder.end(tag)
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.CharacterDataHandler = builder.data
+    try:
+        parser.Parse(body, True)
+    except expat.ExpatError as error:
+        line = error.lineno + text[: len(text) - len(body)].count("\n")
+        reason = f"is not well-formed XML: {expat.ErrorString(error.code)}"
+        raise URDFError(source, f"line {line}", reason) from None
+    except UnicodeEncodeError as error:
+        raise URDFError(source, f"character {error.start}", "is half of a surrogate pair") from None
+    return builder.close()
+
+
+def text_for_pinocchio(text: str) -> str:
+    """Return the same XML in a form that Pinocchio can read.
+
+    Each vector is on one line, because Pinocchio splits vectors at blanks only; an infinite speed or effort
+    is a huge number, because it reads digits only.
+    """
+    text = _VECTOR_ATTRIBUTE.sub(lambda match: re.sub(r"[\t\r\n]", " ", match[0]), text.lstrip(_BLANK))
+    return _INFINITE_ATTRIBUTE.sub(r"\g<1>1e300", text)
+
+
+def _declares_document_type(text: str) -> bool:
+    # Not left to the parser, which expands entities even after a handler has raised.
+    at = text.find("<")
+    while at >= 0:
+        if text.startswith("<!--", at):
+            at = text.find("-->", at + 4)
+        elif text.startswith("<?", at):
+            at = text.find("?>", at + 2)
+        else:
+            return text.startswith("<!DOCTYPE", at)
+        at = text.find("<", at) if at >= 0 else at
+    return False
+
+
+def quote_names(names: Sequence[str], most: int = 8) -> str:
+    """Return the first few names in quotes, and dots for the rest."""
+    return ", ".join(map(repr, names[:most])) + (", ..." if len(names) > most else "")
+
+
+def _read_names(elements: Iterable[Element], kind: str, source: str) -> tuple[str, ...]:
     names = tuple(element.get("name", "") for element in elements)
     for number, name in enumerate(names, start=1):
         if not name.strip():
@@ -588,8 +321,8 @@ def _refuse_doubles(names: Sequence[str], kind: str, source: str) -> None:
             raise URDFError(source, f"{kind} {name!r}", f"is defined {count} times")
 
 
-def _root(links: Sequence[str], joints: Sequence[JointDescription], source: str) -> str:
-    """The root of the tree, if it is one."""
+def _find_root(links: Sequence[str], joints: Sequence[JointDescription], source: str) -> str:
+    """Return the root of the tree of links, or say why they form none."""
     known, before = set(links), dict[str, JointDescription]()
     for joint in joints:
         for role, link in (("parent", joint.parent), ("child", joint.child)):
@@ -602,15 +335,15 @@ def _root(links: Sequence[str], joints: Sequence[JointDescription], source: str)
     roots = [link for link in links if link not in before]
     if len(roots) > 1:
         reason = "are not the child of any joint; allowed: one such link, the root"
-        raise URDFError(source, f"links {_listed(roots)}", reason)
-    # No link has two parents, so whatever does not lead up to the root goes round in a circle.
+        raise URDFError(source, f"links {quote_names(roots)}", reason)
+    # No link has two parents, so a link that does not lead up to the root is part of a circle.
     reached = set(roots)
     for start in links:
         link, path = start, dict[str, None]()
         while link not in reached:
             if link in path:
                 circle = [*list(path)[list(path).index(link) :], link]
-                reason = f"closes a circle, child to parent: {_listed(circle)}"
+                reason = f"closes a circle, child to parent: {quote_names(circle)}"
                 raise URDFError(source, f"joint {before[link].name!r}", reason)
             path[link] = None
             link = before[link].parent
@@ -618,5 +351,187 @@ def _root(links: Sequence[str], joints: Sequence[JointDescription], source: str)
     return roots[0]
 
 
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(map(repr, names[:8])) + (", ..." if len(names) > 8 else "")
+def _read_joint(element: Element, source: str) -> JointDescription:
+    """Read and check a <joint> that has a name."""
+    name, kind = element.get("name", ""), element.get("type")
+    fault = partial(URDFError, source, f"joint {name!r}")
+    if kind not in JOINT_TYPES:
+        raise fault(f"type is {kind!r}; allowed: {', '.join(JOINT_TYPES)}")
+    if name == "universe" and kind != "fixed":
+        raise fault("has the name that Pinocchio gives to the world; rename it")
+    parent, child = _read_link(element, "parent", fault), _read_link(element, "child", fault)
+    if parent == child:
+        raise fault(f"has link {parent!r} for its parent and for its child")
+    origin = _read_vector(element, "origin", "xyz", (0.0, 0.0, 0.0), fault)
+    rpy = _read_vector(element, "origin", "rpy", (0.0, 0.0, 0.0), fault)
+    axis: Vector = (1.0, 0.0, 0.0)
+    if kind not in ("fixed", "floating"):
+        axis = _unit(_read_vector(element, "axis", "xyz", axis, fault), fault)
+    numbers = {tag: _read_part(element, tag, fault) for tag in _PARTS}
+    lower, upper = _read_limits(kind, numbers["limit"], fault)
+    velocity = (numbers["limit"] or {}).get("velocity")
+    follows, mimic = None, element.find("mimic")
+    if mimic is not None:
+        given = {"multiplier": 1.0, "offset": 0.0, **(numbers["mimic"] or {})}
+        follows = Follows(mimic.attrib["joint"], **given)
+    return JointDescription(name, kind, parent, child, origin, rpy, axis, lower, upper, velocity, follows)
+
+
+def _read_link(element: Element, role: str, fault: MakeError) -> str:
+    end = element.find(role)
+    link = "" if end is None else end.get("link", "")
+    if not link:
+        raise fault(f'names no {role} link; allowed: <{role} link="..."/>')
+    return link
+
+
+def _read_number(text: str, what: str, fault: MakeError) -> float:
+    number = float(text) if _NUMBER.fullmatch(text) else math.nan
+    if not math.isfinite(number):
+        raise fault(f"{what} is {text[:40]!r}; allowed: a finite number, no blank after it")
+    return number
+
+
+def _read_vector(element: Element, tag: str, attribute: str, default: Vector, fault: MakeError) -> Vector:
+    part = element.find(tag)
+    text = None if part is None else part.get(attribute)
+    if text is None:
+        return default
+    what = f"<{tag}> {attribute}"
+    numbers = [_read_number(piece, what, fault) for piece in text.split(" ") if piece]
+    if len(numbers) != 3:
+        raise fault(f"{what} is {text[:40]!r}; allowed: three numbers with blanks between them")
+    if max(map(abs, numbers)) > 1e100:
+        raise fault(f"{what} is {text[:40]!r}; allowed: numbers that can be squared")
+    x, y, z = numbers
+    return x, y, z
+
+
+def _unit(vector: Vector, fault: MakeError) -> Vector:
+    norm = math.hypot(*vector)
+    if norm < 1e-100:
+        raise fault(f"<axis> xyz is {vector}; allowed: a vector that is not zero")
+    x, y, z = vector
+    return x / norm, y / norm, z / norm
+
+
+def _read_part(element: Element, tag: str, fault: MakeError) -> dict[str, float] | None:
+    """Return the numbers of a part of a joint by their attributes; None if there is no such part."""
+    part = element.find(tag)
+    if part is None:
+        return None
+    required, optional = _PARTS[tag]
+    for attribute in required:
+        if attribute not in part.attrib:
+            raise fault(f"<{tag}> has no {attribute}; it must have {' and '.join(required)}")
+    if tag == "mimic" and "joint" not in part.attrib:
+        raise fault("<mimic> names no joint")
+    given = [attribute for attribute in required + optional if attribute in part.attrib]
+    if tag == "dynamics" and not given:
+        raise fault("<dynamics> has neither damping nor friction")
+    return {
+        name: math.inf
+        if name in ("effort", "velocity") and _INFINITE.fullmatch(part.attrib[name])
+        else _read_number(part.attrib[name], f"<{tag}> {name}", fault)
+        for name in given
+    }
+
+
+def _read_limits(kind: str, limit: dict[str, float] | None, fault: MakeError) -> tuple[float, float]:
+    if kind == "fixed":
+        return 0.0, 0.0
+    for attribute in ("effort", "velocity"):
+        if limit and limit[attribute] < 0.0:
+            raise fault(f"<limit> {attribute} is {limit[attribute]}; allowed: 0 or more")
+    if kind not in ("revolute", "prismatic"):
+        return -math.inf, math.inf
+    if limit is None:
+        free = "; a joint that turns for ever is continuous" if kind == "revolute" else ""
+        raise fault(f"is {kind} and has no <limit>{free}")
+    if "lower" not in limit and "upper" not in limit:
+        return -math.inf, math.inf
+    lower, upper = limit.get("lower", 0.0), limit.get("upper", 0.0)
+    if lower > upper:
+        raise fault(f"<limit> lower is {lower} and upper {upper}; allowed: lower <= upper (0 if not given)")
+    return lower, upper
+
+
+class _Place(NamedTuple):
+    """A link as seen from the root: last moving joint before it, number of those, position, rotation, depth.
+
+    Position (3,) [m] and rotation (3, 3) are in the frame of that joint.
+    """
+
+    link: str
+    joint: str | None
+    joints: int
+    position: Array
+    rotation: Array
+    depth: int
+
+    @property
+    def distance(self) -> float:
+        """Distance from the last moving joint, or from the root [m]."""
+        return float(np.linalg.norm(self.position))
+
+
+def _place_links(
+    below: Mapping[str, list[JointDescription]], root: str, excluded: frozenset[str]
+) -> list[_Place]:
+    origin, identity = np.zeros(3), np.eye(3)
+    places = [_Place(root, None, 0, origin, identity, 0)]
+    for place in places:  # grows: every link after its parent
+        for joint in below.get(place.link, []):
+            if joint.name in excluded:
+                continue
+            depth = place.depth + 1
+            if joint.moves and not joint.mimic and joint.type in CHAIN_JOINTS:
+                places.append(_Place(joint.child, joint.name, place.joints + 1, origin, identity, depth))
+            else:
+                position = place.position + place.rotation @ joint.origin
+                rotation = place.rotation @ pin.rpy.rpyToMatrix(*joint.rpy)
+                places.append(_Place(joint.child, place.joint, place.joints, position, rotation, depth))
+    return places
+
+
+def _farthest(group: list[_Place], order: Mapping[str, int]) -> str:
+    enough = max(place.distance for place in group) * (1.0 - 1e-6)
+    far = [place for place in group if place.distance >= enough]
+    return max(far, key=lambda place: (place.depth, -order[place.link])).link
+
+
+def _gripper_joints(description: Description, below: Mapping[str, list[JointDescription]]) -> frozenset[str]:
+    """Find joints coupled by <mimic> across branches, with no joint behind them that moves by itself."""
+    named = {joint.name: joint for joint in description.joints if joint.moves}
+    groups = defaultdict[str, set[str]](set)
+    for joint in named.values():
+        if joint.follows is not None and joint.follows.joint in named:
+            leader = leading_joint(joint, named)
+            groups[leader.name] |= {leader.name, joint.name}
+    found: set[str] = set()
+    for group in groups.values():
+        behind = {name: _joints_below(below, named[name].child) for name in group}
+        apart = any(a not in behind[b] and b not in behind[a] for a in group for b in group if a != b)
+        after = set().union(*behind.values()) - group
+        if apart and all(name not in named or named[name].mimic for name in after):
+            found |= group
+    moving = {name for name, joint in named.items() if not joint.mimic}
+    return frozenset() if moving <= found else frozenset(found)
+
+
+def leading_joint(joint: JointDescription, named: Mapping[str, JointDescription]) -> JointDescription:
+    """Follow a series of <mimic> to its last joint, also where it is circular or breaks off."""
+    seen = {joint.name}
+    while joint.follows is not None and joint.follows.joint in named and joint.follows.joint not in seen:
+        joint = named[joint.follows.joint]
+        seen.add(joint.name)
+    return joint
+
+
+def _joints_below(below: Mapping[str, list[JointDescription]], link: str) -> set[str]:
+    links, names = [link], set[str]()
+    for at in links:
+        for joint in below.get(at, []):
+            names.add(joint.name)
+            links.append(joint.child)
+    return names

@@ -103,7 +103,7 @@ def run(
     for name in BLAS:  # numpy reads them when it is loaded, which is below
         os.environ.setdefault(name, "1")
     from pinposture.editor import Editor
-    from pinposture.editor.autosave import autosave_path
+    from pinposture.editor.files import autosave_path
     from pinposture.editor.ui.server import is_loopback
 
     task, path = read_task(source, base, tip, modules, save_as, folder, locked, package_dir)
@@ -147,7 +147,7 @@ def read_task(
     Raises:
         PostureError: there is no such file or template; or as `Task.load` and `Arm.from_urdf`.
     """
-    from pinposture.editor.autosave import recover, version_of
+    from pinposture.editor.files import recover, version_of
     from pinposture.task import Task
 
     suffix = Path(source).suffix.lower()

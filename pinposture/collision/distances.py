@@ -1,4 +1,4 @@
-"""PairDistances between solids: bounds of all pairs at once, exact distances of those that may be nearest."""
+"""Distances of bodies from obstacles and from each other: compiled closed forms, and coal for the rest."""
 
 from __future__ import annotations
 
@@ -9,193 +9,126 @@ from typing import NamedTuple, TypeAlias
 
 import coal
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture import kernels
+from pinposture.arm.chain import joint_screws
+from pinposture.arm.configurations import ConfigurationSpace
 from pinposture.collision.obstacles import Solid
-
-# PairDistances between straight lines of finite length, many at a time.
+from pinposture.kernels.arrays import BLOCK, BOX, CYLINDER, PLANE, SEGMENT, JointTree, Pairs
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
-_PARALLEL = 1e-14
-"""Square of the sine of the angle below which lines count as parallel; the distance does not notice."""
-_TINY = 1e-300
-
-
-class ClosestPoints(NamedTuple):
-    """Where lines come nearest to each other.
-
-    Attributes:
-        first: the point of the first line, (..., 3) [m].
-        second: the point of the second line, (..., 3) [m].
-    """
-
-    first: Array
-    second: Array
+# Where the joints of a model are.
 
 
-def closest_points(a: Array, b: Array, c: Array, d: Array) -> ClosestPoints:
-    """The nearest points of the lines from a to b and from c to d; a line may be a single point.
-
-    Args:
-        a: ends of the first lines, (..., 3) [m].
-        b: their other ends, (..., 3) [m].
-        c: ends of the second lines, (..., 3) [m].
-        d: their other ends, (..., 3) [m].
-    """
-    u, v, r = b - a, d - c, a - c
-    uu, vv, uv = _dot(u, u), _dot(v, v), _dot(u, v)
-    ur, vr = _dot(u, r), _dot(v, r)
-    across = uu * vv - uv * uv
-    skew = across > _PARALLEL * uu * vv
-    # On the line without ends, then the other within its ends, then the first again within its own: exact,
-    # because the region of admissible pairs is a rectangle and the distance is convex on it.
-    s = np.clip(np.where(skew, (uv * vr - vv * ur) / np.where(skew, across, 1.0), 0.0), 0.0, 1.0)
-    t = np.clip((uv * s + vr) / np.maximum(vv, _TINY), 0.0, 1.0)
-    s = np.clip((uv * t - ur) / np.maximum(uu, _TINY), 0.0, 1.0)
-    return ClosestPoints(a + s[..., None] * u, c + t[..., None] * v)
-
-
-def _dot(x: Array, y: Array) -> Array:
-    return np.asarray(np.einsum("...i,...i->...", x, y))
-
-
-# Lower bounds of the distances of all pairs at once, exact ones where both solids are round.
-#
-# Each body is inside of a capsule. Against another body, a sphere, a capsule or a cylinder the bound is the
-# distance of the two capsules; against a box or a mesh that of the capsule's axis from a box; against a
-# half-space that of the axis's lower end. Balls and capsules are their own capsules: their bounds are exact.
-
-Indices = NDArray[np.intp]
-
-
-_KINDS = ("capsule", "box", "plane")
-
-
-class Contacts(NamedTuple):
-    """How round pairs stand to each other.
+class Placements(NamedTuple):
+    """Where the joints of a model are at s configurations, world frame.
 
     Attributes:
-        normals: unit vectors from the second solid to the first, (k, 3); zero where the axes meet.
-        points: of the first solid, nearest to the second or deepest in it, (k, 3) [m].
+        rotations: orientations of the joint frames, (s, njoints, 3, 3).
+        origins: their origins, (s, njoints, 3) [m].
     """
 
-    normals: Array
-    points: Array
+    rotations: Array
+    origins: Array
 
 
-class Bounds:
-    """Bounds for a list of pairs.
+class TreeKinematics:
+    """Forward kinematics of all joints of a model, on or off the chain.
 
     Attributes:
-        first: index of the body of each pair, (n,).
-        second: index of the other body, or the number of bodies plus that of the obstacle, (n,).
-        exact: True where the bound is the distance, (n,).
+        tree: the joints, as kernels take them.
     """
 
-    def __init__(
+    def __init__(self, model: pin.Model) -> None:
+        """Read the joints out of a model."""
+        self._model, self._space = model, ConfigurationSpace(model)
+        count = model.njoints
+        kinds, columns = np.full(count, 2, dtype=np.int64), np.zeros(count, dtype=np.int64)
+        axes = np.zeros((count, 3))
+        plain = [j for j in range(1, count) if model.joints[j].nv == 1 and _turns_or_slides(model, j)]
+        if plain:
+            screws = joint_screws(model, plain)
+            turns = np.linalg.norm(screws[:, 3:], axis=1) > 0.5
+            kinds[plain] = np.where(turns, 0, 1)
+            axes[plain] = np.where(turns[:, None], screws[:, 3:], screws[:, :3])
+        for joint in range(1, count):
+            columns[joint] = model.joints[joint].idx_v
+        placements = list(model.jointPlacements)
+        fixed = np.array([[*each.rotation.ravel(), *each.translation] for each in placements])
+        parents = np.array(list(model.parents), dtype=np.int64)
+        self.tree = JointTree(parents, columns, kinds, fixed, axes)
+        self._others = [joint for joint in range(1, count) if kinds[joint] == 2]
+
+    def place(self, q: Array, offsets: Array | None = None) -> Placements:
+        """Place the joints at a configuration, or at several near it.
+
+        Args:
+            q: a configuration, (nq,), as `ConfigurationSpace.checked` returns it.
+            offsets: displacements from it, (s, nv) [rad or m]; one of zero if None.
+        """
+        offsets = np.zeros((1, self._model.nv)) if offsets is None else offsets
+        count = len(offsets)
+        others = np.empty((count, len(self._others), 12))
+        for at in range(count if self._others else 0):
+            moved = pin.integrate(self._model, q, np.array(offsets[at]))
+            for number, joint in enumerate(self._others):
+                data = self._model.joints[joint].createData()
+                self._model.joints[joint].calc(data, moved)
+                others[at, number] = [*data.M.rotation.ravel(), *data.M.translation]
+        found = Placements(
+            np.empty((count, self._model.njoints, 3, 3)), np.empty((count, self._model.njoints, 3))
+        )
+        kernels.place_joints(self.tree, self._space.positions(q) + offsets, others, *found)
+        return found
+
+    def differentiate(
+        self, placements: Placements, first: Indices, second: Indices, points: Array, normals: Array
+    ) -> Array:
+        """Return the derivatives of distances by the joint displacement, (k, nv) [m/rad or m/m].
+
+        Args:
+            placements: where the joints are at one configuration.
+            first: the joint that carries the first body of each contact, (k,).
+            second: that of the second; 0 for an obstacle, (k,).
+            points: the contacts, (k, 3) [m].
+            normals: unit vectors from the second body to the first, (k, 3).
+        """
+        jacobian = np.zeros((len(first), self._model.nv))
+        at = placements.rotations[0], placements.origins[0]
+        kernels.differentiate_distances(self.tree, *at, first, second, points, normals, jacobian)
+        for joint in self._others:
+            self._add_others(joint, placements, (first, second), points, normals, jacobian)
+        return jacobian
+
+    def _add_others(
         self,
-        bodies: Sequence[Solid],
-        joints: Sequence[int],
-        fixed: Sequence[Solid],
-        pairs: Sequence[tuple[int, int]],
+        joint: int,
+        placements: Placements,
+        sides: tuple[Indices, Indices],
+        points: Array,
+        normals: Array,
+        jacobian: Array,
     ) -> None:
-        """Sort the pairs by how they are bounded.
+        """Fill the columns of a joint that does not just turn or slide, on whatever bodies it carries."""
+        model = self._model.joints[joint]
+        data = model.createData()
+        model.calc(data, pin.neutral(self._model))
+        turn, origin = placements.rotations[0, joint], placements.origins[0, joint]
+        linear, angular = turn @ np.array(data.S.matrix())[:3], turn @ np.array(data.S.matrix())[3:]
+        for k in range(len(points)):
+            carried = [joint in self._model.supports[int(side[k])] for side in sides]
+            velocity = linear + np.cross(angular.T, points[k] - origin).T
+            columns = slice(model.idx_v, model.idx_v + model.nv)
+            jacobian[k, columns] = (carried[0] - carried[1]) * (normals[k] @ velocity)
 
-        Args:
-            bodies: the bodies, each in the frame of its joint.
-            joints: the joints that carry them.
-            fixed: the obstacles, world frame.
-            pairs: body and body, or body and number of bodies plus obstacle.
-        """
-        self._joints = np.array(joints, dtype=np.intp)
-        count = len(bodies)
 
-        def kind(pair: tuple[int, int]) -> int:
-            return 0 if pair[1] < count else _KINDS.index(fixed[pair[1] - count].bound)
-
-        ordered = sorted(pairs, key=kind)
-        kinds = [kind(pair) for pair in ordered]
-        self.first: Indices = np.array([pair[0] for pair in ordered], dtype=np.intp)
-        self.second: Indices = np.array([pair[1] for pair in ordered], dtype=np.intp)
-        self._lines = slice(0, kinds.count(0))
-        self._boxes = slice(kinds.count(0), kinds.count(0) + kinds.count(1))
-        self._planes = slice(kinds.count(0) + kinds.count(1), len(kinds))
-        solids = [*bodies, *fixed]
-        self._ends = np.array([[each.start, each.end] for each in bodies]).reshape(count, 2, 3)
-        self._fixed = np.array([[each.start, each.end] for each in fixed]).reshape(len(fixed), 2, 3)
-        radii = np.array([each.radius for each in solids])
-        self._own_radii = radii[self.first]
-        self._radii = self._own_radii + np.where(np.isfinite(radii[self.second]), radii[self.second], 0.0)
-        round_ = np.array([each.round for each in solids], dtype=np.bool_)
-        planar = np.arange(len(ordered)) >= self._planes.start
-        self.exact = round_[self.first] & (round_[self.second] | planar)
-        boxes = [fixed[k - count] for k in self.second[self._boxes]]
-        self._axes = np.array([box.rotation for box in boxes]).reshape(-1, 3, 3)
-        self._centers = np.array([box.center for box in boxes]).reshape(-1, 3)
-        self._halves = np.array([box.half for box in boxes]).reshape(-1, 3)
-        lengths = np.linalg.norm(self._ends[:, 1] - self._ends[:, 0], axis=1)
-        self._quarters = lengths[self.first[self._boxes]] / 4.0
-        planes = [fixed[k - count] for k in self.second[self._planes]]
-        self._normals = np.array([plane.rotation[:, 2] for plane in planes]).reshape(-1, 3)
-        feet = np.array([plane.center for plane in planes]).reshape(-1, 3)
-        self._offsets = np.einsum("ni,ni->n", self._normals, feet)
-
-    def ends(self, rotations: Array, positions: Array) -> Array:
-        """Ends of the axes of all bodies, then of all obstacles, (..., count, 2, 3) [m], world frame.
-
-        Args:
-            rotations: of the joints, (..., njoints, 3, 3).
-            positions: of the joints, (..., njoints, 3) [m].
-        """
-        turns, shifts = rotations[..., self._joints, :, :], positions[..., self._joints, None, :]
-        moved = self._ends @ np.swapaxes(turns, -1, -2) + shifts
-        still = np.broadcast_to(self._fixed, (*moved.shape[:-3], *self._fixed.shape))
-        return np.concatenate([moved, still], axis=-3)
-
-    def lower(self, ends: Array) -> Array:
-        """Lower bounds of the distances of all pairs, (..., n) [m]; exact where `exact` says so."""
-        lines, second = ends[..., self.first[self._lines], :, :], ends[..., self.second[self._lines], :, :]
-        near = closest_points(lines[..., 0, :], lines[..., 1, :], second[..., 0, :], second[..., 1, :])
-        parts = [np.linalg.norm(near.first - near.second, axis=-1)]
-        if len(self._centers):
-            parts.append(self._above_boxes(ends))
-        if len(self._offsets):
-            lines = ends[..., self.first[self._planes], :, :]
-            heights = np.einsum("...nei,ni->...ne", lines, self._normals)
-            parts.append(heights.min(axis=-1) - self._offsets)
-        return np.asarray(np.concatenate(parts, axis=-1) - self._radii)
-
-    def contacts(self, ends: Array, chosen: Indices) -> Contacts:
-        """Normals and points of exact pairs.
-
-        Args:
-            ends: as `ends` gives them, of one configuration.
-            chosen: indices of pairs, (k,).
-        """
-        first, second = ends[self.first[chosen]], ends[self.second[chosen]]
-        near = closest_points(first[:, 0], first[:, 1], second[:, 0], second[:, 1])
-        gaps = near.first - near.second
-        sizes = np.linalg.norm(gaps, axis=1)
-        # Where the axes meet there is no direction from one to the other: whoever asks has to find one.
-        meet = sizes <= 1e-9 * self._radii[chosen]
-        normals = np.where(meet[:, None], 0.0, gaps / np.where(meet, 1.0, sizes)[:, None])
-        points = near.first
-        for k in np.flatnonzero(chosen >= self._planes.start):
-            plane = chosen[k] - self._planes.start
-            heights = first[k] @ self._normals[plane]
-            points[k], normals[k] = first[k, np.argmin(heights)], self._normals[plane]
-        points = points - normals * self._own_radii[chosen, None]
-        return Contacts(normals, points)
-
-    def _above_boxes(self, ends: Array) -> Array:
-        """Lower bound of the distance of lines from boxes, which changes along a line no faster than it."""
-        first = self.first[self._boxes]
-        lower = np.empty((*ends.shape[:-3], len(first)))
-        flat, into = np.ascontiguousarray(ends.reshape(-1, *ends.shape[-3:])), lower.reshape(-1, len(first))
-        kernels.above_boxes(flat, first, self._centers, self._axes, self._halves, self._quarters, into)
-        return lower
+def _turns_or_slides(model: pin.Model, joint: int) -> bool:
+    name = model.joints[joint].shortname().removeprefix("JointModel")
+    return name.startswith(("R", "P")) and not name.startswith("Planar")
 
 
 # The distance of two solids by coal, with a normal that can always be used.
@@ -251,13 +184,33 @@ class Narrow(threading.local):
         return Contact(distance, normal, np.array(self._result.getNearestPoint1()))
 
 
-# The distances of pairs of solids: bounds of all, exact ones of as few as it takes.
+# The distances of pairs of solids: compiled where they have a closed form, else bounds and then coal.
 
 NO_PAIR = -1
 
 
+class NearPairs(NamedTuple):
+    """The pairs nearer than a distance, nearest first, and the nearest of all.
+
+    Attributes:
+        pairs: their indices, (k,).
+        distances: between their surfaces, negative where they overlap, (k,) [m].
+        points: point of the first body nearest to the second, or deepest in it, (k, 3) [m], world frame.
+        normals: unit vector from the second to the first, (k, 3); zero where there is none.
+        minimum: the smallest distance of all pairs, near or not [m]; infinite if there are none.
+        nearest: the index of that pair; `NO_PAIR` if there are none.
+    """
+
+    pairs: Indices
+    distances: Array
+    points: Array
+    normals: Array
+    minimum: float
+    nearest: int
+
+
 class PairDistances:
-    """PairDistances of pairs of a body and another, or of a body and an obstacle.
+    """Distances of pairs of a body and another, or of a body and an obstacle.
 
     Attributes:
         first: index of the body of each pair, (n,).
@@ -271,99 +224,127 @@ class PairDistances:
         fixed: Sequence[Solid],
         pairs: Sequence[tuple[int, int]],
     ) -> None:
-        """Prepare for pairs; the arguments are those of `Bounds`."""
-        self._bounds, self._narrow = Bounds(bodies, joints, fixed, pairs), Narrow()
-        self.first, self.second = self._bounds.first, self._bounds.second
-        self._solids, self._joints = [*bodies, *fixed], list(joints)
-        self._fixed = [coal.Transform3s(each.rotation, each.position) for each in fixed]
-        self._exact = np.flatnonzero(self._bounds.exact)
-        self._inexact = np.flatnonzero(~self._bounds.exact)
-
-    def near(
-        self, turns: Array, shifts: Array, within: float
-    ) -> tuple[list[tuple[int, Contact]], tuple[float, int]]:
-        """The pairs nearer than a distance, and the nearest of all.
+        """Sort the pairs into groups.
 
         Args:
-            turns: rotations of the joints, (njoints, 3, 3).
-            shifts: positions of the joints, (njoints, 3) [m].
-            within: how near [m].
-
-        Returns:
-            Index and contact of each pair that is near, nearest first; distance and index of the nearest
-            pair, near or not: infinity and `NO_PAIR` if there are none.
+            bodies: the bodies, each in the frame of its joint.
+            joints: the joints that carry them.
+            fixed: the obstacles, world frame.
+            pairs: body and body, or body and number of bodies plus obstacle.
         """
-        ends = self._bounds.ends(turns, shifts)
-        lower = self._bounds.lower(ends)
-        best, pair = np.inf, NO_PAIR
-        found = []
-        if len(self._exact):
-            pair = int(self._exact[np.argmin(lower[self._exact])])
-            best = float(lower[pair])
-            chosen = self._exact[lower[self._exact] < within]
-            contacts = zip(*self._bounds.contacts(ends, chosen), strict=True)
-            found = [
-                (int(k), Contact(float(lower[k]), n, p)) for k, (n, p) in zip(chosen, contacts, strict=True)
-            ]
-        places: dict[tuple[int, int], coal.Transform3s] = {}
-        for k in self._inexact[np.argsort(lower[self._inexact])]:
-            if lower[k] >= max(within, best):
-                break
-            contact = self._narrow.contact(self._posed(int(k), turns[None], shifts[None], 0, places))
-            if math.isnan(contact.distance):
-                contact = contact._replace(distance=float(lower[k]))
-            if contact.distance < best:
-                best, pair = contact.distance, int(k)
-            if contact.distance < within:
-                found.append((int(k), contact))
-        return sorted(found, key=lambda each: each[1].distance), (best, pair)
+        self._narrow, self._solids, self._joints = Narrow(), [*bodies, *fixed], list(joints)
+        self._fixed = [coal.Transform3s(each.rotation, each.position) for each in fixed]
+        self._carriers = np.array(joints, dtype=np.int64)
+        self._local = np.array([[each.start, each.end] for each in bodies]).reshape(-1, 2, 3)
+        count, blocks = len(bodies), (len(bodies) + BLOCK - 1) // BLOCK
+        listed = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+        groups = np.where(listed < count, listed // BLOCK, blocks + listed - count)
+        order = np.lexsort((groups[:, 1], groups[:, 0]))
+        listed, groups = listed[order], groups[order]
+        begins = np.flatnonzero(np.any(np.diff(groups, axis=0, prepend=-1), axis=1))
+        self.first, self.second = (np.ascontiguousarray(side) for side in listed.T)
+        round_ = np.array([each.round for each in self._solids], dtype=np.bool_)
+        kinds = np.array([SEGMENT] * count + [_kind_of(each) for each in fixed], dtype=np.int64)
+        closed = round_ | np.array([False] * count + [_is_closed(each) for each in fixed], dtype=np.bool_)
+        self._arrays = Pairs(
+            first=self.first,
+            second=self.second,
+            kinds=kinds[self.second],
+            exact=np.asarray(round_[self.first] & closed[self.second]),
+            radii=np.array([each.radius if np.isfinite(each.radius) else 0.0 for each in self._solids]),
+            lines=np.array([[each.start, each.end] for each in fixed]).reshape(-1, 2, 3),
+            centers=np.array([each.center for each in fixed]).reshape(-1, 3),
+            frames=np.array([each.rotation for each in fixed]).reshape(-1, 3, 3),
+            halves=np.array([each.half for each in fixed]).reshape(-1, 3),
+            shapes=np.ascontiguousarray(kinds[count:]),
+            groups=np.ascontiguousarray(groups[begins]),
+            starts=np.append(begins, len(listed)).astype(np.int64),
+        )
+        self._open = int(np.count_nonzero(~self._arrays.exact))
 
-    def minimum(self, turns: Array, shifts: Array, below: float = np.inf) -> tuple[float, int]:
-        """Distance and index of the nearest pair at any of several configurations.
+    def near(self, placements: Placements, within: float) -> NearPairs:
+        """Find the pairs nearer than a distance, and the nearest of all.
 
         Args:
-            turns: rotations of the joints, (s, njoints, 3, 3).
-            shifts: positions of the joints, (s, njoints, 3) [m].
+            placements: where the joints are at one configuration.
+            within: how near [m].
+        """
+        n, ends = len(self.first), self._ends(placements)
+        whole, numbers, vectors = np.empty((2, n), dtype=np.int64), np.empty((2, n)), np.empty((2, n, 3))
+        open_pairs, bounds = whole[1], numbers[1]
+        given = whole[0], numbers[0], *vectors, open_pairs, bounds
+        count, opened, best, pair = kernels.near_pairs(ends[0], self._arrays, within, *given)
+        near, distances, normals = whole[0, :count], numbers[0, :count], vectors[1, :count]
+        points = vectors[0, :count] - normals * self._arrays.radii[self.first[near], None]
+        found: list[tuple[int, Contact]] = []
+        places: dict[tuple[int, int], coal.Transform3s] = {}
+        for at in np.argsort(bounds[:opened], kind="stable"):
+            k, bound = int(open_pairs[at]), float(bounds[at])
+            if bound >= max(within, best):
+                break
+            contact = self._narrow.contact(self._posed(k, placements, 0, places))
+            if math.isnan(contact.distance):
+                contact = contact._replace(distance=bound)
+            if contact.distance < best:
+                best, pair = contact.distance, k
+            if contact.distance < within:
+                found.append((k, contact))
+        if found:
+            near = np.concatenate([near, [k for k, _ in found]])
+            distances = np.concatenate([distances, [each.distance for _, each in found]])
+            points = np.concatenate([points, [each.point for _, each in found]])
+            normals = np.concatenate([normals, [each.normal for _, each in found]])
+        order = np.argsort(distances, kind="stable")
+        return NearPairs(near[order], distances[order], points[order], normals[order], best, pair)
+
+    def minimum(
+        self, placements: Placements, below: float = np.inf, enough: float = -np.inf
+    ) -> tuple[float, int]:
+        """Return distance and index of the nearest pair at any of several configurations.
+
+        Args:
+            placements: where the joints are.
             below: distances that matter [m]: of larger ones some is found, or none, in less time.
+            enough: the search ends with the first that is smaller [m].
 
         Returns:
             Infinity and `NO_PAIR` if there are none.
         """
-        lower = self._bounds.lower(self._bounds.ends(turns, shifts))  # (s, n)
-        best, pair = np.inf, NO_PAIR
-        if len(self._exact):
-            exact = lower[:, self._exact]
-            at = int(np.argmin(exact))
-            best, pair = float(exact.flat[at]), int(self._exact[at % exact.shape[1]])
-        rest = lower[:, self._inexact].ravel()
-        open_ = np.flatnonzero(rest < min(best, below))
+        ends = self._ends(placements)
+        candidates = len(ends) * self._open
+        open_pairs, bounds = np.empty((candidates, 2), dtype=np.int64), np.empty(candidates)
+        best, pair, opened = kernels.smallest_distance(ends, self._arrays, below, enough, open_pairs, bounds)
         places: dict[tuple[int, int], coal.Transform3s] = {}
-        for at in open_[np.argsort(rest[open_])]:
-            if rest[at] >= best:
+        for at in np.argsort(bounds[:opened], kind="stable"):
+            if bounds[at] >= min(best, below) or best < enough:
                 break
-            sample, k = divmod(int(at), len(self._inexact))
-            candidate = int(self._inexact[k])
-            distance = self._narrow.distance(self._posed(candidate, turns, shifts, sample, places))
+            sample, candidate = (int(each) for each in open_pairs[at])
+            distance = self._narrow.distance(self._posed(candidate, placements, sample, places))
             if math.isnan(distance):  # on the safe side
-                distance = float(rest[at])
+                distance = float(bounds[at])
             if distance < best:
                 best, pair = distance, candidate
         return best, pair
 
-    def axes(self, pair: int, turns: Array, shifts: Array) -> tuple[Array, Array]:
-        """Ends of the axes of the capsules around both solids of a pair, (2, 3) each [m], world frame."""
-        ends = self._bounds.ends(turns, shifts)
+    def axes(self, pair: int, placements: Placements) -> tuple[Array, Array]:
+        """Return the ends of the axes of the capsules around both solids of a pair, (2, 3) each [m]."""
+        ends = np.concatenate([self._ends(placements)[0], self._arrays.lines])
         return ends[self.first[pair]], ends[self.second[pair]]
+
+    def _ends(self, placements: Placements) -> Array:
+        """Ends of the axes of all bodies, (s, bodies, 2, 3) [m], world frame."""
+        ends = np.empty((len(placements.origins), *self._local.shape))
+        kernels.place_axes(self._carriers, self._local, *placements, ends)
+        return ends
 
     def _posed(
         self,
         pair: int,
-        turns: Array,
-        shifts: Array,
+        placements: Placements,
         sample: int,
         places: dict[tuple[int, int], coal.Transform3s],
     ) -> Posed:
-        """Both solids of a pair and where they are; `places` remembers those of bodies."""
+        """Return both solids of a pair and where they are; `places` remembers those of bodies."""
         posed = []
         for index in (int(self.first[pair]), int(self.second[pair])):
             each = self._solids[index]
@@ -372,8 +353,20 @@ class PairDistances:
             elif (sample, index) in places:
                 place = places[sample, index]
             else:
-                turn, shift = turns[sample, self._joints[index]], shifts[sample, self._joints[index]]
+                joint = self._joints[index]
+                turn, shift = placements.rotations[sample, joint], placements.origins[sample, joint]
                 place = coal.Transform3s(turn @ each.rotation, turn @ each.position + shift)
                 places[sample, index] = place
             posed += [each.geometry, place]
         return posed[0], posed[1], posed[2], posed[3]
+
+
+def _kind_of(each: Solid) -> int:
+    if isinstance(each.geometry, coal.Cylinder):
+        return CYLINDER
+    return {"capsule": SEGMENT, "box": BOX, "plane": PLANE}[each.bound]
+
+
+def _is_closed(each: Solid) -> bool:
+    """Whether the distance of a capsule from an obstacle has a closed form."""
+    return isinstance(each.geometry, coal.Box | coal.Cylinder | coal.Halfspace)

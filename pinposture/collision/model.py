@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple, TypeAlias
@@ -16,52 +15,12 @@ from pinposture._validation import finite_vector, is_count
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.configurations import ConfigurationSpace
 from pinposture.collision.bodies import Body, bodies_of
-from pinposture.collision.distances import Contact, Narrow, PairDistances
+from pinposture.collision.distances import Narrow, PairDistances, Placements, TreeKinematics
 from pinposture.collision.obstacles import Solid, solid
 from pinposture.collision.scene import Scene
 from pinposture.errors import InvalidValue, PostureWarning
 
 Array = NDArray[np.float64]
-
-# Where all joints of a model are.
-
-MAX_DOF = 300
-"""Degrees of freedom up to which there is memory for Pinocchio's data: 2 GB."""
-
-
-class JointPlacements(threading.local):
-    """Pinocchio's data of a model, one for each thread, and the placements of the joints in it.
-
-    Attributes:
-        data: the data; compute the kinematics into it, then `read` the placements.
-    """
-
-    def __init__(self, model: pin.Model) -> None:
-        if model.nv > MAX_DOF:
-            allowed = (
-                f"an arm of at most {MAX_DOF}: Pinocchio's data take memory with the cube of their number"
-            )
-            raise InvalidValue("degrees of freedom of an arm in a scene", model.nv, allowed)
-        self.data = model.createData()
-        # Live views of the data: to join them takes a tenth of the time of reading one joint after the other.
-        self._rotations = [placement.rotation for placement in self.data.oMi]
-        self._translations = [placement.translation for placement in self.data.oMi]
-
-    def read(self) -> tuple[Array, Array]:
-        """Rotations, (njoints, 3, 3), and origins, (njoints, 3) [m], of the joints, world frame; copies."""
-        rotations = np.concatenate(self._rotations).reshape(-1, 3, 3)
-        return rotations, np.concatenate(self._translations).reshape(-1, 3)
-
-
-def joint_placements(arm: Arm) -> JointPlacements:
-    """The joint placements of an arm, the same for all scenes: its data take a second to make for 200 joints.
-
-    The data are valid until the next use in the same thread.
-    """
-    found: JointPlacements = arm.cache.setdefault(JointPlacements, None) or JointPlacements(arm.model)
-    arm.cache[JointPlacements] = found
-    return found
-
 
 # Which pairs of solids are looked at, and which cannot be told apart by any motion of the arm.
 #
@@ -116,7 +75,7 @@ def self_pairs(model: pin.Model, bodies: Sequence[Body]) -> Iterator[IndexPair]:
 
 def choose_pairs(
     arm: Arm,
-    places: JointPlacements,
+    kinematics: TreeKinematics,
     bodies: Sequence[Body],
     solids: Sequence[Solid],
     obstacles: Mapping[str, Solid],
@@ -126,7 +85,7 @@ def choose_pairs(
 
     Args:
         arm: the arm.
-        places: scratch data of its model.
+        kinematics: where its joints are.
         bodies: its bodies.
         solids: the same as solids.
         obstacles: the obstacles.
@@ -137,7 +96,7 @@ def choose_pairs(
         left out, with the reason.
     """
     fixed, count = list(obstacles.values()), len(bodies)
-    standing = _mounted(arm, places, bodies, solids, fixed, scene.margin)
+    standing = _mounted(arm, kinematics, bodies, solids, fixed, scene.margin)
     excluded = dict.fromkeys(sorted(standing), "the arm is mounted on it")
     moving = [index for index, body in enumerate(bodies) if body.joint]
     against = [(index, count + k) for index in moving for k in range(len(fixed))]
@@ -145,19 +104,19 @@ def choose_pairs(
     near = PairDistances(solids, [body.joint for body in bodies], [], own)
     touching = set[IndexPair]()
     for q in (arm.straight(), arm.neutral()):
-        pin.forwardKinematics(arm.model, places.data, q)
         limit = STRETCHED * scene.margin + _STILL * arm.length
-        found, _ = near.near(*places.read(), limit)
-        touching |= {(int(near.first[k]), int(near.second[k])) for k, _ in found}
+        found = near.near(kinematics.place(q), limit).pairs
+        touching |= {(int(near.first[k]), int(near.second[k])) for k in found}
     excluded |= dict.fromkeys(sorted(touching), "near each other where the arm is straight or neutral")
     left = [pair for pair in (*against, *own) if pair not in excluded]
-    close = dict.fromkeys(_always_close(arm, places, bodies, solids, fixed, left, scene.margin), ALWAYS_CLOSE)
+    always = _always_close(arm, kinematics, bodies, solids, fixed, left, scene.margin)
+    close = dict.fromkeys(always, ALWAYS_CLOSE)
     return [pair for pair in left if pair not in close], excluded | close
 
 
 def _always_close(
     arm: Arm,
-    places: JointPlacements,
+    kinematics: TreeKinematics,
     bodies: Sequence[Body],
     solids: Sequence[Solid],
     fixed: Sequence[Solid],
@@ -171,9 +130,8 @@ def _always_close(
         if not left:
             break
         distances = PairDistances(solids, [body.joint for body in bodies], fixed, left)
-        pin.forwardKinematics(arm.model, places.data, q)
-        found, _ = distances.near(*places.read(), margin)
-        left = [(int(distances.first[k]), int(distances.second[k])) for k in sorted(k for k, _ in found)]
+        found = np.sort(distances.near(kinematics.place(q), margin).pairs)
+        left = [(int(distances.first[k]), int(distances.second[k])) for k in found]
     # What not even the tip comes clear of is no neighbour of the base: the arm is inside of it.
     around_all = {second for first, second in left if second >= len(bodies) and first == len(bodies) - 1}
     return [pair for pair in left if pair[1] not in around_all]
@@ -181,7 +139,7 @@ def _always_close(
 
 def _mounted(
     arm: Arm,
-    places: JointPlacements,
+    kinematics: TreeKinematics,
     bodies: Sequence[Body],
     solids: Sequence[Solid],
     fixed: Sequence[Solid],
@@ -191,9 +149,8 @@ def _mounted(
     ends = np.array([[each.start, each.end] for each in solids]).reshape(-1, 2, 3)
     joints, rng, found = [body.joint for body in bodies], np.random.default_rng(0), []
     for q in (arm.neutral(), arm.random(rng), arm.random(rng)):
-        pin.forwardKinematics(arm.model, places.data, q)
-        rotations, positions = places.read()
-        turns, shifts = rotations[joints], positions[joints]
+        at = kinematics.place(q)
+        turns, shifts = at.rotations[0, joints], at.origins[0, joints]
         found.append(ends @ turns.swapaxes(1, 2) + shifts[:, None])
     still = np.ptp(found, axis=0).max(axis=2) <= _STILL * arm.length  # (bodies, 2)
     narrow, pairs = Narrow(), set()
@@ -320,8 +277,9 @@ class CollisionModel:
     An arm remembers its models: the same arm and scene have the same model. Meshes of the arm that are
     missing or cannot be used are named in a `PostureWarning`, once for each arm and scene.
 
-    Distances are exact: closed forms for balls and capsules among themselves and against half-spaces, coal
-    for everything else. Lower bounds for all pairs decide which of them are computed.
+    Distances of balls and capsules, from each other and from boxes, half-spaces and cylinders, are compiled
+    closed forms; coal computes all others. They are exact, except where the axis of a capsule is inside of a
+    cylinder: the depth may be too large then, never too small. Bounds decide which pairs are computed.
 
     Attributes:
         scene: the scene.
@@ -339,7 +297,7 @@ class CollisionModel:
             scene: the scene.
 
         Raises:
-            InvalidValue: not an arm or not a scene; or an arm of more than 300 degrees of freedom.
+            InvalidValue: not an arm or not a scene.
         """
         if not isinstance(arm, Arm):
             raise InvalidValue("arm", arm, "an Arm")
@@ -357,13 +315,13 @@ class CollisionModel:
     def _prepare(self, arm: Arm, scene: Scene) -> None:
         self.scene = scene
         self._model, self._plane = arm.model, np.array(arm.plane)
-        self._space, self._places = ConfigurationSpace(arm.model), joint_placements(arm)
+        self._space, self._kinematics = ConfigurationSpace(arm.model), TreeKinematics(arm.model)
         bodies = bodies_of(arm, scene.arm_radius)
         self._solids = [solid(body.shape) for body in bodies]
         obstacles = {name: solid(obstacle) for name, obstacle in scene.obstacles.items()}
         self.bodies = tuple(body.name for body in bodies)
         names = (*self.bodies, *obstacles)
-        chosen, excluded = choose_pairs(arm, self._places, bodies, self._solids, obstacles, scene)
+        chosen, excluded = choose_pairs(arm, self._kinematics, bodies, self._solids, obstacles, scene)
         self.excluded_pairs = tuple(ExcludedPair(names[a], names[b], why) for (a, b), why in excluded.items())
         close = [
             f"{each.first} to {each.second}" for each in self.excluded_pairs if each.reason == ALWAYS_CLOSE
@@ -378,9 +336,7 @@ class CollisionModel:
         self._distances = PairDistances(self._solids, joints, list(obstacles.values()), chosen)
         first, second = self._distances.first, self._distances.second
         self.pairs = tuple((names[a], names[b]) for a, b in zip(first, second, strict=True))
-        moved = np.vstack([_moved(arm.model)[joints], np.zeros((len(obstacles), arm.nv))])
-        # A joint that carries both bodies of a pair moves neither of them against the other.
-        self._effect = moved[first] - moved[second]  # (n, nv)
+        self._carriers = np.array([*joints, *[0] * len(obstacles)], dtype=np.int64)
 
     def nearest(self, state: ArmState, within: float) -> Distances:
         """The pairs nearer than a distance, and how their distances change with the joints.
@@ -396,21 +352,18 @@ class CollisionModel:
             raise InvalidValue("state", state, "a state of the arm that the collision model was made for")
         if not (isinstance(within, (int, float, np.floating)) and within >= 0.0):
             raise InvalidValue("within", within, "a distance of at least 0 [m]")
-        spatial = np.reshape(pin.computeJointJacobians(self._model, self._places.data, state.q), (6, -1))
-        turns, shifts = self._places.read()
-        near, nearest = self._distances.near(turns, shifts, float(within))
-        near = [(k, self._with_normal(k, contact, turns, shifts)) for k, contact in near]
-        chosen = [k for k, _ in near]
-        normals = np.array([contact.normal for _, contact in near]).reshape(-1, 3)
-        points = np.array([contact.point for _, contact in near]).reshape(-1, 3)
-        # d/dt of n . p for a point p of a body that the columns (v, w) of the spatial Jacobian move.
-        jacobian = (normals @ spatial[:3] + np.cross(points, normals) @ spatial[3:]) * self._effect[chosen]
-        best = self._closest(*nearest)
+        placements = self._kinematics.place(state.q)
+        near = self._distances.near(placements, float(within))
+        normals = self._escape_normals(near.pairs, near.distances, near.normals, placements)
+        first = self._carriers[self._distances.first[near.pairs]]
+        second = self._carriers[self._distances.second[near.pairs]]
+        jacobian = self._kinematics.differentiate(placements, first, second, near.points, normals)
+        best = self._closest(near.minimum, near.nearest)
         return Distances(
-            distances=np.array([contact.distance for _, contact in near]),
+            distances=near.distances,
             jacobian=jacobian,
-            pairs=tuple(self.pairs[k] for k in chosen),
-            points=points,
+            pairs=tuple(self.pairs[k] for k in near.pairs),
+            points=near.points,
             normals=normals,
             minimum=best.distance,
             pair=best.pair,
@@ -425,9 +378,8 @@ class CollisionModel:
         Raises:
             InvalidValue: q has the wrong size or is not finite.
         """
-        pin.forwardKinematics(self._model, self._places.data, self._space.checked(q))
-        rotations, positions = self._places.read()
-        return self._closest(*self._distances.minimum(rotations[None], positions[None]))
+        placements = self._kinematics.place(self._space.checked(q))
+        return self._closest(*self._distances.minimum(placements))
 
     def minimum_between(self, q0: ArrayLike, dq: ArrayLike, samples: int = 10) -> Closest:
         """The smallest distance on the way from a configuration along a joint displacement.
@@ -454,32 +406,31 @@ class CollisionModel:
             below: distances that matter [m]: if none is smaller, some larger one is returned, or none, which
                 takes less time.
         """
-        read = []
-        for offset in offsets:
-            pin.forwardKinematics(self._model, self._places.data, self._space.integrate(q0, offset))
-            read.append(self._places.read())
-        turns, shifts = (np.array(each) for each in zip(*read, strict=True))
-        return self._closest(*self._distances.minimum(turns, shifts, below))
+        placements = self._kinematics.place(q0, offsets)
+        return self._closest(*self._distances.minimum(placements, below))
+
+    def keeps(self, q0: Array, offsets: Array, least: float) -> bool:
+        """Whether all distances are at least so large at several configurations.
+
+        Args:
+            q0: a configuration, (nq,) [rad or m], as `Arm.checked` returns it.
+            offsets: displacements from it, (s, nv) [rad or m]; those where it may not be come first.
+            least: the distance [m].
+        """
+        return self._distances.minimum(self._kinematics.place(q0, offsets), least, least)[0] >= least
 
     def _closest(self, distance: float, pair: int) -> Closest:
         return Closest(distance, self.pairs[pair] if pair >= 0 else None)
 
-    def _with_normal(self, pair: int, contact: Contact, turns: Array, shifts: Array) -> Contact:
-        """The contact with a normal along which the arm can leave."""
-        lost = not contact.normal.any()
-        if not lost and len(self._plane) == 2 and contact.distance < self.scene.margin:
-            lost = float(np.linalg.norm(self._plane @ contact.normal)) < IN_PLANE
-        if not lost:
-            return contact
-        moving, still = self._distances.axes(pair, turns, shifts)
-        return contact._replace(normal=escape_direction(moving, still, self._plane))
-
-
-def _moved(model: pin.Model) -> Array:
-    """1 where a degree of freedom moves a joint's frame, else 0, (njoints, nv)."""
-    moved = np.zeros((model.njoints, model.nv))
-    for joint in range(1, model.njoints):
-        for above in list(model.supports[joint])[1:]:  # the first is the world
-            start = model.joints[above].idx_v
-            moved[joint, start : start + model.joints[above].nv] = 1.0
-    return moved
+    def _escape_normals(
+        self, pairs: NDArray[np.int64], distances: Array, normals: Array, placements: Placements
+    ) -> Array:
+        """Return normals along which the arm can leave, where there is none or it leads out of the plane."""
+        lost = ~normals.any(axis=1)
+        if len(self._plane) == 2:
+            across = np.linalg.norm(normals @ self._plane.T, axis=1) < IN_PLANE
+            lost |= across & (distances < self.scene.margin)
+        for k in np.flatnonzero(lost):
+            moving, still = self._distances.axes(int(pairs[k]), placements)
+            normals[k] = escape_direction(moving, still, self._plane)
+        return normals

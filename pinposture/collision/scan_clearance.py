@@ -7,15 +7,14 @@ from weakref import WeakKeyDictionary
 
 import coal
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import SMALLEST_LENGTH, length
 from pinposture.arm import Arm
 from pinposture.arm.configurations import ConfigurationSpace
 from pinposture.collision.bodies import Body, bodies_of
-from pinposture.collision.distances import Narrow, closest_points
-from pinposture.collision.model import MAX_MODELS, ExcludedPair, joint_placements
+from pinposture.collision.distances import Narrow, TreeKinematics
+from pinposture.collision.model import MAX_MODELS, ExcludedPair
 from pinposture.collision.obstacles import Solid, Sphere, solid
 from pinposture.collision.scan import Scan, ScanGeometry
 from pinposture.errors import InvalidValue
@@ -147,7 +146,7 @@ def _nearest_point(
     Returns:
         Distance [m], point of the body, and point of the scan, (3,) [m]; None if no point is near enough.
     """
-    on_axis = closest_points(points, points, *axis).second
+    on_axis = _nearest_on_line(points, *axis)
     gaps = points - on_axis
     from_axis = np.linalg.norm(gaps, axis=1)
     lower = from_axis - shape.radius
@@ -177,6 +176,13 @@ def _nearest_point(
             below = contact.distance
             best = below, contact.point, points[k]
     return best
+
+
+def _nearest_on_line(points: Array, start: Array, end: Array) -> Array:
+    """Return the places on a line of finite length that are nearest to points, (n, 3) [m]."""
+    way = end - start
+    shares = np.clip((points - start) @ way / max(float(way @ way), 1e-300), 0.0, 1.0)
+    return np.asarray(start + shares[:, None] * way)
 
 
 def _nearest(scan: ScanGeometry, solids: list[Solid], rotations: Array, positions: Array) -> NearestPart:
@@ -238,7 +244,7 @@ class ScanClearance:
                 `Scene`; if None, that.
 
         Raises:
-            InvalidValue: not an arm, or one of more than 300 degrees of freedom; not a scan; not a radius.
+            InvalidValue: not an arm, not a scan, or not a radius.
         """
         if not isinstance(arm, Arm):
             raise InvalidValue("arm", arm, "an Arm")
@@ -257,8 +263,8 @@ class ScanClearance:
 
     def _prepare(self, arm: Arm, scan: Scan, radius: float | None) -> None:
         # Without the scan itself, which is forgotten with its last user.
-        self._model, self._space = arm.model, ConfigurationSpace(arm.model)
-        self._places = joint_placements(arm)
+        self._space = ConfigurationSpace(arm.model)
+        self._kinematics = TreeKinematics(arm.model)
         listed = bodies_of(arm, radius)
         moved = [body for body in listed if body.joint]
         standing = self._standing(scan, arm, moved)
@@ -280,11 +286,11 @@ class ScanClearance:
         Raises:
             InvalidValue: q has the wrong size or is not finite.
         """
-        pin.forwardKinematics(self._model, self._places.data, self._space.checked(q))
+        placements = self._kinematics.place(self._space.checked(q))
         if not self._solids:
             return ScanGap(np.inf, None, None, None)
-        rotations, positions = self._places.read()
-        found = _nearest(self._geometry, self._solids, rotations[self._joints], positions[self._joints])
+        rotations, positions = (each[0, self._joints] for each in placements)
+        found = _nearest(self._geometry, self._solids, rotations, positions)
         return ScanGap(found.distance, self.bodies[found.body], found.on_body, found.on_scan)
 
     def _standing(self, scan: Scan, arm: Arm, bodies: list[Body]) -> set[int]:
@@ -294,9 +300,7 @@ class ScanClearance:
         if not bodies:
             return set()
         for q in (arm.neutral(), arm.random(rng), arm.random(rng)):
-            pin.forwardKinematics(arm.model, self._places.data, q)
-            rotations, positions = self._places.read()
-            turns, shifts = rotations[joints], positions[joints]
+            turns, shifts = (each[0, joints] for each in self._kinematics.place(q))
             found.append(ends @ turns.swapaxes(1, 2) + shifts[:, None])
         still = np.ptp(found, axis=0).max(axis=2) <= _STILL * arm.length  # (bodies, 2)
         mounted = set()

@@ -1,9 +1,13 @@
-"""How the arm moves: limits, the constrained controller, Selection, Projection, both by turns, and others."""
+"""How the arm moves: limits, the planner and its controller, the methods of the thesis, and tasks."""
 
 from pinposture.control.controller import Controller, Diagnostics, Memory, Step
 from pinposture.control.joint_interpolation import JointInterpolation
 from pinposture.control.limits import Limits, StepBox
-from pinposture.control.planner import Geodesic
+from pinposture.control.planner.follow import GeodesicMemory, PathProgress, follow
+from pinposture.control.planner.geodesic import Geodesic
+from pinposture.control.planner.objective import Objective
+from pinposture.control.planner.path import JointPath, TimedPath, retime
+from pinposture.control.planner.plan import plan
 from pinposture.control.registry import CONTROLLERS, controller_named
 from pinposture.control.tasks import ControlTask, EndEffector, JointPosture, Tangents, TaskRows
 from pinposture.control.thesis.projection import Projection
@@ -18,10 +22,14 @@ __all__ = [
     "Diagnostics",
     "EndEffector",
     "Geodesic",
+    "GeodesicMemory",
     "JointInterpolation",
+    "JointPath",
     "JointPosture",
     "Limits",
     "Memory",
+    "Objective",
+    "PathProgress",
     "Projection",
     "SectionSet",
     "SectionTree",
@@ -31,9 +39,13 @@ __all__ = [
     "Switching",
     "Tangents",
     "TaskRows",
+    "TimedPath",
     "active_set",
     "best_index",
     "candidate_sets",
     "controller_named",
+    "follow",
+    "plan",
+    "retime",
     "section_indices",
 ]

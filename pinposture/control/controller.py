@@ -1,8 +1,9 @@
-"""What every controller takes and returns."""
+"""The protocol of a controller: what it takes, returns and remembers."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +13,11 @@ from pinposture.control.limits import Limits
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
+SomeMemory = TypeVar("SomeMemory", bound="Memory")
 
 
 class Spectrum(Protocol):
-    """Singular values that are computed when they are asked for."""
+    """Extreme singular values of a matrix, perhaps computed only when they are read."""
 
     @property
     def smallest(self) -> float:
@@ -26,17 +28,46 @@ class Spectrum(Protocol):
         """The largest."""
 
 
-class _Fields(NamedTuple):
-    """What `Diagnostics` are made of: singular values, or what knows them."""
+class SingularValues(NamedTuple):
+    """Extreme singular values that are known already."""
 
-    manipulability: float
-    sigma_min: float | Spectrum
-    sigma_max: float | Spectrum
-    rows: int
-    dropped: tuple[int, ...]
-    scale: float
+    smallest: float
+    largest: float
+
+
+class Diagnostics(NamedTuple):
+    """How a step came about.
+
+    Attributes:
+        clipped: which joints were cut short at a position limit, (nv,).
+        reason: why the controller does not move; empty if it does.
+        manipulability: smallest manipulability index of an active point, relative to the base and to the
+            active point before, in [0, 1]; of Projection, of a section within its manipulability space. 0 if
+            no control point is active.
+        spectrum: singular values of the posture control matrix; None if it is empty, or not formed.
+        rows: number of rows of the posture control matrix.
+        dropped: control points that met their conditions and were dropped because the stacked matrix was too
+            close to singular, 0-based.
+        scale: factor by which the step was shortened to meet the step limit, in (0, 1]; to keep clear of
+            something, in [0, 1].
+        method: which of its methods a controller used that has several, by name; empty if it has one.
+        switched: why it changed to that method in this step; empty if it did not.
+        error_increasing: whether the posture error rises in this step, or may rise because the step leads
+            out of a place where the error cannot fall.
+        violated_constraints: constraints that were relaxed in this step because not all could hold, in words,
+            in the order in which they were.
+        near: distances to obstacles that hold the step back, in words.
+        following_path: whether the step makes progress along a path that ends where the controller wants to
+            be, whatever the posture error does on it.
+    """
+
     clipped: NDArray[np.bool_]
-    reason: str
+    reason: str = ""
+    manipulability: float = 0.0
+    spectrum: Spectrum | None = None
+    rows: int = 0
+    dropped: tuple[int, ...] = ()
+    scale: float = 1.0
     method: str = ""
     switched: str = ""
     error_increasing: bool = False
@@ -44,78 +75,41 @@ class _Fields(NamedTuple):
     near: tuple[str, ...] = ()
     following_path: bool = False
 
-
-class Diagnostics(_Fields):
-    """How a step came about.
-
-    Singular values take longer than a step: those of Selection and Projection are computed when they are
-    read.
-
-    Attributes:
-        manipulability: smallest manipulability index of an active point, relative to the base and to the
-            active point before, in [0, 1]; of Projection, of a section within its manipulability space. 0 if
-            no control point is active.
-        sigma_min: smallest singular value of the posture control matrix [m/rad]; 0 if it is empty.
-        sigma_max: largest singular value of the posture control matrix [m/rad]; 0 if it is empty.
-        rows: number of rows of the posture control matrix.
-        dropped: control points that cleared their conditions and were dropped because the stacked matrix
-            was too close to singular, 0-based.
-        scale: factor by which the step was shortened to meet the step limit, in (0, 1]; to keep clear of
-            something, in [0, 1].
-        clipped: which joints were cut short at a position limit, (nv,).
-        reason: why the controller does not move; empty if it does.
-        method: which of its methods a controller used that has several, by name; empty if it has one.
-        switched: why it changed to that method in this step; empty if it did not.
-        escape: True if the step leads out of a place where the posture error cannot fall, or round something,
-            so that it may rise; of geodesic, where it does.
-        violated_constraints: which constraints gave way in this step because not all could hold, in words,
-            in the order in which they did.
-        near: what distances to obstacles hold the step back, in words.
-        following_path: True if the step gets on along a way that ends where the controller wants to be,
-            whatever the posture error does on it.
-    """
-
-    __slots__ = ()
-
     @property
     def sigma_min(self) -> float:
-        """Smallest singular value of the posture control matrix [m/rad]."""
-        value = super().sigma_min
-        return value if isinstance(value, float | int) else value.smallest
+        """Smallest singular value of the posture control matrix [m/rad]; 0 if it is empty."""
+        return 0.0 if self.spectrum is None else self.spectrum.smallest
 
     @property
     def sigma_max(self) -> float:
-        """Largest singular value of the posture control matrix [m/rad]."""
-        value = super().sigma_max
-        return value if isinstance(value, float | int) else value.largest
-
-    def __getitem__(self, key: Any) -> Any:
-        """Fields by their numbers; singular values as numbers here, too."""
-        places = range(len(self._fields))[key]
-        if isinstance(places, int):
-            return getattr(self, self._fields[places])
-        return tuple(getattr(self, self._fields[place]) for place in places)
+        """Largest singular value of the posture control matrix [m/rad]; 0 if it is empty."""
+        return 0.0 if self.spectrum is None else self.spectrum.largest
 
 
-class Memory(NamedTuple):
-    """What a controller wants to know again at the next step.
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """What a controller needs to know again at the next step.
+
+    A controller that keeps more than this derives a class of its own.
 
     Attributes:
         dq: the previous step, (nv,) [rad or m].
-        own: whatever else the controller keeps, for its own eyes.
         stopping: steps that bring the arm to rest from there, within its limits and clear of what the
-            controller knows, (k, nv) [rad or m]; None, or where they end: `Limits.hold` does.
+            controller knows, (k, nv) [rad or m]. None, or after the last of them: `Limits.hold` does.
     """
 
     dq: Array
-    own: object = None
     stopping: Array | None = None
 
-    def braked(self, limits: Limits, state: ArmState) -> Memory:
-        """What is remembered after a step that brings the arm closer to rest; it is `dq` of that."""
+    def braked(self: SomeMemory, limits: Limits, state: ArmState) -> SomeMemory:
+        """Return the memory after a braking step; its `dq` is that step."""
         if self.stopping is None or not len(self.stopping):
-            return self._replace(dq=limits.hold(state, self.dq).dq)
-        return self._replace(dq=self.stopping[0], stopping=self.stopping[1:])
+            return replace(self, dq=limits.hold(state, self.dq).dq)
+        return replace(self, dq=self.stopping[0], stopping=self.stopping[1:])
+
+    def with_motion_of(self: SomeMemory, other: Memory) -> SomeMemory:
+        """Return the same knowledge for an arm that moves as another memory says."""
+        return replace(self, dq=other.dq, stopping=other.stopping)
 
 
 class Step(NamedTuple):

@@ -40,5 +40,5 @@ class JointInterpolation:
         # Joints off the chain stay.
         limited = limits.apply(state, way * state.arm.moved, previous)
         active = tuple(int(k) for k in np.flatnonzero(target.has_target))
-        diagnostics = Diagnostics(0.0, 0.0, 0.0, 0, (), limited.scale, limited.clipped, "")
+        diagnostics = Diagnostics(limited.clipped, scale=limited.scale)
         return Step(limited.dq, active, diagnostics, Memory(limited.dq))

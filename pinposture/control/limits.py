@@ -14,16 +14,14 @@ from pinposture._validation import finite_vector, require_positive
 from pinposture.arm import Arm, ArmState
 from pinposture.errors import InvalidValue
 
-# What limits mean for the joints of one arm, whatever its configuration.
-
 Array = NDArray[np.float64]
 
 USUAL_STEP = 0.1
 """Joint travel of a step where limits allow more, or where there are none [rad]."""
 
 
-LEANING = 1e-6
-"""How far outside its limits a joint may be without being brought back first, in `Arm.joint_units`."""
+POSITION_SLACK = 1e-6
+"""How far outside its limits a joint may be before it is brought back, in `Arm.joint_units`."""
 
 
 class JointBounds(NamedTuple):
@@ -35,9 +33,9 @@ class JointBounds(NamedTuple):
         edges: joint positions to stay between, margin included, (2, nv) [rad or m].
         brake: largest change of dq from one step to the next, (nv,) [rad or m]; None: any.
         units: the motion of each joint of the chain that counts as one, (n,) [rad or m].
-        leaning: how far outside its limits each may be without being brought back first, (n,) [rad or m].
+        leaning: how far outside its limits each may be before it is brought back, (n,) [rad or m].
 
-    The arrays are for kernels, not to be written to.
+    Kernels take the arrays. Do not write to them.
     """
 
     bound: Array
@@ -56,7 +54,7 @@ def joint_bounds(
     dt: float | None,
     position_margin: float,
 ) -> JointBounds:
-    """Bounds for the joints of an arm; the arguments are the attributes of `Limits`.
+    """Return the bounds for the joints of an arm; the arguments are the attributes of `Limits`.
 
     Raises:
         InvalidValue: not one number for each degree of freedom, or a margin wider than half a joint's range.
@@ -73,12 +71,12 @@ def joint_bounds(
     edges = _edges(arm, position_margin)
     travel = min(USUAL_STEP, float(np.median((bound / arm.joint_units)[arm.columns])))
     units = arm.joint_units[arm.columns]
-    return JointBounds(bound, travel, edges, brake, units, LEANING * units)
+    return JointBounds(bound, travel, edges, brake, units, POSITION_SLACK * units)
 
 
 def _edges(arm: Arm, margin: float) -> Array:
     limits, moved = arm.limits, arm.moved > 0.0
-    # What does not move the arm is not ours to bring back.
+    # Joints that move no control point are left where they are.
     lower = np.where(moved, limits.lower + margin, -np.inf)
     upper = np.where(moved, limits.upper - margin, np.inf)
     if np.any(lower > upper):
@@ -123,18 +121,18 @@ def _per_joint(name: str, value: float | Array, arm: Arm) -> Array:
 # S(d) - d <= U - d, which is what viability asks of the next state; L - d <= 0 and |d| <= b hold. * No
 # larger box will do: beyond g(U) the joint leaves its limits however it brakes.
 #
-# Where there is something to keep clear of, it matters on what way the arm stops, not only how far each
-# joint goes. It goes straight on if all joints slow down in proportion: with r = max_j |d_j| / A_j, the step
+# Among obstacles it matters along what path the arm stops, not only how far each joint goes. It goes
+# straight on if all joints slow down in proportion: with r = max_j |d_j| / A_j, the step
 # d is followed by (1 - 1/r) d, (1 - 2/r) d, ... and rest. No joint then changes by more than its A, and none
 # slows down faster than in full braking. One that would so go beyond g(L) or g(U) is held there, as its A
 # allows.
 
-MOST = 5000
-"""Braking steps beyond which it is not looked how an arm stops."""
+MAX_BRAKING_STEPS = 5000
+"""Largest number of braking steps that are computed."""
 
 
 def farthest(room: Array, brake: Array) -> Array:
-    """The largest step towards a place from which a joint can still stop at it, g(r) above.
+    """Return the largest step towards a place from which a joint can still stop there, g(r) above.
 
     A joint that takes it again and again comes to rest there, as fast as it can.
 
@@ -152,11 +150,11 @@ def farthest(room: Array, brake: Array) -> Array:
 
 
 def stopping_steps(rooms: Array, dq: Array, bound: Array, brake: Array | None) -> Array:
-    """The steps that bring an arm to rest after a step, straight on, as derived above.
+    """Return the steps that bring an arm to rest after a step, straight on, as derived above.
 
     Args:
         rooms: displacements to the lower and the upper position limits after that step, (2, nv) [rad or m]. A
-            joint that is outside of them stops, too, and is not brought back.
+            joint outside of them stops as well, and is not brought back.
         dq: that step, (nv,) [rad or m].
         bound: largest |dq|, (nv,) [rad or m].
         brake: the most that a step may differ from the one before, (nv,) [rad or m]; None: any.
@@ -166,7 +164,7 @@ def stopping_steps(rooms: Array, dq: Array, bound: Array, brake: Array | None) -
     """
     found = [np.empty((0, len(dq)))]
     while brake is not None and (ratio := float(np.max(np.abs(dq) / brake))) > 1.0:
-        shares = 1.0 - np.arange(1.0, min(np.ceil(ratio), MOST)) / ratio
+        shares = 1.0 - np.arange(1.0, min(np.ceil(ratio), MAX_BRAKING_STEPS)) / ratio
         steps = shares[:, None] * dq
         gone = np.cumsum(steps, axis=0) - steps
         low = np.maximum(np.minimum(farthest(rooms[0] - gone, brake), 0.0), -bound)
@@ -186,17 +184,14 @@ def stopping_steps(rooms: Array, dq: Array, bound: Array, brake: Array | None) -
 
 
 def full_braking(previous: Array, brake: Array) -> Array:
-    """The step that comes closest to standing still after the step before, (nv,) [rad or m]."""
+    """Return the step closest to rest that can follow the step before, (nv,) [rad or m]."""
     return previous - np.minimum(np.maximum(previous, -brake), brake)
-
-
-# Which limits cannot be kept from where an arm is, in words.
 
 
 def violated_limits(
     arm: Arm, positions: Array, edges: Array, bound: Array, brake: Array, previous: Array, rounding: float
 ) -> tuple[str, ...]:
-    """Name each limit that gives way in a step, by joint; see `Limits.box` for the order.
+    """Name each limit that is relaxed in a step, by joint; see `Limits.box` for the order.
 
     Args:
         arm: the arm.
@@ -205,7 +200,7 @@ def violated_limits(
         bound: largest |dq|, (nv,) [rad or m].
         brake: largest change of dq from one step to the next, (nv,) [rad or m]; empty: any.
         previous: the step before, (nv,) [rad or m]; empty where any change is allowed.
-        rounding: what a limit may be exceeded by without being named [rad or m].
+        rounding: excess over a limit that is not named [rad or m].
     """
     words, names = [], arm.joint_names
     sides, slowest = edges - positions, np.zeros(arm.nv)
@@ -235,10 +230,8 @@ def violated_limits(
     return tuple(words)
 
 
-# What a step may not exceed.
-
-ROUNDING = 1e-9
-"""What a limit may be exceeded by without being named [rad or m]."""
+LIMIT_ROUNDING = 1e-9
+"""Excess over a limit that counts as rounding [rad or m]."""
 
 
 class StepBox(NamedTuple):
@@ -321,21 +314,21 @@ class Limits:
         return hash(self._key)
 
     def bound(self, state: ArmState) -> Array:
-        """Largest |dq| of each joint in one step, (nv,) [rad or m]; infinite where there is no limit."""
+        """Return the largest |dq| of each joint in one step, (nv,) [rad or m]; infinite without a limit."""
         bound: Array = self.for_arm(state.arm).bound.view()
         bound.flags.writeable = False
         return bound
 
     def travel(self, state: ArmState) -> float:
-        """Joint travel that limits allow in a step, median over the joints, at most 0.1 [rad]."""
+        """Return the joint travel that limits allow in a step, median over the joints, at most 0.1 [rad]."""
         return self.for_arm(state.arm).travel
 
     def box(self, state: ArmState, previous: Array | None = None) -> StepBox:
-        """The steps that each joint may take so that it keeps its limits now and can keep them later.
+        """Return the steps that each joint may take so that it keeps its limits now and can keep them later.
 
         That is, it keeps its step, speed and acceleration limits and its position limits, and after the step
-        it can still brake and stop before its position limit: how, and why there always is such a step, is
-        derived in `control.limits`. Some states leave no such step. Then this gives way:
+        it can still brake and stop before its position limit; the derivation is in `control.limits`. Some
+        states leave no such step. Then this is relaxed:
 
         * Never the step and speed limits: a drive has no more, and people rely on it.
         * The acceleration limit, if the joint was faster than its bound before. It then takes the bound.
@@ -344,7 +337,7 @@ class Limits:
         * The position limit, if the joint is outside to begin with. It then comes back, as fast as it can
           come to rest at the limit, or faster. From rest it never goes farther out.
 
-        Joints that move no control point have no position limits here: they are not ours to bring back.
+        Joints that move no control point have no position limits here: they are left where they are.
 
         Args:
             state: where the step begins.
@@ -355,12 +348,12 @@ class Limits:
         """
         arm, bounds = state.arm, self.for_arm(state.arm)
         positions = state.forward.positions
-        before = _NONE if bounds.brake is None else _previous(arm, previous)
+        before = _NO_BOUND if bounds.brake is None else _previous(arm, previous)
         sides, columns = np.empty((2, arm.nv)), arm.kinematics.columns
-        brake = _NONE if bounds.brake is None else bounds.brake
+        brake = _NO_BOUND if bounds.brake is None else bounds.brake
         given = bounds.edges, bounds.bound, brake, before
-        found = kernels.step_box(positions, *given, ROUNDING, columns, bounds.leaning, sides)
-        relaxed = violated_limits(arm, positions, *given, ROUNDING) if found % 2 else ()
+        found = kernels.step_box(positions, *given, LIMIT_ROUNDING, columns, bounds.leaning, sides)
+        relaxed = violated_limits(arm, positions, *given, LIMIT_ROUNDING) if found % 2 else ()
         return StepBox(sides[0], sides[1], relaxed, found >= 2, sides)
 
     def apply(self, state: ArmState, dq: Array, previous: Array | None = None) -> LimitedStep:
@@ -369,9 +362,9 @@ class Limits:
         A joint that is outside its position limits to begin with is brought back, no faster than the
         step limit allows.
 
-        With an acceleration limit, the step asked for counts as the way that each joint wants to go: it goes
-        no faster than it can stop at the end of it, or it would swing about its goal. The step is then moved
-        into the `box`.
+        With an acceleration limit, the step asked for counts as the distance that each joint has to go: it
+        goes no faster than it can stop at the end of it, or it would swing about its goal. The step is then
+        moved into the `box`.
 
         Args:
             state: where the step begins.
@@ -379,18 +372,18 @@ class Limits:
             previous: the step before, (nv,) [rad or m]; None: the arm was at rest.
         """
         arm, bounds = state.arm, self.for_arm(state.arm)
-        before = _NONE if bounds.brake is None else _previous(arm, previous)
-        brake = _NONE if bounds.brake is None else bounds.brake
+        before = _NO_BOUND if bounds.brake is None else _previous(arm, previous)
+        brake = _NO_BOUND if bounds.brake is None else bounds.brake
         cut, clipped = np.empty(arm.nv), np.empty(arm.nv, dtype=np.bool_)
         given = state.forward.positions, bounds.edges, bounds.bound, brake, before
         scale = kernels.shorten_step(dq, *given, cut, clipped)
         return LimitedStep(cut, scale, clipped)
 
     def hold(self, state: ArmState, previous: Array | None = None) -> LimitedStep:
-        """The step of a controller that has nowhere to go: joints stop as soon as their limits allow.
+        """Return the step of a controller that has nowhere to go: joints stop as soon as limits allow.
 
         Without an acceleration limit that is at once. Joints outside their position limits are not brought
-        back: an arm that says why it stands still does so.
+        back.
 
         Args:
             state: where the step begins.
@@ -403,11 +396,11 @@ class Limits:
         return LimitedStep(np.clip(dq, -bounds.bound, bounds.bound), 1.0, np.zeros(len(dq), dtype=np.bool_))
 
     def for_arm(self, arm: Arm) -> JointBounds:
-        """What these limits mean for the joints of an arm; remembered as long as it lives."""
+        """Return the bounds for the joints of an arm, cached with the arm."""
         known: dict[tuple[object, ...], JointBounds] = arm.cache.setdefault(JointBounds, {})
         bounds = known.get(self._key)
         if bounds is None:
-            if len(known) >= _MOST:
+            if len(known) >= _MAX_CACHED:
                 known.clear()
             values = (self.step, self.velocity, self.acceleration, self.dt, self.position_margin)
             bounds = known[self._key] = joint_bounds(arm, *values)
@@ -415,7 +408,7 @@ class Limits:
 
 
 def cycle_of(limits: object) -> float:
-    """The duration of a control cycle that limits are for [s].
+    """Return the duration of a control cycle that limits are for [s].
 
     Raises:
         InvalidValue: no limits, or they know of no time.
@@ -425,12 +418,12 @@ def cycle_of(limits: object) -> float:
     return limits.dt
 
 
-_NONE = np.empty(0)
-_MOST = 16  # limits of one arm that are remembered
+_NO_BOUND = np.empty(0)
+_MAX_CACHED = 16  # limits of one arm that are remembered
 
 
 def _previous(arm: Arm, previous: Array | None) -> Array:
-    """The step before, (nv,); zero if there was none."""
+    """Return the step before, (nv,); zero if there was none."""
     return np.zeros(arm.nv) if previous is None else finite_vector("previous", previous, arm.nv)
 
 

@@ -11,14 +11,12 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.chain import ON_AXIS, PARALLEL
 
-# Where the links of an arm point, and about which axes they can turn, whatever its configuration.
-
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 
 class LinkAxes(NamedTuple):
-    """What can be said of the control points' orientation whatever the configuration.
+    """Properties of the orientations of control points that hold at every configuration.
 
     Attributes:
         links: direction of the link that ends at each control point, unit vectors, (m, 3), in its own frame.
@@ -33,7 +31,7 @@ class LinkAxes(NamedTuple):
 
 
 def link_axes(arm: Arm) -> LinkAxes:
-    """The bearing of an arm; remembered as long as the arm lives.
+    """Return the link axes of an arm, cached with it.
 
     The link that ends at a control point comes from the last joint origin or control point before it along
     the chain that lies elsewhere. Its direction at the neutral configuration is kept fixed in the frame of
@@ -76,28 +74,25 @@ def _turning(arm: Arm) -> tuple[Indices, Array]:
     return turns, axes
 
 
-# How far control points are from where they should look, and the rows that turn them there.
-#
 # Errors are rotation vectors about axes through the control point, world frame, so that rows are angular
 # Jacobians. Where all joints that move a point turn about one axis, as in a planar arm, it can turn about
-# that axis alone: the error is then the turn about it that comes closest, and what no joint can change is
-# left out.
+# that axis alone: the error is then the turn about it that comes closest.
 
-NEARLY = 1e-9
-"""Half a turn can be made either way [rad]. This near to it the way is chosen, not left to rounding."""
+HALF_TURN_TOLERANCE = 1e-9
+"""Distance from half a turn within which its direction is chosen, not left to rounding [rad]."""
 
 
 def link_directions(state: ArmState, points: Indices) -> Array:
-    """Direction of the link that ends at each of some control points, unit vectors (k, 3), world frame."""
+    """Return the directions of the links that end at some control points, (k, 3), world frame."""
     return np.asarray(np.einsum("kij,kj->ki", state.rotations[points], link_axes(state.arm).links[points]))
 
 
 def orientation_rows(state: ArmState, point: int, wanted: Array) -> tuple[Array, Array]:
-    """What turns a control point into an orientation.
+    """Return the rows that turn a control point to an orientation.
 
     With M = R_wanted R^T and e = log M, a rotation w of the control point changes M to M exp(-w), and so e by
     -E w, where E is the derivative of the logarithm, to first order. Hence the rows E J_w for the error e. As
-    E e = e, the step that covers the error turns the point straight to where it should look.
+    E e = e, the step that covers the error turns the point straight to that orientation.
 
     Args:
         state: where the arm is.
@@ -118,13 +113,13 @@ def orientation_rows(state: ArmState, point: int, wanted: Array) -> tuple[Array,
         axis = known.axes[point]
         half = np.array([axis @ (x, y, z), w]) * np.copysign(1.0, w)  # both signs are the same rotation
         share = np.linalg.norm(half)
-        return share * (axis @ jacobian)[None], share * _one_way(2.0 * np.arctan2(half[:1], half[1:]))
+        return share * (axis @ jacobian)[None], share * _wrap(2.0 * np.arctan2(half[:1], half[1:]))
     error = _rotation_vector(np.array([x, y, z]), float(w))
     return _logarithm_derivative(error) @ jacobian, error
 
 
 def direction_rows(state: ArmState, points: Indices, wanted: Array) -> tuple[Array, Array]:
-    """What turns the links that end at some control points into given directions.
+    """Return the rows that turn the links that end at some control points to given directions.
 
     A rotation w moves the direction t of a link by w x t. The error is the way from t to the direction asked
     for along the great circle, in a basis (b, t x b) across t: a vector of the length of the angle between
@@ -147,7 +142,7 @@ def direction_rows(state: ArmState, points: Indices, wanted: Array) -> tuple[Arr
     basis = _across(link)
     ahead, beside = _dot(basis, wanted)
     sine, cosine = np.hypot(ahead, beside), _dot(link, wanted)
-    opposite = (sine < NEARLY) & (cosine < 0.0)
+    opposite = (sine < HALF_TURN_TOLERANCE) & (cosine < 0.0)
     way = np.stack([np.where(opposite, 1.0, ahead), beside])
     way *= np.arctan2(sine, cosine) / np.maximum(np.hypot(way[0], way[1]), 1e-300)
     # b . (w x t) = w . (t x b): turning about t x b moves t along b.
@@ -159,25 +154,27 @@ def direction_rows(state: ArmState, points: Indices, wanted: Array) -> tuple[Arr
         sines = aside * ahead - along * beside  # of the projections: axis . (t x d)
         cosines = cosine - _dot(link, axes) * _dot(wanted, axes)
         share = np.sqrt(np.hypot(sines, cosines))
-        apart = share * _one_way(np.arctan2(sines, cosines))
+        apart = share * _wrap(np.arctan2(sines, cosines))
         about[single, 0], errors[single, 0] = (share[:, None] * axes)[single], apart[single]
     used = np.stack([turns > 0, turns > 1], axis=1)
     rows = about @ state.angular_jacobians[points]
     return rows[used], errors[used]
 
 
-def _one_way(angle: Array) -> Array:
-    """Angles in [-pi, pi], half a turn always the positive way."""
-    return np.where(angle < NEARLY - np.pi, angle + 2.0 * np.pi, angle)
+def _wrap(angle: Array) -> Array:
+    """Return angles in (-pi, pi], half a turn always positive."""
+    return np.where(angle < HALF_TURN_TOLERANCE - np.pi, angle + 2.0 * np.pi, angle)
 
 
 def _rotation_vector(vector: Array, scalar: float) -> Array:
-    """The rotation vector (3,) [rad] of a unit quaternion; half a turn is made about one of the two axes."""
+    """Return the rotation vector (3,) [rad] of a unit quaternion; half a turn is about one of two axes."""
     size = float(np.linalg.norm(vector))
     if size < 1e-150:
         return np.zeros(3)
     forward = scalar > 0.0
-    if abs(scalar) < NEARLY / 2.0:  # the first component that is not small decides, and one always is not
+    if (
+        abs(scalar) < HALF_TURN_TOLERANCE / 2.0
+    ):  # the first component that is not small decides, and one always is not
         forward = vector[np.argmax(np.abs(vector) > 0.4 * size)] > 0.0
     sign = 1.0 if forward else -1.0
     return np.asarray(2.0 * np.arctan2(size, sign * scalar) / size * sign * vector)

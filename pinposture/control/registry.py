@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from pinposture.control.controller import Controller
 from pinposture.control.joint_interpolation import JointInterpolation
-from pinposture.control.planner import Geodesic
+from pinposture.control.planner.geodesic import Geodesic
 from pinposture.control.thesis.projection import Projection
 from pinposture.control.thesis.selection import Selection
 from pinposture.control.thesis.switching import Switching

@@ -17,17 +17,18 @@ from pinposture.control.orientation import direction_rows, link_axes, orientatio
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.placement import Target
 
-# What every task is: rows that a step should satisfy, and how much they count.
+# Rows are in metres, so that weights compare with those of control points: a turn counts as the arc at the
+# end of a lever, `length`, by default `Arm.characteristic_length`, the mean module length.
 
 Array = NDArray[np.float64]
 
 
 class TaskRows(NamedTuple):
-    """What a task asks of a step: jacobian @ dq = error.
+    """Rows that a step should satisfy: jacobian @ dq = error.
 
     Attributes:
         jacobian: rows, (r, nv) [m/rad, or m/m where a joint slides]; zero for joints off the chain.
-        error: what each row should cover, (r,) [m].
+        error: error of each row, (r,) [m].
     """
 
     jacobian: Array
@@ -35,7 +36,7 @@ class TaskRows(NamedTuple):
 
 
 class ControlTask(Protocol):
-    """Something to be done besides taking the target posture."""
+    """Something to achieve besides the target posture."""
 
     @property
     def weight(self) -> float:
@@ -43,10 +44,10 @@ class ControlTask(Protocol):
 
     @property
     def priority(self) -> bool:
-        """Whether it comes before all else: the rest has the freedom that it leaves."""
+        """Whether it comes before everything else, which then has the freedom that it leaves."""
 
     def rows(self, state: ArmState, target: Target) -> TaskRows:
-        """What the task asks of a step.
+        """Return the rows of the task at a state.
 
         Args:
             state: where the arm is.
@@ -59,8 +60,8 @@ class ControlTask(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Described:
-    """A task described by its fields alone; two are equal if all their fields are."""
+class ComparableTask:
+    """Base of tasks: two are equal if all their fields are, arrays included."""
 
     def __eq__(self, other: object) -> bool:
         return self._key() == other._key() if type(other) is type(self) else NotImplemented
@@ -72,28 +73,28 @@ class Described:
         values = (getattr(self, each.name) for each in fields(self))
         return tuple((v.shape, *v.ravel().tolist()) if isinstance(v, np.ndarray) else v for v in values)
 
-    def _settle(self, name: str, value: object) -> None:
-        """Set a field of the frozen task while it is made; arrays become read-only."""
+    def _set(self, name: str, value: object) -> None:
+        """Set a field of the frozen task while it is initialised; arrays become read-only."""
         if isinstance(value, np.ndarray):
             value.flags.writeable = False
         object.__setattr__(self, name, value)
 
-    def _settle_scales(self, weight: float, length: float | None) -> None:
-        """Set the weight and the lever, or raise InvalidValue unless they are finite numbers above 0."""
+    def _set_scales(self, weight: float, length: float | None) -> None:
+        """Set weight and length; raise InvalidValue unless they are finite numbers above 0."""
         require_positive("weight", weight)
-        self._settle("weight", float(weight))
+        self._set("weight", float(weight))
         if length is not None:
             require_positive("length", length)
-            self._settle("length", float(length))
+            self._set("length", float(length))
 
 
 def lever(arm: Arm, length: float | None) -> float:
-    """Length that a turn of one radian counts as [m/rad]: the one given, or `Arm.characteristic_length`."""
+    """Return the length that a turn of one radian counts as [m/rad]."""
     return arm.characteristic_length if length is None else length
 
 
 def finite_array(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
-    """A fresh array of finite floats; None in the shape stands for any number above 0.
+    """Return a new array of finite floats; None in the shape stands for any number above 0.
 
     Raises:
         InvalidValue: not numbers, another shape, or an entry that is not finite; names the entry.
@@ -113,22 +114,20 @@ def finite_array(name: str, values: ArrayLike, shape: tuple[int | None, ...]) ->
     return array
 
 
-# The task of one control point: a position, a pose, or a position and the direction of its link.
-
 HOLDS = ("position", "pose")
-"""What `EndEffector.held` can hold."""
+"""Arguments of `EndEffector.held`."""
 
 
 @dataclass(frozen=True, eq=False)
-class EndEffector(Described):
+class EndEffector(ComparableTask):
     """Bring one control point, usually the tip, to a position or a pose, or hold it there.
 
-    A task does not change and remembers nothing. To hold what the tip has when a run begins, make the task
-    from that state with `EndEffector.held`. To track something that moves, make a new one for each step, for
-    instance with `dataclasses.replace(task, pose=...)`, and a controller that has it.
+    Tasks are immutable. To hold the pose that the tip has when a run begins, make the task from that state
+    with `EndEffector.held`. To track something that moves, make a new task for each step, for instance with
+    `dataclasses.replace(task, pose=...)`, and a controller that has it.
 
-    What no joint can change is left out: of a planar arm, positions across its plane and turns about other
-    axes than that of its joints.
+    Directions that no joint can change are left out: for a planar arm, positions across its plane, and turns
+    about axes other than that of its joints.
 
     Attributes:
         position: where the point should be, (3,) [m], world frame; or None if a pose is given.
@@ -136,9 +135,9 @@ class EndEffector(Described):
             world, kept as the latter; or None if a position is given.
         point: the control point, by its index, 0-based or from the tip as -1, or by its name.
         weight: weight of the squared error of each row, where that of a control point has weight 1.
-        priority: True to come before all else; the rest has the freedom that it leaves.
-        direction_only: True to ask of a pose only where the point is and where the link points that ends
-            there (`link_axes` says which), but not how it is turned about that link.
+        priority: whether it comes before everything else, which then has the freedom that it leaves.
+        direction_only: whether only the position of a pose counts and the direction of the link that ends
+            there (see `link_axes`), but not the rotation about that link.
         length: lever by which turns count [m/rad]; `Arm.characteristic_length` if None.
 
     Raises:
@@ -158,32 +157,32 @@ class EndEffector(Described):
             given = {"position": self.position, "pose": self.pose}
             raise InvalidValue("position and pose", given, "one of them, and None for the other")
         if self.position is not None:
-            self._settle("position", finite_array("position", self.position, (3,)))
+            self._set("position", finite_array("position", self.position, (3,)))
         else:
             matrix = np.array(rigid_placement("pose", self.pose).homogeneous)
             left, _, right = np.linalg.svd(matrix[:3, :3])
             matrix[:3, :3] = left @ right  # orthonormal to the last digit, however few were given
-            self._settle("pose", matrix)
+            self._set("pose", matrix)
         if not isinstance(self.point, str):
             if not is_whole(self.point):
                 raise InvalidValue("point", self.point, "the index or the name of one control point")
-            self._settle("point", int(self.point))
+            self._set("point", int(self.point))
         for name in ("priority", "direction_only"):
             if not isinstance(getattr(self, name), bool | np.bool_):
                 raise InvalidValue(name, getattr(self, name), "True or False")
-            self._settle(name, bool(getattr(self, name)))
+            self._set(name, bool(getattr(self, name)))
         if self.direction_only and self.pose is None:
             raise InvalidValue(
                 "direction_only", self.direction_only, "False, or a pose in place of the position"
             )
-        self._settle_scales(self.weight, self.length)
+        self._set_scales(self.weight, self.length)
 
     @classmethod
     def held(cls, state: ArmState, hold: str = "pose", point: int | str = -1, **options: Any) -> EndEffector:
-        """The task of keeping a control point where it is.
+        """Return the task of keeping a control point where it is.
 
         Args:
-            state: the state in which it is where it should stay.
+            state: the state whose position or pose is kept.
             hold: "position" or "pose".
             point: the control point.
             options: `weight`, `priority`, `direction_only`, `length`.
@@ -202,7 +201,7 @@ class EndEffector(Described):
         return cls(pose=pin.SE3(state.rotations[k], state.points[k]), point=point, **options)
 
     def rows(self, state: ArmState, target: Target) -> TaskRows:
-        """What the task asks of a step, see `Task.rows`: rows of the position, then those of turns."""
+        """Return the rows of the position, then those of the orientation; see `ControlTask.rows`."""
         arm, k = state.arm, _index(state, self.point)
         place = self.position if self.pose is None else self.pose[:3, 3]
         jacobian, apart = arm.plane @ state.jacobians[k], arm.plane @ (place - state.points[k])
@@ -225,19 +224,16 @@ def _index(state: ArmState, point: int | str) -> int:
         raise InvalidValue("point", error.value, error.allowed) from None
 
 
-# The task of joints: to stay near a configuration as far as all else leaves room.
-
-
 @dataclass(frozen=True, eq=False)
-class JointPosture(Described):
-    """Pull joints towards a configuration, for instance the straight one, as far as all else leaves room.
+class JointPosture(ComparableTask):
+    """Pull joints towards a configuration, for instance the straight one.
 
     Continuous joints go the shorter way round. Joints off the chain are left alone.
 
     Attributes:
         q: the configuration, (nq,) [rad or m].
-        weight: weight of the squared error of each joint, where that of a control point has weight 1. Small,
-            so that it settles what control points leave open and hardly moves them.
+        weight: weight of the squared error of each joint, where that of a control point has weight 1. It is
+            small, to use the freedom that control points leave without moving them noticeably.
         joints: names of the joints of the chain that it is for, or a single one; all of them if None.
         length: lever by which `Arm.joint_units` count [m]: one radian or one `Arm.characteristic_length`;
             `Arm.characteristic_length` if None, so that slides count as they are.
@@ -252,18 +248,18 @@ class JointPosture(Described):
     length: float | None = None
 
     def __post_init__(self) -> None:
-        self._settle("q", finite_array("q", self.q, (None,)))
+        self._set("q", finite_array("q", self.q, (None,)))
         if self.joints is not None:
-            self._settle("joints", _names(self.joints))
-        self._settle_scales(self.weight, self.length)
+            self._set("joints", _names(self.joints))
+        self._set_scales(self.weight, self.length)
 
     @property
     def priority(self) -> bool:
-        """False: joints give way to what comes before all else."""
+        """False."""
         return False
 
     def rows(self, state: ArmState, target: Target) -> TaskRows:
-        """What the task asks of a step, see `Task.rows`: one row for each joint."""
+        """Return one row for each joint; see `ControlTask.rows`."""
         arm, columns = state.arm, self._columns(state.arm)
         scale = lever(arm, self.length) / arm.joint_units[columns]
         jacobian = np.zeros((len(columns), arm.nv))
@@ -288,16 +284,13 @@ def _names(joints: Any) -> tuple[str, ...]:
     return tuple(listed)
 
 
-# The task of directions: where the links that end at control points should point.
-
-
 @dataclass(frozen=True, eq=False)
-class Tangents(Described):
-    """Point the links that end at some control points into given directions.
+class Tangents(ComparableTask):
+    """Point the links that end at some control points in given directions.
 
     In arms made of templates that link lies along the x axis of the control point's frame; `link_axes` says
-    which it is in others. What no joint can change is left out: of a planar arm, the part of a direction that
-    leaves its plane. A link that points the opposite way turns along a way that depends on it alone.
+    which it is in others. For a planar arm, the component of a direction across its plane is left out. A link
+    that points exactly the opposite way turns in a direction that depends on the link alone.
 
     Attributes:
         directions: one vector for each control point, (k, 3), or (3,) for one, world frame, of any length but
@@ -322,13 +315,13 @@ class Tangents(Described):
         for k in np.flatnonzero(largest == 0.0)[:1]:
             raise InvalidValue(f"directions[{k}]", vectors[k].tolist(), "a vector other than 0")
         vectors = vectors / largest  # first, lest squares are out of range
-        self._settle("directions", vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+        self._set("directions", vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
         if self.points is not None:
             listed = _listed(self.points)
             if len(listed) != len(vectors):
                 raise InvalidValue("points", self.points, f"as many as there are directions, {len(vectors)}")
-            self._settle("points", listed)
-        self._settle_scales(self.weight, self.length)
+            self._set("points", listed)
+        self._set_scales(self.weight, self.length)
 
     @classmethod
     def of_curve(
@@ -338,11 +331,11 @@ class Tangents(Described):
         weight: float = 1.0,
         length: float | None = None,
     ) -> Tangents:
-        """Ask links to point along the curve of a target, each as it runs at the place of its control point.
+        """Return the task of pointing links along the curve of a target.
 
-        A link that ends on a curve is a chord of it: half its length before the place of the point it points
-        along the tangent. The tangent at the place itself differs from that by about half the length times
-        the curvature, so that it competes with the position of the points before.
+        A link that ends on a curve is a chord of it, parallel to the tangent half its length before. The
+        tangent at its end differs from that by about half the length times the curvature, so that it competes
+        with the positions of the points before.
 
         Args:
             target: a target that was found on a curve.
@@ -367,11 +360,11 @@ class Tangents(Described):
 
     @property
     def priority(self) -> bool:
-        """False: directions give way to what comes before all else."""
+        """False."""
         return False
 
     def rows(self, state: ArmState, target: Target) -> TaskRows:
-        """What the task asks of a step, see `Task.rows`: two rows for each point; one in a plane."""
+        """Return two rows for each point, one in a plane; see `ControlTask.rows`."""
         arm, directions = state.arm, np.asarray(self.directions)
         points = chosen_points(
             arm.control_points, range(arm.n_modules) if self.points is None else self.points
@@ -385,7 +378,7 @@ class Tangents(Described):
 
 
 def _listed(points: Any) -> tuple[int | str, ...]:
-    """Control points as they were given, each an index or a name, whether the arm has it or not."""
+    """Return control points as given, each an index or a name, whether the arm has it or not."""
     alone = isinstance(points, str) or not isinstance(points, Iterable)
     listed = [points] if alone else list(points)
     for point in listed:
@@ -400,10 +393,5 @@ def _is_vector(values: Any) -> bool:
     except ValueError:  # rows of different lengths
         return False
 
-
-# What an arm is asked to do besides taking the target posture: tasks that a controller weighs against it.
-#
-# All rows are metres, so that weights compare with those of control points. A turn counts as what it moves
-# at the end of a lever, `length`, by default as long as `Arm.characteristic_length`: the mean module length.
 
 __all__ = ["ControlTask", "EndEffector", "JointPosture", "Tangents", "TaskRows"]

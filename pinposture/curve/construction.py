@@ -1,4 +1,4 @@
-"""Splines, lines and helices as B-splines, fits to measured points, approximations."""
+"""Construction of curves: splines, lines, helices, fits to measured points, approximations by few points."""
 
 from __future__ import annotations
 
@@ -26,44 +26,55 @@ from pinposture.curve.bspline import MAX_DEGREE, Parts
 from pinposture.curve.geometry import Geometry
 from pinposture.errors import CurveError, InvalidValue
 
-# Splines, lines and helices as B-splines.
+Array = NDArray[np.float64]
+
+MAX_CONTROL_POINTS = 1000
+MIN_SAMPLES = 400
+"""Least number of samples of a curve that is compared with another."""
+SAMPLES_PER_POINT = 20
+"""Least number of samples per control point of the other curve."""
+SAMPLES_PER_SPAN = 2
+"""Least number of samples per knot span of the curve, so that none of its windings is missed."""
 
 _SPANS_PER_TURN = 256  # the torsion of a quintic with this many is right to 1.2e-7
 _MAX_TURNS = 1000
+_KNOT_TOLERANCE = 1e-12  # of the whole: how far knots may be from even ones
+_FIT_DEGREE = 3
+_PENALTY_ORDER = 3  # order of the derivative that smoothing keeps small; the second would flatten the ends
 
 
-def chord_parameters(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Parameters (n,) from 0 to 1 that increase with the distance along the polygon of `points` (n, 3)."""
+def chord_parameters(points: Array) -> Array:
+    """Return chord-length parameters (n,) from 0 to 1 of points (n, 3)."""
     along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
     return np.asarray(along / along[-1])
 
 
-def clamped_uniform_knots(n: int, degree: int) -> NDArray[np.float64]:
-    """Even knots (n + degree + 1,) from 0 to 1, repeated at the ends: the curve meets its end points."""
+def clamped_uniform_knots(n: int, degree: int) -> Array:
+    """Return even knots (n + degree + 1,) from 0 to 1, repeated at the ends to meet the end points."""
     inner = np.linspace(0, 1, n - degree + 1)
     return np.concatenate([np.zeros(degree), inner, np.ones(degree)])
 
 
-def interpolating(points: NDArray[np.float64], degree: int) -> Parts:
-    """Spline through `points` (n, 3) at chord-length parameters; for even degrees the knots lie midway."""
+def interpolate(points: Array, degree: int) -> Parts:
+    """Interpolate points (n, 3) at chord-length parameters; for even degrees the knots lie midway."""
     spline = make_interp_spline(chord_parameters(points), points, k=degree)
     return Parts(spline.t, spline.c, degree)
 
 
 def spline(control_points: ArrayLike, degree: int, through: bool) -> Parts:
-    """See `Curve.spline`."""
+    """Make the B-spline of `Curve.spline`."""
     k = as_count("degree", degree, 1, MAX_DEGREE)
     points = as_points(control_points, least=2)
     if len(points) <= k:
         raise CurveError("points", f"{len(points)} given; a spline of degree {k} needs at least {k + 1}")
     check_distinct(points)
     if as_flag("through", through):
-        return interpolating(points, k)
+        return interpolate(points, k)
     return Parts(clamped_uniform_knots(len(points), k), points, k)
 
 
 def line(a: ArrayLike, b: ArrayLike) -> Parts:
-    """See `Curve.line`."""
+    """Make the B-spline of `Curve.line`."""
     ends = np.stack([as_vector("a", a), as_vector("b", b)])
     check_distinct(ends, ("a", "b").__getitem__)
     return Parts(clamped_uniform_knots(2, 1), ends, 1)
@@ -79,7 +90,7 @@ def helix(
     phase: float,
     handedness: Literal["right", "left"],
 ) -> Parts:
-    """See `Curve.helix`."""
+    """Make the B-spline of `Curve.helix`."""
     r = as_number("radius", radius, "a length from 1e-6 to 1e9 m", lambda x: 1e-6 <= x <= 1e9)
     rise = as_number("pitch", pitch, "0 m (a circle) or a length up to 1e6 m", lambda x: 0 <= x <= 1e6)
     n_turns = as_number("turns", turns, f"above 0, up to {_MAX_TURNS}", lambda x: 0 < x <= _MAX_TURNS)
@@ -97,17 +108,15 @@ def helix(
     # symmetry.
     wider = r * 60 / (33 + 26 * math.cos(step) + math.cos(2 * step))
     knots = np.arange(-5, spans + 6) / spans
-    share = np.arange(-2, spans + 3) / spans  # of the way, at each coefficient
-    angle = (begin + 2 * math.pi * n_turns * share)[:, None]
+    fraction = np.arange(-2, spans + 3) / spans  # of the length, at each coefficient
+    angle = (begin + 2 * math.pi * n_turns * fraction)[:, None]
     around = np.cos(angle) * zero + np.sin(angle) * quarter
-    rising = (rise * n_turns * share)[:, None] * along
+    rising = (rise * n_turns * fraction)[:, None] * along
     return Parts(knots, as_vector("center", center) + wider * around + rising, 5)
 
 
-def _frame(
-    axis: NDArray[np.float64], given: ArrayLike
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Unit vectors along the axis, to phase 0, and to a quarter of a right-handed turn."""
+def _frame(axis: Array, given: ArrayLike) -> tuple[Array, Array, Array]:
+    """Return unit vectors along the axis, to phase 0, and to a quarter of a right-handed turn."""
     size = float(np.linalg.norm(axis))
     if size < 1e-9:
         raise InvalidValue("axis", given, "a direction, so not zero")
@@ -120,56 +129,50 @@ def _frame(
     return along, zero, np.cross(along, zero)
 
 
-# Curves from measured points.
-
-_CUBIC = 3
-_PENALISED = 3  # order of the derivative that smoothing keeps small; the second would flatten the ends
-
-
 def points(xyz: ArrayLike, smoothing: float) -> Parts:
-    """See `Curve.points`."""
+    """Make the B-spline of `Curve.points`."""
     data = as_points(xyz)
     allowed = "an RMS distance of 0 m (through the points) up to 1e9 m"
     distance = as_number("smoothing", smoothing, allowed, lambda x: 0 <= x <= 1e9)
     check_distinct(data)
     n = len(data)
-    if distance > 0 and n > _CUBIC:
+    if distance > 0 and n > _FIT_DEGREE:
         spans = 4
         while spans < n:
             fit = _Fit(data, spans)
             if fit.rms(fit.least) <= distance:
                 return fit.smoothest(distance)
             spans *= 2
-    # Through the points: they are too few to smooth, or none but this comes as close as was asked for.
-    return interpolating(data, min(_CUBIC, n - 1))
+    # The points are too few to smooth, or no smoother curve is close enough.
+    return interpolate(data, min(_FIT_DEGREE, n - 1))
 
 
 class _Fit:
     """Cubic splines of evenly spaced knots near the points, with a penalty on the third derivative."""
 
-    def __init__(self, data: NDArray[np.float64], spans: int) -> None:
-        n_coefficients = spans + _CUBIC
+    def __init__(self, data: Array, spans: int) -> None:
+        n_coefficients = spans + _FIT_DEGREE
         self.data = data
-        self.knots = clamped_uniform_knots(n_coefficients, _CUBIC)
-        self.basis = csr_array(BSpline.design_matrix(chord_parameters(data), self.knots, _CUBIC))
+        self.knots = clamped_uniform_knots(n_coefficients, _FIT_DEGREE)
+        self.basis = csr_array(BSpline.design_matrix(chord_parameters(data), self.knots, _FIT_DEGREE))
         scale = spans / len(data)  # so that both matrices have entries of the order of one
         normal = (self.basis.T @ self.basis) * scale
         difference = self._difference(spans)
         self.normal, self.penalty = _upper_bands(normal), _upper_bands(difference.T @ difference)
         self.right = (self.basis.T @ data) * scale
         # Logarithms of the penalty's weight: enough to make a solution unique, and all but a parabola.
-        self.least, self.most = math.log(1e-8), math.log(1e-3 * spans ** (2 * _PENALISED))
+        self.least, self.most = math.log(1e-8), math.log(1e-3 * spans ** (2 * _PENALTY_ORDER))
 
     def _difference(self, spans: int) -> csr_array:
         """Coefficients -> coefficients of the third derivative, in units of one span."""
-        knots, result = self.knots, csr_array(eye_array(len(self.knots) - _CUBIC - 1))
-        for degree in range(_CUBIC, _CUBIC - _PENALISED, -1):
+        knots, result = self.knots, csr_array(eye_array(len(self.knots) - _FIT_DEGREE - 1))
+        for degree in range(_FIT_DEGREE, _FIT_DEGREE - _PENALTY_ORDER, -1):
             widths = (knots[degree + 1 : -1] - knots[1 : -degree - 1]) / degree * spans
             result = diags_array(1 / widths) @ (result[1:] - result[:-1])
             knots = knots[1:-1]
         return result
 
-    def coefficients(self, weight: float) -> NDArray[np.float64]:
+    def coefficients(self, weight: float) -> Array:
         """Coefficients (n, 3) [m] for the logarithm of the penalty's weight."""
         return np.asarray(solveh_banded(self.normal + math.exp(weight) * self.penalty, self.right))
 
@@ -183,46 +186,32 @@ class _Fit:
         weight = self.most
         if self.rms(weight) > distance:
             weight = brentq(lambda w: self.rms(w) - distance, self.least, self.most, xtol=1e-6)
-        return Parts(self.knots, self.coefficients(weight), _CUBIC)
+        return Parts(self.knots, self.coefficients(weight), _FIT_DEGREE)
 
 
-def _upper_bands(matrix: csr_array) -> NDArray[np.float64]:
+def _upper_bands(matrix: csr_array) -> Array:
     """Diagonals of a symmetric matrix, from the one furthest above the main, as LAPACK wants them."""
-    bands = range(max(_CUBIC, _PENALISED), -1, -1)
+    bands = range(max(_FIT_DEGREE, _PENALTY_ORDER), -1, -1)
     return np.stack([np.append(np.zeros(i), matrix.diagonal(i)) for i in bands])
 
 
-# Curves that are controlled by a few points, as near as can be to curves that are not.
-
-Array = NDArray[np.float64]
-
-MOST = 1000
-"""The most control points."""
-
-SAMPLES, PER_POINT, PER_SPAN = 400, 20, 2
-"""How many samples at least stand for a curve: in all, to a control point of the other, to a knot span of its
-own. The latter, so that none of its windings is passed over."""
-
-_EVEN = 1e-12  # of the whole: how far knots may be from even ones
-
-
 def control_points(curve: Geometry) -> Array | None:
-    """See `Curve.control_points`."""
+    """Return `Curve.control_points`."""
     knots = curve.knots - curve.knots[0]
     even = clamped_uniform_knots(len(curve.coefficients), curve.degree)
-    return curve.coefficients if np.abs(knots / knots[-1] - even).max() <= _EVEN else None
+    return curve.coefficients if np.abs(knots / knots[-1] - even).max() <= _KNOT_TOLERANCE else None
 
 
 def controlled(curve: Geometry, count: int, degree: int) -> Parts:
-    """The spline controlled by so many points that comes nearest to a curve; see `Curve.controlled`."""
+    """Make the B-spline of `Curve.controlled`."""
     k = as_count("degree", degree, 1, MAX_DEGREE)
-    n = as_count("count", count, k + 1, MOST)
+    n = as_count("count", count, k + 1, MAX_CONTROL_POINTS)
     if curve.degree == k and len(curve.coefficients) == n and control_points(curve) is not None:
         return Parts(curve.knots, curve.coefficients, k)
     s = np.linspace(0.0, curve.length, _samples(curve, n))
     places, knots = curve.at(s), clamped_uniform_knots(n, k)
-    # The curve's own parameter gives splines back that are of this kind but for more knots; shares of the
-    # length serve curves whose parameter has nothing to do with even knots.
+    # The curve's own parameter suits splines with more knots of this kind, the fraction of the length suits
+    # curves whose parameter is unrelated to even knots.
     _, _, _, edges, lengths, series = curve.measured
     own = kernels.parameters_at(edges, lengths, series, s)
     begin, end = curve.knots[curve.degree], curve.knots[-curve.degree - 1]
@@ -239,9 +228,9 @@ def controlled(curve: Geometry, count: int, degree: int) -> Parts:
 
 
 def controlled_within(curve: Geometry, tolerance: float, degree: int, most: int) -> Parts:
-    """The one with the fewest points that keeps within a distance; see `Curve.controlled`."""
+    """Make the B-spline of `Curve.controlled_within`."""
     k = as_count("degree", degree, 1, MAX_DEGREE)
-    last = as_count("most", most, k + 1, MOST)
+    last = as_count("most", most, k + 1, MAX_CONTROL_POINTS)
     near = as_number(
         "tolerance", tolerance, f"a distance above 0, up to {LARGEST_COORDINATE:g} m", lambda x: x > 0.0
     )
@@ -250,10 +239,10 @@ def controlled_within(curve: Geometry, tolerance: float, degree: int, most: int)
         try:
             parts = controlled(curve, n, k)
             found = Geometry(*parts)
-        except CurveError:  # it stands still somewhere, as that of a closed curve by few points
+        except CurveError:  # its velocity vanishes, as for a closed curve with few points
             continue
-        # Few samples are enough to refuse it, and that is what happens most often.
-        apart = float(found.nearest(curve.resample(SAMPLES)).distance.max())
+        # Few samples are enough to refuse it, which is the most frequent case.
+        apart = float(found.nearest(curve.resample(MIN_SAMPLES)).distance.max())
         if apart <= near:
             apart = deviation(curve, found)
             if apart <= near:
@@ -264,30 +253,30 @@ def controlled_within(curve: Geometry, tolerance: float, degree: int, most: int)
 
 
 def deviation(curve: Geometry, other: Geometry) -> float:
-    """How far apart two curves are at most, seen from either [m], at samples of equal arc length."""
+    """Return the largest distance between two curves [m], from samples of either to the other."""
     here = curve.resample(_samples(curve, len(other.coefficients)))
     there = other.resample(_samples(other, len(other.coefficients)))
     return max(float(other.nearest(here).distance.max()), float(curve.nearest(there).distance.max()))
 
 
 def _samples(curve: Geometry, count: int) -> int:
-    """How many samples stand for a curve where it is compared with one of so many control points."""
+    """Return how many samples of a curve to compare with a curve of `count` control points."""
     spans = len(curve.coefficients) - curve.degree
-    return max(SAMPLES, PER_POINT * count, PER_SPAN * spans) + 1
+    return max(MIN_SAMPLES, SAMPLES_PER_POINT * count, SAMPLES_PER_SPAN * spans) + 1
 
 
 def _fit(basis: csr_array, places: Array) -> tuple[Array, float]:
-    """Control points (n, 3) [m] of least squares, the first and the last one given, and what is left of them.
+    """Fit control points (n, 3) [m] to samples (m, 3) [m] by least squares; the end points are given.
 
     Args:
-        basis: what each control point adds to each sample, (m, n).
-        places: the samples, (m, 3) [m].
+        basis: value of each basis function at each sample, (m, n).
+        places: the samples.
 
     Returns:
-        Control points, and the sum of squares that is left [m^2].
+        Control points, and the residual sum of squares [m^2].
 
     Raises:
-        LinAlgError: the samples leave some control point open.
+        LinAlgError: the samples do not determine some control point.
     """
     coefficients = np.zeros((basis.shape[1], 3))
     coefficients[[0, -1]] = places[[0, -1]]

@@ -1,4 +1,4 @@
-"""The curve that an arm is to take the shape of: how to make one, move it, and keep it."""
+"""The curve whose shape an arm takes: how to make, move, load and save one."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import as_number, as_vector
 from pinposture.curve import construction
-from pinposture.curve.bspline import Parts, trim
+from pinposture.curve.bspline import trim
 from pinposture.curve.files import read_call, read_description, write_json
 from pinposture.curve.geometry import Geometry
 from pinposture.errors import CurveError, FileError, InvalidValue, UnknownName
@@ -20,17 +20,13 @@ from pinposture.errors import CurveError, FileError, InvalidValue, UnknownName
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Curve(Geometry):
-    """A curve in space: made of points, moved about, asked by arc length.
+    """A curve in space.
 
-    Make one with `spline`, `line`, `helix`, `points`, `load` or `from_dict`; inside, each is a B-spline. A
-    curve does not change: what alters it returns another. It pickles, and equals another if degree, knots and
+    Make one with `spline`, `line`, `helix`, `points`, `load` or `from_dict`; each is a B-spline. A curve is
+    immutable: methods that change it return another. It pickles, and equals another if degree, knots and
     coefficients are equal to the last bit. Coordinates are in metres, in the frame of the points it was made
-    of. `Geometry` says what can be asked of a curve.
+    of. `Geometry` has the queries by arc length.
     """
-
-    @classmethod
-    def _of(cls, parts: Parts) -> Curve:
-        return cls(*parts)
 
     @classmethod
     def spline(cls, control_points: ArrayLike, degree: int = 3, through: bool = False) -> Curve:
@@ -40,14 +36,14 @@ class Curve(Geometry):
             control_points: shape (n, 3), or (n, 2) with z = 0, n > degree [m].
             degree: 1 to 5.
             through: False: a B-spline *controlled by* the points, which begins at the first, ends at the
-                last, and is only drawn towards those between (clamped, uniform knots). True: a spline
-                *through* all the points (at chord-length parameters).
+                last, and only approaches those between (clamped, uniform knots). True: a spline *through* all
+                the points (at chord-length parameters).
 
         Raises:
             CurveError: points that are too few, malformed, not finite or repeated, or that give a cusp.
             InvalidValue: the degree, or `through`.
         """
-        return cls._of(construction.spline(control_points, degree, through))
+        return cls(*construction.spline(control_points, degree, through))
 
     @classmethod
     def line(cls, a: ArrayLike, b: ArrayLike) -> Curve:
@@ -57,7 +53,7 @@ class Curve(Geometry):
             CurveError: `a` and `b` are the same place.
             InvalidValue: one that is not 2 or 3 finite numbers.
         """
-        return cls._of(construction.line(a, b))
+        return cls(*construction.line(a, b))
 
     @classmethod
     def helix(
@@ -73,18 +69,18 @@ class Curve(Geometry):
     ) -> Curve:
         """Make a helix, or with pitch 0 a circle.
 
-        It advances along `axis` while it turns about it: as a common screw does if right-handed, the other
-        way round if left-handed. Phase 0 is the side of the axis that lies towards +z, or towards +x if the
-        axis is along z. The curve (6.17), x = 0.6 t, y = 0.06 sin(8 pi t), z = 0.06 cos(8 pi t), is
+        It advances along `axis` while it turns about it, like a common screw if right-handed. Phase 0 is the
+        side of the axis that lies towards +z, or towards +x if the axis is along z. The curve (6.17),
+        x = 0.6 t, y = 0.06 sin(8 pi t), z = 0.06 cos(8 pi t), is
         `Curve.helix(0.06, 0.15, 4, handedness="left")`.
 
-        A quintic spline stands for it: places within 1e-10 of the radius, curvature and torsion within 1e-6
-        of theirs.
+        The helix is approximated by a quintic spline: places to 1e-10 of the radius, curvature and torsion to
+        1e-6.
 
         Args:
             radius: distance from the axis, at least 1e-6 [m].
             pitch: advance in one turn, 0 or more [m].
-            turns: how many, above 0, at most 1000; need not be whole.
+            turns: number of turns, above 0, at most 1000; need not be whole.
             axis: direction, shape (3,), of any length.
             center: the point of the axis beside which the helix starts, shape (3,) [m].
             phase: where it starts, as an angle from phase 0 in the sense in which it turns [rad].
@@ -93,8 +89,8 @@ class Curve(Geometry):
         Raises:
             InvalidValue: naming the argument.
         """
-        return cls._of(
-            construction.helix(radius, pitch, turns, axis, center=center, phase=phase, handedness=handedness)
+        return cls(
+            *construction.helix(radius, pitch, turns, axis, center=center, phase=phase, handedness=handedness)
         )
 
     @classmethod
@@ -103,16 +99,15 @@ class Curve(Geometry):
 
         Args:
             xyz: shape (n, 3), or (n, 2) with z = 0, n >= 2 [m].
-            smoothing: RMS distance [m] from the points that the curve may keep in order to bend evenly; about
-                the RMS length of the errors of measurement. 0: through the points (a cubic; a parabola
-                through 3, a line through 2). So is the curve if there are 3 points or fewer, or if no
-                smoother one is close enough.
+            smoothing: RMS distance [m] from the points that is allowed for the curve to bend evenly; about
+                the RMS length of the measurement errors. 0: through the points (a cubic; a parabola through
+                3, a line through 2), as also for 3 points or fewer, or if no smoother curve is close enough.
 
         Raises:
             CurveError: points that are too few, malformed, not finite or repeated, or that give a cusp.
             InvalidValue: the smoothing.
         """
-        return cls._of(construction.points(xyz, smoothing))
+        return cls(*construction.points(xyz, smoothing))
 
     @classmethod
     def from_dict(cls, description: Mapping[str, Any]) -> Curve:
@@ -143,11 +138,11 @@ class Curve(Geometry):
             "points": points,
             "bspline": bspline,
         }
-        call = read_call(description, constructors)
-        return constructors[call.type](**call.arguments)
+        kind, arguments = read_call(description, constructors)
+        return constructors[kind](**arguments)
 
     def to_dict(self) -> dict[str, Any]:
-        """Give the curve as plain data that JSON can hold and `from_dict` turns back into an equal curve."""
+        """Return the curve as plain data for JSON, of which `from_dict` makes an equal curve."""
         return {
             "type": "bspline",
             "degree": self.degree,
@@ -177,7 +172,7 @@ class Curve(Geometry):
     def save(self, path: str | Path) -> None:
         """Write the curve to a .json file, from which `load` makes an equal curve.
 
-        A file that was there before is replaced in one stroke, so that none is ever found half written.
+        An existing file is replaced atomically.
 
         Raises:
             FileError: the name does not end in .json, or the file cannot be written.
@@ -190,14 +185,14 @@ class Curve(Geometry):
         return construction.control_points(self)
 
     def controlled(self, count: int, degree: int = 3) -> Curve:
-        """Give the curve controlled by a few points, as in `spline`, that comes nearest to this one.
+        """Return the curve controlled by a few points, as in `spline`, that comes nearest to this one.
 
-        That is the one with the least squares at samples of equal arc length. The ends are met. Each sample
-        belongs to the parameter that is its share of the length, or to that of this curve, whichever leaves
-        less. A curve that is of this kind already, with so many points, is given as it is.
+        It is the least-squares fit to samples of equal arc length, with the same ends. The parameter of each
+        sample is its fraction of the length or that of this curve, whichever fits better. A curve that is
+        already controlled by so many points is returned unchanged.
 
         Args:
-            count: how many control points, above the degree, at most 1000.
+            count: number of control points, above the degree, at most 1000.
             degree: 1 to 5.
 
         Returns:
@@ -205,25 +200,25 @@ class Curve(Geometry):
 
         Raises:
             InvalidValue: the count or the degree.
-            CurveError: the points are too few for the curve: it would stand still somewhere.
+            CurveError: the points are too few for the curve: its velocity would vanish somewhere.
         """
-        return self._of(construction.controlled(self, count, degree))
+        return type(self)(*construction.controlled(self, count, degree))
 
     def controlled_within(self, tolerance: float, degree: int = 3, most: int = 50) -> Curve:
-        """Give the curve as in `controlled` with the fewest points that stays within a distance of this one.
+        """Return the curve as in `controlled` with the fewest points within a distance of this one.
 
         Args:
-            tolerance: how far apart the curves may be at most, seen from either [m].
+            tolerance: largest distance between the curves, from either one to the other [m].
             degree: 1 to 5.
-            most: how many control points it may take.
+            most: largest number of control points.
 
         Raises:
-            InvalidValue: an argument, or a tolerance that so many points do not keep; says what they do.
+            InvalidValue: an argument, or a tolerance that so many points cannot reach; says what they can.
         """
-        return self._of(construction.controlled_within(self, tolerance, degree, most))
+        return type(self)(*construction.controlled_within(self, tolerance, degree, most))
 
     def moved(self, rotation: ArrayLike, translation: ArrayLike = (0, 0, 0)) -> Curve:
-        """Give the curve turned about the origin, then shifted.
+        """Return the curve turned about the origin, then shifted.
 
         Args:
             rotation: shape (3, 3), a proper rotation to within 1e-6.
@@ -244,12 +239,12 @@ class Curve(Geometry):
         return self._with_coefficients(shifted, stretch)
 
     def reversed(self) -> Curve:
-        """Give the same curve run from its end to its start."""
+        """Return the same curve run from its end to its start."""
         knots = (self.knots[0] + self.knots[-1]) - self.knots[::-1]
         return type(self)(knots, self.coefficients[::-1], self.degree)
 
     def trimmed(self, start: float, end: float) -> Curve:
-        """Give the part between two arc lengths [m], which must be more than 1e-6 of the length apart.
+        """Return the part between two arc lengths [m], which must be more than 1e-6 of the length apart.
 
         Raises:
             InvalidValue: `start` or `end`.
@@ -261,4 +256,4 @@ class Curve(Geometry):
             "end", end, words.format(low, length), lambda s: low + span <= s <= length * (1 + 1e-9)
         )
         begin, stop = self._arc.parameter(np.array([low, min(high, length)]))
-        return self._of(trim(self._spline, float(begin), float(stop)))
+        return type(self)(*trim(self._spline, float(begin), float(stop)))

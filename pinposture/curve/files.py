@@ -1,4 +1,4 @@
-"""Curve files: JSON and CSV to the description of a curve, and back."""
+"""Curve files: JSON and CSV to the description of a curve, and back to JSON."""
 
 from __future__ import annotations
 
@@ -6,13 +6,11 @@ import inspect
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from pinposture._validation import as_points, check_distinct
 from pinposture.errors import CurveError, FileError, UnknownName
 from pinposture.storage import read_text, write_text
-
-# Curve files: JSON and CSV to a description of a curve, and back to JSON.
 
 _TABLES = (".csv", ".txt")
 
@@ -56,11 +54,7 @@ def _table(path: Path, text: str) -> list[list[float]]:
             continue
         fields = _fields(content)
         values = [_number(field) for field in fields]
-        if (
-            not rows
-            and headings is None
-            and all(value is None and field for value, field in zip(values, fields, strict=True))
-        ):
+        if not rows and headings is None and all(fields) and not any(value is not None for value in values):
             headings = [field.strip("\"'").lower() for field in fields]
             if headings not in (["x", "y"], ["x", "y", "z"]):
                 raise FileError(path, f"line {number}: columns {', '.join(fields)}; allowed: x, y or x, y, z")
@@ -68,9 +62,8 @@ def _table(path: Path, text: str) -> list[list[float]]:
         row = []
         for column, value in enumerate(values, start=1):
             if value is None:
-                raise FileError(
-                    path, f"line {number}, column {column}: {fields[column - 1]!r} is not a number"
-                )
+                what = f"{fields[column - 1]!r} is not a number"
+                raise FileError(path, f"line {number}, column {column}: {what}")
             row.append(value)
         width = len(headings or (rows[0] if rows else row))
         if len(row) != width or width not in (2, 3):
@@ -103,7 +96,7 @@ def _number(field: str) -> float | None:
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write a JSON file whole or not at all: an old file of that name stays until the new one is complete.
+    """Write a JSON file atomically.
 
     Raises:
         FileError: the name does not end in .json, or the file cannot be written.
@@ -113,30 +106,20 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     write_text(path, json.dumps(content, allow_nan=False) + "\n")
 
 
-# Curves as plain data: which descriptions there are and what each may say.
-
-
-class Call(NamedTuple):
-    """A constructor and its arguments.
-
-    Attributes:
-        type: which kind of description this is.
-        arguments: by the constructor's names for them.
-    """
-
-    type: str
-    arguments: dict[str, Any]
-
-
-def read_call(description: object, constructors: Mapping[str, Callable[..., object]]) -> Call:
-    """Check a description, which is a constructor's name under "type" and its arguments under their names.
+def read_call(
+    description: object, constructors: Mapping[str, Callable[..., object]]
+) -> tuple[str, dict[str, Any]]:
+    """Check a description: a constructor's name under "type" and its arguments under their names.
 
     Args:
         description: for example {"type": "line", "a": [0, 0, 0], "b": [1, 0, 0]}.
         constructors: by type.
 
+    Returns:
+        The type, and the arguments by their names.
+
     Raises:
-        CurveError: not a mapping, or a key that is needed is missing.
+        CurveError: not a mapping, or a required key is missing.
         UnknownName: a type or a key that does not exist.
     """
     if not isinstance(description, Mapping):
@@ -156,4 +139,4 @@ def read_call(description: object, constructors: Mapping[str, Callable[..., obje
     for key, needed in keys.items():
         if needed and key not in description:
             raise CurveError(f"{kind!r} curve", f"needs the key {key!r}")
-    return Call(kind, {key: description[key] for key in keys if key in description})
+    return kind, {key: description[key] for key in keys if key in description}

@@ -11,14 +11,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture import kernels
 from pinposture._validation import LARGEST_COORDINATE, as_count, as_points
-from pinposture.curve.bspline import TAIL, ArcLength, Spline, make_spline, rounding
+from pinposture.curve.bspline import LENGTH_TOLERANCE, ArcLength, Spline, make_spline, rounding
 from pinposture.errors import InvalidValue
 
-# The place on a curve that is nearest to a point, over all of the curve.
+Array = NDArray[np.float64]
+Made = TypeVar("Made", bound="Geometry")
+Lengths = Sequence[float] | NDArray[Any]
 
-Values = NDArray[np.float64]
-
-_PIECES = 256  # at least so many pieces to a curve
+_MIN_PIECES = 256  # into which the search for the nearest place divides a curve
+_END_TOLERANCE = 1e-9  # of the length: how far beyond the ends an arc length still counts as the end
+_PLANE_TOLERANCE = 1e-9  # of the length: how far the coefficients of a plane curve may leave its plane
+_MIN_CURVATURE = 1e-6  # over the length: curvature below which a curve counts as straight
+_MAX_SAMPLES = 10_000_000
 
 
 class Nearest(NamedTuple):
@@ -29,28 +33,8 @@ class Nearest(NamedTuple):
         distance: from the point to there, shape (n,) [m].
     """
 
-    parameter: Values
-    distance: Values
-
-
-def nearest(spline: Spline, arc: ArcLength, points: Values) -> Nearest:
-    """Find the nearest places to `points` (n, 3); of several equally near, one of them."""
-    found = kernels.nearest_places(
-        spline.knots, spline.table, spline.degree, arc.edges, arc.lengths, arc.series, _PIECES, points
-    )
-    return Nearest(found[:, 0].copy(), found[:, 1].copy())
-
-
-# What can be asked of a curve: places, directions, bending, all by arc length.
-
-Array = NDArray[np.float64]
-Made = TypeVar("Made", bound="Geometry")
-Lengths = Sequence[float] | NDArray[Any]
-
-_ROUNDING = 1e-9  # of the length: how far beyond the ends an arc length is still taken for the end
-_FLAT = 1e-9  # of the length: how far the coefficients of a plane curve may leave its plane
-_STRAIGHT = 1e-6  # over the length: curvature below which a curve counts as straight
-_MAX_SAMPLES = 10_000_000
+    parameter: Array
+    distance: Array
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -80,34 +64,26 @@ class Geometry:
 
     def __post_init__(self) -> None:
         spline = make_spline(self.knots, self.coefficients, self.degree)
-        self._settle(spline, ArcLength.of(spline))
+        self._set(spline, ArcLength.of(spline))
 
-    def _settle(self, spline: Spline, arc: ArcLength) -> None:
+    def _set(self, spline: Spline, arc: ArcLength) -> None:
         knots, coefficients = spline.knots.view(), spline.table[0].view()
         knots.flags.writeable = coefficients.flags.writeable = False
-        values = {
-            "knots": knots,
-            "coefficients": coefficients,
-            "degree": spline.degree,
-            "_spline": spline,
-            "_arc": arc,
-        }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        self.__dict__.update(knots=knots, coefficients=coefficients, degree=spline.degree)
+        self.__dict__.update(_spline=spline, _arc=arc)
 
     def _with_coefficients(self: Made, coefficients: Array, stretch: float) -> Made:
-        """The same curve after a motion that is rigid but for a relative stretch.
+        """Return the curve after a motion that is rigid up to a relative stretch.
 
-        If that and the rounding of its coordinates are below what its length was measured to, that stays.
+        The measured length is kept if the stretch and rounding change it less than its tolerance.
         """
-        extent = np.abs(coefficients).max()
+        change = max(stretch * self.length, rounding(coefficients))
         if not (
-            extent <= LARGEST_COORDINATE
-            and max(stretch * self.length, rounding(coefficients)) <= TAIL * self.length
+            np.abs(coefficients).max() <= LARGEST_COORDINATE and change <= LENGTH_TOLERANCE * self.length
         ):
             return type(self)(self.knots, coefficients, self.degree)
         moved = object.__new__(type(self))
-        moved._settle(self._spline.with_coefficients(coefficients), self._arc)
+        moved._set(self._spline.with_coefficients(coefficients), self._arc)
         return moved
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -115,7 +91,7 @@ class Geometry:
         return type(self), (self.knots, self.coefficients, self.degree)
 
     def __eq__(self, other: object) -> bool:
-        """Whether degree, knots and coefficients are equal to the last bit."""
+        """Tell whether degree, knots and coefficients are equal to the last bit."""
         if not isinstance(other, Geometry):
             return NotImplemented
         return (
@@ -130,7 +106,7 @@ class Geometry:
 
     def __repr__(self) -> str:
         places = np.stack([self.start, self.end])
-        places[np.abs(places) < _ROUNDING * self.length] = 0
+        places[np.abs(places) < _END_TOLERANCE * self.length] = 0
         begin, end = (", ".join(f"{x:.4g}" for x in place) for place in places)
         spans = len(self._spline.breaks) - 1
         return (
@@ -145,9 +121,9 @@ class Geometry:
 
     @property
     def measured(self) -> tuple[Array, Array, int, Array, Array, Array]:
-        """The curve as kernels want it: knots, table, degree; edges, lengths, series.
+        """The arrays that kernels take: knots, table, degree; edges, lengths, series. Do not write to them.
 
-        See `kernels.spline_coefficients` and `kernels.measure_length`. Not to be written to.
+        See `kernels.spline_coefficients` and `kernels.measure_length`.
         """
         spline, arc = self._spline, self._arc
         return spline.knots, spline.table, spline.degree, arc.edges, arc.lengths, arc.series
@@ -166,17 +142,17 @@ class Geometry:
     def dimension(self) -> int:
         """2 if all coefficients lie in one plane, of any direction, within 1e-9 of the length, else 3."""
         offsets = self.coefficients - self.coefficients.mean(axis=0)
-        # The covariance alone would square the rounding; the basis of the plane needs the factors themselves.
+        # The covariance would square the rounding errors.
         normal = np.linalg.svd(offsets, full_matrices=len(offsets) < 3)[2][2]
-        return 2 if float(np.abs(offsets @ normal).max()) <= _FLAT * self.length else 3
+        return 2 if float(np.abs(offsets @ normal).max()) <= _PLANE_TOLERANCE * self.length else 3
 
     def at(self, s: float | Lengths) -> Array:
-        """Places, shape (n, 3) or (3,) [m], at the arc lengths `s` [m]."""
+        """Return places, shape (n, 3) or (3,) [m], at the arc lengths `s` [m]."""
         u, shape = self._parameter(s)
         return _shaped(self._spline.values(u), shape)
 
     def tangent(self, s: float | Lengths) -> Array:
-        """Unit tangents, shape (n, 3) or (3,), towards the end, at the arc lengths `s` [m]."""
+        """Return unit tangents, shape (n, 3) or (3,), towards the end, at the arc lengths `s` [m]."""
         u, shape = self._parameter(s)
         velocity = self._spline.values(u, 1)
         return _shaped(velocity / np.linalg.norm(velocity, axis=1)[:, None], shape)
@@ -186,7 +162,7 @@ class Geometry:
     @overload
     def curvature(self, s: Lengths) -> Array: ...
     def curvature(self, s: float | Lengths) -> float | Array:
-        """Curvature, shape (n,) or a float [1/m], 0 or more, at the arc lengths `s` [m]."""
+        """Return the curvature, shape (n,) or a float [1/m], 0 or more, at the arc lengths `s` [m]."""
         u, shape = self._parameter(s)
         bending, v = self._bending(u)
         return _scalar(np.linalg.norm(bending, axis=1) / v**3, shape)
@@ -196,21 +172,21 @@ class Geometry:
     @overload
     def torsion(self, s: Lengths) -> Array: ...
     def torsion(self, s: float | Lengths) -> float | Array:
-        """Torsion, shape (n,) or a float [1/m], at the arc lengths `s` [m]; positive on a right-handed helix.
+        """Return the torsion, shape (n,) or a float [1/m], at the arc lengths `s` [m].
 
-        It is 0 where the curvature is below 1e-6 / length, where torsion has no meaning, and on plane curves
-        (`dimension` 2).
+        It is positive on a right-handed helix. It is 0 on plane curves (`dimension` 2), and where the
+        curvature is below 1e-6 / length, because it has no meaning there.
         """
         u, shape = self._parameter(s)
         bending, v = self._bending(u)
         square = np.einsum("ni,ni->n", bending, bending)
-        bent = np.sqrt(square) * self.length > _STRAIGHT * v**3
+        bent = np.sqrt(square) * self.length > _MIN_CURVATURE * v**3
         volume = np.einsum("ni,ni->n", bending, self._spline.values(u, 3))
         torsion = np.divide(volume, square, out=np.zeros_like(v), where=bent & (self.dimension == 3))
         return _scalar(torsion, shape)
 
     def resample(self, n: int) -> Array:
-        """Places, shape (n, 3) [m], at n >= 2 equal steps of arc length from the start to the end."""
+        """Return places, shape (n, 3) [m], at n >= 2 equal steps of arc length from the start to the end."""
         return self.at(np.linspace(0, self.length, as_count("n", n, 2, _MAX_SAMPLES)))
 
     def nearest(self, points: ArrayLike) -> Nearest:
@@ -230,33 +206,34 @@ class Geometry:
         except ValueError:  # rows of different lengths
             one = False
         given = as_points(np.asarray(points)[None] if one else points, least=0)
-        found = nearest(self._spline, self._arc, given)
-        return Nearest(found.parameter[0], found.distance[0]) if one else found
+        found = kernels.nearest_places(*self.measured, _MIN_PIECES, given)
+        parameter, distance = found[:, 0].copy(), found[:, 1].copy()
+        return Nearest(parameter[0], distance[0]) if one else Nearest(parameter, distance)
 
     def _parameter(self, s: ArrayLike) -> tuple[Array, tuple[int, ...]]:
-        """Parameters (n,) of the spline at arc lengths, and the shape of these."""
-        slack = _ROUNDING * self.length
+        """Return the parameters (n,) of the spline at arc lengths, and the shape of these."""
+        slack = _END_TOLERANCE * self.length
         if type(s) is float and -slack <= s <= self.length + slack:
             return self._arc.parameter(np.array([min(max(s, 0.0), self.length)])), ()
         try:
             values = np.asarray(s)
         except ValueError:
-            raise self._refused("s", s) from None
+            raise self._out_of_range("s", s) from None
         if values.dtype.kind not in "iuf" or values.ndim > 1:
-            raise self._refused("s", s)
+            raise self._out_of_range("s", s)
         inside = (values >= -slack) & (values <= self.length + slack)  # false for NaN
         if not inside.all():
             i = int(np.flatnonzero(~inside)[0])
-            raise self._refused("s" if values.ndim == 0 else f"s[{i}]", float(values.flat[i]))
+            raise self._out_of_range("s" if values.ndim == 0 else f"s[{i}]", float(values.flat[i]))
         clipped = np.minimum(np.maximum(np.atleast_1d(values), 0.0), self.length)
         return self._arc.parameter(clipped.astype(float)), values.shape
 
-    def _refused(self, name: str, value: object) -> InvalidValue:
+    def _out_of_range(self, name: str, value: object) -> InvalidValue:
         allowed = f"arc lengths from 0 to {self.length:.10g} m, one or an array of shape (n,)"
         return InvalidValue(name, value, allowed)
 
     def _bending(self, u: Array) -> tuple[Array, Array]:
-        """First cross second derivative (n, 3), and the speed (n,)."""
+        """Return the first cross the second derivative (n, 3), and the speed (n,)."""
         velocity = self._spline.values(u, 1)
         return np.cross(velocity, self._spline.values(u, 2)), np.linalg.norm(velocity, axis=1)
 

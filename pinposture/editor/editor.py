@@ -1,4 +1,4 @@
-"""The editor: one loop that takes what hands do, asks the solver, and shows what comes of it."""
+"""The editor: a loop that takes requests, asks the solver, and brings the page up to date."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from pinposture.editor.files import Files, restore
 from pinposture.editor.measured_arm import JointStates
 from pinposture.editor.session import Session
-from pinposture.editor.solver import Live, Solver
+from pinposture.editor.solver import Live, Solver, VerdictCache
 from pinposture.editor.surroundings import Surroundings
 from pinposture.editor.ui import Page
 from pinposture.errors import PostureError
@@ -26,31 +26,28 @@ logger = logging.getLogger(__name__)
 
 Request: TypeAlias = Callable[[Session], None]
 
-MOST = 1000
-"""How many requests may wait; there are more only if a program sends them, and those are dropped."""
-
-FRAME, IDLE = 1.0 / 60.0, 0.25
-"""How soon after each other the page is brought up to date, and how often at least [s]."""
+MAX_REQUESTS = 1000  # that wait; only a program sends more, and those are dropped
+FRAME_TIME, MAX_FRAME_TIME = 1.0 / 60.0, 0.25  # between two updates of the page, at least and at most [s]
 
 
 class Editor:
-    """An editor of a task, shown to browsers; it works in threads of its own.
+    """An editor of a task, shown in browsers; it works in threads of its own.
 
         editor = Editor(pp.Task.load("walk.toml"), Path("walk.toml"))
         editor.start()
         webbrowser.open(editor.url)
 
-    Callbacks of the page only leave requests here. The loop takes them in turn, and never waits for the arm:
-    what the arm makes of it is worked out by the solver, and looked up.
+    Callbacks of the page only post requests, which the loop does in turn. The loop never waits for the arm:
+    the solver moves it, and the loop reads where it is.
 
     Args:
         task: the task to edit.
         path: its file, if it has one.
-        host: at which address to listen.
-        port: at which port; another if it is taken.
-        joint_states: what tells where the arm is measured to be, as for `JointStates`; None if nothing does.
-        folder: where the page opens and saves files, and nowhere else; that of the task file if None, or
-            where we are without one.
+        host: the address to listen at.
+        port: the port; another if it is taken.
+        joint_states: the source of measured joint states, as for `JointStates`; None if there is none.
+        folder: the only folder where the page opens and saves files; that of the task file if None, or the
+            working directory without one.
 
     Raises:
         TaskError: a task without keyframes.
@@ -67,17 +64,18 @@ class Editor:
         joint_states: str | Path | None = None,
         folder: Path | None = None,
     ) -> None:
-        # Matrices are small here, and threads that wait for each other take the time that other parts need.
+        # Matrices are small here, and threads that wait for each other take time from the rest.
         self._blas = threadpool_limits(1, user_api="blas")
         self.session = Session(task, path, folder=folder)
         restore(self.session)
         self._inbox: deque[tuple[str, Request]] = deque()
         self._flooded, self._fault = False, ""
-        self._lock, self._news, self._over = Lock(), Event(), Event()
-        self._solver = Solver(self.session.problem, self.session.arm.straight(), self._news.set)
-        self._asked = self.session.number
+        self._lock, self._wake, self._closed = Lock(), Event(), Event()
+        verdicts = VerdictCache()
+        self._solver = Solver(self.session.problem, self.session.arm.straight(), self._wake.set, verdicts)
+        self._asked_number = self.session.number
         self.files = Files(self.post, self.session.path)
-        self.surroundings = Surroundings(self.post)
+        self.surroundings = Surroundings(self.post, verdicts)
         self._states: JointStates | None = None
         try:
             if joint_states is not None:
@@ -96,23 +94,23 @@ class Editor:
 
     @property
     def live(self) -> Live:
-        """The arm as it is at the moment."""
+        """The arm at this moment."""
         return self._solver.live
 
     def start(self) -> None:
-        """Begin to serve."""
+        """Start the threads."""
         self._solver.start()
         self._thread.start()
 
     def wait(self) -> None:
         """Wait until it is closed; Ctrl-C ends the waiting."""
-        while not self._over.wait(0.5):
+        while not self._closed.wait(0.5):
             pass
 
     def close(self) -> None:
-        """End."""
-        self._over.set()
-        self._news.set()
+        """End all threads and the server."""
+        self._closed.set()
+        self._wake.set()
         if self._thread.is_alive():
             self._thread.join(timeout=5.0)
         self._solver.close()
@@ -128,25 +126,25 @@ class Editor:
         self.files.close()
 
     def post(self, request: Request, key: str = "") -> None:
-        """Leave a request for the loop. May be called from any thread, and returns at once.
+        """Post a request to the loop. May be called from any thread, and returns at once.
 
         Args:
-            request: what to do with the session.
-            key: requests with the same key that follow each other count as one: the last.
+            request: called with the session.
+            key: of consecutive requests with the same key, only the last one is done.
         """
         with self._lock:
             if key and self._inbox and self._inbox[-1][0] == key:
                 self._inbox[-1] = key, request
-            elif len(self._inbox) < MOST:
+            elif len(self._inbox) < MAX_REQUESTS:
                 self._inbox.append((key, request))
             else:
                 self._flooded = True
-        self._news.set()
+        self._wake.set()
 
     def _run(self) -> None:
-        while not self._over.is_set():
+        while not self._closed.is_set():
             begun = time.monotonic()
-            self._news.clear()
+            self._wake.clear()
             session, live = self.session, self._solver.live
             for part in (
                 partial(session.settle, live),
@@ -154,50 +152,43 @@ class Editor:
                 partial(self.surroundings.watch, session, live),
                 self._ask,
                 partial(self.files.watch, session),
-                partial(session.playback.follow, session),
+                session.update_playback,
                 partial(self.page.show, session, live),
             ):
-                self._safely(part)
-            left = FRAME - (time.monotonic() - begun)
+                try:
+                    part()
+                except Exception as error:  # a bug costs this part of this turn, not the work
+                    fault = f"{type(error).__name__}: {error}"
+                    if fault != self._fault:  # it may come with every turn
+                        logger.exception("a part of the editor failed")
+                        self._fault = fault
+            left = FRAME_TIME - (time.monotonic() - begun)
             if left > 0.0:
-                self._over.wait(left)
-            self._news.wait(IDLE)
-
-    def _safely(self, part: Callable[[], object]) -> None:
-        """Do a part of what the loop does; a fault of ours costs this part of this turn, and not the work."""
-        try:
-            part()
-        except Exception as error:
-            fault = f"{type(error).__name__}: {error}"
-            if fault != self._fault:  # it may come with every turn
-                logger.exception("a part of the editor failed")
-                self._fault = fault
+                self._closed.wait(left)
+            self._wake.wait(MAX_FRAME_TIME)
 
     def _take_requests(self) -> None:
-        while (request := self._next()) is not None:
-            self._do(request)
+        while (request := self._next_request()) is not None:
+            try:
+                request(self.session)
+            except PostureError as error:
+                self.session.say(str(error), "error")
+            except Exception as error:  # a bug; editing goes on
+                logger.exception("a request failed")
+                self.session.say(f"that did not work, and nothing was changed ({error})", "error")
         if self._flooded:
             self._flooded = False
             self.session.say("too much at once: some of it was not done", "warning")
 
-    def _ask(self) -> None:
-        """Tell the solver what is asked of the arm, if that is something else now."""
-        if self.session.number != self._asked:
-            self._asked = self.session.number
-            self._solver.ask(self.session.problem)
-
-    def _next(self) -> Request | None:
-        """The next request, if it may be done: what is proposed is decided on before anything else."""
+    def _next_request(self) -> Request | None:
+        """Return the next request; None while a final proposal waits for its verdict."""
         if self.session.proposal is not None and self.session.proposal.final:
             return None
         with self._lock:
             return self._inbox.popleft()[1] if self._inbox else None
 
-    def _do(self, request: Request) -> None:
-        try:
-            request(self.session)
-        except PostureError as error:
-            self.session.say(str(error), "error")
-        except Exception as error:  # a fault of ours; whoever edits goes on with what there was
-            logger.exception("a request failed")
-            self.session.say(f"that did not work, and nothing was changed ({error})", "error")
+    def _ask(self) -> None:
+        """Give the solver the problem, if it has changed."""
+        if self.session.number != self._asked_number:
+            self._asked_number = self.session.number
+            self._solver.ask(self.session.problem)

@@ -1,4 +1,4 @@
-"""Saving and opening task files, and exporting motions."""
+"""Task files: saving, opening, autosave and recovery; and motions exported as files."""
 
 from __future__ import annotations
 
@@ -6,61 +6,176 @@ import io
 import logging
 import re
 from collections.abc import Callable
+from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from threading import Thread
+from threading import Condition, Thread
 from typing import NamedTuple
 
 from pinposture.arm import Arm
-from pinposture.editor.autosave import Autosave, Recovered, put_aside, recover, version_of
-from pinposture.editor.edits import keyframes_of
 from pinposture.editor.session import Session
+from pinposture.editor.shape import keyframes_of
 from pinposture.errors import FileError, PostureError, UnknownName
 from pinposture.motion import Motion, save
 from pinposture.storage import settled
 from pinposture.task import Task
 
-# Saving and opening task files, for the loop: what takes time is done in threads.
-
 logger = logging.getLogger(__name__)
+
+AUTOSAVE_PERIOD = 0.3  # between two files [s]
+MAX_WAIT = 10.0  # for files that are being written [s]
+
+
+class Version(NamedTuple):
+    """Identity of a file, which differs from that of a file that had its name before."""
+
+    number: int  # inode
+    written: int  # time of the last change [ns]
+    size: int  # of the file [bytes]
+
+
+def version_of(path: Path) -> Version | None:
+    """Return which file has a name now; None if there is none."""
+    try:
+        found = path.stat()
+    except (OSError, ValueError):
+        return None
+    return Version(found.st_ino, found.st_mtime_ns, found.st_size)
+
+
+class Recovered(NamedTuple):
+    """What was autosaved by an editor that ended before it saved."""
+
+    task: Task | None  # the task; None if it cannot be read
+    complaint: str  # why not
+    path: Path  # of the autosave file
+    older: bool = False  # whether the task file was written after it
+
+
+def autosave_path(path: Path) -> Path:
+    """Return the autosave file of a task file, which is beside it."""
+    suffix = path.suffix if path.suffix in (".toml", ".json") else ".toml"
+    return path.with_name(f"{path.stem}.autosave{suffix}")
+
+
+def recover(path: Path) -> Recovered | None:
+    """Read what was autosaved beside a task file; None if there is nothing."""
+    kept = autosave_path(path)
+    left, file = version_of(kept), version_of(path)
+    if left is None:
+        return None
+    try:
+        task = Task.load(kept)
+        keyframes_of(task)
+    except PostureError as error:
+        return Recovered(None, str(error), kept)
+    return Recovered(task, "", kept, file is not None and file.written > left.written)
+
+
+class Autosave:
+    """Writes the latest states of tasks, in a thread of its own; each file is written whole or not at all.
+
+    Attributes:
+        complaint: why the last state could not be written; empty if it could.
+    """
+
+    def __init__(self) -> None:
+        self.complaint = ""
+        self._changed = Condition()
+        self._wanted: dict[Path, Task | None] = {}  # what is to be written where; None: remove the file
+        self._written: dict[Path, Version | None] = {}
+        self._busy, self._hurry, self._closed = False, False, False
+        self._thread = Thread(target=self._run, name="pinposture-autosave", daemon=True)
+        self._thread.start()
+
+    def keep(self, task: Task | None, path: Path) -> None:
+        """Write a state of the task of a file; None: it is saved, so the autosave is removed."""
+        with self._changed:
+            self._wanted[autosave_path(path)] = task
+            self._changed.notify_all()
+
+    def finish(self) -> None:
+        """Wait until everything is written."""
+        with self._changed:
+            self._hurry = True
+            self._changed.notify_all()
+            self._changed.wait_for(lambda: not self._wanted and not self._busy, MAX_WAIT)
+            self._hurry = False
+
+    def close(self) -> None:
+        """Write what is waiting, and end the thread."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        self._thread.join(timeout=MAX_WAIT)
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._wanted or self._closed)
+                wanted, self._wanted = self._wanted, {}
+                self._busy = True
+            if not wanted:
+                return
+            for path, task in wanted.items():
+                self._write(task, path)
+            with self._changed:
+                self._busy = False
+                self._changed.notify_all()
+                self._changed.wait_for(lambda: self._closed or self._hurry, AUTOSAVE_PERIOD)
+
+    def _write(self, task: Task | None, path: Path) -> None:
+        """Write a state, or remove the file."""
+        found = version_of(path)
+        foreign = path in self._written and found not in (None, self._written[path])
+        complaint = f"somebody else writes {path.name}, too: is its task open twice?" if foreign else ""
+        files = (path, path.with_suffix(".urdf"))  # an arm that nothing else describes is written beside it
+        try:
+            if task is not None:
+                for each in files:
+                    if each.is_symlink():  # which we never make; it would be written through
+                        raise FileError(each, "is a link; remove it")
+                task.save(path)
+                self._written[path] = version_of(path)
+            elif not foreign:
+                self._written.pop(path, None)
+                for each in files:
+                    each.unlink(missing_ok=True)
+        except Exception as error:  # of any kind: the next state is tried again
+            complaint = f"your changes cannot be kept: {error}"
+            level = logging.WARNING if isinstance(error, PostureError | OSError) else logging.ERROR
+            logger.log(level, "%s: %s", path, error, exc_info=level == logging.ERROR)
+        self.complaint = complaint
 
 
 class Files:
-    """The task file of a session, and what is kept beside it.
-
-    Args:
-        post: leaves a request for the loop.
-        path: the task file, as it was read a moment ago; None if there is none.
-    """
+    """The task file of a session, and its autosave."""
 
     def __init__(self, post: Callable[[Callable[[Session], None]], None], path: Path | None = None) -> None:
         self._post = post
         self._autosave = Autosave()
         self._kept: Task | None = None
-        self._complained = ""
-        self._version = None if path is None else version_of(path)  # the file as it is known here
+        self._complaint = ""
+        self._version = None if path is None else version_of(path)  # the last one read or written here
 
     def watch(self, session: Session) -> None:
-        """Keep what was changed; called by the loop whenever it likes."""
+        """Autosave changes; called by the loop."""
         if self._kept is None:
             self._kept = session.task
         if session.path is not None and session.task is not self._kept:
             self._kept = session.task
-            if session.changed:
-                self._autosave.keep(session.task, session.path)
-            else:
-                self._autosave.forget(session.path)
-        if self._autosave.complaint != self._complained:
-            self._complained = self._autosave.complaint
-            if self._complained:
-                session.say(self._complained, "error")
+            self._autosave.keep(session.task if session.changed else None, session.path)
+        if self._autosave.complaint != self._complaint:
+            self._complaint = self._autosave.complaint
+            if self._complaint:
+                session.say(self._complaint, "error")
 
     def save(self, session: Session, path: Path | None = None) -> None:
-        """Save the task in its file, or in another one, which then is its file.
+        """Save the task in its file, or in another one, which then becomes its file.
 
         Raises:
             FileError: it cannot be written, another file has that name, or somebody else changed the file:
-                that is told once, and saving again replaces it. Nothing changes.
+                that is reported once, and saving again replaces it. Nothing changes.
         """
         path = session.path if path is None else path
         if path is None:
@@ -80,30 +195,33 @@ class Files:
         session.task.save(path)
         before, session.path, session.saved = session.path, path, session.task
         self._version = version_of(path)
-        self._autosave.forget(path)
+        self._autosave.keep(None, path)
         if before is not None and before != path:
-            self._autosave.forget(before)
+            self._autosave.keep(None, before)
         session.say(f"saved as {path.name}")
 
     def open(self, session: Session, path: Path) -> None:
-        """Open another task file; the loop goes on meanwhile."""
+        """Open another task file, in a thread."""
         path = path.absolute()
         session.say(f"opening {path.name} ...")
 
         def work() -> None:
-            self._autosave.finish()  # it may be that of the file that is opened again
+            self._autosave.finish()  # perhaps of the same file
             version = version_of(path)
             try:
-                put = open_task(path)
+                task = Task.load(path)
+                keyframes_of(task)
             except Exception as error:
-                if not isinstance(error, PostureError):  # a fault of ours, which has to be told, too
+                if not isinstance(error, PostureError):  # a bug, which has to be reported, too
                     logger.exception("%s could not be opened", path)
                 reason = str(error)
                 self._post(lambda session: session.say(f"not opened: {reason}", "error"))
                 return
 
             def opened(session: Session) -> None:
-                put(session)
+                session.replace(task, path, saved=True)
+                session.say(f"opened {path.name}")
+                restore(session)
                 self._version = version
 
             self._post(opened)
@@ -115,36 +233,23 @@ class Files:
         self._autosave.close()
 
 
-def open_task(path: Path) -> Callable[[Session], None]:
-    """Read a task file, and what was left beside it; gives what puts it in place of the task of a session.
-
-    Raises:
-        FileError: it cannot be read.
-        TaskError: it has no keyframes.
-    """
-    task = Task.load(path)
-    keyframes_of(task)
-
-    def put(session: Session) -> None:
-        session.replace(task, path, saved=True)
-        session.say(f"opened {path.name}")
-        restore(session)
-
-    return put
-
-
 def restore(session: Session) -> None:
-    """Take up what was changed and not saved when an editor of the same file ended; undo takes it back.
+    """Take up the autosaved changes of an editor of the same file that ended before it saved.
 
-    Where the file was written after that, it counts, and redo takes the changes up.
+    Undo takes them back. Where the file was written after them, it counts, and redo takes them up.
     """
     left = None if session.path is None else recover(session.path)
     if left is None:
         return
     if left.task is None:
-        session.say(_unreadable(left), "error")
+        try:
+            name = _rename_aside(left.path).name
+        except OSError as error:
+            name = f"{left.path.name}, which is going to be replaced ({error.strerror or error})"
+        text = f"changes that were not saved cannot be read, and are in {name}: {left.complaint}"
+        session.say(text, "error")
         return
-    task = _kept_of(left.task, session.task, left.path)
+    task = _with_same_arm(left.task, session.task, left.path)
     session.take_up(task, min(session.selected, len(keyframes_of(task)) - 1))
     if left.older:
         session.undo()
@@ -155,25 +260,23 @@ def restore(session: Session) -> None:
     session.say(text, "warning")
 
 
-def _unreadable(left: Recovered) -> str:
-    """Say what became of changes that cannot be read; they are not written over."""
-    try:
-        name = put_aside(left.path).name
-    except OSError as error:
-        name = f"{left.path.name}, which is going to be replaced ({error.strerror or error})"
-    return f"changes that were not saved cannot be read, and are in {name}: {left.complaint}"
+def _rename_aside(kept: Path) -> Path:
+    """Rename an unreadable autosave file, so that it is not overwritten; returns the new name."""
+    free = (kept.with_name(f"{kept.stem}.{k}{kept.suffix}") for k in count(1))
+    return kept.rename(next(path for path in free if not path.exists()))
 
 
-def _kept_of(task: Task, there: Task, kept: Path) -> Task:
-    """A task that was kept, with the arm that is there if it is the same one: it need not begin anew then.
+def _with_same_arm(task: Task, current: Task, kept: Path) -> Task:
+    """Return an autosaved task with the current arm if it is the same one, so that it need not start anew.
 
-    A URDF file that was kept beside the task goes when that is saved, and is not relied on.
+    A URDF file beside the autosave is removed when the task is saved, and is not relied on.
     """
-    arm, other = task.arm, there.arm
+    arm, other = task.arm, current.arm
     if arm.spec is None or other.spec is None:
         return task
-    aside = {"urdf": arm.urdf, "package_dirs": ()}
-    if arm.urdf == other.urdf and arm.spec.model_copy(update=aside) == other.spec.model_copy(update=aside):
+    ignored = {"urdf": arm.urdf, "package_dirs": ()}
+    specs = [spec.model_copy(update=ignored) for spec in (arm.spec, other.spec)]
+    if arm.urdf == other.urdf and specs[0] == specs[1]:
         return task.edited(arm=other)
     if arm.spec.urdf == settled(kept.with_suffix(".urdf")):
         spec = arm.spec.model_copy(update={"urdf": arm.urdf})
@@ -190,19 +293,19 @@ def _kept_of(task: Task, there: Task, kept: Path) -> Task:
 
 
 def within(folder: Path, name: str, start: Path | None = None) -> Path:
-    """The file that a name from the page means. The only way from what is typed to a path.
+    """Return the file that a name from the page means: the only path from what is typed to a file.
 
     Args:
-        folder: where it has to be, or in folders in there.
+        folder: the folder that it has to be in, directly or in folders in there.
         name: the name, which may lead through folders.
-        start: the folder in there that the name counts from; `folder` itself if None.
+        start: the folder that the name counts from; `folder` itself if None.
 
     Raises:
-        FileError: a name that leads, or might lead, out of the folder: from the root, from somebody's home,
+        FileError: a name that leads, or might lead, out of the folder: from the root, from a home directory,
             by "..", or by a link; or one that no file can have.
     """
-    leads, path = Path(name), (folder if start is None else start) / name
-    outside = bool(leads.anchor) or name.startswith("~") or ".." in leads.parts
+    given, path = Path(name), (folder if start is None else start) / name
+    outside = bool(given.anchor) or name.startswith("~") or ".." in given.parts
     try:
         outside = outside or not path.resolve().is_relative_to(folder.resolve())
     except (OSError, RuntimeError, ValueError) as error:  # a null byte, links in a circle
@@ -213,63 +316,48 @@ def within(folder: Path, name: str, start: Path | None = None) -> Path:
     return path
 
 
-# A motion as files to take away: the same that `pinposture run` and `pinposture export` write.
-
-
 class ExportKind(NamedTuple):
-    """A kind of file.
+    """A file format of motions."""
 
-    Attributes:
-        suffix: what its name ends in.
-        noun: what it is, in words.
-        write: makes one of a motion, at a path.
-    """
-
-    suffix: str
-    noun: str
-    write: Callable[[Motion, Path], object]
+    suffix: str  # of the file name
+    noun: str  # what the file is, in words
+    write: Callable[[Motion, Path], object]  # writes a motion to a path
 
 
 class Export(NamedTuple):
-    """A file to take away.
+    """A file to download."""
 
-    Attributes:
-        name: of the file.
-        content: what is in it.
-        told: what it is and how long the motion is, in words.
-    """
-
-    name: str
-    content: bytes
-    told: str
+    name: str  # of the file
+    content: bytes  # of the file
+    summary: str  # what it is and how long the motion is, in words
 
 
-def exported(motion: Motion, kind: str, stem: str) -> Export:
-    """A motion as a file.
+def export(motion: Motion, kind: str, stem: str) -> Export:
+    """Export a motion, as `pinposture run` and `pinposture export` do.
 
     Args:
         motion: the motion.
-        kind: one of `KINDS`.
-        stem: what to call the file; letters that are not good in names of files are replaced.
+        kind: one of `EXPORT_KINDS`.
+        stem: of the file name; letters that are not portable are replaced.
 
     Raises:
         UnknownName: no such kind.
         MotionError: joints of a motion that is not fit for a robot; `pinposture export --force` writes them.
-        FileError: it cannot be made.
+        FileError: it cannot be written.
         InvalidValue: times that the format cannot hold.
     """
-    if kind not in KINDS:
-        raise UnknownName("kind of export", kind, KINDS)
-    suffix, noun, write = KINDS[kind]
+    if kind not in EXPORT_KINDS:
+        raise UnknownName("kind of export", kind, EXPORT_KINDS)
+    suffix, noun, write = EXPORT_KINDS[kind]
     name = f"{re.sub(r'[^A-Za-z0-9._-]+', '_', stem).strip('._') or 'motion'}{suffix}"
     with TemporaryDirectory(prefix="pinposture-") as folder:
         path = Path(folder) / f"motion{suffix}"
         write(motion, path)
         content = path.read_bytes()
     size = f"{len(content) / 1000.0:,.0f} kB" if len(content) >= 1000 else f"{len(content)} bytes"
-    ended = "" if motion.converged else "; it does not end as it should"
+    end = "" if motion.converged else "; it does not end as it should"
     return Export(
-        name, content, f"{name}: {noun} of {motion.time[-1]:.4g} s, {motion.steps} cycles, {size}{ended}"
+        name, content, f"{name}: {noun} of {motion.time[-1]:.4g} s, {motion.steps} cycles, {size}{end}"
     )
 
 
@@ -278,7 +366,7 @@ def _write_joints(motion: Motion, path: Path) -> None:
 
 
 def _write_picture(motion: Motion, path: Path) -> None:
-    from pinposture.viz import plot  # takes a while to import
+    from pinposture.viz import plot  # slow to import
 
     picture = io.BytesIO()
     plot(motion).savefig(picture, format="png")
@@ -291,11 +379,11 @@ def _write_animation(motion: Motion, path: Path) -> None:
     save_html(motion.arm, motion, path)
 
 
-KINDS = {
+EXPORT_KINDS = {
     "npz": ExportKind(".npz", "the motion", save),
     "CSV": ExportKind(".csv", "joint positions, speeds and accelerations", _write_joints),
     "ROS JSON": ExportKind(".json", "a JointTrajectory message", _write_joints),
     "Picture": ExportKind(".png", "a picture", _write_picture),
     "Animation": ExportKind(".html", "an animation", _write_animation),
 }
-"""What a motion can be taken away as, by the names of its buttons."""
+"""The formats of motions, by the labels of their buttons."""

@@ -1,4 +1,4 @@
-"""Obstacles as hands take hold of them: edits, handles, and where a new one is put."""
+"""Obstacles that can be dragged: their handles, where new ones are placed, and requests that change them."""
 
 from __future__ import annotations
 
@@ -24,125 +24,109 @@ from pinposture.editor.session import Proposal, Session
 from pinposture.errors import InvalidValue, PostureError, TaskError, UnknownName
 from pinposture.task import Task
 
-# Taking hold of obstacles: where they are, how they are turned, and what becomes of them when pulled.
-
 Array = NDArray[np.float64]
+Change: TypeAlias = Callable[[Obstacle], Obstacle]
 
-GAP = 0.025
-"""How far outside of an obstacle the handles are that change its size, relative to the arm."""
+COORDINATE_DIGITS = 6  # of places and sizes that come from the mouse [m]
 
-LEAST = 2e-3
-"""How small an obstacle can be pulled, relative to the arm."""
+# Relative to the length of the arm:
+HANDLE_GAP = 0.025  # between an obstacle and the handles that change its size
+MIN_SIZE = 2e-3  # of an obstacle that is resized
+HALF_SPACE_OFFSET = 0.3  # of the handle of a half-space from its middle
+CLEAR_ROOM = 0.05  # between a new obstacle and the arm or other obstacles
+FLOOR_DEPTH = 0.1  # of a new half-space below the arm
+OFFSETS = (0.2, 0.3, 0.45, 0.65, 0.9, 1.3)  # of a new obstacle sideways from the arm, tried in turn
 
-ASIDE = 0.3
-"""How far beside the middle of a half-space its handle is, relative to the arm."""
-
-DIGITS = 6
-"""Digits behind the point to which places and sizes that come from the mouse are rounded [m]."""
+FRACTIONS = (0.6, 0.4, 0.8, 1.0, 0.25)  # places along the arm beside which a new obstacle is tried, in turn
+ARM_SAMPLES = 200  # points of the arm that a new obstacle keeps away from
 
 
-class Measures(NamedTuple):
-    """What is large and what is small around an arm.
+class ArmScale(NamedTuple):
+    """The size of an arm, for handles."""
 
-    Attributes:
-        middle: where half-spaces, which have no end, are taken hold of: the point of theirs nearest to it,
-            (3,) [m], world frame.
-        length: of the arm [m].
-    """
-
-    middle: Array
-    length: float
+    middle: Array  # half-spaces have their handles at their point nearest to this, (3,) [m], world frame
+    length: float  # of the arm [m]
 
     @classmethod
-    def of(cls, arm: Arm) -> Measures:
-        """Those of an arm: the middle is half way along it where it is straight."""
+    def of(cls, arm: Arm) -> ArmScale:
+        """Return the scale of an arm, with the middle half way along the straight arm."""
         state = arm.at(arm.straight())
         return cls(0.5 * (arm.chain.base + state.points[-1]), arm.length)
 
     @property
     def gap(self) -> float:
-        """How far outside of an obstacle handles are [m]."""
-        return GAP * self.length
+        """Distance of handles from an obstacle [m]."""
+        return HANDLE_GAP * self.length
 
     @property
     def least(self) -> float:
-        """How small obstacles can be pulled [m]."""
-        return LEAST * self.length
+        """Smallest size of an obstacle [m]."""
+        return MIN_SIZE * self.length
 
 
 class Pose(NamedTuple):
-    """Where an obstacle is.
+    """The pose of an obstacle."""
 
-    Attributes:
-        position: of its middle, (3,) [m], world frame.
-        rotation: from its axes to the world's, (3, 3). The third is the axis of what has but one.
-    """
-
-    position: Array
-    rotation: Array
+    position: Array  # of its middle, (3,) [m], world frame
+    rotation: Array  # from its axes to the world's, (3, 3). The third is the axis of obstacles with only one
 
 
-class Grip(NamedTuple):
-    """A handle that changes the size of an obstacle.
+class SizeHandle(NamedTuple):
+    """A handle that changes the size of an obstacle."""
 
-    Attributes:
-        name: "x", "y", "z", "radius", "start", "end" or "height".
-        place: where it is, (3,) [m], world frame.
-    """
-
-    name: str
-    place: Array
+    name: str  # "x", "y", "z", "radius", "start", "end" or "height"
+    place: Array  # where it is, (3,) [m], world frame
 
 
-def pose_of(obstacle: Obstacle, measures: Measures) -> Pose:
-    """Where an obstacle is."""
+def pose_of(obstacle: Obstacle, scale: ArmScale) -> Pose:
+    """Return the pose of an obstacle."""
     if isinstance(obstacle, Sphere):
         return Pose(np.array(obstacle.center), np.eye(3))
     if isinstance(obstacle, Box):
         return Pose(np.array(obstacle.center), np.array(obstacle.rotation))
     if isinstance(obstacle, Mesh):
-        turn = np.array(obstacle.rotation)
-        return Pose(obstacle.center + turn @ _center(obstacle), turn)
+        rotation = np.array(obstacle.rotation)
+        return Pose(obstacle.center + rotation @ _center(obstacle), rotation)
     if isinstance(obstacle, HalfSpace):
         normal = np.array(obstacle.normal)
-        height = normal @ (measures.middle - obstacle.point)
-        return Pose(measures.middle - height * normal, turn_to(normal))
+        height = normal @ (scale.middle - obstacle.point)
+        return Pose(scale.middle - height * normal, rotation_to(normal))
     start, end = np.array(obstacle.start), np.array(obstacle.end)
-    return Pose(0.5 * (start + end), turn_to(end - start))
+    return Pose(0.5 * (start + end), rotation_to(end - start))
 
 
 def at_pose(obstacle: Obstacle, pose: Pose) -> Obstacle:
-    """An obstacle elsewhere, otherwise turned.
+    """Return an obstacle at another pose.
 
     Raises:
-        InvalidValue: a place beyond all bounds.
+        InvalidValue: coordinates out of bounds.
     """
-    position, turn = pose
+    position, rotation = pose
     if isinstance(obstacle, Sphere):
         return replace(obstacle, center=_rounded(position))
     if isinstance(obstacle, Box):
-        return replace(obstacle, center=_rounded(position), rotation=_matrix(turn))
+        return replace(obstacle, center=_rounded(position), rotation=_matrix(rotation))
     if isinstance(obstacle, Mesh):
-        return _placed(obstacle, position - turn @ _center(obstacle), turn)
+        return _moved_mesh(obstacle, position - rotation @ _center(obstacle), rotation)
     if isinstance(obstacle, HalfSpace):
-        return replace(obstacle, point=_rounded(position), normal=_vector(turn[:, 2]))
-    half = 0.5 * float(np.linalg.norm(np.subtract(obstacle.end, obstacle.start))) * turn[:, 2]
+        return replace(obstacle, point=_rounded(position), normal=_vector(rotation[:, 2]))
+    half = 0.5 * float(np.linalg.norm(np.subtract(obstacle.end, obstacle.start))) * rotation[:, 2]
     return replace(obstacle, start=_rounded(position - half), end=_rounded(position + half))
 
 
 def moved(obstacle: Obstacle, shift: ArrayLike) -> Obstacle:
-    """An obstacle elsewhere, turned as it was.
+    """Return an obstacle moved without being turned.
 
     Args:
         obstacle: the obstacle.
-        shift: how far, (3,) [m], world axes.
+        shift: the displacement, (3,) [m], world frame.
 
     Raises:
-        InvalidValue: a place beyond all bounds.
+        InvalidValue: coordinates out of bounds.
     """
     by = np.asarray(shift, dtype=np.float64)
     if isinstance(obstacle, Mesh):
-        return _placed(obstacle, obstacle.center + by, np.array(obstacle.rotation))
+        return _moved_mesh(obstacle, obstacle.center + by, np.array(obstacle.rotation))
     if isinstance(obstacle, HalfSpace):
         return replace(obstacle, point=_rounded(obstacle.point + by))
     if isinstance(obstacle, (Capsule, Cylinder)):
@@ -150,54 +134,50 @@ def moved(obstacle: Obstacle, shift: ArrayLike) -> Obstacle:
     return replace(obstacle, center=_rounded(obstacle.center + by))
 
 
-def grips(obstacle: Obstacle, measures: Measures) -> tuple[Grip, ...]:
-    """The handles that change the size of an obstacle, just outside of it.
+def size_handles(obstacle: Obstacle, scale: ArmScale) -> tuple[SizeHandle, ...]:
+    """Return the handles that change the size of an obstacle, just outside of it.
 
     A box has them on three faces that meet; those across stay where they are. A ball has one. A cylinder and
     a capsule have one at each end, and one for the radius. A half-space has one above its surface, and a mesh
     has none.
     """
-    pose, gap = pose_of(obstacle, measures), measures.gap
+    pose, gap = pose_of(obstacle, scale), scale.gap
     if isinstance(obstacle, Box):
         half = 0.5 * np.array(obstacle.size)
-        return tuple(
-            Grip(name, pose.position - (half[k] + gap) * pose.rotation[:, k]) for k, name in enumerate("xyz")
-        )
-    if isinstance(obstacle, Sphere):
-        return (Grip("radius", pose.position - (obstacle.radius + gap) * pose.rotation[:, 0]),)
+        places = (pose.position - (half[k] + gap) * pose.rotation[:, k] for k in range(3))
+        return tuple(SizeHandle(name, place) for name, place in zip("xyz", places, strict=True))
     if isinstance(obstacle, HalfSpace):
-        foot = pose.position - ASIDE * measures.length * pose.rotation[:, 0]
-        return (Grip("height", foot + gap * pose.rotation[:, 2]),)
+        foot = pose.position - HALF_SPACE_OFFSET * scale.length * pose.rotation[:, 0]
+        return (SizeHandle("height", foot + gap * pose.rotation[:, 2]),)
     if isinstance(obstacle, Mesh):
         return ()
-    beyond = (gap + _cap(obstacle)) * pose.rotation[:, 2]
-    return (
-        Grip("start", obstacle.start - beyond),
-        Grip("end", obstacle.end + beyond),
-        Grip("radius", pose.position - (obstacle.radius + gap) * pose.rotation[:, 0]),
-    )
+    radius = SizeHandle("radius", pose.position - (obstacle.radius + gap) * pose.rotation[:, 0])
+    if isinstance(obstacle, Sphere):
+        return (radius,)
+    beyond = (gap + _cap_length(obstacle)) * pose.rotation[:, 2]
+    return SizeHandle("start", obstacle.start - beyond), SizeHandle("end", obstacle.end + beyond), radius
 
 
-def pulled(obstacle: Obstacle, grip: str, place: ArrayLike, measures: Measures) -> Obstacle:
-    """An obstacle with one of its handles elsewhere, or as near to there as it can be.
+def resized(obstacle: Obstacle, handle: str, place: ArrayLike, scale: ArmScale) -> Obstacle:
+    """Return an obstacle with one of its handles at another place, or as near to it as possible.
 
     Args:
         obstacle: the obstacle.
-        grip: name of the handle.
-        place: where it is put, (3,) [m], world frame.
-        measures: those of the arm.
+        handle: name of the handle.
+        place: where it is dragged, (3,) [m], world frame.
+        scale: that of the arm.
 
     Raises:
-        InvalidValue: a place beyond all bounds.
+        InvalidValue: coordinates out of bounds.
     """
-    pose, gap, least = pose_of(obstacle, measures), measures.gap, measures.least
+    pose, gap, least = pose_of(obstacle, scale), scale.gap, scale.least
     off = np.asarray(place, dtype=np.float64) - pose.position
     if isinstance(obstacle, Box):
-        axis = "xyz".index(grip)
+        axis = "xyz".index(handle)
         direction, half = pose.rotation[:, axis], 0.5 * obstacle.size[axis]
         edge = max(float(half - off @ direction) - gap, least)
         size = list(obstacle.size)
-        size[axis] = round(edge, DIGITS)
+        size[axis] = round(edge, COORDINATE_DIGITS)
         center = pose.position + (half - 0.5 * edge) * direction  # the face across stays where it is
         return replace(obstacle, center=_rounded(center), size=_vector(np.array(size)))
     if isinstance(obstacle, HalfSpace):
@@ -205,21 +185,20 @@ def pulled(obstacle: Obstacle, grip: str, place: ArrayLike, measures: Measures) 
         return replace(obstacle, point=_rounded(pose.position + height * pose.rotation[:, 2]))
     if isinstance(obstacle, Mesh):
         return obstacle
-    if grip == "radius":
+    if isinstance(obstacle, Sphere) or handle == "radius":
         radius = max(float(-off @ pose.rotation[:, 0]) - gap, least)
-        return replace(obstacle, radius=round(radius, DIGITS))
-    assert not isinstance(obstacle, Sphere)
-    fixed = np.array(obstacle.end if grip == "start" else obstacle.start)
-    way = np.asarray(place, dtype=np.float64) - fixed
-    length = float(np.linalg.norm(way))
-    sign = -1.0 if grip == "start" else 1.0
-    direction = way / length if length > least else sign * pose.rotation[:, 2]
-    end = fixed + max(length - gap - _cap(obstacle), least) * direction
-    return replace(obstacle, start=_rounded(end)) if grip == "start" else replace(obstacle, end=_rounded(end))
+        return replace(obstacle, radius=round(radius, COORDINATE_DIGITS))
+    fixed = np.array(obstacle.end if handle == "start" else obstacle.start)
+    axis_vector = np.asarray(place, dtype=np.float64) - fixed
+    length = float(np.linalg.norm(axis_vector))
+    sign = -1.0 if handle == "start" else 1.0
+    direction = axis_vector / length if length > least else sign * pose.rotation[:, 2]
+    end = _rounded(fixed + max(length - gap - _cap_length(obstacle), least) * direction)
+    return replace(obstacle, start=end) if handle == "start" else replace(obstacle, end=end)
 
 
-def turn_to(axis: ArrayLike) -> Array:
-    """The shortest turn that lays the third axis along another, (3, 3)."""
+def rotation_to(axis: ArrayLike) -> Array:
+    """Return the smallest rotation that turns the third axis to another, (3, 3)."""
     x, y, z = np.asarray(axis, dtype=np.float64) / np.linalg.norm(np.asarray(axis, dtype=np.float64))
     if z < -1.0 + 1e-12:
         return np.diag([1.0, -1.0, -1.0])
@@ -229,8 +208,8 @@ def turn_to(axis: ArrayLike) -> Array:
     )
 
 
-def reach(obstacle: Obstacle) -> float:
-    """How far from its middle an obstacle goes [m]; 0 for a half-space."""
+def bounding_radius(obstacle: Obstacle) -> float:
+    """Return the radius of an obstacle about its middle [m]; 0 for a half-space."""
     if isinstance(obstacle, Sphere):
         return obstacle.radius
     if isinstance(obstacle, Box):
@@ -243,27 +222,26 @@ def reach(obstacle: Obstacle) -> float:
     return half + obstacle.radius if isinstance(obstacle, Capsule) else float(np.hypot(half, obstacle.radius))
 
 
-def _cap(obstacle: Capsule | Cylinder) -> float:
-    """How far it goes on beyond its ends [m]."""
+def _cap_length(obstacle: Capsule | Cylinder) -> float:
     return obstacle.radius if isinstance(obstacle, Capsule) else 0.0
 
 
 def _center(mesh: Mesh) -> Array:
-    """The middle of a mesh, in its own frame (3,) [m]."""
+    """Return the middle of a mesh in its own frame, (3,) [m]."""
     corners = np.array(mesh.vertices)
     return np.asarray(0.5 * (corners.min(axis=0) + corners.max(axis=0)))
 
 
-def _placed(mesh: Mesh, center: Array, turn: Array) -> Mesh:
-    """A mesh elsewhere, without its hull being worked out again."""
+def _moved_mesh(mesh: Mesh, center: Array, rotation: Array) -> Mesh:
+    """Return a mesh at another pose, without computing its hull again."""
     other = copy(mesh)
     object.__setattr__(other, "center", checked_point("center", _rounded(center)))
-    object.__setattr__(other, "rotation", _matrix(turn))
+    object.__setattr__(other, "rotation", _matrix(rotation))
     return other
 
 
 def _rounded(place: Array) -> Vector:
-    return _vector(np.round(place, DIGITS))
+    return _vector(np.round(place, COORDINATE_DIGITS))
 
 
 def _vector(numbers: Array) -> Vector:
@@ -271,98 +249,63 @@ def _vector(numbers: Array) -> Vector:
     return x, y, z
 
 
-def _matrix(turn: Array) -> Matrix:
-    x, y, z = (_vector(row) for row in np.where(np.abs(turn) < 1e-12, 0.0, turn))
+def _matrix(rotation: Array) -> Matrix:
+    x, y, z = (_vector(row) for row in np.where(np.abs(rotation) < 1e-12, 0.0, rotation))
     return x, y, z
 
 
-# Where a new obstacle is put: near the arm, so that it is seen, and clear of it.
-
-ROOM = 0.05
-"""How far from the arm, and from other obstacles, it is at least, relative to the arm."""
-
-BELOW = 0.1
-"""How far below the arm a new floor is, relative to the arm."""
-
-ALONG = (0.6, 0.4, 0.8, 1.0, 0.25)
-"""Where along the arm it is tried, in turn."""
-
-SIDEWAYS = (0.2, 0.3, 0.45, 0.65, 0.9, 1.3)
-"""How far from there, relative to the arm."""
-
-SAMPLES = 200
-"""Points of the arm that are looked at."""
-
-
-def _sphere(center: Array, axis: Array, length: float) -> Obstacle:
-    del axis
-    return Sphere(_as_vector(center), round(0.06 * length, DIGITS))
-
-
-def _box(center: Array, axis: Array, length: float) -> Obstacle:
-    del axis
-    edge = round(0.12 * length, DIGITS)
-    return Box(_as_vector(center), (edge, edge, edge))
-
-
-def _cylinder(center: Array, axis: Array, length: float) -> Obstacle:
-    half = 0.12 * length * axis
-    return Cylinder(_as_vector(center - half), _as_vector(center + half), round(0.03 * length, DIGITS))
-
-
-def _capsule(center: Array, axis: Array, length: float) -> Obstacle:
-    half = 0.1 * length * axis
-    return Capsule(_as_vector(center - half), _as_vector(center + half), round(0.03 * length, DIGITS))
-
-
-SOLIDS: dict[str, Callable[[Array, Array, float], Obstacle]] = {
-    "sphere": _sphere,
-    "box": _box,
-    "cylinder": _cylinder,
-    "capsule": _capsule,
-}
-"""Makes an obstacle of each kind about a centre, along an axis, for an arm of some length."""
-
-KINDS = (*SOLIDS, "half_space")
-"""Kinds of obstacles that can be made new."""
+NEW_OBSTACLE_KINDS = ("sphere", "box", "cylinder", "capsule", "half_space")
 
 
 def new_obstacle(kind: str, arm: Arm, points: Array, scene: Scene | None) -> Obstacle:
-    """An obstacle of a kind, as large as suits the arm, where neither the arm nor another obstacle is.
+    """Return an obstacle of suitable size, where neither the arm nor another obstacle is.
 
     Where there is no such place it is put as far from the arm as was tried.
 
     Args:
-        kind: of `KINDS`.
+        kind: one of `NEW_OBSTACLE_KINDS`.
         arm: the arm.
         points: where it is, from base to tip, and perhaps where it is to be, from tip to base, (n, 3) [m],
             world frame.
-        scene: what is there already; None if there is nothing.
+        scene: the obstacles that are there; None if there are none.
 
     Raises:
         UnknownName: there is no such kind.
     """
-    if kind not in KINDS:
-        raise UnknownName("kind of obstacle", kind, KINDS)
-    path = _finer(np.vstack([arm.chain.base, points]))
+    if kind not in NEW_OBSTACLE_KINDS:
+        raise UnknownName("kind of obstacle", kind, NEW_OBSTACLE_KINDS)
+    path = _resampled(np.vstack([arm.chain.base, points]))
     up = arm.plane[np.abs(arm.plane[:, 2]).argmax()] if arm.dimension == 2 else np.array([0.0, 0.0, 1.0])
     up = -up if up[2] < 0.0 else up
     if kind == "half_space":
-        low = float((path @ up).min()) - BELOW * arm.length
+        low = float((path @ up).min()) - FLOOR_DEPTH * arm.length
         return HalfSpace(_as_vector(arm.chain.base + (low - arm.chain.base @ up) * up), _as_vector(up))
     axis = np.cross(*arm.plane) if arm.dimension == 2 else up
     tried: list[tuple[float, Obstacle]] = []
-    for center in _places(arm, path, up):
-        obstacle = SOLIDS[kind](center, axis, arm.length)
-        room = float(np.linalg.norm(path - center, axis=1).min()) - reach(obstacle)
-        if room >= ROOM * arm.length and _free(scene, center, reach(obstacle) + ROOM * arm.length):
+    for center in _candidate_places(arm, path, up):
+        obstacle = _new_solid(kind, center, axis, arm.length)
+        radius = bounding_radius(obstacle)
+        room = float(np.linalg.norm(path - center, axis=1).min()) - radius
+        if room >= CLEAR_ROOM * arm.length and _is_free(scene, center, radius + CLEAR_ROOM * arm.length):
             return obstacle
         tried.append((room, obstacle))
     return max(tried, key=lambda each: each[0])[1]
 
 
-def _places(arm: Arm, path: Array, up: Array) -> Iterator[Array]:
-    """Places beside the arm, near ones first."""
+def _new_solid(kind: str, center: Array, axis: Array, length: float) -> Obstacle:
+    """Return an obstacle about a centre, along an axis, for an arm of some length [m]."""
+    if kind == "sphere":
+        return Sphere(_as_vector(center), round(0.06 * length, COORDINATE_DIGITS))
+    if kind == "box":
+        edge = round(0.12 * length, COORDINATE_DIGITS)
+        return Box(_as_vector(center), (edge, edge, edge))
+    half = (0.12 if kind == "cylinder" else 0.1) * length * axis
+    ends = _as_vector(center - half), _as_vector(center + half)
+    return (Cylinder if kind == "cylinder" else Capsule)(*ends, round(0.03 * length, COORDINATE_DIGITS))
+
+
+def _candidate_places(arm: Arm, path: Array, up: Array) -> Iterator[Array]:
+    """Yield places beside the arm, near ones first."""
     ahead = path[-1] - path[0]
     if float(np.linalg.norm(ahead)) < 1e-3 * arm.length:  # it is closed to a ring
         ahead = arm.plane[0]
@@ -373,23 +316,23 @@ def _places(arm: Arm, path: Array, up: Array) -> Iterator[Array]:
         across = np.cross(up, ahead)
         across = across if np.linalg.norm(across) > 1e-3 * arm.length else np.array([0.0, 1.0, 0.0])
         sides = [-across, across, np.cross(ahead, across)]
-    for aside in SIDEWAYS:
-        for along in ALONG:
+    for offset in OFFSETS:
+        for fraction in FRACTIONS:
             for side in sides:
                 size = float(np.linalg.norm(side))
                 if size > 0.0:
-                    yield path[round(along * (SAMPLES - 1))] + aside * arm.length * side / size
+                    yield path[round(fraction * (ARM_SAMPLES - 1))] + offset * arm.length * side / size
 
 
-def _finer(points: Array) -> Array:
-    """Points evenly along the line through others, (SAMPLES, 3)."""
+def _resampled(points: Array) -> Array:
+    """Return points evenly along the line through others, (ARM_SAMPLES, 3)."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    at = np.linspace(0.0, along[-1], SAMPLES)
+    at = np.linspace(0.0, along[-1], ARM_SAMPLES)
     return np.stack([np.interp(at, along, points[:, k]) for k in range(3)], axis=1)
 
 
-def _free(scene: Scene | None, center: Array, radius: float) -> bool:
-    """Whether nothing of a scene is within a distance of a place."""
+def _is_free(scene: Scene | None, center: Array, radius: float) -> bool:
+    """Return whether no obstacle of a scene touches a ball."""
     if scene is None:
         return True
     ball, narrow = coal.Sphere(radius), Narrow()
@@ -402,23 +345,26 @@ def _free(scene: Scene | None, center: Array, radius: float) -> bool:
     return True
 
 
-def _as_vector(place: Array) -> tuple[float, float, float]:
-    x, y, z = (round(float(each), DIGITS) for each in place)
+def _as_vector(place: Array) -> Vector:
+    x, y, z = (round(float(each), COORDINATE_DIGITS) for each in place)
     return x, y, z
 
 
-# What hands do to the obstacles of a task: each of these is a request for the editor's loop.
-
-Change: TypeAlias = Callable[[Obstacle], Obstacle]
+# Requests for the editor's loop.
 
 
 def obstacles_of(task: Task) -> dict[str, Obstacle]:
-    """The obstacles of a task, by name."""
+    """Return the obstacles of a task, by name."""
     return {} if task.scene is None else dict(task.scene.obstacles)
 
 
-def with_sound_obstacle(name: str, obstacle: Obstacle, instead: str | None = None) -> Edit:
-    """As `with_obstacle`; refused if the obstacle stands where the base of the arm is."""
+def free_name(kind: str, taken: dict[str, Obstacle]) -> str:
+    """Return a name that no obstacle has: the kind with a number."""
+    return next(name for k in count(1) if (name := f"{kind}_{k}") not in taken)
+
+
+def with_checked_obstacle(name: str, obstacle: Obstacle, instead: str | None = None) -> Edit:
+    """Edit as `with_obstacle`; the edit raises TaskError for an obstacle around the base of the arm."""
     put = with_obstacle(name, obstacle, instead)
 
     def edit(task: Task) -> Task:
@@ -432,7 +378,7 @@ def with_sound_obstacle(name: str, obstacle: Obstacle, instead: str | None = Non
 
 
 def select_obstacle(name: str | None, session: Session) -> None:
-    """Select an obstacle, in place of a control point of the curve."""
+    """Select an obstacle, instead of a control point of the curve."""
     if name is not None and name not in obstacles_of(session.shown):
         return
     if session.obstacle != name or (name is not None and session.handle is not None):
@@ -441,25 +387,19 @@ def select_obstacle(name: str | None, session: Session) -> None:
 
 
 def add_obstacle(kind: str, points: Array, session: Session) -> None:
-    """Add an obstacle of a kind.
-
-    Args:
-        kind: of `new_obstacles.KINDS`.
-        points: where the arm is, from base to tip, (n, 3) [m].
-        session: what is edited.
-    """
+    """Add a new obstacle; arguments as for `new_obstacle`."""
     obstacle = new_obstacle(kind, session.arm, points, session.task.scene)
-    take_in(free_name(kind, obstacles_of(session.task)), obstacle, session)
+    insert_obstacle(free_name(kind, obstacles_of(session.task)), obstacle, session)
 
 
-def take_in(name: str, obstacle: Obstacle, session: Session) -> None:
-    """Add an obstacle that is there, and select it."""
-    if session.edit(with_sound_obstacle(name, obstacle), f"added {name}"):
+def insert_obstacle(name: str, obstacle: Obstacle, session: Session) -> None:
+    """Add an existing obstacle, and select it."""
+    if session.edit(with_checked_obstacle(name, obstacle), f"added {name}"):
         select_obstacle(name, session)
 
 
 def delete_obstacle(session: Session) -> None:
-    """Delete the obstacle that is selected."""
+    """Delete the selected obstacle."""
     name = session.obstacle
     if name is None:
         session.say("no obstacle is selected: click on one first", "warning")
@@ -469,7 +409,7 @@ def delete_obstacle(session: Session) -> None:
 
 
 def rename_obstacle(name: str, to: str, session: Session) -> None:
-    """Give an obstacle another name; it keeps its place in the order."""
+    """Rename an obstacle; it keeps its place in the order."""
     obstacle, to = obstacles_of(session.task).get(name), to.strip()
     if obstacle is None or to == name:
         return
@@ -478,17 +418,17 @@ def rename_obstacle(name: str, to: str, session: Session) -> None:
         session.obstacle = to
 
 
-def rearrange(name: str, change: Change, what: str, final: bool, session: Session) -> None:
+def change_obstacle(name: str, change: Change, what: str, final: bool, session: Session) -> None:
     """Move, turn or resize an obstacle.
 
-    While the hand is at it each change is made to the obstacle from before, and nothing counts; all of it
-    then is one step to undo.
+    During a drag each change is made to the obstacle from before the drag, and is only proposed; the whole
+    drag is one step to undo.
 
     Args:
         name: of the obstacle.
-        change: what to do to it.
-        what: the same in words.
-        final: whether it is to count.
+        change: makes the changed obstacle.
+        what: the change in words.
+        final: whether it is to be accepted.
         session: what is edited.
     """
     obstacle = obstacles_of(session.task).get(name)
@@ -502,30 +442,25 @@ def rearrange(name: str, change: Change, what: str, final: bool, session: Sessio
         except PostureError as error:
             session.say(str(error), "error")
             other = obstacle
-        if other == obstacle or not session.edit(with_sound_obstacle(name, other, instead=name), what):
-            session.touch()  # what was proposed before is gone
+        if other == obstacle or not session.edit(with_checked_obstacle(name, other, instead=name), what):
+            session.touch()  # the previous proposal is gone
         return
     try:
-        task = with_sound_obstacle(name, change(obstacle), instead=name)(session.task)
+        task = with_checked_obstacle(name, change(obstacle), instead=name)(session.task)
     except PostureError as error:
         if session.notice.text != " ".join(str(error).split()):
             session.say(str(error), "warning")
         return
-    # The solver is told at its own pace: see `Surroundings`.
+    # The solver is given it later: see `Surroundings.watch`.
     session.proposal = Proposal(task, what, False, session.number + 1)
 
 
 def edit_obstacle(name: str, key: str, value: object, final: bool, session: Session) -> None:
-    """Give an obstacle another value: of its centre, size, radius and so on, by the name of the attribute."""
+    """Set a value of an obstacle: its centre, size, radius and so on, by the name of the attribute."""
 
     def change(obstacle: Obstacle) -> Obstacle:
         if not hasattr(obstacle, key):  # it has become another one since
             raise InvalidValue(f"{key} of {name}", value, f"nothing, of a {obstacle.type}")
         return replace(obstacle, **{key: value})  # type: ignore[arg-type]
 
-    rearrange(name, change, f"changed {name}", final, session)
-
-
-def free_name(kind: str, taken: dict[str, Obstacle]) -> str:
-    """A name that no obstacle has: of the kind, with a number."""
-    return next(name for k in count(1) if (name := f"{kind}_{k}") not in taken)
+    change_obstacle(name, change, f"changed {name}", final, session)

@@ -1,4 +1,4 @@
-"""The motion of a task: worked out in a thread, and played by the clock."""
+"""The motion of a task: computed in a thread, and played by the clock."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Callable
 from threading import Event, Lock, Thread
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,227 +19,177 @@ from pinposture.motion import Motion
 from pinposture.placement import Target
 from pinposture.task import Task
 
-if TYPE_CHECKING:
-    from pinposture.editor.session import Session
-
-
-# The motion of a task, worked out beside everything else: when somebody asks, and again when it changed.
-
+Array = NDArray[np.float64]
 logger = logging.getLogger(__name__)
 
-LOOKING = 0.5
-"""How much of the work is to find the postures, as far as the progress tells; the rest is the motion."""
-
-BREATH = 0.0005
-"""How long it stands back after each cycle [s]: threads take turns, and the arm of the moment has to move."""
+POSTURE_SHARE = 0.5  # of the progress, for finding the postures; the rest is the motion
+YIELD_TIME = 0.0005  # sleep after each cycle [s], for the other threads
+SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0)  # of the playback, relative to real time
+REPORTED_TIME_SCALE = 1.005  # from which on it is reported that a motion takes longer than planned
 
 
 class Rehearsed(NamedTuple):
-    """What came of a task.
-
-    Attributes:
-        task: the task.
-        motion: its motion; None if there is none.
-        reason: why there is none, in words; empty if there is one.
-    """
+    """The motion of a task."""
 
     task: Task
-    motion: Motion | None
-    reason: str = ""
+    motion: Motion | None  # its motion; None if there is none
+    reason: str = ""  # why there is none; empty if there is one
 
 
 class _Cancelled(Exception):
-    """Nobody wants to know any more."""
+    """The motion is no longer wanted."""
 
 
 class Rehearsal:
-    """Works out motions in threads of its own, and leaves the last one to be looked up.
+    """Computes motions of tasks in threads, and keeps the last one.
 
-    Only what was asked for last counts; what is under way for another task is given up at its next cycle.
+    Only the last task counts; the motion of another task is abandoned at its next cycle.
     """
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._asked: Task | None = None  # what is under way
-        self._over = Event()
-        self._share = 0.0
+        self._current: Task | None = None
+        self._cancelled = Event()
+        self._progress = 0.0
         self._last: Rehearsed | None = None
         self._thread: Thread | None = None
 
     @property
     def working(self) -> bool:
-        """Whether something is under way."""
+        """Whether a motion is being computed."""
         with self._lock:
-            return self._asked is not None
+            return self._current is not None
 
     @property
     def progress(self) -> float:
-        """How far what is under way has come, in [0, 1]."""
+        """Progress of the motion being computed, in [0, 1]."""
         with self._lock:
-            return self._share
+            return self._progress
 
     def of(self, task: Task) -> Rehearsed | None:
-        """What came of a task; None if that is not known, or no longer."""
+        """Return the motion of a task; None if it is not known, or no longer."""
         with self._lock:
             return self._last if self._last is not None and self._last.task is task else None
 
     def ask(self, task: Task) -> None:
-        """Have the motion of a task worked out, unless it is known, or under way."""
+        """Have the motion of a task computed, unless it is known or being computed."""
         with self._lock:
-            if self._asked is task or (self._last is not None and self._last.task is task):
+            if self._current is task or (self._last is not None and self._last.task is task):
                 return
-            self._over.set()  # the one before
-            self._over, self._asked, self._share = Event(), task, 0.0
-            over, before = self._over, self._thread
-            self._thread = Thread(
-                target=self._run, args=(task, over, before), name="pinposture-rehearsal", daemon=True
-            )
+            self._cancelled.set()  # of the motion before
+            self._cancelled, self._current, self._progress = Event(), task, 0.0
+            given = (task, self._cancelled, self._thread)
+            self._thread = Thread(target=self._run, args=given, name="pinposture-rehearsal", daemon=True)
             self._thread.start()
 
     def cancel(self) -> None:
-        """Give up what is under way."""
+        """Abandon the motion being computed."""
         with self._lock:
-            self._over.set()
-            self._asked, self._share = None, 0.0
+            self._cancelled.set()
+            self._current, self._progress = None, 0.0
 
     def close(self) -> None:
-        """End."""
+        """Abandon the motion, and end the thread."""
         self.cancel()
         if self._thread is not None:
             self._thread.join(timeout=5.0)
 
-    def _run(self, task: Task, over: Event, before: Thread | None) -> None:
+    def _run(self, task: Task, cancelled: Event, before: Thread | None) -> None:
         if before is not None:
-            before.join()  # two at a time would only be in each other's way
+            before.join()  # two at a time would only slow each other down
         try:
-            done = self._rehearsed(task, over)
+            done = self._rehearse(task, cancelled)
         except _Cancelled:
             return
         with self._lock:
-            if over.is_set():
+            if cancelled.is_set():
                 return
-            self._last, self._asked, self._share = done, None, 0.0
+            self._last, self._current, self._progress = done, None, 0.0
 
-    def _rehearsed(self, task: Task, over: Event) -> Rehearsed:
-        def tell(share: float) -> None:
-            if over.is_set():
+    def _rehearse(self, task: Task, cancelled: Event) -> Rehearsed:
+        def report(progress: float) -> None:
+            if cancelled.is_set():
                 raise _Cancelled
             with self._lock:
-                if not over.is_set():
-                    self._share = share
-            time.sleep(BREATH)
+                if not cancelled.is_set():
+                    self._progress = progress
+            time.sleep(YIELD_TIME)
 
         def found(done: int, count: int) -> None:
-            tell(LOOKING * done / max(count, 1))
+            report(POSTURE_SHARE * done / max(count, 1))
 
-        def moved(seconds: float, lasting: float) -> None:
-            tell(LOOKING + (1.0 - LOOKING) * min(seconds / lasting, 1.0))
+        def moved(seconds: float, duration: float) -> None:
+            report(POSTURE_SHARE + (1.0 - POSTURE_SHARE) * min(seconds / duration, 1.0))
 
         try:
-            tell(0.0)
+            report(0.0)
             reference = task.reference(found)
             return Rehearsed(task, task.perform(reference, moved))
         except (PostureError, ArithmeticError, np.linalg.LinAlgError) as error:
             return Rehearsed(task, None, " ".join(str(error).split()))
         except _Cancelled:
             raise
-        except Exception as error:  # a fault of ours; whoever waits for it has to be told
+        except Exception as error:  # a bug, which has to be reported, too
             logger.exception("a motion could not be worked out")
             return Rehearsed(task, None, f"the motion could not be worked out ({error})")
 
 
-# A motion as it passes before the eyes: which moment of it is shown, by the clock.
-
-Array = NDArray[np.float64]
-
-SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0)
-"""How many times as fast as in reality a motion can be shown."""
-
-SLOWED = 1.005
-"""How many times as long as planned a motion takes before that is told."""
-
-
 class Moment(NamedTuple):
-    """A motion at some time, between two of its cycles perhaps.
+    """A motion at some time, perhaps between two of its cycles."""
 
-    Attributes:
-        state: where the arm is.
-        target: where its control points should be.
-        row: the cycle before, or this very one.
-    """
-
-    state: ArmState
-    target: Target
-    row: int
+    state: ArmState  # where the arm is
+    target: Target  # where its control points should be
+    row: int  # the last cycle before or at that time
 
 
 class Playback:
-    """What is shown of the motion of a task. It belongs to the editor's loop, as the session does.
+    """The player of the motion of a task. It belongs to the editor's loop, as the session does.
 
     Attributes:
-        rehearsal: what works motions out.
-        motion: the motion that is shown; None while the arm of the moment is.
-        loop: whether it begins again at its end.
-
-    Args:
-        clock: tells the time [s].
+        rehearsal: computes the motions.
+        motion: the motion that is shown; None while the live arm is.
+        playing: whether the motion is running, or will be as soon as there is one.
+        waiting: whether a motion is to be shown that is not computed yet.
+        speed: of the playback, relative to real time.
+        loop: whether it starts again at its end.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.rehearsal = Rehearsal()
         self.motion: Motion | None = None
-        self.loop = False
+        self.playing, self.waiting, self.loop, self.speed = False, False, False, 1.0
         self._clock = clock
         self._task: Task | None = None  # whose motion is shown or waited for
-        self._playing, self._waiting = False, False
-        self._from, self._since, self._speed = (
-            0.0,
-            0.0,
-            1.0,
-        )  # the time of the motion when the clock was at that
-        self._seen: tuple[float, Moment] | None = None
-        self._told: Task | None = None
-
-    @property
-    def playing(self) -> bool:
-        """Whether time goes on, or will as soon as there is a motion."""
-        return self._playing
-
-    @property
-    def waiting(self) -> bool:
-        """Whether somebody wants to see a motion that is not there yet."""
-        return self._waiting
+        # The motion was at time `_from` when the clock was at `_since`.
+        self._from, self._since = 0.0, 0.0
+        self._last_moment: tuple[float, Moment] | None = None
+        self._reported: Task | None = None
 
     @property
     def shown(self) -> bool:
-        """Whether a motion is seen, and not the arm of the moment."""
+        """Whether a motion is shown, and not the live arm."""
         return self.motion is not None
 
     @property
-    def speed(self) -> float:
-        """How many times as fast as in reality it is shown."""
-        return self._speed
-
-    @property
     def lasting(self) -> float:
-        """How long the motion takes, the way to its first posture included [s]; 0 without one."""
+        """How long the motion takes, including the path to its first posture [s]; 0 without one."""
         return 0.0 if self.motion is None else float(self.motion.time[-1])
 
     @property
     def time(self) -> float:
-        """Which moment of the motion is shown [s]; what is asked for, while there is no motion yet."""
+        """Which moment of the motion is shown [s]; the one asked for, while there is no motion yet."""
         if self.motion is None:
             return self._from
-        if not self._playing:
+        if not self.playing:
             return min(self._from, self.lasting)
-        at = self._from + self._speed * (self._clock() - self._since)
+        at = self._from + self.speed * (self._clock() - self._since)
         if self.loop and self.lasting > 0.0:
             return at % self.lasting
         return min(at, self.lasting)
 
     @property
     def q(self) -> Array | None:
-        """The configuration at that moment, (nq,); None while the arm of the moment is to be seen."""
+        """The configuration at that moment, (nq,); None while the live arm is shown."""
         moment = self.moment
         return None if moment is None else moment.state.q
 
@@ -249,134 +199,135 @@ class Playback:
         if self.motion is None:
             return None
         at = self.time
-        if self._seen is None or self._seen[0] != at:
-            self._seen = at, moment_of(self.motion, at)
-        return self._seen[1]
+        if self._last_moment is None or self._last_moment[0] != at:
+            self._last_moment = at, moment_of(self.motion, at)
+        return self._last_moment[1]
 
     def play(self, task: Task) -> None:
-        """Show the motion of a task from where it stands; from its beginning, if it is over.
+        """Play the motion of a task from where it is, or from its beginning if it has ended.
 
-        It is worked out first if need be.
+        It is computed first if need be.
         """
-        self._want(task)
+        self._request(task)
         at = self.time
-        over = self.motion is not None and at >= self.lasting
-        self._put(0.0 if over else at)
-        self._playing = True
+        ended = self.motion is not None and at >= self.lasting
+        self._set_time(0.0 if ended else at)
+        self.playing = True
 
     def rehearse(self, task: Task) -> None:
-        """Have the motion of a task worked out, and say what came of it, but show nothing."""
+        """Have the motion of a task computed and the result reported, but show nothing."""
         known = self.rehearsal.of(task)
         if known is None or known.motion is None:
-            self._told = None
+            self._reported = None
         self.rehearsal.ask(task)
 
     def pause(self) -> None:
-        """Stand still at the moment that is shown."""
-        self._put(self.time)
-        self._playing = False
+        """Stop at the moment that is shown."""
+        self._set_time(self.time)
+        self.playing = False
 
     def seek(self, task: Task, at: float) -> None:
-        """Stand still at another moment.
+        """Stop at another moment.
 
         Args:
             task: whose motion.
-            at: which moment [s]; the nearest that there is counts.
+            at: which moment [s]; clipped to the motion.
 
         Raises:
-            InvalidValue: no moment.
+            InvalidValue: not a finite number.
         """
         if not math.isfinite(at):
             raise InvalidValue("time", at, "a finite number of seconds")
-        self._want(task)
-        self._playing = False
-        self._put(max(at, 0.0) if self.motion is None else min(max(at, 0.0), self.lasting))
+        self._request(task)
+        self.playing = False
+        self._set_time(max(at, 0.0) if self.motion is None else min(max(at, 0.0), self.lasting))
 
     def stop(self) -> None:
-        """Go back to the arm of the moment, and to the beginning; what is being worked out is given up."""
-        if self._waiting:
+        """Return to the live arm and to the beginning; a motion being computed for this is abandoned."""
+        if self.waiting:
             self.rehearsal.cancel()
-        self.motion, self._task, self._seen = None, None, None
-        self._playing, self._waiting, self._from = False, False, 0.0
+        self.motion, self._task, self._last_moment = None, None, None
+        self.playing, self.waiting, self._from = False, False, 0.0
 
     def at_speed(self, speed: float) -> None:
-        """Show it this many times as fast as in reality, from here on."""
-        self._put(self.time)
-        self._speed = speed
+        """Play at another speed, relative to real time."""
+        self._set_time(self.time)
+        self.speed = speed
 
     def in_loop(self, loop: bool) -> None:
-        """Begin again at the end, or not."""
-        self._put(self.time)
+        """Start again at the end, or not."""
+        self._set_time(self.time)
         self.loop = loop
 
-    def follow(self, session: Session) -> None:
-        """Keep to what is edited: called by the loop again and again.
+    def follow(self, task: Task, proposing: bool) -> tuple[str, str] | None:
+        """Keep up with what is edited; called by the loop. A change of the task ends the playback.
 
-        Whoever edits wants to see the arm of the moment. What came of a rehearsal is told once.
+        Args:
+            task: the task that is edited.
+            proposing: whether there is a proposal to change it.
+
+        Returns:
+            A message and its kind when a motion has been computed; None otherwise.
         """
-        task = session.task
-        if self._task is not None and (self._task is not task or session.proposal is not None):
+        if self._task is not None and (self._task is not task or proposing):
             self.stop()
         done = self.rehearsal.of(task)
-        if done is not None and self._told is not task:
-            self._told = task
-            _tell(session, done.motion, done.reason)
-        if self._waiting and done is not None:
+        message = None
+        if done is not None and self._reported is not task:
+            self._reported = task
+            message = _report(done.motion, done.reason)
+        if self.waiting and done is not None:
             if done.motion is None:
                 self.stop()
-                return
-            self._waiting, self.motion = False, done.motion
-            self._put(min(self._from, self.lasting))
-        elif self._playing and self.motion is not None and not self.loop and self.time >= self.lasting:
+                return message
+            self.waiting, self.motion = False, done.motion
+            self._set_time(min(self._from, self.lasting))
+        elif self.playing and self.motion is not None and not self.loop and self.time >= self.lasting:
             self.pause()
+        return message
 
     def seen(self, live: Live) -> Live:
-        """The arm as it is to be seen: at the moment of the motion, if there is one, else as it is.
+        """Return the arm as it is shown: at a moment of the motion, or live if there is none.
 
-        What the arm makes of the shape that is edited, stays as it is.
+        The verdict on the shape that is edited stays.
         """
         moment, motion = self.moment, self.motion
         if moment is None or motion is None or motion.arm is not live.arm:
             return live
         state, target, row = moment
-        step, cycle = np.zeros(motion.arm.nv), max(motion.steps - 1, 0)
+        step, cycle = np.zeros(motion.arm.nv), min(row, max(motion.steps - 1, 0))
         if motion.steps and self.time < self.lasting:
-            step = motion.velocities[min(row, cycle)] * motion.dt
-        active = (
-            motion.run.active[min(row, cycle)]
-            if motion.steps
-            else np.zeros(len(state.points), dtype=np.bool_)
-        )
+            step = motion.velocities[cycle] * motion.dt
         return live._replace(
             state=state,
             target=target,
             errors=errors_of(state, target),
-            active=active,
+            active=motion.run.active[cycle] if motion.steps else np.zeros(len(state.points), dtype=np.bool_),
             at_limit=at_limit(state, step, motion.run.limits.for_arm(motion.arm).bound),
             status="moving" if self.time < self.lasting else "converged",
             reason="",
-            steps=-1 - round(1e6 * self.time),  # another number for each moment, and none of the arm's own
+            steps=-1 - round(1e6 * self.time),  # differs for each moment, and from all of the live arm
         )
 
     def close(self) -> None:
-        """End."""
+        """End the thread."""
         self.rehearsal.close()
 
-    def _want(self, task: Task) -> None:
-        """Have the motion of a task here as soon as can be."""
-        if self._task is task and (self._waiting or self.motion is not None):
+    def _request(self, task: Task) -> None:
+        """Show the motion of a task as soon as it is there."""
+        if self._task is task and (self.waiting or self.motion is not None):
             return
         at = self.time
-        self.motion, self._task, self._seen, self._waiting = None, task, None, True
-        self._put(at)
+        self.motion, self._task, self._last_moment, self.waiting = None, task, None, True
+        self._set_time(at)
         self.rehearse(task)
 
-    def _put(self, at: float) -> None:
+    def _set_time(self, at: float) -> None:
         self._from, self._since = at, self._clock()
 
 
 def moment_of(motion: Motion, at: float) -> Moment:
-    """A motion at any time: between two cycles, joints move evenly.
+    """Return a motion at any time; between two cycles, joints move at constant speed.
 
     Args:
         motion: the motion.
@@ -388,20 +339,20 @@ def moment_of(motion: Motion, at: float) -> Moment:
     q, off = motion.q[row], motion.targets[row] - motion.run.points[row]
     if share > 1e-9:
         q = arm.integrate(q, share * arm.difference(q, motion.q[row + 1]))
-        # Not the targets themselves: straight lines between them would be errors that the motion has not.
+        # Not the targets themselves: straight lines between them would add errors that the motion has not.
         off = (1.0 - share) * off + share * (motion.targets[row + 1] - motion.run.points[row + 1])
     state = arm.at(q)
     return Moment(state, Target(state.points + off, motion.target_mask[row].astype(np.float64)), row)
 
 
-def _tell(session: Session, motion: Motion | None, reason: str) -> None:
-    """Say what came of a rehearsal."""
+def _report(motion: Motion | None, reason: str) -> tuple[str, str]:
+    """Return the message on a motion, and its kind."""
     if motion is None:
-        session.say(f"no motion: {reason}", "error")
-    elif not motion.converged:
-        session.say(f"the motion does not end as it should: {motion.run.reason}", "warning")
-    elif motion.deviations:
-        session.say(f"a motion of {motion.time[-1]:.4g} s; {motion.deviations[0]}", "warning")
-    else:
-        slower = f", {motion.time_scale:.3g} times as long as planned" if motion.time_scale > SLOWED else ""
-        session.say(f"a motion of {motion.time[-1]:.4g} s{slower}")
+        return f"no motion: {reason}", "error"
+    if not motion.converged:
+        return f"the motion does not end as it should: {motion.run.reason}", "warning"
+    if motion.deviations:
+        return f"a motion of {motion.time[-1]:.4g} s; {motion.deviations[0]}", "warning"
+    scale = motion.time_scale
+    slower = f", {scale:.3g} times as long as planned" if scale > REPORTED_TIME_SCALE else ""
+    return f"a motion of {motion.time[-1]:.4g} s{slower}", "info"

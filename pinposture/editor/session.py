@@ -1,7 +1,8 @@
-"""What is being edited: the task, what is selected and proposed, and what can be undone."""
+"""The editing session: the task with its undo history, what is selected, and what is proposed."""
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -10,53 +11,38 @@ from typing import NamedTuple
 import numpy as np
 
 from pinposture.arm import Arm
-from pinposture.editor.autosave import version_of
 from pinposture.editor.clearances import NearestObstacle
-from pinposture.editor.edits import Edit, keyframes_of, reshaped, with_keyframe
+from pinposture.editor.edits import Edit, with_keyframe
 from pinposture.editor.playback import Playback
-from pinposture.editor.shape import Shape
+from pinposture.editor.shape import Shape, keyframes_of, reshaped
 from pinposture.editor.solver import Live, Problem
 from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.task import Keyframe, Task
 
-# What was done to a task, to undo and to do again.
-
-MOST = 500
-"""How many steps back can be gone."""
+MAX_HISTORY = 500  # states that are kept for undo
+JOINT_DIGITS = 6  # of the joint positions kept with an accepted shape [rad or m]
 
 
-class Done(NamedTuple):
-    """A state of the task.
-
-    Attributes:
-        task: the task.
-        what: what was done to get there, in words.
-        before: which keyframe was selected when that was done, 0-based.
-        after: which one was selected by it.
-    """
+class HistoryEntry(NamedTuple):
+    """A state of the task."""
 
     task: Task
-    what: str
-    before: int
-    after: int
+    what: str  # the edit that led to it, in words
+    before: int  # the keyframe that was selected before the edit, 0-based
+    after: int  # the keyframe that was selected by the edit
 
 
 class History:
-    """The states of a task, and where among them we are.
-
-    Args:
-        task: the first state.
-        selected: the keyframe that is selected in it.
-    """
+    """The states of a task, for undo and redo."""
 
     def __init__(self, task: Task, selected: int = 0) -> None:
-        self._states = [Done(task, "", selected, selected)]
-        self._at = 0
+        self._states = [HistoryEntry(task, "", selected, selected)]
+        self._index = 0
 
     @property
-    def now(self) -> Done:
-        """The state that counts."""
-        return self._states[self._at]
+    def now(self) -> HistoryEntry:
+        """The current state."""
+        return self._states[self._index]
 
     @property
     def undoable(self) -> str:
@@ -66,115 +52,85 @@ class History:
     @property
     def redoable(self) -> str:
         """What `redo` would do again, in words; empty if there is nothing."""
-        ahead = self._states[self._at + 1 : self._at + 2]
-        return ahead[0].what if ahead else ""
+        return self._states[self._index + 1].what if self._index + 1 < len(self._states) else ""
 
     def add(self, task: Task, what: str, before: int, after: int) -> None:
-        """Go on to another state; what was undone is forgotten.
-
-        Args:
-            task: the state.
-            what: what was done to get there, in words.
-            before: the keyframe that was selected when it was done, 0-based.
-            after: the one to go on with.
-        """
-        del self._states[self._at + 1 :]
-        self._states.append(Done(task, what, before, after))
-        if len(self._states) > MOST:
+        """Add a state after the current one, and forget what was undone; arguments as in `HistoryEntry`."""
+        del self._states[self._index + 1 :]
+        self._states.append(HistoryEntry(task, what, before, after))
+        if len(self._states) > MAX_HISTORY:
             del self._states[0]
             self._states[0] = self._states[0]._replace(what="")
-        self._at = len(self._states) - 1
+        self._index = len(self._states) - 1
 
-    def undo(self) -> Done | None:
-        """Go back by one state; None if there is none before, else what was undone."""
-        if self._at == 0:
+    def undo(self) -> HistoryEntry | None:
+        """Go back by one state; returns what was undone, None if there was nothing."""
+        if self._index == 0:
             return None
-        self._at -= 1
-        return self._states[self._at + 1]
+        self._index -= 1
+        return self._states[self._index + 1]
 
-    def redo(self) -> Done | None:
-        """Go on to the state that was undone; None if there is none, else what was done again."""
-        if self._at + 1 >= len(self._states):
+    def redo(self) -> HistoryEntry | None:
+        """Go forward by one state; returns what was done again, None if there was nothing."""
+        if self._index + 1 >= len(self._states):
             return None
-        self._at += 1
+        self._index += 1
         return self.now
 
 
-# What is being edited: the task, what is selected of it, what is proposed, and what there is to say.
-
-DIGITS = 6
-"""To how many digits joint positions are kept that a shape is taken near [rad or m]."""
-
-
 class Notice(NamedTuple):
-    """Something to say.
-
-    Attributes:
-        text: what.
-        kind: "info", "warning" or "error".
-        number: rises with each.
-    """
+    """A message."""
 
     text: str
-    kind: str
-    number: int
+    kind: str  # "info", "warning" or "error"
+    number: int  # rises with each message
 
 
 class Proposal(NamedTuple):
-    """A change of the shape that counts once the arm is seen to be able to take it.
+    """A change of the shape that is accepted once the solver has found that the arm can take it."""
 
-    Attributes:
-        task: what it would make of the task.
-        what: what was done, in words.
-        final: whether it is to count, or the hand is still at it.
-        number: of the problem that it is to the solver.
-        note: what else to say when it counts.
-    """
-
-    task: Task
-    what: str
-    final: bool
-    number: int
-    note: str = ""
+    task: Task  # the task with the change
+    what: str  # the change in words
+    final: bool  # whether it is to be accepted; else the hand is still dragging
+    number: int  # of its problem to the solver
+    note: str = ""  # a further message when it is accepted
 
 
 class Session:
-    """What is being edited. It belongs to the editor's loop, and nobody else touches it.
+    """What is being edited. It belongs to the editor's loop; no other thread may use it.
 
     Attributes:
         history: the states of the task.
         path: the task file; None if it was never saved.
         selected: the keyframe that is edited, 0-based.
-        handle: the control point of its curve that is selected, 0-based; None if there is none.
-        obstacle: the obstacle that is selected, by name; None if there is none.
-        proposal: a change that does not count yet; None if there is none.
-        nearest: where the arm is nearest to what is around it; None if there is nothing.
+        handle: the selected control point of its curve, 0-based; None if there is none.
+        obstacle: the name of the selected obstacle; None if there is none.
+        proposal: a change that is not accepted yet; None if there is none.
+        nearest: where the arm is nearest to its surroundings; None if there are none.
         marks: whether each keyframe can be taken, "fine", "collides" or "refused"; empty while unknown.
-        notice: the last thing that was said.
+        notice: the last message.
         at_once: whether the arm takes shapes at once, whatever its limits.
         number: rises with everything that the solver should know.
+        asked: when it rose last, by `time.monotonic` [s].
         saved: the task as it is in the file; None if it is in none.
-        playback: what is shown of the motion of the task.
-        folder: where files are opened and saved, and nowhere else; see `within`.
+        playback: the player of the motion of the task.
+        folder: the only folder where files are opened and saved; see `within`.
 
     Args:
         task: the task.
         path: its file, if it has one.
         selected: the keyframe to begin with; the last if None.
-        folder: where files are opened and saved; that of the task file if None, or where we are without one.
+        folder: where files are opened and saved; that of the task file if None, or the working directory
+            without one.
 
     Raises:
         FileError: no such folder, or a task file that is not in it.
-        TaskError: a task that has no keyframes.
-        InvalidValue: one to begin with that there is not.
+        TaskError: a task without keyframes.
+        InvalidValue: no such keyframe to begin with.
     """
 
     def __init__(
-        self,
-        task: Task,
-        path: Path | None = None,
-        selected: int | None = None,
-        folder: Path | None = None,
+        self, task: Task, path: Path | None = None, selected: int | None = None, folder: Path | None = None
     ) -> None:
         count = len(keyframes_of(task))
         self.selected = count - 1 if selected is None else selected
@@ -182,7 +138,7 @@ class Session:
             raise InvalidValue("selected", selected, f"a keyframe of the task, 0 to {count - 1}")
         self.history = History(task, self.selected)
         self.path = None if path is None else path.absolute()
-        self.folder = _folder_of(self.path) if folder is None else _checked(folder, self.path)
+        self.folder = _working_folder(folder, self.path)
         self.handle: int | None = None
         self.obstacle: str | None = None
         self.proposal: Proposal | None = None
@@ -192,18 +148,20 @@ class Session:
         self.at_once = False
         self.number = 1
         self.asked = time.monotonic()
-        self.saved: Task | None = task if path is not None and version_of(path) else None
+        # Unlike `Path.exists`, this does not raise where access is denied.
+        in_file = path is not None and os.path.exists(path)  # noqa: PTH110
+        self.saved: Task | None = task if in_file else None
         self.playback = Playback()
-        self._shapes: tuple[Keyframe, Shape] | None = None
+        self._shape: tuple[Keyframe, Shape] | None = None
 
     @property
     def task(self) -> Task:
-        """The task as it counts."""
+        """The task without the proposal."""
         return self.history.now.task
 
     @property
     def shown(self) -> Task:
-        """The task as it is to be seen, with what is proposed."""
+        """The task as it is shown, with the proposal."""
         return self.task if self.proposal is None else self.proposal.task
 
     @property
@@ -213,20 +171,20 @@ class Session:
 
     @property
     def keyframe(self) -> Keyframe:
-        """The keyframe that is edited, as it is to be seen."""
+        """The keyframe that is edited, as it is shown."""
         return keyframes_of(self.shown)[self.selected]
 
     @property
     def shape(self) -> Shape:
-        """Its shape, as it is to be seen."""
+        """Its shape, as it is shown."""
         keyframe = self.keyframe
-        if self._shapes is None or self._shapes[0] is not keyframe:
-            self._shapes = keyframe, Shape.of(self.arm, keyframe)
-        return self._shapes[1]
+        if self._shape is None or self._shape[0] is not keyframe:
+            self._shape = keyframe, Shape.of(self.arm, keyframe)
+        return self._shape[1]
 
     @property
     def changed(self) -> bool:
-        """Whether there is something that is in no file yet."""
+        """Whether there are unsaved changes."""
         return self.saved is not self.task
 
     @property
@@ -247,21 +205,21 @@ class Session:
         )
 
     def say(self, text: str, kind: str = "info") -> None:
-        """Say something."""
+        """Show a message."""
         self.notice = Notice(" ".join(text.split()), kind, self.notice.number + 1)
 
     def touch(self) -> None:
-        """Something changed that the solver should know, and whoever looks on."""
+        """Mark a change that the solver and the page should know of."""
         self.number += 1
         self.asked = time.monotonic()
 
     def edit(self, edit: Edit, what: str, select: int | None = None) -> bool:
-        """Do something to the task, at once; say why not if it cannot be.
+        """Edit the task at once; show the reason if that is not possible.
 
         Args:
-            edit: what to do.
-            what: the same in words, for `undo`.
-            select: the keyframe to go on with.
+            edit: the edit.
+            what: the edit in words, for `undo`.
+            select: the keyframe to select.
 
         Returns:
             Whether it was done.
@@ -275,14 +233,14 @@ class Session:
         return True
 
     def reshape(self, change: Callable[[Arm, Shape], Shape], what: str, final: bool = True) -> None:
-        """Propose another shape of the keyframe; it counts once the arm is seen to be able to take it.
+        """Propose another shape of the keyframe, which is accepted once the arm can take it.
 
-        While the hand is at it each proposal is made to the shape from before, not to the proposal before.
+        During a drag each proposal changes the shape from before the drag, not the previous proposal.
 
         Args:
-            change: what to do to the shape.
-            what: the same in words.
-            final: whether it is to count.
+            change: makes the new shape.
+            what: the change in words.
+            final: whether it is to be accepted.
         """
         self.proposal = None
         try:
@@ -290,73 +248,77 @@ class Session:
         except PostureError as error:
             self.say(str(error), "error")
             return
-        self.propose(reshaped(self.selected, change, shape), what, final, _anew(shape))
+        note = ""
+        if shape.off != 0.0:
+            count, off = len(shape.points), 1000.0 * shape.off
+            note = f"the curve is one of {count} control points now, within {off:.2g} mm of what it was"
+        self.propose(reshaped(self.selected, change, shape), what, final, note)
 
     def propose(self, edit: Edit, what: str, final: bool = True, note: str = "") -> None:
-        """Propose another keyframe in place of the selected one, as `reshape` does another shape of it.
+        """Propose an edit of the selected keyframe, which is accepted once the arm can take it.
 
         Args:
-            edit: what to do.
-            what: the same in words.
-            final: whether it is to count.
-            note: what else to say when it counts.
+            edit: the edit.
+            what: the edit in words.
+            final: whether it is to be accepted.
+            note: a further message when it is accepted.
         """
         self.proposal = None
         try:
             task = edit(self.task)
         except PostureError as error:
             self.say(str(error), "error" if final else "warning")
-            self.touch()  # what was proposed before is gone
+            self.touch()  # the previous proposal is gone
             return
         self.touch()
         self.proposal = Proposal(task, what, final, self.number, note)
 
     def settle(self, live: Live) -> None:
-        """Decide on what was proposed, if the solver has looked at it."""
+        """Accept or reject the proposal if the solver has judged it."""
         proposal = self.proposal
         if proposal is None or not proposal.final or live.number < proposal.number:
             return
         self.proposal = None
         target = live.verdict.target
         if target is None:
-            self._settle_on(self.selected)
+            self._set_selected(self.selected)
             reason = f"not done, the arm cannot take that shape: {live.verdict.reason}"
             self.say(f"{proposal.what}: {reason}", "error")
             self.touch()
             return
         task = proposal.task
-        if target.q is not None:  # what is seen now is what is opened again, and played
-            joints = tuple(np.round(self.arm.positions(target.q), DIGITS).tolist())
+        if target.q is not None:  # so that the posture on the screen is also the one opened again and played
+            joints = tuple(np.round(self.arm.positions(target.q), JOINT_DIGITS).tolist())
             task = with_keyframe(self.selected, joints=joints)(task)
         self._add(task, proposal.what, self.selected)
         if proposal.note:
             self.say(f"{proposal.what}; {proposal.note}")
 
     def take_hold(self, handle: int | None) -> None:
-        """Select a control point, 0-based, in place of an obstacle; one that there is not changes nothing."""
+        """Select a control point, 0-based, instead of an obstacle; an unknown one is ignored."""
         if handle is None:
             self.handle = None
         elif 0 <= handle < len(self.shape.points):
             self.handle, self.obstacle = handle, None
 
     def select(self, keyframe: int) -> None:
-        """Go on with another keyframe, 0-based; one that there is not changes nothing."""
+        """Select another keyframe, 0-based; an unknown one is ignored."""
         if keyframe != self.selected and 0 <= keyframe < len(keyframes_of(self.task)):
             self.selected, self.handle, self.proposal = keyframe, None, None
             self.touch()
 
     def undo(self) -> None:
-        """Take the last change back."""
+        """Undo the last edit."""
         undone = self.history.undo()
         self._go(undone, None if undone is None else undone.before, "undone", "nothing to undo")
 
     def redo(self) -> None:
-        """Do again what was undone last."""
+        """Redo the edit that was undone last."""
         done = self.history.redo()
         self._go(done, None if done is None else done.after, "done again", "nothing to do again")
 
     def replace(self, task: Task, path: Path | None, saved: bool) -> None:
-        """Go on with another task; what was done so far can be undone no more."""
+        """Edit another task instead, with a new history."""
         selected = len(keyframes_of(task)) - 1
         self.history = History(task, selected)
         self.path, self.saved = path, task if saved else None
@@ -364,52 +326,51 @@ class Session:
         self.touch()
 
     def take_up(self, task: Task, selected: int) -> None:
-        """Go on with a state of the task that was left from before; `undo` takes it back."""
+        """Continue with a recovered state of the task; `undo` takes it back."""
         self._add(task, "recovered changes", selected)
+
+    def update_playback(self) -> None:
+        """Bring the player up to date with the task, and show its message; called by the loop."""
+        message = self.playback.follow(self.task, self.proposal is not None)
+        if message is not None:
+            self.say(*message)
 
     def _add(self, task: Task, what: str, selected: int) -> None:
         self.history.add(task, what, self.selected, selected)
-        self.proposal = None  # it was made to the task from before
-        self._settle_on(selected)
+        self.proposal = None  # it was made from the task before
+        self._set_selected(selected)
         self.say(what)
         self.touch()
 
-    def _go(self, done: Done | None, selected: int | None, text: str, otherwise: str) -> None:
+    def _go(self, entry: HistoryEntry | None, selected: int | None, text: str, otherwise: str) -> None:
         self.proposal = None
-        if done is None or selected is None:
+        if entry is None or selected is None:
             self.say(otherwise, "warning")
         else:
-            self._settle_on(selected)
-            self.say(f"{text}: {done.what}")
+            self._set_selected(selected)
+            self.say(f"{text}: {entry.what}")
         self.touch()
 
-    def _settle_on(self, selected: int) -> None:
-        """Select what is there to be selected."""
+    def _set_selected(self, selected: int) -> None:
+        """Select a keyframe, and drop selections that no longer exist."""
         if selected != self.selected:
             self.handle = None
         self.selected = min(selected, len(keyframes_of(self.task)) - 1)
         if self.handle is not None and self.handle >= len(self.shape.points):
             self.handle = None
-        if self.obstacle is not None and (
-            self.task.scene is None or self.obstacle not in self.task.scene.obstacles
-        ):
+        scene = self.task.scene
+        if self.obstacle is not None and (scene is None or self.obstacle not in scene.obstacles):
             self.obstacle = None
 
 
-def _anew(shape: Shape) -> str:
-    """Say of a shape that was made of another kind of curve what that did to it."""
-    if shape.off == 0.0:
-        return ""
-    count, off = len(shape.points), 1000.0 * shape.off
-    return f"the curve is one of {count} control points now, within {off:.2g} mm of what it was"
+def _working_folder(folder: Path | None, path: Path | None) -> Path:
+    """Return the absolute folder to edit in.
 
-
-def _folder_of(path: Path | None) -> Path:
-    return Path.cwd() if path is None else path.parent
-
-
-def _checked(folder: Path, path: Path | None) -> Path:
-    """A folder, from the root; raises FileError if there is none, or a task file is not in it."""
+    Raises:
+        FileError: there is no such folder, or the task file is not in it.
+    """
+    if folder is None:
+        return Path.cwd() if path is None else path.parent
     if not folder.is_dir():
         raise FileError(folder, "no such folder")
     if path is not None and not path.parent.resolve().is_relative_to(folder.resolve()):

@@ -1,10 +1,11 @@
-"""The one place where the arm is moved: a thread that is always at the latest shape."""
+"""Whether the arm can take the shape of a keyframe, and the thread that moves it there."""
 
 from __future__ import annotations
 
 import logging
 import time
 import warnings
+import weakref
 from collections.abc import Callable
 from dataclasses import replace
 from threading import Event, Lock, Thread
@@ -14,69 +15,222 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ArmState
-from pinposture.collision import Scene
+from pinposture.collision import CollisionModel, Scene
+from pinposture.collision.scene import obstacles_around
 from pinposture.control import Controller, Geodesic, Limits
-from pinposture.editor.verdict import NEAR_LIMIT, Verdict, judge, review
-from pinposture.errors import PostureError, PostureWarning
+from pinposture.errors import (
+    CurveBendsTooMuch,
+    CurveEndsEarly,
+    CurveLeavesTooSharply,
+    PostureError,
+    PostureWarning,
+    TargetError,
+    TaskError,
+)
 from pinposture.motion import Tracker
-from pinposture.motion.tracker import Report
 from pinposture.placement import Target
 from pinposture.task import Keyframe
 from pinposture.task.reference import tip_off
-
-# The arm as it is at the moment, and what it makes of what was last asked of it.
+from pinposture.task.resolving import resolve_keyframe
 
 Array = NDArray[np.float64]
+logger = logging.getLogger(__name__)
 
-BINDS = 0.999
-"""Share of its speed limit at which a joint is at it."""
+NEAR_LIMIT = 1e-3  # distance to a position limit at which a joint is at it, in `Arm.joint_units`
+FULL_SPEED = 0.999  # share of its speed limit at which a joint is at it
+UNREPORTED_REST = 1.5  # of a curve beyond the arm, in longest modules: some is needed to bend
+MAX_JOINTS_NAMED = 3
+CONTACT_DEPTH = 1e-6  # how deep touching links may be inside each other, in arm lengths
+
+STEP_TIME = 0.02  # of a step [s]: the arm moves in real time, within its limits
+CONTROLLER_DEADLINE = 0.25  # after which the arm holds while the controller goes on computing [s]
+REST_INTERVAL = 0.25  # between steps while the arm is at rest and nothing is asked [s]
+RESTING = ("converged", "stalled")
+TRACKER_FIELDS = ("controller", "limits", "scene")  # of a problem; a change of them needs a new tracker
+
+
+class Verdict(NamedTuple):
+    """What an arm can make of the shape of a keyframe."""
+
+    target: Target | None  # the target that it takes; None if it cannot
+    reason: str = ""  # why it cannot; empty if it can
+    notes: tuple[str, ...] = ()  # collisions, joints at limits, curve longer than the arm
+    collision: bool = False  # whether it touches something, comes nearer than the margin, or is inside itself
+    distance_from_curve: float | None = None  # as in `Target.distance_from_curve` [m]
+    tip_error: float | None = None  # of the task of the tip [m], rotations by their lever; None without one
+
+    @property
+    def mark(self) -> str:
+        """The verdict in a word: "refused", "collides" or "fine"."""
+        return "refused" if self.target is None else "collides" if self.collision else "fine"
+
+
+def judge(
+    arm: Arm, keyframe: Keyframe, scene: Scene | None, near: Target | None = None, search: bool = True
+) -> Verdict:
+    """Find out whether an arm can take the shape of a keyframe.
+
+    Args:
+        arm: the arm.
+        keyframe: the keyframe.
+        scene: the obstacles to avoid; None if there are none.
+        near: the target on a slightly different curve, used as initial guess; None if unknown.
+        search: whether to search farther where nothing is found near that, which can take seconds.
+    """
+    try:
+        try:
+            target = resolve_keyframe(arm, keyframe, near)
+        except TargetError:
+            if near is None or not search:
+                raise
+            target = resolve_keyframe(arm, keyframe)
+    except (PostureError, ArithmeticError, np.linalg.LinAlgError) as error:
+        return Verdict(None, _explain(error))
+    return review(arm, keyframe, target, scene)
+
+
+def review(arm: Arm, keyframe: Keyframe, target: Target, scene: Scene | None) -> Verdict:
+    """Return the verdict on a target that the arm can take; arguments as for `judge`."""
+    notes = [*_uncovered_rest(arm, target), *_joints_at_limits(arm, target)]
+    contacts = _scene_contacts(arm, target, scene) or _self_contacts(arm, target, scene)
+    tip = None if target.q is None else tip_off(keyframe.tip, target, arm.at(target.q))
+    return Verdict(target, "", (*contacts, *notes), bool(contacts), target.distance_from_curve(arm), tip)
+
+
+def arm_alone(scene: Scene | None) -> Scene:
+    """Return a scene of the arm alone, with the link radius of another scene."""
+    return Scene({}, self_collision=True, arm_radius=None if scene is None else scene.arm_radius)
+
+
+def _explain(error: Exception) -> str:
+    """Put an error in terms of the curve that was drawn."""
+    if isinstance(error, TaskError):
+        return " ".join(error.reason.split())  # without the keyframe's number, which counts it alone
+    if isinstance(error, CurveLeavesTooSharply):
+        return "bends too much at the base: the curve leaves in a direction that the first module cannot take"
+    if isinstance(error, CurveEndsEarly | CurveBendsTooMuch):
+        where = f"at module {error.module}, {error.parameter:.3g} m along the curve"
+        if isinstance(error, CurveEndsEarly):
+            return f"too short: the curve ends before the arm does, {where}; draw it longer"
+        return f"bends too much, {where}: {error.reason}"
+    return " ".join(str(error).split())
+
+
+def _uncovered_rest(arm: Arm, target: Target) -> list[str]:
+    if target.curve is None or target.parameters is None:
+        return []
+    rest = target.curve.length - float(target.parameters[target.has_target].max(initial=0.0))
+    if rest <= UNREPORTED_REST * float(arm.chain.module_lengths.max()):
+        return []
+    return [f"too long by {rest:.3g} m: the arm leaves the grey part of the curve"]
+
+
+def _joints_at_limits(arm: Arm, target: Target) -> list[str]:
+    if target.q is None:
+        return []
+    positions = arm.positions(target.q)
+    room = np.minimum(positions - arm.limits.lower, arm.limits.upper - positions) / arm.joint_units
+    near = room[arm.columns] < NEAR_LIMIT
+    names = [name for name, at in zip(arm.chain.joints, near, strict=True) if at]
+    if not names:
+        return []
+    more = f" and {len(names) - MAX_JOINTS_NAMED} more" if len(names) > MAX_JOINTS_NAMED else ""
+    return [f"at the limit of {', '.join(names[:MAX_JOINTS_NAMED])}{more}"]
+
+
+def _scene_contacts(arm: Arm, target: Target, scene: Scene | None) -> list[str]:
+    """Say where the arm would touch an obstacle, or come nearer than the margin."""
+    if scene is None or target.q is None:
+        return []
+    around = obstacles_around(scene, arm.chain.base)
+    if around:
+        return [f"in collision: {around[0]} stands where the base of the arm is"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PostureWarning)
+        closest = CollisionModel(arm, scene).minimum(target.q)
+    if closest.pair is None or closest.distance >= scene.margin:
+        return []
+    body, other = closest.pair
+    if closest.distance < 0.0:
+        return [f"in collision: {body} is {-closest.distance:.3g} m inside {other}"]
+    return [f"nearer than the margin: {body} is {closest.distance:.3g} m from {other}"]
+
+
+def _self_contacts(arm: Arm, target: Target, scene: Scene | None) -> list[str]:
+    if target.q is None:
+        return []
+    closest = CollisionModel(arm, arm_alone(scene)).minimum(target.q)
+    if closest.pair is None or closest.distance >= -CONTACT_DEPTH * arm.length:
+        return []
+    body, other = closest.pair
+    return [f"in collision with itself: {body} is {-closest.distance:.3g} m inside {other}"]
+
+
+class VerdictCache:
+    """Verdicts of keyframes, for all threads; one is kept for as long as its keyframe exists."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._known: dict[int, tuple[weakref.ref[Keyframe], Arm, Verdict]] = {}
+
+    def judge(
+        self,
+        arm: Arm,
+        keyframe: Keyframe,
+        scene: Scene | None,
+        near: Target | None = None,
+        passing: bool = False,
+    ) -> Verdict:
+        """Return the verdict on a keyframe as `judge` does; a known one is only reviewed in the scene.
+
+        While the hand is only passing a shape, there is no long search, and nothing is kept.
+        """
+        with self._lock:
+            reference, judged_arm, verdict = self._known.get(id(keyframe), (None, None, None))
+        if verdict is not None and reference is not None and reference() is keyframe and judged_arm is arm:
+            return verdict if verdict.target is None else review(arm, keyframe, verdict.target, scene)
+        verdict = judge(arm, keyframe, scene, near, not passing)
+        if not passing:
+            key, known = id(keyframe), self._known
+            # Called when the keyframe is freed, perhaps while this thread has the lock: pop needs none.
+            entry = weakref.ref(keyframe, lambda _: known.pop(key, None)), arm, verdict
+            with self._lock:
+                known[key] = entry
+        return verdict
 
 
 class Problem(NamedTuple):
-    """What is asked of the arm.
+    """What is asked of the arm."""
 
-    Attributes:
-        number: rises with everything that is asked.
-        arm: the arm.
-        keyframe: whose shape to take.
-        controller: what moves the arm there.
-        limits: within what; the cycle is the solver's own.
-        scene: what to keep clear of; None if there is nothing.
-        at_once: whether to be there at once, whatever the limits.
-        asked: when it was asked, by `time.monotonic` [s].
-        shaping: whether the shape was made by hand of the one before, so that what the arm does is near.
-        passing: whether the hand is still at it, so that it is not worth a long search.
-    """
-
-    number: int
+    number: int  # rises with every problem
     arm: Arm
-    keyframe: Keyframe
-    controller: Controller
-    limits: Limits
-    scene: Scene | None
-    at_once: bool
-    asked: float
-    shaping: bool = False
-    passing: bool = False
+    keyframe: Keyframe  # the keyframe whose shape to take
+    controller: Controller  # what moves the arm there
+    limits: Limits  # of the motion; the control cycle is the solver's own
+    scene: Scene | None  # the obstacles to avoid; None if there are none
+    at_once: bool  # whether to jump there, whatever the limits
+    asked: float  # when it was asked, by `time.monotonic` [s]
+    shaping: bool = False  # whether the shape was made from the one before, so that the target is near
+    passing: bool = False  # whether the hand is still dragging, so that a long search is not worth it
 
 
 class Live(NamedTuple):
-    """The arm as it is at the moment.
+    """The arm at this moment.
 
     Attributes:
         number: of the problem that was last looked at.
         arm: the arm.
         verdict: what the arm can make of it.
         state: where the arm is.
-        target: what it is on its way to; None if there was nothing yet that it could take.
+        target: where it is going; None if there was nothing yet that it could take.
         errors: distance of each control point from its target, zero where it has none, (m,) [m].
         tip_error: by how much the task of the tip is missed [m]; None without one.
         active: which control points are in the active control set, (m,).
         at_limit: which joints of the chain are at a limit of position or speed, (n,).
         status: as in `Report`.
         reason: why it does not move on, in words.
-        lag: from asking to the first step towards it [s]; None if that is to come.
-        steps: how many there were in all.
+        lag: from asking to the first step towards it [s]; None before that step.
+        steps: number of steps so far.
     """
 
     number: int
@@ -102,92 +256,56 @@ class Live(NamedTuple):
 
 
 def errors_of(state: ArmState, target: Target | None) -> Array:
-    """Distance of each control point from its target, zero where it has none, (m,) [m]."""
+    """Return the distance of each control point from its target, zero where it has none, (m,) [m]."""
     if target is None:
         return np.zeros(len(state.points))
     return np.asarray(np.linalg.norm(target.points - state.points, axis=1) * target.has_target)
 
 
-def active_of(report: Report, count: int) -> NDArray[np.bool_]:
-    """Which of the control points are in the active control set, (m,)."""
-    active = np.zeros(count, dtype=np.bool_)
-    if report.step is not None:
-        active[list(report.step.active)] = True
-    return active
-
-
 def at_limit(state: ArmState, dq: Array, bound: Array) -> NDArray[np.bool_]:
-    """Which joints of the chain are at a limit.
+    """Return which joints of the chain are at a limit.
 
     Args:
         state: where the arm is.
         dq: its last step, (nv,) [rad or m].
-        bound: the longest that steps may be, (nv,) [rad or m].
+        bound: the longest step allowed, (nv,) [rad or m].
 
     Returns:
         For each joint from base to tip, (n,).
     """
     arm = state.arm
     room = np.minimum(state.positions - arm.limits.lower, arm.limits.upper - state.positions)
-    fast = np.abs(dq) >= BINDS * bound
+    fast = np.abs(dq) >= FULL_SPEED * bound
     at = (room < NEAR_LIMIT * arm.joint_units) | fast
     return np.asarray(at[arm.columns])
 
 
-# The one place where the arm is moved: a loop in a thread of its own that is always at the latest shape.
-
-logger = logging.getLogger(__name__)
-
-CYCLE = 0.02
-"""How long a step takes [s]: the arm moves in real time, within its limits."""
-
-PATIENCE = 0.25
-"""How long a step waits for its controller before the arm holds, and the controller goes on alone [s]."""
-
-IDLE = 0.25
-"""How often it looks around while the arm is at rest and nothing is asked [s]."""
-
-RESTING = ("converged", "stalled")
-MOVING = ("controller", "limits", "scene")
-"""What of a problem has to do with how the arm moves, and not with where to."""
-
-MOST_KNOWN = 100
-"""Shapes that are remembered, so that going back to one takes no time."""
-
-
-class Judged(NamedTuple):
-    """A shape that was judged.
-
-    Attributes:
-        arm: the arm.
-        keyframe: which has the shape.
-        verdict: what the arm can make of it.
-    """
-
-    arm: Arm
-    keyframe: Keyframe
-    verdict: Verdict
-
-
 class Solver:
-    """Takes the latest problem, whatever came before it, judges it, and moves the arm to what it can take.
+    """Judges the latest problem and moves the arm to its target, in a thread of its own.
 
-    What is asked while it is at work on something is not queued: only the last counts.
+    Problems are not queued: only the last one counts.
 
     Args:
         first: the first problem.
-        start: where the arm is, (nq,).
-        tell: called after each step, in the solver's thread.
+        start: the configuration of the arm, (nq,).
+        notify: called after each step, in the solver's thread.
+        verdicts: the verdicts that are known.
     """
 
-    def __init__(self, first: Problem, start: Array, tell: Callable[[], object] = lambda: None) -> None:
-        self._tell = tell
-        self._lock, self._news, self._over = Lock(), Event(), Event()
-        self._asked, self._problem, self._made_for = first, first, first
+    def __init__(
+        self,
+        first: Problem,
+        start: Array,
+        notify: Callable[[], object] = lambda: None,
+        verdicts: VerdictCache | None = None,
+    ) -> None:
+        self._notify = notify
+        self._verdicts = VerdictCache() if verdicts is None else verdicts
+        self._lock, self._wake, self._closed = Lock(), Event(), Event()
+        self._asked, self._problem, self._tracked = first, first, first
         self._tracker, self._verdict = _tracker(first, start), Verdict(None)
         self._lag: float | None = None
-        self._taken: tuple[Arm, Target] | None = None  # the last shape that could be
-        self._known: dict[int, Judged] = {}  # those that were not only passed, by their keyframes
+        self._last_target: tuple[Arm, Target] | None = None
         self._steps = 0
         self._dq, self._fault = np.zeros(first.arm.nv), ""
         self._live = self._look(first.arm.at(start))
@@ -195,106 +313,93 @@ class Solver:
 
     @property
     def live(self) -> Live:
-        """The arm as it was after the last step."""
+        """The arm after the last step."""
         with self._lock:
             return self._live
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def ask(self, problem: Problem) -> None:
-        """Ask for something else from now on."""
+        """Turn to another problem."""
         with self._lock:
             self._asked = problem
-        self._news.set()
+        self._wake.set()
 
     def close(self) -> None:
-        """End, after the step that it is at."""
-        self._over.set()
-        self._news.set()
+        """End the thread after the current step."""
+        self._closed.set()
+        self._wake.set()
         if self._thread.is_alive():
             self._thread.join(timeout=5.0)
 
     def _run(self) -> None:
         self._take(self._problem, new=True)
-        while not self._over.is_set():
+        while not self._closed.is_set():
             begun = time.monotonic()
             with self._lock:
                 asked = self._asked
             if asked.number != self._problem.number:
                 self._take(asked)
-                self._publish()  # whoever proposed it need not wait for a step that has to be planned
+                self._publish()  # the verdict need not wait for a step that has to be planned
             self._step()
             resting = self._tracker.report.status in RESTING or self._tracker.target is None
-            left = IDLE if resting else CYCLE - (time.monotonic() - begun)
+            left = REST_INTERVAL if resting else STEP_TIME - (time.monotonic() - begun)
             if resting:
-                self._news.wait(left)
+                self._wake.wait(left)
             elif left > 0.0:
-                self._over.wait(left)
-            self._news.clear()
+                self._closed.wait(left)
+            self._wake.clear()
 
     def _take(self, problem: Problem, new: bool = False) -> None:
-        """Turn to another problem. Whatever is wrong with it is said in the verdict, and the arm stays."""
+        """Turn to another problem; if something is wrong with it the verdict says so, and the arm stays."""
         self._problem, self._lag = problem, None
-        before = self._made_for
+        before = self._tracked
         try:
-            self._verdict = self._judged(problem)
+            self._verdict = self._judge(problem)
             if problem.arm is not before.arm:
-                self._begin(problem)
-            elif new or any(getattr(problem, part) != getattr(before, part) for part in MOVING):
+                self._change_arm(problem)
+            elif new or any(getattr(problem, part) != getattr(before, part) for part in TRACKER_FIELDS):
                 target, tracker = self._tracker.target, _tracker(problem, self._tracker.command, self._dq)
                 if target is not None:
                     tracker.update(target)
-                self._tracker, self._made_for = tracker, problem
+                self._tracker, self._tracked = tracker, problem
             if self._verdict.target is not None:
                 self._tracker.update(self._verdict.target)
         except PostureError as error:
             self._verdict = Verdict(None, str(error))
-        except Exception as error:  # a fault of ours, which must not end the thread: it would be waited for
+        except Exception as error:  # a bug must not end the thread, which others wait for
             logger.exception("a problem could not be looked at")
             self._verdict = Verdict(None, f"that could not be worked out ({error})")
 
-    def _begin(self, problem: Problem) -> None:
-        """Turn to another arm; it lies straight.
+    def _change_arm(self, problem: Problem) -> None:
+        """Turn to another arm, which begins straight.
 
         Raises:
-            PostureError: it cannot be moved by this controller, in this scene. It then just lies there.
+            PostureError: it cannot be moved by this controller, in this scene. It then stays straight.
         """
         self._dq = np.zeros(problem.arm.nv)
-        self._known.clear()  # of the arm from before
         start, bare = problem.arm.straight(), problem._replace(controller=Geodesic(), scene=None)
-        self._tracker, self._made_for = _tracker(bare, start), bare
-        self._tracker, self._made_for = _tracker(problem, start), problem
+        self._tracker, self._tracked = _tracker(bare, start), bare
+        self._tracker, self._tracked = _tracker(problem, start), problem
 
-    def _judged(self, problem: Problem) -> Verdict:
-        """What the arm can make of a problem; known already of a shape that was judged before."""
-        arm, keyframe = problem.arm, problem.keyframe
-        known, before = self._known.get(id(keyframe)), self._taken
-        if known is not None and known.arm is arm:
-            target, verdict = known.verdict.target, known.verdict
-            if target is not None:
-                verdict = review(arm, keyframe, target, problem.scene)
-        else:
-            near = before[1] if before is not None and before[0] is arm and problem.shaping else None
-            verdict = judge(arm, keyframe, problem.scene, near, not problem.passing)
-            if not problem.passing:
-                self._known[id(keyframe)] = Judged(arm, keyframe, verdict)
-                if len(self._known) > MOST_KNOWN:
-                    del self._known[next(iter(self._known))]
+    def _judge(self, problem: Problem) -> Verdict:
+        arm, last = problem.arm, self._last_target
+        near = last[1] if last is not None and last[0] is arm and problem.shaping else None
+        verdict = self._verdicts.judge(arm, problem.keyframe, problem.scene, near, problem.passing)
         if verdict.target is not None:
-            self._taken = arm, verdict.target
+            self._last_target = arm, verdict.target
         return verdict
 
     def _step(self) -> None:
-        """One step, and what can be seen after it."""
         tracker, problem = self._tracker, self._problem
         arm, target = tracker.arm, tracker.target
         try:
             if problem.at_once and target is not None and target.q is not None:
                 tracker.restart(target.q)
             self._dq, self._fault = tracker.step(tracker.command), ""
-        except Exception as error:  # of a controller, of whatever kind
+        except Exception as error:  # a controller may raise anything
             reason = str(error) or type(error).__name__
             if reason != self._fault:
                 logger.warning("the arm is brought to rest: %s", error)
@@ -306,16 +411,17 @@ class Solver:
         self._publish()
 
     def _publish(self) -> None:
-        """Leave what there is to see, to be looked up."""
         live = self._look(self._tracker.arm.at(self._tracker.command))
         with self._lock:
             self._live = live
-        self._tell()
+        self._notify()
 
     def _look(self, state: ArmState) -> Live:
         tracker, problem = self._tracker, self._problem
         report, target = tracker.report, tracker.target
-        tip = None if target is None else tip_off(problem.keyframe.tip, target, state)
+        active = np.zeros(tracker.arm.n_modules, dtype=np.bool_)
+        if report.step is not None:
+            active[list(report.step.active)] = True
         return Live(
             number=problem.number,
             arm=tracker.arm,
@@ -323,8 +429,8 @@ class Solver:
             state=state,
             target=target,
             errors=errors_of(state, target),
-            tip_error=tip,
-            active=active_of(report, tracker.arm.n_modules),
+            tip_error=None if target is None else tip_off(problem.keyframe.tip, target, state),
+            active=active,
             at_limit=at_limit(state, self._dq, tracker.limits.bound(state)),
             status="holding" if self._fault else report.status,
             reason=self._fault or report.reason,
@@ -334,23 +440,23 @@ class Solver:
 
 
 def _tracker(problem: Problem, q: Array, dq: Array | None = None) -> Tracker:
-    """What moves the arm; from q, at rest or after a step dq, (nv,) [rad or m]."""
+    """Return a tracker that moves the arm from q, at rest or after a step dq, (nv,) [rad or m]."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PostureWarning)  # the status says it
+        warnings.simplefilter("ignore", PostureWarning)  # the status tells of it
         tracker = Tracker(
             problem.arm,
             problem.controller,
-            in_cycles(problem.limits),
+            limits_per_step(problem.limits),
             problem.scene,
             feedback_time_constant=float("inf"),
-            deadline=PATIENCE,
+            deadline=CONTROLLER_DEADLINE,
         )
-    tracker.restart(q, dq)  # the speed goes on: dragging an obstacle makes a tracker several times a second
+    tracker.restart(q, dq)  # keeps the speed: a dragged obstacle causes several new trackers a second
     return tracker
 
 
-def in_cycles(limits: Limits) -> Limits:
-    """The same limits for cycles of `CYCLE`: what a step may be is a share of what it was."""
+def limits_per_step(limits: Limits) -> Limits:
+    """Return the same limits for cycles of `STEP_TIME`; a limit of the step is scaled to that."""
     if limits.step is None or limits.dt is None:
-        return replace(limits, dt=CYCLE)
-    return replace(limits, dt=CYCLE, step=limits.step * (CYCLE / limits.dt))
+        return replace(limits, dt=STEP_TIME)
+    return replace(limits, dt=STEP_TIME, step=limits.step * (STEP_TIME / limits.dt))

@@ -1,4 +1,4 @@
-"""What is around the arm: the pace of changes, clearance, scans and meshes from files."""
+"""The surroundings of the arm: scans and meshes from files, clearance, and dragged obstacles."""
 
 from __future__ import annotations
 
@@ -15,43 +15,39 @@ from typing import TypeAlias
 
 from pinposture.collision import Mesh, Scene
 from pinposture.collision.scan import WIDE, Scan
-from pinposture.editor.clearances import Asked, Clearances, Marked, Marks
-from pinposture.editor.edits import Edit, keyframes_of
-from pinposture.editor.obstacles import free_name, obstacles_of, take_in
+from pinposture.editor.clearances import ClearanceQuery, Clearances, Marks, MarksQuery
+from pinposture.editor.edits import Edit
+from pinposture.editor.obstacles import free_name, insert_obstacle, obstacles_of
 from pinposture.editor.session import Session
-from pinposture.editor.solver import Live
+from pinposture.editor.shape import keyframes_of
+from pinposture.editor.solver import Live, VerdictCache
 from pinposture.errors import FileError, PostureError
 from pinposture.storage import write_bytes
 from pinposture.task import Task
-
-# Scans and meshes in files: read, and written beside the task, by a thread of its own.
 
 logger = logging.getLogger(__name__)
 
 Post: TypeAlias = Callable[..., None]
 
-SHOWN = 200_000
-"""Points and triangles of a scan that are shown, at most."""
+MAX_SHOWN = 200_000  # points or triangles of a scan
+SCENE_PERIOD = 0.2  # for which the solver keeps a scene before it is given the next one [s]
 
 
 class ScanShelf:
     """The scans of a task, as far as they have been read.
 
-    Files are read and written in a thread of its own, which then leaves requests for the editor's loop.
-
-    Args:
-        post: leaves a request for the loop.
+    Files are read and written in a thread, which posts requests to the editor's loop.
     """
 
     def __init__(self, post: Post) -> None:
         self._post, self._lock = post, Lock()
         self._jobs: SimpleQueue[Callable[[], object] | None] = SimpleQueue()
         self._thread: Thread | None = None
-        self._known: dict[Path, Scan | None] = {}  # None: being read, or it cannot be
-        self._thin: dict[Path, Scan] = {}
+        self._known: dict[Path, Scan | None] = {}  # None: being read, or unreadable
+        self._thinned: dict[Path, Scan] = {}
 
     def of(self, task: Task) -> dict[Path, Scan]:
-        """The scans of a task that have been read; those that were not are, from now on."""
+        """Return the scans of a task that have been read, and start to read the others."""
         found: dict[Path, Scan] = {}
         for path in task.scans:
             with self._lock:
@@ -64,36 +60,34 @@ class ScanShelf:
         return found
 
     def shown(self, path: Path) -> Scan:
-        """A scan as it is shown: thinned, if it is large."""
+        """Return a scan as it is shown: thinned, if it is large."""
         with self._lock:
-            return self._thin[path]
+            return self._thinned[path]
 
     def add_scan(self, path: Path) -> None:
         """Read a scan, and add it to the task if it can be read."""
-        self._do(lambda: self._add(path))
+        self._do(partial(self._add, path))
 
     def add_mesh(self, path: Path, scale: float) -> None:
         """Read a mesh, and add its convex hull to the obstacles if it can be read."""
 
         def job() -> None:
             try:
-                mesh = Mesh.load(path, scale)
+                self._load_mesh(path, scale)
             except PostureError as error:
                 self._refuse(error)
-                return
-            self._post(lambda session: _take_mesh(_plain(path.stem), mesh, session))
 
         self._do(job)
 
     def upload(self, name: str, content: bytes, folder: Path | None, scale: float, convex: bool) -> None:
-        """Take in a file that somebody sent.
+        """Add a file that was uploaded.
 
         Args:
             name: its name.
-            content: what is in it.
+            content: its content.
             folder: where scans are kept: the folder of the task file; None if there is none yet.
             scale: factor of the coordinates of a mesh.
-            convex: whether it is to be an obstacle, the convex hull of a mesh; a scan otherwise.
+            convex: whether it is an obstacle, the convex hull of a mesh; a scan otherwise.
         """
         plain = Path(name.replace("\\", "/")).name
 
@@ -103,8 +97,7 @@ class ScanShelf:
                 try:
                     path.write_bytes(content)
                     if convex:
-                        mesh = Mesh.load(path, scale)
-                        self._post(lambda session: _take_mesh(_plain(path.stem), mesh, session))
+                        self._load_mesh(path, scale)
                         return
                     if folder is None:
                         raise FileError(plain, "is to be kept beside the task file: save the task first")
@@ -120,7 +113,7 @@ class ScanShelf:
         self._do(job)
 
     def close(self) -> None:
-        """End, after what it is at."""
+        """End the thread after the jobs that wait."""
         self._jobs.put(None)
         if self._thread is not None:
             self._thread.join(timeout=5.0)
@@ -136,25 +129,42 @@ class ScanShelf:
         while (job := self._jobs.get()) is not None:
             try:
                 job()
-            except Exception as error:  # whatever a file does to its reader, the editor goes on
+            except Exception as error:  # a broken file may raise anything
                 logger.exception("a file could not be taken in")
                 self._refuse(error)
 
-    def _add(self, path: Path) -> None:
-        if self._read(path, anew=True) is not None:
-            self._post(lambda session: _take_scan(path, session))
+    def _load_mesh(self, path: Path, scale: float) -> None:
+        mesh = Mesh.load(path, scale)
+        stem = "".join(each for each in path.stem if each.isprintable()).strip() or "mesh"
 
-    def _read(self, path: Path, anew: bool = False) -> Scan | None:
+        def request(session: Session) -> None:
+            taken = obstacles_of(session.task)
+            insert_obstacle(stem if stem not in taken else free_name(stem, taken), mesh, session)
+
+        self._post(request)
+
+    def _add(self, path: Path) -> None:
+        def request(session: Session) -> None:
+            if path in session.task.scans:
+                session.say(f"{path.name} is there already", "warning")
+            else:
+                session.edit(with_scans((*session.task.scans, path)), f"added the scan {path.name}")
+
+        if self._read(path, new=True) is not None:
+            self._post(request)
+
+    def _read(self, path: Path, new: bool = False) -> Scan | None:
         try:
             scan = Scan.load(path)
-            thin = scan.thinned(SHOWN) if max(len(scan.points), _faces(scan)) > SHOWN else scan
+            size = max(len(scan.points), 0 if scan.faces is None else len(scan.faces))
+            thinned = scan.thinned(MAX_SHOWN) if size > MAX_SHOWN else scan
         except PostureError as error:
             self._refuse(error)
             return None
         with self._lock:
-            self._known[path], self._thin[path] = scan, thin
+            self._known[path], self._thinned[path] = scan, thinned
         width = float((scan.points.max(axis=0) - scan.points.min(axis=0)).max())
-        if anew and width > WIDE:
+        if new and width > WIDE:
             text = f"{path.name} is {width:.3g} m wide: is it in millimetres? Scans are taken to be in metres"
             self._post(lambda session: session.say(text, "warning"))
         return scan
@@ -167,102 +177,68 @@ class ScanShelf:
 
 
 def with_scans(scans: tuple[Path, ...]) -> Edit:
-    """The task with other scans beside it."""
+    """Replace the scans of a task."""
     return lambda task: task.edited(scans=scans)
 
 
 def remove_scan(path: Path, session: Session) -> None:
-    """Show a scan no more; its file stays."""
+    """Remove a scan from the task; its file stays."""
     left = tuple(each for each in session.task.scans if each != path)
     if len(left) < len(session.task.scans):
         session.edit(with_scans(left), f"removed the scan {path.name}")
 
 
-def _take_scan(path: Path, session: Session) -> None:
-    if path in session.task.scans:
-        session.say(f"{path.name} is there already", "warning")
-        return
-    session.edit(with_scans((*session.task.scans, path)), f"added the scan {path.name}")
-
-
-def _take_mesh(stem: str, mesh: Mesh, session: Session) -> None:
-    taken = obstacles_of(session.task)
-    take_in(stem if stem not in taken else free_name(stem, taken), mesh, session)
-
-
 def _free_path(folder: Path, name: str, content: bytes) -> Path:
-    """Where to keep a file: under its name, or with a number if another file has that."""
+    """Return where to keep a file: under its name, or with a number if another file has that."""
+
+    def is_same(path: Path) -> bool:
+        return not path.is_symlink() and path.is_file() and path.read_bytes() == content
+
     path, number = folder / name, 1
-    while os.path.lexists(path) and (path.is_symlink() or not _holds(path, content)):
+    while os.path.lexists(path) and not is_same(path):
         number += 1
         path = folder / f"{Path(name).stem}_{number}{Path(name).suffix}"
     return path.absolute()
 
 
-def _holds(path: Path, content: bytes) -> bool:
-    return path.is_file() and path.read_bytes() == content
-
-
-def _faces(scan: Scan) -> int:
-    return 0 if scan.faces is None else len(scan.faces)
-
-
-def _plain(name: str) -> str:
-    """A file name as that of an obstacle."""
-    kept = "".join(each for each in name if each.isprintable()).strip()
-    return kept or "mesh"
-
-
-# What is around the arm, as the editor looks after it: the pace of changes, clearance, scans.
-
-PACE = 0.2
-"""How long the solver is left with an obstacle where it was before it is told how far it was moved [s]."""
-
-
 class Surroundings:
-    """What is around the arm.
+    """The surroundings of the arm.
 
     Attributes:
         scans: the scans of the task, as far as they have been read.
-
-    Args:
-        post: leaves a request for the editor's loop.
     """
 
-    def __init__(self, post: Post) -> None:
+    def __init__(self, post: Post, verdicts: VerdictCache | None = None) -> None:
         self.scans = ScanShelf(post)
-        self._clearances, self._marks = Clearances(), Marks()
+        self._clearances = Clearances()
+        self._marks = Marks(VerdictCache() if verdicts is None else verdicts)
         self._scene: Scene | None = None
-        self._seen: float | None = None  # when the solver was first seen to be at what is asked
+        self._solved_since: float | None = None  # when the solver was first seen to have the latest problem
 
     def watch(self, session: Session, live: Live) -> None:
-        """Look after what is around the arm; called by the loop, each time before the solver is asked.
-
-        Args:
-            session: what is edited.
-            live: the arm.
-        """
+        """Update clearance and marks; called by the loop, each time before the solver is asked."""
         proposal = session.proposal
         pending = proposal is not None and not proposal.final and proposal.number > session.number
         if live.number < session.number:
-            self._seen = None
-        elif self._seen is None:
-            self._seen = time.monotonic()
+            self._solved_since = None
+        elif self._solved_since is None:
+            self._solved_since = time.monotonic()
         # The arm is given time to move in a scene before the next one comes.
-        if self._seen is not None and pending and time.monotonic() - self._seen >= PACE:
-            session.touch()
-        elif self._seen is not None and not pending:
+        if self._solved_since is not None and pending:
+            if time.monotonic() - self._solved_since >= SCENE_PERIOD:
+                session.touch()
+        elif self._solved_since is not None:
             self._scene = session.shown.scene
         if live.arm is session.arm:
-            named = {path.name: scan for path, scan in self.scans.of(session.task).items()}
-            q = session.playback.seen(live).state.q  # where it is to be seen
-            self._clearances.ask(Asked(live.arm, q, self._scene, named))
+            scans = {path.name: scan for path, scan in self.scans.of(session.task).items()}
+            q = session.playback.seen(live).state.q
+            self._clearances.ask(ClearanceQuery(live.arm, q, self._scene, scans))
         session.nearest = self._clearances.latest
-        self._marks.ask(Marked(session.task.arm, keyframes_of(session.task), session.task.scene))
+        self._marks.ask(MarksQuery(session.task.arm, keyframes_of(session.task), session.task.scene))
         session.marks = self._marks.latest or ()
 
     def close(self) -> None:
-        """End."""
+        """End all threads."""
         self._clearances.close()
         self._marks.close()
         self.scans.close()

@@ -17,7 +17,11 @@ if TYPE_CHECKING:
     from pinposture.kernels.chain_solver import minimise_in_box as minimise_in_box
     from pinposture.kernels.chain_solver import move_points as move_points
     from pinposture.kernels.chain_solver import stiffness as stiffness
-    from pinposture.kernels.distances import above_boxes as above_boxes
+    from pinposture.kernels.collision import differentiate_distances as differentiate_distances
+    from pinposture.kernels.collision import near_pairs as near_pairs
+    from pinposture.kernels.collision import place_axes as place_axes
+    from pinposture.kernels.collision import place_joints as place_joints
+    from pinposture.kernels.collision import smallest_distance as smallest_distance
     from pinposture.kernels.kinematics import carry_screws as carry_screws
     from pinposture.kernels.kinematics import jacobians as jacobians
     from pinposture.kernels.kinematics import joints_along as joints_along
@@ -45,6 +49,7 @@ if TYPE_CHECKING:
     from pinposture.kernels.path import measure_path_lengths as measure_path_lengths
     from pinposture.kernels.path import position_excess as position_excess
     from pinposture.kernels.path import relax_waypoints as relax_waypoints
+    from pinposture.kernels.path import solve_tridiagonal as solve_tridiagonal
     from pinposture.kernels.path import step_along as step_along
     from pinposture.kernels.path import sum_point_errors as sum_point_errors
     from pinposture.kernels.posture_matrix import eliminated as eliminated
@@ -69,12 +74,17 @@ _HOMES = {
     "measure_length": "spline",
     "parameters_at": "spline",
     "minimise_in_box": "chain_solver",
-    "above_boxes": "distances",
+    "differentiate_distances": "collision",
+    "near_pairs": "collision",
+    "place_axes": "collision",
+    "place_joints": "collision",
+    "smallest_distance": "collision",
     "step_box": "time_parameterization",
     "stoppable_steps": "time_parameterization",
     "shorten_step": "time_parameterization",
     "best_branch": "manipulability",
     "advance": "path",
+    "solve_tridiagonal": "path",
     "step_along": "path",
     "joint_distance": "path",
     "sum_point_errors": "path",

@@ -105,6 +105,62 @@ class Screwed(NamedTuple):
     near: Array1
 
 
+class JointTree(NamedTuple):
+    """The joints of a model, numbered as there: the first is the world, and parents come before children.
+
+    Attributes:
+        parents: the joint that carries each, (njoints,).
+        columns: where its position is among all joint positions, (njoints,).
+        kinds: 0 where it turns about an axis, 1 where it slides along one, 2 if it does anything else.
+        fixed: placement in the frame of the joint before, rotation and translation, (njoints, 12).
+        axes: unit axis in its own frame, (njoints, 3).
+    """
+
+    parents: Ints1
+    columns: Ints1
+    kinds: Ints1
+    fixed: Array2
+    axes: Array2
+
+
+class Pairs(NamedTuple):
+    """Pairs of a body and another, or of a body and an obstacle, in groups; b bodies and o obstacles.
+
+    Attributes:
+        first: the body of each pair, (n,).
+        second: the other body, or b plus the number of the obstacle, (n,).
+        kinds: what the second solid is, `SEGMENT` for spheres, capsules and bodies, (n,).
+        exact: False where solids only lie in the shapes that are given here, (n,).
+        radii: radius of the capsule of each body, then of each obstacle that is one, (b + o,).
+        lines: axis of the capsule of each obstacle, (o, 2, 3).
+        centers: centre of each obstacle that is no capsule, (o, 3).
+        frames: its axes, as columns; z is the normal of a half-space and the axis of a cylinder, (o, 3, 3).
+        halves: half its extent along them, (o, 3).
+        shapes: the kind of each obstacle, (o,).
+        groups: block of bodies, and another block or the number of blocks plus that of an obstacle, (g, 2).
+        starts: first pair of each group, and at the end how many pairs there are, (g + 1,).
+    """
+
+    first: Ints1
+    second: Ints1
+    kinds: Ints1
+    exact: Flags1
+    radii: Array1
+    lines: Array3
+    centers: Array2
+    frames: Array3
+    halves: Array2
+    shapes: Ints1
+    groups: Ints2
+    starts: Ints1
+
+
+BLOCK = 8
+"""Number of bodies in a block of `Pairs`."""
+
+SEGMENT, BOX, PLANE, CYLINDER = 0, 1, 2, 3
+"""Kinds of `Pairs`, by the shape of the second solid."""
+
 FULL, RELATIVE, LOCAL = 0, 1, 2
 """Couplings: what rows know of joints before their section, as `kernels.kinematics` explains."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array1, Array2, ChainArrays, Flags1, Ints1, PointObjective
+from pinposture.kernels.arrays import Array1, Array2, Array3, ChainArrays, Flags1, Ints1, PointObjective
 from pinposture.kernels.chain_solver import find_screws, minimise_in_box
 from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.kinematics import placements
@@ -420,3 +420,62 @@ def _between(one: Array2, other: Array2) -> float:
         x, y, z = one[k, 0] - other[k, 0], one[k, 1] - other[k, 1], one[k, 2] - other[k, 2]
         total += np.sqrt(x * x + y * y + z * z)
     return total
+
+
+@compiled
+def solve_tridiagonal(diagonal: Array3, above: Array3, right: Array2, x: Array2) -> bool:
+    """Solve a symmetric positive definite block tridiagonal system by block Cholesky, in O(N n^3).
+
+    It uses no BLAS, whose threads wait for each other where other processes use the cores.
+
+    Args:
+        diagonal: diagonal blocks, (N, n, n); the lower triangles are overwritten.
+        above: blocks right of the diagonal ones, (N - 1, n, n); overwritten.
+        right: right-hand side, (N, n).
+        x: filled with the solution, (N, n).
+
+    Returns:
+        False if the matrix is not positive definite.
+    """
+    count, n = right.shape
+    for block in range(count):
+        own, rest = diagonal[block], x[block]
+        rest[:] = right[block]
+        if block > 0:
+            # With the factor L of the block before: W = L^-1 above, own -= W^T W, rest -= W^T y.
+            factor, coupling = diagonal[block - 1], above[block - 1]
+            for i in range(n):
+                for k in range(i):
+                    for j in range(n):
+                        coupling[i, j] -= factor[i, k] * coupling[k, j]
+                for j in range(n):
+                    coupling[i, j] /= factor[i, i]
+            for k in range(n):
+                for i in range(n):
+                    for j in range(i + 1):
+                        own[i, j] -= coupling[k, i] * coupling[k, j]
+                    rest[i] -= coupling[k, i] * x[block - 1, k]
+        for j in range(n):
+            if not own[j, j] > 0.0:
+                return False
+            own[j, j] = np.sqrt(own[j, j])
+            for i in range(j + 1, n):
+                own[i, j] /= own[j, j]
+            for i in range(j + 1, n):
+                for k in range(j + 1, i + 1):
+                    own[i, k] -= own[i, j] * own[k, j]
+        for i in range(n):
+            for k in range(i):
+                rest[i] -= own[i, k] * rest[k]
+            rest[i] /= own[i, i]
+    for block in range(count - 1, -1, -1):
+        own, rest = diagonal[block], x[block]
+        if block < count - 1:
+            for i in range(n):
+                for j in range(n):
+                    rest[i] -= above[block, i, j] * x[block + 1, j]
+        for i in range(n - 1, -1, -1):
+            for k in range(i + 1, n):
+                rest[i] -= own[k, i] * rest[k]
+            rest[i] /= own[i, i]
+    return True

@@ -14,7 +14,7 @@ from pinposture._validation import require_positive, require_whole
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Controller, Diagnostics, Geodesic, Limits, Step, controller_named
-from pinposture.control.controller import Memory, next_step
+from pinposture.control.controller import Memory, SingularValues, next_step
 from pinposture.errors import InvalidValue, PostureWarning
 from pinposture.motion.trajectory import Trajectory
 from pinposture.placement import Target
@@ -157,7 +157,7 @@ class RunRecord:
 
 def _without_state(note: Diagnostics) -> Diagnostics:
     """Return the same with its singular values computed, so that it does not keep the state in memory."""
-    return note._replace(sigma_min=note.sigma_min, sigma_max=note.sigma_max)
+    return note._replace(spectrum=SingularValues(note.sigma_min, note.sigma_max))
 
 
 # The loop.
@@ -210,8 +210,8 @@ class ControlLoop:
         before = self.memory
         step = next_step(self.controller, self.state, target, self.limits, before)
         # Keep what the controller found out; the arm has not moved yet.
-        self.memory = Memory(np.zeros(self.arm.nv)) if before is None else before
-        self.memory, self.last_step = self.memory._replace(own=step.memory.own), step
+        before = Memory(np.zeros(self.arm.nv)) if before is None else before
+        self.memory, self.last_step = step.memory.with_motion_of(before), step
         return step
 
     def take_step(self, step: Step, target: Target | None = None) -> None:
@@ -266,7 +266,7 @@ class ControlLoop:
         memory = before.braked(self.limits, self.state)
         rises = self.record.error_rises_at(self.arm.at(self.arm.integrate(self.state.q, memory.dq)))
         still = np.zeros(self.arm.nv, dtype=np.bool_)
-        note = Diagnostics(0.0, 0.0, 0.0, 0, (), 1.0, still, "", error_increasing=rises)
+        note = Diagnostics(still, error_increasing=rises)
         self.take_step(Step(memory.dq, (), note, memory))
 
     def _cannot_stop(self) -> bool:

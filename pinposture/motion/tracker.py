@@ -236,7 +236,7 @@ class AsyncStep:
             if late is None:
                 return None, memory
             # The arm has braked since, and is at rest or nearly.
-            memory = late.memory if memory is None else memory._replace(own=late.memory.own)
+            memory = late.memory if memory is None else late.memory.with_motion_of(memory)
         self._pending = self._start(state, target, limits, memory)
         return self._wait(), memory
 
@@ -472,7 +472,7 @@ class Tracker:
         if step is None or reason:
             memory = Memory(np.zeros(self.arm.nv)) if memory is None else memory
             memory = memory.braked(limits, self._neutral_state)
-            memory = memory if step is None else memory._replace(own=step.memory.own)
+            memory = memory if step is None else step.memory.with_motion_of(memory)
         else:
             memory = step.memory
         self._memory, self._dt, dq = memory, dt, memory.dq
@@ -484,7 +484,7 @@ class Tracker:
         """The memory of the controller, its last step scaled to the duration of this cycle."""
         if self._memory is None or dt == self._dt:
             return self._memory
-        return self._memory._replace(dq=self._memory.dq * (dt / self._dt), stopping=None)
+        return replace(self._memory, dq=self._memory.dq * (dt / self._dt), stopping=None)
 
     def _target_problem(self) -> str:
         """Why the target cannot be used, in words; empty if it can."""

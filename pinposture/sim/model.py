@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture._validation import finite_vector
 from pinposture.arm import Arm
 from pinposture.arm.chain import frame_ids
-from pinposture.arm.configurations import UNLIMITED
+from pinposture.arm.configurations import NO_LIMIT
 from pinposture.arm.urdf_reader import load_text, parse_xml, text_for_pinocchio
 from pinposture.errors import InvalidValue, PostureError, PostureWarning, URDFError
 from pinposture.sim.servos import Gains, Servos
@@ -204,7 +204,7 @@ def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | Ar
         rest[dofs[name]] = position
     for joint in list(complete.joints)[1:]:
         dof, limit = dofs[complete.names[joint.id]], float(complete.upperEffortLimit[joint.idx_v])
-        effort[dof] = limit if 0.0 < limit < UNLIMITED else math.inf  # 0 stands for an unknown limit
+        effort[dof] = limit if 0.0 < limit < NO_LIMIT else math.inf  # 0 stands for an unknown limit
         # Set here, because the type of these fields of the specification depends on the version of MuJoCo.
         model.dof_damping[dof] = complete.damping[joint.idx_v]
         model.dof_frictionloss[dof] = complete.upperDryFrictionLimit[joint.idx_v]

@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 
 from pinposture._validation import require_positive, require_whole
 from pinposture.arm import ArmState
-from pinposture.control.controller import Controller, Diagnostics, Memory, Step, stack_rows, task_errors
+from pinposture.control.controller import (
+    Controller,
+    Diagnostics,
+    Memory,
+    SingularValues,
+    Step,
+    stack_rows,
+    task_errors,
+)
 from pinposture.control.limits import Limits
 from pinposture.control.registry import CONTROLLERS
 from pinposture.control.thesis.posture_matrix import Decomposition, decompose, pseudo_inverse_step
@@ -116,14 +124,11 @@ def finished(
     moved = asked * arm.joint_units * arm.moved
     limited = limits.apply(state, moved, previous)
     diagnostics = Diagnostics(
+        limited.clipped,
         manipulability=float(state.manipulability()[0, np.array(points) + 1].min()),
-        sigma_min=float(sigma.min()),
-        sigma_max=float(sigma.max()),
+        spectrum=SingularValues(float(sigma.min()), float(sigma.max())),
         rows=rows,
-        dropped=(),
         scale=limited.scale,
-        clipped=limited.clipped,
-        reason="",
     )
     return Step(limited.dq, points, diagnostics, Memory(limited.dq))
 
@@ -131,7 +136,7 @@ def finished(
 def held(state: ArmState, reason: str, limits: Limits, previous: Array | None) -> Step:
     """A step that only brakes, if there is anything to brake, and why."""
     still = limits.hold(state, previous)
-    none = Diagnostics(0.0, 0.0, 0.0, 0, (), still.scale, still.clipped, reason)
+    none = Diagnostics(still.clipped, reason, scale=still.scale)
     return Step(still.dq, (), none, Memory(still.dq))
 
 

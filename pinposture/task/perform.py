@@ -16,7 +16,9 @@ from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.control import Controller, Geodesic, Limits, controller_named
 from pinposture.control.limits import cycle_of
-from pinposture.control.planner.path import JointPath, PathProgress, SpeedProfile
+from pinposture.control.planner.follow import GeodesicMemory
+from pinposture.control.planner.objective import Objective
+from pinposture.control.planner.path import JointPath, TimedPath, retime
 from pinposture.errors import InvalidValue
 from pinposture.motion.motion import Motion, Waypoint
 from pinposture.motion.track import PROGRESS_SHARE, STALL_TRAVEL, ControlLoop, in_scene
@@ -60,7 +62,7 @@ class ReferencePath:
         reference: the reference.
         path: its configurations as a path through joint space, within the position limits.
         most: rows to go in one cycle, if nothing slows the motion.
-        speed: the largest speed that limits allow, but no more than that.
+        timed: the path with the largest speed that limits allow, but no more than `most`.
     """
 
     def __init__(self, reference: Reference, limits: Limits) -> None:
@@ -71,8 +73,11 @@ class ReferencePath:
         self._lower, self._upper = bounds.edges - arm.positions(reference.start)
         offsets = np.minimum(np.maximum(reference.offsets, self._lower), self._upper)
         # Joints that do not move the arm stay where they are.
-        self.path = JointPath(arm, reference.start, offsets * (arm.moved > 0.0))
-        self.speed = SpeedProfile(self.path, bounds.bound, bounds.brake, self.most)
+        offsets = np.ascontiguousarray(offsets * (arm.moved > 0.0))
+        q = arm.integrate(reference.start, offsets[0])
+        first = Target(arm.at(q).compiled.points, reference.weights[0], q)
+        self.path = JointPath(Objective(arm, first), reference.start, offsets)
+        self.timed = retime(self.path, limits, self.most)
 
     @property
     def end(self) -> float:
@@ -82,26 +87,32 @@ class ReferencePath:
     @property
     def steps(self) -> float:
         """Number of cycles that it takes at least."""
-        middle = 0.5 * (self.speed.top[1:] + self.speed.top[:-1])
+        assert self.timed.profile is not None
+        top = self.timed.profile.top
+        middle = 0.5 * (top[1:] + top[:-1])
         return float((1.0 / np.maximum(middle, 1e-9)).sum())
 
     def next(self, place: float, speed: float) -> float:
         """Return the place after the next cycle, after one that went `speed` places."""
-        return min(place + self.speed.next(place, speed), self.end)
+        assert self.timed.profile is not None
+        return min(place + self.timed.profile.next(place, speed), self.end)
 
     def target(self, place: float) -> Target:
         """Return the target posture at a place."""
         arm, row = self.reference.arm, min(int(np.ceil(place)), self.reference.rows - 1)
-        offset = np.minimum(np.maximum(self.path.smooth(place), self._lower), self._upper)
+        offset = np.minimum(np.maximum(self.path.smooth_offset(place), self._lower), self._upper)
         q = arm.integrate(self.reference.start, offset)
         return Target(arm.at(q).compiled.points, self.reference.weights[row], q)
 
-    def way(self, place: float) -> JointPath:
-        """Return the rest of the path from a place, which is a row."""
+    def remaining(self, place: float, controller: Geodesic) -> TimedPath:
+        """Return the rest of the path from a place, which is a row, for a controller to follow."""
         row, path = int(place), self.path
+        objective = controller.objective(path.arm, self.target(place))
         if row == 0:
-            return path
-        return JointPath(path.arm, path.configuration(row), path.offsets[row:] - path.offsets[row])
+            return retime(path.revised(objective=objective), self.timed.limits, self.most)
+        offsets = path.offsets[row:] - path.offsets[row]
+        rest = JointPath(objective, path.configuration(row), offsets, controller.scene)
+        return retime(rest, self.timed.limits, self.most)
 
     def next_mark(self, place: float) -> Mark:
         """Return the next place with a name; the last row if there is none."""
@@ -317,19 +328,19 @@ class _Performance:
         """Follow the path with a controller that knows it; None at its end, else status and reason."""
         loop, guide = self.loop, self.guide
         while self._place < guide.end:
-            begun, target = self._place, guide.target(self._place)
-            way, progress = guide.way(begun), None
-            loop.memory = controller.along(loop.state, way, target, loop.limits, guide.most, loop.memory)
+            begun, progress = self._place, None
+            remaining = guide.remaining(begun, controller)
+            loop.memory = controller.start(remaining, loop.state.compiled, loop.memory)
             while self._place < guide.end:
                 foreseen = guide.next(self._place, 0.0 if progress is None else progress.speed)
                 target = guide.target(foreseen)
                 step = loop.compute_step(target)
-                own = step.memory.own
-                if not (isinstance(own, PathProgress) and own.given):
+                ahead = step.memory.progress if isinstance(step.memory, GeodesicMemory) else None
+                if ahead is None or not ahead.timed.scheduled:
                     break
-                if step.diagnostics.reason and not own.arrived:
+                if step.diagnostics.reason and not ahead.arrived:
                     break
-                progress, place = own, begun + own.place
+                progress, place = ahead, begun + ahead.place
                 target = target if place == foreseen else guide.target(place)
                 loop.take_step(step, target)
                 ended = self._record(place, target)

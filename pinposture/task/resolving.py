@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pinposture import kernels
 from pinposture.arm import Arm
 from pinposture.arm.configurations import SLACK
-from pinposture.control.planner.objective import Posture
+from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.plan import find_goal
 from pinposture.curve import Curve
 from pinposture.errors import PostureWarning, TargetError, TaskError
@@ -196,10 +196,10 @@ def tip_shift(arm: Arm, keyframe: Keyframe, target: Target, q: Array, where: str
     """
     if keyframe.tip is None:
         return np.zeros(arm.nv)
-    posture = Posture(arm, target_at(arm, keyframe, target, q), (keyframe.tip,))
+    objective = Objective(arm, target_at(arm, keyframe, target, q), (keyframe.tip,))
     edges = np.array([arm.limits.lower, arm.limits.upper])
-    state = find_goal(posture, arm.at(q).compiled, edges, None, POSTURE_TOLERANCE * arm.length).state
-    strict = posture.task_rows(state, strict=True)
+    state = find_goal(objective, arm.at(q).compiled, edges, None, POSTURE_TOLERANCE * arm.length).state
+    strict = objective.task_rows(state, priority=True)
     missed = 0.0 if strict is None else float(np.linalg.norm(strict.errors))
     if missed > STRICT_TIP_TOLERANCE * arm.length:
         advice = (

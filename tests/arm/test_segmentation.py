@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from sampling import examples
 
 import pinposture as pp
-from pinposture.arm.segmentation import Placing
+from pinposture.arm.segmentation import EndMobility
 
 TURN, SLIDE = "revolute", "prismatic"
 LONG, SHORT, OFFSET = "0.13 0 0", "0.05 0 0", "0 0.02 0.08"
@@ -128,13 +128,13 @@ def test_control_points_are_apart(case):
 
 def test_long_rows_of_parallel_axes_are_measured_no_more_than_their_square(monkeypatch):
     """Postures are gone through joint by joint, which took a time like the cube of their number."""
-    counts, motions = [], Placing._motions
+    counts, motions = [], EndMobility._jacobians
 
-    def counted(placing, first, stop):
+    def counted(mobility, first, stop):
         counts[-1] += stop - first
-        return motions(placing, first, stop)
+        return motions(mobility, first, stop)
 
-    monkeypatch.setattr(Placing, "_motions", counted)
+    monkeypatch.setattr(EndMobility, "_jacobians", counted)
     for n in (30, 60):
         counts.append(0)
         arm = load([(TURN, Z, LINK), *[(TURN, Y, f"{0.1 + 0.01 * (k % 7)} 0 0") for k in range(n)]])

@@ -17,8 +17,8 @@ from editor.browser.desk import free_port
 
 import pinposture as pp
 from pinposture.cli.edit import MODULES, read_task
-from pinposture.editor.autosave import autosave_path
-from pinposture.editor.verdict import judge
+from pinposture.editor.files import autosave_path
+from pinposture.editor.solver import judge
 from pinposture.errors import FileError, InvalidValue, UnknownName
 
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from sampling import examples
 
 from pinposture.collision import Box, Capsule, CollisionModel, Cylinder, HalfSpace, Mesh, Scene, Sphere
-from pinposture.collision.distances import Narrow, closest_points
+from pinposture.collision.distances import Narrow, PairDistances, Placements
 from pinposture.collision.obstacles import solid
 
 BODIES = {
@@ -98,40 +98,131 @@ def test_a_mesh_is_its_convex_hull_and_may_be_turned():
         assert by_mesh == pytest.approx(by_box, abs=1e-7)
 
 
-def test_the_closed_forms_agree_with_coal():
-    rng, narrow = np.random.default_rng(1), Narrow()
+HERE = Placements(np.eye(3)[None, None], np.zeros((1, 1, 3)))
+
+
+def contact(one, other):
+    """Distance, point and normal of one solid and another, by the closed forms."""
+    near = PairDistances([solid(one)], [0], [solid(other)], [(0, 1)]).near(HERE, np.inf)
+    return near.distances[0], near.points[0], near.normals[0]
+
+
+def by_coal(one, other):
+    posed = []
+    for each in (solid(one), solid(other)):
+        posed += [each.geometry, coal.Transform3s(each.rotation, each.position)]
+    return Narrow().distance(tuple(posed))
+
+
+def pillar(rng):
+    foot = rng.normal(size=3) * 0.3
+    return Cylinder(foot, foot + rng.normal(size=3) * 10 ** rng.uniform(-1.5, 0.5), rng.uniform(0.02, 0.3))
+
+
+def slab(rng):
+    size = 10 ** rng.uniform(-1.5, 0.3, 3)
+    turn = rng.uniform(-3, 3, 3) if rng.random() < 0.7 else np.zeros(3)
+    return Box(rng.normal(size=3) * 0.3, size, turn)
+
+
+KINDS = {
+    "sphere": lambda rng: Sphere(rng.normal(size=3) * 0.3, 0.05),
+    "capsule": lambda rng: Capsule(*rng.normal(size=(2, 3)) * 0.3, 0.05),
+    "box": slab,
+    "cylinder": pillar,
+    "half_space": lambda rng: HalfSpace(rng.normal(size=3) * 0.3, rng.normal(size=3)),
+}
+
+
+def rods(rng):
+    """Capsules in general, along an axis, and as short as points."""
+    a, b = rng.normal(size=(2, 3)) * 0.4
+    along = a + np.eye(3)[rng.integers(3)] * rng.uniform(0.05, 1.0)
+    return [Capsule(a, b, 0.03), Capsule(a, along, 0.03), Sphere(a, 0.03)]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_closed_forms_agree_with_coal_and_are_never_larger(kind):
+    rng, apart = np.random.default_rng(1), 0
+    for _ in range(150):
+        other = KINDS[kind](rng)
+        for rod in rods(rng):
+            (distance, point, normal), expected = contact(rod, other), by_coal(rod, other)
+            assert distance <= expected + 2e-4 * (expected < 0.0) + 1e-6
+            if expected > 1e-6:
+                apart += 1
+                assert distance == pytest.approx(expected, abs=1e-6)
+                # The surface of the other is that far from the point, against the normal.
+                assert np.linalg.norm(normal) == pytest.approx(1.0, abs=1e-9)
+                ball = Sphere(point - distance * normal, 1e-6)
+                assert separation(ball, other) == pytest.approx(0.0, abs=2e-5)
+    assert apart > 100
+
+
+@pytest.mark.parametrize("kind", ["box", "cylinder"])
+def test_depths_are_the_lengths_of_shortest_translations(kind):
+    """Along a unit vector n, what it takes is h(n) + g(-n), by the supports of both solids."""
+    rng = np.random.default_rng(2)
+    directions = rng.normal(size=(20_000, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    deep = 0
     for _ in range(200):
-        a, b, c, d = rng.normal(size=(4, 3)) * 0.3
-        for one, other, line in (
-            (Capsule(a, b, 0.1), Capsule(c, d, 0.05), (c, d)),
-            (Capsule(a, b, 0.1), Sphere(c, 0.05), (c, c)),
-        ):
-            posed = []
-            for each in (solid(one), solid(other)):
-                posed += [each.geometry, coal.Transform3s(each.rotation, each.position)]
-            near = closest_points(a, b, *line)
-            apart = float(np.linalg.norm(near.first - near.second)) - 0.15
-            assert apart == pytest.approx(narrow.distance(tuple(posed)), abs=1e-7)
+        other, rod = KINDS[kind](rng), rods(rng)[0]
+        distance, _, normal = contact(rod, other)
+        if distance >= -0.03:  # the axes are apart
+            continue
+        deep += 1
+        ends = np.array([rod.start, rod.end])
+
+        def needed(n, ends=ends, other=other):
+            return support(other, n) - (n @ ends.T).min(axis=-1) + 0.03
+
+        shortest = needed(directions).min()
+        assert needed(normal[None])[0] == pytest.approx(-distance, abs=1e-9)
+        if kind == "box":  # no direction is better
+            assert -distance <= shortest + 1e-9
+        assert by_coal(Capsule(*(ends + (1e-6 - distance) * normal), 0.03), other) >= -1e-7
+    assert deep > 20
+
+
+def support(shape, n):
+    """The farthest that a solid reaches along unit vectors, (k,)."""
+    if isinstance(shape, Box):
+        turned = n @ np.array(shape.rotation)
+        return n @ np.array(shape.center) + np.abs(turned) @ (np.array(shape.size) / 2.0)
+    start, end = np.array(shape.start), np.array(shape.end)
+    axis = (end - start) / np.linalg.norm(end - start)
+    across = np.sqrt(np.maximum(1.0 - (n @ axis) ** 2, 0.0))
+    return np.maximum(n @ start, n @ end) + shape.radius * across
+
+
+def test_a_rod_that_lies_flat_is_nearest_in_the_middle_of_what_is_above():
+    box = Box((0.0, 0.0, 0.0), (0.4, 0.4, 0.2))
+    distance, point, normal = contact(Capsule((-0.1, 0.0, 0.3), (0.9, 0.0, 0.3), 0.05), box)
+    assert distance == pytest.approx(0.15)
+    np.testing.assert_allclose(point, [0.05, 0.0, 0.25], atol=1e-12)
+    np.testing.assert_allclose(normal, [0.0, 0.0, 1.0], atol=1e-12)
 
 
 coordinates = st.lists(st.sampled_from([-1.0, 0.0, 1.0, 0.5, 1e-8]), min_size=3, max_size=3).map(np.array)
 
 
+def rod_between(a, b):
+    """A capsule, or a sphere where its ends are too near for one."""
+    return Capsule(a, b, 1e-6) if np.linalg.norm(b - a) > 1e-6 else Sphere(a, 1e-6)
+
+
 @examples(40)
 @given(coordinates, coordinates, coordinates, coordinates)
 def test_lines_that_are_parallel_cross_or_are_points(a, b, c, d):
-    near = closest_points(a, b, c, d)
-    found = float(np.linalg.norm(near.first - near.second))
+    found, point, _ = contact(rod_between(a, b), rod_between(c, d))
     s = np.linspace(0.0, 1.0, 101)[:, None, None]
     t = np.linspace(0.0, 1.0, 101)[None, :, None]
     sampled = np.linalg.norm(a + s * (b - a) - c - t * (d - c), axis=2).min()
     assert found <= sampled + 1e-7
-    assert found >= sampled - 0.02 * (np.linalg.norm(b - a) + np.linalg.norm(d - c))
-    for point, start, end in ((near.first, a, b), (near.second, c, d)):
-        way = end - start
-        along = (point - start) @ way / max(way @ way, 1e-300)
-        assert -1e-9 <= along <= 1 + 1e-9
-        np.testing.assert_allclose(start + along * way, point, atol=1e-9)
+    assert found >= sampled - 0.02 * (np.linalg.norm(b - a) + np.linalg.norm(d - c)) - 3e-6
+    along = np.clip((point - a) @ (b - a) / max((b - a) @ (b - a), 1e-300), 0.0, 1.0)
+    np.testing.assert_allclose(a + along * (b - a), point, atol=3e-6)
 
 
 def test_where_coal_cannot_tell_the_bound_serves(monkeypatch):
@@ -142,7 +233,7 @@ def test_where_coal_cannot_tell_the_bound_serves(monkeypatch):
     monkeypatch.setattr(coal, "distance", lambda *_: 1.7976931348623157e308)
     near = clearance.nearest(arm.at(arm.neutral()), np.inf)
     assert clearance.minimum(arm.neutral()).distance == near.minimum == near.distances[0]
-    assert 0.0 < near.minimum <= true
+    assert 0.0 < near.minimum <= true + 1e-9
     assert np.all(np.isfinite(near.jacobian))
 
 

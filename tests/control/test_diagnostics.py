@@ -10,6 +10,7 @@ from arms import template_arm
 
 import pinposture as pp
 from pinposture.control import Diagnostics
+from pinposture.control.controller import SingularValues
 from pinposture.control.thesis.posture_matrix import PostureMatrix
 
 
@@ -41,16 +42,14 @@ def test_singular_values_are_computed_when_they_are_read(name: str, monkeypatch:
 
 def test_numbers_stay_numbers() -> None:
     clipped = np.zeros(2, dtype=bool)
-    note = Diagnostics(0.5, 0.1, 2, 3, (), 1.0, clipped, "")
+    note = Diagnostics(clipped, manipulability=0.5, spectrum=SingularValues(0.1, 2.0), rows=3)
     assert (note.sigma_min, note.sigma_max, note.manipulability) == (0.1, 2, 0.5)
-    assert note == Diagnostics(0.5, 0.1, 2, 3, (), 1.0, clipped, "")
     assert isinstance(note._replace(reason="none"), Diagnostics)
 
 
-def test_fields_by_number_are_those_by_name() -> None:
-    note = a_step("selection").diagnostics
-    assert note[:4] == (note.manipulability, note.sigma_min, note.sigma_max, note.rows)
-    assert (note[1], note[-1], note[7]) == (note.sigma_min, note.following_path, "")
+def test_without_a_matrix_there_are_no_singular_values() -> None:
+    note = a_step("geodesic").diagnostics
+    assert note.spectrum is None and (note.sigma_min, note.sigma_max) == (0.0, 0.0)
 
 
 def test_a_run_keeps_numbers() -> None:

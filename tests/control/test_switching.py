@@ -15,7 +15,7 @@ from sampling import examples
 
 import pinposture as pp
 from pinposture.arm import smooth_configuration
-from pinposture.control import CONTROLLERS, Memory, controller_named
+from pinposture.control import CONTROLLERS, GeodesicMemory, controller_named
 from pinposture.curve.presets import HELIX, LINE
 from pinposture.errors import InvalidValue
 
@@ -159,7 +159,7 @@ def test_what_another_controller_remembers_is_not_its_own(spatial: pp.Arm) -> No
     state = spatial.at(posture(spatial, 2))
     method = controller_named("switching")
     fresh = method.step(state, target)
-    foreign = method.step(state, target, memory=Memory(np.ones(spatial.nv), own="something else"))
+    foreign = method.step(state, target, memory=GeodesicMemory(np.ones(spatial.nv)))
     np.testing.assert_array_equal(fresh.dq, foreign.dq)
 
 

@@ -11,8 +11,8 @@ from editor.edited_tasks import L, six_modules, task
 
 import pinposture as pp
 from pinposture.collision.scan import Scan
-from pinposture.editor.clearances import Asked, Clearances, NearestObstacle, nearest
-from pinposture.editor.obstacles import moved, rearrange
+from pinposture.editor.clearances import ClearanceQuery, Clearances, NearestObstacle, nearest
+from pinposture.editor.obstacles import change_obstacle, moved
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Solver
 from pinposture.editor.surroundings import Surroundings
@@ -36,10 +36,10 @@ def beside(height: float, radius: float = 0.02) -> pp.Scene:
     return pp.Scene({"ball": pp.Sphere(middle, radius)}, margin=0.03, arm_radius=THICK)
 
 
-def asked(scene: pp.Scene | None, scans: dict[str, Scan] | None = None) -> Asked:
+def asked(scene: pp.Scene | None, scans: dict[str, Scan] | None = None) -> ClearanceQuery:
     """For the clearance of the straight arm."""
     arm = six_modules()
-    return Asked(arm, arm.straight(), scene, scans or {})
+    return ClearanceQuery(arm, arm.straight(), scene, scans or {})
 
 
 @pytest.mark.parametrize("height, level", [(0.2, "clear"), (0.05, "within the margin"), (0.025, "inside")])
@@ -86,7 +86,7 @@ def test_the_last_that_was_asked_wins_and_no_thread_is_left():
 def test_what_cannot_be_told_ends_no_thread():
     clearances = Clearances()
     arm = six_modules()
-    clearances.ask(Asked(arm, np.full(arm.nq, np.nan), beside(0.2), {}))
+    clearances.ask(ClearanceQuery(arm, np.full(arm.nq, np.nan), beside(0.2), {}))
     clearances.ask(asked(beside(0.2)))
     assert until(lambda: clearances.latest is not None)
     clearances.close()
@@ -112,7 +112,7 @@ def test_a_dragged_obstacle_reaches_solver_and_clearance_before_the_drag_ends():
     try:
         for step in range(1, 41):
             shift = np.array([0.0, 0.0, -0.001 * step])
-            rearrange("ball", partial(_shift, shift), "moved ball", False, session)
+            change_obstacle("ball", partial(_shift, shift), "moved ball", False, session)
             turn()
         assert len(asked) < 20  # 40 moves, but not 40 scenes
         assert until(told)

@@ -18,10 +18,10 @@ from threadpoolctl import threadpool_info, threadpool_limits
 import pinposture as pp
 from pinposture.control import Geodesic
 from pinposture.editor import edits, obstacles, solver
-from pinposture.editor.autosave import autosave_path
+from pinposture.editor.files import autosave_path
 from pinposture.editor.first_task import first_task
 from pinposture.editor.session import Session
-from pinposture.editor.solver import CYCLE, Problem, Solver
+from pinposture.editor.solver import STEP_TIME, Problem, Solver
 from pinposture.errors import TaskError, ViewerError
 from pinposture.task import Task
 
@@ -91,7 +91,7 @@ def test_hands_that_do_anything_at_all_leave_a_sound_task(
             file = chance.choice([path, other])
             requests: list[Callable[[Session], object]] = [
                 partial(curve.move_point, k, place, final),
-                partial(curve.select_point, k),
+                lambda session, k=k: session.take_hold(k),  # type: ignore[misc]
                 curve.insert_point,
                 curve.delete_point,
                 Session.undo,
@@ -153,7 +153,7 @@ def test_a_part_that_fails_does_not_end_the_loop(
 def test_more_requests_than_can_be_done_are_dropped_and_that_is_told(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(editor_module, "MOST", 10)
+    monkeypatch.setattr(editor_module, "MAX_REQUESTS", 10)
     editor, done = Editor(Task.load(path), path, port=PORT), []
     for k in range(50):
         editor.post(lambda _, k=k: done.append(k))  # type: ignore[misc]
@@ -216,8 +216,8 @@ def test_a_controller_that_fails_brings_the_arm_to_rest_within_its_limits() -> N
     moving.start()
     until(lambda: len(looked) > 60)
     moving.close()
-    speeds = np.array([six_modules().difference(a, b) for a, b in pairwise(looked)]) / CYCLE
-    changes = np.abs(np.diff(speeds, axis=0)) / CYCLE
+    speeds = np.array([six_modules().difference(a, b) for a, b in pairwise(looked)]) / STEP_TIME
+    changes = np.abs(np.diff(speeds, axis=0)) / STEP_TIME
     assert np.abs(speeds).max() > 0.1
     assert changes.max() <= 10.0 * (1.0 + 1e-6)
 

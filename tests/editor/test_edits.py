@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import pinposture as pp
 from pinposture.editor import edits
-from pinposture.editor.shape import Shape
+from pinposture.editor.shape import Shape, reshaped
 from pinposture.errors import InvalidValue, PostureError, TaskError, UnknownName
 from pinposture.task import Keyframe, Task
 from pinposture.task.keyframe import schedule
@@ -79,7 +79,7 @@ def test_a_keyframe_is_at_the_time_that_was_asked_and_none_before_it_moves(index
     before = task()
     old = edits.times_of(before)
     left = old[index - 1] + edits.keyframes_of(before)[index - 1].hold
-    if time < left + edits.CLOSEST - 1e-9:
+    if time < left + edits.MIN_GAP - 1e-9:
         with pytest.raises(InvalidValue, match=f"time of keyframe {index + 1}"):
             edits.retimed(index, time)(before)
         return
@@ -88,7 +88,7 @@ def test_a_keyframe_is_at_the_time_that_was_asked_and_none_before_it_moves(index
     assert new[index] == pytest.approx(time, abs=1e-8)
     assert new[:index] == old[:index]
     own_end = time + edits.keyframes_of(before)[index].hold
-    if index < 3 and own_end + edits.CLOSEST <= old[index + 1]:
+    if index < 3 and own_end + edits.MIN_GAP <= old[index + 1]:
         assert np.allclose(new[index + 1 :], old[index + 1 :], atol=1e-8)
     elif index < 3:  # they make way, all by as much
         assert np.allclose(np.subtract(new, old)[index:], time - old[index], atol=1e-8)
@@ -200,7 +200,7 @@ def test_a_task_that_follows_a_leader_is_refused_in_words() -> None:
 def test_another_shape_keeps_all_else() -> None:
     before = edits.with_keyframe(2, region=(1, 4), hold=0.25, method="smooth")(task())
     shape = Shape.of(six_modules(), before.motion[2])  # type: ignore[index]
-    after = edits.reshaped(2, lambda arm, own: own.inserted(arm, 1), shape)(before).motion[2]  # type: ignore[index]
+    after = reshaped(2, lambda arm, own: own.inserted(arm, 1), shape)(before).motion[2]  # type: ignore[index]
     assert (after.name, after.duration, after.hold) == ("coil", 2.0, 0.25)
     assert (after.region, after.method, after.placement, after.trim) == ((1, 4), "smooth", "as_is", True)
 

@@ -200,7 +200,7 @@ def test_servers_of_others_are_as_they_were() -> None:
         await connection.send("hello")
 
     async def visit() -> str:
-        with served._asked(Entrance("127.0.0.1")) as guarded:
+        with served._guarded_servers(Entrance("127.0.0.1")) as guarded:
             async with websockets.asyncio.server.serve(answer, "127.0.0.1", port):
                 assert guarded == []
                 async with websockets.asyncio.client.connect(f"ws://127.0.0.1:{port}") as caller:

@@ -15,8 +15,7 @@ from edited_tasks import six_modules, task
 
 import pinposture as pp
 from pinposture.editor import edits
-from pinposture.editor.autosave import Autosave, autosave_path, recover
-from pinposture.editor.files import Files, restore, within
+from pinposture.editor.files import Autosave, Files, autosave_path, recover, restore, within
 from pinposture.editor.session import Session
 from pinposture.errors import FileError
 from pinposture.task import Task
@@ -130,7 +129,7 @@ def test_what_waits_to_be_written_is_not_lost_to_another_file(path: Path) -> Non
     saved.keep(task(), path)
     until(autosave_path(path).exists)
     saved.keep(task().edited(name="last"), path)  # waits: one was written only now
-    saved.forget(path.with_name("other.toml"))
+    saved.keep(None, path.with_name("other.toml"))
     saved.close()
     assert Task.load(autosave_path(path)).name == "last"
 
@@ -250,7 +249,7 @@ def test_an_arm_that_is_kept_beside_the_task_goes_with_it(path: Path) -> None:
     restore(session)
     assert session.arm.urdf == arm.urdf
     assert session.arm not in session.task.described  # what is beside it goes
-    saved.forget(path)
+    saved.keep(None, path)
     saved.close()
     assert list(path.parent.iterdir()) == [path]
     session.task.save(path)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from test_edits import any_edit, done
 
 from pinposture.editor import edits
-from pinposture.editor.session import MOST, History
+from pinposture.editor.session import MAX_HISTORY, History
 from pinposture.task import Task
 
 steps = st.lists(st.sampled_from(["undo", "redo"]) | st.integers(0, 5), max_size=30)
@@ -64,11 +64,11 @@ def test_after_any_edits_undo_and_redo_come_back_to_the_same_tasks(
 
 def test_it_forgets_what_is_long_ago(tasks: list[Task]) -> None:
     history = History(tasks[0])
-    for number in range(MOST + 20):
+    for number in range(MAX_HISTORY + 20):
         history.add(tasks[number % 6], f"what {number}", 0, 0)
     count = 0
     while history.undo() is not None:
         count += 1
-    assert count == MOST - 1
+    assert count == MAX_HISTORY - 1
     assert history.undoable == ""
     assert history.now.task is tasks[20 % 6]

@@ -18,7 +18,7 @@ from sampling import cases
 
 import pinposture as pp
 from pinposture.editor import measured_arm
-from pinposture.editor.measured_arm import LOOKED_AT, JointStateLines, JointStates
+from pinposture.editor.measured_arm import MAX_LINES_READ, JointStateLines, JointStates
 from pinposture.errors import FileError, InvalidValue
 
 
@@ -314,7 +314,7 @@ def test_of_many_lines_the_old_ones_are_not_read(arm, path, monkeypatch):
     with JointStates(arm, path) as states:
         latest = until(states, lambda now: now.count + now.skipped == 10_000)
     np.testing.assert_array_equal(latest.q, np.full(6, 999.9))
-    assert latest.count == len(read) == LOOKED_AT
+    assert latest.count == len(read) == MAX_LINES_READ
 
 
 def test_but_for_joints_that_only_old_ones_tell_of(arm, names, path):
@@ -377,7 +377,7 @@ print(latest.q.tolist(), latest.count, latest.refused)
 
 
 def test_a_line_without_end_takes_no_memory(arm, path, monkeypatch):
-    monkeypatch.setattr(measured_arm, "LONGEST", 1000)
+    monkeypatch.setattr(measured_arm, "MAX_LINE", 1000)
     with JointStates(arm, path) as states, path.open("a") as file:
         file.write('{"position": [' + "1, " * 2000)
         file.flush()

@@ -98,10 +98,10 @@ def test_what_is_typed_counts_when_the_hand_rests(monkeypatch: pytest.MonkeyPatc
     field = parts.Typed(control, lambda value, over: told.append(value))
     for key in (1.0, 12.0, 12.5):
         control.type(key)
-        now[0] += 0.5 * parts.PAUSE
+        now[0] += 0.5 * parts.TYPING_PAUSE
         field.show(3.0)
         assert (control.value, told) == (key, [])  # nobody writes into it
-    now[0] += parts.PAUSE
+    now[0] += parts.TYPING_PAUSE
     field.show(3.0)
     assert told == [12.5]
     field.show(3.0)  # it was refused

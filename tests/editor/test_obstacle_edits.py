@@ -11,15 +11,15 @@ from editor.solid_distances import signed_distance
 
 import pinposture as pp
 from pinposture.editor.obstacles import (
-    KINDS,
-    ROOM,
+    CLEAR_ROOM,
+    NEW_OBSTACLE_KINDS,
     add_obstacle,
+    change_obstacle,
     delete_obstacle,
     edit_obstacle,
     moved,
     new_obstacle,
     obstacles_of,
-    rearrange,
     rename_obstacle,
     select_obstacle,
 )
@@ -47,11 +47,11 @@ def test_a_drag_is_one_step_and_counts_at_its_end(session):
     center = np.array(obstacles_of(first)["sphere_1"].center)
     for step in range(1, 5):
         shift = np.array([0.0, 0.0, 0.01 * step])
-        rearrange("sphere_1", partial(_shift, shift), "moved sphere_1", False, session)
+        change_obstacle("sphere_1", partial(_shift, shift), "moved sphere_1", False, session)
         assert session.task is first
         shown = obstacles_of(session.shown)["sphere_1"].center
         np.testing.assert_allclose(shown, center + shift, atol=1e-9)  # not one on top of the other
-    rearrange("sphere_1", partial(_shift, np.array([0.0, 0.0, 0.05])), "moved sphere_1", True, session)
+    change_obstacle("sphere_1", partial(_shift, np.array([0.0, 0.0, 0.05])), "moved sphere_1", True, session)
     assert session.proposal is None
     np.testing.assert_allclose(
         obstacles_of(session.task)["sphere_1"].center, center + [0, 0, 0.05], atol=1e-9
@@ -67,9 +67,9 @@ def test_a_drag_is_one_step_and_counts_at_its_end(session):
 def test_the_solver_is_not_told_of_each_move(session):
     add_obstacle("box", session.arm.at(session.arm.straight()).points, session)
     number = session.number
-    rearrange("box_1", partial(_shift, np.array([0.0, 0.01, 0.0])), "moved", False, session)
+    change_obstacle("box_1", partial(_shift, np.array([0.0, 0.01, 0.0])), "moved", False, session)
     assert session.number == number
-    rearrange("box_1", partial(_shift, np.array([0.0, 0.01, 0.0])), "moved", True, session)
+    change_obstacle("box_1", partial(_shift, np.array([0.0, 0.01, 0.0])), "moved", True, session)
     assert session.number > number
 
 
@@ -87,7 +87,7 @@ def test_an_obstacle_around_the_base_is_refused_and_changes_nothing(session, fin
 def test_what_was_proposed_is_gone_when_its_end_is_refused(session):
     add_obstacle("sphere", session.arm.at(session.arm.straight()).points, session)
     before, number = session.task, session.number
-    rearrange("sphere_1", partial(_shift, np.array([0.0, 0.1, 0.0])), "moved", False, session)
+    change_obstacle("sphere_1", partial(_shift, np.array([0.0, 0.1, 0.0])), "moved", False, session)
     edit_obstacle("sphere_1", "radius", -1.0, True, session)
     assert session.shown is before
     assert session.number > number  # so that the solver goes back to it
@@ -97,7 +97,7 @@ def test_what_was_proposed_is_gone_when_its_end_is_refused(session):
 def test_a_drag_that_ends_where_it_began_is_no_step(session):
     add_obstacle("capsule", session.arm.at(session.arm.straight()).points, session)
     before = session.task
-    rearrange("capsule_1", partial(_shift, np.zeros(3)), "moved", True, session)
+    change_obstacle("capsule_1", partial(_shift, np.zeros(3)), "moved", True, session)
     assert session.task is before
 
 
@@ -141,7 +141,7 @@ def test_an_obstacle_is_selected_in_place_of_a_control_point(session):
 
 @pytest.mark.parametrize("modules", [2, 20])
 @pytest.mark.parametrize("template", ["RyRz", "Rz"])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", NEW_OBSTACLE_KINDS)
 def test_new_obstacles_are_clear_of_the_arm(template, modules, kind):
     arm = pp.Arm.from_template(template, modules=modules)
     rng = np.random.default_rng(3)
@@ -150,7 +150,7 @@ def test_new_obstacles_are_clear_of_the_arm(template, modules, kind):
         points = np.vstack([arm.chain.base, state.points])
         obstacle = new_obstacle(kind, arm, state.points, None)
         dense = np.vstack([np.linspace(a, b, 40) for a, b in pairwise(points)])
-        assert signed_distance(obstacle, dense).min() > 0.9 * ROOM * arm.length
+        assert signed_distance(obstacle, dense).min() > 0.9 * CLEAR_ROOM * arm.length
 
 
 def test_new_obstacles_are_clear_of_each_other():
@@ -185,7 +185,7 @@ def _shift(shift, obstacle):
     return moved(obstacle, shift)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", NEW_OBSTACLE_KINDS)
 def test_a_planar_arm_that_is_closed_to_a_ring_leaves_room_beside_it(kind):
     arm = pp.Arm.from_template("Rz", 12)
     ring = np.array([[np.sin(a), 1.0 - np.cos(a), 0.0] for a in np.linspace(0.0, 2.0 * np.pi, 13)[1:]])

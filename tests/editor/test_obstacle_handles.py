@@ -13,20 +13,20 @@ from scipy.spatial.transform import Rotation
 import pinposture as pp
 from pinposture.collision import Obstacle
 from pinposture.editor.obstacles import (
-    DIGITS,
-    Measures,
+    COORDINATE_DIGITS,
+    ArmScale,
     Pose,
     at_pose,
-    grips,
+    bounding_radius,
     moved,
     pose_of,
-    pulled,
-    reach,
-    turn_to,
+    resized,
+    rotation_to,
+    size_handles,
 )
 
-MEASURES = Measures(np.array([0.5, 0.0, 0.0]), 1.0)
-ROUNDING = 2.0 * 10.0**-DIGITS
+MEASURES = ArmScale(np.array([0.5, 0.0, 0.0]), 1.0)
+ROUNDING = 2.0 * 10.0**-COORDINATE_DIGITS
 
 coordinates = st.floats(-2.0, 2.0).map(lambda x: round(x, 4))
 vectors = st.tuples(coordinates, coordinates, coordinates)
@@ -86,8 +86,8 @@ def test_an_obstacle_put_where_it_is_stays(obstacle):
 @examples(100)
 def test_a_handle_put_where_it_is_changes_nothing(obstacle):
     points = np.random.default_rng(0).uniform(-3, 3, (40, 3))
-    for grip in grips(obstacle, MEASURES):
-        same = pulled(obstacle, grip.name, grip.place, MEASURES)
+    for grip in size_handles(obstacle, MEASURES):
+        same = resized(obstacle, grip.name, grip.place, MEASURES)
         np.testing.assert_allclose(
             signed_distance(same, points), signed_distance(obstacle, points), atol=10 * ROUNDING
         )
@@ -96,7 +96,7 @@ def test_a_handle_put_where_it_is_changes_nothing(obstacle):
 @given(obstacles())
 @examples(100)
 def test_handles_are_outside_by_the_gap(obstacle):
-    places = np.array([grip.place for grip in grips(obstacle, MEASURES)]).reshape(-1, 3)
+    places = np.array([grip.place for grip in size_handles(obstacle, MEASURES)]).reshape(-1, 3)
     np.testing.assert_allclose(signed_distance(obstacle, places), MEASURES.gap, atol=1e-9)
 
 
@@ -104,7 +104,7 @@ def test_handles_are_outside_by_the_gap(obstacle):
 @examples(150)
 def test_a_handle_follows_the_hand_along_its_axis(obstacle, by):
     pose = pose_of(obstacle, MEASURES)
-    for k, grip in enumerate(grips(obstacle, MEASURES)):
+    for k, grip in enumerate(size_handles(obstacle, MEASURES)):
         if isinstance(obstacle, pp.HalfSpace):
             out = np.array(obstacle.normal)
         elif grip.name in ("start", "end"):
@@ -112,7 +112,7 @@ def test_a_handle_follows_the_hand_along_its_axis(obstacle, by):
         else:
             out = -pose.rotation[:, "xyz".index(grip.name) if grip.name in "xyz" else 0]
         there = grip.place + by * out
-        after = grips(pulled(obstacle, grip.name, there, MEASURES), MEASURES)[k]
+        after = size_handles(resized(obstacle, grip.name, there, MEASURES), MEASURES)[k]
         assert after.name == grip.name
         gone = after.place - there
         # the axes about the only axis of a cylinder may turn with its rounding: height is what counts
@@ -121,29 +121,29 @@ def test_a_handle_follows_the_hand_along_its_axis(obstacle, by):
 
 def test_a_box_is_pulled_at_one_face_and_the_face_across_stays():
     box = pp.Box((0.2, 0.1, 0.0), (0.2, 0.2, 0.4))
-    wider = pulled(box, "x", np.array([-0.3 - MEASURES.gap, 5.0, 7.0]), MEASURES)
+    wider = resized(box, "x", np.array([-0.3 - MEASURES.gap, 5.0, 7.0]), MEASURES)
     assert wider.center == pytest.approx((0.0, 0.1, 0.0))
     assert wider.size == pytest.approx((0.6, 0.2, 0.4))  # from -0.3 to 0.3, where the face across is
 
 
 def test_pulled_beyond_itself_a_solid_stays_small_and_whole():
-    box = pulled(pp.Box((0, 0, 0), (0.2, 0.2, 0.2)), "z", np.array([0.0, 0.0, 9.0]), MEASURES)
+    box = resized(pp.Box((0, 0, 0), (0.2, 0.2, 0.2)), "z", np.array([0.0, 0.0, 9.0]), MEASURES)
     assert box.size == pytest.approx((0.2, 0.2, MEASURES.least))
     assert box.center == pytest.approx((0.0, 0.0, 0.1 - MEASURES.least / 2), abs=ROUNDING)
-    ball = pulled(pp.Sphere((0, 0, 0), 0.2), "radius", np.array([9.0, 0.0, 0.0]), MEASURES)
+    ball = resized(pp.Sphere((0, 0, 0), 0.2), "radius", np.array([9.0, 0.0, 0.0]), MEASURES)
     assert ball.radius == pytest.approx(MEASURES.least)
     rod = pp.Cylinder((0, 0, 0), (0, 0, 0.3), 0.05)
-    short = pulled(rod, "end", np.array([0.0, 0.0, 0.0]), MEASURES)
+    short = resized(rod, "end", np.array([0.0, 0.0, 0.0]), MEASURES)
     assert np.linalg.norm(np.subtract(short.end, short.start)) == pytest.approx(MEASURES.least)
     assert short.end[2] > 0.0  # it still points the way it did
 
 
 def test_an_end_of_a_cylinder_goes_anywhere_and_the_other_stays():
     rod = pp.Cylinder((0.1, 0.0, 0.0), (0.1, 0.0, 0.3), 0.05)
-    away = pulled(rod, "end", np.array([0.1, 0.5 + MEASURES.gap, 0.0]), MEASURES)
+    away = resized(rod, "end", np.array([0.1, 0.5 + MEASURES.gap, 0.0]), MEASURES)
     assert away.start == rod.start
     assert away.end == pytest.approx((0.1, 0.5, 0.0), abs=ROUNDING)
-    pill = pulled(pp.Capsule(rod.start, rod.end, 0.05), "start", np.array([0.1, 0.0, -0.5]), MEASURES)
+    pill = resized(pp.Capsule(rod.start, rod.end, 0.05), "start", np.array([0.1, 0.0, -0.5]), MEASURES)
     assert pill.end == rod.end
     assert pill.start == pytest.approx((0.1, 0.0, -0.5 + 0.05 + MEASURES.gap), abs=ROUNDING)
 
@@ -152,10 +152,10 @@ def test_an_end_of_a_cylinder_goes_anywhere_and_the_other_stays():
 @examples(100)
 def test_nothing_reaches_beyond_its_reach(obstacle, seed):
     if isinstance(obstacle, pp.HalfSpace):
-        assert reach(obstacle) == 0.0
+        assert bounding_radius(obstacle) == 0.0
         return
     way = np.random.default_rng(seed).normal(size=(60, 3))
-    way *= (reach(obstacle) + 1e-9) / np.linalg.norm(way, axis=1)[:, None]
+    way *= (bounding_radius(obstacle) + 1e-9) / np.linalg.norm(way, axis=1)[:, None]
     outside = signed_distance(obstacle, pose_of(obstacle, MEASURES).position + way)
     assert outside.min() > -1e-9
 
@@ -163,7 +163,7 @@ def test_nothing_reaches_beyond_its_reach(obstacle, seed):
 @given(st.integers(0, 2**32 - 1))
 def test_turns_lay_the_third_axis_where_they_should(seed):
     axis = np.random.default_rng(seed).normal(size=3)
-    turn = turn_to(axis)
+    turn = rotation_to(axis)
     np.testing.assert_allclose(turn[:, 2], axis / np.linalg.norm(axis), atol=1e-9)
     np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-9)
     assert np.linalg.det(turn) == pytest.approx(1.0)
@@ -171,7 +171,7 @@ def test_turns_lay_the_third_axis_where_they_should(seed):
 
 @pytest.mark.parametrize("axis", [(0, 0, 1), (0, 0, -1), (1e-9, 0, -1), (0, 1e-7, -1)])
 def test_turns_upside_down_are_turns(axis):
-    turn = turn_to(axis)
+    turn = rotation_to(axis)
     np.testing.assert_allclose(turn[:, 2], np.array(axis) / np.linalg.norm(axis), atol=1e-6)
     np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-6)
 
@@ -186,5 +186,5 @@ def test_a_moved_mesh_is_what_it_would_be_if_it_were_made_there():
 
 
 def test_measures_of_an_arm():
-    measures = Measures.of(pp.Arm.from_template("RyRz", modules=4))
+    measures = ArmScale.of(pp.Arm.from_template("RyRz", modules=4))
     np.testing.assert_allclose(measures.middle, [0.5 * measures.length, 0, 0], atol=1e-12)

@@ -36,13 +36,13 @@ def playing(task: Task | None = None) -> tuple[Session, Playback, Clock]:
     """A session whose motion has just begun to play."""
     session, playback, clock = begun(task)
     playback.play(session.task)
-    playback.follow(session)
+    session.update_playback()
     return session, playback, clock
 
 
 def test_nothing_is_shown_before_somebody_asks() -> None:
     session, playback, _ = begun()
-    playback.follow(session)
+    session.update_playback()
     assert playback.q is None
     assert not playback.shown
     live = live_of(session)
@@ -55,7 +55,7 @@ def test_it_goes_by_the_clock_however_often_it_is_looked_at(speed: float) -> Non
     playback.at_speed(speed)
     for wait in (0.001, 0.1, 0.0005):
         clock.now += wait
-        playback.follow(session)
+        session.update_playback()
     assert playback.time == pytest.approx(speed * 0.1015, abs=1e-9)
 
 
@@ -66,7 +66,7 @@ def test_the_clock_only_counts_from_when_the_motion_is_there() -> None:
     assert playback.waiting
     clock.now += 17.0
     done(playback.rehearsal, session.task)
-    playback.follow(session)
+    session.update_playback()
     assert playback.shown
     assert playback.time == 0.0
     clock.now += 0.3
@@ -96,7 +96,7 @@ def test_a_pause_holds_and_playing_goes_on_from_there() -> None:
 def test_at_its_end_it_stays_and_playing_begins_again() -> None:
     session, playback, clock = playing()
     clock.now += 1000.0
-    playback.follow(session)
+    session.update_playback()
     assert not playback.playing
     assert playback.time == playback.lasting == moved().time[-1]
     np.testing.assert_array_equal(playback.q, moved().q[-1])
@@ -108,7 +108,7 @@ def test_in_a_loop_it_begins_again_by_itself() -> None:
     session, playback, clock = playing()
     playback.in_loop(True)
     clock.now += 2.0 * playback.lasting + 0.125
-    playback.follow(session)
+    session.update_playback()
     assert playback.playing
     assert playback.time == pytest.approx(0.125)
 
@@ -120,14 +120,14 @@ def test_stopping_goes_back_to_the_arm_of_the_moment() -> None:
     assert playback.q is None
     assert not playback.playing
     playback.play(session.task)
-    playback.follow(session)
+    session.update_playback()
     assert playback.time == 0.0
 
 
 def test_any_moment_can_be_looked_at_and_none_beyond_the_end() -> None:
     session, playback, clock = begun()
     playback.seek(session.task, 0.51)
-    playback.follow(session)
+    session.update_playback()
     clock.now += 3.0
     assert playback.time == pytest.approx(0.51)
     playback.seek(session.task, 1e6)
@@ -139,7 +139,7 @@ def test_any_moment_can_be_looked_at_and_none_beyond_the_end() -> None:
 def test_editing_stops_it_and_the_next_motion_is_that_of_the_new_task() -> None:
     session, playback, _ = playing()
     assert session.edit(with_keyframe(1, name="other"), "named")
-    playback.follow(session)
+    session.update_playback()
     assert not playback.shown
     assert not playback.playing
     playback.play(session.task)
@@ -151,7 +151,7 @@ def test_a_proposal_stops_it_too() -> None:
     session, playback, _ = playing()
     session.reshape(lambda arm, shape: shape.inserted(arm, 1), "inserted", final=False)
     assert session.proposal is not None
-    playback.follow(session)
+    session.update_playback()
     assert not playback.shown
 
 
@@ -161,8 +161,8 @@ def test_a_task_that_cannot_be_performed_is_told_again_whenever_it_is_played() -
     numbers = []
     for _ in range(2):
         playback.play(session.task)
-        playback.follow(session)
-        playback.follow(session)
+        session.update_playback()
+        session.update_playback()
         assert session.notice.kind == "error"
         assert "keyframe 2" in session.notice.text
         assert not playback.playing
@@ -242,7 +242,7 @@ def test_joints_at_their_speed_limit_are_seen(endless: pp.Arm) -> None:
     live = live_of(session)._replace(arm=endless)
     playback.motion = motion
     for at, first in ((0.05, True), (0.15, False)):
-        playback._put(at)
+        playback._set_time(at)
         np.testing.assert_array_equal(playback.seen(live).at_limit, [first, False, False, False])
 
 

@@ -180,7 +180,7 @@ def test_removing_a_scan_leaves_its_file(desk, cloud):
 
 
 def test_large_scans_are_thinned_for_the_eye(desk, points, tmp_path, monkeypatch):
-    monkeypatch.setattr("pinposture.editor.surroundings.SHOWN", 100)
+    monkeypatch.setattr("pinposture.editor.surroundings.MAX_SHOWN", 100)
     path = tmp_path / "large.npy"
     np.save(path, points)
     desk.shelf.add_scan(path)

@@ -19,7 +19,7 @@ from editor.edited_tasks import six_modules, task
 
 import pinposture as pp
 from pinposture.editor.clearances import NearestObstacle
-from pinposture.editor.obstacles import obstacles_of, select_obstacle, take_in
+from pinposture.editor.obstacles import insert_obstacle, obstacles_of, select_obstacle
 from pinposture.editor.session import Session
 from pinposture.editor.surroundings import ScanShelf
 from pinposture.editor.ui import parts
@@ -119,7 +119,7 @@ def test_a_drag_moves_by_as_much_as_the_mouse_and_is_one_step(arm, live, server,
         np.testing.assert_allclose(drawing._drawn["ball"].handle.position, BALL.center + np.array([by, 0, 0]))
     assert len(session.history._states) == states + 1
     assert obstacles_of(session.task)["ball"].center == pytest.approx((0.33, 0.2, 0.1))
-    assert not drawing._taken
+    assert not drawing._grabbed
 
 
 def test_axes_move_and_turn_in_one_step(arm, live, server, desk):
@@ -199,7 +199,7 @@ def test_what_is_typed_is_seen_at_once_and_counts_when_it_is_over(live, server, 
         tab.show(session, live)
     assert len(session.history._states) == states
     assert obstacles_of(session.shown)["ball"].radius == 0.035
-    clock[0] += parts.PAUSE
+    clock[0] += parts.TYPING_PAUSE
     tab.show(session, live)
     assert obstacles_of(session.task)["ball"].radius == 0.035
     assert len(session.history._states) == states + 1
@@ -224,16 +224,16 @@ def test_what_is_refused_returns_to_what_it_was(live, server, desk, monkeypatch)
 def test_margin_self_collision_and_thickness(live, server, desk, monkeypatch):
     session, post = desk
     tab = SceneTab(server, ScanShelf(post), post)
-    tab._margin_typed(0.02, True)
-    tab._thickness_typed(0.015, True)
-    tab._itself_too(True)
+    tab._set_margin(0.02, True)
+    tab._set_arm_radius(0.015, True)
+    tab._set_self_collision(True)
     scene = session.task.scene
     assert (scene.margin, scene.arm_radius, scene.self_collision) == (0.02, 0.015, True)
     assert obstacles_of(session.task)["rod"] == ROD
-    tab._thickness_typed(0.0, True)
+    tab._set_arm_radius(0.0, True)
     assert session.task.scene.arm_radius is None
     before = session.task
-    tab._margin_typed(-1.0, True)
+    tab._set_margin(-1.0, True)
     assert session.task is before
     tab.show(session, live)
     assert tab._margin.control.value == pytest.approx(0.02)
@@ -280,7 +280,7 @@ def test_scans_are_drawn_as_points_or_as_a_surface(arm, live, server, desk, tmp_
     controls.show(session)
     assert tuple(controls._listed.options) == ("points.npy", "surface.obj")
     controls._listed.value = "surface.obj"
-    controls._removed("Remove")
+    controls._remove_chosen("Remove")
     assert session.task.scans == (points,)
     drawing.show(session, live)
     assert list(drawing._drawn) == [points]
@@ -324,7 +324,7 @@ def test_a_mesh_is_drawn_where_its_corners_are(arm, live, server, desk):
     session, post = desk
     corners = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]) + 0.5
     mesh = pp.Mesh(corners, (0.1, 0.0, 0.0), (0.3, 0.0, 0.0))
-    take_in("part", mesh, session)
+    insert_obstacle("part", mesh, session)
     drawing = Obstacles(server, arm, post)
     drawing.show(session, live)
     handle = drawing._drawn["part"].handle

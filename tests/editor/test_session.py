@@ -13,9 +13,8 @@ import pinposture as pp
 from pinposture.arm import Arm
 from pinposture.editor import edits
 from pinposture.editor.session import Session
-from pinposture.editor.shape import Shape
-from pinposture.editor.solver import Live, Solver
-from pinposture.editor.verdict import Verdict, judge
+from pinposture.editor.shape import Shape, reshaped
+from pinposture.editor.solver import Live, Solver, Verdict, judge
 from pinposture.errors import InvalidValue
 from pinposture.task import Keyframe
 
@@ -222,7 +221,7 @@ def test_a_keyframe_that_is_gone_is_not_changed() -> None:
     shape, before = session.shape, session.task
     for edit in (
         edits.with_keyframe(4, name="x"),
-        edits.reshaped(4, lambda arm, shape: shape, shape),
+        reshaped(4, lambda arm, shape: shape, shape),
         edits.retimed(4, 9.0),
         edits.held(-1, 1.0),
         edits.added(4),

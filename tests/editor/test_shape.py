@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from sampling import cases, examples
 
 import pinposture as pp
-from pinposture.editor.shape import APART, DEGREE, FINE, MOST_POINTS, Shape
-from pinposture.editor.verdict import judge
+from pinposture.editor.shape import DEGREE, FIT_TOLERANCE, MAX_CONTROL_POINTS, MIN_POINT_DISTANCE, Shape
+from pinposture.editor.solver import judge
 from pinposture.errors import CurveError, InvalidValue, PostureError
 from pinposture.placement import resolve_targets
 from pinposture.placement.curve_placement import lay
@@ -91,7 +91,8 @@ def test_a_moved_point_is_where_it_was_put_and_the_others_stay_but_for_the_last(
     shape = Shape.of(arm, Keyframe(bent_spline()))
     wanted = L * np.array(place)
     rest = np.delete(shape.points, index, axis=0)
-    assume(np.linalg.norm(rest - wanted, axis=1).min() > 1.001 * APART * arm.chain.module_lengths.min())
+    least = MIN_POINT_DISTANCE * arm.chain.module_lengths.min()
+    assume(np.linalg.norm(rest - wanted, axis=1).min() > 1.001 * least)
     after = shape.moved(arm, index, wanted)
     assert np.array_equal(after.points[index], wanted)
     assert np.array_equal(np.delete(after.points, index, axis=0)[:-1], rest[:-1])
@@ -183,17 +184,17 @@ def test_another_kind_of_curve_is_controlled_within_what_it_says(
     places = laid.at(np.linspace(0.0, min(laid.length, arm.length), 1001))
     fine = shape.curve.at(np.linspace(0.0, shape.curve.length, 40_001))
     apart = max(float(np.linalg.norm(fine - place, axis=1).min()) for place in places)
-    assert shape.off <= FINE * arm.chain.module_lengths.mean()
+    assert shape.off <= FIT_TOLERANCE * arm.chain.module_lengths.mean()
     assert apart <= shape.off + 1e-4 * arm.length
-    assert DEGREE < len(shape.points) <= MOST_POINTS
+    assert DEGREE < len(shape.points) <= MAX_CONTROL_POINTS
     assert np.allclose(shape.points[0], arm.chain.base, atol=1e-9)
 
 
 def test_a_curve_that_winds_too_much_says_how_far_off_it_is() -> None:
     arm = pp.Arm.from_template("RyRz", modules=40)
     shape = Shape.of(arm, Keyframe(pp.Curve.helix(0.02, 0.005, 40), trim=True))
-    assert len(shape.points) == MOST_POINTS
-    assert shape.off > FINE * arm.chain.module_lengths.mean()
+    assert len(shape.points) == MAX_CONTROL_POINTS
+    assert shape.off > FIT_TOLERANCE * arm.chain.module_lengths.mean()
 
 
 def test_a_curve_that_passes_the_base_begins_there(arm: pp.Arm) -> None:

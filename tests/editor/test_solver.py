@@ -18,8 +18,7 @@ from sampling import cases
 import pinposture as pp
 from pinposture.control import Geodesic, controller_named
 from pinposture.control.registry import CONTROLLERS
-from pinposture.editor.solver import CYCLE, Live, Problem, Solver, in_cycles
-from pinposture.editor.verdict import Verdict, judge
+from pinposture.editor.solver import STEP_TIME, Live, Problem, Solver, Verdict, judge, limits_per_step
 from pinposture.task import Keyframe
 
 SOON = 20.0
@@ -170,7 +169,7 @@ def test_no_joint_is_too_fast_whatever_is_changed_on_the_way() -> None:
     assert len(states) > 20
     for earlier, later in pairwise(states):
         moved = np.abs(later.state.positions - earlier.state.positions).max()
-        assert moved <= SPEED * CYCLE * (later.steps - earlier.steps) * (1.0 + 1e-9)
+        assert moved <= SPEED * STEP_TIME * (later.steps - earlier.steps) * (1.0 + 1e-9)
 
 
 def test_speed_goes_on_where_a_new_scene_comes_in_between() -> None:
@@ -185,9 +184,9 @@ def test_speed_goes_on_where_a_new_scene_comes_in_between() -> None:
             solver._take(problem(step + 2, to_coil(), limits=slow, scene=ball))
         solver._step()
         places.append(solver.live.state.positions)
-    speeds = np.diff(places, axis=0) / CYCLE
+    speeds = np.diff(places, axis=0) / STEP_TIME
     assert np.abs(speeds).max() > 0.5
-    assert np.abs(np.diff(speeds, axis=0)).max() <= most * CYCLE * (1.0 + 1e-6)
+    assert np.abs(np.diff(speeds, axis=0)).max() <= most * STEP_TIME * (1.0 + 1e-6)
 
 
 def test_at_once_is_at_once() -> None:
@@ -229,9 +228,9 @@ def test_another_arm_begins_straight() -> None:
 
 
 def test_limits_of_a_step_are_those_of_as_long_a_time() -> None:
-    limits = in_cycles(pp.Limits(step=0.1, dt=0.1, velocity=2.0))
-    assert (limits.dt, limits.step, limits.velocity) == (CYCLE, pytest.approx(0.1 * CYCLE / 0.1), 2.0)
-    assert in_cycles(pp.Limits(step=None, dt=0.1)).step is None
+    limits = limits_per_step(pp.Limits(step=0.1, dt=0.1, velocity=2.0))
+    assert (limits.dt, limits.step, limits.velocity) == (STEP_TIME, pytest.approx(0.1 * STEP_TIME / 0.1), 2.0)
+    assert limits_per_step(pp.Limits(step=None, dt=0.1)).step is None
 
 
 def test_no_thread_is_left() -> None:

@@ -10,12 +10,11 @@ import pytest
 from editor.edited_tasks import L, bent_spline, six_modules, straight_line, task
 
 import pinposture as pp
-from pinposture.editor.clearances import Asked, Marked, Marks, nearest
+from pinposture.editor.clearances import ClearanceQuery, Marks, MarksQuery, nearest
 from pinposture.editor.session import Session
-from pinposture.editor.solver import Live, Solver
+from pinposture.editor.solver import Live, Solver, VerdictCache, judge, review
 from pinposture.editor.ui.keyframes import row_label
-from pinposture.editor.ui.status import told
-from pinposture.editor.verdict import judge, review
+from pinposture.editor.ui.status import status_of
 from pinposture.task import Keyframe, Task
 
 THICK = 0.01
@@ -34,12 +33,12 @@ def settled(given: Task) -> tuple[Session, Live]:
         live = solver.live
     finally:
         solver.close()
-    session.nearest = nearest(Asked(live.arm, live.state.q, given.scene, {}))
+    session.nearest = nearest(ClearanceQuery(live.arm, live.state.q, given.scene, {}))
     return session, live._replace(number=session.number)
 
 
 def told_of(*keyframes: Keyframe, **values: object) -> tuple[str, str, str]:
-    return told(*settled(task(*keyframes, Keyframe(straight_line(), time=9.0), **values)))
+    return status_of(*settled(task(*keyframes, Keyframe(straight_line(), time=9.0), **values)))
 
 
 def crossing() -> tuple[pp.Arm, np.ndarray]:
@@ -71,33 +70,33 @@ def test_a_tip_that_is_met_is_green() -> None:
 def test_an_arm_far_from_its_curve_is_amber() -> None:
     session, live = settled(task(Keyframe(straight_line()), Keyframe(straight_line(), time=9.0)))
     away = live.verdict._replace(distance_from_curve=0.021 * live.arm.length)
-    assert told(session, live._replace(verdict=away))[0] == "warning"
+    assert status_of(session, live._replace(verdict=away))[0] == "warning"
     near = live.verdict._replace(distance_from_curve=0.019 * live.arm.length)
-    assert told(session, live._replace(verdict=near))[0] == "good"
+    assert status_of(session, live._replace(verdict=near))[0] == "good"
 
 
 def test_the_curve_in_an_obstacle_and_the_arm_in_an_obstacle_are_two_things() -> None:
     ball = pp.Scene({"ball": pp.Sphere((0.5 * L, 0.0, 0.0), 0.02)}, arm_radius=THICK)
     session, live = settled(task(Keyframe(straight_line()), Keyframe(straight_line(), time=9.0)))
     led = review(live.arm, session.keyframe, live.verdict.target, ball)
-    assert told(session, live._replace(verdict=led))[:2] == (
+    assert status_of(session, live._replace(verdict=led))[:2] == (
         "warning",
         "The curve leads the arm into something",
     )
-    session.nearest = nearest(Asked(live.arm, live.state.q, ball, {}))
-    kind, head, more = told(session, live._replace(verdict=led))
+    session.nearest = nearest(ClearanceQuery(live.arm, live.state.q, ball, {}))
+    kind, head, more = status_of(session, live._replace(verdict=led))
     assert (kind, head) == ("error", "The arm is in collision")
     assert "inside ball" in more
 
 
 def test_links_inside_each_other_are_red() -> None:
     arm, q = crossing()
-    found = nearest(Asked(arm, q, None, {}))
+    found = nearest(ClearanceQuery(arm, q, None, {}))
     assert found is not None and found.distance < -1e-3
     session, live = settled(task(Keyframe(straight_line()), Keyframe(straight_line(), time=9.0)))
     assert session.nearest is None  # straight links touch nothing
     session.nearest = found
-    assert told(session, live)[:2] == ("error", "The arm is in collision")
+    assert status_of(session, live)[:2] == ("error", "The arm is in collision")
     verdict = review(arm, session.keyframe, pp.Target.from_configuration(arm, q), None)
     assert verdict.collision
     assert verdict.mark == "collides"
@@ -109,10 +108,10 @@ def test_marks_of_keyframes_are_those_of_their_verdicts() -> None:
     scene = pp.Scene({"ball": pp.Sphere((0.5 * L, 0.0, 0.0), 0.02)}, arm_radius=THICK)
     short = Keyframe(pp.Curve.line((0, 0, 0), (0.5 * L, 0, 0)), time=1.0)
     keyframes = (Keyframe(straight_line()), short, Keyframe(bent_spline(), time=2.0, trim=True))
-    marks = Marks()
+    marks = Marks(VerdictCache())
     try:
         for around in (None, scene):
-            marks.ask(Marked(arm, keyframes, around))
+            marks.ask(MarksQuery(arm, keyframes, around))
             expected = tuple(judge(arm, keyframe, around).mark for keyframe in keyframes)
             end = time.monotonic() + 20.0
             while marks.latest != expected:
@@ -125,11 +124,16 @@ def test_marks_of_keyframes_are_those_of_their_verdicts() -> None:
 
 
 def test_a_keyframe_is_judged_again_only_when_it_is_another() -> None:
-    arm, keyframe = six_modules(), Keyframe(straight_line())
-    marks = Marks()
-    assert marks._marks(Marked(arm, (keyframe,), None)) == ("fine",)
-    first = marks._known[id(keyframe)][2]
-    assert marks._marks(Marked(arm, (keyframe,), None)) == ("fine",)
-    assert marks._known[id(keyframe)][2].target is first.target
-    assert marks._marks(Marked(arm, (replace(keyframe, time=1.0),), None)) == ("fine",)
-    assert len(marks._known) == 1
+    arm, keyframe, verdicts = six_modules(), Keyframe(straight_line()), VerdictCache()
+    first = verdicts.judge(arm, keyframe, None)
+    assert first.mark == "fine"
+    assert verdicts.judge(arm, keyframe, None).target is first.target
+    ball = pp.Scene({"ball": pp.Sphere((0.5 * L, 0.0, 0.0), 0.02)}, arm_radius=THICK)
+    assert verdicts.judge(arm, keyframe, ball).target is first.target
+    assert verdicts.judge(arm, keyframe, ball).mark == "collides"
+    other = replace(keyframe, time=1.0)
+    assert verdicts.judge(arm, other, None).target is not first.target
+    assert verdicts.judge(pp.Arm.from_template("RyRz", 6), keyframe, None).target is not first.target
+    assert len(verdicts._known) == 2
+    del other
+    assert len(verdicts._known) == 1  # those of keyframes that are gone are forgotten

@@ -10,7 +10,7 @@ import pytest
 from edited_tasks import L, bent_spline, six_modules, straight_line
 
 import pinposture as pp
-from pinposture.editor.verdict import judge
+from pinposture.editor.solver import judge
 from pinposture.task import Keyframe
 
 MODULE = L / 6  # two links of 25 mm each

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from arms import template_arm
@@ -43,16 +45,21 @@ def test_a_run_that_gets_there_is_exported_as_it_is(arm: pp.Arm, goal: pp.Target
     assert len(run.joint_trajectory().time) == run.steps + 1
 
 
+@dataclass(frozen=True)
+class Counting(Memory):
+    number: int = 0
+
+
 class Reckless:
     """Goes where it is told in three steps, however hard that is."""
 
     name = "reckless"
 
     def step(self, state, target, limits=None, memory=None):
-        number = 0 if memory is None else memory.own + 1
+        number = 0 if memory is None else memory.number + 1
         dq = np.full(8, (0.05, 0.2, 0.05)[number])
         step = pp.Geodesic().step(state, target, limits)
-        return step._replace(dq=dq, memory=Memory(dq, number))
+        return step._replace(dq=dq, memory=Counting(dq, number=number))
 
 
 def test_a_run_that_exceeds_a_limit_is_exported_only_by_force(arm: pp.Arm, goal: pp.Target) -> None:

@@ -43,7 +43,7 @@ class Slipping:
         self.seen.append(1)
         dq = target.q - state.q
         dq[-1] = self.slip
-        none = Diagnostics(0.0, 0.0, 0.0, 0, (), 1.0, np.zeros(len(dq), dtype=bool), "")
+        none = Diagnostics(np.zeros(len(dq), dtype=bool))
         return Step(dq, (0,), none, None)
 
 

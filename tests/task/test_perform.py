@@ -24,7 +24,6 @@ from performed import (
 from sampling import cases, examples
 
 import pinposture as pp
-from pinposture.control.planner.path import PathProgress
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.task import Reference, perform
 
@@ -349,12 +348,12 @@ def test_the_course_of_a_motion_is_the_given_one_to_its_end() -> None:
     class Watched(pp.Geodesic):
         def step(self, *given: object, **named: object) -> object:
             step = super().step(*given, **named)
-            seen.append(step.memory.own)
+            seen.append(step.memory.progress)
             return step
 
     reference = random_reference(arm, 13)
     motion = perform(reference, Watched(), limits_of(arm))
-    assert motion.converged and all(isinstance(own, PathProgress) and own.given for own in seen)
+    assert motion.converged and all(progress.timed.scheduled for progress in seen)
     assert seen[-1].place == seen[-1].path.end == reference.rows - 1
 
 

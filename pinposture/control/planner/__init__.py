@@ -1,5 +1,1 @@
-"""The constrained controller: where to go, the most direct way there, a quadratic program for each step."""
-
-from pinposture.control.planner.geodesic import Geodesic
-
-__all__ = ["Geodesic"]
+"""The default controller in three stages: plan a path, retime it within limits, follow it step by step."""

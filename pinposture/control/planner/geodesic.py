@@ -4,67 +4,71 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from math import isfinite, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture import kernels
-from pinposture._validation import require_positive
-from pinposture.arm import ArmState
+from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control.controller import Diagnostics, Memory, Step
 from pinposture.control.limits import JointBounds, Limits, StepBox
 from pinposture.control.planner.avoidance import Avoidance, solve
-from pinposture.control.planner.follow import RISES, CandidateStep, Scope, close_in, fast_step, follow
-from pinposture.control.planner.objective import Posture
-from pinposture.control.planner.path import JointPath, PathProgress
-from pinposture.control.planner.plan import moved_little, plan, plan_on
+from pinposture.control.planner.damped_least_squares import StepBounds
+from pinposture.control.planner.follow import (
+    GeodesicMemory,
+    PathProgress,
+    advance,
+    avoidance_for,
+    check_step_input,
+    fast_step,
+)
+from pinposture.control.planner.objective import Objective, check_objective
+from pinposture.control.planner.path import TimedPath, retime
+from pinposture.control.planner.plan import find_path, is_small_change, replan
 from pinposture.control.tasks import ControlTask
 from pinposture.errors import InvalidValue
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
 
-WAIT, MAX_PLANS = 1.0, 3
-"""Joint travel without getting on after which another way is looked for [rad], and how many are."""
+MAX_IDLE_TRAVEL, MAX_PATH_ATTEMPTS = 1.0, 3
+"""Joint travel without progress after which another path is planned [rad], and the number of attempts."""
 
-GAIN = 1e-4
-"""Least distance that a step out of an obstacle gains, in arm lengths; else a path is planned from there."""
-
-MAX_JOINT_WEIGHT = 1e6
-"""Haste beyond which numbers overflow; it is joint interpolation long before."""
-
-_ANY_STEP = np.array([[-np.inf], [np.inf]])
+MIN_CLEARANCE_GAIN = 1e-4
+"""Least clearance that a step out of an obstacle gains, in arm lengths; else a path is planned from there."""
 
 
 @dataclass(frozen=True)
 class Geodesic:
-    """Takes the arm along the most direct way to its target, by a constrained least-squares step at a time.
+    """Takes the arm along the most direct path to its target posture.
 
-    Before it moves, it settles where to go: the configuration that the target knows, or the one that comes
-    closest to its points; and on what way: the one on which the control points travel least
-    (`trajectory_optimization`). Each step then is the solution of a convex quadratic program: of all
-    steps that the limits of speed, position and acceleration allow, and that lose no more than a share of
-    the distance to any obstacle, the one that is nearest to the step along the way in what control points
-    and chords feel. Where nothing hinders, that is the step along the way itself. At the end of the way, what
-    errors are left are reduced by damped least squares within the same limits.
+    Three stages, each of which can be called on its own:
 
-    The way is planned again when the target changes, and when the arm does not get on.
+    1. `plan` finds the goal configuration (the one that the target knows, or the one that comes closest to
+       its points) and the path on which the control points travel least.
+    2. `retime` finds how fast the path can be followed within the limits.
+    3. `follow` takes one step: of all steps that the limits of speed, position and acceleration allow, and
+       that lose no more than a share of the distance to any obstacle, the one that is nearest to the step
+       along the path, measured by the motion of control points and chords. At the end of the path, the
+       errors that are left are reduced by damped least squares within the same limits.
 
-    What gives way where not all can hold, named in `Diagnostics.violated_constraints`: tasks and posture
-    first, by their weights, strict tasks after the others; then the margin to obstacles, of which each step
-    regains what it can; then limits of acceleration, where braking would touch something, and of position,
-    as `Limits.box` says. Limits of speed never do.
+    A new path is planned when the target changes, when the arm is not where it is expected, and when it makes
+    no progress. An arm that is outside its position limits or inside an obstacle first comes out, by the
+    smallest step that does it.
+
+    Where not all can hold, constraints are relaxed in this order, and `Diagnostics.violated_constraints`
+    names them: tasks and posture, by their weights, and tasks with priority after the others; then the margin
+    to obstacles, of which each step regains what it can; then limits of acceleration, where braking would
+    touch something, and of position, as in `Limits.box`. Limits of speed always hold.
 
     Attributes:
         joint_weight: weight of the motion of joints against that of control points: how far, in module
-            lengths, all control points may move to save one radian of a joint. Smaller values let joints go
-            longer ways so that points go straighter, down to about 0.05; below that only the number of steps
+            lengths, all control points may move to save one radian of a joint. With smaller values, down to
+            about 0.05, joints move more so that points go straighter; below that only the number of steps
             grows. Large values lead to joint interpolation.
-        relative_position_weight: weight of the squared error of a chord, where that of a point has weight 1.
-        tasks: what else the arm is asked to do.
-        scene: what to keep clear of; nothing if None. `track(..., scene=)` sets it.
+        relative_position_weight: weight of the squared error of a chord, relative to that of a point.
+        tasks: further tasks.
+        scene: what to keep clear of; None: nothing. `track(..., scene=)` sets it.
     """
 
     joint_weight: float = 0.2
@@ -74,117 +78,167 @@ class Geodesic:
     name: str = "geodesic"
 
     def __post_init__(self) -> None:
-        require_positive("joint_weight", self.joint_weight)
-        if self.joint_weight > MAX_JOINT_WEIGHT:
-            raise InvalidValue("joint_weight", self.joint_weight, f"at most {MAX_JOINT_WEIGHT:g}")
-        require_positive("relative_position_weight", self.relative_position_weight, zero=True)
         tasks = tuple(self.tasks) if isinstance(self.tasks, Iterable) else (self.tasks,)
-        for task in tasks:
-            if isinstance(task, type) or not callable(getattr(task, "rows", None)):
-                raise InvalidValue("tasks", task, "EndEffector(...), Tangents(...) or JointPosture(...)")
+        check_objective(self.joint_weight, self.relative_position_weight, tasks)
         object.__setattr__(self, "tasks", tasks)
         if not (self.scene is None or isinstance(self.scene, Scene)):
             raise InvalidValue("scene", self.scene, "a Scene(...), or None")
 
     def with_scene(self, scene: Scene | None) -> Geodesic:
-        """The same controller in another scene."""
+        """Return the same controller in another scene."""
         return replace(self, scene=scene)
+
+    def objective(self, arm: Arm, target: Target) -> Objective:
+        """Return what an arm is to achieve: the target posture, and the tasks."""
+        return Objective(arm, target, self.tasks, self.relative_position_weight, self.joint_weight)
 
     def step(
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
     ) -> Step:
         """Compute one step; see `Controller.step`. The first one for a target takes longer: it plans."""
         limits = Limits() if limits is None else limits
-        _check_given(state, target, memory)
+        check_step_input(state, target, memory)
         state = state.compiled
         bounds = limits.for_arm(state.arm)
-        before = memory.own if memory is not None and isinstance(memory.own, PathProgress) else None
-        if before is not None and before.bounds is bounds and self._goes_on(before, state, target):
+        before = memory.progress if isinstance(memory, GeodesicMemory) else None
+        if before is not None and before.timed.bounds is bounds and self._is_unchanged(before, state, target):
             step = fast_step(before, state, bounds)
             if step is not None:
                 return step
         previous = memory.dq if memory is not None else None
         box = limits.box(state, previous)
         if box.outside:
-            return self._return(state, target, box, bounds, previous)
+            return self._return(state, target, box, limits, previous)
         if before is None and self.scene is not None:
-            step = self._back_out(state, target, box, bounds, previous)
+            step = self._back_out(state, target, box, limits, previous)
             if step is not None:
                 return step
-        progress = self._progress(state, target, bounds, before)
+        progress = self._update(state, target, limits, before)
         if before is None or progress.path.start is not before.path.start:
-            progress = progress.under_way(previous)
-        posture, avoidance = progress.posture, self._avoidance(progress.posture, bounds, previous)
+            progress = PathProgress.begin(progress.timed, previous)
+        avoidance = avoidance_for(progress.path, limits, previous)
         if avoidance is None and progress is not before:
             step = fast_step(progress, state, bounds)
             if step is not None:
                 return step
-        if progress.arrived:
-            asked = close_in(progress, Scope.of(posture, state, box, avoidance))
-        else:
-            asked = follow(progress, state, box, limits, self._mu(state), avoidance)
-        return _checked(asked, state, box, bounds, avoidance, progress)
+        return advance(progress, state, limits, box, avoidance)
 
-    def along(
-        self,
-        state: ArmState,
-        path: JointPath,
-        target: Target,
-        limits: Limits,
-        most: float,
-        memory: Memory | None = None,
-    ) -> Memory:
-        """What to remember for steps along a way that is given, with a target that moves along it.
+    def start(self, path: TimedPath, state: ArmState, memory: Memory | None = None) -> GeodesicMemory:
+        """Return the memory with which the next steps follow a path that is given.
 
-        The steps that follow stay on that way, as fast as limits and time allow, whatever target they are
-        given, until its end. An arm that is not where it should be, or does not get on, leaves it: it then
-        plans a way of its own to the target (`PathProgress.given` tells).
+        If the path has a schedule (`retime(..., max_rate=)`), the steps stay on it while the target moves
+        along it, until its end. An arm that is not where it is expected, or makes no progress, leaves the
+        path: it then plans one of its own to the target, and `memory.progress.timed.scheduled` is False.
 
         Args:
-            state: where the arm is, at the beginning of the way.
-            path: the way.
-            target: the target posture where it begins.
-            limits: what a step may not exceed.
-            most: the most waypoints to go in one step, finite.
+            path: the path; its objective should be `objective(arm, target)` of this controller.
+            state: where the arm is, at the start of the path.
             memory: `memory` of the step before; None: the arm is at rest.
-        """
-        target.check(state.arm)
-        bounds, posture = (
-            limits.for_arm(state.arm),
-            Posture(state.arm, target, self.tasks, self.relative_position_weight),
-        )
-        progress = PathProgress(posture, path, bounds, most=most, expected=state.forward.positions).within(
-            bounds
-        )
-        memory = Memory(np.zeros(state.arm.nv)) if memory is None else memory
-        return memory._replace(own=progress)
 
-    def _goes_on(self, progress: PathProgress, state: ArmState, target: Target) -> bool:
-        """Whether that is what the arm was doing, and nothing else is asked of it."""
-        alone = not self.tasks and self.scene is None and progress.waited < WAIT
-        return alone and progress.posture.target is target and progress.posture.arm is state.arm
+        Raises:
+            InvalidValue: the target of the path does not fit the arm.
+        """
+        path.path.objective.target.check(state.arm)
+        progress = PathProgress(path, expected=state.forward.positions)
+        motion = Memory(np.zeros(state.arm.nv)) if memory is None else memory
+        return GeodesicMemory(motion.dq, motion.stopping, progress)
+
+    def _is_unchanged(self, progress: PathProgress, state: ArmState, target: Target) -> bool:
+        """Whether the arm goes on as before, with nothing to plan and nothing to avoid."""
+        simple = not self.tasks and self.scene is None and progress.idle_travel < MAX_IDLE_TRAVEL
+        objective = progress.objective
+        return simple and objective.target is target and objective.arm is state.arm
+
+    def _update(
+        self, state: ArmState, target: Target, limits: Limits, progress: PathProgress | None
+    ) -> PathProgress:
+        """Return the progress so far; on a new path at first, for a new target, and without progress."""
+        if progress is not None and not progress.matches(state):
+            progress = None
+        if progress is not None and progress.path.scene is not self.scene:
+            progress = progress.along(progress.path.revised(scene=self.scene))
+        scheduled = progress is not None and progress.timed.scheduled and not progress.arrived
+        if progress is not None and scheduled and progress.idle_travel < MAX_IDLE_TRAVEL:
+            objective = self._objective(state, target, progress)
+            return _within(progress.along(progress.path.revised(objective=objective)), limits)
+        if progress is not None and not scheduled and _are_alike(progress.objective.target, target):
+            return self._go_on(state, target, limits, progress)
+        return self._plan(state, target, limits, None if scheduled else progress)
+
+    def _go_on(self, state: ArmState, target: Target, limits: Limits, progress: PathProgress) -> PathProgress:
+        """Return the progress to the same target; on another path if there is none on this one."""
+        if progress.objective.tasks != self.tasks:  # these may move, and the path stays
+            progress = progress.along(progress.path.revised(objective=self._objective(state, target)))
+        if progress.idle_travel < MAX_IDLE_TRAVEL or progress.arrived:
+            return _within(progress, limits)
+        attempt, bounds = progress.path.attempt + 1, limits.for_arm(state.arm)
+        if attempt >= MAX_PATH_ATTEMPTS or progress.place >= progress.path.end:
+            return progress._replace(arrived=True)
+        avoidance = avoidance_for(progress.path, limits)
+        return PathProgress(retime(find_path(progress.objective, state, bounds, avoidance, attempt), limits))
+
+    def _plan(
+        self, state: ArmState, target: Target, limits: Limits, progress: PathProgress | None
+    ) -> PathProgress:
+        """Return the progress to another target, on the path so far where it can be bent."""
+        bounds = limits.for_arm(state.arm)
+        target.check(state.arm)
+        objective = self._objective(state, target, progress)
+        avoidance = self._avoidance(objective, bounds)
+        if (
+            progress is None
+            or objective.has_tasks
+            or not (avoidance is None or is_small_change(progress.objective, objective))
+        ):
+            return PathProgress(retime(find_path(objective, state, bounds, avoidance), limits))
+        place = np.inf if progress.arrived or progress.path.attempt else progress.place
+        path, bend = replan(progress.path, place, progress.bend, objective, state, bounds, avoidance)
+        if bend is None:
+            return PathProgress(retime(path, limits))
+        return progress.retimed(path, limits)._replace(bend=bend)
+
+    def _objective(self, state: ArmState, target: Target, progress: PathProgress | None = None) -> Objective:
+        """Return the objective; that of a progress with another target where nothing else is different."""
+        if progress is not None:
+            known = progress.objective
+            weights = known.relative_position_weight, known.joint_weight
+            if (
+                known.tasks == self.tasks == ()
+                and weights == (self.relative_position_weight, self.joint_weight)
+                and known.arm is state.arm
+            ):
+                return known.with_target(target)
+        return self.objective(state.arm, target)
+
+    def _avoidance(
+        self, objective: Objective, bounds: JointBounds, previous: Array | None = None
+    ) -> Avoidance | None:
+        if self.scene is None:
+            return None
+        return Avoidance(CollisionModel(objective.arm, self.scene), objective, bounds, previous)
 
     def _return(
-        self, state: ArmState, target: Target, box: StepBox, bounds: JointBounds, previous: Array | None
+        self, state: ArmState, target: Target, box: StepBox, limits: Limits, previous: Array | None
     ) -> Step:
-        """A step back into the position limits, by the joints that are outside; the way begins there."""
+        """Take a step back into the position limits; the path begins there."""
         arm = state.arm
         target.check(arm)
-        dq, relaxed = np.zeros(arm.nv), box.violated_constraints
+        dq, violated = np.zeros(arm.nv), box.violated_constraints
         dq[arm.columns] = np.clip(dq, box.lower, box.upper)[arm.columns]
-        avoidance, share, stopping = self._avoidance(Posture(arm, target), bounds, previous), 1.0, None
+        avoidance = self._avoidance(self.objective(arm, target), limits.for_arm(arm), previous)
+        share, stopping = 1.0, None
         if avoidance is not None:
-            dq, share, stopping, gave_way = avoidance.kept(state, dq)
+            dq, share, stopping, relaxed = avoidance.clear_step(state, dq)
             if share < 1.0:
-                relaxed += ("position limits: coming back faster would come too close to something",)
-            relaxed += gave_way
+                violated += ("position limits: coming back faster would come too close to something",)
+            violated += relaxed
         reason = "" if np.any(dq) else "joints are outside their limits, and something is in their way back"
-        return _step_before_planning(state, target, dq, share, relaxed, reason, stopping)
+        return _step_before_planning(state, target, dq, share, violated, reason, stopping)
 
     def _back_out(
-        self, state: ArmState, target: Target, box: StepBox, bounds: JointBounds, previous: Array | None
+        self, state: ArmState, target: Target, box: StepBox, limits: Limits, previous: Array | None
     ) -> Step | None:
-        """The smallest step that takes the arm out of what it is inside of; the path begins there.
+        """Take the smallest step that leads the arm out of an obstacle; then the path begins.
 
         No path is planned from inside an obstacle: none would be clear.
 
@@ -192,162 +246,54 @@ class Geodesic:
             None if the arm is inside of nothing, or if no such step gains anything.
         """
         target.check(state.arm)
-        posture = Posture(state.arm, target)
-        avoidance = self._avoidance(posture, bounds, previous)
+        objective = self.objective(state.arm, target)
+        avoidance = self._avoidance(objective, limits.for_arm(state.arm), previous)
         if avoidance is None or avoidance.near(state).minimum >= 0.0:
             return None
-        scope, n = Scope.of(posture, state, box, avoidance), len(posture.columns)
-        found = solve(np.eye(n), np.zeros(n), scope.lower, scope.upper, scope.rows).x
+        bounds, n = StepBounds.of(objective, state, box, avoidance), len(objective.columns)
+        found = solve(np.eye(n), np.zeros(n), bounds.lower, bounds.upper, bounds.rows).x
         if found is None:
             return None
-        dq, share, stopping, gave_way = avoidance.kept(state, posture.displacement(found))
+        dq, share, stopping, relaxed = avoidance.clear_step(state, objective.displacement(found))
         after = state.arm.at(state.arm.integrate(state.q, dq)).compiled
         gained = avoidance.clearance.minimum(after.q).distance - avoidance.near(state).minimum
-        if gained < GAIN * state.arm.length:
+        if gained < MIN_CLEARANCE_GAIN * state.arm.length:
             return None
-        relaxed = box.violated_constraints + gave_way + avoidance.too_close(state)
-        return _step_before_planning(state, target, dq, share, relaxed, "", stopping)
+        violated = box.violated_constraints + relaxed + avoidance.describe_violations(state)
+        return _step_before_planning(state, target, dq, share, violated, "", stopping)
 
-    def _avoidance(
-        self, posture: Posture, bounds: JointBounds, previous: Array | None = None
-    ) -> Avoidance | None:
-        if self.scene is None:
-            return None
-        return Avoidance(CollisionModel(posture.arm, self.scene), posture, bounds, previous)
 
-    def _progress(
-        self, state: ArmState, target: Target, bounds: JointBounds, progress: PathProgress | None
-    ) -> PathProgress:
-        """The progress so far; a new one at first, for a new target, and where the arm does not get on."""
-        if progress is None or not progress.leads_on(state):
-            progress = None
-        elif progress.given and not progress.arrived:
-            if progress.waited < WAIT:
-                progress = progress._replace(posture=self._posture(state, target, progress))
-                return progress if progress.bounds is bounds else progress.within(bounds)
-            progress = None
-        elif _alike(progress.posture.target, target):
-            if progress.posture.tasks != self.tasks:  # as they do where they follow something: the way stays
-                progress = progress._replace(posture=self._posture(state, target))
-            if progress.waited < WAIT or progress.arrived:
-                return progress if progress.bounds is bounds else progress.within(bounds)
-            tries, posture = progress.tries + 1, progress.posture
-            if tries >= MAX_PLANS or progress.place >= progress.path.end:
-                return progress._replace(arrived=True)
-            return plan(posture, state, bounds, self._avoidance(posture, bounds), self._mu(state), tries)
-        target.check(state.arm)
-        posture = self._posture(state, target, progress)
-        avoidance, mu = self._avoidance(posture, bounds), self._mu(state)
-        if progress is not None and posture.plain and (avoidance is None or moved_little(progress, posture)):
-            return plan_on(progress, posture, state, bounds, mu, avoidance)
-        return plan(posture, state, bounds, avoidance, mu)
-
-    def _posture(self, state: ArmState, target: Target, progress: PathProgress | None = None) -> Posture:
-        """What is asked of the arm; that of a progress is taken on where only the target is another."""
-        if progress is not None:
-            known = progress.posture
-            if (
-                known.tasks == self.tasks == ()
-                and known.relative_position_weight == self.relative_position_weight
-                and known.arm is state.arm
-            ):
-                return known.moved_to(target)
-        return Posture(state.arm, target, self.tasks, self.relative_position_weight)
-
-    def _mu(self, state: ArmState) -> float:
-        """Weight of joint motion [m per `Arm.joint_units`]: `joint_weight` module lengths for each point."""
-        return self.joint_weight * state.arm.length / sqrt(state.arm.n_modules)
+def _within(progress: PathProgress, limits: Limits) -> PathProgress:
+    """Return the progress, with the speed that the limits allow if they are others."""
+    same = progress.timed.bounds is limits.for_arm(progress.path.arm)
+    return progress if same else progress.retimed(progress.path, limits)
 
 
 def _step_before_planning(
     state: ArmState,
     target: Target,
     dq: Array,
-    share: float,
+    scale: float,
     violated_constraints: tuple[str, ...],
     reason: str,
     stopping: Array | None,
 ) -> Step:
-    """A step that leads to where a path can begin; nothing is remembered but the step."""
-    arm, active = state.arm, Posture(state.arm, target).active
+    """Return a step to where a path can begin. Nothing is remembered but the step."""
+    arm, active = state.arm, tuple(int(k) for k in np.flatnonzero(target.has_target))
     after = arm.at(arm.integrate(state.q, dq)).compiled
     diagnostics = Diagnostics(
-        manipulability=0.0,
-        sigma_min=0.0,
-        sigma_max=0.0,
+        np.zeros(arm.nv, dtype=np.bool_),
+        reason,
         rows=len(active) * arm.dimension,
-        dropped=(),
-        scale=share,
-        clipped=np.zeros(arm.nv, dtype=np.bool_),
-        reason=reason,
+        scale=scale,
         error_increasing=_posture_error(after, target) > _posture_error(state, target),
         violated_constraints=violated_constraints,
         following_path=True,
     )
-    return Step(dq, active, diagnostics, Memory(dq, None, stopping))
+    return Step(dq, active, diagnostics, GeodesicMemory(dq, stopping))
 
 
-def _checked(
-    asked: CandidateStep,
-    state: ArmState,
-    box: StepBox,
-    bounds: JointBounds,
-    avoidance: Avoidance | None,
-    begun: PathProgress,
-) -> Step:
-    """The step as it leaves: finite, within its limits and clear, whatever was computed before."""
-    arm, progress = state.arm, asked.progress
-    dq, relaxed, share = asked.dq, box.violated_constraints, 1.0
-    stopping: Array | None = None
-    near: tuple[str, ...] = ()
-    if not isfinite(dq @ dq):
-        dq = np.nan_to_num(dq, nan=0.0, posinf=0.0, neginf=0.0)
-    if avoidance is not None:
-        dq[arm.columns] = np.minimum(np.maximum(dq, box.lower), box.upper)[arm.columns]
-        wanted = dq
-        dq, share, stopping, gave_way = avoidance.kept(state, wanted)
-        if share < 1.0 and not progress.arrived:
-            done = float(np.clip((dq @ wanted) / max(float(wanted @ wanted), 1e-300), 0.0, 1.0))
-            gone = begun.gone_to(begun.place + done * (progress.place - begun.place), bounds.travel, True)
-            progress = progress._replace(
-                place=gone.place, speed=gone.speed, passed=gone.passed, waited=gone.waited
-            )
-        relaxed += gave_way + avoidance.too_close(state)
-        near = avoidance.holding(state, asked.solution, bool(asked.reason))
-        near += (progress.hindrance,) if progress.hindrance else ()
-    chain, placed, posture = arm.kinematics, state.forward, progress.posture.chain
-    reached, at_limit = np.empty(arm.nv), np.empty(arm.nv, dtype=np.bool_)
-    sides = box.sides if share == 1.0 else _ANY_STEP * np.ones((2, arm.nv))
-    given = placed.positions, bounds.units, sides, bounds.edges, placed.points, posture.targets, posture.flags
-    before, after = kernels.look_ahead(chain.constants, *given, dq, reached, at_limit)
-    active = progress.posture.active
-    diagnostics = Diagnostics(
-        manipulability=0.0,
-        sigma_min=0.0,
-        sigma_max=0.0,
-        rows=len(active) * arm.dimension,
-        dropped=(),
-        scale=share,
-        clipped=at_limit,
-        reason=asked.reason,
-        error_increasing=after > before + RISES * arm.length,
-        violated_constraints=relaxed,
-        near=near,
-        following_path=not progress.arrived and progress.waited == 0.0,
-    )
-    return Step(dq, active, diagnostics, Memory(dq, progress._replace(expected=reached), stopping))
-
-
-def _check_given(state: ArmState, target: Target, memory: Memory | None) -> None:
-    if not isinstance(state, ArmState):
-        raise InvalidValue("state", state, "an ArmState, as `arm.at(q)` returns it")
-    if not isinstance(target, Target):
-        raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
-    if not (memory is None or isinstance(memory, Memory)):
-        raise InvalidValue("memory", memory, "`step.memory` of the step before, or None")
-
-
-def _alike(one: Target, other: Target) -> bool:
+def _are_alike(one: Target, other: Target) -> bool:
     """Whether two targets ask for the same."""
     if one is other:
         return True

@@ -1,36 +1,38 @@
-"""A path through joint space, the speed along it, and where a controller is on it."""
+"""Paths through joint space, and the second stage of the planner: their time parameterization."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf, isfinite
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
+from pinposture._validation import require_positive
 from pinposture.arm import Arm, ArmState
-from pinposture.control.limits import JointBounds
-from pinposture.control.planner.objective import Posture
-
-# A way through joint space, and how far along it a step may go.
+from pinposture.collision import Scene
+from pinposture.control.limits import JointBounds, Limits
+from pinposture.control.planner.objective import Objective
+from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
-Whole = NDArray[np.int64]
 
-
-FARTHEST = 10.0
+MAX_STEP = 10.0
 """Largest joint motion of a step where limits allow any, in `Arm.joint_units`."""
+
+NO_ERRORS = np.zeros(0)
 
 
 class Stride(NamedTuple):
     """A step along a path.
 
     Attributes:
-        place: where it leads, as a number of waypoints from the start, in [0, N]; no farther than before if
-            the limits do not admit more.
-        left: largest joint motion left from where it begins to the end of the path, in `Arm.joint_units`.
+        place: where it leads, in waypoints from the start, in [0, N]; where the arm was if the limits admit
+            no step ahead.
+        left: largest joint motion that was left before the step, in `Arm.joint_units`.
         inside: whether it is within its limits.
         dq: the step, (nv,) [rad or m].
     """
@@ -41,41 +43,76 @@ class Stride(NamedTuple):
     dq: Array
 
 
+@dataclass(frozen=True, eq=False)
 class JointPath:
-    """Waypoints joined by straight lines through joint space.
+    """Waypoints joined by straight lines through joint space, and what they lead to.
+
+    A place on the path is a number of waypoints from the start, in [0, N].
 
     Attributes:
-        arm: the arm.
-        start: configuration at which it begins, (nq,).
-        positions: joint positions there, (nv,) [rad or m].
+        objective: what the arm is to achieve, the target posture among it.
+        start: configuration at which the path begins, (nq,).
         offsets: displacement of each waypoint from the start, (N + 1, nv) [rad or m]; the first is zero.
+        scene: obstacles to keep clear of on the path; None: there are none.
+        attempt: how many paths to the same target were given up before this one.
+        hindrance: what the path comes too close to, in words; empty if it is clear.
+        found_by: how it was found: "relaxation", "tree search" or "withdrawal".
+        task_errors: errors of the tasks with priority at the start and at the end, 2 x (r,) [m]. Between
+            them they change in proportion to the place.
     """
 
-    def __init__(self, arm: Arm, start: Array, offsets: Array) -> None:
-        self.arm, self.start, self.offsets = arm, start, np.ascontiguousarray(offsets)
-        self.positions = arm.positions(start)
+    objective: Objective
+    start: Array
+    offsets: Array
+    scene: Scene | None = None
+    attempt: int = 0
+    hindrance: str = ""
+    found_by: str = "relaxation"
+    task_errors: tuple[Array, Array] = (NO_ERRORS, NO_ERRORS)
+
+    @property
+    def arm(self) -> Arm:
+        """The arm."""
+        return self.objective.arm
+
+    @cached_property
+    def positions(self) -> Array:
+        """Joint positions at the start, (nv,) [rad or m]."""
+        return self.arm.positions(self.start)
 
     @cached_property
     def slopes(self) -> Array:
-        """How the displacement changes at each waypoint from one to the next, (N + 1, nv) [rad or m]."""
+        """Change of the offset at each waypoint from one to the next, (N + 1, nv) [rad or m]."""
         return np.asarray(np.gradient(self.offsets, axis=0))
 
     @property
     def end(self) -> float:
-        """The last place, which is the number of straight pieces N."""
+        """The last place, N."""
         return float(len(self.offsets) - 1)
 
-    def _at(self, values: Array, place: float) -> Array:
-        i = min(int(place), len(values) - 2)
-        share = place - i
-        return np.asarray((1.0 - share) * values[i] + share * values[i + 1])
+    @cached_property
+    def length(self) -> float:
+        """Length in the metric of the planner [m]: motion of control points, and of joints times `mu`."""
+        objective = self.objective
+        chain = self.arm.kinematics
+        points = np.array([chain.forward(self.positions + offset).points for offset in self.offsets])
+        joints = np.diff(self.offsets[:, objective.columns], axis=0) / objective.units
+        squares = (np.diff(points, axis=0) ** 2).sum(axis=(1, 2)) + objective.mu**2 * (joints**2).sum(axis=1)
+        return float(np.sqrt(squares).sum())
+
+    @cached_property
+    def configurations(self) -> Array:
+        """Configurations at the waypoints, (N + 1, nq)."""
+        return np.array([self.arm.integrate(self.start, offset) for offset in self.offsets])
 
     def offset(self, place: float) -> Array:
-        """Displacement from the start at a place, (nv,) [rad or m]."""
-        return self._at(self.offsets, place)
+        """Return the displacement from the start at a place, (nv,) [rad or m]."""
+        i = min(int(place), len(self.offsets) - 2)
+        share = place - i
+        return np.asarray((1.0 - share) * self.offsets[i] + share * self.offsets[i + 1])
 
-    def smooth(self, place: float) -> Array:
-        """The same on a curve through the waypoints, (nv,): cubic between two of them, without corners."""
+    def smooth_offset(self, place: float) -> Array:
+        """Return the same on a cubic curve through the waypoints, which has no corners, (nv,)."""
         i = min(int(place), len(self.offsets) - 2)
         t = place - i
         before, after = (1.0 + 2.0 * t) * (1.0 - t) ** 2, t * t * (3.0 - 2.0 * t)
@@ -83,20 +120,27 @@ class JointPath:
         return np.asarray(here + t * (1.0 - t) * ((1.0 - t) * self.slopes[i] - t * self.slopes[i + 1]))
 
     def configuration(self, place: float) -> Array:
-        """Configuration at a place, (nq,)."""
+        """Return the configuration at a place, (nq,)."""
         return self.arm.integrate(self.start, self.offset(place))
 
     def offset_of(self, state: ArmState, place: float) -> Array:
-        """Displacement (nv,) from the start to a state near a place, the way round that it took."""
+        """Return the displacement (nv,) from the start to a state near a place, turns of joints included."""
         here = self.offset(place)
-        way = self.arm.integrate(self.start, here)
-        return np.asarray(here + self.arm.difference(way, state.q))
+        on_path = self.arm.integrate(self.start, here)
+        return np.asarray(here + self.arm.difference(on_path, state.q))
+
+    def revised(self, **changes: Any) -> JointPath:
+        """Return the path with another objective or scene, and keep what its waypoints give."""
+        other = replace(self, **changes)
+        kept = {"positions", "slopes", "configurations"} & vars(self).keys()
+        vars(other).update({name: vars(self)[name] for name in kept})
+        return other
 
     def bent(self, place: float, change: Array, edges: Array) -> JointPath:
-        """The path with another end, bent more and more from a place on.
+        """Return the path to another end, bent increasingly from a place on.
 
         Args:
-            place: where bending begins, as a number of waypoints from the start.
+            place: where bending begins.
             change: displacement of the end, (nv,) [rad or m].
             edges: joint positions to stay between, (2, nv) [rad or m].
         """
@@ -105,32 +149,31 @@ class JointPath:
         offsets = self.offsets + shares[:, None] * change
         lowest, highest = edges - self.positions
         lowest, highest = np.minimum(lowest, 0.0), np.maximum(highest, 0.0)
-        return JointPath(self.arm, self.start, np.minimum(np.maximum(offsets, lowest), highest))
+        offsets = np.ascontiguousarray(np.minimum(np.maximum(offsets, lowest), highest))
+        return replace(self, offsets=offsets)
 
-    def stride(self, state: ArmState, place: float, columns: Whole, units: Array, sides: Array) -> Stride:
-        """The step to the farthest place, going on from a place without a gap, that limits admit.
+    def stride(self, state: ArmState, place: float, sides: Array) -> Stride:
+        """Return the step to the farthest place that the limits admit, all places before it included.
 
-        Such steps come to the end, however long the way and however different the joints. Measure what is
-        left of the way piece by piece, each in steps of its slowest joint: L = sum over pieces of
-        max_j |dq_j| / b_j, with b_j the largest step of joint j, at most `FARTHEST`. A step that does not end
+        Such steps come to the end, however long the path and however different the joints. Measure what is
+        left of the path piece by piece, each in steps of its slowest joint: L = sum over pieces of
+        max_j |dq_j| / b_j, with b_j the largest step of joint j, at most `MAX_STEP`. A step that does not end
         at the end is as long as b_j for some joint j. That joint goes no farther in it than the pieces of the
-        way that the step passes add up to, so L falls by 1 at least, and ceil(L) steps are enough.
+        path that the step passes add up to, so L falls by 1 at least, and ceil(L) steps are enough.
 
         Args:
             state: where the arm is.
             place: where it is on the path, or was last.
-            columns: the degrees of freedom that move on the path, (n,).
-            units: the motion of each of them that counts as one, (n,) [rad or m].
             sides: smallest and largest step, (2, nv) [rad or m].
         """
-        dq = np.zeros(self.arm.nv)
+        dq, objective = np.zeros(self.arm.nv), self.objective
         positions, endless = state.forward.positions, self.arm.kinematics.endless
-        given = self.offsets, self.positions, positions, endless, columns, units, place, sides, FARTHEST
-        place, left, inside = kernels.step_along(*given, dq)
-        return Stride(place, left, inside, dq)
+        given = objective.columns, objective.chain.units, place, sides, MAX_STEP
+        found = kernels.step_along(self.offsets, self.positions, positions, endless, *given, dq)
+        return Stride(*found, dq)
 
 
-# How fast a path can be gone along where acceleration is limited.
+# How fast a path can be followed where acceleration is limited.
 #
 # A place s on the path moves by v places per step. Joints then move by x' v per step, and change that by
 # about x'' v^2 + x' a from one step to the next, a being the change of v. With b the largest step and A the
@@ -138,154 +181,139 @@ class JointPath:
 #
 # v <= b / |x'|, v^2 <= A / |x''|, |a| <= (A - |x''| v^2) / |x'|.
 #
-# Whoever slows down in time for the end, and for every place that is slow, also has v^2 <= v_next^2 + 2 |a|
-# from one waypoint to the next. Between two waypoints the curve is taken to be as steep and as bent as at
-# either of them, at most.
+# Slowing down in time for the end, and for every slow place, also needs v^2 <= v_next^2 + 2 |a| from one
+# waypoint to the next. Between two waypoints the curve is taken to be as steep and as bent as at either of
+# them, at most.
 
-SPEED, PLANNED, TIMED = 0.95, 0.7, 0.9
-"""Shares of the speed limit, and of the acceleration limit on ways of the controller's own and on those that
-are given with their time, that are planned with; the rest is for corrections."""
+SPEED_SHARE, ACCELERATION_SHARE, SCHEDULED_ACCELERATION_SHARE = 0.95, 0.7, 0.9
+"""Shares of the limit of speed, and of the limit of acceleration on planned and on scheduled paths, that the
+profile uses; the rest is for corrections."""
 
-CURVED = 0.8
-"""Share of that, at most, for curves; the rest is always left for slowing down."""
+CURVATURE_SHARE = 0.8
+"""Largest share of that for curvature; the rest is always left for slowing down."""
 
-SMALL = 1e-12
-"""Slope of a path that is none, relative to the largest."""
+ZERO_SLOPE = 1e-12
+"""Slope of a path that counts as none, relative to the largest."""
 
 
 class SpeedProfile:
-    """The pace along a path, at its waypoints.
+    """The highest speed along a path, at its waypoints.
 
     Args:
         path: the path.
-        bound: largest |dq| of each joint, (nv,) [rad or m]; may be infinite.
-        brake: the most that dq may differ from that of the step before, (nv,) [rad or m]; None: any.
-        most: the most waypoints to go in one step; infinite, or at least that many as time asks for.
-        begin: waypoints that the step before went, if the arm is under way.
+        bounds: the limits.
+        max_rate: largest number of waypoints in one step.
+        initial_speed: number of waypoints in the step before, if the arm is moving.
 
     Attributes:
-        top: the fastest pace at each waypoint, (N + 1,) [waypoints per step].
+        top: the highest speed at each waypoint, (N + 1,) [waypoints per step].
     """
 
     def __init__(
-        self, path: JointPath, bound: Array, brake: Array | None, most: float = inf, begin: float = 0.0
+        self, path: JointPath, bounds: JointBounds, max_rate: float = inf, initial_speed: float = 0.0
     ) -> None:
         shape = path.offsets.shape
-        self._brake = np.full(shape[1], np.inf) if brake is None else np.array(brake)
-        self._planned = PLANNED if most == inf else TIMED
+        self._brake = np.full(shape[1], np.inf) if bounds.brake is None else np.array(bounds.brake)
+        self._share = ACCELERATION_SHARE if max_rate == inf else SCHEDULED_ACCELERATION_SHARE
         self._slope, self._bend = np.empty(shape), np.empty(shape)
         self._cap, self.top = np.empty(shape[0]), np.empty(shape[0])
-        shares, into = (SPEED, self._planned, CURVED, SMALL), (self._slope, self._bend, self._cap, self.top)
-        kernels.find_speed_profile(path.offsets, np.array(bound), self._brake, begin, most, *shares, *into)
-
-    def next(self, place: float, pace: float) -> float:
-        """Places to go in this step, after `pace` places in the step before."""
-        given = self._slope, self._bend, self._cap, self.top, self._brake
-        return kernels.next_path_speed(place, pace, *given, self._planned, CURVED)
-
-
-# Where a controller is on its way.
-
-DISTURBED = 0.05
-"""Joint motion by which a measured configuration may differ from the expected one without a new way being
-planned, in `Arm.joint_units`."""
-
-PROGRESS = 0.005
-"""Share of a path that counts as getting on, for an arm that is hindered."""
-
-
-class PathProgress(NamedTuple):
-    """A way to a goal, and how far the arm has come on it.
-
-    Attributes:
-        posture: what is asked of the arm.
-        path: the way to the configuration that does it best.
-        place: where the arm is on it, in waypoints.
-        bounds: the limits that the pace keeps.
-        pace: how fast it may go along the path; None where neither acceleration nor time says so.
-        speed: how fast it last did, in waypoints per step.
-        passed: the place that the arm last passed in good time.
-        waited: joint travel that the limits have allowed since then [rad].
-        tries: how many ways were tried before this one.
-        arrived: whether the path is behind the arm; what errors are left are then reduced directly.
-        damping: factor of the damping with which they are.
-        hindrance: what the best way that was found comes too close to, in words; empty if it is clear.
-        expected: joint positions that the arm should have by now, (nv,) [rad or m]; None before the first
-            step.
-        bent: by how much the path was bent to end elsewhere since it was planned, (nv,) [rad or m]; None if
-            not at all.
-        most: the most waypoints to go in one step, on a way that was given together with its time; infinite
-            on ways of the controller's own.
-        strict_errors: errors of strict tasks at the start and at the goal, 2 x (r,) [m]; between, they are
-            to change in proportion to the place.
-    """
-
-    posture: Posture
-    path: JointPath
-    bounds: JointBounds
-    place: float = 0.0
-    pace: SpeedProfile | None = None
-    speed: float = 0.0
-    passed: float = 0.0
-    waited: float = 0.0
-    tries: int = 0
-    arrived: bool = False
-    damping: float = 1.0
-    hindrance: str = ""
-    expected: Array | None = None
-    bent: Array | None = None
-    most: float = inf
-    strict_errors: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
-
-    @property
-    def given(self) -> bool:
-        """Whether the way was given, with its time: then it stays while the target moves along it."""
-        return isfinite(self.most)
-
-    def gone_to(
-        self, place: float, travel: float, hindered: bool, expected: Array | None = None
-    ) -> PathProgress:
-        """The progress after a step.
-
-        Args:
-            place: where the step leads.
-            travel: joint travel that the limits allow in it [rad].
-            hindered: whether it leads less far than limits, or the pace, would have it; what they allow is
-                getting on, however little of the way it is.
-            expected: joint positions that the arm should have then, (nv,) [rad or m]; None if unknown.
-        """
-        waits = hindered and place < self.passed + PROGRESS * self.path.end
-        return self._replace(
-            place=place,
-            speed=place - self.place,
-            passed=self.passed if waits else place,
-            waited=self.waited + travel if waits else 0.0,
-            expected=expected,
+        shares, into = (
+            (SPEED_SHARE, self._share, CURVATURE_SHARE, ZERO_SLOPE),
+            (self._slope, self._bend, self._cap, self.top),
+        )
+        kernels.find_speed_profile(
+            path.offsets, np.array(bounds.bound), self._brake, initial_speed, max_rate, *shares, *into
         )
 
-    def leads_on(self, state: ArmState) -> bool:
-        """Whether the arm is where the progress has it, or nearly: else the way begins anew where it is."""
-        arm = self.posture.arm
-        if arm is not state.arm or self.expected is None:
-            return arm is state.arm
-        chain = arm.kinematics
-        given = self.expected, state.forward.positions, chain.endless, chain.columns, self.bounds.units
-        return kernels.joint_distance(*given) <= DISTURBED
+    def next(self, place: float, speed: float) -> float:
+        """Return the places to go in this step, after `speed` places in the step before."""
+        given = self._slope, self._bend, self._cap, self.top, self._brake
+        return kernels.next_path_speed(place, speed, *given, self._share, CURVATURE_SHARE)
 
-    def under_way(self, previous: Array | None) -> PathProgress:
-        """The progress of an arm that already moves along its way, as far as the step before, (nv,), did."""
-        if self.pace is None or previous is None or self.place > 0.0:
-            return self
-        ahead = self.path.offsets[1] - self.path.offsets[0]
-        squares = float(ahead @ ahead)
-        speed = max(float(ahead @ previous), 0.0) / squares if squares > 0.0 else 0.0
-        speed, bounds = min(speed, self.path.end), self.bounds
-        pace = SpeedProfile(self.path, bounds.bound, bounds.brake, self.most, speed)
-        return self._replace(speed=speed, pace=pace)
 
-    def within(self, bounds: JointBounds) -> PathProgress:
-        """The same progress with the pace that other limits allow."""
-        pace = None
-        if bounds.brake is not None or self.given:
-            pace = SpeedProfile(self.path, bounds.bound, bounds.brake, self.most)
-        return self._replace(bounds=bounds, pace=pace)
+@dataclass(frozen=True, eq=False)
+class TimedPath:
+    """A path with the speed at which it can be followed within limits.
+
+    Attributes:
+        path: the path.
+        limits: the limits.
+        bounds: what they mean for the joints of the arm.
+        profile: the highest speed along the path; None where neither acceleration nor a schedule limits it.
+            Each step then goes as far as its slowest joint can.
+        max_rate: largest number of waypoints in one step; infinite on a path without a schedule.
+    """
+
+    path: JointPath
+    limits: Limits
+    bounds: JointBounds
+    profile: SpeedProfile | None
+    max_rate: float = inf
+
+    @property
+    def scheduled(self) -> bool:
+        """Whether the path has a schedule: the target moves along it, and the path is kept meanwhile."""
+        return isfinite(self.max_rate)
+
+    @cached_property
+    def places(self) -> Array:
+        """Place on the path after each step, (K + 1,) [waypoints], of an arm that follows it undisturbed.
+
+        Without a profile the arm may cut corners between waypoints, and be earlier.
+        """
+        end, profile = self.path.end, self.profile
+        if profile is None:
+            bound = np.minimum(self.bounds.bound, MAX_STEP * self.path.arm.joint_units)
+            pieces = np.abs(np.diff(self.path.offsets, axis=0)) / bound
+            passed = np.concatenate([[0.0], np.cumsum(pieces.max(axis=1))])
+            steps = np.append(np.arange(0.0, passed[-1]), passed[-1])
+            return np.asarray(np.interp(steps, passed, np.arange(end + 1.0)))
+        places, speed = [0.0], 0.0
+        while places[-1] < end * (1.0 - ZERO_SLOPE):
+            speed = min(profile.next(places[-1], speed), end - places[-1])
+            if speed <= 0.0:
+                break
+            places.append(places[-1] + speed)
+        return np.array(places)
+
+    @property
+    def duration(self) -> float:
+        """Time to the end of the path [s]; the number of steps if the limits have no `dt`."""
+        return (len(self.places) - 1) * (1.0 if self.limits.dt is None else self.limits.dt)
+
+    @cached_property
+    def configurations(self) -> Array:
+        """Configuration after each step, (K + 1, nq)."""
+        return np.array([self.path.configuration(place) for place in self.places])
+
+
+def retime(
+    path: JointPath, limits: Limits | None = None, max_rate: float = inf, initial_speed: float = 0.0
+) -> TimedPath:
+    """Find how fast a path can be followed within limits: the second stage of `Geodesic`.
+
+    Limits of speed and acceleration hold with a share left for corrections; braking before slow places and
+    before the end is planned.
+
+    Args:
+        path: the path, as `plan` returns it.
+        limits: what a step may not exceed; `Limits()` if None.
+        max_rate: largest number of waypoints in one step. A finite number means that the waypoints are a
+            schedule: the target moves along the path.
+        initial_speed: number of waypoints in the step before, if the arm is moving along the path already.
+
+    Raises:
+        InvalidValue: not a path, limits that do not fit the arm, or a rate that is not positive.
+    """
+    if not isinstance(path, JointPath):
+        raise InvalidValue("path", path, "a JointPath, as `plan` returns it")
+    limits = Limits() if limits is None else limits
+    if not isinstance(limits, Limits):
+        raise InvalidValue("limits", limits, "Limits(...), or None")
+    if max_rate != inf:
+        require_positive("max_rate", max_rate)
+    require_positive("initial_speed", initial_speed, zero=True)
+    bounds, profile = limits.for_arm(path.arm), None
+    if bounds.brake is not None or max_rate != inf:
+        profile = SpeedProfile(path, bounds, max_rate, initial_speed)
+    return TimedPath(path, limits, bounds, profile, max_rate)

@@ -1,40 +1,143 @@
-"""Planning: the configuration to go to, and the path that leads there."""
+"""The first stage of the planner: the configuration to go to, and the most direct clear path to it."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
 from pinposture.arm import ArmState
-from pinposture.collision import Closest
-from pinposture.control.limits import JointBounds
+from pinposture.collision import Closest, CollisionModel, Scene
+from pinposture.control.limits import JointBounds, Limits
 from pinposture.control.planner.avoidance import Avoidance
-from pinposture.control.planner.follow import LeastSquaresResult, settle
-from pinposture.control.planner.objective import STRICT, Linear, Posture
-from pinposture.control.planner.path import JointPath, PathProgress
-from pinposture.control.planner.trajectory_optimization import Penalty, direct_path
+from pinposture.control.planner.damped_least_squares import LeastSquaresResult, minimize
+from pinposture.control.planner.objective import PRIORITY_WEIGHT, LinearRows, Objective, check_objective
+from pinposture.control.planner.path import JointPath
+from pinposture.control.planner.path_search import PathSearch
+from pinposture.control.planner.trajectory_optimization import Penalty, direct_path, relax_path
+from pinposture.control.tasks import ControlTask
+from pinposture.errors import InvalidValue
+from pinposture.placement import Target
 from pinposture.placement.points import initial_guesses
 
-# The configuration to go to: found before the arm moves.
+logger = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 
-NUDGES, NUDGE = 6, 0.5
-"""How many other starts are tried where no configuration is known, and how far away, in `Arm.joint_units`."""
+RANDOM_STARTS, RANDOM_SPREAD = 6, 0.5
+"""Number of random starts where no configuration is known, and their spread, in `Arm.joint_units`."""
 
-AGREE, ALIKE = 3, 1e-3
-"""How many searches in a row have to end alike for the rest to be spared, and relative to what merit."""
+MAX_AGREEING, SAME_COST = 3, 1e-3
+"""How many searches in a row have to end alike for the rest to be spared, and relative to what cost."""
 
 MUCH_BETTER = 0.5
-"""Share of the merit of an earlier find that a later one may leave to be preferred, where the arm is held."""
+"""Share of the cost of an earlier goal below which a later one is preferred, where a task holds the arm."""
+
+GOAL_TOLERANCE = 1e-8
+"""Mean distance of the control points from their targets at which a configuration takes the posture, in arm
+lengths: a run converges at 1e-6 unless told otherwise."""
+
+TASK_ROOT, CLEARANCE_ROOTS = 0.4, (100.0, 30.0)
+"""Roots of the weights of tasks and of clearances on the path, against the motion of control points. Paths
+are searched with a large and a small one in turn: the one pushes out, the other leads round."""
+
+SMALL_CHANGE = 0.3
+"""How far points of a target may move for it to be much like the one before, in module lengths."""
+
+NOISE_FACTOR = 2.0
+"""How much worse than expected a goal may be to count as no worse than the one before, for noisy targets."""
+
+MAX_BEND = 0.5
+"""By how much the end of a path may be moved in all, relative to the motion that is left."""
+
+MIN_PLANNED_MOTION = 0.1
+"""Joint motion over which no path round something is looked for, in `Arm.joint_units`."""
+
+MAX_PATHS = 12
+"""How many relaxed paths are tried until one is clear of all obstacles; fewer in later attempts."""
+
+MAX_DETOUR = 2.0
+"""Length of a clear path, relative to the most direct of all, above which a shorter one is searched."""
+
+SEARCHED_PIECES = 24, 64
+"""Smallest and largest number of pieces of a path that was searched, when it is relaxed."""
+
+SAMPLES_PER_PIECE = 2
+"""Places on each straight piece of a path at which its distance is sampled."""
+
+
+def plan(
+    state: ArmState,
+    target: Target,
+    scene: Scene | None = None,
+    limits: Limits | None = None,
+    tasks: Sequence[ControlTask] = (),
+    joint_weight: float = 0.2,
+    relative_position_weight: float = 1.0,
+) -> JointPath:
+    """Find the most direct clear path to a target posture: the first stage of `Geodesic`.
+
+    Args:
+        state: where the arm is.
+        target: where its control points should be.
+        scene: what to keep clear of; None: nothing.
+        limits: the margin to position limits, and how the arm brakes; `Limits()` if None.
+        tasks: further tasks, as for `Geodesic`.
+        joint_weight: as for `Geodesic`.
+        relative_position_weight: as for `Geodesic`.
+
+    Returns:
+        The path. `hindrance` says what it comes too close to, if no clear path was found.
+
+    Raises:
+        InvalidValue: something of another type, or that does not fit the arm.
+    """
+    if not isinstance(state, ArmState):
+        raise InvalidValue("state", state, "an ArmState, as `arm.at(q)` returns it")
+    if not isinstance(target, Target):
+        raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
+    if not (scene is None or isinstance(scene, Scene)):
+        raise InvalidValue("scene", scene, "a Scene(...), or None")
+    check_objective(joint_weight, relative_position_weight, tasks)
+    target.check(state.arm)
+    objective = Objective(state.arm, target, tuple(tasks), relative_position_weight, joint_weight)
+    bounds, avoidance = (Limits() if limits is None else limits).for_arm(state.arm), None
+    if scene is not None:
+        avoidance = Avoidance(CollisionModel(state.arm, scene), objective, bounds)
+    return find_path(objective, state.compiled, bounds, avoidance)
+
+
+def find_path(
+    objective: Objective, state: ArmState, bounds: JointBounds, avoidance: Avoidance | None, attempt: int = 0
+) -> JointPath:
+    """Find where to go, and the most direct clear path there.
+
+    Args:
+        objective: what the arm is to achieve.
+        state: where it is.
+        bounds: what the limits mean for its joints.
+        avoidance: what to keep clear of; None: nothing.
+        attempt: how many paths were given up before; each attempt tries others.
+    """
+    goal = find_goal(objective, state, bounds.edges, avoidance, GOAL_TOLERANCE * objective.arm.length).state
+    path = _clearest_path(objective, state, goal, bounds, avoidance, attempt)
+    logger.debug("a path of %d pieces by %s %s", path.end, path.found_by, path.hindrance)
+    scene = None if avoidance is None else avoidance.clearance.scene
+    first, last = (objective.task_rows(at, priority=True) for at in (state, goal))
+    if first is None or last is None:
+        return replace(path, scene=scene, attempt=attempt)
+    return replace(path, scene=scene, attempt=attempt, task_errors=(first.errors, last.errors))
+
+
+# The configuration to go to: found before the arm moves.
 
 
 def find_goal(
-    posture: Posture,
+    objective: Objective,
     state: ArmState,
     edges: Array,
     avoidance: Avoidance | None,
@@ -42,303 +145,297 @@ def find_goal(
     before: ArmState | None = None,
     enough: float = 0.0,
 ) -> LeastSquaresResult:
-    """Find the configuration that does best what is asked of the arm.
+    """Find the configuration with the smallest cost.
 
-    A configuration that the target knows is taken, and improved where it does not do all that is asked.
-    Otherwise the search begins where the arm is; then with the configuration that takes the points, module by
-    module (`placement.points`), or where that search ended; then with the fit of the whole arm to the points,
-    which knows the way round; then at other places, always the same ones, which are also tried where the
-    known configuration is in the way of something or of a strict task. It ends with the first that is good
-    enough, or when several in a row have found the same, and takes the best.
+    A configuration that the target knows is taken, and improved where it does not achieve everything.
+    Otherwise the search begins where the arm is; then at the configuration that takes the points module by
+    module (`placement.points`), or where that search ended; then at the fit of the whole arm to the points,
+    which knows how far the links turn; then at random configurations, always the same ones. These are also
+    tried where the known configuration collides or misses a task with priority. The search ends with the
+    first result that is good enough, or when several in a row agree, and takes the best.
 
     Args:
-        posture: what is asked of the arm.
+        objective: what the arm is to achieve.
         state: where it is.
         edges: joint positions to stay between, (2, nv) [rad or m].
-        avoidance: what to keep clear of; nothing if None.
+        avoidance: what to keep clear of; None: nothing.
         good: mean distance of the control points from their targets that is good enough [m].
         before: where to begin, if the target does not say: the goal of a target that was much like it.
-        enough: mean distance with which the search ends, if no more was found for that target [m].
+        enough: mean distance with which the search ends, if no better was found for that target [m].
     """
-    known, strict = posture.target.q is not None, any(task.priority for task in posture.tasks)
-    # Where a strict task holds the arm, what lies near can be reached, and what lies far perhaps not.
-    held = _held(posture, state)
+    known, has_priority = objective.target.q is not None, any(task.priority for task in objective.tasks)
+    # Where a task with priority holds the arm, what is near can be reached, and what is far perhaps not.
+    held = _is_held(objective, state)
     better = MUCH_BETTER if held else 1.0
     # Where the arm is too close to begin with, it may stay as close as it is.
     borne = 0.0 if avoidance is None else avoidance.intrusion(state)
-    starts = _starts(posture, state, edges, held, before)
-    best = found = settle(posture, next(starts), edges, avoidance, good, borne)
-    wanted, agree = max(good, enough), 1
-    while agree < AGREE and not (
-        found.intrusion == 0.0 and (_is_good_enough(posture, found, wanted) or (known and not strict))
+    starts = _starts(objective, state, edges, held, before)
+    best = found = minimize(objective, next(starts), edges, avoidance, good, borne)
+    wanted, agreeing = max(good, enough), 1
+    while agreeing < MAX_AGREEING and not (
+        found.intrusion == 0.0 and (_is_good_enough(objective, found, wanted) or (known and not has_priority))
     ):
-        start = next(starts, None)  # asked for only now: to find one can take long
+        start = next(starts, None)  # computed only now: to find one can take long
         if start is None:
             break
-        found = settle(posture, start, edges, avoidance, good, borne)
-        alike = found.intrusion == best.intrusion == 0.0 and not posture.tasks
-        agree = agree + 1 if alike and abs(found.merit - best.merit) <= ALIKE * best.merit else 1
-        if (found.intrusion, found.merit) < (best.intrusion, better * best.merit):
+        found = minimize(objective, start, edges, avoidance, good, borne)
+        alike = found.intrusion == best.intrusion == 0.0 and not objective.tasks
+        agreeing = agreeing + 1 if alike and abs(found.cost - best.cost) <= SAME_COST * best.cost else 1
+        if (found.intrusion, found.cost) < (best.intrusion, better * best.cost):
             best = found
     return best
 
 
-def _is_good_enough(posture: Posture, found: LeastSquaresResult, good: float) -> bool:
-    """Whether that takes the target posture, and does what comes before it."""
-    strict = posture.task_rows(found.state, strict=True)
-    kept = strict is None or float(np.linalg.norm(strict.errors)) <= good
-    return kept and found.mean_error <= good
+def _is_good_enough(objective: Objective, found: LeastSquaresResult, good: float) -> bool:
+    """Whether a result takes the target posture, and fulfils the tasks with priority."""
+    tasks = objective.task_rows(found.state, priority=True)
+    fulfilled = tasks is None or float(np.linalg.norm(tasks.errors)) <= good
+    return fulfilled and found.mean_error <= good
 
 
-def _held(posture: Posture, state: ArmState) -> bool:
-    """Whether strict tasks are to stay nearly as they are: within a module length."""
-    strict = posture.task_rows(state, strict=True)
-    typical = posture.arm.length / posture.arm.n_modules
-    return strict is not None and float(np.linalg.norm(strict.errors)) <= typical
+def _is_held(objective: Objective, state: ArmState) -> bool:
+    """Whether tasks with priority are to stay nearly as they are: within a module length."""
+    tasks = objective.task_rows(state, priority=True)
+    typical = objective.arm.length / objective.arm.n_modules
+    return tasks is not None and float(np.linalg.norm(tasks.errors)) <= typical
 
 
 def _starts(
-    posture: Posture, state: ArmState, edges: Array, held: bool, before: ArmState | None
+    objective: Objective, state: ArmState, edges: Array, held: bool, before: ArmState | None
 ) -> Iterator[ArmState]:
-    arm, target = posture.arm, posture.target
+    arm, target = objective.arm, objective.target
     if before is not None and target.q is None:
         yield before
     if held:
         yield state
     if target.q is not None:
-        yield _towards(posture, state, target.q, edges)
+        yield _within_limits(objective, state, target.q, edges)
     if not held:
         yield state
     if target.q is None:
         for positions in initial_guesses(arm, target, arm.positions(state.q)):
-            yield _towards(posture, state, arm.configuration(positions), edges)
+            yield _within_limits(objective, state, arm.configuration(positions), edges)
     rng = np.random.default_rng(0)
-    for number in range(NUDGES):
-        from_ = arm.straight() if number % 2 else state.q
-        nudge = posture.displacement(NUDGE * rng.normal(size=len(posture.columns)))
-        yield _towards(posture, state, arm.integrate(from_, nudge), edges)
+    for number in range(RANDOM_STARTS):
+        origin = arm.straight() if number % 2 else state.q
+        change = objective.displacement(RANDOM_SPREAD * rng.normal(size=len(objective.columns)))
+        yield _within_limits(objective, state, arm.integrate(origin, change), edges)
 
 
-def _towards(posture: Posture, state: ArmState, q: Array, edges: Array) -> ArmState:
-    """The state at a configuration, as far as its joints matter and their limits allow.
+def _within_limits(objective: Objective, state: ArmState, q: Array, edges: Array) -> ArmState:
+    """Return the state at a configuration, as far as its joints matter and their limits allow.
 
-    Of the turns at which the posture is the same, joints take the nearest.
+    Of the turns of a joint at which the posture is the same, the nearest is taken.
     """
-    arm = posture.arm
-    way = np.array(arm.difference(state.q, arm.nearest_turns(q, state.q, edges)))
+    arm = objective.arm
+    change = np.array(arm.difference(state.q, arm.nearest_turns(q, state.q, edges)))
     here = arm.positions(state.q)
-    if not posture.tasks:  # joints beyond the last control point that has a target need not move
-        last = int(np.flatnonzero(posture.target.has_target)[-1])
-        way = way * arm.support[last]
+    if not objective.tasks:  # joints beyond the last control point that has a target need not move
+        last = int(np.flatnonzero(objective.target.has_target)[-1])
+        change = change * arm.support[last]
     moved = np.zeros(arm.nv)
-    columns = posture.columns
-    moved[columns] = np.clip(here + way, edges[0], edges[1])[columns] - here[columns]
+    columns = objective.columns
+    moved[columns] = np.clip(here + change, edges[0], edges[1])[columns] - here[columns]
     return arm.at(arm.integrate(state.q, moved)).compiled
 
 
-# Where to go and on what way: what the controller settles before it moves.
-
-logger = logging.getLogger(__name__)
-
-GOOD = 1e-8
-"""Mean distance of the control points from their targets at which a configuration takes the posture, in arm
-lengths: a run converges at 1e-6 unless told otherwise."""
-
-HEEDED, CLEAR = 0.4, (100.0, 30.0)
-"""Roots of the weights of tasks and of clearances on the way, against the motion of control points. Ways are
-looked for with a large and a small one by turns: the one pushes out, the other leads round."""
-
-LITTLE = 0.3
-"""How far points of a target may move for it to be much like the one before, in module lengths."""
-
-LITTLE_MOVED = 2.0
-"""How much worse than expected a goal may be to count as no worse than the one before: noise does as much."""
-
-BENT = 0.5
-"""By how much a way may be bent in all, to end elsewhere, relative to what is left of it."""
-
-SHORT = 0.1
-"""Joint motion over which a way round something is not looked for, in `Arm.joint_units`."""
-
-WAYS = 12
-"""How many ways are looked for until one leads clear of all obstacles; fewer when it is planned again."""
-
-SAMPLES = 2
-"""Places on each straight piece of a way at which its distance is looked up."""
+# The path to it.
 
 
-def plan(
-    posture: Posture,
-    state: ArmState,
-    bounds: JointBounds,
-    avoidance: Avoidance | None,
-    mu: float,
-    tries: int = 0,
-) -> PathProgress:
-    """Find where to go, and the most direct way there that is clear.
-
-    Args:
-        posture: what is asked of the arm.
-        state: where it is.
-        bounds: what the limits mean for its joints.
-        avoidance: what to keep clear of; nothing if None.
-        mu: weight of joint motion against the motion of control points [m per `Arm.joint_units`].
-        tries: how many ways were tried before; each try looks for another.
-    """
-    goal = find_goal(posture, state, bounds.edges, avoidance, GOOD * posture.arm.length).state
-    path, hindrance = _way(posture, state, goal, bounds, avoidance, mu, tries)
-    progress = PathProgress(posture, path, bounds, tries=tries, hindrance=hindrance).within(bounds)
-    first, last = (posture.task_rows(at, strict=True) for at in (state, goal))
-    if first is not None and last is not None:
-        progress = progress._replace(strict_errors=(first.errors, last.errors))
-    logger.debug("a way of %d pieces%s", path.end, f", hindered: {hindrance}" if hindrance else "")
-    return progress
-
-
-def moved_little(progress: PathProgress, posture: Posture) -> bool:
-    """Whether a target is much like the one that a progress leads to."""
-    return progress.posture.distance_to(posture) <= LITTLE * posture.arm.length / posture.arm.n_modules
-
-
-def plan_on(
-    progress: PathProgress,
-    posture: Posture,
-    state: ArmState,
-    bounds: JointBounds,
-    mu: float,
-    avoidance: Avoidance | None = None,
-) -> PathProgress:
-    """What `plan` finds, for a target that is not far from the one before, from what was found for that.
-
-    The search for a goal begins at the goal before. Where the new one is near, compared to what is left of
-    the way, the way is bent to end there: a target that moves on in every step needs no new way in each.
-
-    Args:
-        progress: the progress to the target before, which the arm is on.
-        posture: what is asked of the arm now.
-        state: where it is.
-        bounds: what the limits mean for its joints.
-        mu: weight of joint motion against the motion of control points [m per `Arm.joint_units`].
-        avoidance: what to keep clear of; nothing if None. A way that is bent a little is not looked along
-            again: each step on it is.
-    """
-    arm, path = posture.arm, progress.path
-    before = path.configuration(path.end)
-    goal = _known(posture, bounds, before)
-    if goal is not None and avoidance is not None and avoidance.intrusion(arm.at(goal).compiled) > 0.0:
-        goal = None
-    if goal is None:
-        start = arm.at(before).compiled
-        first = start if posture.target.q is None else None
-        enough = _as_good(progress, posture, start)
-        found = find_goal(posture, state, bounds.edges, avoidance, GOOD * arm.length, first, enough)
-        goal = found.state.q
-    change = posture.displacement(posture.own(arm.difference(before, goal)))
-    bent = change if progress.bent is None else progress.bent + change
-    if (
-        progress.arrived
-        or progress.tries
-        or _size(posture, bent) > BENT * _size(posture, arm.difference(state.q, before))
-    ):
-        if avoidance is not None and _size(posture, arm.difference(state.q, goal)) > SHORT:
-            return plan(posture, state, bounds, avoidance, mu)
-        path = direct_path(posture, state.q, goal, mu, bounds.edges)
-        return PathProgress(posture, path, bounds).within(bounds)
-    path = path.bent(progress.place, change, bounds.edges)
-    return progress._replace(posture=posture, path=path, bent=bent).within(bounds)
-
-
-def _as_good(progress: PathProgress, posture: Posture, goal: ArmState) -> float:
-    """Mean distance from its points that is as good as at the goal before, for a target that moved [m].
-
-    Zero, which is to search on, where it moved so far that what could not be had before may be possible now.
-    """
-    left, moved = progress.posture.mean_error(goal), progress.posture.distance_to(posture)
-    little = LITTLE * posture.arm.length / posture.arm.n_modules
-    return LITTLE_MOVED * (left + moved) if moved <= max(left, little) else 0.0
-
-
-def _known(posture: Posture, bounds: JointBounds, before: Array) -> Array | None:
-    """The configuration that a target knows, (nq,), if it is within the limits and takes the posture.
-
-    Joints are within half a turn of those at the goal before.
-    """
-    arm, q = posture.arm, posture.target.q
-    if q is None or len(posture.active) < arm.n_modules:
-        return None
-    goal = arm.at(arm.nearest_turns(q, before, bounds.edges)).compiled
-    inside = kernels.position_excess(goal.forward.positions, bounds.edges, arm.kinematics.columns) == 0.0
-    return goal.q if inside and posture.mean_error(goal) <= GOOD * arm.length else None
-
-
-def _size(posture: Posture, way: Array) -> float:
-    """The largest joint motion of a displacement (nv,), in `Arm.joint_units`."""
-    return float(np.abs(posture.own(way)).max(initial=0.0))
-
-
-def _way(
-    posture: Posture,
+def _clearest_path(
+    objective: Objective,
     state: ArmState,
     goal: ArmState,
     bounds: JointBounds,
     avoidance: Avoidance | None,
-    mu: float,
-    tries: int,
-) -> tuple[JointPath, str]:
-    """The most direct way, or the first of several that is clear, and what the best comes too close to."""
+    attempt: int,
+) -> JointPath:
+    """Return a direct path that is clear; if there is none, the one that comes least close to something.
 
-    def found(number: int) -> JointPath:
-        penalty = _penalty(posture, state, goal, avoidance, CLEAR[number % len(CLEAR)])
-        return direct_path(posture, state.q, goal.q, mu, bounds.edges, penalty, number)
+    Candidates are, in this order: the most direct path of all; two that are relaxed among the obstacles from
+    different first guesses; one that is searched and then relaxed; more that are relaxed. The first that is
+    clear is taken, unless it is long: then the search may find a shorter one.
+    """
+    start = state.q
+
+    def relaxed(variant: int) -> JointPath:
+        root = CLEARANCE_ROOTS[variant % len(CLEARANCE_ROOTS)]
+        penalty = _penalty(objective, state, goal, avoidance, root)
+        return direct_path(objective, start, goal.q, bounds.edges, penalty, variant)
 
     if avoidance is None:
-        return found(tries), ""
-    # A way cannot be clearer than its ends.
+        return relaxed(attempt)
+    # A path cannot be clearer than its ends.
     ends = (avoidance.clearance.minimum(at.q).distance for at in (state, goal))
-    possible = min(avoidance.margin, *ends) - 1e-9 * posture.arm.length
-    looked_at = []
-    for number in range(tries, tries + WAYS // (1 + tries)):
-        path = found(number)
-        room = _room(path, avoidance)
-        if room.distance >= possible:
-            return path, ""
-        looked_at.append((room, path))
-    closest, best = max(looked_at, key=lambda each: each[0].distance)
-    pair = " to ".join(closest.pair or ())
-    return best, f"no clear way was found, the best has {pair}: {1e3 * closest.distance:.3g} mm apart"
+    possible = min(avoidance.margin, *ends) - 1e-9 * objective.arm.length
+    most_direct = direct_path(objective, start, goal.q, bounds.edges)
+    short = MAX_DETOUR * most_direct.length
+    clear: list[JointPath] = []
+    hindered: list[tuple[float, JointPath]] = []
+
+    def candidates() -> Iterator[JointPath]:
+        first = 2 * attempt
+        if attempt == 0 and not objective.tasks:
+            yield most_direct
+        yield from (relaxed(first + k) for k in range(2) if not clear)
+        yield from _searched(objective, state, goal, bounds, avoidance, possible, attempt)
+        yield from (relaxed(first + k) for k in range(2, MAX_PATHS // (1 + attempt)) if not clear)
+
+    for path in candidates():
+        closest = _closest_on(path, avoidance)
+        if closest.distance >= possible:
+            clear.append(path)
+            if path.length <= short:
+                return path
+        else:
+            pair = " to ".join(closest.pair or ())
+            words = f"no clear path was found, the best has {pair}: {1e3 * closest.distance:.3g} mm apart"
+            hindered.append((closest.distance, replace(path, hindrance=words)))
+    if clear:
+        return min(clear, key=lambda path: path.length)
+    return max(hindered, key=lambda each: each[0])[1]
+
+
+def _searched(
+    objective: Objective,
+    state: ArmState,
+    goal: ArmState,
+    bounds: JointBounds,
+    avoidance: Avoidance,
+    least: float,
+    seed: int,
+) -> Iterator[JointPath]:
+    """Search for a clear path; yield it relaxed, and as it was found."""
+    search = PathSearch(objective, state, goal, bounds.edges, avoidance, least, seed)
+    found = search.find()
+    if found is None:
+        return
+    penalty = _penalty(objective, state, goal, avoidance, CLEARANCE_ROOTS[0])
+    if penalty is not None:
+        pieces = int(np.clip(len(found.offsets), *SEARCHED_PIECES))
+        path = relax_path(objective, state.q, found.offsets, bounds.edges, penalty, pieces)
+        yield replace(path, found_by=found.found_by)
+    yield JointPath(objective, state.q, found.offsets, found_by=found.found_by)
 
 
 def _penalty(
-    posture: Posture, state: ArmState, goal: ArmState, avoidance: Avoidance | None, clear: float
+    objective: Objective, state: ArmState, goal: ArmState, avoidance: Avoidance | None, clearance_root: float
 ) -> Penalty | None:
-    """What else matters on the way: tasks, and to keep clear; None if nothing does."""
-    if not posture.tasks and avoidance is None:
+    """Return what else counts on the path: tasks, and clearance; None if there is neither."""
+    if not objective.tasks and avoidance is None:
         return None
-    kinds = [(HEEDED, False), (HEEDED * float(np.sqrt(STRICT)), True)]
-    ends = [[posture.task_rows(at, strict) for at in (state, goal)] for _, strict in kinds]
+    kinds = [(TASK_ROOT, False), (TASK_ROOT * float(np.sqrt(PRIORITY_WEIGHT)), True)]
+    ends = [[objective.task_rows(at, priority) for at in (state, goal)] for _, priority in kinds]
 
-    def penalty(at: ArmState, share: float) -> Linear:
+    def penalty(at: ArmState, share: float) -> LinearRows:
         parts = []
-        for (root, strict), (first, last) in zip(kinds, ends, strict=True):
-            asked = posture.task_rows(at, strict)
-            if asked is None or first is None or last is None:
+        for (root, priority), (first, last) in zip(kinds, ends, strict=True):
+            tasks = objective.task_rows(at, priority)
+            if tasks is None or first is None or last is None:
                 continue
-            # The errors are to change steadily from what they are to what they will be.
-            left = asked.errors - (1.0 - share) * first.errors - share * last.errors
-            parts.append(Linear(root * asked.matrix, root * left))
+            # The errors should change steadily from those at the start to those at the goal.
+            left = tasks.errors - (1.0 - share) * first.errors - share * last.errors
+            parts.append(LinearRows(root * tasks.matrix, root * left))
         if avoidance is not None:
             near = avoidance.intrusions(at)
-            parts.append(Linear(clear * near.matrix, clear * near.errors))
-        return Linear(np.concatenate([p.matrix for p in parts]), np.concatenate([p.errors for p in parts]))
+            parts.append(LinearRows(clearance_root * near.matrix, clearance_root * near.errors))
+        matrices, errors = zip(*parts, strict=True)
+        return LinearRows(np.concatenate(matrices), np.concatenate(errors))
 
     return penalty
 
 
-def _room(path: JointPath, avoidance: Avoidance) -> Closest:
-    """The pair that comes closest on a path, its ends included."""
-    ways = zip(path.offsets[:-1], np.diff(path.offsets, axis=0), strict=True)
+def _closest_on(path: JointPath, avoidance: Avoidance) -> Closest:
+    """Return the pair that comes closest on a path, its ends included."""
+    pieces = zip(path.offsets[:-1], np.diff(path.offsets, axis=0), strict=True)
     found = [
-        avoidance.clearance.minimum_between(path.arm.integrate(path.start, offset), way, SAMPLES)
-        for offset, way in ways
+        avoidance.clearance.minimum_between(path.arm.integrate(path.start, offset), piece, SAMPLES_PER_PIECE)
+        for offset, piece in pieces
     ]
     return min([avoidance.clearance.minimum(path.start), *found], key=lambda each: each.distance)
+
+
+# A target that moves: the path so far is bent where that will do.
+
+
+def is_small_change(before: Objective, after: Objective) -> bool:
+    """Whether a target posture is much like the one before."""
+    return before.distance_to(after) <= SMALL_CHANGE * after.arm.length / after.arm.n_modules
+
+
+def replan(
+    path: JointPath,
+    place: float,
+    bend: Array | None,
+    objective: Objective,
+    state: ArmState,
+    bounds: JointBounds,
+    avoidance: Avoidance | None,
+) -> tuple[JointPath, Array | None]:
+    """Find what `find_path` finds, for a target not far from the one before, starting from its path.
+
+    The search for a goal begins at the goal before. Where the new one is near, compared to what is left of
+    the path, the path is bent to end there: a target that moves in every step needs no new path in each.
+
+    Args:
+        path: the path to the target before.
+        place: where the arm is on it, in waypoints; infinite: nothing of it can be used.
+        bend: by how much its end was moved already, (nv,) [rad or m]; None: not at all.
+        objective: what the arm is to achieve now.
+        state: where it is.
+        bounds: what the limits mean for its joints.
+        avoidance: what to keep clear of; None: nothing. A path that is bent a little is not sampled again:
+            each step on it is.
+
+    Returns:
+        The path; and by how much its end was moved since it was planned, None for a new path.
+    """
+    arm = objective.arm
+    before = path.configuration(path.end)
+    goal = _known_goal(objective, bounds, before)
+    if goal is not None and avoidance is not None and avoidance.intrusion(arm.at(goal).compiled) > 0.0:
+        goal = None
+    if goal is None:
+        start = arm.at(before).compiled
+        first = start if objective.target.q is None else None
+        enough = _achievable_error(path.objective, objective, start)
+        good = GOAL_TOLERANCE * arm.length
+        goal = find_goal(objective, state, bounds.edges, avoidance, good, first, enough).state.q
+    change = objective.displacement(objective.normalize(arm.difference(before, goal)))
+    bent = change if bend is None else bend + change
+    too_far = _size(objective, bent) > MAX_BEND * _size(objective, arm.difference(state.q, before))
+    if place < np.inf and not too_far:
+        return replace(path.bent(place, change, bounds.edges), objective=objective), bent
+    if avoidance is None:
+        return direct_path(objective, state.q, goal, bounds.edges), None
+    if _size(objective, arm.difference(state.q, goal)) > MIN_PLANNED_MOTION:
+        return find_path(objective, state, bounds, avoidance), None
+    return replace(direct_path(objective, state.q, goal, bounds.edges), scene=path.scene), None
+
+
+def _achievable_error(before: Objective, after: Objective, goal: ArmState) -> float:
+    """Return the mean error that is as good as at the goal before, for a target that moved [m].
+
+    Zero, so that the search goes on, where the target moved so far that more may be possible now.
+    """
+    left, moved = before.mean_error(goal), before.distance_to(after)
+    small = SMALL_CHANGE * after.arm.length / after.arm.n_modules
+    return NOISE_FACTOR * (left + moved) if moved <= max(left, small) else 0.0
+
+
+def _known_goal(objective: Objective, bounds: JointBounds, before: Array) -> Array | None:
+    """Return the configuration that a target knows, (nq,), if it is within limits and takes the posture.
+
+    Joints are within half a turn of those at the goal before.
+    """
+    arm, q = objective.arm, objective.target.q
+    if q is None or len(objective.active) < arm.n_modules:
+        return None
+    goal = arm.at(arm.nearest_turns(q, before, bounds.edges)).compiled
+    inside = kernels.position_excess(goal.forward.positions, bounds.edges, arm.kinematics.columns) == 0.0
+    return goal.q if inside and objective.mean_error(goal) <= GOAL_TOLERANCE * arm.length else None
+
+
+def _size(objective: Objective, change: Array) -> float:
+    """Return the largest joint motion of a displacement (nv,), in `Arm.joint_units`."""
+    return float(np.abs(objective.normalize(change)).max(initial=0.0))

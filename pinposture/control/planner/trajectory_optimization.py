@@ -1,4 +1,20 @@
-"""The path on which the control points travel least, with and without penalties."""
+"""The path on which the control points travel least: geodesics through joint space.
+
+The configurations between a start and a goal are free. Joint interpolation takes a straight line through
+joint space, on which the control points sweep wide. A path of waypoints x_0 ... x_N with control points
+P(x_i) instead minimises
+
+    sum over i of |P(x_{i+1}) - P(x_i)|^2 + mu^2 |x_{i+1} - x_i|^2,
+
+the energy of the motion in the metric J^T J + mu^2 I. Its minimum is a geodesic, at constant speed. The first
+term makes the points go straight, the second keeps joints from turning far for little; mu balances the two.
+Both ends are fixed. The search begins with joint interpolation, so that joints turn the way that the goal
+configuration means. Waypoints stay within the position limits.
+
+Without penalties one waypoint after the other is relaxed (`kernels.path`), first few and then more, in time
+linear in the number of joints. With penalties, for obstacles or tasks, all waypoints move together: damped
+Gauss-Newton steps that couple neighbours only, as block tridiagonal systems.
+"""
 
 from __future__ import annotations
 
@@ -8,59 +24,199 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.linalg.lapack import dpbsv
 
 from pinposture import kernels
 from pinposture.arm import ArmState
-from pinposture.control.planner.objective import Linear, Posture
+from pinposture.control.planner.objective import LinearRows, Objective
 from pinposture.control.planner.path import JointPath
-
-# Symmetric block tridiagonal systems, as chains of waypoints make them.
 
 Array = NDArray[np.float64]
 
+Penalty = Callable[[ArmState, float], LinearRows]
+"""Rows whose squares are added to the energy, for a state and its place on the path as a share."""
 
-def solve_tridiagonal(diagonal: Array, above: Array, right: Array) -> Array | None:
-    """Solve a symmetric positive definite block tridiagonal system by band Cholesky, in O(N n^3).
+COARSE_TO_FINE, MANY_PIECES = (6, 12, 24), (24, 48, 96)
+"""Numbers of straight pieces of a path: first few and then more, which is quick; many from the beginning
+where that made a long detour, because long turns need them."""
 
-    It is one call of LAPACK: many small ones, a few for each block, spend a hundred times as long waiting for
-    the threads of BLAS where other processes use the cores.
+KEPT_RATIO, GOOD_RATIO, MAX_RATIO = 1.01, 1.1, 2.0
+"""Path length ratios of the control points: up to the first, joint interpolation is kept; above the second,
+more pieces are tried; above the third, a path of few pieces is not refined."""
+
+SHORT_MOTION = 0.1
+"""Joint motion up to which joint interpolation will do, in `Arm.joint_units`: one step is no more direct."""
+
+LENGTH_SAMPLES = 48
+"""Number of places at which the length of a path is sampled."""
+
+REFINEMENT = 4
+"""Number of pieces into which each one is divided at the end, on a smooth curve."""
+
+MAX_PASSES, RELAXED, NEARLY_RELAXED = 60, 3e-5, 3e-4
+"""Largest number of passes over all waypoints, and the relative fall of the energy in one at which they end;
+the last one where more waypoints follow anyway."""
+
+SMALL_BEND, LARGE_BEND = 0.05, 0.4
+"""How far the first guess is bent to one side, relative to the largest change of a joint, which breaks
+symmetries; more for the variants."""
+
+MAX_NEWTON_STEPS, NEWTON_CONVERGED = 40, 1e-4
+"""Largest number of Gauss-Newton steps, and the relative fall of the energy at which they end."""
+
+FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-3, 1e-9, 1e6
+"""Damping of Gauss-Newton steps at first, at least, and where the search gives up, relative to the mean
+diagonal of J^T J."""
+
+
+def direct_path(
+    objective: Objective,
+    start: Array,
+    goal: Array,
+    edges: Array,
+    penalty: Penalty | None = None,
+    variant: int = 0,
+) -> JointPath:
+    """Find the most direct path between two configurations.
 
     Args:
-        diagonal: diagonal blocks, (N, n, n).
-        above: blocks right of the diagonal ones, (N - 1, n, n).
-        right: right-hand side, (N, n).
-
-    Returns:
-        The solution (N, n), or None if the matrix is not positive definite.
+        objective: the arm, its joints, and their weight.
+        start: configuration to start from, (nq,).
+        goal: configuration to go to, (nq,).
+        edges: joint positions to stay between, (2, nv) [rad or m].
+        penalty: rows whose errors should vanish at each waypoint between the ends; None: there are none.
+        variant: how the first guess is bent, from 0; other numbers may lead to another path.
     """
-    count, n = right.shape
-    band = np.zeros((2 * n, count * n), order="F")  # element (row, column) is kept at (row - column, column)
-    first = n * np.arange(count)[:, None]
-    row, column = np.tril_indices(n)
-    band[row - column, first + column] = diagonal[:, row, column]
-    row, column = np.indices((n, n)).reshape(2, -1)
-    band[n + column - row, first[:-1] + row] = above[:, row, column]
-    _, solution, failed = dpbsv(band, right.ravel(), lower=1, overwrite_ab=1)
-    return None if failed else np.reshape(solution, (count, n))
+    arm = objective.arm
+    change = objective.normalize(arm.difference(start, goal))
+    largest = float(np.abs(change).max(initial=0.0))
+    if penalty is None and largest <= SHORT_MOTION:
+        return JointPath(objective, start, np.array([np.zeros(arm.nv), objective.displacement(change)]))
+    waypoints = _Waypoints(objective, start, edges)
+    found = np.vstack([np.zeros(len(change)), change])
+    bend = _bend(objective, variant) * largest
+    if penalty is not None:
+        guess = waypoints.interpolate(change, bend, MANY_PIECES[0])
+        found = optimize_with_penalties(objective, start, waypoints.within, guess, penalty)
+    else:
+        shortest = waypoints.length_ratio(found)
+        for other in waypoints.relax(change, bend) if shortest > KEPT_RATIO else ():
+            length = waypoints.length_ratio(other)
+            if length < shortest:
+                found, shortest = other, length
+            if shortest <= GOOD_RATIO:
+                break
+    smooth = waypoints.refine(found, REFINEMENT * (len(found) - 1)) if len(found) > 2 else found
+    offsets = np.zeros((len(smooth), arm.nv))
+    offsets[:, objective.columns] = smooth * objective.units
+    return JointPath(objective, start, offsets)
 
 
-# Waypoints that all move together: the most direct way where penalties have a say.
-#
-# What `kernels.path` minimises, and squares of penalties at each waypoint between the ends.
-# The minimum is found by damped Gauss-Newton steps: each couples neighbours only, a block tridiagonal
-# system. Joints at a limit that the descent would push past it are held there.
+def relax_path(
+    objective: Objective, start: Array, offsets: Array, edges: Array, penalty: Penalty, pieces: int
+) -> JointPath:
+    """Find the most direct path near a given one.
 
-Penalty = Callable[[ArmState, float], Linear]
+    Args:
+        objective: the arm, its joints, and their weight.
+        start: configuration to start from, (nq,).
+        offsets: waypoints of the given path as displacements from there, (N + 1, nv) [rad or m].
+        edges: joint positions to stay between, (2, nv) [rad or m].
+        penalty: rows whose errors should vanish at each waypoint between the ends.
+        pieces: number of pieces of the path, before it is refined.
+    """
+    waypoints = _Waypoints(objective, start, edges)
+    x = offsets[:, objective.columns] / objective.units
+    x = waypoints.space(x, pieces)
+    found = optimize_with_penalties(objective, start, waypoints.within, x, penalty)
+    smooth = waypoints.refine(found, REFINEMENT * pieces)
+    relaxed = np.zeros((len(smooth), objective.arm.nv))
+    relaxed[:, objective.columns] = smooth * objective.units
+    return JointPath(objective, start, relaxed)
 
-ROUNDS, SETTLED = 40, 1e-4
-"""The most steps of the search, and the relative fall of the sum at which it ends."""
 
-FIRST, SMALLEST, LARGEST = 1e-3, 1e-9, 1e6
-"""Damping of the search at first, at least, and where it gives up, relative to the mean diagonal of J^T J."""
+class _Waypoints:
+    """Operations on waypoints as displacements from the start, (N + 1, n), in `Arm.joint_units`.
+
+    Attributes:
+        within: smallest and largest displacement, 2 x (n,).
+    """
+
+    def __init__(self, objective: Objective, start: Array, edges: Array) -> None:
+        arm, chain, self._weight = objective.arm, objective.chain, objective.mu**2
+        self._objective = objective
+        self._start = arm.positions(start)
+        lower, upper = ((edge - self._start)[objective.columns] / objective.units for edge in edges)
+        # From a start outside its limits, the waypoints come back along the path.
+        self.within = np.minimum(lower, 0.0), np.maximum(upper, 0.0)
+        constants = arm.kinematics.constants
+        ends = np.searchsorted(chain.joints, arm.kinematics.ends).astype(np.int64)
+        self._relax_given = (constants, chain.joints, ends, chain.units, self._start, *self.within)
+        self._length_given = (constants, chain.joints, chain.units, self._start)
+
+    def interpolate(self, change: Array, bend: Array, pieces: int) -> Array:
+        """Return joint interpolation, bent to one side."""
+        shares = np.linspace(0.0, 1.0, pieces + 1)[:, None]
+        return self._clip(shares * change + np.sin(np.pi * shares) * bend)
+
+    def refine(self, x: Array, pieces: int) -> Array:
+        """Return more waypoints, on a cubic spline, so that joints change speed gradually."""
+        if pieces == len(x) - 1:
+            return x
+        spline = CubicSpline(np.linspace(0.0, 1.0, len(x)), x, bc_type="natural")
+        return self._clip(spline(np.linspace(0.0, 1.0, pieces + 1)))
+
+    def space(self, x: Array, pieces: int) -> Array:
+        """Return waypoints on the same path at equal distances, in the metric that is minimised."""
+        points = np.array([self._points(each) for each in x])
+        squares = (np.diff(points, axis=0) ** 2).sum(axis=(1, 2)) + self._weight * (
+            np.diff(x, axis=0) ** 2
+        ).sum(axis=1)
+        places = np.concatenate([[0.0], np.cumsum(np.sqrt(squares))])
+        wanted = np.linspace(0.0, places[-1], pieces + 1)
+        return self._clip(np.column_stack([np.interp(wanted, places, joint) for joint in x.T]))
+
+    def _points(self, x: Array) -> Array:
+        positions = self._start.copy()
+        positions[self._objective.columns] += x * self._objective.units
+        return self._objective.arm.kinematics.forward(positions).points
+
+    def relax(self, change: Array, bend: Array) -> Iterator[Array]:
+        """Yield waypoints at a minimum, found with increasing effort."""
+        x = self.interpolate(change, bend, COARSE_TO_FINE[0])
+        for pieces in COARSE_TO_FINE:
+            x = self.refine(x, pieces)
+            fall = RELAXED if pieces == COARSE_TO_FINE[-1] else NEARLY_RELAXED
+            kernels.relax_waypoints(*self._relax_given, self._weight, MAX_PASSES, fall, x)
+            if self.length_ratio(x) > MAX_RATIO:
+                break
+        else:
+            yield x
+        x = self.interpolate(change, bend, MANY_PIECES[0])
+        for pieces in MANY_PIECES:
+            x = self.refine(x, pieces)
+            kernels.relax_waypoints(*self._relax_given, self._weight, MAX_PASSES, RELAXED, x)
+            yield x
+
+    def length_ratio(self, x: Array) -> float:
+        """Return the path length of the control points, relative to straight lines from start to end."""
+        path, direct = kernels.measure_path_lengths(*self._length_given, x, LENGTH_SAMPLES)
+        return max(path / direct, 1.0) if direct > 1e-12 * path else 1.0
+
+    def _clip(self, x: Array) -> Array:
+        return np.ascontiguousarray(np.minimum(np.maximum(x, self.within[0]), self.within[1]))
 
 
-class _Band(NamedTuple):
+def _bend(objective: Objective, variant: int) -> Array:
+    """Return a bend of the whole arm to one side, (n,); each variant is another one."""
+    along = (np.arange(len(objective.columns)) + 0.5) / len(objective.columns)
+    size, sign, waves = LARGE_BEND if variant else SMALL_BEND, (-1.0) ** variant, 1 + variant // 2
+    return np.asarray(size * sign * np.cos(np.pi * waves * along))
+
+
+# With penalties: all waypoints move together.
+
+
+class _Iterate(NamedTuple):
     """Waypoints with all that belongs to them.
 
     Attributes:
@@ -74,55 +230,56 @@ class _Band(NamedTuple):
     x: Array
     points: Array
     jacobians: Array
-    penalties: list[Linear]
+    penalties: list[LinearRows]
     energy: float
 
 
 def optimize_with_penalties(
-    posture: Posture, start: Array, mu: float, within: tuple[Array, Array], x: Array, penalty: Penalty
+    objective: Objective, start: Array, within: tuple[Array, Array], x: Array, penalty: Penalty
 ) -> Array:
-    """Waypoints at a minimum, (N + 1, n), in `Arm.joint_units`.
+    """Return waypoints at a minimum of the energy and the penalties, (N + 1, n), in `Arm.joint_units`.
+
+    Joints at a limit that the descent would push past it are held there.
 
     Args:
-        posture: the arm, and which joints it has.
+        objective: the arm, its joints, and their weight.
         start: configuration that waypoints are displacements from, (nq,).
-        mu: weight of joint motion against the motion of control points [m per `Arm.joint_units`].
         within: smallest and largest displacement, 2 x (n,).
         x: a first guess, (N + 1, n), within them.
-        penalty: rows whose squares are added, for a state and its share of the way.
+        penalty: rows of the penalties.
     """
-    search = _Search(posture, start, mu, within, penalty)
-    band, damping = search.band(x), FIRST
-    for _ in range(ROUNDS):
-        step = search.step(band, damping)
+    search = _GaussNewton(objective, start, within, penalty)
+    now, damping = search.evaluate(x), FIRST_DAMPING
+    for _ in range(MAX_NEWTON_STEPS):
+        step = search.step(now, damping)
         if step is not None:
-            moved = band.x.copy()
+            moved = now.x.copy()
             moved[1:-1] = np.minimum(np.maximum(moved[1:-1] + step, within[0]), within[1])
-            tried = search.band(moved)
-            if tried.energy < band.energy:
-                settled = tried.energy > (1.0 - SETTLED) * band.energy
-                band, damping = tried, max(damping / 5.0, SMALLEST)
-                if settled:
+            tried = search.evaluate(moved)
+            if tried.energy < now.energy:
+                converged = tried.energy > (1.0 - NEWTON_CONVERGED) * now.energy
+                now, damping = tried, max(damping / 5.0, MIN_DAMPING)
+                if converged:
                     break
                 continue
         damping *= 8.0
-        if damping > LARGEST:
+        if damping > MAX_DAMPING:
             break
-    return band.x
+    return now.x
 
 
-class _Search:
+class _GaussNewton:
     """Gauss-Newton steps on the waypoints of one path."""
 
     def __init__(
-        self, posture: Posture, start: Array, mu: float, within: tuple[Array, Array], penalty: Penalty
+        self, objective: Objective, start: Array, within: tuple[Array, Array], penalty: Penalty
     ) -> None:
-        self._posture, self._start, self._weight, self._penalty = posture, start, mu**2, penalty
+        self._objective, self._start, self._weight, self._penalty = objective, start, objective.mu**2, penalty
         self._lower, self._upper = within
 
-    def band(self, x: Array) -> _Band:
-        posture = self._posture
-        columns, plane = posture.columns, posture.arm.plane
+    def evaluate(self, x: Array) -> _Iterate:
+        objective = self._objective
+        columns, plane = objective.columns, objective.arm.plane
         states = [self._state(each) for each in x]
         points = np.array([(state.points @ plane.T).ravel() for state in states])
         rows = points.shape[1]
@@ -130,25 +287,25 @@ class _Search:
         energy = float((np.diff(points, axis=0) ** 2).sum() + self._weight * (np.diff(x, axis=0) ** 2).sum())
         penalties = [self._penalty(states[i], i / (len(x) - 1)) for i in range(1, len(x) - 1)]
         energy += sum(float(each.errors @ each.errors) for each in penalties)
-        return _Band(x, points, jacobians, penalties, energy)
+        return _Iterate(x, points, jacobians, penalties, energy)
 
     def _state(self, x: Array) -> ArmState:
-        return self._posture.arm.at(
-            self._posture.arm.integrate(self._start, self._posture.displacement(x))
-        ).compiled
+        objective = self._objective
+        return objective.arm.at(objective.arm.integrate(self._start, objective.displacement(x))).compiled
 
-    def step(self, band: _Band, damping: float) -> Array | None:
-        """The damped Gauss-Newton step of all waypoints between the ends, (N - 1, n)."""
-        x, inner = band.x, band.jacobians[1:-1]
-        n, turned = x.shape[1], inner.transpose(0, 2, 1)
-        stretch, turn = np.diff(band.points, axis=0), np.diff(x, axis=0)
-        pull = stretch[:-1] - stretch[1:]
-        gradient = (turned @ pull[:, :, None])[:, :, 0] + self._weight * (turn[:-1] - turn[1:])
-        own = turned @ inner
+    def step(self, now: _Iterate, damping: float) -> Array | None:
+        """Return the damped step of all waypoints between the ends, (N - 1, n); None if it fails."""
+        x, inner = now.x, now.jacobians[1:-1]
+        n, transposed = x.shape[1], inner.transpose(0, 2, 1)
+        point_changes, joint_changes = np.diff(now.points, axis=0), np.diff(x, axis=0)
+        pull = point_changes[:-1] - point_changes[1:]
+        gradient = (transposed @ pull[:, :, None])[:, :, 0]
+        gradient = gradient + self._weight * (joint_changes[:-1] - joint_changes[1:])
+        own = transposed @ inner
         typical = float(np.trace(own.sum(axis=0))) / (n * len(own))
         diagonal = 2.0 * own + (2.0 * self._weight + damping * typical) * np.eye(n)
-        above = -(turned[:-1] @ inner[1:]) - self._weight * np.eye(n)
-        for i, rows in enumerate(band.penalties):
+        above = -(transposed[:-1] @ inner[1:]) - self._weight * np.eye(n)
+        for i, rows in enumerate(now.penalties):
             diagonal[i] += rows.matrix.T @ rows.matrix
             gradient[i] -= rows.matrix.T @ rows.errors
         free = ~(
@@ -159,157 +316,5 @@ class _Search:
             diagonal[:, np.arange(n), np.arange(n)] += ~free
             above *= free[:-1, :, None] & free[1:, None, :]
             gradient = gradient * free
-        return solve_tridiagonal(diagonal, above, -gradient)
-
-
-# The most direct way through joint space: the one on which the control points travel least.
-#
-# The configurations between a start and a goal are free. Joint interpolation takes them on a straight line,
-# on which control points sweep wide; what a user expects is that the points go straight. A path of waypoints
-# x_0 ... x_N with control points P(x_i) minimises
-#
-# sum over i of |P(x_{i+1}) - P(x_i)|^2 + mu^2 |x_{i+1} - x_i|^2,
-#
-# the energy of the motion in the metric J^T J + mu^2 I; its minimum is a geodesic, at constant speed. The
-# first term makes the points go straight, the second keeps joints from turning far for little; mu is the
-# dial between the two. Both ends are fixed, and the search begins with joint interpolation, so that the path
-# goes the way round that the goal configuration means. Waypoints stay within the position limits.
-#
-# The minimum is found by relaxing one waypoint after the other (`kernels.path`), first of few and then
-# of more, in time linear in the number of joints. Where squares of further penalties are added, for
-# obstacles on the way for instance, all waypoints move together (`control.planner.trajectory_optimization`).
-
-LEVELS, PIECES = (6, 12, 24), (24, 48, 96)
-"""Straight pieces of a path: first few and then more, which is quick; many from the beginning where that led
-far round, because long turns need them, and few cut them short."""
-
-STRAIGHT, FAR_ROUND, LOST = 1.01, 1.1, 2.0
-"""Length of the ways of the points, relative to the shortest: up to the first, joint interpolation is left
-as it is; beyond the second, more pieces are tried; beyond the third, few are not made more."""
-
-NEAR = 0.1
-"""Joint motion up to which joint interpolation will do, in `Arm.joint_units`: a step is no more direct."""
-
-LOOKS = 48
-"""Places at which the length of a path is looked up."""
-
-FINER = 4
-"""Into how many pieces each one is divided in the end, on a smooth curve."""
-
-RELAXATION_ROUNDS, RELAXED, ROUGHLY = 60, 3e-5, 3e-4
-"""The most passes over all waypoints, and the relative fall of the energy in one at which they end; the last
-one where more waypoints follow anyway."""
-
-SWAY, WIDE = 0.05, 0.4
-"""How far the first guess is bent to one side, relative to the largest change of a joint, which breaks
-symmetries. More where a way that was found before leads through an obstacle."""
-
-
-def direct_path(
-    posture: Posture,
-    start: Array,
-    goal: Array,
-    mu: float,
-    edges: Array,
-    penalty: Penalty | None = None,
-    sway: int = 0,
-) -> JointPath:
-    """Find the most direct path between two configurations.
-
-    Args:
-        posture: the arm, and which joints it has.
-        start: configuration to start from, (nq,).
-        goal: configuration to go to, (nq,).
-        mu: weight of joint motion against the motion of control points [m per `Arm.joint_units`].
-        edges: joint positions to stay between, (2, nv) [rad or m].
-        penalty: rows whose squares are added at each waypoint between the ends, for a state and its share of
-            the way; their errors should vanish.
-        sway: which way the first guess is bent, from 0; other numbers may lead to another path.
-    """
-    arm = posture.arm
-    whole = posture.own(arm.difference(start, goal))
-    turn = float(np.abs(whole).max(initial=0.0))
-    if penalty is None and turn <= NEAR:
-        return JointPath(arm, start, np.array([np.zeros(arm.nv), posture.displacement(whole)]))
-    ways = _Ways(posture, start, mu, edges)
-    found = np.vstack([np.zeros(len(whole)), whole])
-    bend = _sway(posture, sway) * turn
-    if penalty is not None:
-        found = optimize_with_penalties(
-            posture, start, mu, ways.within, ways.bent(whole, bend, PIECES[0]), penalty
-        )
-    else:
-        detour = ways.detour(found)
-        for other in ways.violated_constraints(whole, bend) if detour > STRAIGHT else ():
-            length = ways.detour(other)
-            if length < detour:
-                found, detour = other, length
-            if detour <= FAR_ROUND:
-                break
-    smooth = ways.finer(found, FINER * (len(found) - 1)) if len(found) > 2 else found
-    offsets = np.zeros((len(smooth), arm.nv))
-    offsets[:, posture.columns] = smooth * posture.units
-    return JointPath(arm, start, offsets)
-
-
-class _Ways:
-    """Waypoints as displacements from the start, (N + 1, n), in `Arm.joint_units`.
-
-    Attributes:
-        within: smallest and largest displacement, (2, n).
-    """
-
-    def __init__(self, posture: Posture, start: Array, mu: float, edges: Array) -> None:
-        arm, chain, self._weight = posture.arm, posture.chain, mu**2
-        self._start = arm.positions(start)
-        lower, upper = ((edge - self._start)[posture.columns] / posture.units for edge in edges)
-        # A start outside its limits: the waypoints come back on the way.
-        self.within = np.minimum(lower, 0.0), np.maximum(upper, 0.0)
-        constants = arm.kinematics.constants
-        ends = np.searchsorted(chain.which, arm.kinematics.ends).astype(np.int64)
-        self._relax = (constants, chain.which, ends, chain.units, self._start, *self.within)
-        self._look = (constants, chain.which, chain.units, self._start)
-
-    def bent(self, whole: Array, bend: Array, pieces: int) -> Array:
-        """Joint interpolation, bent to one side."""
-        shares = np.linspace(0.0, 1.0, pieces + 1)[:, None]
-        return self._inside(shares * whole + np.sin(np.pi * shares) * bend)
-
-    def finer(self, x: Array, pieces: int) -> Array:
-        """More waypoints, on a cubic spline through the given ones, so that joints change speed gradually."""
-        if pieces == len(x) - 1:
-            return x
-        spline = CubicSpline(np.linspace(0.0, 1.0, len(x)), x, bc_type="natural")
-        return self._inside(spline(np.linspace(0.0, 1.0, pieces + 1)))
-
-    def violated_constraints(self, whole: Array, bend: Array) -> Iterator[Array]:
-        """Waypoints at a minimum, by more and more effort."""
-        x = self.bent(whole, bend, LEVELS[0])
-        for pieces in LEVELS:
-            x = self.finer(x, pieces)
-            settled = RELAXED if pieces == LEVELS[-1] else ROUGHLY
-            kernels.relax_waypoints(*self._relax, self._weight, RELAXATION_ROUNDS, settled, x)
-            if self.detour(x) > LOST:
-                break
-        else:
-            yield x
-        x = self.bent(whole, bend, PIECES[0])
-        for pieces in PIECES:
-            x = self.finer(x, pieces)
-            kernels.relax_waypoints(*self._relax, self._weight, RELAXATION_ROUNDS, RELAXED, x)
-            yield x
-
-    def detour(self, x: Array) -> float:
-        """Length of the ways of the control points, relative to the distances from start to end."""
-        path, direct = kernels.measure_path_lengths(*self._look, x, LOOKS)
-        return max(path / direct, 1.0) if direct > 1e-12 * path else 1.0
-
-    def _inside(self, x: Array) -> Array:
-        return np.ascontiguousarray(np.minimum(np.maximum(x, self.within[0]), self.within[1]))
-
-
-def _sway(posture: Posture, number: int) -> Array:
-    """A bend of the whole arm to one side, (n,); each number means another one."""
-    along = (np.arange(len(posture.columns)) + 0.5) / len(posture.columns)
-    size, sign, waves = WIDE if number else SWAY, (-1.0) ** number, 1 + number // 2
-    return np.asarray(size * sign * np.cos(np.pi * waves * along))
+        found = np.empty_like(gradient)
+        return found if kernels.solve_tridiagonal(diagonal, above, -gradient, found) else None

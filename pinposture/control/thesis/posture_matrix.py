@@ -18,7 +18,7 @@ from pinposture.placement import Target
 
 Array = NDArray[np.float64]
 
-FINE, ENOUGH = 1e-12, 1e-7
+VALUE_TOLERANCE, DECISION_TOLERANCE = 1e-12, 1e-7
 """Residuals at which the search for a singular value ends, relative to its square: to tell it, to decide."""
 
 
@@ -66,18 +66,26 @@ class PostureMatrix:
 
     def weakest(self) -> tuple[float, Array]:
         """Smallest singular value, and how much each station has in its left singular vector, (p,)."""
-        found, vector = self._extreme(True, ENOUGH)
+        found, vector = self._extreme(True, DECISION_TOLERANCE)
         return found, np.asarray(np.linalg.norm(vector, axis=1))
 
     @cached_property
     def smallest(self) -> float:
         """Smallest singular value [m/rad]."""
-        return float(self._own.min()) if self._rows.coupling == LOCAL else self._extreme(True, FINE)[0]
+        return (
+            float(self._own.min())
+            if self._rows.coupling == LOCAL
+            else self._extreme(True, VALUE_TOLERANCE)[0]
+        )
 
     @cached_property
     def largest(self) -> float:
         """Largest singular value [m/rad]."""
-        return float(self._own.max()) if self._rows.coupling == LOCAL else self._extreme(False, FINE)[0]
+        return (
+            float(self._own.max())
+            if self._rows.coupling == LOCAL
+            else self._extreme(False, VALUE_TOLERANCE)[0]
+        )
 
     @property
     def _own(self) -> Array:

@@ -106,21 +106,18 @@ class Projection:
         if rows is None:
             held = limits.hold(state, previous)
             reason = f"no module has a singular value above threshold = {self.threshold:g} of its length"
-            none = Diagnostics(0.0, 0.0, 0.0, 0, (), held.scale, held.clipped, reason)
+            none = Diagnostics(held.clipped, reason, scale=held.scale)
             return Step(held.dq, (), none, Memory(held.dq))
         matrix = PostureMatrix(screws, rows)
         errors = (target.points - state.forward.points) * placed[:, None]
         asked = matrix.step(arm, self._along(rows, self.gain * errors), secondary)
         limited = limits.apply(state, asked, previous)
         diagnostics = Diagnostics(
+            limited.clipped,
             manipulability=smallest,
-            sigma_min=matrix,
-            sigma_max=matrix,
+            spectrum=matrix,
             rows=matrix.size,
-            dropped=(),
             scale=limited.scale,
-            clipped=limited.clipped,
-            reason="",
         )
         return Step(
             limited.dq, tuple(rows.stations[rows.ranks > 0].tolist()), diagnostics, Memory(limited.dq)

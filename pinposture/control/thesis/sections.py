@@ -19,8 +19,6 @@ from pinposture.arm.kinematics import constants_of
 from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import Screws
 
-# Control sets as chains of short sections: the tree of Section 4.6.1 and its best branch.
-#
 # Where modules have one joint, neighbouring control points always conflict (Appendix A). Points two or three
 # joints apart conflict only where the section between them is singular, so a control set is a chain of such
 # sections. All chains over a region of the arm form a tree (Figure 4.7): nodes are control points, edges are
@@ -52,7 +50,7 @@ class SectionSet(NamedTuple):
     score: float
 
 
-NOTHING = SectionSet((), 0, -np.inf)
+EMPTY_SET = SectionSet((), 0, -np.inf)
 
 
 class SectionEdges(NamedTuple):
@@ -160,7 +158,7 @@ class SectionTree:
         if self._root_counts:
             points = (self.root - 1, *points)
         if not points:
-            return NOTHING
+            return EMPTY_SET
         logs = np.array([[self._logs[edge] for edge in kept]]).sum(axis=1)
         return SectionSet(points, len(kept), float(_scores(np.array([len(kept)]), logs, score)[0]))
 
@@ -195,7 +193,7 @@ class SectionTree:
 
 
 def best_branch(edges: SectionEdges, first: int, last: int, score: SectionScore) -> SectionSet:
-    """The set with the largest score over all branches over a region.
+    """Return the set with the largest score over all branches over a region.
 
     The score depends on how many edges are left and on the product of their indices. Of all ways to a node
     on which as many edges are left, only that with the largest product can be part of the best branch:
@@ -218,7 +216,7 @@ def best_branch(edges: SectionEdges, first: int, last: int, score: SectionScore)
     given = edges.strides, edges.stable, edges.logs, bonus, score == "geometric"
     left, found = kernels.best_branch(root, leaf, *given, path)
     if found == -np.inf:
-        return NOTHING
+        return EMPTY_SET
     points = [root - 1] * root_counts + (path[:left][::-1] - 1).tolist()
     return SectionSet(tuple(points), left, found)
 
@@ -256,7 +254,7 @@ def _scores(edges: NDArray[np.intp], logs: Array, score: SectionScore) -> Array:
 # length never get there: their best is (sqrt(5) - 1) / 2. A score that multiplies indices, as (4.8) does,
 # would count every such section as a loss, however good its posture; relative to the best it does not.
 
-NEVER = 1e-3
+ALWAYS_SINGULAR = 1e-3
 """A section whose best index is below this counts as always singular; its indices stay as they are."""
 
 
@@ -371,7 +369,7 @@ def _best_indices(chain: Chain, strides: tuple[int, ...]) -> Array:
                 lengths = _section_lengths(chain, start, start + stride)
                 if 2 <= len(lengths) <= 3:
                     found = best_index(lengths)
-                    row[start + stride] = found if found > NEVER else 1.0
+                    row[start + stride] = found if found > ALWAYS_SINGULAR else 1.0
     return best
 
 

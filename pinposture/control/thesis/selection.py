@@ -125,7 +125,7 @@ def _conditions(
     return clears, np.triu(indices[1:, 1:] > relative, 1) & clears[:, None] & clears[None, :]
 
 
-COUNTED = 50
+MAX_COUNTED_MODULES = 50
 """How many modules of an arm count as its length where its conditioning is judged."""
 
 SCORES = ("auto", "error", "geometric", "thesis")
@@ -196,21 +196,19 @@ class Selection:
         active, matrix = self._conditioned(arm, screws, chosen)
         if matrix is None:
             held, reason = limits.hold(state, previous), self._why_none(base, chosen, placed)
-            none = Diagnostics(0.0, 0.0, 0.0, 0, tuple(chosen.tolist()), held.scale, held.clipped, reason)
+            none = Diagnostics(held.clipped, reason, dropped=tuple(chosen.tolist()), scale=held.scale)
             return Step(held.dq, (), none, Memory(held.dq))
         gradient = self.null_gain * descent(arm, screws, errors, distances)
         asked = matrix.step(arm, self.gain * errors[active], gradient)
         limited = limits.apply(state, asked, previous)
         kept = tuple(active.tolist())
         diagnostics = Diagnostics(
+            limited.clipped,
             manipulability=kernels.weakest_index(*screws, constants_of(arm).plane, active, base),
-            sigma_min=matrix,
-            sigma_max=matrix,
+            spectrum=matrix,
             rows=matrix.size,
             dropped=tuple(k for k in chosen.tolist() if k not in kept) if len(kept) < len(chosen) else (),
             scale=limited.scale,
-            clipped=limited.clipped,
-            reason="",
         )
         return Step(limited.dq, kept, diagnostics, Memory(limited.dq))
 
@@ -238,7 +236,7 @@ class Selection:
         self, arm: Arm, screws: Screws, chosen: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], PostureMatrix | None]:
         """Drop points until the posture control matrix is far enough from singular."""
-        active, least, known = chosen, self.conditioning * _counted(arm), constants_of(arm)
+        active, least, known = chosen, self.conditioning * _effective_length(arm), constants_of(arm)
         while len(active):
             count = len(active)
             rows = Rows(active, known.dimensions[:count], known.frames[:count], FULL)
@@ -271,6 +269,6 @@ class Selection:
         )
 
 
-def _counted(arm: Arm) -> float:
+def _effective_length(arm: Arm) -> float:
     """The length of an arm as far as it counts for its conditioning [m]."""
-    return arm.length * min(1.0, COUNTED / arm.n_modules)
+    return arm.length * min(1.0, MAX_COUNTED_MODULES / arm.n_modules)

@@ -38,11 +38,19 @@ class Phase(NamedTuple):
     failovers: int
 
 
-FIRST = Phase("selection", np.inf, 0.0, 0.0, 0)
+INITIAL_PHASE = Phase("selection", np.inf, 0.0, 0.0, 0)
+
+
+@dataclass(frozen=True, eq=False)
+class SwitchingMemory(Memory):
+    """The memory of `Switching`: the phase that it is in, too."""
+
+    phase: Phase = INITIAL_PHASE
+
 
 HANDED_BACK = "Projection has had its time, and Selection has control points"
 
-ROUNDING = 1e-6
+TRAVEL_ROUNDING = 1e-6
 """Share of a step by which sums of steps may be off."""
 
 
@@ -95,16 +103,15 @@ class Switching:
         limits = Limits() if limits is None else limits
         error = float(np.linalg.norm(task_errors(state, target), axis=1).sum())
         travel = limits.travel(state)
-        known = memory.own if memory is not None else None
-        phase = known if isinstance(known, Phase) else FIRST
+        phase = memory.phase if isinstance(memory, SwitchingMemory) else INITIAL_PHASE
         idle = phase.method == "projection"
-        if idle and phase.left > ROUNDING * travel:
+        if idle and phase.left > TRAVEL_ROUNDING * travel:
             return self._project(state, target, limits, memory, phase, travel, "")
         if idle or error < phase.best * (1.0 - self.progress):
             entered = phase._replace(method="selection", best=error, waited=0.0)
         else:
             entered = phase._replace(waited=phase.waited + travel)
-        if entered.waited >= self.patience - ROUNDING * travel:
+        if entered.waited >= self.patience - TRAVEL_ROUNDING * travel:
             why = f"the posture error did not fall by {100 * self.progress:g} % in {entered.waited:.3g} rad"
             failed = self._failover(entered, target)
             return self._project(state, target, limits, memory, failed, travel, why)
@@ -159,7 +166,7 @@ class Switching:
             return _labelled(held, phase, why)
         # A reason to fail over means that Selection had control: it keeps it, and nothing changes.
         changed = "" if why else held.diagnostics.reason
-        return _labelled(step, FIRST._replace(failovers=phase.failovers), changed)
+        return _labelled(step, INITIAL_PHASE._replace(failovers=phase.failovers), changed)
 
     def _escape(
         self, state: ArmState, target: Target, goal: Array, limits: Limits, memory: Memory | None
@@ -176,7 +183,7 @@ class Switching:
         step = self.projection.step_with(ahead / arm.joint_units, state, waypoint, limits, memory)
         if step.diagnostics.reason:  # no control point can move: the joints go on their own
             limited = limits.apply(state, ahead, memory.dq if memory is not None else None)
-            moved = Diagnostics(0.0, 0.0, 0.0, 0, (), limited.scale, limited.clipped, "")
+            moved = Diagnostics(limited.clipped, scale=limited.scale)
             step = Step(limited.dq, (), moved, Memory(limited.dq))
         return step._replace(
             diagnostics=step.diagnostics._replace(error_increasing=True, following_path=True)
@@ -185,4 +192,4 @@ class Switching:
 
 def _labelled(step: Step, phase: Phase, switched: str) -> Step:
     diagnostics = step.diagnostics._replace(method=phase.method, switched=switched)
-    return step._replace(diagnostics=diagnostics, memory=Memory(step.dq, phase))
+    return step._replace(diagnostics=diagnostics, memory=SwitchingMemory(step.dq, phase=phase))

@@ -1,4 +1,4 @@
-"""The page in the browser: what is seen of a session, and what hands can do to it."""
+"""The page in the browser: what is shown of a session, and the controls to edit it."""
 
 from pinposture.editor.ui.page import Page
 

@@ -1,4 +1,4 @@
-"""The tab for the task file, and the buttons to export the motion."""
+"""The File tab: save, open, undo, exports of the motion, and a tour for new users."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import viser
 
-from pinposture.editor.files import KINDS, Files, exported, within
+from pinposture.editor.files import EXPORT_KINDS, Files, export, within
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
 from pinposture.editor.ui.parts import Post, on_change, on_click, put
@@ -19,11 +19,11 @@ from pinposture.errors import PostureError
 from pinposture.motion import Motion
 from pinposture.task import Task
 
-# A short tour for whoever is here for the first time; each browser remembers that it had it.
+logger = logging.getLogger(__name__)
 
-SEEN = "pinposture-tour"
+TOUR_SEEN_KEY = "pinposture-tour"  # in the storage of each browser that has shown the tour
 
-STEPS = (
+TOUR = (
     (
         "Draw a curve, and the arm takes its shape",
         "The arm follows the curve of the selected keyframe, within its limits.\n\n"
@@ -55,48 +55,39 @@ STEPS = (
 
 
 def offer_tour(server: viser.ViserServer) -> None:
-    """Show the tour to every browser that comes for the first time."""
+    """Show the tour in every browser that connects for the first time."""
 
     @server.on_client_connect
     def _(client: viser.ClientHandle) -> None:  # called in a thread of its own, so it may wait
         try:
-            if client.local_storage.get_item(SEEN, timeout=5.0) is None:
+            if client.local_storage.get_item(TOUR_SEEN_KEY, timeout=5.0) is None:
                 show_tour(client)
         except (TimeoutError, RuntimeError):  # it left, or does not answer
             return
 
 
 def show_tour(client: viser.ClientHandle, step: int = 0) -> None:
-    """Show a step of the tour in one browser, with ways to go on and to end it."""
-    title, text = STEPS[step]
+    """Show a step of the tour in one browser, with buttons to go on and to end it."""
+    title, text = TOUR[step]
     modal = client.gui.add_modal(title)
     with modal:
         client.gui.add_markdown(text)
-        ways = ("Skip", "Next") if step == 0 else ("Back", "Done" if step == len(STEPS) - 1 else "Next")
-        buttons = client.gui.add_button_group(f"{step + 1} of {len(STEPS)}", ways)
+        labels = ("Skip", "Next") if step == 0 else ("Back", "Done" if step == len(TOUR) - 1 else "Next")
+        buttons = client.gui.add_button_group(f"{step + 1} of {len(TOUR)}", labels)
 
-    async def turn(event: Any) -> None:
+    async def clicked(event: Any) -> None:
         modal.close()
-        way = event.target.value
-        if way in ("Skip", "Done"):
-            client.local_storage.set_item(SEEN, "yes")
+        label = event.target.value
+        if label in ("Skip", "Done"):
+            client.local_storage.set_item(TOUR_SEEN_KEY, "yes")
         else:
-            show_tour(client, step + (1 if way == "Next" else -1))
+            show_tour(client, step + (1 if label == "Next" else -1))
 
-    buttons.on_click(turn)
-
-
-# The tab for the task file: open, save, undo.
+    buttons.on_click(clicked)
 
 
 class FileTab:
-    """Controls for the task file.
-
-    Args:
-        server: the page; the controls are made where it is at.
-        files: what saves and opens.
-        post: leaves a request for the loop.
-    """
+    """Controls for the task file."""
 
     def __init__(self, server: viser.ViserServer, files: Files, post: Post) -> None:
         self._files, self._post, gui = files, post, server.gui
@@ -105,163 +96,133 @@ class FileTab:
         self._redo = gui.add_button("Redo", icon=viser.Icon.ARROW_FORWARD_UP, hint="Ctrl+Shift+Z")
         self._save = gui.add_button("Save", icon=viser.Icon.DEVICE_FLOPPY, hint="Ctrl+S")
         self._path = gui.add_text("Task file", "", hint="To save as or to open: .toml or .json")
-        self._save_as = gui.add_button("Save under this name")
-        self._open = gui.add_button("Open this file", icon=viser.Icon.FOLDER_OPEN)
-        self._tour = gui.add_button("Show the tour")
-        self._tour.on_click(_toured)
+        save_as = gui.add_button("Save under this name")
+        open_file = gui.add_button("Open this file", icon=viser.Icon.FOLDER_OPEN)
+        gui.add_button("Show the tour").on_click(_show_tour_again)
         self._typed = ""
+        self._shown: Path | None = None
         on_change(self._path, self._type)
         on_click(self._undo, lambda: post(Session.undo))
         on_click(self._redo, lambda: post(Session.redo))
         on_click(self._save, lambda: post(files.save))
-        on_click(self._save_as, self._saved_as)
-        on_click(self._open, self._opened)
-        self._shown: Path | None = None
+        on_click(save_as, self._save_as)
+        on_click(open_file, self._open)
 
-    def show(self, session: Session, live: Live) -> None:
+    def show(self, session: Session, _: Live) -> None:
         """Bring it up to date."""
-        del live
         undoable, redoable = session.history.undoable, session.history.redoable
         put(self._undo, disabled=not undoable, label=f"Undo: {undoable}" if undoable else "Undo")
         put(self._redo, disabled=not redoable, label=f"Redo: {redoable}" if redoable else "Redo")
         put(self._save, disabled=not session.changed or session.path is None)
-        put(self._about, content=_about(session))
+        name = "not in a file yet" if session.path is None else f"<b>{escape(session.path.name)}</b>"
+        state = "changes are kept beside it, not saved yet" if session.changed else "saved"
+        style = "font-size:14px;line-height:1.35;padding:2px 10px 10px 10px"
+        put(self._about, content=f'<div style="{style}">{name}: {state}</div>')
         if session.path is not None and session.path != self._shown:
             self._shown = session.path
-            self._typed = _shortly(session.path, session.folder)
+            self._typed = _relative_name(session.path, session.folder)
             put(self._path, value=self._typed)
 
     def _type(self, text: str) -> None:
         self._typed = text
 
-    def _saved_as(self) -> None:
+    def _save_as(self) -> None:
         name = self._typed.strip()
         self._post(lambda session: self._files.save(session, within(session.folder, name)))
 
-    def _opened(self) -> None:
+    def _open(self) -> None:
         name = self._typed.strip()
         self._post(lambda session: self._files.open(session, within(session.folder, name)))
 
 
-async def _toured(event: Any) -> None:
+async def _show_tour_again(event: Any) -> None:
     if event.client is not None:
         show_tour(event.client)
 
 
-def _shortly(path: Path, folder: Path) -> str:
-    """A path as it is typed: from the folder that files are opened and saved in."""
+def _relative_name(path: Path, folder: Path) -> str:
+    """Return a path as it is typed: from the folder that files are opened and saved in."""
     for file, root in ((path, folder), (path.resolve(), folder.resolve())):
         if file.is_relative_to(root):
             return str(file.relative_to(root))
     return path.name
 
 
-def _about(session: Session) -> str:
-    name = "not in a file yet" if session.path is None else f"<b>{escape(session.path.name)}</b>"
-    state = "changes are kept beside it, not saved yet" if session.changed else "saved"
-    return f'<div style="font-size:14px;line-height:1.35;padding:2px 10px 10px 10px">{name}: {state}</div>'
+EXPORT_GROUPS = (("Motion as", ("npz", "CSV", "ROS JSON")), ("Shown as", ("Picture", "Animation")))
 
 
-# Buttons to take the motion away as a file; part of the tab for files.
+class RequestedExport(NamedTuple):
+    """A file that a user waits for."""
 
-logger = logging.getLogger(__name__)
-
-NUMBERS, PICTURES = ("npz", "CSV", "ROS JSON"), ("Picture", "Animation")
-
-HINT = "Of the motion of the whole task as it stands; it is worked out first, if need be"
-
-
-class Wanted(NamedTuple):
-    """A file that somebody waits for.
-
-    Attributes:
-        kind: one of `KINDS`.
-        client: whose browser it goes to.
-        task: whose motion.
-        stem: what to call it.
-    """
-
-    kind: str
-    client: viser.ClientHandle
-    task: Task
-    stem: str
+    kind: str  # one of `EXPORT_KINDS`
+    client: viser.ClientHandle  # whose browser it goes to
+    task: Task  # whose motion
+    stem: str  # of the file name
 
 
 class ExportButtons:
-    """Buttons to take the motion away, and what is being made.
-
-    Args:
-        server: the page; the buttons are made where it is at.
-        post: leaves a request for the loop.
-    """
+    """Buttons to download the motion, and the progress of that."""
 
     def __init__(self, server: viser.ViserServer, post: Post) -> None:
         self._post = post
-        self._wanted: list[Wanted] = []
-        self._making: tuple[Wanted, Thread] | None = None
-        for label, kinds in (("Motion as", NUMBERS), ("Shown as", PICTURES)):
-            server.gui.add_button_group(label, kinds, hint=HINT).on_click(self._pressed)
+        self._queue: list[RequestedExport] = []
+        self._running: tuple[RequestedExport, Thread] | None = None
+        hint = "Of the motion of the whole task as it stands; it is worked out first, if need be"
+        for label, kinds in EXPORT_GROUPS:
+            server.gui.add_button_group(label, kinds, hint=hint).on_click(self._on_click)
         self._bar = server.gui.add_progress_bar(0.0, visible=False, animated=True)
-        self._told = server.gui.add_markdown("", visible=False)
+        self._text = server.gui.add_markdown("", visible=False)
 
-    def show(self, session: Session, live: Live) -> None:
-        """Bring it up to date, and begin with what can be begun."""
-        del live
-        if self._making is not None and not self._making[1].is_alive():
-            self._making = None
-        if self._wanted and self._making is None:
-            self._next(session)
-        now = self._making[0] if self._making is not None else self._wanted[0] if self._wanted else None
+    def show(self, session: Session, _: Live) -> None:
+        """Bring it up to date, and start the next export."""
+        if self._running is not None and not self._running[1].is_alive():
+            self._running = None
+        if self._queue and self._running is None:
+            self._start_next(session)
+        running = self._running is not None
+        now = self._running[0] if self._running is not None else self._queue[0] if self._queue else None
         put(self._bar, visible=now is not None)
-        put(self._told, visible=now is not None)
+        put(self._text, visible=now is not None)
         if now is not None:
-            rehearsal = session.playback.rehearsal
-            making = self._making is not None
-            put(self._bar, value=100.0 if making else float(round(100.0 * rehearsal.progress)))
-            put(
-                self._told,
-                content=f"*{now.kind}: " + ("being made*" if making else "the motion is worked out*"),
-            )
+            progress = session.playback.rehearsal.progress
+            put(self._bar, value=100.0 if running else float(round(100.0 * progress)))
+            doing = "being made" if running else "the motion is worked out"
+            put(self._text, content=f"*{now.kind}: {doing}*")
 
-    def _next(self, session: Session) -> None:
-        wanted, rehearsal = self._wanted[0], session.playback.rehearsal
+    def _start_next(self, session: Session) -> None:
+        wanted, rehearsal = self._queue[0], session.playback.rehearsal
         done = rehearsal.of(wanted.task)
         if done is not None:
-            self._wanted.pop(0)
-            if done.motion is not None:  # else it was told why not
+            self._queue.pop(0)
+            if done.motion is not None:  # else a message has said why not
                 thread = Thread(
-                    target=self._make, args=(wanted, done.motion), name="pinposture-export", daemon=True
+                    target=self._export, args=(wanted, done.motion), name="pinposture-export", daemon=True
                 )
-                self._making = wanted, thread
+                self._running = wanted, thread
                 thread.start()
         elif wanted.task is not session.task or not rehearsal.working:
-            self._wanted.pop(0)
-            session.say(
-                f"{wanted.kind}: not made, the task was changed, or the motion was given up", "warning"
-            )
+            self._queue.pop(0)
+            text = f"{wanted.kind}: not made, the task was changed, or the motion was given up"
+            session.say(text, "warning")
 
-    async def _pressed(self, event: Any) -> None:
-        if event.client is not None and event.target.value in KINDS:
-            self._post(partial(self._want, event.target.value, event.client))
+    async def _on_click(self, event: Any) -> None:
+        if event.client is not None and event.target.value in EXPORT_KINDS:
+            self._post(partial(self._request, event.target.value, event.client))
 
-    def _want(self, kind: str, client: viser.ClientHandle, session: Session) -> None:
+    def _request(self, kind: str, client: viser.ClientHandle, session: Session) -> None:
         stem = session.path.stem if session.path is not None else session.task.name or "motion"
-        self._wanted.append(Wanted(kind, client, session.task, stem))
+        self._queue.append(RequestedExport(kind, client, session.task, stem))
         session.playback.rehearse(session.task)
 
-    def _make(self, wanted: Wanted, motion: Motion) -> None:
+    def _export(self, wanted: RequestedExport, motion: Motion) -> None:
+        kind = "error"
         try:
-            made = exported(motion, wanted.kind, wanted.stem)
+            made = export(motion, wanted.kind, wanted.stem)
             wanted.client.send_file_download(made.name, made.content, save_immediately=True)
+            text, kind = made.summary, "info"
         except PostureError as error:
-            self._post(partial(say, f"{wanted.kind}: not made: {error}", "error"))
-        except Exception as error:  # a fault of ours; whoever waits for it has to be told
+            text = f"{wanted.kind}: not made: {error}"
+        except Exception as error:  # a bug, which has to be reported, too
             logger.exception("an export failed")
-            self._post(partial(say, f"{wanted.kind}: not made ({error})", "error"))
-        else:
-            self._post(partial(say, made.told, "info"))
-
-
-def say(text: str, kind: str, session: Session) -> None:
-    """Say something."""
-    session.say(text, kind)
+            text = f"{wanted.kind}: not made ({error})"
+        self._post(lambda session: session.say(text, kind))

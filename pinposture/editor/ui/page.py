@@ -1,4 +1,4 @@
-"""The page: its parts, light and camera, keys and the tour."""
+"""The page: its parts, light and camera, and keys."""
 
 from __future__ import annotations
 
@@ -28,7 +28,6 @@ from pinposture.editor.ui.curve import (
     delete_point,
     insert_point,
     move_point,
-    select_point,
 )
 from pinposture.editor.ui.files import ExportButtons, FileTab, offer_tour
 from pinposture.editor.ui.keyframes import KeyframesTab
@@ -41,30 +40,28 @@ from pinposture.editor.ui.status import Status
 from pinposture.viz import palette
 from pinposture.viz.drawing import link_radius
 
-# What the keyboard does. The page's command palette lists it.
+Array = NDArray[np.float64]
 
-STEP = 0.01
-"""How far an arrow key moves the selected control point, relative to the arm."""
+CONTROLS_WIDTH = 340  # [pixels]
+NUDGE = 0.01  # by an arrow key, relative to the arm
+FIELD_OF_VIEW = 40.0  # of the camera, vertically [deg]
+CAMERA_DISTANCE = 1.75  # in arm lengths
+CAMERA_DIRECTION = np.array([0.25, -0.85, 0.46])  # from the middle of the arm
+LOOK_BELOW = 0.13  # of the arm, in arm lengths: the plots cover the bottom of the picture
+FLOOR_CELLS = 10  # along the arm
 
 
 class Shortcut(NamedTuple):
-    """A key, and what it does.
+    """A key, and what it does."""
 
-    Attributes:
-        label: what it does, in words.
-        key: as the page names it.
-        modifier: what is to be held with it, as the page names it.
-        act: what it does.
-    """
-
-    label: str
-    key: str
-    modifier: str | None
-    act: Callable[[Session], object]
+    label: str  # what it does, in words
+    key: str  # as the page names it
+    modifier: str | None  # the key held with it, as the page names it
+    act: Callable[[Session], object]  # called with the session
 
 
 def shortcuts(files: Files) -> tuple[Shortcut, ...]:
-    """All keys of the editor."""
+    """Return all keys of the editor."""
     return (
         Shortcut("Undo", "Z", "cmd/ctrl", Session.undo),
         Shortcut("Redo", "Z", "cmd/ctrl+shift", Session.redo),
@@ -72,9 +69,9 @@ def shortcuts(files: Files) -> tuple[Shortcut, ...]:
         Shortcut("Save", "S", "cmd/ctrl", files.save),
         Shortcut("Insert a control point", "I", None, insert_point),
         Shortcut("Delete the control point", "delete", None, delete_point),
-        Shortcut("Next control point", "N", None, partial(_next, 1)),
-        Shortcut("Previous control point", "B", None, partial(_next, -1)),
-        Shortcut("Select nothing", "escape", None, partial(select_point, None)),
+        Shortcut("Next control point", "N", None, partial(_select_next, 1)),
+        Shortcut("Previous control point", "B", None, partial(_select_next, -1)),
+        Shortcut("Select nothing", "escape", None, lambda session: session.take_hold(None)),
         Shortcut("Move it ahead (+x)", "arrowright", "shift", partial(_nudge, 0, 1.0)),
         Shortcut("Move it back (-x)", "arrowleft", "shift", partial(_nudge, 0, -1.0)),
         Shortcut("Move it up (+z)", "arrowup", "shift", partial(_nudge, 2, 1.0)),
@@ -83,88 +80,61 @@ def shortcuts(files: Files) -> tuple[Shortcut, ...]:
 
 
 def add_shortcuts(server: viser.ViserServer, files: Files, post: Post) -> None:
-    """Tell the page of all keys."""
+    """Add all keys to the page, whose command palette lists them."""
     for label, key, modifier, act in shortcuts(files):
         command = server.gui.add_command(label, hotkey=key, modifier=modifier)  # type: ignore[arg-type]
         # A key that is held down repeats itself; the arm may need longer than that for a move.
-        command.on_trigger(partial(_triggered, post, act, label if modifier == "shift" else ""))
+        command.on_trigger(partial(_on_trigger, post, act, label if modifier == "shift" else ""))
 
 
-async def _triggered(post: Post, act: Callable[[Session], object], same: str, _: Any) -> None:
-    post(act, same)
+async def _on_trigger(post: Post, act: Callable[[Session], object], key: str, _: Any) -> None:
+    post(act, key)
 
 
-def _next(by: int, session: Session) -> None:
-    """Select the control point after the selected one, or before; the one at the base is passed over."""
+def _select_next(by: int, session: Session) -> None:
+    """Select the next or previous control point; the one at the base is skipped."""
     count = len(session.shape.points)
     at = session.handle if session.handle is not None else (0 if by > 0 else count)
-    select_point((at - 1 + by) % (count - 1) + 1, session)
+    session.take_hold((at - 1 + by) % (count - 1) + 1)
 
 
-def _nudge(axis: int, way: float, session: Session) -> None:
+def _nudge(axis: int, sign: float, session: Session) -> None:
     """Move the selected control point a little along an axis of the world."""
     if session.handle is None:
         session.say("no control point is selected: click on one, or press N", "warning")
         return
     place = np.array(session.shape.points[session.handle])
-    place[axis] += way * STEP * session.arm.length
+    place[axis] += sign * NUDGE * session.arm.length
     move_point(session.handle, place, True, session)
 
 
-# Light, floor and camera.
-
-Array = NDArray[np.float64]
-
-FIELD_OF_VIEW = 40.0
-"""Vertical opening of the camera [deg]."""
-
-DISTANCE = 1.75
-"""How far from the arm the camera is, in arm lengths."""
-
-FROM = np.array([0.25, -0.85, 0.46])
-"""Where it looks from, seen from the middle of the arm."""
-
-LOWER = 0.13
-"""How much lower than the arm the middle of the picture is: the plots cover the bottom; in arm lengths."""
-
-CELLS = 10
-"""Squares of the floor along the arm."""
-
-
 class Viewpoint(NamedTuple):
-    """Where the camera is at first.
+    """The initial camera."""
 
-    Attributes:
-        position: (3,) [m], world frame.
-        look_at: the place in the middle of the picture, (3,) [m], world frame.
-        opening: angle from the bottom of the picture to its top [rad].
-    """
-
-    position: Array
-    look_at: Array
-    opening: float
+    position: Array  # (3,) [m], world frame
+    look_at: Array  # the place in the middle of the picture, (3,) [m], world frame
+    opening: float  # angle from the bottom of the picture to its top [rad]
 
 
 def viewpoint(arm: Arm) -> Viewpoint:
-    """Where the camera has to be to see the whole of an arm."""
+    """Return a camera that sees the whole of an arm."""
     middle = 0.5 * (arm.chain.base + arm.at(arm.straight()).points[-1])
-    away = DISTANCE * arm.length * FROM / np.linalg.norm(FROM)
-    middle[2] -= LOWER * arm.length
+    away = CAMERA_DISTANCE * arm.length * CAMERA_DIRECTION / np.linalg.norm(CAMERA_DIRECTION)
+    middle[2] -= LOOK_BELOW * arm.length
     return Viewpoint(middle + away, middle, float(np.radians(FIELD_OF_VIEW)))
 
 
 def set_stage(server: viser.ViserServer, arm: Arm) -> None:
-    """Make a floor under an arm, and look at the whole of it."""
+    """Set light and camera for an arm, and a floor below it."""
     base, length = arm.chain.base, arm.length
     tip, view = arm.at(arm.straight()).points[-1], viewpoint(arm)
-    middle = view.look_at
     server.scene.set_up_direction("+z")
     server.scene.world_axes.visible = False
     server.scene.configure_environment_map("city", environment_intensity=0.55)
     camera = server.initial_camera
     camera.position, camera.look_at, camera.fov = view
     camera.near, camera.far = 0.01 * length, 100.0 * length
-    cell = _round(length / CELLS)
+    cell = _round_length(length / FLOOR_CELLS)
     floor = float(min(base[2], tip[2])) - 0.3 * length - 3.0 * link_radius(arm)
     server.scene.add_grid(
         "/floor",
@@ -174,44 +144,26 @@ def set_stage(server: viser.ViserServer, arm: Arm) -> None:
         section_size=5.0 * cell,
         cell_color=color(palette.FAINT),
         section_color=color(palette.mixed(palette.FAINT, palette.REST, 0.5)),
-        position=(*np.round(middle[:2] / cell) * cell, floor),
+        position=(*np.round(view.look_at[:2] / cell) * cell, floor),
         fade_distance=40.0 * cell,
         shadow_opacity=0.12,
     )
     server.scene.add_frame(
-        "/axes",
-        axes_length=0.08 * length,
-        axes_radius=0.15 * link_radius(arm),
-        position=(*base[:2], floor),
+        "/axes", axes_length=0.08 * length, axes_radius=0.15 * link_radius(arm), position=(*base[:2], floor)
     )
 
 
-def _round(value: float) -> float:
-    """The nearest of 1, 2, 5 times a power of ten."""
+def _round_length(value: float) -> float:
+    """Round to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(min((1.0, 2.0, 5.0, 10.0), key=lambda step: abs(step * power - value)) * power)
-
-
-# The page: the server, its parts, and what brings them up to date.
-
-WIDTH = 340
-"""Width of the controls [pixels]."""
 
 
 class Page:
     """What browsers show, all of them the same.
 
-    Args:
-        session: what is edited; only to begin with.
-        post: leaves a request for the loop.
-        files: what saves and opens.
-        surroundings: what is around the arm.
-        states: where the arm is measured to be; None if it is not.
-        host: at which address to listen.
-        port: at which port; another if it is taken.
-
     Attributes:
-        url: where a browser on this machine finds it; whoever has it is let in.
+        url: where a browser on this machine finds it; whoever has it can edit.
 
     Raises:
         ViewerError: it cannot be served.
@@ -237,10 +189,10 @@ class Page:
 
     def _build(self, arm: Arm) -> None:
         """Make all parts for an arm."""
-        server, post, files = self._server, self._post, self._files
+        server, post, scans = self._server, self._post, self._surroundings.scans
         server.gui.set_panel_label("pinposture")
         server.gui.main_panel.dock_right()
-        server.gui.main_panel.set_width(WIDTH)
+        server.gui.main_panel.set_width(CONTROLS_WIDTH)
         set_stage(server, arm)
         self._arm = ArmDrawing(server, arm)
         self._parts: list[Part] = [
@@ -248,7 +200,7 @@ class Page:
             Handles(server, arm, post),
             Points(server, arm),
             Obstacles(server, arm, post),
-            Scans(server, arm, self._surroundings.scans),
+            Scans(server, arm, scans),
             ClearanceLine(server, arm),
             Status(server),
             Player(server, arm, post),
@@ -260,19 +212,17 @@ class Page:
             keyframes = KeyframesTab(server, post)
             self._parts += [keyframes, OtherCurves(server, arm, lambda: keyframes.others)]
         with tabs.add_tab("Scene"):
-            self._parts.append(SceneTab(server, self._surroundings.scans, post))
+            self._parts.append(SceneTab(server, scans, post))
         with tabs.add_tab("Arm"):
-            self._parts.append(MeasuredArm(server, arm, self._states))
-            self._parts.append(ArmTab(server, self._arm, post))
+            self._parts += [MeasuredArm(server, arm, self._states), ArmTab(server, self._arm, post)]
         with tabs.add_tab("File"):
-            self._parts.append(FileTab(server, files, post))
-            self._parts.append(ExportButtons(server, post))
-        add_shortcuts(server, files, post)
+            self._parts += [FileTab(server, self._files, post), ExportButtons(server, post)]
+        add_shortcuts(server, self._files, post)
 
     def show(self, session: Session, live: Live) -> None:
-        """Bring everything up to date; only what changed is sent."""
+        """Bring everything up to date; only changes are sent."""
         if live.arm is not session.arm:
-            return  # the solver has not seen it yet
+            return  # the solver has not turned to it yet
         with self._server.atomic():
             if live.arm is not self._arm.arm:
                 self._server.gui.reset()
@@ -285,6 +235,6 @@ class Page:
         self._server.flush()
 
     def close(self) -> None:
-        """End the service."""
+        """Stop the server."""
         with contextlib.redirect_stdout(io.StringIO()):
             self._server.stop()

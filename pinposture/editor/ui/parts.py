@@ -1,4 +1,4 @@
-"""What all parts of the page share, and fields that are typed into."""
+"""What all parts of the page share: callbacks, updates of handles, and text fields."""
 
 from __future__ import annotations
 
@@ -6,42 +6,56 @@ import time
 from collections.abc import Callable
 from typing import Any, Protocol, TypeAlias
 
+import numpy as np
+import viser
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 from viser import GuiEvent
 
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
 from pinposture.viz import palette
 
-# What all parts of the page have in common.
+Array = NDArray[np.float64]
+Color = tuple[int, int, int]
 
 Post: TypeAlias = Callable[..., None]
-"""`Editor.post`: leaves a request for the loop."""
+"""`Editor.post`: posts a request to the loop."""
 
-Color = tuple[int, int, int]
+TYPING_PAUSE = 0.8  # after the last key before a typed value counts [s]
 
 
 class Part(Protocol):
     """Part of the page. Made once; its callbacks only post requests."""
 
-    def show(self, session: Session, live: Live) -> None:
+    def show(self, session: Session, live: Live, /) -> None:
         """Bring it up to date; called by the loop some thirty times a second."""
 
 
 def color(name: str) -> Color:
-    """A colour of the palette as the page takes it."""
+    """Return a colour of the palette as the page takes it."""
     red, green, blue = (round(255.0 * part) for part in palette.rgb(name))
     return red, green, blue
 
 
+def quaternions(rotations: ArrayLike) -> Array:
+    """Return rotation matrices, (3, 3) or (n, 3, 3), as quaternions w, x, y, z, (4,) or (n, 4)."""
+    return np.asarray(Rotation.from_matrix(rotations).as_quat(scalar_first=True))
+
+
+def framed_html(name: str, shade: str, title: str, text: str, below: str = "") -> str:
+    """Return a title and a text beside a bar of some shade, in an element with an id; all as HTML."""
+    return (
+        '<div style="font-size:13px;line-height:1.35;padding:2px 10px 4px 10px">'
+        f'<div id="{name}" style="border-left:4px solid {shade};padding-left:8px">'
+        f"<b>{title}</b><br>{text}</div>{below}</div>"
+    )
+
+
 def on_change(control: Any, act: Callable[[Any], None]) -> None:
-    """Have something done when somebody changes a control, and not when we do.
+    """Call a function, which may only post, with the value when a user, not the program, changes it."""
 
-    Args:
-        control: a control with a value.
-        act: told the new value; may only post.
-    """
-
-    # Asynchronous functions are called in order, others by a pool of threads.
+    # viser calls asynchronous functions in order, others in a pool of threads.
     async def changed(event: GuiEvent[Any]) -> None:
         if event.client_id is not None:
             act(event.target.value)
@@ -50,7 +64,7 @@ def on_change(control: Any, act: Callable[[Any], None]) -> None:
 
 
 def on_click(button: Any, act: Callable[[], None]) -> None:
-    """Have something done when somebody clicks; it may only post."""
+    """Call a function, which may only post, when a user clicks a button."""
 
     async def clicked(_: GuiEvent[Any]) -> None:
         act()
@@ -59,7 +73,7 @@ def on_click(button: Any, act: Callable[[], None]) -> None:
 
 
 def on_choice(buttons: Any, act: Callable[[str], None]) -> None:
-    """Have something done when somebody clicks on one of a group of buttons; told which, it may only post."""
+    """Call a function, which may only post, with the label that a user clicks in a group of buttons."""
 
     async def clicked(event: GuiEvent[Any]) -> None:
         act(event.target.value)
@@ -67,32 +81,40 @@ def on_choice(buttons: Any, act: Callable[[str], None]) -> None:
     buttons.on_click(clicked)
 
 
-def put(control: Any, **values: Any) -> None:
-    """Set attributes of a control, those that differ: each is sent to every browser."""
+def put(handle: Any, **values: Any) -> None:
+    """Set attributes of a control or node that differ: each is sent to every browser."""
     for name, value in values.items():
-        if getattr(control, name) != value:
-            setattr(control, name, value)
+        if getattr(handle, name) != value:
+            setattr(handle, name, value)
 
 
-# Fields that are typed into: each key changes them, and a value counts when the typing is over.
+def put_at(handle: Any, place: Array, tolerance: float = 1e-7) -> None:
+    """Move a node to a place, (3,) [m], unless it is within a tolerance [m] of it."""
+    if not np.allclose(handle.position, place, atol=tolerance):
+        handle.position = place
 
-PAUSE = 0.8
-"""How long after the last key a value counts [s]."""
+
+def add_lines(
+    server: viser.ViserServer, name: str, count: int, thickness: float, visible: bool = True
+) -> viser.LineSegmentsHandle:
+    """Add straight pieces of a thickness [m], whose places and colours are set later."""
+    points, colors = np.zeros((count, 2, 3)), np.zeros((count, 2, 3), dtype=np.uint8)
+    return server.scene.add_line_segments(name, points, colors, thickness=thickness, visible=visible)
 
 
 class Typed:
     """A field that is typed into.
 
-    The browser tells of each key. "12" on the way to "125" is not meant, and may be impossible; so nothing is
-    done until the hand rests, and nobody writes into the field before.
+    The browser reports each key. A "12" typed as part of "125" is not meant, and may be invalid; so a value
+    counts only after a pause, and the field is not written to before.
 
     Attributes:
         control: the field.
 
     Args:
         control: the field.
-        act: told the value, and whether the typing is over; may only post.
-        preview: whether it is told while typing goes on, too.
+        act: called with the value, and whether the typing is over; may only post.
+        preview: whether it is called during the typing, too.
     """
 
     def __init__(self, control: Any, act: Callable[[Any, bool], None], preview: bool = False) -> None:
@@ -108,21 +130,21 @@ class Typed:
             self._act(value, False)
 
     def show(self, value: Any, **others: Any) -> None:
-        """Write what counts into it, or pass on what was typed; called by the loop.
+        """Write the current value into the field, or pass on what was typed; called by the loop.
 
         Args:
-            value: what counts.
+            value: the current value.
             others: further attributes of the field.
         """
         self._value = value
         if self._since is None:
             put(self.control, value=value)
-        elif time.monotonic() - self._since >= PAUSE:
+        elif time.monotonic() - self._since >= TYPING_PAUSE:
             self.finish()
         put(self.control, **others)
 
     def finish(self) -> None:
-        """Pass on what was typed, if it does not count yet: something else is done now."""
+        """Pass on what was typed, if it does not count yet."""
         since, self._since = self._since, None
         if since is not None and (self._preview or self._typed != self._value):
             self._act(self._typed, True)

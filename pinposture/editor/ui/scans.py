@@ -1,4 +1,4 @@
-"""Scans in the page, and the controls that bring in scans and meshes."""
+"""Scans in the page, and the controls that load scans and meshes."""
 
 from __future__ import annotations
 
@@ -18,40 +18,26 @@ from pinposture.editor.surroundings import ScanShelf, remove_scan
 from pinposture.editor.ui.parts import Post, color, on_choice, on_click, put
 from pinposture.viz import palette
 
-DOT = 0.003
-"""Size of a point of a scan, relative to the arm."""
-
-SHADE = palette.mixed(palette.OBSTACLE, "#FFFFFF", 0.35)
-"""A scan that has no colours of its own."""
-
-OPACITY = 0.6
-"""How opaque a surface is that has no colours of its own: it may stand before the arm."""
-
-KINDS = ("scan", "obstacle")
-
-WORDS = (
+POINT_SIZE = 0.003  # of a scan, relative to the arm
+SCAN_COLOR = palette.mixed(palette.OBSTACLE, "#FFFFFF", 0.35)  # of a scan without colours of its own
+SCAN_OPACITY = 0.6  # of such a surface, which may stand in front of the arm
+LOAD_KINDS = ("scan", "obstacle")
+EXPLANATION = (
     "A **scan** (surface or points) is shown, and the clearance from it is told, but the arm does **not** "
     "avoid it. As an **obstacle**, the convex hull of a mesh is avoided: hollows count as filled."
 )
 
 
 class Scans:
-    """The scans of the task in the page.
-
-    Args:
-        server: the page.
-        arm: the arm.
-        shelf: what reads them.
-    """
+    """The scans of the task in the page."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm, shelf: ScanShelf) -> None:
-        self._server, self._shelf, self._size = server, shelf, DOT * arm.length
+        self._server, self._shelf, self._size = server, shelf, POINT_SIZE * arm.length
         self._drawn: dict[Path, tuple[Scan, viser.MeshHandle | viser.PointCloudHandle | Any]] = {}
         self._made = 0
 
-    def show(self, session: Session, live: Live) -> None:
+    def show(self, session: Session, _: Live) -> None:
         """Bring them up to date."""
-        del live
         listed = self._shelf.of(session.task)
         for path in [path for path, (scan, _) in self._drawn.items() if listed.get(path) is not scan]:
             self._drawn.pop(path)[1].remove()
@@ -63,7 +49,7 @@ class Scans:
     def _draw(self, scan: Scan) -> Any:
         name, scene = f"/scans/{self._made}", self._server.scene
         if scan.faces is None:
-            colors: Any = color(SHADE) if scan.colors is None else scan.colors
+            colors: Any = color(SCAN_COLOR) if scan.colors is None else scan.colors
             return scene.add_point_cloud(
                 name,
                 scan.points.astype(np.float32),
@@ -77,8 +63,8 @@ class Scans:
                 name,
                 scan.points,
                 scan.faces,
-                color=color(SHADE),
-                opacity=OPACITY,
+                color=color(SCAN_COLOR),
+                opacity=SCAN_OPACITY,
                 side="double",
                 cast_shadow=False,
             )
@@ -89,20 +75,14 @@ class Scans:
 
 
 class ScanControls:
-    """Controls that bring in scans and meshes.
-
-    Args:
-        server: the page; the controls are made where it is at.
-        shelf: what reads them.
-        post: leaves a request for the loop.
-    """
+    """Controls that load scans and meshes."""
 
     def __init__(self, server: viser.ViserServer, shelf: ScanShelf, post: Post) -> None:
         self._shelf, self._post, gui = shelf, post, server.gui
         self._folder: Path | None = None
-        gui.add_markdown(WORDS)
+        gui.add_markdown(EXPLANATION)
         self._kind = gui.add_dropdown(
-            "Take as", KINDS, hint="Scan: .ply .xyz .npy .stl .obj; obstacle: a mesh"
+            "Take as", LOAD_KINDS, hint="Scan: .ply .xyz .npy .stl .obj; obstacle: a mesh"
         )
         self._scale = gui.add_number(
             "scale",
@@ -113,56 +93,53 @@ class ScanControls:
             visible=False,
         )
         self._path = gui.add_text("File", "", hint="Its name, from the folder of the task")
-        self._load = gui.add_button("Load", icon=viser.Icon.FOLDER_OPEN)
-        self._upload = gui.add_upload_button(
+        load = gui.add_button("Load", icon=viser.Icon.FOLDER_OPEN)
+        upload = gui.add_upload_button(
             "Upload", icon=viser.Icon.UPLOAD, hint="It is kept beside the task file"
         )
         self._listed = gui.add_dropdown("Scans", ("none",), visible=False)
         self._remove = gui.add_button_group("Scan", ("Remove",), visible=False)
         self._paths: dict[str, Path] = {}
-        on_click(self._load, self._loaded)
-        self._upload.on_upload(self._uploaded)
-        on_choice(self._remove, self._removed)
+        on_click(load, self._load)
+        upload.on_upload(self._upload)
+        on_choice(self._remove, self._remove_chosen)
 
     def show(self, session: Session) -> None:
         """Bring them up to date."""
         self._folder = None if session.path is None else session.path.absolute().parent
-        self._paths = _named(session.task.scans)
-        names = tuple(self._paths) or ("none",)
-        if tuple(self._listed.options) != names:
-            self._listed.options = names
+        names = [path.name for path in session.task.scans]
+        self._paths = {
+            path.name if names.count(path.name) == 1 else str(path): path for path in session.task.scans
+        }
+        options = tuple(self._paths) or ("none",)
+        if tuple(self._listed.options) != options:
+            self._listed.options = options
         put(self._listed, visible=bool(self._paths))
         put(self._remove, visible=bool(self._paths))
         put(self._scale, visible=self._kind.value == "obstacle")
 
-    def _loaded(self) -> None:
+    def _load(self) -> None:
         text = self._path.value.strip()
         if not text:
             self._post(lambda session: session.say("no file is named: type the name of one", "warning"))
             return
         convex, scale = self._kind.value == "obstacle", float(self._scale.value)
 
-        def load(session: Session) -> None:
+        def request(session: Session) -> None:
             path = within(session.folder, text, None if session.path is None else session.path.parent)
             if convex:
                 self._shelf.add_mesh(path, scale)
             else:
                 self._shelf.add_scan(path)
 
-        self._post(load)
+        self._post(request)
 
-    async def _uploaded(self, event: Any) -> None:
+    async def _upload(self, event: Any) -> None:
         file = event.target.value
         convex = self._kind.value == "obstacle"
         self._shelf.upload(file.name, file.content, self._folder, float(self._scale.value), convex)
 
-    def _removed(self, _: str) -> None:
+    def _remove_chosen(self, _: str) -> None:
         path = self._paths.get(self._listed.value)
         if path is not None:
             self._post(partial(remove_scan, path))
-
-
-def _named(paths: tuple[Path, ...]) -> dict[str, Path]:
-    """Paths by names that tell them apart."""
-    names = [path.name for path in paths]
-    return {path.name if names.count(path.name) == 1 else str(path): path for path in paths}

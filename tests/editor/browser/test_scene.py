@@ -17,7 +17,7 @@ from editor.browser.window import Window
 import pinposture as pp
 from pinposture.collision import Scan, ScanClearance
 from pinposture.editor import Editor
-from pinposture.editor.obstacles import Measures, grips, obstacles_of
+from pinposture.editor.obstacles import ArmScale, obstacles_of, size_handles
 
 pytestmark = pytest.mark.browser
 
@@ -69,7 +69,7 @@ def test_a_box_is_put_there_dragged_and_resized(edit: Edit, look: Look, file: Pa
 
     # Resized by a handle: the face across stays where it is.
     arrived(editor)
-    grip = grips(second, Measures.of(session.arm))[2]
+    grip = size_handles(second, ArmScale.of(session.arm))[2]
     wait_until(lambda: window.says("moved box_1"), "it is over")
     window.drag(grip.place, grip.place - [0.0, 0.0, 0.06])
     window.drop()

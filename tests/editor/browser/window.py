@@ -12,7 +12,7 @@ from editor.browser.desk import PATIENCE, wait_until
 from PIL import Image
 
 from pinposture.arm import Arm
-from pinposture.editor.ui.files import SEEN
+from pinposture.editor.ui.files import TOUR_SEEN_KEY
 from pinposture.editor.ui.page import viewpoint
 
 SIZE = {"width": 1280, "height": 720}
@@ -50,7 +50,7 @@ class Window:
         self._context = browser.new_context(viewport=SIZE)
         self._context.set_default_timeout(1000.0 * PATIENCE)
         if toured:
-            self._context.add_init_script(f"window.localStorage.setItem('viser-user:{SEEN}', 'yes')")
+            self._context.add_init_script(f"window.localStorage.setItem('viser-user:{TOUR_SEEN_KEY}', 'yes')")
         self._context.add_init_script(WATCH)
         self.page = self._context.new_page()
         self._mouse, self._held = (0.0, 0.0), False

@@ -9,8 +9,9 @@ from sampling import seeds
 
 import pinposture as pp
 from pinposture.arm import smooth_configuration
-from pinposture.control import Memory
-from pinposture.control.planner.path import JointPath, PathProgress
+from pinposture.control import GeodesicMemory, PathProgress
+from pinposture.control.planner.objective import Objective
+from pinposture.control.planner.path import JointPath, retime
 from pinposture.placement import Target
 
 
@@ -28,43 +29,49 @@ def quintic(rows: int) -> np.ndarray:
     return np.asarray(s**3 * (10.0 - 15.0 * s + 6.0 * s**2))
 
 
+def path_of(arm: pp.Arm, start: np.ndarray, offsets: np.ndarray) -> JointPath:
+    return JointPath(Objective(arm, Target.from_configuration(arm, start)), start, offsets)
+
+
 def smooth_path(arm: pp.Arm, seed: int, rows: int) -> JointPath:
     rng = np.random.default_rng(seed)
     start, end = (smooth_configuration(arm, rng, 1.0) for _ in range(2))
-    return JointPath(arm, start, quintic(rows) * arm.difference(start, end))
+    return path_of(arm, start, quintic(rows) * arm.difference(start, end))
 
 
 class Ride:
-    """An arm that goes along a given way: its configurations, and the courses it was on."""
+    """An arm that goes along a given way: its configurations, and the progresses it was on."""
 
     def __init__(self, path: JointPath, limits: pp.Limits, most: float) -> None:
         self.arm, self.path, self.limits, self.controller = path.arm, path, limits, pp.Geodesic()
-        self.q, self.courses = [path.start], list[PathProgress]()
+        self.q, self.progresses = [path.start], list[PathProgress]()
         state = self.arm.at(path.start)
-        self.memory = self.controller.along(state, path, self.target(0.0), limits, most)
+        self.memory = self.controller.start(retime(path, limits, most), state.compiled)
 
     def target(self, place: float) -> Target:
-        q = self.arm.integrate(self.path.start, self.path.smooth(place))
+        q = self.arm.integrate(self.path.start, self.path.smooth_offset(place))
         return Target.from_configuration(self.arm, q)
 
     def step(self, limits: pp.Limits | None = None) -> PathProgress:
         limits = self.limits if limits is None else limits
-        place = self.courses[-1].place if self.courses else 0.0
+        place = self.progresses[-1].place if self.progresses else 0.0
         step = self.controller.step(self.arm.at(self.q[-1]), self.target(place), limits, self.memory)
         assert not step.diagnostics.violated_constraints
         self.memory = step.memory
         self.q.append(self.arm.integrate(self.q[-1], step.dq))
-        self.courses.append(step.memory.own)
-        return self.courses[-1]
+        self.progresses.append(step.memory.progress)
+        return self.progresses[-1]
 
     def to_the_end(self, most_steps: int = 20_000) -> Ride:
-        while not self.courses or self.courses[-1].place < self.path.end:
-            assert self.step().given and len(self.courses) < most_steps
+        while not self.progresses or self.progresses[-1].place < self.path.end:
+            assert self.step().timed.scheduled and len(self.progresses) < most_steps
         return self
 
     def off_the_way(self) -> np.ndarray:
         """How far each configuration is from the way, largest joint, (steps,)."""
-        wanted = [self.arm.integrate(self.path.start, self.path.smooth(c.place)) for c in self.courses]
+        wanted = [
+            self.arm.integrate(self.path.start, self.path.smooth_offset(c.place)) for c in self.progresses
+        ]
         pairs = zip(self.q[1:], wanted, strict=True)
         return np.array([np.abs(self.arm.difference(a, b)).max() for a, b in pairs])
 
@@ -93,7 +100,7 @@ def test_time_is_kept_where_limits_allow_it() -> None:
     )
     ride.to_the_end()
     np.testing.assert_allclose(
-        [progress.place for progress in ride.courses], 0.5 * np.arange(1, 159), atol=1e-9
+        [progress.place for progress in ride.progresses], 0.5 * np.arange(1, 159), atol=1e-9
     )
 
 
@@ -103,16 +110,16 @@ def test_no_joint_goes_beyond_the_end(seed: int, given: bool) -> None:
     rng = np.random.default_rng(seed)
     way, dt = float(rng.uniform(0.1, 2.0)), 0.05
     limits = pp.Limits(step=None, velocity=1.0, dt=dt, acceleration=float(10 ** rng.uniform(-0.3, 1.3)))
-    path = JointPath(one(), one().neutral(), way * np.linspace(0.0, 1.0, 41)[:, None])
+    path = path_of(one(), one().neutral(), way * np.linspace(0.0, 1.0, 41)[:, None])
     ride = Ride(path, limits, most=1.3)
     if not given:  # a way of its own to the same place
         ride.memory = None
     for _ in range(400):
-        place = path.end if not given or (ride.courses and ride.courses[-1].place >= path.end) else 0.0
+        place = path.end if not given or (ride.progresses and ride.progresses[-1].place >= path.end) else 0.0
         step = ride.controller.step(one().at(ride.q[-1]), ride.target(place), limits, ride.memory)
         ride.memory = step.memory
         ride.q.append(one().integrate(ride.q[-1], step.dq))
-        ride.courses.append(step.memory.own)
+        ride.progresses.append(step.memory.progress)
     assert np.max(ride.q) <= way + 1e-9
     assert ride.q[-1][0] == pytest.approx(way, abs=1e-9)
     assert ride.changes().max() <= limits.acceleration * dt**2 * (1.0 + 1e-9)
@@ -120,14 +127,14 @@ def test_no_joint_goes_beyond_the_end(seed: int, given: bool) -> None:
 
 def test_an_arm_that_is_pushed_leaves_the_way() -> None:
     ride = Ride(smooth_path(arm(), 3, 50), pp.Limits(step=None, velocity=1.0, dt=0.02, acceleration=5.0), 0.5)
-    assert all(ride.step().given for _ in range(20))
+    assert all(ride.step().timed.scheduled for _ in range(20))
     ride.q[-1] = arm().integrate(ride.q[-1], 0.005 * np.ones(arm().nv))
-    assert ride.step().given  # a little is made good on the way
+    assert ride.step().timed.scheduled  # a little is made good on the way
     for _ in range(30):
         ride.step()
     assert ride.off_the_way()[-1] < 1e-9
     ride.q[-1] = arm().integrate(ride.q[-1], 0.2 * np.ones(arm().nv))
-    assert not ride.step().given
+    assert not ride.step().timed.scheduled
 
 
 def test_what_is_behind_is_waited_for() -> None:
@@ -136,13 +143,13 @@ def test_what_is_behind_is_waited_for() -> None:
     for _ in range(30):
         ride.step()
     for _ in range(4):
-        place = ride.courses[-1].place
+        place = ride.progresses[-1].place
         back = np.zeros(arm().nv)
         back[[2, 5]] = np.diff(ride.q[-2:], axis=0)[0, [2, 5]]
         ride.q[-1] = ride.q[-1] - back
-        assert ride.step().given
+        assert ride.step().timed.scheduled
         assert np.abs(np.diff(ride.q[-2:], axis=0)).max() <= 0.02 * (1.0 + 1e-9)
-        assert ride.off_the_way()[-1] < 1e-9 and ride.courses[-1].place >= place
+        assert ride.off_the_way()[-1] < 1e-9 and ride.progresses[-1].place >= place
 
 
 def test_limits_that_change_change_the_pace_and_nothing_else() -> None:
@@ -150,23 +157,23 @@ def test_limits_that_change_change_the_pace_and_nothing_else() -> None:
     ride = Ride(path, pp.Limits(step=None, velocity=2.0, dt=0.02, acceleration=20.0), 0.4)
     for _ in range(10):
         progress = ride.step()
-    tight = pp.Limits(step=None, velocity=0.2, dt=0.02, acceleration=2.0).for_arm(arm())
-    other = progress.within(tight)
-    assert other.path is progress.path and other.place == progress.place and other.most == progress.most
-    assert np.all(other.pace.top <= progress.pace.top + 1e-12) and other.pace.top[20] < progress.pace.top[20]
+    tight = pp.Limits(step=None, velocity=0.2, dt=0.02, acceleration=2.0)
+    other = progress.retimed(progress.path, tight)
+    assert other.path is progress.path and other.place == progress.place
+    assert other.timed.max_rate == progress.timed.max_rate
+    tops = other.timed.profile.top, progress.timed.profile.top
+    assert np.all(tops[0] <= tops[1] + 1e-12) and tops[0][20] < tops[1][20]
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.005, -0.01])
 def test_an_arm_that_moves_along_a_new_way_is_taken_to_be_under_way(speed: float) -> None:
-    path = JointPath(one(), one().neutral(), np.linspace(0.0, 1.0, 51)[:, None])
-    bounds = pp.Limits(step=None, velocity=1.0, dt=0.02, acceleration=1.0).for_arm(one())
-    ride = Ride(path, pp.Limits(step=None, velocity=1.0, dt=0.02, acceleration=1.0), 1.0)
-    progress = PathProgress(ride.memory.own.posture, path, bounds).within(bounds)
+    path = path_of(one(), one().neutral(), np.linspace(0.0, 1.0, 51)[:, None])
+    timed = retime(path, pp.Limits(step=None, velocity=1.0, dt=0.02, acceleration=1.0))
     # Rows are 0.02 rad apart.
-    assert progress.under_way(np.array([speed])).speed == pytest.approx(max(speed, 0.0) / 0.02)
-    assert progress.under_way(None) is progress
-    free = progress.within(pp.Limits(step=0.1).for_arm(one()))
-    assert free.pace is None and free.under_way(np.array([speed])) is free
+    assert PathProgress.begin(timed, np.array([speed])).speed == pytest.approx(max(speed, 0.0) / 0.02)
+    assert PathProgress.begin(timed, None) == PathProgress(timed)
+    free = retime(path, pp.Limits(step=0.1))
+    assert free.profile is None and PathProgress.begin(free, np.array([speed])) == PathProgress(free)
 
 
 def test_an_arm_on_its_way_is_not_stopped_by_a_new_target_ahead() -> None:
@@ -184,10 +191,8 @@ def test_an_arm_on_its_way_is_not_stopped_by_a_new_target_ahead() -> None:
 def test_a_way_begins_with_what_it_was_given() -> None:
     path = smooth_path(arm(), 6, 30)
     limits = pp.Limits(step=None, velocity=1.0, dt=0.02)
-    memory = pp.Geodesic().along(
-        arm().at(path.start), path, Target.from_configuration(arm(), path.start), limits, 0.3
-    )
-    assert isinstance(memory, Memory) and not np.any(memory.dq)
-    progress = memory.own
-    assert progress.given and progress.path is path and progress.most == 0.3 and progress.place == 0.0
-    assert not PathProgress(progress.posture, path, progress.bounds).given
+    memory = pp.Geodesic().start(retime(path, limits, 0.3), arm().at(path.start).compiled)
+    assert isinstance(memory, GeodesicMemory) and not np.any(memory.dq)
+    progress = memory.progress
+    assert progress.timed.scheduled and progress.path is path and progress.place == 0.0
+    assert progress.timed.max_rate == 0.3 and not retime(path, limits).scheduled

@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from qp_runs import ARMS, KINDS, Case, arm_called, check_limits, drawn, steps_of
+from planner_runs import ARMS, KINDS, Case, arm_called, check_limits, drawn, steps_of
 from sampling import examples
 
 import pinposture as pp
@@ -37,7 +37,7 @@ def most_steps(case: Case, first: pp.ArmState) -> float:
     """
     step = pp.Geodesic().step(first, case.target, case.limits)
     largest = np.minimum(case.limits.for_arm(case.arm).bound, 10.0 * case.arm.joint_units)
-    pieces = np.abs(np.diff(step.memory.own.path.offsets, axis=0)) / largest
+    pieces = np.abs(np.diff(step.memory.progress.path.offsets, axis=0)) / largest
     return float(pieces.max(axis=1).sum())
 
 
@@ -155,7 +155,7 @@ def test_the_way_is_no_longer_than_a_bound_known_beforehand(seed: int, name: str
     case = drawn(seed, name, "known", pp.Limits())
     arm, controller = case.arm, pp.Geodesic()
     mu = controller.joint_weight * arm.length / np.sqrt(arm.n_modules)
-    offsets = controller.step(arm.at(case.start), case.target).memory.own.path.offsets / arm.joint_units
+    offsets = controller.step(arm.at(case.start), case.target).memory.progress.path.offsets / arm.joint_units
     line = np.linspace(0.0, 1.0, len(offsets))[:, None] * offsets[-1]
     points = [arm.at(arm.integrate(case.start, x * arm.joint_units)).points for x in line]
     energy = float((np.diff(points, axis=0) ** 2).sum() + mu**2 * (np.diff(line, axis=0) ** 2).sum())

@@ -9,8 +9,8 @@ import pytest
 from scipy.optimize import least_squares
 
 import pinposture as pp
-from pinposture.control.planner.follow import settle
-from pinposture.control.planner.objective import Posture
+from pinposture.control.planner.damped_least_squares import minimize
+from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.plan import find_goal
 from pinposture.control.tasks import EndEffector
 
@@ -28,16 +28,16 @@ def edges_of(arm: pp.Arm) -> np.ndarray:
     return np.array([arm.limits.lower, arm.limits.upper])
 
 
-def best_of_many(posture: Posture, starts: int) -> float:
-    """The lowest merit that scipy finds from random starts."""
-    arm = posture.arm
+def best_of_many(objective: Objective, starts: int) -> float:
+    """The lowest cost that scipy finds from random starts."""
+    arm = objective.arm
     lower, upper = edges_of(arm)
     rng = np.random.default_rng(1)
     found = (
         least_squares(
-            lambda q: posture.rows(arm.at(q)).errors,
+            lambda q: objective.rows(arm.at(q)).errors,
             rng.uniform(lower, upper),
-            lambda q: -posture.rows(arm.at(q)).matrix,
+            lambda q: -objective.rows(arm.at(q)).matrix,
             (lower, upper),
             xtol=1e-12,
             ftol=1e-12,
@@ -49,7 +49,7 @@ def best_of_many(posture: Posture, starts: int) -> float:
 
 
 def unreachable(arm: pp.Arm, seed: int) -> pp.Target:
-    """Points near a posture, too far from each other for the arm, or too near."""
+    """Points near a objective, too far from each other for the arm, or too near."""
     rng = np.random.default_rng(seed)
     points = arm.at(rng.uniform(*edges_of(arm))).points * rng.uniform(0.7, 1.4)
     shift = rng.normal(size=(arm.n_modules, arm.dimension)) * 0.15 * arm.length / arm.n_modules
@@ -60,12 +60,12 @@ def unreachable(arm: pp.Arm, seed: int) -> pp.Target:
 def test_points_out_of_reach_are_met_as_well_as_scipy_can(name: str) -> None:
     arm, worse = arm_named(name), []
     for seed in range(5):
-        posture = Posture(arm, unreachable(arm, seed))
+        objective = Objective(arm, unreachable(arm, seed))
         start = np.random.default_rng(seed).uniform(*edges_of(arm))
-        found = find_goal(posture, arm.at(start), edges_of(arm), None, GOOD)
+        found = find_goal(objective, arm.at(start), edges_of(arm), None, GOOD)
         assert arm.within_limits(found.state.q)
-        assert found.merit == pytest.approx(posture.merit(found.state), rel=1e-12)
-        worse.append(found.merit / best_of_many(posture, 4))
+        assert found.cost == pytest.approx(objective.cost(found.state), rel=1e-12)
+        worse.append(found.cost / best_of_many(objective, 4))
     assert max(worse) <= 1.001, worse
 
 
@@ -75,8 +75,8 @@ def test_reachable_points_are_reached(name: str) -> None:
     for seed in range(6):
         rng = np.random.default_rng(seed)
         start, goal = rng.uniform(*edges_of(arm), (2, arm.nv))
-        posture = Posture(arm, pp.Target.from_points(arm, arm.at(goal).points))
-        found = find_goal(posture, arm.at(start), edges_of(arm), None, GOOD * arm.length)
+        objective = Objective(arm, pp.Target.from_points(arm, arm.at(goal).points))
+        found = find_goal(objective, arm.at(start), edges_of(arm), None, GOOD * arm.length)
         assert found.mean_error <= GOOD * arm.length
         assert arm.within_limits(found.state.q)
 
@@ -84,32 +84,32 @@ def test_reachable_points_are_reached(name: str) -> None:
 def test_a_known_configuration_is_taken_as_it_is() -> None:
     arm = arm_named("spatial")
     goal = np.random.default_rng(0).uniform(*edges_of(arm))
-    posture = Posture(arm, pp.Target.from_configuration(arm, goal))
-    found = find_goal(posture, arm.at(arm.straight()), edges_of(arm), None, GOOD)
+    objective = Objective(arm, pp.Target.from_configuration(arm, goal))
+    found = find_goal(objective, arm.at(arm.straight()), edges_of(arm), None, GOOD)
     np.testing.assert_allclose(found.state.q, goal, atol=1e-15)
 
 
 def test_a_known_configuration_outside_the_limits_gives_the_nearest_inside() -> None:
     arm = arm_named("planar")
     goal = np.array([0.3, 1.6, -0.4, -1.5])
-    posture = Posture(arm, pp.Target.from_configuration(arm, goal))
-    found = find_goal(posture, arm.at(arm.straight()), edges_of(arm), None, GOOD)
+    objective = Objective(arm, pp.Target.from_configuration(arm, goal))
+    found = find_goal(objective, arm.at(arm.straight()), edges_of(arm), None, GOOD)
     assert arm.within_limits(found.state.q)
-    assert found.merit <= 1.001 * best_of_many(posture, 4)
+    assert found.cost <= 1.001 * best_of_many(objective, 4)
 
 
-def test_the_merit_never_rises_while_it_settles() -> None:
-    """Shorter searches are beginnings of longer ones: their merits fall."""
+def test_the_cost_never_rises_while_it_settles() -> None:
+    """Shorter searches are beginnings of longer ones: their costs fall."""
     arm = arm_named("spatial")
     for seed in range(4):
         rng = np.random.default_rng(seed)
-        posture = Posture(arm, unreachable(arm, seed))
+        objective = Objective(arm, unreachable(arm, seed))
         start = arm.at(rng.uniform(*edges_of(arm)))
-        found = settle(posture, start, edges_of(arm), None, GOOD)
-        assert found.merit < posture.merit(start)
-        again = settle(posture, found.state, edges_of(arm), None, GOOD)
-        assert again.merit <= found.merit
-        assert again.merit >= 0.999 * found.merit  # it had settled
+        found = minimize(objective, start, edges_of(arm), None, GOOD)
+        assert found.cost < objective.cost(start)
+        again = minimize(objective, found.state, edges_of(arm), None, GOOD)
+        assert again.cost <= found.cost
+        assert again.cost >= 0.999 * found.cost  # it had settled
 
 
 @pytest.mark.parametrize("name", ["planar", "spatial"])
@@ -125,9 +125,9 @@ def test_a_strict_task_is_met_as_well_as_if_it_were_alone(name: str) -> None:
         )
         target = pp.Target.from_points(arm, arm.at(rng.uniform(*edges_of(arm))).points)
         tip = np.eye(arm.n_modules)[-1]
-        alone = Posture(arm, pp.Target.from_points(arm, np.tile(place, (arm.n_modules, 1)), tip))
+        alone = Objective(arm, pp.Target.from_points(arm, np.tile(place, (arm.n_modules, 1)), tip))
         least = np.sqrt(2.0 * best_of_many(alone, 4))
-        both = Posture(arm, target, (EndEffector(position=place, priority=True),))
+        both = Objective(arm, target, (EndEffector(position=place, priority=True),))
         found = find_goal(both, arm.at(start), edges_of(arm), None, GOOD)
         missed = float(np.linalg.norm(found.state.points[-1] - place))
         assert missed <= 1.02 * least + 1e-3 * arm.length, (seed, missed, least)

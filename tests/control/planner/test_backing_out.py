@@ -29,8 +29,8 @@ def test_it_is_out_within_a_second_of_steps_and_plans_nothing_before(seed, monke
     arm, q, scene = drawn(seed)
     distances = CollisionModel(arm, scene)
     planned = []
-    plan = geodesic.plan
-    monkeypatch.setattr(geodesic, "plan", lambda *a, **k: planned.append(True) or plan(*a, **k))
+    plan = geodesic.find_path
+    monkeypatch.setattr(geodesic, "find_path", lambda *a, **k: planned.append(True) or plan(*a, **k))
     controller, target = geodesic.Geodesic(scene=scene), pp.Target.from_configuration(arm, q)
     limits, memory, before = pp.Limits(step=STEP), None, distances.minimum(q).distance
     assert before < 0.0

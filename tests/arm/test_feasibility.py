@@ -1,4 +1,4 @@
-"""What adequacy promises against what the resolver can do, which shares no code with it."""
+"""What `can_follow` promises against what the resolver can do, which shares no code with it."""
 
 from __future__ import annotations
 

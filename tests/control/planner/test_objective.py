@@ -7,7 +7,7 @@ import pytest
 from control.task_arms import ARMS, STATES, arm_called, derivative, state_of, target_of
 
 import pinposture as pp
-from pinposture.control.planner.objective import Posture
+from pinposture.control.planner.objective import Objective
 from pinposture.control.tasks import EndEffector, JointPosture
 
 
@@ -42,15 +42,17 @@ def errors_by_hand(state: pp.ArmState, target: pp.Target, relative_position_weig
 def test_errors_and_their_derivative(name: str, seed: int | None, relative_position_weight: float) -> None:
     state, arm = state_of(name, seed), arm_called(name)
     target = apart(arm, 3, weighed(arm))
-    posture = Posture(arm, target, (), relative_position_weight)
-    linear = posture.rows(state)
+    objective = Objective(arm, target, (), relative_position_weight)
+    linear = objective.rows(state)
     np.testing.assert_allclose(
         linear.errors, errors_by_hand(state, target, relative_position_weight), atol=1e-14
     )
-    slope = derivative(state, lambda at: -posture.rows(at).errors)[:, posture.columns] * posture.units
+    slope = derivative(state, lambda at: -objective.rows(at).errors)[:, objective.columns] * objective.units
     np.testing.assert_allclose(linear.matrix, slope, atol=1e-8)
-    assert posture.merit(state) == pytest.approx(0.5 * float(linear.errors @ linear.errors))
-    gradient = derivative(state, lambda at: np.array([posture.merit(at)]))[0, posture.columns] * posture.units
+    assert objective.cost(state) == pytest.approx(0.5 * float(linear.errors @ linear.errors))
+    gradient = (
+        derivative(state, lambda at: np.array([objective.cost(at)]))[0, objective.columns] * objective.units
+    )
     np.testing.assert_allclose(gradient, -linear.matrix.T @ linear.errors, atol=1e-8)
 
 
@@ -59,39 +61,39 @@ def test_rows_of_tasks_follow_with_their_weights(name: str) -> None:
     state, arm = state_of(name, 1), arm_called(name)
     tip = EndEffector(position=state.points[-1] + 0.01 * arm.plane[0], weight=9.0)
     rest = JointPosture(q=arm.neutral(), weight=0.04)
-    posture, target = Posture(arm, apart(arm, 1), (tip, rest)), apart(arm, 1)
-    linear, alone = posture.rows(state), Posture(arm, target).rows(state)
+    objective, target = Objective(arm, apart(arm, 1), (tip, rest)), apart(arm, 1)
+    linear, alone = objective.rows(state), Objective(arm, target).rows(state)
     assert len(linear.errors) == len(alone.errors) + arm.dimension + arm.nv
     np.testing.assert_array_equal(linear.errors[: len(alone.errors)], alone.errors)
     np.testing.assert_allclose(
         linear.errors[len(alone.errors) :][: arm.dimension], 3.0 * 0.01 * np.eye(arm.dimension)[0], atol=1e-12
     )
-    slope = derivative(state, lambda at: -posture.rows(at).errors)[:, posture.columns] * posture.units
+    slope = derivative(state, lambda at: -objective.rows(at).errors)[:, objective.columns] * objective.units
     np.testing.assert_allclose(linear.matrix, slope, atol=1e-7)
 
 
 def test_strict_tasks_are_listed_by_themselves() -> None:
     state, arm = state_of("spatial", 1), arm_called("spatial")
     first = EndEffector(position=np.ones(3), weight=1.0, priority=True)
-    posture = Posture(arm, apart(arm, 1), (JointPosture(q=arm.neutral()), first))
-    strict = posture.task_rows(state, strict=True)
-    moves = state.jacobians[-1][:, posture.columns] * posture.units
+    objective = Objective(arm, apart(arm, 1), (JointPosture(q=arm.neutral()), first))
+    strict = objective.task_rows(state, priority=True)
+    moves = state.jacobians[-1][:, objective.columns] * objective.units
     share = np.linalg.norm(strict.errors) / np.linalg.norm(np.ones(3) - state.points[-1])
     np.testing.assert_allclose(strict.errors, share * (np.ones(3) - state.points[-1]))
     np.testing.assert_allclose(strict.matrix, share * moves)
-    rest = posture.task_rows(state, strict=False)
+    rest = objective.task_rows(state, priority=False)
     assert len(rest.errors) == arm.nv
-    assert Posture(arm, apart(arm, 1), (JointPosture(q=arm.neutral()),)).task_rows(state, True) is None
+    assert Objective(arm, apart(arm, 1), (JointPosture(q=arm.neutral()),)).task_rows(state, True) is None
 
 
 @pytest.mark.parametrize("name", ARMS)
 def test_a_step_and_its_displacement_are_the_same_thing(name: str) -> None:
     arm, state = arm_called(name), state_of(name, 0)
-    posture = Posture(arm, target_of(arm))
-    x = np.random.default_rng(0).normal(size=len(posture.columns))
-    dq = posture.displacement(x)
-    np.testing.assert_allclose(posture.own(dq), x, rtol=1e-14)
-    np.testing.assert_array_equal(posture.moved(state, x).q, arm.integrate(state.q, dq))
+    objective = Objective(arm, target_of(arm))
+    x = np.random.default_rng(0).normal(size=len(objective.columns))
+    dq = objective.displacement(x)
+    np.testing.assert_allclose(objective.normalize(dq), x, rtol=1e-14)
+    np.testing.assert_array_equal(objective.state_after(state, x).q, arm.integrate(state.q, dq))
 
 
 def test_joints_without_room_stay_out() -> None:
@@ -100,6 +102,6 @@ def test_joints_without_room_stay_out() -> None:
         "still", (pp.JointSpec("y", lower=0.2, upper=0.2 + 1e-15), pp.JointSpec("z")), (0.1, 0.1)
     )
     arm = pp.Arm.from_modules([limits, still, limits])
-    posture = Posture(arm, pp.Target.from_points(arm, arm.at(arm.straight()).points))
+    objective = Objective(arm, pp.Target.from_points(arm, arm.at(arm.straight()).points))
     free = arm.limits.upper > arm.limits.lower
-    np.testing.assert_array_equal(posture.columns, np.flatnonzero(free))
+    np.testing.assert_array_equal(objective.columns, np.flatnonzero(free))

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from sampling import examples, seeds
 
 import pinposture as pp
+from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import JointPath, SpeedProfile
 
 ROUNDING = 1e-9
@@ -23,7 +24,8 @@ def arm_of(joints: int) -> pp.Arm:
 
 def way(offsets: np.ndarray) -> JointPath:
     arm = arm_of(offsets.shape[1])
-    return JointPath(arm, arm.neutral(), offsets - offsets[0])
+    objective = Objective(arm, pp.Target.from_configuration(arm, arm.neutral()))
+    return JointPath(objective, arm.neutral(), offsets - offsets[0])
 
 
 def smooth_way(rng: np.random.Generator, rows: int, joints: int) -> JointPath:
@@ -38,9 +40,10 @@ def smooth_way(rng: np.random.Generator, rows: int, joints: int) -> JointPath:
 
 def gone(path: JointPath, bound: np.ndarray, brake: np.ndarray | None, most: float = np.inf) -> np.ndarray:
     """The places of a motion at the pace that is given, step by step until its end."""
-    pace, places, speed = SpeedProfile(path, bound, brake, most), [0.0], 0.0
+    bounds = pp.Limits().for_arm(path.arm)._replace(bound=bound, brake=brake)
+    profile, places, speed = SpeedProfile(path, bounds, most), [0.0], 0.0
     while places[-1] < path.end:
-        speed = pace.next(places[-1], speed)
+        speed = profile.next(places[-1], speed)
         assert 0.0 < speed <= most * (1.0 + ROUNDING)
         places.append(min(places[-1] + speed, path.end))
         assert len(places) < 50_000
@@ -49,7 +52,7 @@ def gone(path: JointPath, bound: np.ndarray, brake: np.ndarray | None, most: flo
 
 def loads(path: JointPath, places: np.ndarray, bound: np.ndarray, brake: np.ndarray) -> tuple[float, float]:
     """Largest step and largest change of it from one to the next, from and to rest, of their limits."""
-    steps = np.diff([path.smooth(place) for place in places], axis=0)
+    steps = np.diff([path.smooth_offset(place) for place in places], axis=0)
     rest = np.zeros((1, steps.shape[1]))
     changes = np.diff(np.concatenate([rest, steps, rest]), axis=0)
     return float(np.abs(steps / bound).max()), float(np.abs(changes / brake).max())
@@ -166,5 +169,5 @@ def test_the_last_step_can_be_stopped_from_at_once(most: float) -> None:
         path = way(np.linspace(0.0, rng.uniform(0.1, 2.0), 30)[:, None])
         brake = 10 ** rng.uniform(-3.5, -1.5)
         places = gone(path, np.array([0.05]), np.array([brake]), most)
-        last = path.smooth(places[-1]) - path.smooth(places[-2])
+        last = path.smooth_offset(places[-1]) - path.smooth_offset(places[-2])
         assert abs(last[0]) <= brake * (1.0 + ROUNDING)

@@ -11,9 +11,8 @@ from sampling import seeds
 
 import pinposture as pp
 from pinposture.arm import smooth_configuration
-from pinposture.control import Memory
 from pinposture.control.planner import geodesic, plan
-from pinposture.control.planner.path import PathProgress
+from pinposture.control.planner.follow import PathProgress
 from pinposture.placement import Target
 
 LIMITS = pp.Limits(step=0.04)
@@ -31,14 +30,14 @@ def postures(seed: int, steps: int, speed: float) -> list[np.ndarray]:
 
 
 def followed(targets: list[Target], q: np.ndarray) -> tuple[np.ndarray, list[PathProgress]]:
-    """Configurations of an arm that takes one step towards each target, and the courses that it was on."""
-    controller, memory, configurations, courses = pp.Geodesic(), None, [q], []
+    """Configurations of an arm that takes one step towards each target, and the progresses that it was on."""
+    controller, memory, configurations, progresses = pp.Geodesic(), None, [q], []
     for target in targets:
         step = controller.step(arm().at(q), target, LIMITS, memory)
         q, memory = arm().integrate(q, step.dq), step.memory
         configurations.append(q)
-        courses.append(memory.own)
-    return np.array(configurations), courses
+        progresses.append(memory.progress)
+    return np.array(configurations), progresses
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -47,7 +46,7 @@ def test_a_target_that_moves_slowly_is_caught_and_kept(known: bool) -> None:
     targets = [Target.from_configuration(arm(), q) for q in wanted]
     if not known:
         targets = [Target.from_points(arm(), target.points) for target in targets]
-    q, courses = followed(targets, smooth_configuration(arm(), np.random.default_rng(9), 0.8))
+    q, progresses = followed(targets, smooth_configuration(arm(), np.random.default_rng(9), 0.8))
     assert np.abs(np.diff(q, axis=0)).max() <= 0.04 + 1e-12
     off = [
         np.linalg.norm(arm().at(a).points - t.points, axis=1).mean()
@@ -55,8 +54,8 @@ def test_a_target_that_moves_slowly_is_caught_and_kept(known: bool) -> None:
     ]
     assert max(off[100:]) < 1e-6 * arm().length
     # On the way to it the way was bent far more often than it was planned.
-    lengths = [len(progress.path.offsets) for progress in courses]
-    bent = sum(a.path.start is b.path.start for a, b in pairwise(courses))
+    lengths = [len(progress.path.offsets) for progress in progresses]
+    bent = sum(a.path.start is b.path.start for a, b in pairwise(progresses))
     assert max(lengths) > 20 and bent > 5
 
 
@@ -65,10 +64,10 @@ def test_a_way_that_is_bent_ends_where_the_target_is_and_begins_where_the_arm_wa
     first, second = (Target.from_configuration(arm(), q) for q in wanted)
     start = smooth_configuration(arm(), np.random.default_rng(3), 0.8)
     _, (before, after) = followed([first, second], start)
-    assert after.path.start is before.path.start and after.bent is not None
+    assert after.path.start is before.path.start and after.bend is not None
     np.testing.assert_allclose(after.path.configuration(after.path.end), wanted[1], atol=1e-12)
     moved = after.path.offset(before.place) - before.path.offset(before.place)
-    assert np.abs(moved).max() < 0.02 * np.abs(after.bent).max()
+    assert np.abs(moved).max() < 0.02 * np.abs(after.bend).max()
 
 
 def test_a_target_that_jumps_gets_a_way_of_its_own() -> None:
@@ -76,7 +75,7 @@ def test_a_target_that_jumps_gets_a_way_of_its_own() -> None:
     one, two = (smooth_configuration(arm(), rng, 1.0) for _ in range(2))
     targets = [Target.from_configuration(arm(), q) for q in (one, two)]
     _, (before, after) = followed(targets, arm().neutral())
-    assert after.path.start is not before.path.start and after.bent is None
+    assert after.path.start is not before.path.start and after.bend is None
     np.testing.assert_allclose(after.path.configuration(after.path.end), two, atol=1e-12)
 
 
@@ -100,8 +99,8 @@ def test_points_that_can_be_had_are_found_after_points_that_could_not(seed: int)
     one, two = (smooth_configuration(arm(), rng, 1.2) for _ in range(2))
     beyond = Target.from_points(arm(), 1.3 * arm().at(one).points)
     within = Target.from_points(arm(), arm().at(two).points)
-    _, courses = followed([beyond] * 3 + [within], arm().neutral())
-    path = courses[-1].path
+    _, progresses = followed([beyond] * 3 + [within], arm().neutral())
+    path = progresses[-1].path
     end = arm().at(path.configuration(path.end)).points
     assert np.linalg.norm(end - within.points, axis=1).mean() < 1e-6 * arm().length
 
@@ -122,12 +121,12 @@ def test_the_usual_step_in_one_call_is_that_of_the_long_way_round(
         monkeypatch.setattr(geodesic, "fast_step", lambda *_: None)
         slow = controller.step(state, target, LIMITS, memory)
         monkeypatch.setattr(geodesic, "fast_step", quick)
-        taken += memory is not None and quick(memory.own, state, LIMITS.for_arm(arm())) is not None
+        taken += memory is not None and quick(memory.progress, state, LIMITS.for_arm(arm())) is not None
         np.testing.assert_allclose(step.dq, slow.dq, atol=1e-14)
         assert step.active == slow.active
         for ours, theirs in zip(step.diagnostics, slow.diagnostics, strict=True):
             assert np.all(ours == theirs)
-        for ours, theirs in zip(step.memory.own, slow.memory.own, strict=True):
+        for ours, theirs in zip(step.memory.progress, slow.memory.progress, strict=True):
             if isinstance(ours, (float, int, bool)):
                 assert ours == pytest.approx(theirs, abs=1e-12)
         q, memory = arm().integrate(q, step.dq), step.memory
@@ -140,5 +139,5 @@ def test_an_arm_that_was_pushed_aside_begins_anew() -> None:
     first = controller.step(arm().at(q), target, LIMITS)
     pushed = arm().integrate(q, first.dq)
     pushed[3] += 0.2
-    again = controller.step(arm().at(pushed), target, LIMITS, Memory(first.dq, first.memory.own))
-    np.testing.assert_array_equal(again.memory.own.path.start, pushed)
+    again = controller.step(arm().at(pushed), target, LIMITS, first.memory)
+    np.testing.assert_array_equal(again.memory.progress.path.start, pushed)

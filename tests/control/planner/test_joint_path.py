@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from sampling import examples, seeds
 
 import pinposture as pp
+from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import JointPath, Stride
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -21,6 +22,10 @@ def planar() -> pp.Arm:
     return template_arm("Rz", 4)
 
 
+def objective_of(arm: pp.Arm) -> Objective:
+    return Objective(arm, pp.Target.from_configuration(arm, arm.neutral()))
+
+
 def drawn(rng: np.random.Generator, arm: pp.Arm | None = None, size: float = 1.0) -> JointPath:
     """A polyline with long and short pieces, some of which do not move, and some joints that do not."""
     arm = planar() if arm is None else arm
@@ -28,7 +33,7 @@ def drawn(rng: np.random.Generator, arm: pp.Arm | None = None, size: float = 1.0
     pieces *= 10.0 ** rng.uniform(-1.0, 0.0, (len(pieces), 1)) * (rng.random((len(pieces), arm.nv)) > 0.2)
     offsets = np.vstack([np.zeros(arm.nv), pieces.cumsum(axis=0)])
     start = arm.random(rng) if arm is not planar() else rng.uniform(-1.0, 1.0, arm.nv)
-    return JointPath(arm, start, offsets)
+    return JointPath(objective_of(arm), start, offsets)
 
 
 def sampled(path: JointPath, place: np.ndarray) -> np.ndarray:
@@ -42,7 +47,7 @@ def ahead_of(path: JointPath, offset: np.ndarray, place: float, bound: np.ndarra
     arm = path.arm
     state = arm.at(arm.integrate(path.start, offset))
     sides = np.array([-bound, bound])
-    return path.stride(state, place, arm.kinematics.columns, np.ones(len(arm.columns)), sides)
+    return path.stride(state, place, sides)
 
 
 @given(seed=SEEDS)
@@ -73,7 +78,9 @@ def test_ahead_is_the_farthest_place_without_a_gap(seed: int) -> None:
 )
 def test_an_arm_that_is_off_the_path_waits_at_its_place(side: float) -> None:
     """On either side: joint 0 is out of reach of the path, on which only joint 1 moves."""
-    path = JointPath(planar(), np.zeros(4), np.array([[0.0, 0, 0, 0], [0.0, 0.05, 0, 0], [0.0, 0.1, 0, 0]]))
+    path = JointPath(
+        objective_of(planar()), np.zeros(4), np.array([[0.0, 0, 0, 0], [0.0, 0.05, 0, 0], [0.0, 0.1, 0, 0]])
+    )
     ahead = ahead_of(path, np.array([0.5 * side, 0.0, 0.0, 0.0]), 0.2, np.full(4, 0.1))
     assert ahead.place == 0.2 and not ahead.inside
     np.testing.assert_allclose(ahead.dq, [-0.5 * side, 0.01, 0.0, 0.0], atol=1e-12)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from qp_runs import arm_called, check_limits
+from planner_runs import arm_called, check_limits
 from scipy.optimize import least_squares, minimize
 
 import pinposture as pp

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -15,7 +15,7 @@ from sampling import cases, examples
 import pinposture as pp
 from pinposture.control import Memory
 from pinposture.control.limits import full_braking, stopping_steps
-from pinposture.control.planner.path import JointPath
+from pinposture.control.planner.path import JointPath, retime
 from pinposture.motion.track import ControlLoop
 
 
@@ -157,10 +157,11 @@ def test_a_step_that_was_asked_for_and_not_taken_is_none_to_brake_from(steps: in
 def test_a_way_that_is_given_is_set_out_on_at_the_speed_of_now() -> None:
     arm = arm_number(1)
     limits, state = pp.Limits(dt=0.05, acceleration=1.0), arm.at(arm.neutral())
-    path = JointPath(arm, state.q, np.linspace(0.0, 1.0, 30)[:, None] * np.ones(arm.nv))
     controller, moving = pp.Geodesic(), Memory(np.full(arm.nv, -0.0025))
     target = pp.Target.from_configuration(arm, state.q)
-    memory = controller.along(state, path, target, limits, 1.0, moving)
+    offsets = np.linspace(0.0, 1.0, 30)[:, None] * np.ones(arm.nv)
+    path = JointPath(controller.objective(arm, target), state.q, offsets)
+    memory = controller.start(retime(path, limits, 1.0), state.compiled, moving)
     change = controller.step(state, target, limits, memory).dq - moving.dq
     assert 0.0 < change.max() <= 0.0025 * (1.0 + 1e-9)
 
@@ -185,18 +186,23 @@ def test_a_run_that_is_over_comes_to_rest() -> None:
         np.testing.assert_allclose(stopped.q, run.q, atol=1e-12)
 
 
+@dataclass(frozen=True)
+class Counting(Memory):
+    taken: int = 0
+
+
 @pytest.mark.parametrize("number", [0, 4])
 def test_a_step_that_exceeds_a_limit_is_named_whoever_took_it(number: int) -> None:
     class Reckless:
         name = "reckless"
 
         def step(self, state, target, limits=None, memory=None):
-            taken = 0 if memory is None else memory.own
+            taken = 0 if memory is None else memory.taken
             dq = np.zeros(state.arm.nv)
             dq[1] = (0.01, 0.02, 0.05, 0.04, 0.03, 0.02, 0.01)[taken]
             step = pp.Geodesic().step(state, target, replace(limits, acceleration=None))
             note = step.diagnostics._replace(reason="", violated_constraints=())
-            return step._replace(dq=dq, diagnostics=note, memory=Memory(dq, taken + 1))
+            return step._replace(dq=dq, diagnostics=note, memory=Counting(dq, taken=taken + 1))
 
     arm = arm_number(number)
     start = arm.configuration(np.full(arm.nv, 0.0))

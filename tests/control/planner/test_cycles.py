@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from qp_runs import arm_called, check_limits, within
+from planner_runs import arm_called, check_limits, within
 
 import pinposture as pp
+from pinposture.control import Memory
 
 ROUNDS = 3
 
@@ -84,10 +86,10 @@ def test_an_equal_target_does_not_make_it_plan_again() -> None:
     for _ in range(5):
         step = controller.step(arm.at(q), pp.Target.from_configuration(arm, goal), None, memory)
         q, memory = arm.integrate(q, step.dq), step.memory
-        paths.append(memory.own.path)
+        paths.append(memory.progress.path)
     assert all(a is b for a, b in pairwise(paths))
     moved = controller.step(arm.at(q), pp.Target.from_configuration(arm, 0.9 * goal), None, memory)
-    assert moved.memory.own.path is not paths[-1]
+    assert moved.memory.progress.path is not paths[-1]
 
 
 def test_memory_of_another_arm_or_controller_is_no_memory() -> None:
@@ -96,8 +98,8 @@ def test_memory_of_another_arm_or_controller_is_no_memory() -> None:
     foreign = pp.Geodesic().step(
         other.at(other.straight()), pp.Target.from_configuration(other, np.full(7, 0.3))
     )
-    strange = foreign.memory._replace(dq=np.zeros(arm.nv))
+    strange = replace(foreign.memory, dq=np.zeros(arm.nv))
     fresh = pp.Geodesic().step(arm.at(arm.straight()), target)
-    for memory in (strange, strange._replace(own="something else")):
+    for memory in (strange, Memory(np.zeros(arm.nv))):
         step = pp.Geodesic().step(arm.at(arm.straight()), target, None, memory)
         np.testing.assert_array_equal(step.dq, fresh.dq)

@@ -1,0 +1,242 @@
+"""Damped least squares within limits: one step that reduces all errors, and the search that repeats it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.arm import ArmState
+from pinposture.control.limits import StepBox
+from pinposture.control.planner.avoidance import Avoidance, ConstraintRows, Solution, solve
+from pinposture.control.planner.objective import ChainSolver, LinearRows, Objective
+from pinposture.control.planner.path import MAX_STEP
+
+Array = NDArray[np.float64]
+
+MIN_DAMPING = 1e-10
+"""Damping that remains at the target, relative to the mean diagonal of A^T A: the program needs some."""
+
+DAMPING_SHARE = 0.5
+"""Damping relative to the sum of squared errors, as Sugihara (2011) scales it."""
+
+DECREASE, INCREASE, MIN_FACTOR, MAX_FACTOR = 0.3, 4.0, 1e-6, 1e9
+"""How the factor of the damping changes after a step that reduced the cost or did not, and its range."""
+
+SEARCH_STEP = 0.2
+"""Largest joint motion of one iteration of a search, in `Arm.joint_units`."""
+
+MAX_ITERATIONS, CONVERGED, MAX_IDLE = 120, 1e-6, 3
+"""Largest number of iterations; the relative fall of the cost that counts as none; how often in a row."""
+
+INDEPENDENT = 1e-6
+"""Smallest singular value of independent rows of tasks with priority, relative to the largest."""
+
+CURVATURE_CORRECTIONS = 4
+"""How often a step is corrected for what its curvature does to tasks with priority."""
+
+
+class StepBounds(NamedTuple):
+    """What one step may do.
+
+    Attributes:
+        state: where the arm is.
+        lower: smallest step, (n,), in `Arm.joint_units`.
+        upper: largest step, (n,).
+        rows: further constraints; None: none.
+    """
+
+    state: ArmState
+    lower: Array
+    upper: Array
+    rows: ConstraintRows | None
+
+    @classmethod
+    def of(
+        cls, objective: Objective, state: ArmState, box: StepBox, avoidance: Avoidance | None
+    ) -> StepBounds:
+        """Return what limits and obstacles leave of a step."""
+        lower, upper = (np.clip(objective.normalize(side), -MAX_STEP, MAX_STEP) for side in box.sides)
+        rows = None if avoidance is None else avoidance.rows(state, lower, upper)
+        return cls(state, lower, upper, rows)
+
+
+class LeastSquaresResult(NamedTuple):
+    """Where a search ended.
+
+    Attributes:
+        state: the state of the arm there.
+        cost: half the sum of squares that is left [m^2].
+        mean_error: mean distance of the control points from their targets [m].
+        intrusion: by how much the arm is closer to something than it may be [m]; 0 if it is clear.
+    """
+
+    state: ArmState
+    cost: float
+    mean_error: float
+    intrusion: float
+
+
+def reduce_errors(objective: Objective, bounds: StepBounds, damping: float) -> Solution:
+    """Solve for one step x towards all targets at once.
+
+    It minimises |A x - s e|^2 + lambda |x|^2 within its bounds, with all rows A and errors e of the
+    objective. Errors of a far target are scaled down together, by s, so that the largest of a point is one
+    module length: the arm starts in their direction instead of reaching for what no step covers. The damping
+    lambda grows with the errors that are left.
+
+    Args:
+        objective: what the arm is to achieve.
+        bounds: what the step may do.
+        damping: factor of the damping.
+    """
+    scale = _error_scale(objective, bounds.state)
+    if not objective.has_tasks and bounds.rows is None:
+        solver, (errors, squares) = ChainSolver(objective, bounds.state), objective.point_errors(bounds.state)
+        least = MIN_DAMPING * max(solver.stiffness(), 1e-12 * objective.arm.length**2)
+        weight = damping * DAMPING_SHARE * scale**2 * squares + least
+        x = solver.step(scale * errors, weight, np.zeros(len(bounds.lower)), bounds.lower, bounds.upper)
+        return Solution(x, np.zeros(0, dtype=np.bool_), False)
+    rows = objective.rows(bounds.state)
+    errors = scale * rows.errors
+    least = MIN_DAMPING * _mean_diagonal(objective, rows.matrix)
+    hessian = damped_hessian(rows.matrix, damping * DAMPING_SHARE * float(errors @ errors) + least)
+    tasks = objective.task_rows(bounds.state, priority=True)
+    first = None if tasks is None else solve_priority(objective, bounds, tasks, scale * tasks.errors)
+    return solve_remaining(hessian, -(rows.matrix.T @ errors), bounds, first)
+
+
+class PriorityStep(NamedTuple):
+    """What tasks with priority can have in one step.
+
+    Attributes:
+        x: the step that serves them alone, (n,).
+        matrix: independent rows of theirs, (e, n), of full rank.
+    """
+
+    x: Array
+    matrix: Array
+
+
+def solve_priority(
+    objective: Objective, bounds: StepBounds, tasks: LinearRows, wanted: Array
+) -> PriorityStep | None:
+    """Solve for the tasks with priority alone; None if that fails.
+
+    Args:
+        objective: what the arm is to achieve.
+        bounds: what the step may do.
+        tasks: the rows of these tasks.
+        wanted: what the step should do for them, (r,) [m].
+    """
+    hessian = damped_hessian(tasks.matrix, 1e-8 * _mean_diagonal(objective, tasks.matrix))
+    alone = solve(hessian, -(tasks.matrix.T @ wanted), bounds.lower, bounds.upper, bounds.rows)
+    if alone.x is None:
+        return None
+    _, sigma, right = np.linalg.svd(tasks.matrix, full_matrices=False)
+    return PriorityStep(alone.x, right[sigma > INDEPENDENT * max(float(sigma[0]), 1e-300)])
+
+
+def solve_remaining(
+    hessian: Array, gradient: Array, bounds: StepBounds, first: PriorityStep | None
+) -> Solution:
+    """Minimise x^T H x / 2 + g^T x with the freedom that tasks with priority leave.
+
+    The whole step has to do for them what the step that serves them alone does, as equations. So there always
+    is a solution. Where rounding hides it, because joints are at their bounds, that step itself is taken.
+    """
+    if first is None:
+        return solve(hessian, gradient, bounds.lower, bounds.upper, bounds.rows)
+    equal = (first.matrix, first.matrix @ first.x)
+    found = solve(hessian, gradient, bounds.lower, bounds.upper, bounds.rows, equal)
+    return found if found.x is not None else found._replace(x=first.x)
+
+
+def correct_curvature(objective: Objective, bounds: StepBounds, x: Array) -> Array:
+    """Correct a step for what its curvature does to tasks with priority, as far as its bounds allow."""
+    before = objective.task_rows(bounds.state, priority=True)
+    if before is None:
+        return x
+    inverse = np.linalg.pinv(before.matrix, rcond=INDEPENDENT)
+    planned = before.errors - before.matrix @ x
+    left, best = np.inf, x
+    for _ in range(CURVATURE_CORRECTIONS):
+        after = objective.task_rows(objective.state_after(bounds.state, x), priority=True)
+        missed = planned if after is None else after.errors - planned
+        found = float(np.linalg.norm(missed))
+        if found >= left:
+            break
+        left, best = found, x
+        x = np.clip(x + inverse @ missed, bounds.lower, bounds.upper)
+    return best
+
+
+def minimize(
+    objective: Objective,
+    state: ArmState,
+    edges: Array,
+    avoidance: Avoidance | None,
+    good: float,
+    borne: float = 0.0,
+) -> LeastSquaresResult:
+    """Search for a minimum of the cost, step by step from a state.
+
+    In a scene, a state that is too close to something first has to come clear, and then stays so.
+
+    Args:
+        objective: what the arm is to achieve.
+        state: where to begin.
+        edges: joint positions to stay between, (2, nv) [rad or m].
+        avoidance: what to keep clear of; None: nothing.
+        good: mean distance of the control points from their targets at which the search ends [m], if there
+            are no further tasks.
+        borne: by how much the arm may fall short of the margin to something [m].
+    """
+    columns = objective.columns
+    cost, damping, idle = objective.cost(state), 1.0, 0
+    close = borne if avoidance is None else max(avoidance.intrusion(state), borne)
+    for _ in range(MAX_ITERATIONS):
+        if not objective.tasks and close == borne and objective.mean_error(state) <= good:
+            break
+        here = state.positions[columns]
+        lower, upper = ((edge[columns] - here) / objective.units for edge in edges)
+        lower, upper = np.clip(lower, -SEARCH_STEP, 0.0), np.clip(upper, 0.0, SEARCH_STEP)
+        rows = None if avoidance is None else avoidance.rows(state, lower, upper)
+        bounds = StepBounds(state, lower, upper, rows)
+        x = reduce_errors(objective, bounds, damping).x
+        tried = None
+        if x is not None:
+            tried = objective.state_after(state, correct_curvature(objective, bounds, x))
+        found = np.inf if tried is None else objective.cost(tried)
+        closer = 0.0 if avoidance is None or tried is None else max(avoidance.intrusion(tried), borne)
+        if tried is not None and (closer < close or (closer == close and found < cost)):
+            idle = idle + 1 if closer == close and found > (1.0 - CONVERGED) * cost else 0
+            state, cost, close, damping = tried, found, closer, max(damping * DECREASE, MIN_FACTOR)
+        else:
+            damping *= INCREASE
+            idle += damping > MAX_FACTOR
+        if idle >= MAX_IDLE:
+            break
+    return LeastSquaresResult(state, cost, objective.mean_error(state), close - borne)
+
+
+def damped_hessian(matrix: Array, damping: float) -> Array:
+    """Return A^T A + damping I."""
+    hessian: Array = matrix.T @ matrix
+    hessian[np.diag_indices(len(hessian))] += damping
+    return hessian
+
+
+def _error_scale(objective: Objective, state: ArmState) -> float:
+    """Return the factor in (0, 1] that brings the largest error of a control point to one module length."""
+    errors = np.linalg.norm(
+        (objective.target.points - state.points) * objective.target.has_target[:, None], axis=1
+    )
+    typical = objective.arm.length / objective.arm.n_modules
+    return min(1.0, typical / max(float(errors.max()), 1e-300))
+
+
+def _mean_diagonal(objective: Objective, matrix: Array) -> float:
+    """Return the mean diagonal of A^T A [m^2], above 0."""
+    return float(max((matrix**2).sum() / matrix.shape[1], 1e-12 * objective.arm.length**2))

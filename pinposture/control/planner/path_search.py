@@ -1,0 +1,305 @@
+"""Paths among obstacles that relaxation does not find: withdrawal along the arm, and a tree search.
+
+An arm that reaches through a hole leaves it as it came in: backwards, each point along the curve that the arm
+lies on, while the part near the base takes up the slack. At the end of this withdrawal the arm is compact, in
+front of what it had entered. The same is done for the goal posture. Between two compact postures a
+bidirectional tree search (RRT-Connect, Kuffner and LaValle 2000) finds a path quickly. Shortcuts and
+relaxation then make it direct.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.arm import ArmState, smooth_configuration
+from pinposture.control.planner.avoidance import Avoidance
+from pinposture.control.planner.damped_least_squares import minimize
+from pinposture.control.planner.objective import Objective
+from pinposture.placement import Target
+
+Array = NDArray[np.float64]
+
+SAMPLE_MOTION = 0.005
+"""Largest motion of a control point between two places at which distances are sampled, in arm lengths."""
+
+SAMPLE_TURN = 0.1
+"""Largest motion of a joint between two such places, in `Arm.joint_units`."""
+
+WITHDRAWAL_STEP, NEAR_SHARE = 0.01, 0.3
+"""By how much a withdrawal moves on in a step, and how much of the arm takes up the slack, in arm lengths."""
+
+WITHDRAWAL_ERROR = 0.002
+"""Mean distance from the curve at which a step of a withdrawal is taken, in arm lengths."""
+
+MAX_FAILURES = 3
+"""How many steps in a row may fail before a withdrawal ends."""
+
+JOIN_EVERY = 0.1
+"""Depth of withdrawal after which a join is tried again, in arm lengths."""
+
+JOIN_NODES, SEARCH_NODES = 300, 3000
+"""Largest number of tree nodes of a join, and of the search between start and goal."""
+
+TREE_STEP = 0.1
+"""Largest joint motion of an edge of the trees, in `Arm.joint_units`."""
+
+MAX_AMPLITUDE, NOISE = 1.5, 0.3
+"""Samples of the tree search: amplitude of smooth random configurations, and noise about known ones."""
+
+SHORTCUTS = 150
+"""Number of shortcuts that are tried."""
+
+
+class FoundPath(NamedTuple):
+    """A clear path.
+
+    Attributes:
+        offsets: displacement of each waypoint from the start, (N + 1, nv) [rad or m].
+        found_by: "withdrawal" or "tree search".
+    """
+
+    offsets: Array
+    found_by: str
+
+
+class PathSearch:
+    """Searches for a clear path between two configurations; the same for the same arguments.
+
+    Args:
+        objective: the arm, its joints, and what the goal is for.
+        start: where the path begins.
+        goal: where it ends.
+        edges: joint positions to stay between, (2, nv) [rad or m].
+        avoidance: what to keep clear of.
+        least: the distance that must be kept on the path [m].
+        seed: other seeds may lead to other paths.
+    """
+
+    def __init__(
+        self,
+        objective: Objective,
+        start: ArmState,
+        goal: ArmState,
+        edges: Array,
+        avoidance: Avoidance,
+        least: float,
+        seed: int = 0,
+    ) -> None:
+        self._objective, self._start, self._goal = objective, start, goal
+        self._arm, self._edges, self._avoidance, self._least = objective.arm, edges, avoidance, least
+        self._rng = np.random.default_rng(seed)
+        self._positions = self._arm.positions(start.q)
+
+    def find(self) -> FoundPath | None:
+        """Return a clear path, shortened; None if none was found."""
+        end = np.asarray(self._arm.difference(self._start.q, self._goal.q))
+        joined = self._connect(np.zeros(self._arm.nv), end, JOIN_NODES)
+        found_by = "tree search"
+        if joined is None:
+            joined, found_by = self._join_withdrawn(end), "withdrawal"
+        if joined is None:
+            joined, found_by = self._connect(np.zeros(self._arm.nv), end, SEARCH_NODES), "tree search"
+        return None if joined is None else FoundPath(self._shorten(joined), found_by)
+
+    def is_clear(self, one: Array, other: Array) -> bool:
+        """Whether a straight motion between two offsets, (nv,), keeps clear; the first one is taken to."""
+        change = other - one
+        moved = self._points(other) - self._points(one)
+        farthest = float(np.sqrt((moved**2).sum(axis=1).max()))
+        turned = float(np.abs(change / self._arm.joint_units).max())
+        count = max(farthest / (SAMPLE_MOTION * self._arm.length), turned / SAMPLE_TURN, 1.0)
+        shares = _by_halves(int(np.ceil(count)))
+        return self._avoidance.clearance.keeps(self._start.q, one + shares[:, None] * change, self._least)
+
+    def _points(self, offset: Array) -> Array:
+        return self._arm.kinematics.forward(self._positions + offset).points
+
+    # Withdrawal.
+
+    def _join_withdrawn(self, end: Array) -> Array | None:
+        """Withdraw both ends step by step until they can be joined."""
+        ends = [_Withdrawal(self, np.zeros(self._arm.nv)), _Withdrawal(self, end)]
+        while any(each.go_on(JOIN_EVERY) for each in ends):
+            joined = self._connect(ends[0].offsets[-1], ends[1].offsets[-1], JOIN_NODES)
+            if joined is not None:
+                return np.concatenate([ends[0].offsets, joined[1:-1], ends[1].offsets[::-1]])
+        return None
+
+    def state_at(self, offset: Array) -> ArmState:
+        """Return the state at an offset, (nv,)."""
+        return self._arm.at(self._arm.integrate(self._start.q, offset)).compiled
+
+    # Tree search.
+
+    def _connect(self, one: Array, other: Array, nodes: int) -> Array | None:
+        """Return offsets from one to the other, (N + 1, nv), by RRT-Connect; None if none were found."""
+        trees = _Tree(one), _Tree(other)
+        units = self._arm.joint_units
+        for turn in range(nodes):
+            from_, to = trees if turn % 2 == 0 else trees[::-1]
+            wanted = other if turn == 0 else self._sample(one, other)
+            at = self._extend(from_, wanted, units)
+            if at is None:
+                continue
+            there, reached = from_.offsets[at], None
+            while True:  # as far as it goes
+                reached = self._extend(to, there, units)
+                if reached is None or np.array_equal(to.offsets[reached], there):
+                    break
+            if reached is not None:
+                parts = [from_.branch(at), to.branch(reached)]
+                first, second = parts if turn % 2 == 0 else parts[::-1]
+                return np.concatenate([first, second[::-1][1:]])
+            if len(trees[0].offsets) + len(trees[1].offsets) > nodes:
+                break
+        return None
+
+    def _extend(self, tree: _Tree, wanted: Array, units: Array) -> int | None:
+        """Add a node one step towards an offset; return it, or None if the step is not clear."""
+        near = tree.nearest(wanted, units)
+        change = wanted - tree.offsets[near]
+        size = float(np.abs(change / units).max())
+        if size == 0.0:
+            return near
+        reached = wanted if size <= TREE_STEP else tree.offsets[near] + change * (TREE_STEP / size)
+        return tree.add(reached, near) if self.is_clear(tree.offsets[near], reached) else None
+
+    def _sample(self, one: Array, other: Array) -> Array:
+        """Return a random offset: of a smooth posture, or near the line between two."""
+        arm, rng = self._arm, self._rng
+        if rng.random() < 0.5:
+            q = smooth_configuration(arm, rng, float(rng.uniform(0.1, MAX_AMPLITUDE)))
+            offset = np.asarray(arm.difference(self._start.q, q))
+        else:
+            offset = one + rng.uniform(-0.2, 1.2) * (other - one)
+            offset = offset + NOISE * rng.normal(size=arm.nv) * arm.joint_units * arm.moved
+        lowest, highest = self._edges - self._positions
+        return np.asarray(np.clip(offset, np.minimum(lowest, 0.0), np.maximum(highest, 0.0)))
+
+    # What comes out is made shorter.
+
+    def _shorten(self, offsets: Array) -> Array:
+        """Replace parts by straight motions that are clear, and on which control points travel less."""
+        path = list(offsets)
+        points = [self._points(each) for each in path]
+        for _ in range(SHORTCUTS):
+            if len(path) < 3:
+                break
+            i, j = np.sort(self._rng.choice(len(path), 2, replace=False))
+            if j - i < 2:
+                continue
+            before = sum(self._distance(points[k], points[k + 1], path[k + 1] - path[k]) for k in range(i, j))
+            # The motion is split, so that the length of what the points do is measured.
+            turned = float(np.abs((path[j] - path[i]) / self._arm.joint_units).max())
+            count = max(int(np.ceil(turned / TREE_STEP)), 1)
+            between = [path[i] + (path[j] - path[i]) * (k / count) for k in range(1, count)]
+            placed = [self._points(each) for each in between]
+            along = [points[i], *placed, points[j]]
+            change = (path[j] - path[i]) / count
+            after = sum(self._distance(a, b, change) for a, b in pairwise(along))
+            if after < 0.999 * before and self.is_clear(path[i], path[j]):
+                path[i + 1 : j], points[i + 1 : j] = between, placed
+        return np.array(path)
+
+    def _distance(self, one: Array, other: Array, change: Array) -> float:
+        """Return the length of a small motion in the metric of the planner [m]."""
+        joints = float((self._objective.normalize(change) ** 2).sum())
+        return float(np.sqrt(((one - other) ** 2).sum() + self._objective.mu**2 * joints))
+
+
+@lru_cache(maxsize=256)
+def _by_halves(count: int) -> Array:
+    """Return the shares 1/n, ..., 1, such that each next one halves a gap: collisions are found early."""
+    order, steps = [count], [(0, count)]
+    for low, high in steps:
+        middle = (low + high) // 2
+        if low < middle < high:
+            order.append(middle)
+            steps += [(low, middle), (middle, high)]
+    return np.array(order) / count
+
+
+class _Tree:
+    """Nodes of a tree of offsets, and where each comes from."""
+
+    def __init__(self, root: Array) -> None:
+        self.offsets, self._parents, self._count = np.array([root] * 64), [-1], 1
+
+    def nearest(self, offset: Array, units: Array) -> int:
+        apart = (self.offsets[: self._count] - offset) / units
+        return int(np.einsum("ij,ij->i", apart, apart).argmin())
+
+    def add(self, offset: Array, parent: int) -> int:
+        if self._count == len(self.offsets):
+            self.offsets = np.concatenate([self.offsets, np.empty_like(self.offsets)])
+        self.offsets[self._count] = offset
+        self._parents.append(parent)
+        self._count += 1
+        return self._count - 1
+
+    def branch(self, node: int) -> Array:
+        """Return the offsets from the root to a node."""
+        path = []
+        while node >= 0:
+            path.append(self.offsets[node])
+            node = self._parents[node]
+        return np.array(path[::-1])
+
+
+class _Withdrawal:
+    """The withdrawal of an arm from a posture, along the curve that it lies on.
+
+    Attributes:
+        offsets: the configurations so far as displacements from the start of the search, (nv,) each.
+    """
+
+    def __init__(self, search: PathSearch, offset: Array) -> None:
+        self._search, self.offsets = search, [offset]
+        self._state = search.state_at(offset)
+        objective = search._objective
+        self._arm, self._limit = objective.arm, objective.arm.length
+        base = self._arm.chain.base
+        self._curve = np.vstack([base, self._state.forward.points])
+        lengths = np.linalg.norm(np.diff(self._curve, axis=0), axis=1)
+        self._places = np.concatenate([[0.0], np.cumsum(lengths)])
+        self._near = NEAR_SHARE * self._places[-1]
+        self._depth, self._over = 0.0, False
+
+    def go_on(self, distance: float) -> bool:
+        """Withdraw farther, by so many arm lengths if it can; whether it moved."""
+        failures, begun, goal = 0, len(self.offsets), self._depth + distance * self._places[-1]
+        step = WITHDRAWAL_STEP * self._places[-1]
+        while not self._over and self._depth < goal:
+            if self._withdraw_to(self._depth + step):
+                self._depth, failures, step = self._depth + step, 0, WITHDRAWAL_STEP * self._places[-1]
+            else:
+                failures, step = failures + 1, 0.5 * step
+                self._over = failures >= MAX_FAILURES
+        return len(self.offsets) > begun
+
+    def _withdraw_to(self, depth: float) -> bool:
+        """Move the far part along the curve, as far as it stays clear of the near part."""
+        search, arm = self._search, self._arm
+        places = self._places[1:] - depth
+        weights = (places >= self._near).astype(np.float64)
+        if not weights.any():
+            self._over = True
+            return False
+        points = np.column_stack([np.interp(places, self._places, axis) for axis in self._curve.T])
+        objective = Objective(arm, Target.from_points(arm, points, weights), (), 1.0, 0.2)
+        avoidance, good = search._avoidance.for_objective(objective), WITHDRAWAL_ERROR * arm.length
+        found = minimize(objective, self._state, search._edges, avoidance, good)
+        if found.mean_error > good:
+            return False
+        change = np.asarray(arm.difference(self._state.q, found.state.q))
+        offset = self.offsets[-1] + change
+        if not search.is_clear(self.offsets[-1], offset):
+            return False
+        self.offsets.append(offset)
+        self._state = found.state
+        return True

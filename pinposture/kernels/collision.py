@@ -1,0 +1,630 @@
+"""Distances of the bodies of an arm from obstacles and from each other.
+
+A body is a capsule, or lies in one: an axis between two ends, and a radius. Distances of capsules from
+spheres, capsules, boxes, half-spaces and cylinders are closed forms. Where solids overlap, the distance is
+the negative length of a translation that separates them: the shortest one, except for cylinders, where only
+translations along and across their axes count; so it is never larger than the true one.
+
+Pairs are sorted into groups of a block of bodies and another block, or an obstacle. Bounding spheres of
+blocks decide which groups are evaluated.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pinposture.kernels.arrays import (
+    BLOCK,
+    BOX,
+    PLANE,
+    SEGMENT,
+    Array1,
+    Array2,
+    Array3,
+    Array4,
+    Ints1,
+    Ints2,
+    JointTree,
+    Pairs,
+)
+from pinposture.kernels.compiled import compiled, subkernel
+
+TINY = 1e-300
+
+PARALLEL = 1e-14
+"""Square of the sine of the angle below which lines count as parallel."""
+
+FLAT = 1e-13
+"""Slope that counts as none, relative to the numbers that it is computed from."""
+
+MAX_ITERATIONS = 60
+"""Largest number of iterations in the search for the nearest place to a cylinder."""
+
+Contact = tuple[float, float, float, float, float, float, float]
+
+
+@compiled
+def place_joints(
+    tree: JointTree, positions: Array2, others: Array3, rotations: Array4, origins: Array3
+) -> None:
+    """Forward kinematics of all joints of a model, at several configurations.
+
+    Args:
+        tree: the joints; the first is the world.
+        positions: joint positions, (s, nv).
+        others: placements of the joints of another kind by their positions, rotation and translation,
+            (s, number of them, 12).
+        rotations: filled with the orientations of the joint frames, (s, njoints, 3, 3), world frame.
+        origins: filled with their origins, (s, njoints, 3).
+    """
+    moved = np.empty((3, 3))
+    for at in range(len(positions)):
+        rotations[at, 0] = np.eye(3)
+        origins[at, 0] = 0.0
+        number = 0
+        for joint in range(1, len(tree.parents)):
+            parent, fixed = tree.parents[joint], tree.fixed[joint]
+            before, place = rotations[at, parent], origins[at, parent]
+            turned, origin = rotations[at, joint], origins[at, joint]
+            for i in range(3):
+                origin[i] = place[i]
+                for k in range(3):
+                    origin[i] += before[i, k] * fixed[9 + k]
+                for j in range(3):
+                    turned[i, j] = 0.0
+                    for k in range(3):
+                        turned[i, j] += before[i, k] * fixed[3 * k + j]
+            axis = tree.axes[joint]
+            if tree.kinds[joint] == 2:  # any other joint
+                other = others[at, number]
+                number += 1
+                for i in range(3):
+                    for k in range(3):
+                        origin[i] += turned[i, k] * other[9 + k]
+                moved[:, :] = other[:9].reshape(3, 3)
+            else:
+                position = positions[at, tree.columns[joint]]
+                if tree.kinds[joint] == 1:  # it slides
+                    for i in range(3):
+                        for k in range(3):
+                            origin[i] += turned[i, k] * axis[k] * position
+                    continue
+                _rotate(axis, position, moved)
+            for i in range(3):
+                x, y, z = turned[i, 0], turned[i, 1], turned[i, 2]
+                for j in range(3):
+                    turned[i, j] = x * moved[0, j] + y * moved[1, j] + z * moved[2, j]
+
+
+@subkernel
+def _rotate(axis: Array1, angle: float, rotation: Array2) -> None:
+    """Fill a rotation about a unit axis, by the formula of Rodrigues."""
+    x, y, z = axis[0], axis[1], axis[2]
+    c, s = np.cos(angle), np.sin(angle)
+    v = 1.0 - c
+    rotation[0, 0], rotation[0, 1], rotation[0, 2] = c + v * x * x, v * x * y - s * z, v * x * z + s * y
+    rotation[1, 0], rotation[1, 1], rotation[1, 2] = v * x * y + s * z, c + v * y * y, v * y * z - s * x
+    rotation[2, 0], rotation[2, 1], rotation[2, 2] = v * x * z - s * y, v * y * z + s * x, c + v * z * z
+
+
+@compiled
+def place_axes(carriers: Ints1, local: Array3, rotations: Array4, origins: Array3, ends: Array4) -> None:
+    """Place the axes of bodies.
+
+    Args:
+        carriers: the joint that carries each body, (b,).
+        local: ends of the axes in the frames of these joints, (b, 2, 3).
+        rotations: orientations of the joint frames, (s, njoints, 3, 3).
+        origins: their origins, (s, njoints, 3).
+        ends: filled with the ends, (s, b, 2, 3), world frame.
+    """
+    for at in range(len(rotations)):
+        for body in range(len(carriers)):
+            turn, place = rotations[at, carriers[body]], origins[at, carriers[body]]
+            for end in range(2):
+                x, y, z = local[body, end, 0], local[body, end, 1], local[body, end, 2]
+                for i in range(3):
+                    ends[at, body, end, i] = place[i] + turn[i, 0] * x + turn[i, 1] * y + turn[i, 2] * z
+
+
+@compiled
+def differentiate_distances(
+    tree: JointTree,
+    rotations: Array3,
+    origins: Array2,
+    first: Ints1,
+    second: Ints1,
+    points: Array2,
+    normals: Array2,
+    jacobian: Array2,
+) -> None:
+    """Derivatives of distances by the joint positions: d/dt of n . p for each joint that moves p.
+
+    Args:
+        tree: the joints.
+        rotations: orientations of the joint frames, (njoints, 3, 3).
+        origins: their origins, (njoints, 3).
+        first: the joint that carries the first body of each contact, (k,).
+        second: that of the second; 0 for an obstacle, (k,).
+        points: the contacts, (k, 3).
+        normals: unit vectors from the second body to the first, (k, 3).
+        jacobian: zeros, filled with the derivatives, (k, nv); columns of joints of another kind stay.
+    """
+    for k in range(len(first)):
+        for side in range(2):
+            joint, sign = (first[k], 1.0) if side == 0 else (second[k], -1.0)
+            while joint > 0:
+                if tree.kinds[joint] < 2:
+                    turn, axis = rotations[joint], tree.axes[joint]
+                    ax = turn[0, 0] * axis[0] + turn[0, 1] * axis[1] + turn[0, 2] * axis[2]
+                    ay = turn[1, 0] * axis[0] + turn[1, 1] * axis[1] + turn[1, 2] * axis[2]
+                    az = turn[2, 0] * axis[0] + turn[2, 1] * axis[1] + turn[2, 2] * axis[2]
+                    nx, ny, nz = normals[k, 0], normals[k, 1], normals[k, 2]
+                    if tree.kinds[joint] == 1:
+                        moved = nx * ax + ny * ay + nz * az
+                    else:
+                        x = points[k, 0] - origins[joint, 0]
+                        y = points[k, 1] - origins[joint, 1]
+                        z = points[k, 2] - origins[joint, 2]
+                        moved = nx * (ay * z - az * y) + ny * (az * x - ax * z) + nz * (ax * y - ay * x)
+                    jacobian[k, tree.columns[joint]] += sign * moved
+                joint = tree.parents[joint]
+
+
+# One pair: distance of the surfaces, place on the axis of the first solid, normal from the second.
+
+
+@subkernel
+def pair_contact(ends: Array3, pairs: Pairs, pair: int) -> Contact:
+    """Distance, point of the first axis and normal of a pair; the normal is 0 where there is none."""
+    body, other = pairs.first[pair], pairs.second[pair] - len(ends)
+    line, kind = ends[body], pairs.kinds[pair]
+    radius = pairs.radii[body]
+    if kind == SEGMENT:
+        radius += pairs.radii[pairs.second[pair]]
+        against = ends[other + len(ends)] if other < 0 else pairs.lines[other]
+        distance, px, py, pz, nx, ny, nz = _segment_contact(line, against)
+    elif kind == BOX:
+        found = _box_contact(line, pairs.centers[other], pairs.frames[other], pairs.halves[other])
+        distance, px, py, pz, nx, ny, nz = found
+    elif kind == PLANE:
+        frame, center = pairs.frames[other], pairs.centers[other]
+        nx, ny, nz = frame[0, 2], frame[1, 2], frame[2, 2]
+        heights = (
+            nx * (line[0, 0] - center[0]) + ny * (line[0, 1] - center[1]) + nz * (line[0, 2] - center[2]),
+            nx * (line[1, 0] - center[0]) + ny * (line[1, 1] - center[1]) + nz * (line[1, 2] - center[2]),
+        )
+        end = 0 if heights[0] <= heights[1] else 1
+        distance, px, py, pz = heights[end], line[end, 0], line[end, 1], line[end, 2]
+    else:
+        found = _cylinder_contact(line, pairs.centers[other], pairs.frames[other], pairs.halves[other])
+        distance, px, py, pz, nx, ny, nz = found
+    return distance - radius, px, py, pz, nx, ny, nz
+
+
+@subkernel
+def _segment_contact(line: Array2, other: Array2) -> Contact:
+    ux, uy, uz = line[1, 0] - line[0, 0], line[1, 1] - line[0, 1], line[1, 2] - line[0, 2]
+    vx, vy, vz = other[1, 0] - other[0, 0], other[1, 1] - other[0, 1], other[1, 2] - other[0, 2]
+    rx, ry, rz = line[0, 0] - other[0, 0], line[0, 1] - other[0, 1], line[0, 2] - other[0, 2]
+    uu, vv, uv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, ux * vx + uy * vy + uz * vz
+    ur, vr = ux * rx + uy * ry + uz * rz, vx * rx + vy * ry + vz * rz
+    across = uu * vv - uv * uv
+    # On the line without ends, then on the other within its ends, then on the first again within its own.
+    # That is exact: the admissible pairs of places form a rectangle, and the distance is convex on it.
+    s = 0.0
+    if across > PARALLEL * uu * vv:
+        s = min(max((uv * vr - vv * ur) / across, 0.0), 1.0)
+    t = min(max((uv * s + vr) / max(vv, TINY), 0.0), 1.0)
+    s = min(max((uv * t - ur) / max(uu, TINY), 0.0), 1.0)
+    px, py, pz = line[0, 0] + s * ux, line[0, 1] + s * uy, line[0, 2] + s * uz
+    gx, gy, gz = px - other[0, 0] - t * vx, py - other[0, 1] - t * vy, pz - other[0, 2] - t * vz
+    size = np.sqrt(gx * gx + gy * gy + gz * gz)
+    if size <= TINY:
+        return 0.0, px, py, pz, 0.0, 0.0, 0.0
+    return size, px, py, pz, gx / size, gy / size, gz / size
+
+
+@subkernel
+def _turned(frame: Array2, x: float, y: float, z: float) -> tuple[float, float, float]:
+    return (
+        frame[0, 0] * x + frame[0, 1] * y + frame[0, 2] * z,
+        frame[1, 0] * x + frame[1, 1] * y + frame[1, 2] * z,
+        frame[2, 0] * x + frame[2, 1] * y + frame[2, 2] * z,
+    )
+
+
+@subkernel
+def _to_frame(line: Array2, center: Array1, frame: Array2, start: Array1, way: Array1) -> None:
+    """Fill the start of a line and the way to its end, in a frame."""
+    for axis in range(3):
+        start[axis], way[axis] = 0.0, 0.0
+        for i in range(3):
+            start[axis] += frame[i, axis] * (line[0, i] - center[i])
+            way[axis] += frame[i, axis] * (line[1, i] - line[0, i])
+
+
+@subkernel
+def _box_slope(start: Array1, way: Array1, half: Array1, t: float) -> float:
+    """Half the derivative of the squared distance of a place on a line from a box; it never falls."""
+    slope, rounding = 0.0, 0.0
+    for axis in range(3):
+        at = start[axis] + t * way[axis]
+        rounding += (abs(start[axis]) + half[axis]) * abs(way[axis])
+        if at > half[axis]:
+            slope += (at - half[axis]) * way[axis]
+        elif at < -half[axis]:
+            slope += (at + half[axis]) * way[axis]
+    return slope if abs(slope) > FLAT * rounding else 0.0
+
+
+@subkernel
+def _nearest_to_box(start: Array1, way: Array1, half: Array1) -> float:
+    """The place in [0, 1] on a line that is nearest to a box; the middle of them where there are many.
+
+    Between places where a coordinate enters or leaves the box, the slope is linear.
+    """
+    places, count = np.empty(8), 2
+    places[0], places[1] = 0.0, 1.0
+    for axis in range(3):
+        if way[axis] != 0.0:
+            for side in (-1.0, 1.0):
+                t = (side * half[axis] - start[axis]) / way[axis]
+                if 0.0 < t < 1.0:
+                    places[count] = t
+                    count += 1
+    places = np.sort(places[:count])
+    left, before, first = 0.0, _box_slope(start, way, half, 0.0), -1.0
+    if before > 0.0:
+        return 0.0
+    for k in range(1, count):
+        right = places[k]
+        after = _box_slope(start, way, half, right)
+        if before == 0.0:
+            first = left if first < 0.0 else first
+            if after > 0.0:
+                return 0.5 * (first + left)
+        elif after > 0.0:
+            return left + (right - left) * (before / (before - after))
+        left, before = right, after
+    return 0.5 * (first + 1.0) if before == 0.0 and first >= 0.0 else 1.0
+
+
+@subkernel
+def _box_contact(line: Array2, center: Array1, frame: Array2, half: Array1) -> Contact:
+    start, way, normal = np.empty(3), np.empty(3), np.zeros(3)
+    _to_frame(line, center, frame, start, way)
+    t = _nearest_to_box(start, way, half)
+    squares = 0.0
+    for axis in range(3):
+        at = start[axis] + t * way[axis]
+        normal[axis] = at - min(max(at, -half[axis]), half[axis])
+        squares += normal[axis] * normal[axis]
+    size = max(half[0], half[1], half[2])
+    if squares > (1e-14 * size) ** 2:
+        distance = np.sqrt(squares)
+        for axis in range(3):
+            normal[axis] /= distance
+    else:
+        distance, t = _leave_box(start, way, half, t, normal)
+    px, py, pz = line[0, 0], line[0, 1], line[0, 2]
+    px += t * (line[1, 0] - px)
+    py += t * (line[1, 1] - py)
+    pz += t * (line[1, 2] - pz)
+    nx, ny, nz = _turned(frame, normal[0], normal[1], normal[2])
+    return distance, px, py, pz, nx, ny, nz
+
+
+@subkernel
+def _leave_box(
+    start: Array1, way: Array1, half: Array1, inside: float, normal: Array1
+) -> tuple[float, float]:
+    """The shortest translation of a line out of a box: negative length, and the place that is deepest.
+
+    The line and the box span a polytope whose faces are normal to faces of the box, or to an edge of the box
+    and the line. Fills the normal.
+    """
+    deepest, place = -np.inf, inside
+    for axis in range(3):
+        a, b = start[axis], start[axis] + way[axis]
+        for side in (1.0, -1.0):
+            lowest = min(side * a, side * b)
+            if lowest - half[axis] > deepest:
+                deepest = lowest - half[axis]
+                place = inside if way[axis] == 0.0 else (0.0 if side * a < side * b else 1.0)
+                normal[:] = 0.0
+                normal[axis] = side
+    length = np.sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2])
+    for axis in range(3):
+        j, k = (axis + 1) % 3, (axis + 2) % 3
+        size = np.sqrt(way[j] * way[j] + way[k] * way[k])
+        if size <= 1e-9 * length or length == 0.0:
+            continue
+        nj, nk = -way[k] / size, way[j] / size
+        height = nj * start[j] + nk * start[k]
+        if height < 0.0:
+            nj, nk, height = -nj, -nk, -height
+        depth = height - half[j] * abs(nj) - half[k] * abs(nk)
+        if depth > deepest:
+            deepest, place = depth, inside
+            normal[axis], normal[j], normal[k] = 0.0, nj, nk
+    return deepest, place
+
+
+@subkernel
+def _cylinder_slope(start: Array1, way: Array1, half: Array1, t: float) -> float:
+    """Half the derivative of the squared distance of a place on a line from a cylinder along z."""
+    x, y, z = start[0] + t * way[0], start[1] + t * way[1], start[2] + t * way[2]
+    slope, across = 0.0, np.sqrt(x * x + y * y)
+    if across > half[0]:
+        slope += (across - half[0]) * (x * way[0] + y * way[1]) / across
+    if abs(z) > half[2]:
+        slope += (abs(z) - half[2]) * way[2] * (1.0 if z > 0.0 else -1.0)
+    return slope
+
+
+@subkernel
+def _cylinder_contact(line: Array2, center: Array1, frame: Array2, half: Array1) -> Contact:
+    start, way = np.empty(3), np.empty(3)
+    _to_frame(line, center, frame, start, way)
+    left, right = 0.0, 1.0
+    low, high = _cylinder_slope(start, way, half, 0.0), _cylinder_slope(start, way, half, 1.0)
+    t = 0.0
+    if low < 0.0 and high <= 0.0:
+        t = 1.0
+    elif low < 0.0:
+        # False position with halved weights (Illinois), and bisection every third time.
+        for number in range(MAX_ITERATIONS):
+            t = 0.5 * (left + right) if number % 3 == 2 else (left * high - right * low) / (high - low)
+            slope = _cylinder_slope(start, way, half, t)
+            if slope < 0.0:
+                left, low, high = t, slope, 0.5 * high
+            elif slope > 0.0:
+                right, high, low = t, slope, 0.5 * low
+            else:
+                break
+            if right - left <= 1e-15:
+                break
+    x, y, z = start[0] + t * way[0], start[1] + t * way[1], start[2] + t * way[2]
+    across = np.sqrt(x * x + y * y)
+    out, above = max(across - half[0], 0.0), max(abs(z) - half[2], 0.0)
+    distance = np.sqrt(out * out + above * above)
+    if distance > 1e-14 * max(half[0], half[2]):
+        nx = out * x / max(across, TINY) / distance
+        ny = out * y / max(across, TINY) / distance
+        nz = above / distance * (1.0 if z > 0.0 else -1.0)
+    else:
+        distance, t, nx, ny, nz = _leave_cylinder(start, way, half, t)
+    px, py, pz = line[0, 0], line[0, 1], line[0, 2]
+    px += t * (line[1, 0] - px)
+    py += t * (line[1, 1] - py)
+    pz += t * (line[1, 2] - pz)
+    wx, wy, wz = _turned(frame, nx, ny, nz)
+    return distance, px, py, pz, wx, wy, wz
+
+
+@subkernel
+def _leave_cylinder(
+    start: Array1, way: Array1, half: Array1, inside: float
+) -> tuple[float, float, float, float, float]:
+    """The shortest translation of a line out of a cylinder along or across its axis.
+
+    Returns:
+        Negative length, the place that is deepest, and the direction.
+    """
+    a, b = start[2], start[2] + way[2]
+    up, down = min(a, b) - half[2], -max(a, b) - half[2]
+    depth = max(up, down)
+    nz = 1.0 if up >= down else -1.0
+    place = inside if a == b else (0.0 if (a < b) == (nz > 0.0) else 1.0)
+    nx, ny = 0.0, 0.0
+    # Across: the direction of the place of the line that is nearest to the axis.
+    squares = way[0] * way[0] + way[1] * way[1]
+    t = 0.5
+    if squares > 0.0:
+        t = min(max(-(start[0] * way[0] + start[1] * way[1]) / squares, 0.0), 1.0)
+    x, y = start[0] + t * way[0], start[1] + t * way[1]
+    across = np.sqrt(x * x + y * y)
+    if across - half[0] > depth - 1e-9 * half[0]:  # of equals, the one that a stretched arm can do
+        depth, place, nz = across - half[0], t, 0.0
+        if across > 1e-12 * half[0]:
+            nx, ny = x / across, y / across
+        elif squares > 0.0:
+            nx, ny = -way[1] / np.sqrt(squares), way[0] / np.sqrt(squares)
+        else:
+            nx = 1.0
+    return depth, place, nx, ny, nz
+
+
+# All pairs: bounding spheres of blocks first.
+
+
+@subkernel
+def _bound_blocks(ends: Array3, pairs: Pairs, blocks: Array2) -> None:
+    """Fill centre and radius of a sphere around each block of bodies, (blocks, 4)."""
+    low, high = np.empty(3), np.empty(3)
+    for block in range(len(blocks)):
+        begin, stop = block * BLOCK, min(block * BLOCK + BLOCK, len(ends))
+        low[:], high[:] = np.inf, -np.inf
+        for body in range(begin, stop):
+            for end in range(2):
+                for i in range(3):
+                    low[i], high[i] = min(low[i], ends[body, end, i]), max(high[i], ends[body, end, i])
+        for i in range(3):
+            blocks[block, i] = 0.5 * (low[i] + high[i])
+        radius = 0.0
+        for body in range(begin, stop):
+            for end in range(2):
+                squares = 0.0
+                for i in range(3):
+                    squares += (ends[body, end, i] - blocks[block, i]) ** 2
+                radius = max(radius, np.sqrt(squares) + pairs.radii[body])
+        blocks[block, 3] = radius
+
+
+@subkernel
+def _point_distance(pairs: Pairs, obstacle: int, x: float, y: float, z: float) -> float:
+    """A lower bound of the distance of a point; less its radius, one for a ball around the point."""
+    kind, frame, center = pairs.shapes[obstacle], pairs.frames[obstacle], pairs.centers[obstacle]
+    if kind == SEGMENT:
+        line = pairs.lines[obstacle]
+        ux, uy, uz = line[1, 0] - line[0, 0], line[1, 1] - line[0, 1], line[1, 2] - line[0, 2]
+        gx, gy, gz = x - line[0, 0], y - line[0, 1], z - line[0, 2]
+        t = (gx * ux + gy * uy + gz * uz) / max(ux * ux + uy * uy + uz * uz, TINY)
+        t = min(max(t, 0.0), 1.0)
+        gx, gy, gz = gx - t * ux, gy - t * uy, gz - t * uz
+        return (
+            np.sqrt(gx * gx + gy * gy + gz * gz)
+            - pairs.radii[len(pairs.radii) - len(pairs.shapes) + obstacle]
+        )
+    x, y, z = x - center[0], y - center[1], z - center[2]
+    if kind == PLANE:
+        return frame[0, 2] * x + frame[1, 2] * y + frame[2, 2] * z
+    squares, inside = 0.0, -np.inf
+    for axis in range(3):
+        beyond = (
+            abs(frame[0, axis] * x + frame[1, axis] * y + frame[2, axis] * z) - pairs.halves[obstacle, axis]
+        )
+        inside = max(inside, beyond)
+        squares += max(beyond, 0.0) ** 2
+    return np.sqrt(squares) if inside > 0.0 else inside
+
+
+@subkernel
+def _group_bound(blocks: Array2, pairs: Pairs, group: int) -> float:
+    """A lower bound of the distances in a group."""
+    block, other = blocks[pairs.groups[group, 0]], pairs.groups[group, 1] - len(blocks)
+    if other >= 0:
+        return _point_distance(pairs, other, block[0], block[1], block[2]) - block[3]
+    sphere, squares = blocks[other + len(blocks)], 0.0
+    for i in range(3):
+        squares += (block[i] - sphere[i]) ** 2
+    return np.sqrt(squares) - block[3] - sphere[3]
+
+
+@subkernel
+def _pair_bound(ends: Array3, pairs: Pairs, pair: int) -> float:
+    """A lower bound of a distance, by spheres around bodies."""
+    body, other = pairs.first[pair], pairs.second[pair] - len(ends)
+    line = ends[body]
+    x, y, z = (
+        0.5 * (line[0, 0] + line[1, 0]),
+        0.5 * (line[0, 1] + line[1, 1]),
+        0.5 * (line[0, 2] + line[1, 2]),
+    )
+    squares = (x - line[0, 0]) ** 2 + (y - line[0, 1]) ** 2 + (z - line[0, 2]) ** 2
+    reach = np.sqrt(squares) + pairs.radii[body]
+    if other >= 0:
+        return _point_distance(pairs, other, x, y, z) - reach
+    second = ends[other + len(ends)]
+    gx, gy, gz = (
+        0.5 * (second[0, 0] + second[1, 0]),
+        0.5 * (second[0, 1] + second[1, 1]),
+        0.5 * (second[0, 2] + second[1, 2]),
+    )
+    squares = (gx - second[0, 0]) ** 2 + (gy - second[0, 1]) ** 2 + (gz - second[0, 2]) ** 2
+    apart = np.sqrt((gx - x) ** 2 + (gy - y) ** 2 + (gz - z) ** 2)
+    return apart - reach - np.sqrt(squares) - pairs.radii[other + len(ends)]
+
+
+@compiled
+def near_pairs(
+    ends: Array3,
+    pairs: Pairs,
+    within: float,
+    near: Ints1,
+    distances: Array1,
+    points: Array2,
+    normals: Array2,
+    open_pairs: Ints1,
+    bounds: Array1,
+) -> tuple[int, int, float, int]:
+    """Find the pairs nearer than a distance, and the nearest of all.
+
+    Args:
+        ends: ends of the axes of the bodies, (b, 2, 3).
+        pairs: the pairs, n.
+        within: the distance.
+        near: filled with the pairs that are near, (n,).
+        distances: filled with their distances, (n,).
+        points: filled with the nearest places on the axes of their first bodies, (n, 3).
+        normals: filled with unit vectors from their second solids; 0 where there are none, (n, 3).
+        open_pairs: filled with pairs of which only a lower bound is known, which may be near, or the nearest.
+        bounds: filled with these bounds, (n,).
+
+    Returns:
+        How many pairs are near, how many are open; the smallest distance of the others, and their pair: inf
+        and -1 if there is none.
+    """
+    blocks = np.empty(((len(ends) + BLOCK - 1) // BLOCK, 4))
+    _bound_blocks(ends, pairs, blocks)
+    groups = len(pairs.groups)
+    lower, nearest = np.empty(groups), 0
+    for group in range(groups):
+        lower[group] = _group_bound(blocks, pairs, group)
+        if lower[group] < lower[nearest]:
+            nearest = group
+    count, opened, best, best_pair = 0, 0, np.inf, -1
+    for turn in range(groups):
+        # The nearest group comes first, so that most of the others are left out.
+        group = nearest if turn == 0 else (0 if turn == nearest else turn)
+        if lower[group] >= max(within, best):
+            continue
+        for pair in range(pairs.starts[group], pairs.starts[group + 1]):
+            if _pair_bound(ends, pairs, pair) >= max(within, best):
+                continue
+            distance, px, py, pz, nx, ny, nz = pair_contact(ends, pairs, pair)
+            if not pairs.exact[pair]:
+                if distance < max(within, best):
+                    open_pairs[opened], bounds[opened] = pair, distance
+                    opened += 1
+                continue
+            if distance < best:
+                best, best_pair = distance, pair
+            if distance < within:
+                near[count], distances[count] = pair, distance
+                points[count, 0], points[count, 1], points[count, 2] = px, py, pz
+                normals[count, 0], normals[count, 1], normals[count, 2] = nx, ny, nz
+                count += 1
+    return count, opened, best, best_pair
+
+
+@compiled
+def smallest_distance(
+    ends: Array4, pairs: Pairs, below: float, enough: float, open_pairs: Ints2, bounds: Array1
+) -> tuple[float, int, int]:
+    """Find the smallest distance at any of several configurations.
+
+    Args:
+        ends: ends of the axes of the bodies, (s, b, 2, 3).
+        pairs: the pairs.
+        below: distances that matter: if none is smaller, none may be found.
+        enough: a distance below which the search ends with the first that is found.
+        open_pairs: filled with configuration and pair where only a lower bound is known that may be smaller,
+            (s times the number of pairs that are not exact, 2).
+        bounds: filled with these bounds.
+
+    Returns:
+        The smallest distance of the other pairs and its pair: inf and -1 if there is none; and how many pairs
+        are open.
+    """
+    blocks = np.empty(((ends.shape[1] + BLOCK - 1) // BLOCK, 4))
+    best, best_pair, opened = np.inf, -1, 0
+    for at in range(len(ends)):
+        _bound_blocks(ends[at], pairs, blocks)
+        for group in range(len(pairs.groups)):
+            if _group_bound(blocks, pairs, group) >= min(below, best):
+                continue
+            for pair in range(pairs.starts[group], pairs.starts[group + 1]):
+                if _pair_bound(ends[at], pairs, pair) >= min(below, best):
+                    continue
+                distance = pair_contact(ends[at], pairs, pair)[0]
+                if not pairs.exact[pair]:
+                    if distance < min(below, best):
+                        open_pairs[opened, 0], open_pairs[opened, 1], bounds[opened] = at, pair, distance
+                        opened += 1
+                elif distance < best:
+                    best, best_pair = distance, pair
+        if best < enough:
+            break
+    return best, best_pair, opened

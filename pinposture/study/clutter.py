@@ -1,0 +1,362 @@
+"""Finding a path among obstacles: problems of six kinds, drawn at random, and how they are solved."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
+from math import ceil
+from time import perf_counter
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+from joblib import delayed
+from numpy.typing import NDArray
+
+from pinposture._validation import require_whole
+from pinposture.arm import Arm, smooth_configuration
+from pinposture.collision import Box, Capsule, CollisionModel, Obstacle, Scene, Sphere
+from pinposture.control import Limits, plan
+from pinposture.curve import Curve
+from pinposture.errors import InvalidValue, PostureError, PostureWarning, UnknownName
+from pinposture.motion import track
+from pinposture.motion.processes import in_order
+from pinposture.motion.trajectory import path_length_ratio
+from pinposture.placement import Target, resolve_targets
+from pinposture.study.postures import Progress
+from pinposture.study.scenes import situation_arm
+
+Array = NDArray[np.float64]
+
+CLUTTER_MARGIN = 0.005
+"""Distance to keep from obstacles [m]."""
+
+SPARE_CLEARANCE = 0.003
+"""By how much start and goal are clearer than the margin [m]."""
+
+HOLE = 0.15
+"""Width of the holes [m]; the arm is 1 m long and 20 mm thick."""
+
+DENSE_TURN = 0.01
+"""Joint motion between two places at which a path is judged, in radians."""
+
+MAX_DRAWS, MAX_RUN_STEPS = 5000, 6000
+"""Largest number of draws of a problem, and of steps of a run."""
+
+LIMITS = Limits(step=None, velocity=1.0, acceleration=5.0, dt=0.02)
+
+
+class ClutterProblem(NamedTuple):
+    """A scene, and two configurations that are clear in it.
+
+    Attributes:
+        scene: the obstacles.
+        start: where the arm starts, (nq,).
+        goal: the configuration that takes the target, (nq,).
+    """
+
+    scene: Scene
+    start: Array
+    goal: Array
+
+
+Draw = Callable[[Arm, np.random.Generator], "tuple[dict[str, Obstacle], Array | None, Array | None]"]
+
+
+def _balls(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle], Array, Array]:
+    places = _away_from_base(rng, 40, 3)
+    return (
+        {f"ball{k}": Sphere(tuple(place), 0.06) for k, place in enumerate(places)},
+        smooth_configuration(arm, rng, 1.0),
+        smooth_configuration(arm, rng, 1.0),
+    )
+
+
+def _posts(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle], Array, Array]:
+    places = _away_from_base(rng, 30, 2)
+    posts: dict[str, Obstacle] = {
+        f"post{k}": Capsule((x, y, -1.0), (x, y, 1.0), 0.025) for k, (x, y) in enumerate(places)
+    }
+    return posts, smooth_configuration(arm, rng, 1.0), smooth_configuration(arm, rng, 1.0)
+
+
+def _hole(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle], Array | None, Array | None]:
+    y, z = rng.uniform(-0.12, 0.12, 2)
+    behind = [(0.65, y + rng.uniform(-0.15, 0.15), z), (1.0, y + rng.uniform(-0.3, 0.3), z)]
+    goal = _posture_on(arm, [(0.3, 0.8 * y, 0.8 * z), (0.45, y, z), *behind])
+    return _wall("wall", 0.45, y, z), *_either_way(rng, smooth_configuration(arm, rng, 1.2), goal)
+
+
+def _two_walls(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle], Array | None, Array | None]:
+    y, z = rng.uniform(-0.12, 0.12, 2)
+    other_y, other_z = (y, z) + rng.uniform(-0.12, 0.12, 2)
+    middle = (0.6, 0.5 * (y + other_y), 0.5 * (z + other_z))
+    behind = [middle, (0.75, other_y, other_z), (1.05, other_y + rng.uniform(-0.1, 0.1), other_z)]
+    goal = _posture_on(arm, [(0.3, 0.8 * y, 0.8 * z), (0.45, y, z), *behind])
+    walls = _wall("front", 0.45, y, z) | _wall("back", 0.75, other_y, other_z)
+    return walls, *_either_way(rng, smooth_configuration(arm, rng, 1.2), goal)
+
+
+def _shelf(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle], Array | None, Array | None]:
+    boards = (-0.5, -0.25, 0.0, 0.25, 0.5)
+    shelf: dict[str, Obstacle] = {
+        f"board{k}": Box((0.75, 0.0, z), (0.4, 1.0, 0.02)) for k, z in enumerate(boards)
+    }
+    shelf |= {f"side{k}": Box((0.75, y, 0.0), (0.4, 0.02, 1.0)) for k, y in enumerate(boards)}
+    bays = rng.choice(16, 2, replace=False)
+    start, goal = (_posture_on(arm, _in_bay(*divmod(int(bay), 4))) for bay in bays)
+    return shelf, start, goal
+
+
+def _corner(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle], Array | None, Array | None]:
+    walls: dict[str, Obstacle] = {
+        "right": Box((0.45, -0.65, 0.0), (0.1, 1.1, 2.0)),
+        "left": Box((0.45, 0.8, 0.0), (0.1, 1.0, 2.0)),
+        "behind": Box((0.9, 0.0, 0.0), (0.1, 2.0, 2.0)),
+    }
+    side = rng.choice([-1.0, 1.0])
+    beyond = [(0.5, 0.1, 0.0), (0.66, 0.1 + 0.1 * side, 0.0), (0.68, 0.1 + 0.45 * side, 0.0)]
+    return walls, smooth_configuration(arm, rng, 1.2), _posture_on(arm, [(0.33, 0.1, 0.0), *beyond])
+
+
+KINDS_OF_CLUTTER: Mapping[str, Draw] = MappingProxyType(
+    {
+        "balls": _balls,
+        "posts": _posts,
+        "hole": _hole,
+        "two-walls": _two_walls,
+        "shelf": _shelf,
+        "corner": _corner,
+    }
+)
+"""How to draw a problem of each kind: obstacles, start and goal; None where the arm cannot take a curve."""
+
+
+def draw_problem(arm: Arm, kind: str, seed: int) -> ClutterProblem:
+    """Draw a problem until start and goal are clear. Nothing is planned for it.
+
+    Args:
+        arm: the arm of `situation_arm`.
+        kind: one of `KINDS_OF_CLUTTER`.
+        seed: of the draws.
+
+    Raises:
+        UnknownName: there is no such kind.
+        InvalidValue: no draw was clear.
+    """
+    if kind not in KINDS_OF_CLUTTER:
+        raise UnknownName("kind of clutter", kind, KINDS_OF_CLUTTER)
+    rng = np.random.default_rng(seed)
+    for _ in range(MAX_DRAWS):
+        obstacles, start, goal = KINDS_OF_CLUTTER[kind](arm, rng)
+        if start is None or goal is None:
+            continue
+        scene = Scene(obstacles, margin=CLUTTER_MARGIN)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PostureWarning)
+            model = CollisionModel(arm, scene)
+        if min(model.minimum(q).distance for q in (start, goal)) > CLUTTER_MARGIN + SPARE_CLEARANCE:
+            return ClutterProblem(scene, start, goal)
+    raise InvalidValue("seed", seed, f"one with a clear start and goal in {MAX_DRAWS} draws")
+
+
+def _away_from_base(rng: np.random.Generator, count: int, axes: int) -> list[Array]:
+    places: list[Array] = []
+    while len(places) < count:
+        place = rng.uniform(-0.75, 0.75, axes)
+        if np.linalg.norm(place) > 0.16:
+            places.append(place)
+    return places
+
+
+def _wall(name: str, x: float, y: float, z: float) -> dict[str, Obstacle]:
+    """Four boxes around a square hole, across x."""
+    wide, side = 1.2, 0.5 * HOLE
+    return {
+        f"{name} left": Box((x, y - side - 0.5 * wide, z), (0.02, wide, 2.0 * wide)),
+        f"{name} right": Box((x, y + side + 0.5 * wide, z), (0.02, wide, 2.0 * wide)),
+        f"{name} below": Box((x, y, z - side - 0.5 * wide), (0.02, HOLE, wide)),
+        f"{name} above": Box((x, y, z + side + 0.5 * wide), (0.02, HOLE, wide)),
+    }
+
+
+def _in_bay(column: int, row: int) -> list[tuple[float, float, float]]:
+    y, z = -0.375 + 0.25 * column, -0.375 + 0.25 * row
+    return [(0.35, 0.7 * y, 0.7 * z), (0.56, y, z), (1.1, y, z)]
+
+
+def _posture_on(arm: Arm, points: Sequence[tuple[float, float, float]]) -> Array | None:
+    """The configuration on a curve from the base through points; None if the arm cannot take it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PostureWarning)
+        try:
+            curve = Curve.spline(np.array([(0.0, 0.0, 0.0), (0.12, 0.0, 0.0), *points]))
+            return resolve_targets(arm, curve, placement="as_is").q
+        except PostureError:
+            return None
+
+
+def _either_way(
+    rng: np.random.Generator, outside: Array, inside: Array | None
+) -> tuple[Array | None, Array | None]:
+    """In two of three problems the arm enters, in the third it comes out."""
+    return (outside, inside) if rng.random() < 2.0 / 3.0 else (inside, outside)
+
+
+class ClutterRun(NamedTuple):
+    """How a problem was solved.
+
+    Attributes:
+        kind: the kind of the problem.
+        seed: its seed.
+        found_by: how the path was found, see `JointPath.found_by`.
+        planned: whether the plan claims to be clear.
+        hindrance: what it comes too close to, if not.
+        plan_time: time to plan [s], with whatever else the machine did.
+        path_length_ratio: length of the paths of the control points on the plan, relative to straight lines.
+        plan_clearance: smallest distance on the plan, every 0.01 rad [m].
+        reached: whether `track` got there, within limits of speed and acceleration.
+        reason: why its run ended.
+        run_clearance: smallest distance in its run, every 0.01 rad [m].
+        margin: the distance to keep [m].
+    """
+
+    kind: str
+    seed: int
+    found_by: str
+    planned: bool
+    hindrance: str
+    plan_time: float
+    path_length_ratio: float
+    plan_clearance: float
+    reached: bool
+    reason: str
+    run_clearance: float
+    margin: float
+
+
+def dense_clearance(arm: Arm, scene: Scene, q: Array) -> float:
+    """Return the smallest distance on the straight motions between configurations, (N, nq) [m].
+
+    It shares nothing with how paths are checked while they are planned but the distances themselves.
+    """
+    model, least = CollisionModel(arm, scene), np.inf
+    for one, other in pairwise(q):
+        change = np.asarray(arm.difference(one, other))
+        count = max(ceil(float(np.abs(change).max()) / DENSE_TURN), 1)
+        least = min(least, model.minimum_between(one, change, count).distance)
+    return float(least)
+
+
+def solve_problem(arm: Arm, kind: str, seed: int) -> ClutterRun:
+    """Plan for a problem, run it, and judge both."""
+    problem = draw_problem(arm, kind, seed)
+    target = Target.from_configuration(arm, problem.goal)
+    state = arm.at(problem.start)
+    began = perf_counter()
+    path = plan(state, target, problem.scene, LIMITS)
+    took = perf_counter() - began
+    run = track(arm, target, problem.start, limits=LIMITS, scene=problem.scene, max_steps=MAX_RUN_STEPS)
+    points = np.array([arm.at(q).compiled.points for q in path.configurations])
+    return ClutterRun(
+        kind=kind,
+        seed=seed,
+        found_by=path.found_by,
+        planned=not path.hindrance,
+        hindrance=path.hindrance,
+        plan_time=took,
+        path_length_ratio=path_length_ratio(points),
+        plan_clearance=dense_clearance(arm, problem.scene, path.configurations),
+        reached=run.converged and run.excess is None,
+        reason=" ".join(run.reason.split()),
+        run_clearance=dense_clearance(arm, problem.scene, run.q),
+        margin=problem.scene.margin,
+    )
+
+
+class ClutterRow(NamedTuple):
+    """The problems of a kind.
+
+    Attributes:
+        kind: the kind.
+        problems: their number.
+        planned: how many plans claim to be clear.
+        reached: how many runs got there.
+        clearance: smallest distance in any run that got there, minus the margin [m].
+        plan_time: median and 90th percentile of the time to plan [s].
+        path_length_ratio: the same of the path length ratio.
+        found_by: how many plans were found by each means.
+    """
+
+    kind: str
+    problems: int
+    planned: int
+    reached: int
+    clearance: float
+    plan_time: tuple[float, float]
+    path_length_ratio: tuple[float, float]
+    found_by: dict[str, int]
+
+
+def study_clutter(
+    kinds: Sequence[str] = tuple(KINDS_OF_CLUTTER),
+    seeds: int = 10,
+    first_seed: int = 0,
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> list[ClutterRun]:
+    """Solve problems of several kinds with an arm of 20 modules, 1 m.
+
+    Args:
+        kinds: some of `KINDS_OF_CLUTTER`.
+        seeds: number of problems of each kind.
+        first_seed: seed of the first.
+        jobs: number of processes.
+        progress: called with the number of problems solved so far, and that of all.
+
+    Raises:
+        InvalidValue: no kind, or numbers that make no sense.
+        UnknownName: there is no such kind.
+    """
+    require_whole("seeds", seeds, 1)
+    require_whole("first_seed", first_seed, 0)
+    if len(kinds) == 0:
+        raise InvalidValue("kinds", list(kinds), "at least one")
+    for kind in kinds:
+        if kind not in KINDS_OF_CLUTTER:
+            raise UnknownName("kind of clutter", kind, KINDS_OF_CLUTTER)
+    arm = situation_arm()
+    todo = [(kind, seed) for kind in kinds for seed in range(first_seed, first_seed + seeds)]
+    runs: list[ClutterRun] = []
+    for run in in_order((delayed(solve_problem)(arm, *each) for each in todo), jobs):
+        runs.append(run)
+        if progress is not None:
+            progress(len(runs), len(todo))
+    return runs
+
+
+def by_kind(runs: Sequence[ClutterRun]) -> list[ClutterRow]:
+    """Summarise runs by kind, in the order in which these first appear."""
+    rows = []
+    for kind in dict.fromkeys(run.kind for run in runs):
+        own = [run for run in runs if run.kind == kind]
+        there = [run for run in own if run.reached]
+        times, ratios = ([getattr(run, name) for run in own] for name in ("plan_time", "path_length_ratio"))
+        rows.append(
+            ClutterRow(
+                kind=kind,
+                problems=len(own),
+                planned=sum(run.planned for run in own),
+                reached=len(there),
+                clearance=min((run.run_clearance - run.margin for run in there), default=np.inf),
+                plan_time=(float(np.median(times)), float(np.percentile(times, 90))),
+                path_length_ratio=(float(np.median(ratios)), float(np.percentile(ratios, 90))),
+                found_by={name: sum(run.found_by == name for run in own) for name in _found_by(own)},
+            )
+        )
+    return rows
+
+
+def _found_by(runs: Sequence[ClutterRun]) -> list[str]:
+    return list(dict.fromkeys(run.found_by for run in runs))

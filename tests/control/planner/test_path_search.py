@@ -1,0 +1,131 @@
+"""Paths among obstacles that have to be searched: judged by dense sampling, and by what cannot be reached."""
+
+from __future__ import annotations
+
+import warnings
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from arms import template_arm
+from sampling import cases, seeds
+
+import pinposture as pp
+from pinposture.collision import CollisionModel
+from pinposture.control.planner.avoidance import Avoidance
+from pinposture.control.planner.objective import Objective
+from pinposture.control.planner.path_search import PathSearch, _by_halves
+
+MARGIN = 0.005
+
+
+def arm() -> pp.Arm:
+    return template_arm("RyRz", 20)
+
+
+def wall_with_hole(place: float, y: float, z: float, width: float = 0.15) -> dict[str, pp.Box]:
+    """Four boxes around a square hole, across x."""
+    wide, side = 1.2, 0.5 * width
+    return {
+        "left": pp.Box((place, y - side - 0.5 * wide, z), (0.02, wide, 2.0 * wide)),
+        "right": pp.Box((place, y + side + 0.5 * wide, z), (0.02, wide, 2.0 * wide)),
+        "below": pp.Box((place, y, z - side - 0.5 * wide), (0.02, width, wide)),
+        "above": pp.Box((place, y, z + side + 0.5 * wide), (0.02, width, wide)),
+    }
+
+
+def through_a_hole(seed: int) -> tuple[pp.Scene, np.ndarray, np.ndarray]:
+    """A wall, a posture in front of it, and one through its hole: both clear, by code that plans nothing."""
+    rng = np.random.default_rng(seed)
+    while True:
+        y, z = rng.uniform(-0.1, 0.1, 2)
+        scene = pp.Scene(wall_with_hole(0.45, y, z), margin=MARGIN)
+        tail = [(0.65, y, z + rng.uniform(-0.1, 0.1)), (1.0, y + rng.uniform(-0.3, 0.3), z)]
+        curve = pp.Curve.spline(
+            np.array([(0, 0, 0), (0.12, 0, 0), (0.3, 0.8 * y, 0.8 * z), (0.45, y, z), *tail])
+        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", pp.PostureWarning)
+            try:
+                goal = pp.resolve_targets(arm(), curve, placement="as_is").q
+            except pp.PostureError:
+                continue
+        start = pp.arm.smooth_configuration(arm(), rng, 1.2)
+        model = CollisionModel(arm(), scene)
+        if min(model.minimum(start).distance, model.minimum(goal).distance) > 1.5 * MARGIN:
+            return scene, start, goal
+
+
+def smallest_distance(scene: pp.Scene, q: np.ndarray) -> float:
+    """On the straight motions between configurations, every 0.01 rad."""
+    model, least = CollisionModel(arm(), scene), np.inf
+    for one, other in pairwise(q):
+        count = max(int(np.ceil(np.abs(other - one).max() / 0.01)), 1)
+        for share in np.arange(1, count + 1) / count:
+            least = min(least, model.minimum(one + share * (other - one)).distance)
+    return least
+
+
+def search(scene: pp.Scene, start: np.ndarray, goal: np.ndarray, seed: int = 0) -> PathSearch:
+    bounds = pp.Limits().for_arm(arm())
+    objective = Objective(arm(), pp.Target.from_configuration(arm(), goal))
+    avoidance = Avoidance(CollisionModel(arm(), scene), objective, bounds)
+    states = (arm().at(q).compiled for q in (start, goal))
+    return PathSearch(objective, *states, bounds.edges, avoidance, MARGIN, seed)
+
+
+@pytest.mark.parametrize("seed", cases(range(8), 2))
+@pytest.mark.parametrize("inwards", [True, False])
+def test_the_arm_finds_its_way_through_a_hole_and_back(seed: int, inwards: bool) -> None:
+    scene, start, goal = through_a_hole(seed)
+    start, goal = (start, goal) if inwards else (goal, start)
+    path = pp.plan(arm().at(start), pp.Target.from_configuration(arm(), goal), scene)
+    assert path.hindrance == ""
+    np.testing.assert_array_equal(path.configurations[0], start)
+    np.testing.assert_allclose(path.configurations[-1], goal, atol=1e-9)
+    assert all(arm().within_limits(q) for q in path.configurations)
+    assert smallest_distance(scene, path.configurations) > MARGIN - 1e-3
+
+
+def test_a_run_through_a_hole_keeps_margin_and_limits() -> None:
+    scene, start, goal = through_a_hole(0)
+    limits = pp.Limits(step=None, velocity=1.0, dt=0.02, acceleration=5.0)
+    target = pp.Target.from_configuration(arm(), goal)
+    run = pp.track(arm(), target, start, limits=limits, scene=scene, max_steps=4000)
+    assert run.converged and run.excess is None
+    assert smallest_distance(scene, run.q) > MARGIN - 1e-4
+
+
+@pytest.mark.parametrize("seed", seeds(2))
+def test_the_search_is_the_same_for_the_same_seed(seed: int) -> None:
+    scene, start, goal = through_a_hole(3)
+    first, second = (search(scene, start, goal, seed).find() for _ in range(2))
+    assert first is not None and second is not None and first.found_by == second.found_by == "withdrawal"
+    np.testing.assert_array_equal(first.offsets, second.offsets)
+
+
+def test_where_there_is_no_way_the_plan_says_what_is_in_it() -> None:
+    scene, start, goal = through_a_hole(1)
+    closed = pp.Scene({**scene.obstacles, "lid": pp.Box((0.45, 0.0, 0.0), (0.02, 1.0, 1.0))}, margin=MARGIN)
+    target = pp.Target.from_configuration(arm(), goal)
+    # The goal lies in the lid; the arm stays in front of it.
+    path = pp.plan(arm().at(start), target, closed)
+    reached = arm().at(path.configurations[-1]).points
+    assert np.linalg.norm(reached - target.points, axis=1).max() > 0.01
+    model = CollisionModel(arm(), closed)
+    assert model.minimum(path.configurations[-1]).distance > 0.0 or path.hindrance
+
+
+def test_in_the_open_it_is_one_straight_motion() -> None:
+    goal = np.full(40, 0.05)
+    found = search(pp.Scene({"far": pp.Sphere((0, 0, 5.0), 0.1)}), np.zeros(40), goal).find()
+    assert found is not None and found.found_by == "tree search"
+    middle = found.offsets / np.linalg.norm(goal)
+    np.testing.assert_allclose(middle, (middle @ middle[-1])[:, None] * middle[-1], atol=1e-12)
+
+
+def test_places_by_halves_are_all_places() -> None:
+    for count in (1, 2, 3, 7, 16, 33):
+        shares = _by_halves(count)
+        assert shares[0] == 1.0
+        np.testing.assert_allclose(np.sort(shares), np.arange(1, count + 1) / count)
