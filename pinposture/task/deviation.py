@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue
-from pinposture.task.follow_leader import Route, find_route
+from pinposture.task.follow_leader import Route
 
 Array = NDArray[np.float64]
 
@@ -92,7 +92,7 @@ def path_deviation(
         InvalidValue: as `follow_leader`, or configurations of the wrong shape.
         UnknownName: no such placement.
     """
-    route = find_route(arm, path, placement, start)
+    route = Route(arm, path, placement, start)
     fed, rows = route.fed, np.asarray(q, dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != arm.nq or len(rows) == 0:
         raise InvalidValue("q (shape)", rows.shape, f"(1 or more, {arm.nq})")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -16,7 +15,7 @@ from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.errors import CurveBendsTooMuch, InvalidValue, TargetError, UnknownName, UnsupportedModule
 from pinposture.placement import Target
-from pinposture.placement.curve_placement import Moved, arm_axis
+from pinposture.placement.curve_placement import arm_axis
 from pinposture.placement.curve_placement import laid as laid_at
 from pinposture.placement.resolve import place_in_turn
 from pinposture.task.reference import Mark, Reference
@@ -147,21 +146,50 @@ MAX_ENTRY_ANGLE = 1e-3
 """Largest angle between the path and the axis of the arm at the entry [rad]."""
 
 
-@dataclass(frozen=True, eq=False)
 class Route:
-    """An arm on a feed, and the curve that it has to follow.
+    """The curve that an arm on a feed follows: a path at its tip, with a straight line before and after it.
+
+    Args:
+        arm: the arm.
+        path: the path.
+        placement: as for `follow_leader`.
+        start: as for `follow_leader`.
 
     Attributes:
         fed: the arm.
         path: the path in the world; it begins at the tip of the arm at the start.
-        whole: the path, with the straight line from the first joint that bends before it and one after it.
         moved: how the path was moved from where it was drawn.
+        whole: the path, with the straight line from the first joint that bends before it and one after it.
+
+    Raises:
+        InvalidValue: not an arm on a feed, not a curve, or a path that does not begin at the tip.
+        UnknownName: no such placement.
     """
 
-    fed: FedArm
-    path: Curve
-    whole: Curve
-    moved: Moved
+    def __init__(
+        self, arm: Arm, path: Curve, placement: str = "align", start: ArrayLike | None = None
+    ) -> None:
+        if not isinstance(path, Curve):
+            raise InvalidValue("path", path, "a Curve")
+        if placement not in PATH_PLACEMENTS:
+            raise UnknownName("placement", placement, PATH_PLACEMENTS)
+        self.fed = fed = FedArm(arm, start)
+        placed, moved = laid_at(fed.body, path, placement, 0.0)
+        if placement == "align":
+            placed = placed.moved(np.eye(3), fed.tip - placed.start)
+            x, y, z = (fed.tip - path.start).tolist()
+            moved = moved._replace(translation=(x, y, z))
+        else:
+            gap = float(np.linalg.norm(path.start - fed.tip))
+            angle = float(np.arccos(np.clip(path.tangent(0.0) @ fed.axis, -1.0, 1.0)))
+            if gap > LINE_TOLERANCE * fed.length or angle > MAX_ENTRY_ANGLE:
+                x, y, z = fed.tip
+                found = f"{gap:.4g} m from the tip, {np.degrees(angle):.3g} degrees off the axis of the arm"
+                allowed = f"a path from ({x:.6g}, {y:.6g}, {z:.6g}) straight on; "
+                raise InvalidValue("start of the path", found, allowed + "placement='align' moves it there")
+        self.path, self.moved = placed, moved
+        behind, end = _prepend_line(placed, fed.axis, fed.run_up), placed.tangent(placed.length)
+        self.whole = _prepend_line(behind.reversed(), -end, fed.max_tip_lead).reversed()
 
     @property
     def max_straight_depth(self) -> float:
@@ -170,36 +198,6 @@ class Route:
         distances = np.linalg.norm(self.path.at(s) - (self.path.start + s[:, None] * fed.axis), axis=1)
         off = np.flatnonzero(distances > LINE_TOLERANCE * fed.length)
         return fed.length + float(s[max(int(off[0]) - 1, 0)] if len(off) else s[-1])
-
-
-def find_route(arm: Arm, path: Curve, placement: str = "align", start: ArrayLike | None = None) -> Route:
-    """Place a path at the tip of an arm; see `follow_leader`.
-
-    Raises:
-        InvalidValue: not an arm on a feed, not a curve, or a path that does not begin at the tip.
-        UnknownName: no such placement.
-    """
-    if not isinstance(path, Curve):
-        raise InvalidValue("path", path, "a Curve")
-    if placement not in PATH_PLACEMENTS:
-        raise UnknownName("placement", placement, PATH_PLACEMENTS)
-    fed = FedArm(arm, start)
-    placed, moved = laid_at(fed.body, path, placement, 0.0)
-    if placement == "align":
-        placed = placed.moved(np.eye(3), fed.tip - placed.start)
-        x, y, z = (fed.tip - path.start).tolist()
-        moved = moved._replace(translation=(x, y, z))
-    else:
-        gap = float(np.linalg.norm(path.start - fed.tip))
-        angle = float(np.arccos(np.clip(path.tangent(0.0) @ fed.axis, -1.0, 1.0)))
-        if gap > LINE_TOLERANCE * fed.length or angle > MAX_ENTRY_ANGLE:
-            x, y, z = fed.tip
-            found = f"{gap:.4g} m from the tip, {np.degrees(angle):.3g} degrees off the axis of the arm"
-            allowed = f"a path from ({x:.6g}, {y:.6g}, {z:.6g}) straight on; placement='align' moves it there"
-            raise InvalidValue("start of the path", found, allowed)
-    behind = _prepend_line(placed, fed.axis, fed.run_up)
-    end = placed.tangent(placed.length)
-    return Route(fed, placed, _prepend_line(behind.reversed(), -end, fed.max_tip_lead).reversed(), moved)
 
 
 def _prepend_line(curve: Curve, direction: Array, length: float) -> Curve:
@@ -363,7 +361,7 @@ RAMP_SHARE = 0.1
 MAX_STRIDE = 0.5
 """Largest motion of the feed from one row to the next, in lengths of the shortest link."""
 
-MAX_ROWS = 1_000_000
+MAX_LEADER_ROWS = 1_000_000
 """The longest motion."""
 
 
@@ -429,7 +427,7 @@ def follow_leader(
     require_positive("speed", speed)
     if method not in PATH_METHODS:
         raise UnknownName("method", method, PATH_METHODS)
-    route = find_route(arm, path, placement, start)
+    route = Route(arm, path, placement, start)
     fed = route.fed
     stride = MAX_STRIDE * float(fed.links.chain.module_lengths.min())
     depths, interval = advance(_checked_depth(route, depth), speed, interval, stride)
@@ -471,12 +469,12 @@ def advance(depth: float, speed: float, interval: float, stride: float) -> tuple
         fraction of it.
 
     Raises:
-        InvalidValue: more than `MAX_ROWS` of them.
+        InvalidValue: more than `MAX_LEADER_ROWS` of them.
     """
     full = 1.0 + 2.0 * RAMP_SHARE  # duration, relative to that at full speed
     rows = full * depth / min(speed * interval, stride)
-    if not rows <= MAX_ROWS:
-        allowed = f"at most {MAX_ROWS} rows; {rows:.3g} are {interval:g} s or {stride:.3g} m apart"
+    if not rows <= MAX_LEADER_ROWS:
+        allowed = f"at most {MAX_LEADER_ROWS} rows; {rows:.3g} are {interval:g} s or {stride:.3g} m apart"
         raise InvalidValue("speed", speed, allowed)
     interval = interval / max(int(np.ceil(speed * interval / stride)), 1)
     steps = max(int(np.ceil(full * depth / speed / interval)), 2)

@@ -66,7 +66,7 @@ class BentCurve(Samples):
         return i, (cells - i)[:, None]
 
 
-class Beginning(NamedTuple):
+class AnchoredCurve(NamedTuple):
     """A curve and the place of the arm on it.
 
     Attributes:
@@ -106,15 +106,15 @@ class Bending:
         third /= np.linalg.norm(third)
         self._axes = np.column_stack([axis, np.cross(third, axis), third])
 
-    def vector(self, begun: Beginning, before: Array | None = None) -> Array:
+    def vector(self, anchored: AnchoredCurve, before: Array | None = None) -> Array:
         """Return the vector (d,) of a curve; beyond its end it goes straight on.
 
         Args:
-            begun: the curve.
+            anchored: the curve.
             before: the vector of an earlier curve, whose direction is continued without whole turns.
         """
-        curve = begun.curve
-        s = begun.parameter + self.cell * np.arange(self.cells + 1)
+        curve = anchored.curve
+        s = anchored.parameter + self.cell * np.arange(self.cells + 1)
         inside = np.minimum(s, curve.length)
         tangents = curve.tangent(inside)
         points = curve.at(inside) + (s - inside)[:, None] * tangents

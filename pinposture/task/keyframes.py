@@ -121,7 +121,7 @@ class RowSolver:
         self._bending = Bending(arm, motion.length)
         vectors: list[Array] = []
         for keyframe in motion.keyframes:
-            vectors.append(self._bending.vector(keyframe.begun, vectors[-1] if vectors else None))
+            vectors.append(self._bending.vector(keyframe.anchored, vectors[-1] if vectors else None))
         self._vectors = np.array(vectors)
         sequential = motion.method == "sequential"
         self._sequential = SequentialFollower(arm) if sequential else None

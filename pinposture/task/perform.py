@@ -35,7 +35,7 @@ logger = logging.getLogger(__name__)
 DEFAULT_CYCLE = 0.02
 """Default duration of a control cycle [s]."""
 
-MAX_LAG = 0.1
+MAX_MEAN_LAG = 0.1
 """Mean distance of the control points from their targets beyond which time waits for the arm, in module
 lengths; for controllers that do not look ahead."""
 
@@ -363,7 +363,7 @@ class _Performance:
         """Move the target of a controller that does not look ahead; time waits where it is behind."""
         loop, guide = self.loop, self.guide
         speed, patient = 0.0, True
-        allowed = MAX_LAG * loop.arm.length / loop.arm.n_modules
+        allowed = MAX_MEAN_LAG * loop.arm.length / loop.arm.n_modules
         target = guide.target(self._place)
         while self._place < guide.end:
             place, behind = self._place, loop.record.mean_error > allowed

@@ -23,7 +23,7 @@ from pinposture.placement.curve_placement import beginning
 from pinposture.placement.least_squares import FitProblem, refined, stiffness
 from pinposture.placement.module_kinematics import layout
 from pinposture.placement.resolve import FAR, STIFFNESS, far_moved
-from pinposture.task.interpolation import Beginning, BentCurve
+from pinposture.task.interpolation import AnchoredCurve, BentCurve
 from pinposture.task.keyframe import Keyframe, naming, title
 
 Array = NDArray[np.float64]
@@ -48,14 +48,14 @@ class Resolved(NamedTuple):
     """A keyframe resolved for an arm.
 
     Attributes:
-        begun: its curve in the world, and where the base of the arm is on it.
+        anchored: its curve in the world, and where the base of the arm is on it.
         target: its target, of the whole arm.
         positions: joint positions that take it, (nv,) [rad or m].
         fixed: whether the motion has to pass through these positions: they were given, or found by another
             method than that of the motion.
     """
 
-    begun: Beginning
+    anchored: AnchoredCurve
     target: Target
     positions: Array
     fixed: bool
@@ -63,7 +63,7 @@ class Resolved(NamedTuple):
     @property
     def parameters(self) -> Array:
         """Arc length of each control point, counted from the base of the arm, (m,) [m]."""
-        return np.asarray(self.target.parameters, dtype=np.float64) - self.begun.parameter
+        return np.asarray(self.target.parameters, dtype=np.float64) - self.anchored.parameter
 
 
 class ResolvedMotion(NamedTuple):
@@ -146,7 +146,7 @@ def resolve_keyframes(arm: Arm, keyframes: tuple[Keyframe, ...]) -> ResolvedMoti
 
 def _resolved(arm: Arm, target: Target, fixed: bool) -> Resolved:
     curve, q = cast(Curve, target.curve), cast(Array, target.q)
-    return Resolved(Beginning(curve, beginning(arm, curve)[0]), target, arm.positions(q), fixed)
+    return Resolved(AnchoredCurve(curve, beginning(arm, curve)[0]), target, arm.positions(q), fixed)
 
 
 def _target(arm: Arm, keyframe: Keyframe, method: str, near: Target | None = None) -> Target:
@@ -172,8 +172,8 @@ def _target(arm: Arm, keyframe: Keyframe, method: str, near: Target | None = Non
 
 def _check_covered(arm: Arm, keyframes: tuple[Keyframe, ...], index: int, resolved: Resolved) -> None:
     """Refuse a curve that is longer than the arm covers, unless the keyframe says that it is trimmed."""
-    begun, covered = resolved.begun, float(resolved.parameters[-1])
-    length = begun.curve.length - begun.parameter
+    anchored, covered = resolved.anchored, float(resolved.parameters[-1])
+    length = anchored.curve.length - anchored.parameter
     if keyframes[index].trim or length - covered <= float(arm.chain.module_lengths.max()):
         return
     advice = "shorten it, use a longer arm, or set trim to take its first part"

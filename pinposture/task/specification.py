@@ -42,7 +42,7 @@ LONGEST_CYCLE = 60.0
 RESULT_FORMATS = ("npz", "csv", "json", "png", "html")
 """Formats in which the result of a task can be kept."""
 
-NO_LIMIT = "none"
+UNLIMITED_WORD = "none"
 """The word of a file for a limit that does not exist."""
 
 VERSION = 1
@@ -136,11 +136,11 @@ def _quantities(kind: str, count: int) -> BeforeValidator:
 
 
 def _read_quantities(value: object, kinds: Sequence[str], unlimited: bool = False) -> list[float]:
-    """Read a list of quantities, one of each kind; `unlimited`: `NO_LIMIT` stands for infinity."""
+    """Read a list of quantities, one of each kind; `unlimited`: `UNLIMITED_WORD` stands for infinity."""
     if not isinstance(value, list | tuple) or len(value) != len(kinds):
         raise _wrong(value, f"a list of {len(kinds)}")
     return [
-        math.inf if unlimited and each == NO_LIMIT else _within(index, read_quantity, each, kind)
+        math.inf if unlimited and each == UNLIMITED_WORD else _within(index, read_quantity, each, kind)
         for index, (each, kind) in enumerate(zip(value, kinds, strict=True))
     ]
 
@@ -360,7 +360,7 @@ class LimitsSpec(TableSpec):
             "velocity": ("rate of turning", "speed"),
             "acceleration": ("rate of change of turning", "acceleration"),
         }[str(info.field_name)]
-        if value == NO_LIMIT:
+        if value == UNLIMITED_WORD:
             return math.inf
         if isinstance(value, list):
             kinds = [sliding if slides else turning for slides in arm.slides]

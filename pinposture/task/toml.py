@@ -160,11 +160,11 @@ class TomlLayout(NamedTuple):
 
     Attributes:
         text: the text.
-        says: its values as the writer of such files would give them: plain data, with `Usual` for defaults.
+        values: its values as the writer of such files would give them: plain data, with `Usual` for defaults.
     """
 
     text: str
-    says: Mapping[str, Any]
+    values: Mapping[str, Any]
 
 
 def toml_text(values: Mapping[str, Any], layout: TomlLayout | None = None) -> str:
@@ -177,7 +177,7 @@ def toml_text(values: Mapping[str, Any], layout: TomlLayout | None = None) -> st
         values: the values of the file: text, finite numbers, truth values, lists and tables of these, and
             `Usual` for defaults.
         layout: a file whose comments and layout are kept. Its values are changed where they differ from
-            `values`; keys that neither `values` nor `layout.says` have stay.
+            `values`; keys that neither `values` nor `layout.values` have stay.
 
     Raises:
         ValueError: something else among the values.

@@ -38,8 +38,8 @@ from pinposture.task.reader import (
 )
 from pinposture.task.specification import (
     MOST_MODULES,
-    NO_LIMIT,
     RESULT_FORMATS,
+    UNLIMITED_WORD,
     VERSION,
     CurveSpec,
     KeyframeSpec,
@@ -55,7 +55,7 @@ Array = NDArray[np.float64]
 # Descriptions of parts of a task, as far as they still hold.
 
 
-class Wording:
+class Descriptions:
     """How a file that is to be written describes the parts of a task.
 
     Attributes:
@@ -68,7 +68,7 @@ class Wording:
         self.file, self.folder, self.just_read = file, file.parent, just_read
         self._described = described
 
-    def description(self, part: Hashable, key: str, spec: Any, make: Callable[..., object]) -> Any:
+    def find(self, part: Hashable, key: str, spec: Any, make: Callable[..., object]) -> Any:
         """Return the known description of a part, if it still gives that part; else None.
 
         Args:
@@ -134,7 +134,7 @@ class WrittenArm(NamedTuple):
     text: str = ""
 
 
-def write_arm(arm: Arm, wording: Wording) -> WrittenArm:
+def write_arm(arm: Arm, descriptions: Descriptions) -> WrittenArm:
     """Describe an arm by what it was made from.
 
     Raises:
@@ -143,7 +143,7 @@ def write_arm(arm: Arm, wording: Wording) -> WrittenArm:
     spec = arm.spec
     if spec is None or arm.urdf is None or arm.report is None:
         reason = "it was made of a Pinocchio model and has no URDF; load it by Arm.from_urdf"
-        raise FileError(wording.file, f"arm: no file can describe it: {reason}")
+        raise FileError(descriptions.file, f"arm: no file can describe it: {reason}")
     if spec.template is not None and spec.modules is not None and spec.modules > MOST_MODULES:
         spec = ArmSpec(
             urdf=arm.urdf,
@@ -155,10 +155,10 @@ def write_arm(arm: Arm, wording: Wording) -> WrittenArm:
     if source is None:
         return WrittenArm(spec)
     if isinstance(source, Path):
-        name = relative(source, wording.folder)
-        if wording.still_holds("arm", name, lambda: load_text(source)[0] == arm.urdf):
+        name = relative(source, descriptions.folder)
+        if descriptions.still_holds("arm", name, lambda: load_text(source)[0] == arm.urdf):
             return WrittenArm(spec)
-    file = settled(wording.file.with_suffix(".urdf"))
+    file = settled(descriptions.file.with_suffix(".urdf"))
     folders = [Path(each) for each in arm.report.package_dirs if settled(each) != file.parent]
     spec = spec.model_copy(update={"urdf": file, "package_dirs": tuple(folders)})
     if not file.exists():
@@ -172,23 +172,23 @@ def write_arm(arm: Arm, wording: Wording) -> WrittenArm:
 # Keyframes, and the path of the leader.
 
 
-def write_keyframe(keyframe: Keyframe, default: str, wording: Wording) -> dict[str, Any]:
+def write_keyframe(keyframe: Keyframe, default: str, descriptions: Descriptions) -> dict[str, Any]:
     """Return the table of a keyframe without defaults; `default` is that of its placement."""
     curve, tip = keyframe.curve, keyframe.tip
     values = {key: getattr(keyframe, key) for key in KeyframeSpec.model_fields}
-    values["curve"] = wording.description(curve, "curve", CurveSpec, make_curve) or write_curve(curve)
+    values["curve"] = descriptions.find(curve, "curve", CurveSpec, make_curve) or write_curve(curve)
     values["placement"] = Usual(default) if keyframe.placement == default else keyframe.placement
     if keyframe.region is not None:
         values["region"] = [end + 1 for end in keyframe.region]
     if tip is not None:
-        values["tip"] = wording.description(tip, "tip", TipSpec, make_tip) or write_tip(tip)
+        values["tip"] = descriptions.find(tip, "tip", TipSpec, make_tip) or write_tip(tip)
     return KeyframeSpec.without_defaults(values)
 
 
-def write_leader(leader: Leader, default: str, wording: Wording) -> dict[str, Any]:
+def write_leader(leader: Leader, default: str, descriptions: Descriptions) -> dict[str, Any]:
     """Return the table of the leader without defaults; `default` is that of its placement."""
     values, path = leader._asdict(), leader.path
-    values["path"] = wording.description(path, "path", CurveSpec, make_curve) or write_curve(path)
+    values["path"] = descriptions.find(path, "path", CurveSpec, make_curve) or write_curve(path)
     values["placement"] = Usual(default) if leader.placement == default else leader.placement
     return LeaderSpec.without_defaults(values)
 
@@ -239,7 +239,7 @@ def write_limits(limits: Limits, arm: Arm) -> dict[str, Any]:
 def _limit(key: str, value: float | Array, arm: Arm) -> Any:
     """Return one number for all joints, one for those that turn and those that slide, or one for each."""
     if not isinstance(value, np.ndarray):
-        return value if np.isfinite(value) else NO_LIMIT
+        return value if np.isfinite(value) else UNLIMITED_WORD
     both, rest = {}, arm.limits.velocity if key == "velocity" else np.full(arm.nv, np.inf)
     for kind, joints in (("turning", ~arm.slides), ("sliding", arm.slides)):
         own = np.unique(value[joints])
@@ -248,10 +248,10 @@ def _limit(key: str, value: float | Array, arm: Arm) -> Any:
             rest = np.where(joints, own[0], rest)
     if both and np.array_equal(rest, value):
         return both
-    return [each if np.isfinite(each) else NO_LIMIT for each in value.tolist()]
+    return [each if np.isfinite(each) else UNLIMITED_WORD for each in value.tolist()]
 
 
-def write_controller(controller: Controller, wording: Wording) -> dict[str, Any]:
+def write_controller(controller: Controller, descriptions: Descriptions) -> dict[str, Any]:
     """Return the table of the controller; an empty one for the default.
 
     Raises:
@@ -267,11 +267,11 @@ def write_controller(controller: Controller, wording: Wording) -> dict[str, Any]
             return {"name": name}
     allowed = "a name with its usual parameters; joint_weight and relative_position_weight for 'geodesic'"
     raise FileError(
-        wording.file, f"controller: no file can say all of {shown(controller)}; allowed: {allowed}"
+        descriptions.file, f"controller: no file can say all of {shown(controller)}; allowed: {allowed}"
     )
 
 
-def write_scene(scene: Scene, wording: Wording) -> dict[str, Any]:
+def write_scene(scene: Scene, descriptions: Descriptions) -> dict[str, Any]:
     """Return the table of the content of a scene."""
     table: dict[str, Any] = {"margin": scene.margin}
     if scene.self_collision:
@@ -280,7 +280,7 @@ def write_scene(scene: Scene, wording: Wording) -> dict[str, Any]:
         table["arm_radius"] = scene.arm_radius
     if scene.obstacles:
         table["obstacles"] = {
-            name: wording.description(each, "obstacle", ObstacleSpec, make_obstacle) or write_obstacle(each)
+            name: descriptions.find(each, "obstacle", ObstacleSpec, make_obstacle) or write_obstacle(each)
             for name, each in scene.obstacles.items()
         }
     return table
@@ -379,9 +379,9 @@ def write_task(task: TaskParts, path: Path, layout: TomlLayout | None = None) ->
     """
     check_format(path)
     with _folder_of(path):  # relative paths in the file lead through it
-        wording = Wording(path, task.described)
-        arm = write_arm(task.arm, wording)
-        text = _text(task, arm.spec, path, _contents(task, arm.spec, wording), layout)
+        descriptions = Descriptions(path, task.described)
+        arm = write_arm(task.arm, descriptions)
+        text = _text(task, arm.spec, path, _contents(task, arm.spec, descriptions), layout)
         if arm.file is not None:
             write_text(arm.file, arm.text)
         try:
@@ -424,39 +424,39 @@ def layout_of(task: TaskParts, path: Path, text: str) -> TomlLayout:
         path: the file.
         text: its content.
     """
-    wording = Wording(path, task.described, just_read=True)
-    return TomlLayout(text, _contents(task, write_arm(task.arm, wording).spec, wording))
+    descriptions = Descriptions(path, task.described, just_read=True)
+    return TomlLayout(text, _contents(task, write_arm(task.arm, descriptions).spec, descriptions))
 
 
-def _contents(task: TaskParts, arm: ArmSpec, wording: Wording) -> dict[str, Any]:
+def _contents(task: TaskParts, arm: ArmSpec, descriptions: Descriptions) -> dict[str, Any]:
     """Return all tables, in the order in which they stand in the file, without those that are empty."""
     placement = usual_placement(task.scene)
     contents: dict[str, Any] = {
         "version": VERSION,
         "kind": "follow_leader" if isinstance(task.motion, Leader) else "keyframes",
-        "name": task.name if task.name != wording.file.stem else Usual(task.name),
+        "name": task.name if task.name != descriptions.file.stem else Usual(task.name),
     }
     if task.continuity != "velocity":
         contents["continuity"] = task.continuity
-    contents["arm"] = arm.said()
+    contents["arm"] = arm.model_dump(exclude_defaults=True)
     contents["limits"] = write_limits(task.limits, task.arm)
-    controller = write_controller(task.controller, wording)
+    controller = write_controller(task.controller, descriptions)
     if controller:
         contents["controller"] = controller
     if task.start is not None:
         contents["start"] = write_start(task.start, task.arm)
     if task.scene is not None:
-        known = wording.description(task.scene, "scene", SceneSpec, make_scene)
-        contents["scene"] = known or write_scene(task.scene, wording)
+        known = descriptions.find(task.scene, "scene", SceneSpec, make_scene)
+        contents["scene"] = known or write_scene(task.scene, descriptions)
     if isinstance(task.motion, Leader):
-        contents["leader"] = write_leader(task.motion, placement, wording)
+        contents["leader"] = write_leader(task.motion, placement, descriptions)
     else:
-        contents["keyframes"] = [write_keyframe(each, placement, wording) for each in task.motion]
+        contents["keyframes"] = [write_keyframe(each, placement, descriptions) for each in task.motion]
     if task.formats != RESULT_FORMATS:
         contents["output"] = {"formats": task.formats}
     if task.scans:
         contents["editor"] = {"scans": task.scans}
-    plain: dict[str, Any] = plain_data(contents, wording.folder)
+    plain: dict[str, Any] = plain_data(contents, descriptions.folder)
     return plain
 
 
