@@ -253,11 +253,13 @@ class Document:
             spec: Spec = TypeAdapter(kind).validate_python({} if value is None else value, context=context)
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
-            reason = f"is {shown(first['input'])}; allowed: {first['msg']}"
-            cause = first.get("ctx", {}).get("error")
-            if cause is not None:
-                reason = str(cause)
-            inside = (*first["loc"], *getattr(cause, "within", ()))
+            inside, cause = first["loc"], first.get("ctx", {}).get("error")
+            if first["type"] == "missing":
+                reason, inside = f"the key {inside[-1]!r} is missing", inside[:-1]
+            elif cause is None:
+                reason = f"is {shown(first['input'])}; allowed: {first['msg']}"
+            else:
+                reason, inside = str(cause), (*inside, *getattr(cause, "within", ()))
             raise self.fault((*where, *inside), reason) from None
         return spec
 

@@ -6,7 +6,7 @@ Validators raise a ValueError that says what is wrong with a value, after "is"; 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -64,12 +64,12 @@ def _within(key: str | int, read: Callable[..., Read], *arguments: Any) -> Read:
         raise Misplaced(str(error), key, *getattr(error, "within", ())) from None
 
 
-def _did_you_mean(value: object, known: Sequence[str]) -> str:
+def _did_you_mean(value: object, known: Iterable[str]) -> str:
     close = get_close_matches(value, known, n=1) if isinstance(value, str) else []
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 
-def _unknown_key(key: str, allowed: Sequence[str]) -> Misplaced:
+def _unknown_key(key: str, allowed: Collection[str]) -> Misplaced:
     hint = _did_you_mean(key, allowed)
     return Misplaced(f"there is no such key{hint}; allowed: {', '.join(allowed)}", key)
 
@@ -106,12 +106,13 @@ def _check(test: Callable[[Any], bool], allowed: str) -> BeforeValidator:
 
 
 def _one_of(*words: str) -> BeforeValidator:
-    def read(value: object) -> object:
-        if not isinstance(value, str) or value not in words:
-            raise _wrong(value, ", ".join(map(repr, words)), _did_you_mean(value, words))
-        return value
+    return BeforeValidator(lambda value: _read_word(value, words))
 
-    return BeforeValidator(read)
+
+def _read_word(value: object, words: Collection[str]) -> str:
+    if not isinstance(value, str) or value not in words:
+        raise _wrong(value, ", ".join(map(repr, words)), _did_you_mean(value, words))
+    return value
 
 
 def _quantity(*kinds: str) -> BeforeValidator:
@@ -184,7 +185,7 @@ def _curve(value: object) -> object:
     if isinstance(value, str):
         if value not in CURVES and not Path(value).suffix:
             allowed = f"{', '.join(CURVES)}, a .json, .csv or .txt file, or a table with a type"
-            raise _wrong(value, allowed, _did_you_mean(value, list(CURVES)))
+            raise _wrong(value, allowed, _did_you_mean(value, CURVES))
         return value
     if not isinstance(value, Mapping):
         raise _wrong(value, "a name, a file, or a table with a type")
@@ -224,32 +225,19 @@ class TableSpec(BaseModel):
 
     @classmethod
     def check(cls, values: object) -> object:
-        """Refuse a value that is no table, and keys that are unknown, missing, or exclude each other."""
+        """Refuse a value that is no table, and keys that do not exist or exclude each other."""
         if not isinstance(values, Mapping):
             raise _wrong(values, "a table")
-        cls.check_keys(values)
-        allowed = cls.keys(values)
+        allowed = cls.check_keys(values)
         for key in values:
             if key not in cls.model_fields:
                 raise _unknown_key(key, allowed)
-        for key in cls.required(values):
-            if key not in values:
-                raise ValueError(f"the key {key!r} is missing")
         return values
 
     @classmethod
-    def check_keys(cls, values: Mapping[str, Any]) -> None:
-        """Refuse keys that exclude each other."""
-
-    @classmethod
-    def keys(cls, values: Mapping[str, Any]) -> list[str]:
-        """Return the keys that the table may have."""
-        return list(cls.model_fields)
-
-    @classmethod
-    def required(cls, values: Mapping[str, Any]) -> list[str]:
-        """Return the keys that the table must have."""
-        return [key for key, field in cls.model_fields.items() if field.is_required()]
+    def check_keys(cls, values: Mapping[str, Any]) -> Collection[str]:
+        """Refuse keys that exclude each other; return those that the table may have."""
+        return cls.model_fields
 
     @classmethod
     def without_defaults(cls, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -312,19 +300,23 @@ class ArmTable(TableSpec):
     characteristic_length: LengthOrNone = None
 
     @classmethod
-    def check_keys(cls, values: Mapping[str, Any]) -> None:
+    def check_keys(cls, values: Mapping[str, Any]) -> Collection[str]:
         """Refuse keys of an arm of another kind."""
         kind, other = (OF_A_URDF, OF_A_TEMPLATE) if "urdf" in values else (OF_A_TEMPLATE, OF_A_URDF)
         for key in other:
             if key in values:
                 raise Misplaced(f"does not go with {kind[0]!r}", key)
+        return cls.model_fields
 
     @classmethod
-    def required(cls, values: Mapping[str, Any]) -> list[str]:
-        """Return the keys that an arm of this kind must have."""
+    def check(cls, values: Any) -> object:
+        """Refuse an arm of no kind, and a template without a number of modules."""
+        super().check(values)
         if "urdf" not in values and "template" not in values:
             raise ValueError("needs one of the keys 'urdf', 'template'")
-        return ["modules"] if "template" in values else []
+        if "template" in values and "modules" not in values:
+            raise ValueError("the key 'modules' is missing")
+        return values
 
     @field_validator("template")
     @classmethod
@@ -372,7 +364,7 @@ class LimitsSpec(TableSpec):
         parts = {"turning": (turning, ~arm.slides), "sliding": (sliding, arm.slides)}
         for name, each in value.items():
             if name not in parts:
-                raise _unknown_key(name, list(parts))
+                raise _unknown_key(name, parts)
             kind, joints = parts[name]
             limit[joints] = _within(name, _read_positive, each, kind)
         if info.field_name == "velocity":  # joints that are not mentioned keep the speed of the description
@@ -407,10 +399,11 @@ class StartSpec(TableSpec):
     joints: Annotated[Any, BeforeValidator(_read_joints)] = None
 
     @classmethod
-    def check_keys(cls, values: Mapping[str, Any]) -> None:
+    def check_keys(cls, values: Mapping[str, Any]) -> Collection[str]:
         """Refuse two configurations."""
         if "joints" in values and "posture" in values:
             raise Misplaced("does not go with 'joints'", "posture")
+        return cls.model_fields
 
 
 class SceneSpec(TableSpec):
@@ -424,11 +417,12 @@ class SceneSpec(TableSpec):
     arm_radius: AnyLength = None
 
     @classmethod
-    def check_keys(cls, values: Mapping[str, Any]) -> None:
+    def check_keys(cls, values: Mapping[str, Any]) -> Collection[str]:
         """Refuse all other keys beside a file."""
         for key in values:
             if "file" in values and key != "file":
                 raise Misplaced("there is no such key; allowed: file", key)
+        return cls.model_fields
 
 
 class TipSpec(TableSpec):
@@ -530,26 +524,16 @@ class TaskSpec(TableSpec):
     editor: EditorSpec = EditorSpec()
 
     @classmethod
-    def check_keys(cls, values: Mapping[str, Any]) -> None:
+    def check_keys(cls, values: Mapping[str, Any]) -> Collection[str]:
         """Refuse another version, and keys of another kind of motion."""
         version, kind = values.get("version", VERSION), values.get("kind", "keyframes")
         if version is True or version != VERSION:
             raise Misplaced(f"is {shown(version)}; allowed: {VERSION}", "version")
-        if not isinstance(kind, str) or kind not in _KEYS_OF_KIND:
-            kinds = list(_KEYS_OF_KIND)
-            raise Misplaced(
-                str(_wrong(kind, ", ".join(map(repr, kinds)), _did_you_mean(kind, kinds))), "kind"
-            )
-        for other, keys in _KEYS_OF_KIND.items():
-            for key in keys:
-                if key in values and other != kind:
-                    raise Misplaced(f"goes with kind = {other!r}; the kind is {kind!r}", key)
-
-    @classmethod
-    def keys(cls, values: Mapping[str, Any]) -> list[str]:
-        """Return the keys of this kind of motion."""
-        kind = values.get("kind", "keyframes")
-        others = {key for other, keys in _KEYS_OF_KIND.items() if other != kind for key in keys}
+        _within("kind", _read_word, kind, _KEYS_OF_KIND)
+        others = {key: other for other, keys in _KEYS_OF_KIND.items() if other != kind for key in keys}
+        for key, other in others.items():
+            if key in values:
+                raise Misplaced(f"goes with kind = {other!r}; the kind is {kind!r}", key)
         return [key for key in cls.model_fields if key not in others]
 
 
