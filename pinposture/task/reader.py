@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, cast
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 import pinocchio as pin
@@ -225,20 +225,21 @@ def _make_start(document: Document, spec: StartSpec, arm: Arm) -> Array | None:
 # The parts of a task, and checks of them that need no search.
 
 
-class TaskParts(NamedTuple):
-    """What a task file holds, as `pinposture.task.Task` has it under the same names."""
+@dataclass(frozen=True, eq=False)
+class TaskParts:
+    """The content of a task file; `pinposture.task.Task` says what the attributes are."""
 
     arm: Arm
     motion: tuple[Keyframe, ...] | Leader
     limits: Limits
-    controller: Controller
-    scene: Scene | None
-    start: Array | None
-    continuity: Literal["velocity", "acceleration"]
-    formats: tuple[str, ...]
-    name: str
-    scans: tuple[Path, ...]
-    described: Mapping[Hashable, object]
+    controller: Controller = field(default_factory=Geodesic)
+    scene: Scene | None = None
+    start: Array | None = None
+    continuity: Literal["velocity", "acceleration"] = "velocity"
+    formats: tuple[str, ...] = RESULT_FORMATS
+    name: str = ""
+    scans: tuple[Path, ...] = ()
+    described: Mapping[Hashable, object] = field(default_factory=dict, repr=False)
 
 
 def check_task(task: TaskParts) -> None:

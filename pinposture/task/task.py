@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.collision.pipe import pipe
-from pinposture.control import Controller, Geodesic, Limits, controller_named
+from pinposture.control import controller_named
 from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.motion import Motion
 from pinposture.storage import settled
 from pinposture.task.document import Document, shown
 from pinposture.task.follow_leader import Leader, follow_leader
-from pinposture.task.keyframe import Keyframe, usual_placement
+from pinposture.task.keyframe import usual_placement
 from pinposture.task.keyframes import keyframe_reference
 from pinposture.task.perform import perform
 from pinposture.task.reader import TaskParts, check_task, read_task
@@ -37,7 +36,7 @@ _KEYFRAME = re.compile(r"keyframe (\d+)")
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
+class Task(TaskParts):
     """A motion for an arm to make, in time.
 
         task = pp.Task.load("walk.toml")
@@ -71,17 +70,6 @@ class Task:
         PostureError: a value that no task file could hold; see `pinposture.task.reader`.
     """
 
-    arm: Arm
-    motion: tuple[Keyframe, ...] | Leader
-    limits: Limits
-    controller: Controller = field(default_factory=Geodesic)
-    scene: Scene | None = None
-    start: Array | None = None
-    continuity: Literal["velocity", "acceleration"] = "velocity"
-    formats: tuple[str, ...] = RESULT_FORMATS
-    name: str = ""
-    scans: tuple[Path, ...] = ()
-    described: Mapping[Hashable, object] = field(default_factory=dict, repr=False)
     layout: TomlLayout | None = field(default=None, repr=False)
     # Not among the arguments, so that `replace` drops it.
     _document: Document | None = field(default=None, init=False, repr=False)
@@ -97,7 +85,7 @@ class Task:
             if not isinstance(scan, str | Path) or not str(scan).strip() or "\0" in str(scan):
                 raise InvalidValue("scans", self.scans, "paths of files")
         self._set("scans", tuple(map(settled, scans)))
-        check_task(self._parts())
+        check_task(self)
         placement: Any = usual_placement(self.scene)
         if isinstance(self.motion, Leader):
             self._set("motion", self.motion._replace(placement=self.motion.placement or placement))
@@ -115,9 +103,6 @@ class Task:
     def _set(self, name: str, value: object) -> None:
         object.__setattr__(self, name, value)
 
-    def _parts(self) -> TaskParts:
-        return TaskParts(*(getattr(self, name) for name in TaskParts._fields))
-
     @classmethod
     def load(cls, path: str | Path) -> Task:
         """Read a task file, TOML or JSON; docs/tasks.md describes the format.
@@ -132,7 +117,7 @@ class Task:
         document = Document.load(Path(path))
         parts = read_task(document)
         try:
-            task = cls(**parts._asdict())
+            task = cls(**vars(parts))
         except PostureError as error:
             raise document.fault((), str(error)) from error
         task._set("_document", document)
@@ -157,7 +142,7 @@ class Task:
                 or no task file can describe the task: an arm without URDF, a controller with parameters of
                 its own.
         """
-        return write_task(self._parts(), Path(path), self.layout)
+        return write_task(self, Path(path), self.layout)
 
     def edited(self, **changes: Any) -> Task:
         """Return the task with other attributes, as by `dataclasses.replace`; it belongs to no file.

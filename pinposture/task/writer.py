@@ -9,7 +9,7 @@ from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -120,22 +120,11 @@ def plain_data(value: Any, folder: Path) -> Any:
 # The arm: what it was made from, with a URDF file beside it if need be.
 
 
-class WrittenArm(NamedTuple):
-    """What a task file says of an arm, and what has to stand beside it.
-
-    Attributes:
-        spec: what the arm is made from, in a file.
-        file: the URDF file beside it, if a new one is needed.
-        text: the content of that file.
-    """
-
-    spec: ArmSpec
-    file: Path | None = None
-    text: str = ""
-
-
-def write_arm(arm: Arm, descriptions: Descriptions) -> WrittenArm:
+def write_arm(arm: Arm, descriptions: Descriptions) -> tuple[ArmSpec, Path | None]:
     """Describe an arm by what it was made from.
+
+    Returns:
+        What the file says, and the URDF file that has to be written beside it, if any.
 
     Raises:
         FileError: it was made of a Pinocchio model, or its URDF file would replace another.
@@ -153,20 +142,20 @@ def write_arm(arm: Arm, descriptions: Descriptions) -> WrittenArm:
         )
     source = spec.urdf
     if source is None:
-        return WrittenArm(spec)
+        return spec, None
     if isinstance(source, Path):
         name = relative(source, descriptions.folder)
         if descriptions.still_holds("arm", name, lambda: load_text(source)[0] == arm.urdf):
-            return WrittenArm(spec)
+            return spec, None
     file = settled(descriptions.file.with_suffix(".urdf"))
     folders = [Path(each) for each in arm.report.package_dirs if settled(each) != file.parent]
     spec = spec.model_copy(update={"urdf": file, "package_dirs": tuple(folders)})
     if not file.exists():
-        return WrittenArm(spec, file, arm.urdf)
+        return spec, file
     if load_text(file)[0] != arm.urdf:
         reason = "is there already, and holds something else than the arm of the task"
         raise FileError(file, f"{reason}; allowed: a name for the task beside which there is room")
-    return WrittenArm(spec)
+    return spec, None
 
 
 # Keyframes, and the path of the leader.
@@ -380,15 +369,15 @@ def write_task(task: TaskParts, path: Path, layout: TomlLayout | None = None) ->
     check_format(path)
     with _folder_of(path):  # relative paths in the file lead through it
         descriptions = Descriptions(path, task.described)
-        arm = write_arm(task.arm, descriptions)
-        text = _text(task, arm.spec, path, _contents(task, arm.spec, descriptions), layout)
-        if arm.file is not None:
-            write_text(arm.file, arm.text)
+        arm, urdf = write_arm(task.arm, descriptions)
+        text = _text(task, arm, path, _contents(task, arm, descriptions), layout)
+        if urdf is not None:
+            write_text(urdf, task.arm.urdf or "")
         try:
             write_text(path, text)
         except BaseException:
-            if arm.file is not None:  # useless without the task
-                arm.file.unlink(missing_ok=True)
+            if urdf is not None:  # useless without the task
+                urdf.unlink(missing_ok=True)
             raise
     return path
 
@@ -425,7 +414,7 @@ def layout_of(task: TaskParts, path: Path, text: str) -> TomlLayout:
         text: its content.
     """
     descriptions = Descriptions(path, task.described, just_read=True)
-    return TomlLayout(text, _contents(task, write_arm(task.arm, descriptions).spec, descriptions))
+    return TomlLayout(text, _contents(task, write_arm(task.arm, descriptions)[0], descriptions))
 
 
 def _contents(task: TaskParts, arm: ArmSpec, descriptions: Descriptions) -> dict[str, Any]:
