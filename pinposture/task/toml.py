@@ -155,6 +155,13 @@ class Usual(NamedTuple):
     value: Any
 
 
+def drop_defaults(value: Any) -> Any:
+    """Return plain data without the entries of tables that are `Usual`."""
+    if isinstance(value, Mapping):
+        return {key: drop_defaults(each) for key, each in value.items() if not isinstance(each, Usual)}
+    return [drop_defaults(each) for each in value] if isinstance(value, list) else value
+
+
 class TomlLayout(NamedTuple):
     """The text of a TOML file, and its values.
 
@@ -287,7 +294,7 @@ class _Editor:
             self._pieces[at] = (section.header + body + section.tail, begun)
         else:
             at = (self._within(place)[0].number - 1, next(self._count))
-            if _spoken(own).keys() & added:
+            if drop_defaults(own).keys() & added:
                 self._pieces[at] = _new_section(place, {key: own[key] for key in own if key in added}), True
         for key, value in new.items():
             child = (*place, key)
@@ -383,14 +390,9 @@ def _unchanged(old: Mapping[str, Any], new: Mapping[str, Any], key: str) -> bool
     return key in old and bool(old[key] == new[key])
 
 
-def _spoken(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values without defaults."""
-    return {key: value for key, value in values.items() if not isinstance(value, Usual)}
-
-
 def _new_section(place: Place, values: Mapping[str, Any], listed: bool = False) -> str:
     document = tomlkit.document()
-    for key, value in _spoken(values).items():
+    for key, value in drop_defaults(values).items():
         document.append(key, _entry(key, value))
     name = ".".join(tomlkit.key(key).as_string() for key in place if isinstance(key, str))
     header = "" if not place else f"[[{name}]]\n" if listed else f"[{name}]\n"
@@ -420,7 +422,7 @@ def _edit_table(table: Any, old: Mapping[str, Any], new: Mapping[str, Any]) -> N
                 _edit_table(item, before, after)  # of dotted keys
             else:
                 _replace(table, key, _edited_item(item, before, after, key))
-    for key, value in _spoken(new).items():
+    for key, value in drop_defaults(new).items():
         if key not in table and not _unchanged(old, new, key):
             table.append(key, _entry(key, value))
 
@@ -486,7 +488,7 @@ def _entry(key: str, value: Any) -> Item:
 def _item(value: Any, broken: bool = False) -> Item:
     if isinstance(value, Mapping):
         table = tomlkit.inline_table()
-        for key, each in _spoken(value).items():
+        for key, each in drop_defaults(value).items():
             table.append(key, _item(each, broken))
         return table
     if isinstance(value, list | tuple):

@@ -48,7 +48,7 @@ from pinposture.task.specification import (
     SceneSpec,
     TipSpec,
 )
-from pinposture.task.toml import TomlLayout, Usual, toml_text
+from pinposture.task.toml import TomlLayout, Usual, drop_defaults, toml_text
 
 Array = NDArray[np.float64]
 
@@ -458,7 +458,7 @@ def _text(
         FileError: no text reads back as the task.
     """
     if path.suffix.lower() == ".json":
-        text = json.dumps(_spoken(contents), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+        text = json.dumps(drop_defaults(contents), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     else:
         if layout is not None:
             text = toml_text(contents, layout)
@@ -469,10 +469,3 @@ def _text(
         text = toml_text(contents)
     _read_back(task, arm, path, text)
     return text
-
-
-def _spoken(value: Any) -> Any:
-    """Return the value without the defaults in it."""
-    if isinstance(value, dict):
-        return {key: _spoken(each) for key, each in value.items() if not isinstance(each, Usual)}
-    return [_spoken(each) for each in value] if isinstance(value, list) else value
