@@ -87,12 +87,12 @@ class Task(TaskParts):
         self._set("scans", tuple(map(settled, scans)))
         check_task(self)
         placement: Any = usual_placement(self.scene)
-        if isinstance(self.motion, Leader):
-            self._set("motion", self.motion._replace(placement=self.motion.placement or placement))
-        else:
+        if not isinstance(self.motion, Leader):
             motion = with_fitting_joints(self.arm, self.motion)
-            placed = (replace(each, placement=each.placement or placement) for each in motion)
+            placed = (each if each.placement else replace(each, placement=placement) for each in motion)
             self._set("motion", tuple(placed))
+        elif self.motion.placement is None:
+            self._set("motion", self.motion._replace(placement=placement))
         self._set("formats", tuple(each for each in RESULT_FORMATS if each in formats))
         self._set("described", dict(self.described))
         if self.start is not None:
