@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import ceil
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +18,7 @@ from pinposture.control import Controller, Geodesic, Limits, controller_named
 from pinposture.control.limits import cycle_of
 from pinposture.control.planner.follow import GeodesicMemory
 from pinposture.control.planner.objective import Objective
-from pinposture.control.planner.path import JointPath, TimedPath, retime
+from pinposture.control.planner.path import JointPath, SpeedProfile, TimedPath, retime
 from pinposture.errors import InvalidValue
 from pinposture.motion.motion import Motion, Waypoint
 from pinposture.motion.track import PROGRESS_SHARE, STALL_TRAVEL, ControlLoop, in_scene
@@ -66,10 +66,9 @@ class ReferencePath:
     """
 
     def __init__(self, reference: Reference, limits: Limits) -> None:
-        assert limits.dt is not None
         arm, bounds = reference.arm, limits.for_arm(reference.arm)
         self.reference = reference
-        self.most = limits.dt / reference.interval
+        self.most = cycle_of(limits) / reference.interval
         self._lower, self._upper = bounds.edges - arm.positions(reference.start)
         offsets = np.minimum(np.maximum(reference.offsets, self._lower), self._upper)
         # Joints that do not move the arm stay where they are.
@@ -78,6 +77,7 @@ class ReferencePath:
         first = Target(arm.at(q).compiled.points, reference.weights[0], q)
         self.path = JointPath(Objective(arm, first), reference.start, offsets)
         self.timed = retime(self.path, limits, self.most)
+        self._profile = cast(SpeedProfile, self.timed.profile)  # there is one for a finite rate
 
     @property
     def end(self) -> float:
@@ -87,15 +87,13 @@ class ReferencePath:
     @property
     def steps(self) -> float:
         """Number of cycles that it takes at least."""
-        assert self.timed.profile is not None
-        top = self.timed.profile.top
+        top = self._profile.top
         middle = 0.5 * (top[1:] + top[:-1])
         return float((1.0 / np.maximum(middle, 1e-9)).sum())
 
     def next(self, place: float, speed: float) -> float:
         """Return the place after the next cycle, after one that went `speed` places."""
-        assert self.timed.profile is not None
-        return min(place + self.timed.profile.next(place, speed), self.end)
+        return min(place + self._profile.next(place, speed), self.end)
 
     def target(self, place: float) -> Target:
         """Return the target posture at a place."""
