@@ -234,14 +234,14 @@ class RowSolver:
         follower, numbers = self._follower, range(start.row, end.row + 1)
         count = len(numbers)
         first, last = curves.at(start.row), curves.at(end.row)
-        begun = refined(follower.problem, first, start.unknowns)
-        shift, nothing = start.unknowns - begun, np.zeros(len(begun))
-        travel = max(MIN_TRAVEL, TRAVEL_RATIO * float(np.abs(end.unknowns - begun).max()))
-        forward = follower.follow(curves.at, numbers, begun, travel)
+        fitted = refined(follower.problem, first, start.unknowns)
+        shift, zero = start.unknowns - fitted, np.zeros(len(fitted))
+        travel = max(MIN_TRAVEL, TRAVEL_RATIO * float(np.abs(end.unknowns - fitted).max()))
+        forward = follower.follow(curves.at, numbers, fitted, travel)
         goal = end.unknowns if end.pinned else refined(follower.problem, last, forward[-1])
         left, best = goal - forward[-1], follower.error(last, end.unknowns)
         met = float(np.abs(left).max()) <= MAX_SHIFT
-        forward += ramp(count, shift, left if met else nothing)
+        forward += ramp(count, shift, left if met else zero)
 
         sampled = np.unique(np.linspace(0, count - 1, COST_ROWS).astype(np.int64))
         sampled_curves = curves.of(start.row + sampled)
@@ -258,7 +258,7 @@ class RowSolver:
             return forward
         arrived = refined(follower.problem, last, end.unknowns)
         backward = follower.follow(curves.at, numbers[::-1], arrived, travel)[::-1]
-        backward = backward + ramp(count, nothing, end.unknowns - arrived)
+        backward = backward + ramp(count, zero, end.unknowns - arrived)
         starts = np.unique(np.linspace(0, count - 1 - window(count), CROSSFADE_STARTS).astype(np.int64))
         mixed = [crossfade(forward, backward, int(at)) for at in starts]
         return min([forward, *mixed] if met and excess <= SIMILAR_ERROR * module else mixed, key=cost)
