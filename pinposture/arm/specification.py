@@ -48,10 +48,6 @@ class Specification(BaseModel):
             name = ".".join(map(str, first["loc"])) or type(self).__name__
             raise InvalidValue(name, first["input"], first["msg"]) from None
 
-    def said(self) -> dict[str, Any]:
-        """Return the values that are not the default, by their names."""
-        return self.model_dump(exclude_defaults=True)
-
 
 class PlacementSpec(Specification):
     """A placement in the world.

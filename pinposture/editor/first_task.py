@@ -13,7 +13,7 @@ from pinposture.editor.solver import judge
 from pinposture.errors import PostureError, TaskError
 from pinposture.placement.curve_placement import arm_axis
 from pinposture.task import Keyframe, Task
-from pinposture.task.perform import CYCLE
+from pinposture.task.perform import DEFAULT_CYCLE
 from pinposture.viz.body import backbone
 
 Array = NDArray[np.float64]
@@ -44,7 +44,7 @@ def first_task(arm: Arm, name: str = "") -> Task:
         Keyframe(straight.curve, name="straight", placement="as_is", trim=True),
         Keyframe(bent.curve, time=BENT_TIME, name="bent", placement="as_is", trim=True),
     )
-    limits = Limits(step=None, dt=CYCLE, acceleration=ACCELERATION)
+    limits = Limits(step=None, dt=DEFAULT_CYCLE, acceleration=ACCELERATION)
     return Task(arm=arm, motion=keyframes, limits=limits, name=name)
 
 

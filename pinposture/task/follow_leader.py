@@ -1,9 +1,8 @@
-"""Follow the leader: an arm on a feed goes in along a path, every part of it where the tip has been."""
+"""Follow the leader: an arm on a feed goes along a path, every part of it where the tip has been."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -16,122 +15,106 @@ from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.errors import CurveBendsTooMuch, InvalidValue, TargetError, UnknownName, UnsupportedModule
 from pinposture.placement import Target
-from pinposture.placement.curve_placement import Moved, arm_axis
+from pinposture.placement.curve_placement import arm_axis
 from pinposture.placement.curve_placement import laid as laid_at
 from pinposture.placement.resolve import place_in_turn
 from pinposture.task.reference import Mark, Reference
 
-# An arm on a feed: a slide that pushes the whole arm along its own axis, and the arm that it carries.
+# An arm on a feed: a slide that pushes the whole arm along its own axis.
 
 Array = NDArray[np.float64]
 
-NEEDED = (
+FEED_REQUIREMENT = (
     "an arm whose first joint is a slide along the straight arm and whose second is not, as "
     "Arm.from_modules([feed, *modules]) makes it of a feed with one prismatic joint about x"
 )
-ALONG = 1e-6
-"""How far the axis of the feed may be off that of the straight arm, sine of the angle between them."""
+FEED_AXIS_TOLERANCE = 1e-6
+"""Largest sine of the angle between the axis of the feed and that of the straight arm."""
 
-STRAIGHT = 1e-6
-"""How far a joint may be from where the arm is straight to count as being there, in `Arm.joint_units`."""
+STRAIGHT_START_TOLERANCE = 1e-6
+"""Largest distance of a joint from its position in the straight arm, in `Arm.joint_units`."""
 
-WITHOUT_LENGTH = 1e-9
-"""Links shorter than this count as none, relative to the arm."""
-
-
-@dataclass(frozen=True, eq=False)
-class Fed:
-    """An arm on a feed, taken apart.
-
-    Attributes:
-        arm: the whole arm.
-        start: the configuration to begin in, (nq,): straight.
-        column: index of the feed in the tangent space of the arm.
-        sense: 1 if larger positions of the feed push the arm out, -1 if smaller ones do.
-        travel: how far the feed can push from the start [m].
-        body: the arm without its feed, where the start puts it; its control points are those of the arm that
-            bending moves.
-        links: the same with a control point at the end of each link, so at each joint and at the tip.
-        columns: index in the tangent space of the arm of each degree of freedom of the body, (nv - 1,).
-        straight: joint positions of the body at the start, (nv - 1,) [rad or m].
-        axis: direction in which the feed pushes, unit vector (3,), world frame.
-        tip: where the tip is at the start, (3,) [m], world frame.
-    """
-
-    arm: Arm
-    start: Array
-    column: int
-    sense: float
-    travel: float
-    body: Arm
-    links: Arm
-    columns: NDArray[np.intp]
-    straight: Array
-    axis: Array
-    tip: Array
-
-    @property
-    def length(self) -> float:
-        """Length of what the feed carries, from its first joint to the tip [m]."""
-        return self.body.length
+MIN_LINK_LENGTH = 1e-9
+"""Length below which a link counts as none, relative to the arm."""
 
 
-def taken_apart(arm: Arm, start: ArrayLike | None = None) -> Fed:
-    """Find the feed of an arm.
+TIP_LEAD = 0.1
+"""How far the tip may be ahead of the feed, or behind, in arm lengths: links that cut bends short gain a
+share of (kappa l)^2 / 24, which is that for a quarter turn in each."""
+
+
+class FedArm:
+    """An arm on a feed, split into the feed and the body that it carries.
 
     Args:
         arm: the arm.
-        start: configuration to begin in, straight, (nq,); if None, the feed is pulled back as far as it goes
+        start: the first configuration, straight, (nq,); if None, the feed is pulled back as far as it goes
             and the arm is stretched.
+
+    Attributes:
+        arm: the whole arm.
+        start: the first configuration, (nq,).
+        column: index of the feed in the tangent space of the arm.
+        sense: 1 if larger positions of the feed push the arm out, -1 if smaller ones do.
+        travel: how far the feed can push from the start [m].
+        body: the arm without its feed, placed as at the start; its control points are those of the arm that
+            bending moves.
+        links: the body with a control point at the end of each link, so at each joint and at the tip.
+        columns: index in the tangent space of the arm of each degree of freedom of the body, (nv - 1,).
+        straight: joint positions of the body at the start, (nv - 1,) [rad or m].
+        axis: direction in which the feed pushes, unit vector (3,), world frame.
+        tip: place of the tip at the start, (3,) [m], world frame.
+        length: length of the body, from its first joint to the tip [m].
+        run_up: length of the straight line from the first joint of the body to the tip at the start [m].
+        max_tip_lead: how far the tip may be ahead of the feed or behind along the route, and a link more [m].
 
     Raises:
         InvalidValue: not an arm on a feed, a feed without limits, or a start that is not straight.
     """
-    if not isinstance(arm, Arm):
-        raise InvalidValue("arm", arm, NEEDED)
-    chain = arm.chain
-    if len(chain.joints) < 2 or chain.revolute[0] or not chain.revolute[1]:
-        kinds = ["revolute" if turns else "prismatic" for turns in chain.revolute[:2]]
-        first = ", ".join(f"{name} ({kind})" for name, kind in zip(chain.joints, kinds, strict=False))
-        raise InvalidValue("first joints of the arm", first, NEEDED)
-    column = int(chain.columns[0])
-    lower, upper = float(arm.limits.lower[column]), float(arm.limits.upper[column])
-    if not (np.isfinite(lower) and np.isfinite(upper)):
-        raise InvalidValue(f"limits of the feed {chain.joints[0]!r}", (lower, upper), "finite positions [m]")
-    columns = np.delete(np.arange(arm.nv), column)
-    rest = arm.positions(arm.neutral() if start is None else arm.checked(start, "start"))
-    body, links = _carried(arm, rest)
-    axis, stretched = arm_axis(body), body.positions(body.straight())
-    along = float(chain.axes[0] @ axis)
-    if float(np.linalg.norm(np.cross(chain.axes[0], axis))) > ALONG:
-        angle = float(np.degrees(np.arccos(np.clip(abs(along), 0.0, 1.0))))
-        text = f"{angle:.3g} degrees off the straight arm"
-        raise InvalidValue(f"axis of the feed {chain.joints[0]!r}", text, NEEDED)
-    if start is None:
-        rest[column], rest[columns] = lower if along > 0.0 else upper, stretched
-        body, links = _carried(arm, rest)
-    else:
-        bent = np.abs(rest[columns] - stretched) / body.joint_units
-        if bent.max() > STRAIGHT or not arm.within_limits(arm.configuration(rest)):
-            straight = "the straight arm, within its limits, wherever the feed is"
-            raise InvalidValue("start", start, straight)
-    return Fed(
-        arm=arm,
-        start=arm.configuration(rest),
-        column=column,
-        sense=1.0 if along > 0.0 else -1.0,
-        travel=upper - float(rest[column]) if along > 0.0 else float(rest[column]) - lower,
-        body=body,
-        links=links,
-        columns=columns,
-        straight=rest[columns],
-        axis=axis,
-        tip=body.at(body.configuration(rest[columns])).compiled.points[-1],
-    )
+
+    def __init__(self, arm: Arm, start: ArrayLike | None = None) -> None:
+        if not isinstance(arm, Arm):
+            raise InvalidValue("arm", arm, FEED_REQUIREMENT)
+        chain = arm.chain
+        if len(chain.joints) < 2 or chain.revolute[0] or not chain.revolute[1]:
+            kinds = ["revolute" if turns else "prismatic" for turns in chain.revolute[:2]]
+            first = ", ".join(f"{name} ({kind})" for name, kind in zip(chain.joints, kinds, strict=False))
+            raise InvalidValue("first joints of the arm", first, FEED_REQUIREMENT)
+        column, feed = int(chain.columns[0]), repr(chain.joints[0])
+        lower, upper = float(arm.limits.lower[column]), float(arm.limits.upper[column])
+        if not (np.isfinite(lower) and np.isfinite(upper)):
+            raise InvalidValue(f"limits of the feed {feed}", (lower, upper), "finite positions [m]")
+        columns = np.delete(np.arange(arm.nv), column)
+        rest = arm.positions(arm.neutral() if start is None else arm.checked(start, "start"))
+        body, links = _without_feed(arm, rest)
+        axis, stretched = arm_axis(body), body.positions(body.straight())
+        along = float(chain.axes[0] @ axis)
+        if float(np.linalg.norm(np.cross(chain.axes[0], axis))) > FEED_AXIS_TOLERANCE:
+            angle = float(np.degrees(np.arccos(np.clip(abs(along), 0.0, 1.0))))
+            text = f"{angle:.3g} degrees off the straight arm"
+            raise InvalidValue(f"axis of the feed {feed}", text, FEED_REQUIREMENT)
+        if start is None:
+            rest[column], rest[columns] = lower if along > 0.0 else upper, stretched
+            body, links = _without_feed(arm, rest)
+        else:
+            bent = np.abs(rest[columns] - stretched) / body.joint_units
+            if bent.max() > STRAIGHT_START_TOLERANCE or not arm.within_limits(arm.configuration(rest)):
+                allowed = "the straight arm, within its limits, wherever the feed is"
+                raise InvalidValue("start", start, allowed)
+        self.arm, self.body, self.links = arm, body, links
+        self.start: Array = arm.configuration(rest)
+        self.column, self.columns, self.axis = column, columns, axis
+        self.sense = 1.0 if along > 0.0 else -1.0
+        self.travel = upper - float(rest[column]) if along > 0.0 else float(rest[column]) - lower
+        self.straight: Array = rest[columns]
+        self.tip: Array = body.at(body.configuration(rest[columns])).compiled.points[-1]
+        self.length = body.length
+        self.run_up = float((self.tip - body.chain.base) @ axis)
+        self.max_tip_lead = TIP_LEAD * body.length + float(links.chain.module_lengths.max())
 
 
-def _carried(arm: Arm, positions: Array) -> tuple[Arm, Arm]:
-    """The arm with its feed locked: with its own control points, and with one at the end of each link."""
+def _without_feed(arm: Arm, positions: Array) -> tuple[Arm, Arm]:
+    """Lock the feed; return the arm with its own control points, and with one at the end of each link."""
     chain = arm.chain
     feed = arm.model.getJointId(chain.joints[0])
     model = pin.buildReducedModel(arm.model, [feed], arm.configuration(positions))
@@ -143,7 +126,7 @@ def _carried(arm: Arm, positions: Array) -> tuple[Arm, Arm]:
         places.append(places[model.parents[joint]] * model.jointPlacements[joint])
     ends, names = [*body.chain.origins[1:], body.chain.points[-1]], []
     for name, begin, end in zip(body.chain.joints, body.chain.origins, ends, strict=True):
-        if np.linalg.norm(end - begin) > WITHOUT_LENGTH * body.length:
+        if np.linalg.norm(end - begin) > MIN_LINK_LENGTH * body.length:
             joint = model.getJointId(name)
             there = places[joint].inverse() * pin.SE3(np.eye(3), np.asarray(end))
             names.append(f"end of the link after {name}")
@@ -151,97 +134,79 @@ def _carried(arm: Arm, positions: Array) -> tuple[Arm, Arm]:
     return body, Arm.from_model(model, names)
 
 
-# The way of an arm on a feed: the path before its tip, and the straight line behind.
+# The route of an arm on a feed: the path ahead of its tip, with straight lines before and after it.
 
 PATH_PLACEMENTS = ("align", "as_is")
+"""How a path may be placed relative to the tip of the arm."""
 
-BESIDE = 1e-5
-"""How far from the straight line of the feed a path may begin, and go on while it has to follow that line, in
-arm lengths."""
+LINE_TOLERANCE = 1e-5
+"""Largest distance of the path from the line of the feed where it has to follow that, in arm lengths."""
 
-KINK = 1e-3
-"""How far the path may leave the axis of the arm [rad]."""
-
-AHEAD = 0.1
-"""How far the tip may be ahead of the feed, or behind, in arm lengths: links that cut bends short gain a
-share of (kappa l)^2 / 24, which is that for a quarter turn in each."""
+MAX_ENTRY_ANGLE = 1e-3
+"""Largest angle between the path and the axis of the arm at the entry [rad]."""
 
 
-@dataclass(frozen=True, eq=False)
-class Passage:
-    """An arm on a feed, and the way that it is to go.
+class Route:
+    """The curve that an arm on a feed follows: a path at its tip, with a straight line before and after it.
+
+    Args:
+        arm: the arm.
+        path: the path.
+        placement: as for `follow_leader`.
+        start: as for `follow_leader`.
 
     Attributes:
         fed: the arm.
-        path: the path, where it lies in the world; it begins at the tip of the arm at the start.
-        moved: how the path was moved there from where it was drawn.
-        way: the path, with the straight line from the first joint that bends before it and one after it.
-    """
-
-    fed: Fed
-    path: Curve
-    way: Curve
-    moved: Moved
-
-    @property
-    def deepest(self) -> float:
-        """How far in the path and the feed let the arm go [m]."""
-        return min(self.path.length, self.fed.travel, self.straight_on)
-
-    @property
-    def straight_on(self) -> float:
-        """How far in the arm can go before its first joint, which moves straight, leaves the path [m]."""
-        fed, s = self.fed, np.linspace(0.0, self.path.length, 2001)
-        beside = np.linalg.norm(self.path.at(s) - (self.path.start + s[:, None] * fed.axis), axis=1)
-        off = np.flatnonzero(beside > BESIDE * fed.length)
-        return fed.length + float(s[max(int(off[0]) - 1, 0)] if len(off) else s[-1])
-
-
-def passage(arm: Arm, path: Curve, placement: str = "align", start: ArrayLike | None = None) -> Passage:
-    """Lay a path before the tip of an arm; see `follow_leader`.
+        path: the path in the world; it begins at the tip of the arm at the start.
+        moved: how the path was moved from where it was drawn.
+        whole: the path, with the straight line from the first joint that bends before it and one after it.
 
     Raises:
         InvalidValue: not an arm on a feed, not a curve, or a path that does not begin at the tip.
         UnknownName: no such placement.
     """
-    if not isinstance(path, Curve):
-        raise InvalidValue("path", path, "a Curve")
-    if placement not in PATH_PLACEMENTS:
-        raise UnknownName("placement", placement, PATH_PLACEMENTS)
-    fed = taken_apart(arm, start)
-    if placement == "align":
-        there, moved = laid_at(fed.body, path, "align", 0.0)
-        laid = there.moved(np.eye(3), fed.tip - there.start)
-        x, y, z = (fed.tip - path.start).tolist()
-        moved = moved._replace(translation=(x, y, z))
-    else:
-        laid, moved = laid_at(fed.body, path, "as_is", 0.0)
-        gap = float(np.linalg.norm(path.start - fed.tip))
-        angle = float(np.arccos(np.clip(path.tangent(0.0) @ fed.axis, -1.0, 1.0)))
-        if gap > BESIDE * fed.length or angle > KINK:
-            x, y, z = fed.tip
-            found = f"{gap:.4g} m from the tip, {np.degrees(angle):.3g} degrees off the axis of the arm"
-            allowed = f"a path from ({x:.6g}, {y:.6g}, {z:.6g}) straight on; placement='align' moves it there"
-            raise InvalidValue("start of the path", found, allowed)
-    behind = led_in(laid, fed.axis, float((fed.tip - fed.body.chain.base) @ fed.axis))
-    way = led_in(behind.reversed(), -laid.tangent(laid.length), ahead_of_feed(fed)).reversed()
-    return Passage(fed, laid, way, moved)
+
+    def __init__(
+        self, arm: Arm, path: Curve, placement: str = "align", start: ArrayLike | None = None
+    ) -> None:
+        if not isinstance(path, Curve):
+            raise InvalidValue("path", path, "a Curve")
+        if placement not in PATH_PLACEMENTS:
+            raise UnknownName("placement", placement, PATH_PLACEMENTS)
+        self.fed = fed = FedArm(arm, start)
+        placed, moved = laid_at(fed.body, path, placement, 0.0)
+        if placement == "align":
+            placed = placed.moved(np.eye(3), fed.tip - placed.start)
+            x, y, z = (fed.tip - path.start).tolist()
+            moved = moved._replace(translation=(x, y, z))
+        else:
+            gap = float(np.linalg.norm(path.start - fed.tip))
+            angle = float(np.arccos(np.clip(path.tangent(0.0) @ fed.axis, -1.0, 1.0)))
+            if gap > LINE_TOLERANCE * fed.length or angle > MAX_ENTRY_ANGLE:
+                x, y, z = fed.tip
+                found = f"{gap:.4g} m from the tip, {np.degrees(angle):.3g} degrees off the axis of the arm"
+                allowed = f"a path from ({x:.6g}, {y:.6g}, {z:.6g}) straight on; "
+                raise InvalidValue("start of the path", found, allowed + "placement='align' moves it there")
+        self.path, self.moved = placed, moved
+        behind, end = _prepend_line(placed, fed.axis, fed.run_up), placed.tangent(placed.length)
+        self.whole = _prepend_line(behind.reversed(), -end, fed.max_tip_lead).reversed()
+
+    @property
+    def max_straight_depth(self) -> float:
+        """Depth at which the first joint of the body, which moves straight, leaves the path [m]."""
+        fed, s = self.fed, np.linspace(0.0, self.path.length, 2001)
+        distances = np.linalg.norm(self.path.at(s) - (self.path.start + s[:, None] * fed.axis), axis=1)
+        off = np.flatnonzero(distances > LINE_TOLERANCE * fed.length)
+        return fed.length + float(s[max(int(off[0]) - 1, 0)] if len(off) else s[-1])
 
 
-def ahead_of_feed(fed: Fed) -> float:
-    """How far on the way the tip may be ahead of the feed or behind, and a link more [m]."""
-    return AHEAD * fed.length + float(fed.links.chain.module_lengths.max())
-
-
-def led_in(curve: Curve, direction: Array, length: float) -> Curve:
-    """The curve with a straight line before it.
-
-    The line is one more span of the spline, so that the curve itself is what it was, to the last digit.
+def _prepend_line(curve: Curve, direction: Array, length: float) -> Curve:
+    """Put a straight line before a curve, as one more span of the spline; the curve keeps its last digit.
 
     Args:
         curve: the curve.
-        direction: in which the line runs, towards the curve, unit vector (3,).
-        length: of the line [m].
+        direction: unit vector (3,) along the line, towards the curve.
+        length: length of the line [m].
     """
     k = curve.degree
     spline = BSpline(curve.knots, curve.coefficients, k)
@@ -257,122 +222,124 @@ def led_in(curve: Curve, direction: Array, length: float) -> Curve:
     return Curve(knots, np.vstack([line, coefficients[1:]]), k)
 
 
-# Where an arm on a feed belongs on its way, depth by depth.
+# Postures along the route, depth by depth.
 
 Method = Literal["closest", "sequential"]
 
 PATH_METHODS: tuple[Method, ...] = ("closest", "sequential")
 
-BENDING = 1e-3
-"""What one radian of bending weighs against distance from the way, in mean link lengths [1/rad]: a trace, so
-that joints that move nothing off the way stay where they are."""
+BENDING_WEIGHT = 1e-3
+"""Weight of bending against distance from the route, in mean link lengths [1/rad]: small, only to keep joints
+in place that move nothing off the route."""
 
-ITERATIONS, SETTLED = 20, 1e-8
-"""Most Gauss-Newton steps of a posture, and the largest motion of a joint at which it is found."""
+MAX_GAUSS_NEWTON_STEPS, GAUSS_NEWTON_TOLERANCE = 20, 1e-8
+"""Most steps to find a posture, and the largest motion of a joint in the last of them."""
 
-OFF_THE_WAY = 0.25
-"""How far off the way the end of a link may be, in module lengths: as far as the middle of a module of one
-hinge whose ends are on an arc on which it turns by a quarter turn."""
+MAX_LINK_DISTANCE = 0.25
+"""Largest distance of the end of a link from the route, in module lengths: that of the middle of a module of
+one hinge whose ends are on an arc on which it turns by a quarter turn."""
 
-SAMPLES = 80
-"""How many samples of the way there are to a mean link length, for the sequential placement."""
-
-
-class WindowRow(NamedTuple):
-    """A posture on the way.
-
-    Attributes:
-        positions: joint positions of the body, (nv - 1,) [rad or m].
-        failure: why there is none; None if there is.
-    """
-
-    positions: Array
-    failure: TargetError | None
+ROUTE_SAMPLES_PER_LINK = 80
+"""Samples of the route per mean link length, for the sequential placement."""
 
 
-class Sequential:
-    """Algorithm 1: each module where it first crosses the way, from the end of the feed on."""
+class SequentialPlacement:
+    """Algorithm 1: each module where it first crosses the route, from the end of the feed on."""
 
-    def __init__(self, laid: Passage) -> None:
-        fed = laid.fed
-        self._laid = laid
-        self._samples = int(np.ceil(SAMPLES * laid.way.length * fed.links.n_modules / fed.length)) + 1
+    def __init__(self, route: Route) -> None:
+        fed = route.fed
+        self._route = route
+        self._samples = (
+            int(np.ceil(ROUTE_SAMPLES_PER_LINK * route.whole.length * fed.links.n_modules / fed.length)) + 1
+        )
 
-    def place(self, depth: float) -> WindowRow:
-        """The posture at a depth [m]."""
-        # The arm stays and the way moves, which is the same.
-        fed = self._laid.fed
-        shifted = self._laid.way.moved(np.eye(3), -depth * fed.axis)
+    def place(self, depth: float) -> Array:
+        """Return the joint positions of the body (nv - 1,) [rad or m] at a depth [m].
+
+        Raises:
+            TargetError: there are none; counts modules in the body, and arc length along the route.
+            UnsupportedModule: a module without a solver, counted in the whole arm.
+        """
+        fed = self._route.fed
+        # Moving the route back is the same as moving the arm forward.
+        shifted = self._route.whole.moved(np.eye(3), -depth * fed.axis)
         try:
             placed = place_in_turn(fed.body, shifted, self._samples)
         except UnsupportedModule as error:
             module = error.module + fed.arm.n_modules - fed.body.n_modules
             raise UnsupportedModule(module, error.joints, error.reason) from None
-        return WindowRow(placed.positions, placed.failure)
+        if placed.failure is not None:
+            raise placed.failure
+        positions: Array = placed.positions
+        return positions
 
 
 class ClosestPlacement:
-    """The whole arm as close to the way as it can be: least squares over the ends of all links.
+    """The whole arm as close to the route as possible: least squares over the ends of all links.
 
-    Minimised are the distances across the way, from one depth to the next by a few Gauss-Newton steps within
-    the joint limits. Where along the way a link ends follows from the links and from where the feed is.
+    The distances across the route are minimised from one depth to the next by a few Gauss-Newton steps within
+    the joint limits. Where along the route a link ends follows from the links and from where the feed is.
     """
 
-    def __init__(self, laid: Passage) -> None:
-        fed = laid.fed
-        self._laid = laid
+    def __init__(self, route: Route) -> None:
+        fed = route.fed
+        self._route = route
         ends = np.vstack([fed.links.chain.base, fed.links.chain.points])
         lengths = np.linalg.norm(np.diff(ends, axis=0), axis=1)
         self._s = np.cumsum(lengths)
         self._depth = 0.0
-        self._positions = fed.straight.copy()
-        self._bending = (BENDING * float(lengths.mean()) / fed.body.joint_units) ** 2
-        self._lower, self._upper = fed.body.limits.lower, fed.body.limits.upper
-        self._allowed = OFF_THE_WAY * fed.length / fed.body.n_modules
+        self._positions: Array = fed.straight.copy()
+        self._bending = (BENDING_WEIGHT * float(lengths.mean()) / fed.body.joint_units) ** 2
 
-    def place(self, depth: float) -> WindowRow:
-        """The posture at a depth [m], next to the one found last."""
+    def place(self, depth: float) -> Array:
+        """Return the joint positions of the body (nv - 1,) [rad or m] at a depth [m], near those found last.
+
+        Raises:
+            CurveBendsTooMuch: they leave a link too far off; counts modules in the body, and arc length along
+                the route.
+        """
         self._s = self._s + (depth - self._depth)
         self._depth = depth
-        for _ in range(ITERATIONS):
+        for _ in range(MAX_GAUSS_NEWTON_STEPS):
             step = self._step()
             self._positions = self._positions + step
-            if np.abs(step / self._laid.fed.body.joint_units).max() < SETTLED:
+            if np.abs(step / self._route.fed.body.joint_units).max() < GAUSS_NEWTON_TOLERANCE:
                 break
-        return WindowRow(self._positions, self._failure())
+        self._check_distances()
+        return self._positions
 
     def _step(self) -> Array:
-        """The Gauss-Newton step from where the arm is."""
-        fed, way, x = self._laid.fed, self._laid.way, self._positions
+        fed, route, x = self._route.fed, self._route.whole, self._positions
         state = fed.links.at(fed.links.configuration(x)).compiled
         points = state.points + self._depth * fed.axis
-        for _ in range(2):  # the feet of the ends of the links on the way
-            ahead = np.einsum("ij,ij->i", points - way.at(self._s), way.tangent(self._s))
-            self._s = np.clip(self._s + ahead, 0.0, way.length)
-        gaps, tangents = way.at(self._s) - points, way.tangent(self._s)
+        for _ in range(2):  # the nearest places on the route
+            ahead = np.einsum("ij,ij->i", points - route.at(self._s), route.tangent(self._s))
+            self._s = np.clip(self._s + ahead, 0.0, route.length)
+        gaps, tangents = route.at(self._s) - points, route.tangent(self._s)
         along = np.einsum("ij,ijk->ik", tangents, state.jacobians)
         across = (state.jacobians - tangents[:, :, None] * along[:, None, :]).reshape(-1, len(x))
         error = (gaps - tangents * np.einsum("ij,ij->i", gaps, tangents)[:, None]).ravel()
         hessian = across.T @ across + np.diag(self._bending)
         gradient = across.T @ error - self._bending * (x - fed.straight)
-        return _within(hessian, gradient, self._lower - x, self._upper - x)
+        return _bounded_step(hessian, gradient, fed.body.limits.lower - x, fed.body.limits.upper - x)
 
-    def _failure(self) -> TargetError | None:
-        fed = self._laid.fed
+    def _check_distances(self) -> None:
+        fed = self._route.fed
         ends = fed.links.at(fed.links.configuration(self._positions)).compiled.points + self._depth * fed.axis
-        off = np.linalg.norm(self._laid.way.at(self._s) - ends, axis=1)
-        if off.max() <= self._allowed:
-            return None
-        link = int(np.argmax(off > self._allowed))
+        distances = np.linalg.norm(self._route.whole.at(self._s) - ends, axis=1)
+        allowed = MAX_LINK_DISTANCE * fed.length / fed.body.n_modules
+        if distances.max() <= allowed:
+            return
+        link = int(np.argmax(distances > allowed))
         joint = fed.links.chain.module_starts[link]
         module = int(np.searchsorted(fed.body.module_starts, joint, side="right"))
         advice = "use a gentler path, wider joint limits or shorter modules"
-        text = f"the closest that it can come to the path is {off[link]:.4g} m; {advice}"
-        return CurveBendsTooMuch(module, float(self._s[link]), text)
+        text = f"the closest that it can come to the path is {distances[link]:.4g} m; {advice}"
+        raise CurveBendsTooMuch(module, float(self._s[link]), text)
 
 
-def _within(hessian: Array, gradient: Array, lower: Array, upper: Array) -> Array:
-    """The step that a quadratic model asks for, joints that would leave their limits held there."""
+def _bounded_step(hessian: Array, gradient: Array, lower: Array, upper: Array) -> Array:
+    """Minimise a quadratic model; joints that would leave their limits are held there."""
     step, held = np.zeros(len(gradient)), np.zeros(len(gradient), dtype=np.bool_)
     while not held.all():
         free = ~held
@@ -386,13 +353,15 @@ def _within(hessian: Array, gradient: Array, lower: Array, upper: Array) -> Arra
     return step
 
 
-RAMP = 0.1
-"""Share of the depth on which the feed gets up to speed, and of that on which it comes to rest."""
+# The motion of the feed, and the postures that belong to it.
 
-STRIDE = 0.5
-"""How far the feed goes from one row to the next at most, in lengths of the shortest link."""
+RAMP_SHARE = 0.1
+"""Share of the depth in which the feed accelerates, and of that in which it comes to rest."""
 
-MOST_ROWS = 1_000_000
+MAX_STRIDE = 0.5
+"""Largest motion of the feed from one row to the next, in lengths of the shortest link."""
+
+MAX_LEADER_ROWS = 1_000_000
 """The longest motion."""
 
 
@@ -411,15 +380,15 @@ def follow_leader(
     """Push an arm along a path, so that all of it goes where its tip has been.
 
     The first joint of the arm is its feed: a slide along the axis of the straight arm. The path begins at
-    the entry, where the tip of the straight arm is at the start; behind the entry the way is the straight
-    line of the feed. At depth d the feed has moved by d, and the arm lies in the window of the way that
-    reaches from the end of the feed to its own tip. The feed is what is given; the tip is at arc length d of
+    the entry, which is the tip of the straight arm at the start; behind the entry the arm lies on the
+    straight line of the feed. At depth d the feed has moved by d, and the arm lies on the part of this route
+    from the end of the feed to its own tip. The motion of the feed is given; the tip is at arc length d of
     the path but for what links gain where they cut bends short: about (kappa l)^2 / 24 of the bent part, for
     links of length l from joint to joint and curvature kappa. Beyond its end the path goes straight on.
 
-    The modules are placed in the window "closest" to it, all ends of all links by least squares, whatever the
-    arm is made of; or in "sequential" order as in Algorithm 1, control points exactly on the path. The latter
-    is for arms whose modules have closed forms; it leaves joints between control points farther off the path,
+    The method "closest" fits the ends of all links to the route by least squares, whatever the arm is made
+    of; "sequential" places the modules as in Algorithm 1, control points exactly on the path. The latter is
+    for arms whose modules have closed forms; it leaves joints between control points farther off the path,
     and where curvature begins or ends it makes modules of two hinges zigzag (see `resolve_targets`).
 
     The feed is at rest at both ends; its acceleration is continuous. It has its full speed but for the first
@@ -427,23 +396,23 @@ def follow_leader(
 
     Args:
         arm: the arm, on a feed, for instance `Arm.from_modules([feed, *modules])`.
-        path: where the tip goes.
-        interval: time between rows [s]; shortened to a whole fraction if the feed went farther than half a
-            link between two rows.
+        path: the path of the tip.
+        interval: time between rows [s]; shortened to a whole fraction if the feed would go farther than half
+            a link between two rows.
         speed: largest speed of the feed [m/s].
         placement: "align" moves the beginning of the path to the tip of the arm at the start, turns its first
             tangent to the arm's axis by the least rotation, and a plane path into the plane of a planar arm;
-            "as_is" takes the path where it is, which must begin there.
+            "as_is" leaves the path where it is, which must begin there.
         depth: how far to go in [m]; if None, to the end of the path.
-        start: the configuration to begin in, (nq,): straight, the feed anywhere; if None, the feed is pulled
-            back as far as it goes.
+        start: the first configuration, (nq,): straight, the feed anywhere; if None, the feed is pulled back
+            as far as it goes.
         method: "closest" or "sequential".
         and_back: whether to come out again, by the same postures in reverse.
         progress: called with the number of postures found so far, and that of all.
 
     Returns:
-        The motion asked for, with a mark "inside" where the arm is deepest and, if it comes back, a mark
-        "outside" at the end; both targets know the path as it was placed.
+        The motion, with a mark "inside" where the arm is deepest and, if it comes back, a mark "outside" at
+        the end; both targets have the path as it was placed.
 
     Raises:
         InvalidValue: an arm without a feed, a path that does not begin at its tip, is too short for the
@@ -458,57 +427,58 @@ def follow_leader(
     require_positive("speed", speed)
     if method not in PATH_METHODS:
         raise UnknownName("method", method, PATH_METHODS)
-    laid = passage(arm, path, placement, start)
-    deepest = _depth(laid, depth)
-    fed = laid.fed
-    stride = STRIDE * float(fed.links.chain.module_lengths.min())
-    depths, interval = advance(deepest, speed, interval, stride)
-    window: ClosestPlacement | Sequential = (
-        ClosestPlacement(laid) if method == "closest" else Sequential(laid)
-    )
+    route = Route(arm, path, placement, start)
+    fed = route.fed
+    stride = MAX_STRIDE * float(fed.links.chain.module_lengths.min())
+    depths, interval = advance(_checked_depth(route, depth), speed, interval, stride)
+    placing: ClosestPlacement | SequentialPlacement
+    placing = ClosestPlacement(route) if method == "closest" else SequentialPlacement(route)
     offsets = np.zeros((len(depths), arm.nv))
     for row, at in enumerate(depths):
-        found = window.place(float(at))
-        if found.failure is not None:
-            raise _failure(laid, found, found.failure, float(at))
+        try:
+            positions = placing.place(float(at))
+        except TargetError as failure:
+            module = failure.module + arm.n_modules - fed.body.n_modules
+            reason = f"{failure.reason} (at a depth of {float(at):.4g} m)"
+            raise type(failure)(module, failure.parameter - fed.run_up, reason) from None
         offsets[row, fed.column] = fed.sense * at
-        offsets[row, fed.columns] = found.positions - fed.straight
+        offsets[row, fed.columns] = positions - fed.straight
         if progress is not None:
             progress(row + 1, len(depths))
-    # The first posture is straight, but where that is found by a search, perhaps straighter than the start.
+    # The first posture is straight, but where it is found by a search, perhaps straighter than the start.
     begin, offsets = arm.integrate(fed.start, offsets[0]), offsets - offsets[0]
-    marks = [_mark(laid, begin, "inside", offsets)]
+    marks = [_last_row(route, begin, "inside", offsets)]
     if and_back:
         offsets = np.vstack([offsets, offsets[-2::-1]])
-        marks.append(_mark(laid, begin, "outside", offsets))
+        marks.append(_last_row(route, begin, "outside", offsets))
     weights = np.ones((len(offsets), arm.n_modules))
     return Reference(arm, interval, begin, offsets, weights, tuple(marks))
 
 
 def advance(depth: float, speed: float, interval: float, stride: float) -> tuple[Array, float]:
-    """How deep the arm is at equal distances in time.
+    """Compute the depth of the arm at equal distances in time.
 
     Args:
-        depth: at the end [m].
+        depth: depth at the end [m].
         speed: largest speed [m/s].
-        interval: time between two of them [s].
-        stride: how far it may go from one to the next [m].
+        interval: time between two depths [s].
+        stride: largest distance between two depths [m].
 
     Returns:
         Depths from 0 on, (N + 1,) [m], and the time between two of them [s]: the interval, or a whole
         fraction of it.
 
     Raises:
-        InvalidValue: more than `MOST_ROWS` of them.
+        InvalidValue: more than `MAX_LEADER_ROWS` of them.
     """
-    full = 1.0 + 2.0 * RAMP  # the time that it takes, in that at full speed
+    full = 1.0 + 2.0 * RAMP_SHARE  # duration, relative to that at full speed
     rows = full * depth / min(speed * interval, stride)
-    if not rows <= MOST_ROWS:
-        allowed = f"at most {MOST_ROWS} rows; {rows:.3g} are {interval:g} s or {stride:.3g} m apart"
+    if not rows <= MAX_LEADER_ROWS:
+        allowed = f"at most {MAX_LEADER_ROWS} rows; {rows:.3g} are {interval:g} s or {stride:.3g} m apart"
         raise InvalidValue("speed", speed, allowed)
     interval = interval / max(int(np.ceil(speed * interval / stride)), 1)
     steps = max(int(np.ceil(full * depth / speed / interval)), 2)
-    ramp = 2.0 * RAMP / full  # in all of the time, on which half as far is gone as at full speed
+    ramp = 2.0 * RAMP_SHARE / full  # share of the duration, in which half the distance is covered
     t = np.linspace(0.0, 1.0, steps + 1)
     x = np.minimum(np.minimum(t, 1.0 - t) / ramp, 1.0)
     rising = ramp * (x**3 - 0.5 * x**4) + np.maximum(np.minimum(t, 1.0 - t) - ramp, 0.0)
@@ -516,19 +486,19 @@ def advance(depth: float, speed: float, interval: float, stride: float) -> tuple
     return depth * gone, interval
 
 
-def _depth(laid: Passage, depth: float | None) -> float:
-    """How far to go in, or an error that says why not."""
-    fed, path = laid.fed, laid.path
+def _checked_depth(route: Route, depth: float | None) -> float:
+    """Return how far to go in [m], or raise InvalidValue with the reason why that is too far."""
+    path = route.path
     slack = 1.0 + 1e-9
     reasons = (
         (path.length, f"the path is {path.length:.6g} m long"),
-        (fed.travel, f"the feed can push by {fed.travel:.6g} m from the start"),
-        (laid.straight_on, "the feed goes straight, and its end would leave the path beyond"),
+        (route.fed.travel, f"the feed can push by {route.fed.travel:.6g} m from the start"),
+        (route.max_straight_depth, "the feed goes straight, and its end would leave the path beyond"),
     )
     most, why = min(reasons, key=lambda reason: reason[0])
-    if depth is None and path.length <= most * slack:
-        return most
     if depth is None:
+        if path.length <= most * slack:
+            return most
         allowed = f"at most {most:.6g} m: {why}; depth= goes part of the way"
         raise InvalidValue("length of the path [m]", path.length, allowed)
     require_positive("depth", depth)
@@ -537,37 +507,24 @@ def _depth(laid: Passage, depth: float | None) -> float:
     return min(float(depth), most)
 
 
-def _failure(laid: Passage, found: WindowRow, failure: TargetError, depth: float) -> TargetError:
-    """The same failure, counted in modules of the whole arm and in arc length of the path."""
-    fed = laid.fed
-    run_up = float((fed.tip - fed.body.chain.base) @ fed.axis)
-    module = failure.module + fed.arm.n_modules - fed.body.n_modules
-    reason = f"{failure.reason} (at a depth of {depth:.4g} m)"
-    return type(failure)(module, failure.parameter - run_up, reason)
-
-
-def _mark(laid: Passage, begin: Array, name: str, offsets: Array) -> Mark:
-    """The last row, with a name."""
-    arm = laid.fed.arm
+def _last_row(route: Route, begin: Array, name: str, offsets: Array) -> Mark:
+    arm = route.fed.arm
     q = arm.integrate(begin, offsets[-1])
-    target = Target(arm.at(q).compiled.points, np.ones(arm.n_modules), q=q, curve=laid.path, moved=laid.moved)
-    return Mark(name, len(offsets) - 1, target)
+    points, weights = arm.at(q).compiled.points, np.ones(arm.n_modules)
+    return Mark(name, len(offsets) - 1, Target(points, weights, q=q, curve=route.path, moved=route.moved))
 
 
-# What following the leader is asked for.
+# The leader of a task.
 
-PATH_PLACEMENTS = ("align", "as_is")
-"""How a path may be put to the tip of the arm."""
-
-MOST = 1000
-"""How many arms long a path is at most, and how many pipe radii an arm."""
+MAX_SIZE_RATIO = 1000
+"""Longest path in arm lengths, and longest arm in pipe radii; more would take hours."""
 
 
 class Leader(NamedTuple):
-    """What `follow_leader` is asked for.
+    """The arguments of `follow_leader` in a task.
 
     Attributes:
-        path: where the tip goes.
+        path: the path of the tip.
         speed: largest speed of the feed [m/s].
         depth: how far to go in [m]; None: to the end.
         placement: as for `follow_leader`; None for what `usual_placement` says of the scene.
@@ -586,7 +543,7 @@ class Leader(NamedTuple):
 
 
 def check_leader(leader: Leader, arm: Arm) -> None:
-    """Refuse what makes no motion, and sizes that are beside all reason for the arm.
+    """Refuse values that make no motion, and sizes out of proportion to the arm.
 
     Raises:
         InvalidValue: names the attribute.
@@ -598,13 +555,15 @@ def check_leader(leader: Leader, arm: Arm) -> None:
     for name in ("depth", "pipe"):
         if getattr(leader, name) is not None:
             require_positive(name, getattr(leader, name))
-    for name, allowed in (("placement", PATH_PLACEMENTS), ("method", tuple(PATH_METHODS))):
-        if getattr(leader, name) not in allowed and not (name == "placement" and leader.placement is None):
-            raise UnknownName(name, getattr(leader, name), allowed)
+    if leader.placement not in (None, *PATH_PLACEMENTS):
+        raise UnknownName("placement", leader.placement, PATH_PLACEMENTS)
+    if leader.method not in PATH_METHODS:
+        raise UnknownName("method", leader.method, PATH_METHODS)
     if not isinstance(leader.and_back, bool):
         raise InvalidValue("and_back", leader.and_back, "True or False")
-    if leader.path.length > MOST * arm.length:
-        longest = f"{MOST * arm.length:.4g} m, {MOST} times the arm"
-        raise InvalidValue("length of the path [m]", leader.path.length, longest)
-    if leader.pipe is not None and leader.pipe < arm.length / MOST:
-        raise InvalidValue("pipe", leader.pipe, f"{arm.length / MOST:.4g} m or more, 1/{MOST} of the arm")
+    longest, narrowest = MAX_SIZE_RATIO * arm.length, arm.length / MAX_SIZE_RATIO
+    if leader.path.length > longest:
+        allowed = f"{longest:.4g} m, {MAX_SIZE_RATIO} times the arm"
+        raise InvalidValue("length of the path [m]", leader.path.length, allowed)
+    if leader.pipe is not None and leader.pipe < narrowest:
+        raise InvalidValue("pipe", leader.pipe, f"{narrowest:.4g} m or more, 1/{MAX_SIZE_RATIO} of the arm")

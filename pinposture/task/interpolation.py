@@ -1,4 +1,4 @@
-"""Curves as vectors that can be interpolated, and blends of motions."""
+"""Interpolation between curves, which become vectors for it, and smooth changes between motions."""
 
 from __future__ import annotations
 
@@ -13,26 +13,25 @@ from pinposture.curve import Curve
 from pinposture.placement.curve_placement import arm_axis
 from pinposture.placement.least_squares import SAMPLES_PER_MODULE, Samples, carried_turns
 
-# Curves as vectors that can be interpolated: where they begin, where they set out to, how they bend.
+# The vector of a curve holds where it begins, in which direction, and how it bends.
 #
-# The bending of a curve is its turning per arc length, in a frame that is carried along without twist
-# (parallel transport). Interpolated bendings make curves of the same length that wind up the way a snake
-# does; what comes of interpolated places would shrink on the way, and not know the way round.
+# Bending is the turning per arc length in a frame that is carried along without twist (parallel transport).
+# Interpolated bendings make curves of the same length that wind up as a snake does; curves of interpolated
+# places would shrink in between, and could not tell turns apart.
 
 Array = NDArray[np.float64]
 
 
 class BentCurve(Samples):
-    """A curve through points at equal arc lengths with given tangents: a cubic between each two."""
+    """A curve through points at equal arc lengths with given tangents: a cubic between each two.
+
+    Args:
+        cell: arc length from one point to the next [m].
+        points: places, (n + 1, 3) [m], world frame.
+        tangents: unit tangents, (n + 1, 3).
+    """
 
     def __init__(self, cell: float, points: Array, tangents: Array) -> None:
-        """Make the curve.
-
-        Args:
-            cell: arc length from one point to the next [m].
-            points: places, (n + 1, 3) [m], world frame.
-            tangents: unit tangents, (n + 1, 3).
-        """
         super().__init__(np.asarray(cell * np.arange(len(points), dtype=np.float64)), points, tangents)
         self.cell = cell
 
@@ -48,14 +47,14 @@ class BentCurve(Samples):
         return coefficients
 
     def at(self, s: Array) -> Array:
-        """Places (k, 3) [m] at arc lengths (k,) from 0 to the length."""
+        """Return places (k, 3) [m] at arc lengths (k,) from 0 to the length."""
         i, x = self._located(s)
         a, b = self.points[i], self.points[i + 1]
         u, v = self.cell * self.tangents[i], self.cell * self.tangents[i + 1]
         return np.asarray(a + x * (u + x * (3.0 * (b - a) - 2.0 * u - v + x * (2.0 * (a - b) + u + v))))
 
     def tangent(self, s: Array) -> Array:
-        """Derivatives of the places by arc length, (k, 3), unit vectors but for interpolation."""
+        """Return derivatives of the places by arc length, (k, 3), unit vectors but for interpolation."""
         i, x = self._located(s)
         rise = (self.points[i + 1] - self.points[i]) / self.cell
         u, v = self.tangents[i], self.tangents[i + 1]
@@ -67,12 +66,12 @@ class BentCurve(Samples):
         return i, (cells - i)[:, None]
 
 
-class Beginning(NamedTuple):
-    """A curve and where on it the arm begins.
+class AnchoredCurve(NamedTuple):
+    """A curve and the place of the arm on it.
 
     Attributes:
         curve: the curve, placed in the world.
-        parameter: arc length at which the base of the arm is [m].
+        parameter: arc length of the base of the arm [m].
     """
 
     curve: Curve
@@ -80,25 +79,23 @@ class Beginning(NamedTuple):
 
 
 class Bending:
-    """What curves at one arm look like as vectors, and back.
+    """Converts curves at one arm into vectors, and back.
 
-    A vector has the place where a curve begins relative to the arm's base (3) [m]; the rotation vector that
-    turns the arm's axis to where it sets out (3) [rad]; how it turns in each cell of arc length, about the
-    two axes across it (n, 2) [rad]; and what arcs with these turns miss of it (n, 3) [m], which is next to
-    nothing. Turns and misses are seen in the carried frame. So curves of a planar arm stay in its plane.
+    A vector has the place where a curve begins relative to the arm's base (3) [m]; the rotation vector from
+    the arm's axis to its first tangent (3) [rad]; its turning in each cell of arc length, about the two axes
+    across it (n, 2) [rad]; and the small distances by which arcs with these turns miss it (n, 3) [m]. Turns
+    and distances are given in the carried frame. So curves of a planar arm stay in its plane.
+
+    Args:
+        arm: the arm.
+        length: length of each curve that matters [m].
 
     Attributes:
         cell: arc length of a cell [m].
-        cells: how many there are, n.
+        cells: number of cells, n.
     """
 
     def __init__(self, arm: Arm, length: float) -> None:
-        """Prepare for an arm.
-
-        Args:
-            arm: the arm.
-            length: how much of each curve matters [m].
-        """
         per_cell = arm.length / (SAMPLES_PER_MODULE * arm.n_modules)
         self.cells = int(np.ceil(length / per_cell))
         self.cell = length / self.cells
@@ -109,15 +106,15 @@ class Bending:
         third /= np.linalg.norm(third)
         self._axes = np.column_stack([axis, np.cross(third, axis), third])
 
-    def vector(self, begun: Beginning, before: Array | None = None) -> Array:
-        """The vector (d,) of a curve; beyond its end it goes straight on.
+    def vector(self, anchored: AnchoredCurve, before: Array | None = None) -> Array:
+        """Return the vector (d,) of a curve; beyond its end it goes straight on.
 
         Args:
-            begun: the curve.
-            before: the vector of an earlier curve, to go on from the same way round.
+            anchored: the curve.
+            before: the vector of an earlier curve, whose direction is continued without whole turns.
         """
-        curve = begun.curve
-        s = begun.parameter + self.cell * np.arange(self.cells + 1)
+        curve = anchored.curve
+        s = anchored.parameter + self.cell * np.arange(self.cells + 1)
         inside = np.minimum(s, curve.length)
         tangents = curve.tangent(inside)
         points = curve.at(inside) + (s - inside)[:, None] * tangents
@@ -130,7 +127,7 @@ class Bending:
         return np.concatenate([start, direction, turns.ravel(), (seen - chords[0]).ravel()])
 
     def curves(self, vectors: Array) -> list[BentCurve]:
-        """The curves of vectors, (r, d)."""
+        """Return the curves of vectors, (r, d)."""
         n = self.cells
         turns = vectors[:, 6 : 6 + 2 * n].reshape(-1, n, 2)
         misses = vectors[:, 6 + 2 * n :].reshape(-1, n, 3)
@@ -144,9 +141,9 @@ class Bending:
         return [BentCurve(self.cell, *parts) for parts in zip(points, frames[..., 0].copy(), strict=True)]
 
     def _direction(self, tangent: Array, before: Array) -> Array:
-        """Rotation vector (3,) from the arm's axis to a tangent, the one nearest to another [rad].
+        """Return the rotation vector (3,) [rad] from the arm's axis to a tangent that is nearest to another.
 
-        It is the least rotation, or the same with whole turns more.
+        It is the smallest rotation, or the same with whole turns added.
         """
         axis, _, third = self._axes.T
         across = np.cross(axis, tangent)
@@ -158,7 +155,7 @@ class Bending:
         return np.asarray((angle + 2.0 * np.pi * rounds) * about)
 
     def _frames(self, first: Array, turns: Array) -> tuple[Array, Array]:
-        """Carried frames (r, n + 1, 3, 3), axes as columns, and chords of arcs between them, (r, n, 3)."""
+        """Return carried frames (r, n + 1, 3, 3), axes as columns, and chords between them, (r, n, 3)."""
         a, b = turns[..., 0], turns[..., 1]
         angle = np.hypot(a, b)
         small = angle < 1e-4  # where the series are right to the last digit
@@ -178,30 +175,30 @@ class Bending:
         return frames, self.cell * np.stack([sine, cosine * b, -cosine * a], axis=-1)
 
 
-# Motions put together from parts, without a jump.
+# Smooth changes between motions.
 
-WINDOW = 0.25
-"""How much of the time from one keyframe to the next a change to other configurations takes."""
+CROSSFADE_SHARE = 0.25
+"""Share of the time from one keyframe to the next that a change to other configurations takes."""
 
 
-def rise(x: Array) -> Array:
-    """From 0 at 0 to 1 at 1, and constant beyond; at both ends with zero velocity and acceleration."""
+def smooth_step(x: Array) -> Array:
+    """Rise from 0 at 0 to 1 at 1, constant beyond, with zero velocity and acceleration at both ends."""
     t = np.clip(x, 0.0, 1.0)
     return np.asarray(t**3 * (10.0 - 15.0 * t + 6.0 * t**2))
 
 
 def window(rows: int) -> int:
-    """How many of the rows from one keyframe to the next a change takes."""
-    return max(int(WINDOW * (rows - 1)), 1)
+    """Return how many of the rows from one keyframe to the next a change takes."""
+    return max(int(CROSSFADE_SHARE * (rows - 1)), 1)
 
 
 def ramp(rows: int, first: Array, last: Array) -> Array:
-    """Offsets (rows, n) that lead smoothly from one to another, each (n,)."""
-    share = rise(np.linspace(0.0, 1.0, rows))[:, None]
+    """Return offsets (rows, n) that change smoothly from one to another, each (n,)."""
+    share = smooth_step(np.linspace(0.0, 1.0, rows))[:, None]
     return np.asarray((1.0 - share) * first + share * last)
 
 
 def crossfade(before: Array, after: Array, start: int) -> Array:
-    """Rows (r, n) that go over from some to others within the window that begins at a row."""
-    share = rise((np.arange(len(before)) - start) / window(len(before)))[:, None]
+    """Return rows (r, n) that change from some to others within the window that begins at a row."""
+    share = smooth_step((np.arange(len(before)) - start) / window(len(before)))[:, None]
     return np.asarray((1.0 - share) * before + share * after)

@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
-from numbers import Real
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator, make_interp_spline
 
-from pinposture._validation import finite_vector, is_whole
+from pinposture._validation import as_number, finite_vector, is_whole
+from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.control.tasks import EndEffector
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, PostureError, TaskError, UnknownName
 from pinposture.placement.resolve import METHODS, PLACEMENTS
 
-# Keyframes: postures to take at given times.
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -30,22 +29,22 @@ class Keyframe:
 
     Attributes:
         curve: the shape to take.
-        time: when, counted from the beginning of the motion [s]; or None if a duration is given.
-        duration: how long after the keyframe before, counted from the end of its hold [s]; or None. The first
+        time: when to take it, counted from the beginning of the motion [s]; None if a duration is given.
+        duration: time since the keyframe before, counted from the end of its hold [s]; or None. The first
             keyframe is at 0 and needs neither.
         hold: how long to stay there [s]. A keyframe with a hold is taken at rest, and so are the first and
-            the last one; the others are passed through.
-        name: what to call it; empty to call it by its number.
+            the last one; the motion passes through the others.
+        name: a name; if empty, the keyframe is referred to by its number.
         placement: as for `resolve_targets`; None for what `usual_placement` says.
         roll: as for `resolve_targets` [rad].
         method: as for `resolve_targets`.
         tip: the task of one control point, usually the tip, while the arm takes the posture; None if there is
-            none. The posture gives way to it if it is strict, and is weighed against it if not.
+            none. A strict task takes precedence over the posture; any other is weighed against it.
         region: first and last control point that have to take the posture, 0-based, the last included; None
-            for all. The others are free: to serve the tip, and not to be counted.
-        joints: joint positions to take the posture near, as of `Arm.positions`, (nv,) [rad or m]; None if any
-            will do. Where least squares place the modules, several configurations may take a posture equally
-            well: this tells which. What does not fit the arm is ignored with a warning.
+            for all. The others are free to serve the tip, and do not count.
+        joints: joint positions near which to take the posture, as of `Arm.positions`, (nv,) [rad or m]; None
+            for any. Where modules are placed by least squares, several configurations may take a posture
+            equally well, and this selects one. Positions that do not fit the arm are ignored with a warning.
         trim: True to take the first part of a curve that is longer than the arm covers, by more than a
             module; False to refuse it.
 
@@ -82,22 +81,19 @@ class Keyframe:
         for name in ("time", "duration", "hold"):
             value = getattr(self, name)
             if value is not None or name == "hold":
-                _require(name, value, "a finite number >= 0 [s]", 0.0)
-        _require("roll", self.roll, "a finite angle [rad]", -math.inf)
-        for kind, value, allowed in (
-            ("placement", self.placement, PLACEMENTS),
-            ("method", self.method, METHODS),
-        ):
-            if value not in allowed and not (kind == "placement" and value is None):
-                raise UnknownName(kind, value, allowed)
+                as_number(name, value, "a finite number >= 0 [s]", lambda number: number >= 0.0)
+        as_number("roll", self.roll, "a finite angle [rad]", lambda _: True)
+        if self.placement not in (None, *PLACEMENTS):
+            raise UnknownName("placement", self.placement, PLACEMENTS)
+        if self.method not in METHODS:
+            raise UnknownName("method", self.method, METHODS)
         if self.tip is not None and not isinstance(self.tip, EndEffector):
             raise InvalidValue("tip", self.tip, "an EndEffector, or None")
         if self.region is not None:
             ends = tuple(self.region) if isinstance(self.region, tuple | list) else ()
             if len(ends) != 2 or not all(map(is_whole, ends)) or not 0 <= ends[0] <= ends[1]:
-                raise InvalidValue(
-                    "region", self.region, "two whole numbers (first, last), 0 <= first <= last"
-                )
+                allowed = "two whole numbers (first, last), 0 <= first <= last"
+                raise InvalidValue("region", self.region, allowed)
             object.__setattr__(self, "region", (int(ends[0]), int(ends[1])))
         if not isinstance(self.trim, bool):
             raise InvalidValue("trim", self.trim, "True or False")
@@ -107,22 +103,31 @@ class Keyframe:
 
 
 def usual_placement(scene: Scene | None) -> Literal["as_is", "align"]:
-    """How curves are laid where nobody says: among obstacles they stay where they are drawn."""
+    """Return how curves are placed by default: among obstacles they stay where they are drawn."""
     return "as_is" if scene is not None and scene.obstacles else "align"
 
 
-def _require(name: str, value: object, allowed: str, least: float) -> None:
-    number = isinstance(value, Real) and not isinstance(value, bool)
-    if not (number and math.isfinite(value) and value >= least):  # type: ignore[arg-type, operator]
-        raise InvalidValue(name, value, allowed)
+def check_keyframes(keyframes: tuple[Keyframe, ...], arm: Arm) -> None:
+    """Refuse keyframes that make no motion of an arm.
+
+    Raises:
+        InvalidValue: fewer than two, or something else among them.
+        TaskError: a region that the arm does not have; names the keyframe.
+    """
+    if len(keyframes) < 2 or not all(isinstance(each, Keyframe) for each in keyframes):
+        raise InvalidValue("keyframes", keyframes, "two or more of Keyframe(...)")
+    for index, keyframe in enumerate(keyframes):
+        if keyframe.region is not None and keyframe.region[1] >= arm.n_modules:
+            reason = f"its region is {keyframe.region}; the arm has control points 0 to {arm.n_modules - 1}"
+            raise TaskError(title(keyframes, index), reason)
 
 
 @contextmanager
 def naming(where: str) -> Iterator[None]:
-    """Say of what goes wrong inside where it did: errors keep their kind and their data."""
+    """Put a name in front of the messages of errors, which keep their kind and data."""
     try:
         yield
-    except TaskError:  # it says so itself
+    except TaskError:  # has one already
         raise
     except PostureError as error:
         error.args = (f"{where}: {error}",)
@@ -130,14 +135,12 @@ def naming(where: str) -> Iterator[None]:
 
 
 def title(keyframes: tuple[Keyframe, ...], index: int) -> str:
-    """What to call a keyframe in a message: its number from 1, and its name if it has one."""
+    """Return what to call a keyframe in a message: its number from 1, and its name if it has one."""
     name = keyframes[index].name
     return f"keyframe {index + 1} {name!r}" if name else f"keyframe {index + 1}"
 
 
 # When each keyframe is reached and left, in whole control cycles.
-
-Array = NDArray[np.float64]
 
 CONTINUITIES = ("velocity", "acceleration")
 """What may be continuous in time, besides the posture itself."""
@@ -152,7 +155,7 @@ class Stretch(NamedTuple):
     Attributes:
         first: the keyframe at its beginning, 0-based.
         last: the keyframe at its end.
-        rows: the row at which each of its keyframes is; that of the first is where its hold ends.
+        rows: the row of each of its keyframes; that of the first is where its hold ends.
     """
 
     first: int
@@ -175,20 +178,20 @@ class Schedule(NamedTuple):
 
     @property
     def rows(self) -> int:
-        """Number of rows, the first and the last included."""
+        """Number of rows, including the first and the last."""
         return int(self.left[-1]) + 1
 
     @property
     def shortest(self) -> int:
-        """The least number of rows from one keyframe to the next."""
+        """Smallest number of rows from one keyframe to the next."""
         return int((self.reached[1:] - self.left[:-1]).min())
 
     def finer(self, times: int) -> Schedule:
-        """The same with so many rows for each."""
+        """Return the same schedule with so many rows for each."""
         return Schedule(times * self.reached, times * self.left, self.rests)
 
     def stretches(self) -> list[Stretch]:
-        """The parts between rests, in order."""
+        """Return the parts between rests, in order."""
         rests = np.flatnonzero(self.rests)
         return [
             Stretch(int(a), int(b), np.concatenate([self.left[a : a + 1], self.reached[a + 1 : b + 1]]))
@@ -202,31 +205,27 @@ def schedule(keyframes: tuple[Keyframe, ...], interval: float) -> Schedule:
     Raises:
         TaskError: times that do not increase, naming the keyframe.
     """
-    reached, left, end = [], [], 0.0
+    reached, left, end, longest = [], [], 0.0, MOST_CYCLES * interval
     for index, keyframe in enumerate(keyframes):
-        where, time = title(keyframes, index), keyframe.time
+        where, before = title(keyframes, index), f"keyframe {index}"
+        time, given = keyframe.time, keyframe.time or keyframe.duration or 0.0
         if index == 0:
-            if (keyframe.time or keyframe.duration or 0.0) != 0.0:
-                given = keyframe.time or keyframe.duration
-                raise TaskError(
-                    where, f"it is at {given:g} s; the first keyframe is at 0, leave its time out"
-                )
+            if given != 0.0:
+                reason = f"it is at {given:g} s; the first keyframe is at 0, leave its time out"
+                raise TaskError(where, reason)
             time = 0.0
         elif time is None:
             if keyframe.duration is None:
                 raise TaskError(where, "it has neither a time nor a duration; give one of them [s]")
             time = end + keyframe.duration
-        before = f"keyframe {index}"
         if index > 0 and time <= end:
             held = " left" if keyframes[index - 1].hold > 0.0 else ""
             reason = f"it is at {time:g} s, but {before} is{held} at {end:g} s; times have to increase"
             raise TaskError(where, reason)
         end = time + keyframe.hold
-        if not end <= MOST_CYCLES * interval:
-            longest = MOST_CYCLES * interval
-            raise TaskError(
-                where, f"it ends at {end:g} s; with cycles of {interval:g} s, {longest:g} s at most"
-            )
+        if not end <= longest:
+            reason = f"it ends at {end:g} s; with cycles of {interval:g} s, {longest:g} s at most"
+            raise TaskError(where, reason)
         reached.append(round(time / interval))
         left.append(round(end / interval))
         if index > 0 and reached[-1] <= left[-2]:
@@ -238,16 +237,16 @@ def schedule(keyframes: tuple[Keyframe, ...], interval: float) -> Schedule:
 
 
 def interpolate(stretch: Stretch, values: Array, continuity: str, rows: Sequence[int] | Array) -> Array:
-    """Values in time along a stretch, which are at rest at its ends.
+    """Interpolate values along a stretch, at rest at its ends.
 
-    With "velocity" they are cubic between keyframes, and monotone there (slopes of Fritsch and Butland); with
-    "acceleration" quintic, with a continuous fourth derivative, and may overshoot.
+    With "velocity" the result is cubic between keyframes, and monotone there (slopes of Fritsch and Butland);
+    with "acceleration" it is quintic, with a continuous fourth derivative, and may overshoot.
 
     Args:
         stretch: the stretch.
-        values: at its keyframes, (k, d).
+        values: values at its keyframes, (k, d).
         continuity: one of `CONTINUITIES`.
-        rows: where they are asked for, (r,); need not be whole.
+        rows: the rows at which to interpolate, (r,); need not be whole.
 
     Returns:
         Values (r, d).

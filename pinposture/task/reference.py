@@ -14,25 +14,21 @@ from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import EndEffector
 from pinposture.errors import InvalidValue, PostureWarning, TaskError
-from pinposture.motion.motion import Motion, Waypoint
-from pinposture.motion.track import ControlLoop
 from pinposture.placement import Target
 from pinposture.placement.curve_placement import Moved
-
-# The motion that is asked for, in time: what a task comes down to before anything moves.
 
 Array = NDArray[np.float64]
 
 
 class Mark(NamedTuple):
-    """A place of a reference with a name.
+    """A named place of a reference.
 
     Attributes:
-        name: what it is called.
-        row: the row of the reference that it is.
-        target: what the arm should take there; at this row it stands for the target of the reference. Its
-            residual is how far that is off the curve.
-        tip: what the tip should do there; None if nothing.
+        name: its name.
+        row: its row in the reference.
+        target: the target of the arm there, which replaces that of the reference in this row. Its residual is
+            its distance from the curve.
+        tip: the task of the tip there; None if there is none.
     """
 
     name: str
@@ -51,7 +47,7 @@ class Reference:
         arm: the arm.
         interval: time from one row to the next, if nothing slows the motion [s].
         start: the configuration of the first row, (nq,).
-        offsets: joint displacement of each row from the first, the way round that the arm is to go,
+        offsets: joint displacement of each row from the first, in the direction in which the arm turns,
             (N + 1, nv) [rad or m]; the first is zero.
         weights: whether each control point has a target, as in `Target`, (N + 1, m).
         marks: rows with a name, in order; keyframes have one each.
@@ -80,115 +76,42 @@ class Reference:
 
     @property
     def duration(self) -> float:
-        """How long it takes if nothing slows it [s]."""
+        """Duration if nothing slows the motion [s]."""
         return self.interval * (self.rows - 1)
 
     @cached_property
     def times(self) -> Array:
-        """When each row is to be reached, if nothing slows the motion, (N + 1,) [s]."""
+        """Time of each row if nothing slows the motion, (N + 1,) [s]."""
         return np.asarray(self.interval * np.arange(self.rows, dtype=np.float64))
 
     def configuration(self, row: int) -> Array:
-        """The configuration of a row, (nq,)."""
+        """Return the configuration of a row, (nq,)."""
         return self.arm.integrate(self.start, self.offsets[row])
 
 
-# What is written down of a motion besides its steps: targets, times, places passed.
-
-ROUNDING = 1e-9
-"""How far short of a row, in rows, is still at it."""
-
-
-class Log:
-    """The places of a reference at which a motion was, row by row, with the targets there.
-
-    Args:
-        reference: the reference.
-        first: the target of its first row.
-    """
-
-    def __init__(self, reference: Reference, first: Target) -> None:
-        self._reference = reference
-        self._places, self._targets = [0.0], [first]
-        self._begun: int | None = None
-        self._notes: list[str] = []
-
-    def add(self, place: float, target: Target) -> None:
-        """Write down where a step led."""
-        self._places.append(place)
-        self._targets.append(target)
-
-    def fill(self, loop: ControlLoop, place: float, target: Target) -> None:
-        """Write down the steps that were taken towards a target since, while the plan stood still."""
-        missing = loop.record.steps + 1 - len(self._places)
-        self._places += [self._places[-1]] * missing
-        self._targets += [target] * missing
-        self._places[-1] = place
-
-    def start_index(self) -> None:
-        """The plan begins here."""
-        self._begun = len(self._places) - 1
-
-    def note(self, place: float, what: str) -> None:
-        """Write down in words what was not as planned."""
-        self._notes.append(f"at {place * self._reference.interval:.4g} s of the plan {what}")
-
-    def motion(self, loop: ControlLoop, status: str, reason: str) -> Motion:
-        """Everything so far, as a result."""
-        reference, places = self._reference, np.array(self._places)
-        run = loop.record.trajectory(loop.arm, loop.controller, loop.limits, status, reason)
-        asked = np.array([target.has_target for target in self._targets])
-        dt = reference.duration if loop.limits.dt is None else loop.limits.dt
-        return Motion(
-            run=run,
-            targets=np.array([target.points for target in self._targets]),
-            target_mask=asked,
-            plan_time=np.minimum(places * reference.interval, reference.duration),
-            start_index=len(places) - 1 if self._begun is None else self._begun,
-            planned=reference.duration,
-            waypoints=tuple(self._passed(mark, places, run.q, run.points, dt) for mark in reference.marks),
-            deviations=tuple(self._notes),
-        )
-
-    def _passed(self, mark: Mark, places: Array, q: Array, points: Array, dt: float) -> Waypoint:
-        """How a named place was passed: at the row that came nearest to it in time."""
-        planned, begun = mark.row * self._reference.interval, self._begun
-        there = np.flatnonzero(places[begun:] >= mark.row - ROUNDING)
-        if begun is None or not len(there):
-            return Waypoint(mark.name, planned, None, None, None, off_curve(mark), moved=mark.target.moved)
-        row = begun + int(there[0])
-        if row > begun and mark.row - places[row - 1] < places[row] - mark.row:
-            row -= 1
-        placed = mark.target.has_target
-        off = np.linalg.norm((mark.target.points - points[row])[placed], axis=1)
-        tip = tip_off(mark.tip, mark.target, self._reference.arm.at(q[row]))
-        reached, error, moved = (row - begun) * dt, float(off.mean()), mark.target.moved
-        return Waypoint(mark.name, planned, reached, row, error, off_curve(mark), tip, moved)
-
-
 def off_curve(mark: Mark) -> float | None:
-    """How far off its curve a named place is at most [m]; None if there is no curve."""
+    """Return the largest distance of a named place from its curve [m]; None if there is no curve."""
     residual = mark.target.residual
     return None if residual is None else float(residual[mark.target.has_target].max())
 
 
 def tip_off(tip: EndEffector | None, target: Target, state: ArmState) -> float | None:
-    """By how much the task of the tip is missed [m], turns by their lever; None without one."""
+    """Return the error of the task of the tip [m], turns by their lever; None without a task."""
     return None if tip is None else float(np.linalg.norm(tip.rows(state, target).error))
 
 
-# What can be said of a motion before anything moves: how well the arm can take its postures.
+# How well the arm can take its postures, known before it moves.
 
 
 class Outlook(NamedTuple):
     """How well the arm can take a posture.
 
     Attributes:
-        name: of the posture.
-        planned: when it is to be there [s].
-        off_curve: how far off its curve control points belong at most [m]; None if there is no curve.
-        tip_off: by how much the task of the tip is missed [m]; None if there is none.
-        clearance: smallest distance to something [m], negative inside of it; None without a scene.
+        name: name of the posture.
+        planned: its planned time [s].
+        off_curve: largest distance of a target from its curve [m]; None if there is no curve.
+        tip_off: error of the task of the tip [m]; None if there is none.
+        clearance: smallest distance to an obstacle [m], negative inside of it; None without a scene.
         moved: how its curve was moved from where it was drawn; None if there is no curve.
     """
 
@@ -201,11 +124,11 @@ class Outlook(NamedTuple):
 
 
 def outlook(reference: Reference, scene: Scene | None) -> list[Outlook]:
-    """How well the arm can take the named postures of a reference, and the first.
+    """Tell how well the arm can take the named postures of a reference, and the first.
 
     Args:
         reference: the reference.
-        scene: what the arm has to keep clear of; it is looked at in these postures only.
+        scene: what the arm has to keep clear of; clearances are those of these postures only.
     """
     arm, found = reference.arm, []
     clearance = None if scene is None else CollisionModel(arm, scene)
@@ -219,7 +142,7 @@ def outlook(reference: Reference, scene: Scene | None) -> list[Outlook]:
 
 
 def require_room(reference: Reference, scene: Scene | None) -> None:
-    """Refuse a motion that begins inside of something; warn of named postures that are.
+    """Refuse a motion that begins inside of an obstacle; warn of named postures that are.
 
     Raises:
         TaskError: it does.
@@ -241,7 +164,7 @@ def require_room(reference: Reference, scene: Scene | None) -> None:
 
 
 def _named(reference: Reference) -> list[Mark]:
-    """The named places of a reference, and its beginning if that has no name."""
+    """Return the named places of a reference, and its beginning if that has no name."""
     marks = list(reference.marks)
     if not marks or marks[0].row > 0:
         marks.insert(0, Mark("the beginning", 0, Target.from_configuration(reference.arm, reference.start)))

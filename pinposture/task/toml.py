@@ -1,7 +1,7 @@
-"""TOML text: where everything stands in it, and changes that leave the rest as the user wrote it.
+"""TOML text: the line of every key, and edits that leave the rest of a file as the user wrote it.
 
-tomlkit changes the entries of a section. Sections are cut apart and put together here, so that the comments
-above a header go where the section goes, and sections that do not change are neither read nor written.
+tomlkit edits the entries of a section. Files are cut into sections here, so that the comments above a header
+move with the section, and sections that do not change are neither parsed nor written.
 """
 
 from __future__ import annotations
@@ -9,10 +9,9 @@ from __future__ import annotations
 import re
 import sys
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from difflib import SequenceMatcher
 from itertools import count
-from operator import eq
 from typing import Any, NamedTuple
 
 import tomlkit
@@ -24,9 +23,9 @@ else:
     import tomli as tomllib
 
 Place = tuple[str | int, ...]
-"""A way through a file: names of keys, and numbers of list items from 0."""
+"""The path to a value in a file: names of keys, and numbers of list items from 0."""
 
-# On which line each table, key and list item begins. tomlkit does not tell.
+# The lines on which tables, keys and list items begin, which tomlkit does not tell.
 
 _BASIC, _LITERAL = r'"(?:[^"\\\n]|\\.)*"', r"'[^'\n]*'"
 _NAME = rf"(?:[A-Za-z0-9_-]+|{_BASIC}|{_LITERAL})"
@@ -35,101 +34,95 @@ _STRING = re.compile(
     r'"""(?:[^\\]|\\.)*?""""{0,2}' + r"|'''.*?''''{0,2}" + rf"|{_BASIC}|{_LITERAL}", re.DOTALL
 )
 _BARE = re.compile(r"[^,\]}#\n]*")
-_BETWEEN = re.compile(r"(?:\s|,|#[^\n]*)*")
+_BLANK = re.compile(r"(?:\s|,|#[^\n]*)*")
 
 
 def lines_of_toml(text: str) -> dict[Place, int]:
-    """Find where everything begins in a file that is known to be TOML.
+    """Find the line on which everything begins in a text that is known to be TOML.
 
-    A table that is begun several times, as dotted keys do, counts from where it is first seen.
+    A table that is opened several times, as by dotted keys, counts from where it first appears.
 
     Args:
-        text: what the file holds; lines end in a line feed.
+        text: the text; lines end in a line feed.
 
     Returns:
-        Lines, the first of which is 1.
+        Lines by place; the first line is 1.
     """
-    scan = _Scan(text)
-    scan.file()
-    return scan.found
+    return _Scanner(text).lines
 
 
-class _Scan:
-    """One passage through a file, which is not checked on the way.
+class _Scanner:
+    """One pass through a text, which is assumed to be valid.
 
     Attributes:
-        found: the line of each place.
+        lines: the line of each place.
         headers: the line and the place of each header.
     """
 
     def __init__(self, text: str) -> None:
-        self.found: dict[Place, int] = {}
+        self.lines: dict[Place, int] = {}
+        self.headers: list[tuple[int, Place]] = []
         self._text, self._at = text, 0
         self._breaks = [match.start() for match in re.finditer("\n", text)]
-        self._last: dict[Place, int] = {}  # the last of each list of tables so far
-        self.headers: list[tuple[int, Place]] = []
-
-    def file(self) -> None:
-        inside: Place = ()
-        self._pass(_BETWEEN)
-        while self._at < len(self._text):
-            if self._text[self._at] == "[":
-                inside = self._header()
+        self._last_items: dict[Place, int] = {}  # of each list of tables
+        table: Place = ()
+        self._skip(_BLANK)
+        while self._at < len(text):
+            if text[self._at] == "[":
+                table = self._header()
             else:
-                self._entry(inside)
-            self._pass(_BETWEEN)
+                self._entry(table)
+            self._skip(_BLANK)
 
     def _header(self) -> Place:
-        brackets = 2 if self._text.startswith("[[", self._at) else 1
-        place: Place = ()
-        line = self._line()
+        line, brackets = self._line(), 2 if self._text.startswith("[[", self._at) else 1
         self._at += brackets
-        self._pass(_BETWEEN)
+        self._skip(_BLANK)
+        place: Place = ()
         names = self._key()
         for number, name in enumerate(names, start=1):
             place = (*place, name)
-            self.found.setdefault(place, line)
+            self.lines.setdefault(place, line)
             if brackets == 2 and number == len(names):
-                self._last[place] = self._last.get(place, -1) + 1
-            if place in self._last:
-                place = (*place, self._last[place])
-            self.found.setdefault(place, line)
-        self._pass(_BETWEEN)
+                self._last_items[place] = self._last_items.get(place, -1) + 1
+            if place in self._last_items:
+                place = (*place, self._last_items[place])
+            self.lines.setdefault(place, line)
+        self._skip(_BLANK)
         self._at += brackets
         self.headers.append((line, place))
         return place
 
-    def _entry(self, inside: Place) -> None:
+    def _entry(self, place: Place) -> None:
         line = self._line()
         for name in self._key():
-            inside = (*inside, name)
-            self.found.setdefault(inside, line)
+            place = (*place, name)
+            self.lines.setdefault(place, line)
         self._at = self._text.index("=", self._at) + 1
-        self._value(inside)
+        self._value(place)
 
     def _value(self, place: Place) -> None:
-        self._pass(_BETWEEN)
+        self._skip(_BLANK)
         begin = self._text[self._at]
-        if begin in "[{":
-            self._at += 1
-            self._pass(_BETWEEN)
-            number = 0
-            while self._text[self._at] not in "]}":
-                if begin == "{":
-                    self._entry(place)
-                else:
-                    item = (*place, number)
-                    self.found[item] = self._line()
-                    self._value(item)
-                    number += 1
-                self._pass(_BETWEEN)
-            self._at += 1
-        else:
-            self._pass(_STRING if begin in "\"'" else _BARE)
+        if begin not in "[{":
+            self._skip(_STRING if begin in "\"'" else _BARE)
+            return
+        self._at += 1
+        self._skip(_BLANK)
+        numbers = count()
+        while self._text[self._at] not in "]}":
+            if begin == "{":
+                self._entry(place)
+            else:
+                item = (*place, next(numbers))
+                self.lines[item] = self._line()
+                self._value(item)
+            self._skip(_BLANK)
+        self._at += 1
 
     def _key(self) -> list[str]:
         begin = self._at
-        self._pass(_KEY)
+        self._skip(_KEY)
         table, names = tomllib.loads(f"{self._text[begin : self._at]} = 0"), []
         while isinstance(table, dict):
             ((name, table),) = table.items()
@@ -139,20 +132,21 @@ class _Scan:
     def _line(self) -> int:
         return bisect_right(self._breaks, self._at) + 1
 
-    def _pass(self, what: re.Pattern[str]) -> None:
-        match = what.match(self._text, self._at)
-        assert match is not None  # the file was read before
+    def _skip(self, pattern: re.Pattern[str]) -> None:
+        match = pattern.match(self._text, self._at)
+        if match is None:
+            raise ValueError(f"not TOML from character {self._at}")
         self._at = match.end()
 
 
-# Writing: a text is changed where what it says has changed.
+# Writing: only the parts of a text change whose values have changed.
 
-WIDTH = 110
-"""The longest line, where what is on it can be broken."""
+MAX_LINE_WIDTH = 110
+"""Longest line, where its content can be broken."""
 
 
 class Usual(NamedTuple):
-    """A value that need not be written: it is what is read where nothing is said.
+    """A value that need not be written, because it is the default of whoever reads the file.
 
     Attributes:
         value: the value, as plain data.
@@ -161,125 +155,100 @@ class Usual(NamedTuple):
     value: Any
 
 
+def drop_defaults(value: Any) -> Any:
+    """Return plain data without the entries of tables that are `Usual`."""
+    if isinstance(value, Mapping):
+        return {key: drop_defaults(each) for key, each in value.items() if not isinstance(each, Usual)}
+    return [drop_defaults(each) for each in value] if isinstance(value, list) else value
+
+
 class TomlLayout(NamedTuple):
-    """The text of a TOML file, and what it says.
+    """The text of a TOML file, and its values.
 
     Attributes:
         text: the text.
-        says: the same in the words of the writer of such files: plain data, with `Usual` for what need not
-            be said.
+        values: its values as the writer of such files would give them: plain data, with `Usual` for defaults.
     """
 
     text: str
-    says: Mapping[str, Any]
+    values: Mapping[str, Any]
 
 
 def toml_text(values: Mapping[str, Any], layout: TomlLayout | None = None) -> str:
-    """A TOML file.
+    """Return the text of a TOML file.
 
     Tables become sections, and so do lists of tables, and tables that hold nothing but tables. All others are
     written within a line, or with the items of long lists on lines of their own.
 
     Args:
-        values: what the file is to say: text, finite numbers, truth values, lists and tables of these, and
-            `Usual` for what need not be said.
-        layout: a file, the comments and layout of which are to stay. What it says otherwise than `values` is
-            changed, keys of which neither `values` nor `layout.says` know stay.
+        values: the values of the file: text, finite numbers, truth values, lists and tables of these, and
+            `Usual` for defaults.
+        layout: a file whose comments and layout are kept. Its values are changed where they differ from
+            `values`; keys that neither `values` nor `layout.values` have stay.
 
     Raises:
         ValueError: something else among the values.
     """
-    given, says = ("", {}) if layout is None else layout
+    given, old = ("", {}) if layout is None else layout
     text = given.replace("\r\n", "\n")
-    root = _sections(text)
-    pieces = _Pieces()
-    pieces.change(root, says, values, ())
-    changed = pieces.text()
+    editor = _Editor(_sections(text))
+    editor.update((), old, values)
+    changed = editor.text()
     if not text.endswith("\n\n") and changed.strip():
         changed = changed.rstrip("\n") + "\n" * (changed != text or text.endswith("\n"))
     return changed if text == given else changed.replace("\n", "\r\n")
 
 
-class _Section:
-    """A section of a file, and those within it.
+class _Section(NamedTuple):
+    """A section of a file.
 
     Attributes:
-        number: which of the sections of the file it is.
-        header: the comments above it, and the header itself; None if there is none, as of "a" in [a.b].
+        number: its number in the file.
+        header: the comments above it, and the header itself.
         body: its entries.
         tail: blank lines and comments after the last entry, up to what belongs to the next header.
-        within: sections within this one by their keys; a list for a list of tables.
     """
 
-    def __init__(self) -> None:
-        self.number, self.header, self.body, self.tail = -1, "", "", ""
-        self.written = False
-        self.within: dict[str, _Section | list[_Section]] = {}
-
-    def all(self) -> Iterator[_Section]:
-        """This section and those within, in any order."""
-        yield self
-        for child in self.within.values():
-            for each in child if isinstance(child, list) else [child]:
-                yield from each.all()
-
-    @property
-    def last(self) -> int:
-        """Number of the last section in here."""
-        return max(each.number for each in self.all())
+    number: int
+    header: str
+    body: str
+    tail: str
 
 
-def _sections(text: str) -> _Section:
-    """A file, cut at its headers."""
-    scan = _Scan(text)
-    scan.file()
+def _sections(text: str) -> dict[Place, _Section]:
+    """Cut a file at its headers; returns sections by place, the entries above all headers at ()."""
+    headers = _Scanner(text).headers
     lines = re.findall(r"[^\n]*\n|[^\n]+", text)
-    root = _Section()
-    ends = [line - 1 for line, _ in scan.headers] + [len(lines)]
-    root.number, root.written, lead = 0, True, 0
-    section, begin = root, 0
-    for number, end in enumerate(ends):
-        entries = end
+    sections: dict[Place, _Section] = {}
+    place: Place = ()
+    header, begin = "", 0
+    for number, (line, following) in enumerate([*headers, (len(lines) + 1, ())]):
+        end = entries = line - 1
         while entries > begin and lines[entries - 1].lstrip(" \t")[:1] in ("#", "\n", ""):
             entries -= 1
         blank = (at for at in range(entries, end) if not lines[at].strip())
-        lead = end if number == len(ends) - 1 else next(blank, entries - 1) + 1
-        section.body, section.tail = "".join(lines[begin:entries]), "".join(lines[entries:lead])
-        if section is root and not section.body:  # what stands above all else stays there
-            section.header, section.tail, lead = "".join(lines[:end]), "", end
-        if number < len(scan.headers):
-            section = _within(root, scan.headers[number][1])
-            section.header = "".join(lines[lead : end + 1])
-            section.number, section.written, begin = number + 1, True, end + 1
-    return root
+        lead = end if number == len(headers) else next(blank, entries - 1) + 1
+        body, tail = "".join(lines[begin:entries]), "".join(lines[entries:lead])
+        if not place and not body:  # what is above everything else stays there
+            header, tail, lead = "".join(lines[:end]), "", end
+        sections[place] = _Section(number, header, body, tail)
+        place, header, begin = following, "".join(lines[lead : end + 1]), end + 1
+    return sections
 
 
-def _within(section: _Section, place: Place) -> _Section:
-    """The section at a place, made where there is none yet."""
-    for key, number in zip(place, (*place[1:], None), strict=True):
-        if isinstance(key, int):
-            continue
-        if isinstance(number, int):
-            listed = section.within.setdefault(key, [])
-            assert isinstance(listed, list)
-            listed.extend(_Section() for _ in range(len(listed), number + 1))
-            section = listed[number]
-        else:
-            child = section.within.setdefault(key, _Section())
-            assert isinstance(child, _Section)
-            section = child
-    return section
+class _Editor:
+    """Edits a file section by section.
 
+    The pieces of the new text are sorted by the section that they belong to or follow, then by their order.
+    """
 
-class _Pieces:
-    """The pieces of the text that is to be written, by where they go."""
-
-    def __init__(self) -> None:
+    def __init__(self, sections: Mapping[Place, _Section]) -> None:
+        self._sections = sections
         self._pieces: dict[tuple[int, int], tuple[str, bool]] = {}
         self._count = count(1)
 
     def text(self) -> str:
-        """All of them; new ones with blank lines around."""
+        """Join the pieces, with blank lines around new ones."""
         text, apart = "", False
         for _, (piece, new) in sorted(self._pieces.items()):
             if text and piece and (new or apart) and not text.endswith("\n\n"):
@@ -288,234 +257,238 @@ class _Pieces:
             apart = new if piece else apart
         return text
 
-    def change(
-        self, section: _Section, says: Mapping[str, Any], values: Mapping[str, Any], place: Place
-    ) -> None:
-        """Write a section that is there, and those within, with other values."""
-        within = {key: child for key, child in section.within.items() if _fits(child, values.get(key))}
-        said = {key: value for key, value in says.items() if key not in within}
-        own = {key: value for key, value in values.items() if key not in within}
-        there = tomllib.loads(section.body) if said != own else own
-        new = {key for key, value in own.items() if key not in there and not _same(said, key, value)}
-        sections = {key for key in new if _is_section(own[key], place, section.written)}
+    def _insert(self, after: int, text: str, new: bool = True) -> None:
+        self._pieces[after, next(self._count)] = text, new
+
+    def _within(self, place: Place) -> list[_Section]:
+        """Return the sections at and below a place, in the order of the file."""
+        return [each for other, each in self._sections.items() if other[: len(place)] == place]
+
+    def _children(self, place: Place) -> dict[str, bool]:
+        """Return the keys of sections below a place, and whether each is a list of tables."""
+        depth, found = len(place), dict[str, bool]()
+        for other in self._sections:
+            if len(other) > depth and other[:depth] == place:
+                found[str(other[depth])] = len(other) > depth + 1 and isinstance(other[depth + 1], int)
+        return found
+
+    def update(self, place: Place, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
+        """Write the sections at and below a place with new values."""
+        section, children = self._sections.get(place), self._children(place)
+        kept = {
+            key
+            for key, listed in children.items()
+            if (_is_list_of_tables if listed else _is_table)(new.get(key))
+        }
+        own_old = {key: value for key, value in old.items() if key not in kept}
+        own = {key: value for key, value in new.items() if key not in kept}
+        present = own if own_old == own else tomllib.loads(section.body) if section else {}
+        added = {key for key in own if key not in present and not _unchanged(own_old, own, key)}
+        outermost, headless = not place, section is None
+        sections = {key for key in added if _is_section(own[key], outermost, headless)}
         own = {key: value for key, value in own.items() if key not in sections}
-        at = (section.number, 0)
-        if section.written:
-            body = section.body if said == own else _changed(section.body, said, own)
-            begun = not place and bool(body) and not section.body
+        if section:
+            at = (section.number, 0)
+            body = section.body if own_old == own else _edited(section.body, own_old, own)
+            begun = outermost and bool(body) and not section.body
             self._pieces[at] = (section.header + body + section.tail, begun)
         else:
-            at = (min(each.number for each in section.all() if each.written) - 1, next(self._count))
-            if _said(own).keys() & new:
-                self._pieces[at] = (_section(place, {key: own[key] for key in own if key in new}), True)
-        for key, value in values.items():
-            child = within.get(key)
+            at = (self._within(place)[0].number - 1, next(self._count))
+            if drop_defaults(own).keys() & added:
+                self._pieces[at] = _new_section(place, {key: own[key] for key in own if key in added}), True
+        for key, value in new.items():
+            child = (*place, key)
             if key in sections:
-                self._add((*place, key), value, at[0])
-            elif isinstance(child, list):
-                self._change_list(child, says.get(key), value, (*place, key))
-                at = max(at, (max(each.last for each in child), 0))
-            elif child is not None:
-                self.change(child, says.get(key, {}), value, (*place, key))
-                at = max(at, (child.last, 0))
-        for key, child in section.within.items():
-            if key not in values and key not in says:
-                for listed in child if isinstance(child, list) else [child]:
-                    self._keep(listed)
-
-    def _keep(self, section: _Section) -> None:
-        for each in section.all():
-            if each.written:
+                self._add(child, value, at[0])
+            elif key in kept:
+                if children[key]:
+                    self._update_list(child, old.get(key), value)
+                else:
+                    self.update(child, old.get(key, {}), value)
+                at = max(at, (self._within(child)[-1].number, 0))
+        for key in children.keys() - new.keys() - old.keys():  # the user's own
+            for each in self._within((*place, key)):
                 self._pieces[each.number, 0] = (each.header + each.body + each.tail, False)
 
     def _add(self, place: Place, value: Any, after: int) -> None:
         """Write a new section, or a list of them."""
-        if isinstance(value, Mapping):
-            nested = {key: each for key, each in value.items() if _is_section(each, place, True)}
-            own = {key: each for key, each in value.items() if key not in nested}
-            if own or not nested:
-                self._pieces[after, next(self._count)] = (_section(place, own), True)
-            for key, tables in nested.items():
-                for name, table in tables.items():
-                    self._add((*place, key, name), table, after)
-        else:
+        if not isinstance(value, Mapping):
             for each in value:
-                self._pieces[after, next(self._count)] = (_section(place, each, listed=True), True)
+                self._insert(after, _new_section(place, each, listed=True))
+            return
+        nested = {key: each for key, each in value.items() if _is_section(each)}
+        own = {key: each for key, each in value.items() if key not in nested}
+        if own or not nested:
+            self._insert(after, _new_section(place, own))
+        for key, tables in nested.items():
+            for name, table in tables.items():
+                self._add((*place, key, name), table, after)
 
-    def _change_list(self, there: list[_Section], says: Any, values: Any, place: Place) -> None:
+    def _update_list(self, place: Place, old: Any, new: Any) -> None:
         """Write a list of sections, some of which may be new, gone, or elsewhere in it."""
-        of = (
-            _matches(says, values)
-            if isinstance(says, list) and len(says) == len(there)
-            else [None] * len(values)
-        )
-        first = min(each.number for section in there for each in section.all() if each.written)
-        still = of == list(range(len(there)))
-        before = -1
-        for number, value in zip(of, values, strict=True):
-            if number is None:
-                self._pieces[first, next(self._count)] = (_section(place, value, listed=True), True)
-            elif still:
-                self.change(there[number], says[number], value, place)
+        items = {other[: len(place) + 1] for other in self._sections if other[: len(place)] == place}
+        same_count = isinstance(old, list) and len(old) == len(items)
+        origins = _matches(old, new) if same_count else [None] * len(new)
+        first, before = self._within(place)[0].number, -1
+        in_place = origins == list(range(len(items)))
+        for origin, value in zip(origins, new, strict=True):
+            if origin is None:
+                self._insert(first, _new_section(place, value, listed=True))
+            elif in_place:
+                self.update((*place, origin), old[origin], value)
             else:
-                own = _Pieces()
-                own.change(there[number], says[number], value, place)
-                self._pieces[first, next(self._count)] = (own.text(), number != before + 1)
-            before = -2 if number is None else number
+                item = _Editor(self._sections)
+                item.update((*place, origin), old[origin], value)
+                self._insert(first, item.text(), origin != before + 1)
+            before = -2 if origin is None else origin
 
 
-def _fits(child: _Section | list[_Section], value: object) -> bool:
-    """Whether a value can stand in the sections that are there."""
-    if isinstance(child, list):
-        return isinstance(value, list) and bool(value) and all(isinstance(each, Mapping) for each in value)
+def _is_list_of_tables(value: object) -> bool:
+    return isinstance(value, list) and bool(value) and all(map(_is_table, value))
+
+
+def _is_table(value: object) -> bool:
     return isinstance(value, Mapping)
 
 
-def _is_section(value: object, place: Place, written: bool) -> bool:
-    """Whether a new value becomes a section, and not an entry of the section at a place."""
-    if isinstance(value, list):
-        return not place and bool(value) and all(isinstance(each, Mapping) for each in value)
+def _is_section(value: object, outermost: bool = False, headless: bool = False) -> bool:
+    """Whether a new value becomes a section, and not an entry of the section that it is in."""
     if not isinstance(value, Mapping):
-        return False
-    nested = bool(value) and all(isinstance(each, Mapping) for each in value.values())
-    return not place or not written or nested
+        return outermost and _is_list_of_tables(value)
+    return outermost or headless or (bool(value) and all(map(_is_table, value.values())))
 
 
-def _matches(says: Sequence[Any], values: Sequence[Any]) -> list[int | None]:
-    """For each table of a list, which one it was before: the same, or one that is alike."""
-    left, found = list(range(len(says))), dict[int, int]()
+def _matches(old: Sequence[Any], new: Sequence[Any]) -> list[int | None]:
+    """Return for each table of a list its number before: that of an equal table, or of a similar one."""
+    left, found = list(range(len(old))), dict[int, int]()
 
-    def alike(key: str, named: bool) -> Callable[[Any, Any], bool]:
-        return lambda one, other: one.get(key) == other.get(key) and (key in one) == named
+    def alike(key: str, present: bool) -> Callable[[Any, Any], bool]:
+        return lambda one, other: one.get(key) == other.get(key) and (key in one) == present
 
-    tests = (
-        (eq, False),
+    tests: list[tuple[Callable[[Any, Any], bool], bool]] = [
+        (lambda one, other: bool(one == other), False),
         (alike("name", True), False),
         (alike("curve", True), True),
         (alike("name", False), True),
-    )
-    for same, ordered in tests:
-        for at, value in enumerate(values):
+    ]
+    for similar, ordered in tests:
+        for at, value in enumerate(new):
             if at in found:
                 continue
-            lowest = max((found[each] for each in found if each < at), default=-1) if ordered else -1
-            highest = (
-                min((found[each] for each in found if each > at), default=len(says)) if ordered else len(says)
-            )
-            old = next((i for i in left if lowest < i < highest and same(says[i], value)), None)
-            if old is not None:
-                found[at] = old
-                left.remove(old)
-    return [found.get(at) for at in range(len(values))]
+            low, high = -1, len(old)
+            if ordered:  # between the tables that are matched already
+                low = max((found[each] for each in found if each < at), default=low)
+                high = min((found[each] for each in found if each > at), default=high)
+            origin = next((i for i in left if low < i < high and similar(old[i], value)), None)
+            if origin is not None:
+                found[at] = origin
+                left.remove(origin)
+    return [found.get(at) for at in range(len(new))]
 
 
-def _same(says: Mapping[str, Any], key: str, value: Any) -> bool:
-    """Whether a key has this value already, said or not."""
-    return key in says and bool(says[key] == value)
+def _unchanged(old: Mapping[str, Any], new: Mapping[str, Any], key: str) -> bool:
+    return key in old and bool(old[key] == new[key])
 
 
-def _said(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The values without those that need not be said."""
-    return {key: value for key, value in values.items() if not isinstance(value, Usual)}
-
-
-def _section(place: Place, values: Mapping[str, Any], listed: bool = False) -> str:
-    """The text of a new section."""
+def _new_section(place: Place, values: Mapping[str, Any], listed: bool = False) -> str:
     document = tomlkit.document()
-    for key, value in _said(values).items():
+    for key, value in drop_defaults(values).items():
         document.append(key, _entry(key, value))
-    name = ".".join(tomlkit.key(str(key)).as_string() for key in place)
+    name = ".".join(tomlkit.key(key).as_string() for key in place if isinstance(key, str))
     header = "" if not place else f"[[{name}]]\n" if listed else f"[{name}]\n"
     return header + document.as_string()
 
 
-def _changed(body: str, says: Mapping[str, Any], values: Mapping[str, Any]) -> str:
-    """The entries of a section with other values."""
+# Entries of a section, by tomlkit.
+
+
+def _edited(body: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
+    """Return the entries of a section with new values."""
     document = tomlkit.parse(body)
-    _change_table(document, says, values)
+    _edit_table(document, old, new)
     text = document.as_string()
     return text if text.endswith("\n") or not text else f"{text}\n"
 
 
-def _change_table(table: Any, says: Mapping[str, Any], values: Mapping[str, Any]) -> None:
+def _edit_table(table: Any, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
     for key in list(table):
-        old: Any = says.get(key, {})
-        new: Any = values.get(key)
-        if (key not in values and key in says) or (isinstance(new, Usual) and old != new):
+        before: Any = old.get(key, {})
+        after: Any = new.get(key)
+        if (key not in new and key in old) or (isinstance(after, Usual) and before != after):
             del table[key]
-        elif key in values and not _same(says, key, new):
+        elif key in new and not _unchanged(old, new, key):
             item = table[key]
             if isinstance(item, AbstractTable) and not isinstance(item, InlineTable):
-                _change_table(item, old, new)  # of dotted keys
+                _edit_table(item, before, after)  # of dotted keys
             else:
-                changed = _changed_item(item, old, new, key)
-                if changed is not item:
-                    table[key] = changed
-    for key, value in _said(values).items():
-        if key not in table and not _same(says, key, value):
+                _replace(table, key, _edited_item(item, before, after, key))
+    for key, value in drop_defaults(new).items():
+        if key not in table and not _unchanged(old, new, key):
             table.append(key, _entry(key, value))
 
 
-def _changed_item(item: Any, old: Any, new: Any, key: str = "") -> Any:
-    """An item that says something else; the same item as far as it still holds."""
+def _replace(container: Any, key: str | int, item: Any) -> None:
+    """Put in an item, unless it is there already: tomlkit would lose the layout around it."""
+    if container[key] is not item:
+        container[key] = item
+
+
+def _edited_item(item: Any, old: Any, new: Any, key: str = "") -> Any:
+    """Return an item with a new value; the same item as far as possible."""
     if old == new:
         return item
     if isinstance(item, InlineTable) and isinstance(old, Mapping) and isinstance(new, Mapping):
         if item.keys() == new.keys():
             for name in new:
-                changed = _changed_item(item[name], old.get(name), new[name])
-                if changed is not item[name]:
-                    item[name] = changed
+                _replace(item, name, _edited_item(item[name], old.get(name), new[name]))
             return item
         table = tomlkit.inline_table()
         for name in (*(name for name in item if name in new), *(name for name in new if name not in item)):
             kept = name in item and name in old
-            table.append(name, _changed_item(item[name], old[name], new[name]) if kept else _item(new[name]))
+            table.append(name, _edited_item(item[name], old[name], new[name]) if kept else _item(new[name]))
         return table
-    if isinstance(item, Array) and isinstance(new, list) and _says(item, old):
-        _change_list(item, old, new)
+    if isinstance(item, Array) and isinstance(new, list) and _may_mean(item, old):
+        _edit_list(item, old, new)
         return item
     return _entry(key, new)
 
 
-def _says(item: Any, value: Any) -> bool:
-    """Whether an item may well say a value: text may be a number with its unit."""
+def _may_mean(item: Any, value: Any) -> bool:
+    """Whether an item may stand for a value: text may be a number with its unit."""
     if isinstance(item, list) and isinstance(value, list):
-        return len(item) == len(value) and all(map(_says, item, value))
+        return len(item) == len(value) and all(map(_may_mean, item, value))
     if isinstance(item, str) and isinstance(value, int | float):
         return True
     return isinstance(item, Mapping) or bool(item == value)
 
 
-def _change_list(array: Array, old: list[Any], new: list[Any]) -> None:
-    """Change items of a list in their places, with the comments beside them."""
-    matcher = SequenceMatcher(
-        None, [repr(each) for each in old], [repr(each) for each in new], autojunk=False
-    )
-    everything = [("replace", 0, len(old), 0, len(new))]
-    for _, i1, i2, j1, j2 in everything if len(old) == len(new) else reversed(matcher.get_opcodes()):
+def _edit_list(array: Array, old: list[Any], new: list[Any]) -> None:
+    """Change items of a list in place, so that the comments beside them stay."""
+    changes: Sequence[tuple[str, int, int, int, int]] = [("replace", 0, len(old), 0, len(new))]
+    if len(old) != len(new):
+        matcher = SequenceMatcher(None, list(map(repr, old)), list(map(repr, new)), autojunk=False)
+        changes = matcher.get_opcodes()[::-1]
+    for _, i1, i2, j1, j2 in changes:
         both = min(i2 - i1, j2 - j1)
         for at in reversed(range(i1 + both, i2)):
             del array[at]
         for at in range(j1 + both, j2):
             array.insert(i1 + at - j1, _item(new[at]))
         for at in range(both):
-            changed = _changed_item(array[i1 + at], old[i1 + at], new[j1 + at])
-            if changed is not array[i1 + at]:
-                array[i1 + at] = changed
+            _replace(array, i1 + at, _edited_item(array[i1 + at], old[i1 + at], new[j1 + at]))
 
 
 def _entry(key: str, value: Any) -> Item:
-    """An item to stand after a key: within a line if it fits, or else with its long lists over several."""
+    """Return an item to stand after a key: on one line if it fits, else with long lists over several."""
     item = _item(value)
     before = len(tomlkit.key(key).as_string()) + 3 if key else 0
-    return item if before + len(item.as_string()) <= WIDTH else _item(value, broken=True)
+    return item if before + len(item.as_string()) <= MAX_LINE_WIDTH else _item(value, broken=True)
 
 
 def _item(value: Any, broken: bool = False) -> Item:
     if isinstance(value, Mapping):
         table = tomlkit.inline_table()
-        for key, each in _said(value).items():
+        for key, each in drop_defaults(value).items():
             table.append(key, _item(each, broken))
         return table
     if isinstance(value, list | tuple):
@@ -527,14 +500,14 @@ def _item(value: Any, broken: bool = False) -> Item:
 def _array(items: list[Item], broken: bool) -> Array:
     array = tomlkit.array()
     texts = [item.as_string() for item in items]
-    if not broken or sum(map(len, texts)) + 2 * len(texts) <= WIDTH // 2:
+    if not broken or sum(map(len, texts)) + 2 * len(texts) <= MAX_LINE_WIDTH // 2:
         array.extend(items)
         return array
     nested = any(isinstance(item, Array | InlineTable) for item in items)
     line: list[Item] = []
     width = 0
     for item, text in zip(items, texts, strict=True):
-        if line and (nested or width + len(text) + 4 > WIDTH):
+        if line and (nested or width + len(text) + 4 > MAX_LINE_WIDTH):
             array.add_line(*line)
             line, width = [], 0
         line.append(item)

@@ -16,7 +16,7 @@ from task.keyed_arms import S_CURVE, coil
 
 import pinposture as pp
 from pinposture.placement.curve_placement import lay
-from pinposture.task.interpolation import Beginning, Bending
+from pinposture.task.interpolation import AnchoredCurve, Bending
 
 CURVES = {
     "line": lambda: pp.Curve.line((0, 0, 0), (2, 0, 0)),
@@ -37,7 +37,7 @@ def bendings() -> Bending:
 
 
 def vector(curve: pp.Curve, roll: float = 0.3) -> np.ndarray:
-    return bendings().vector(Beginning(lay(spatial(), curve, "align", roll), 0.0))
+    return bendings().vector(AnchoredCurve(lay(spatial(), curve, "align", roll), 0.0))
 
 
 def turns(of: np.ndarray) -> np.ndarray:
@@ -86,7 +86,7 @@ def test_between_two_arcs_lies_the_arc_of_the_mean_curvature(share: float) -> No
 
 def test_beyond_its_end_a_curve_goes_straight_on() -> None:
     short = lay(spatial(), pp.Curve.spline(0.5 * S_CURVE), "align", 0.0)
-    back = bendings().curves(bendings().vector(Beginning(short, 0.0))[None])[0]
+    back = bendings().curves(bendings().vector(AnchoredCurve(short, 0.0))[None])[0]
     s = np.array([0.02, 0.2, 0.4])
     end, direction = short.end, short.tangent(short.length)
     assert np.allclose(back.at(short.length + s), end + s[:, None] * direction, atol=1e-5)
@@ -94,17 +94,17 @@ def test_beyond_its_end_a_curve_goes_straight_on() -> None:
 
 def test_a_curve_may_begin_beside_the_base_and_before_it() -> None:
     curve = pp.Curve.spline(S_CURVE + (-0.2, 0.003, 0.0))
-    begun = Beginning(curve, float(curve.nearest(spatial().chain.base)[0]))
-    back = bendings().curves(bendings().vector(begun)[None])[0]
+    anchored = AnchoredCurve(curve, float(curve.nearest(spatial().chain.base)[0]))
+    back = bendings().curves(bendings().vector(anchored)[None])[0]
     s = np.linspace(0, 1.0, 99)
-    assert np.abs(back.at(s) - curve.at(begun.parameter + s)).max() < 1e-7
+    assert np.abs(back.at(s) - curve.at(anchored.parameter + s)).max() < 1e-7
 
 
 def test_curves_of_a_planar_arm_stay_in_its_plane() -> None:
     arm = pp.Arm.from_template("RzRz", modules=6)
     bending = Bending(arm, 1.2 * arm.length)
     laid = (lay(arm, pp.Curve.helix(r * arm.length, 0, 1, axis=(1, 2, 3)), "align", 0.0) for r in (0.3, 0.9))
-    ring, bow = (bending.vector(Beginning(curve, 0.0)) for curve in laid)
+    ring, bow = (bending.vector(AnchoredCurve(curve, 0.0)) for curve in laid)
     curve = bending.curves((0.4 * ring + 0.6 * bow)[None])[0]
     normal = np.cross(*arm.plane)
     assert np.abs((curve.points - arm.chain.base) @ normal).max() < 1e-9 * arm.length
@@ -114,7 +114,7 @@ def test_curves_of_a_planar_arm_stay_in_its_plane() -> None:
 def test_directions_go_on_the_way_round_that_they_were_going(sign: float) -> None:
     def out(angle: float, before: np.ndarray | None) -> np.ndarray:
         line = pp.Curve.line((0, 0, 0), (np.cos(angle), np.sin(angle), 0))
-        return bendings().vector(Beginning(line, 0.0), before)
+        return bendings().vector(AnchoredCurve(line, 0.0), before)
 
     before = None
     for angle in sign * np.array([1.0, 2.5, np.pi, 4.0, 6.0, 8.0]):

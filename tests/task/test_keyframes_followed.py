@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 from task.keyed_arms import S_CURVE, coil, five_postures, snake, straight
 
 import pinposture as pp
-from pinposture.task.interpolation import Beginning, Bending, crossfade
+from pinposture.task.interpolation import AnchoredCurve, Bending, crossfade
 from pinposture.task.keyframes import Keyframe, keyframe_reference
 from pinposture.task.reference import Reference
 
@@ -53,7 +53,9 @@ def midway(reference: Reference, index: int) -> tuple[np.ndarray, int]:
     arm, (first, last) = reference.arm, reference.marks[index : index + 2]
     bending, vectors = Bending(arm, 1.2 * arm.length), []
     for mark in (first, last):
-        vectors.append(bending.vector(Beginning(mark.target.curve, 0.0), vectors[-1] if vectors else None))
+        vectors.append(
+            bending.vector(AnchoredCurve(mark.target.curve, 0.0), vectors[-1] if vectors else None)
+        )
     curve = bending.curves(np.mean(vectors, axis=0)[None])[0]
     return curve.at(np.linspace(0, curve.length, 40_000)), (first.row + last.row) // 2
 

@@ -170,19 +170,19 @@ def test_a_task_in_python_needs_no_file() -> None:
 def test_specifications_hold_what_a_file_says_in_si_units(tmp_path: Path) -> None:
     path = tmp_path / "task.toml"
     path.write_text(VALID)
-    document = Document(path)
+    document = Document.load(path)
     arm = read_arm(document)
     assert (arm.template, arm.modules, arm.link_lengths) == ("RyRz", 6, (0.025, 0.025))
     assert arm.joint_limits == (pytest.approx(-170 * np.pi / 180), 3.0)
     spec = document.read(TaskSpec, (), {"arm": pp.Arm.from_spec(arm)})
-    assert spec.limits.said() == {"cycle": 0.02, "velocity": np.pi / 2, "acceleration": 10.0}
-    assert spec.controller.said() == {"name": "geodesic", "joint_weight": 0.2}
-    assert spec.scene.said() == {
+    assert spec.limits.given() == {"cycle": 0.02, "velocity": np.pi / 2, "acceleration": 10.0}
+    assert spec.controller.given() == {"name": "geodesic", "joint_weight": 0.2}
+    assert spec.scene.given() == {
         "margin": 0.005,
         "obstacles": {"ball": {"type": "sphere", "center": [0.0, 0.0, -0.5], "radius": 0.1}},
     }
     first, second = spec.keyframes
-    assert first.said() == {"name": "straight", "curve": {"type": "line", "a": [0, 0, 0], "b": [0.3, 0, 0]}}
+    assert first.given() == {"name": "straight", "curve": {"type": "line", "a": [0, 0, 0], "b": [0.3, 0, 0]}}
     assert (second.time, second.hold, second.placement, second.trim) == (1.0, 0.1, "align", True)
     assert second.curve == {"type": "helix", "radius": 0.1, "pitch": 0, "turns": 0.6}
     assert TaskSpec.model_validate(document.values, context={"arm": pp.Arm.from_spec(arm)}) == spec
