@@ -37,7 +37,7 @@ MAX_FAILURES = 3
 JOIN_EVERY = 0.1
 """Depth of withdrawal after which a join is tried again, in arm lengths."""
 
-JOIN_NODES, SEARCH_NODES = 500, 5000
+JOIN_NODES, SEARCH_NODES = 500, 2000
 """Largest number of tree nodes of a join, and of the search between start and goal."""
 
 TREE_STEP, PIECE_TURN = 0.3, 0.1
