@@ -192,7 +192,7 @@ def support(shape, n):
         return n @ np.array(shape.center) + np.abs(turned) @ (np.array(shape.size) / 2.0)
     start, end = np.array(shape.start), np.array(shape.end)
     axis = (end - start) / np.linalg.norm(end - start)
-    across = np.sqrt(np.maximum(1.0 - (n @ axis) ** 2, 0.0))
+    across = np.linalg.norm(n - (n @ axis)[:, None] * axis, axis=1)
     return np.maximum(n @ start, n @ end) + shape.radius * across
 
 
