@@ -14,7 +14,7 @@ from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.curve.construction import deviation
 from pinposture.errors import CurveError, InvalidValue, TaskError
-from pinposture.placement.curve_placement import beginning, lay
+from pinposture.placement.curve_placement import beginning, place_curve
 from pinposture.task import Keyframe, Task
 from pinposture.task.follow_leader import Leader
 
@@ -71,7 +71,7 @@ class Shape:
     @classmethod
     def of(cls, arm: Arm, keyframe: Keyframe) -> Shape:
         """Return the shape of a keyframe: its own control points, or a few that fit its curve."""
-        laid = lay(arm, keyframe.curve, keyframe.placement, keyframe.roll)
+        laid, _ = place_curve(arm, keyframe.curve, keyframe.placement, keyframe.roll)
         begin, on_it = beginning(arm, laid)
         begin = begin if on_it else 0.0
         own = laid.control_points if begin == 0.0 and laid.degree <= DEGREE else None

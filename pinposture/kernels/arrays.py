@@ -81,7 +81,7 @@ class Screws(NamedTuple):
     points: Array2
 
 
-class Screwed(NamedTuple):
+class ScrewChain(NamedTuple):
     """A chain as screws in its neutral posture, each joint given to the first point that it can move.
 
     Attributes:

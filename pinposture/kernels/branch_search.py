@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array1, Array2, Array3, Ints1, Screwed
+from pinposture.kernels.arrays import Array1, Array2, Array3, Ints1, ScrewChain
 from pinposture.kernels.compiled import compiled, subkernel
 
 MOST = 24
@@ -84,7 +84,7 @@ def rank(values: Array1, count: int, order: Ints1) -> None:
 
 
 @subkernel
-def put_within(chain: Screwed, u: int, q: float) -> float:
+def put_within(chain: ScrewChain, u: int, q: float) -> float:
     """The position of a joint that is the same but for whole turns, nearest to where it is to be near.
 
     Where the limits allow none of them, the limit that is nearest.
@@ -105,7 +105,7 @@ def put_within(chain: Screwed, u: int, q: float) -> float:
 
 
 @subkernel
-def last_joint(chain: Screwed, u: int, x: Array1, goal: Array1) -> float:
+def last_joint(chain: ScrewChain, u: int, x: Array1, goal: Array1) -> float:
     """The position of joint u that brings the point x nearest to a goal."""
     a, o = chain.axes[u], chain.origins[u]
     if chain.slides[u]:
@@ -118,7 +118,7 @@ def last_joint(chain: Screwed, u: int, x: Array1, goal: Array1) -> float:
 
 
 @subkernel
-def last_two(chain: Screwed, u: int, c: Array1, goal: Array1, alone: bool, out: Array2) -> int:
+def last_two(chain: ScrewChain, u: int, c: Array1, goal: Array1, alone: bool, out: Array2) -> int:
     """Positions of the hinges u and u + 1 that may bring the point c to a goal.
 
     Args:
@@ -187,7 +187,14 @@ def last_two(chain: Screwed, u: int, c: Array1, goal: Array1, alone: bool, out: 
 
 @subkernel
 def misses(
-    chain: Screwed, first: int, last: int, turns: Array3, places: Array2, points: Array2, q: Array1, e: Array2
+    chain: ScrewChain,
+    first: int,
+    last: int,
+    turns: Array3,
+    places: Array2,
+    points: Array2,
+    q: Array1,
+    e: Array2,
 ) -> float:
     """How far the modules first to last leave their points, into e (W, 3); the sum of squares.
 
@@ -217,7 +224,7 @@ def misses(
 
 @subkernel
 def rows_of(
-    chain: Screwed, first: int, last: int, turns: Array3, places: Array2, q: Array1, rows: Array2
+    chain: ScrewChain, first: int, last: int, turns: Array3, places: Array2, q: Array1, rows: Array2
 ) -> None:
     """How the joints of the modules first to last move their ends, into rows (3 W, n)."""
     begin, modules = chain.begins[first], last - first + 1
@@ -270,7 +277,7 @@ def solve_squares(matrix: Array2, x: Array1, r: int) -> None:
 
 @subkernel
 def corrected(
-    chain: Screwed,
+    chain: ScrewChain,
     first: int,
     last: int,
     turns: Array3,
@@ -385,7 +392,7 @@ def kept(left: float, q: Array1, first: int, stop: int, lefts: Array1, found: Ar
 
 @subkernel
 def ends_of(
-    chain: Screwed,
+    chain: ScrewChain,
     k: int,
     turns: Array3,
     places: Array2,
@@ -476,7 +483,7 @@ def ends_of(
 
 
 @subkernel
-def corrected_from(chain: Screwed, k: int, window: int) -> int:
+def corrected_from(chain: ScrewChain, k: int, window: int) -> int:
     """The first of the modules that are corrected together with module k.
 
     Some more than usual where that gives them as many joints as their points have coordinates.
@@ -490,7 +497,7 @@ def corrected_from(chain: Screwed, k: int, window: int) -> int:
 
 @compiled
 def search_branches(
-    chain: Screwed,
+    chain: ScrewChain,
     points: Array2,
     size: float,
     good: float,

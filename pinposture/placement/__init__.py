@@ -1,4 +1,4 @@
-"""Where each control point belongs: module kinematics, Algorithm 1, the target posture."""
+"""Target posture of an arm: module kinematics, placement on a curve, fit to points."""
 
 from pinposture.placement.points import fit_points
 from pinposture.placement.resolve import resolve_targets

@@ -1,4 +1,4 @@
-"""Laying a curve at an arm, and what it means that modules have their places on it."""
+"""Move a curve to an arm, and measure how far the arm is from it."""
 
 from __future__ import annotations
 
@@ -15,12 +15,14 @@ from pinposture.errors import TargetError
 
 Array = NDArray[np.float64]
 
-ROUNDING = 1e-9
-"""Slack for positions, relative to the arm length, and for joint limits [rad]."""
+ON_CURVE = 1e-9
+"""Distance from a curve that counts as zero, relative to the arm length."""
 
+MIN_MOVEMENT = 1e-9
+"""Smallest translation [m] and rotation [rad] that count as having moved a curve."""
 
-UNMOVED = 1e-9
-"""How far a curve may be moved and still be where it was [m and rad]."""
+SAMPLES_PER_LINK, REFINEMENTS = 4, 5
+"""Number of parts of a link in the search for its farthest point, and number of rounds of that search."""
 
 
 class Moved(NamedTuple):
@@ -36,30 +38,30 @@ class Moved(NamedTuple):
 
     @property
     def distance(self) -> float:
-        """How far its start was moved [m]."""
+        """Distance by which its start was moved [m]."""
         return math.hypot(*self.translation)
 
     @property
     def angle(self) -> float:
-        """How far it was turned [rad]."""
+        """Angle by which it was turned [rad]."""
         return math.hypot(*self.rotation)
 
     def __str__(self) -> str:
-        parts = (("moved", self.distance, "m"), ("turned", self.angle, "rad"))
-        said = [f"{how} by {much:.4g} {unit}" for how, much, unit in parts if much > UNMOVED]
-        return " and ".join(said) or "where it was drawn"
+        changes = (("moved", self.distance, "m"), ("turned", self.angle, "rad"))
+        parts = [f"{verb} by {size:.4g} {unit}" for verb, size, unit in changes if size > MIN_MOVEMENT]
+        return " and ".join(parts) or "where it was drawn"
 
     def __bool__(self) -> bool:
-        return max(self.distance, self.angle) > UNMOVED
+        return max(self.distance, self.angle) > MIN_MOVEMENT
 
 
 class Placement(NamedTuple):
-    """Where the modules of an arm belong on a curve.
+    """Positions of the modules of an arm on a curve.
 
     Attributes:
-        positions: joint positions, (nv,) [rad or m]; zero for modules without a place.
-        parameters: arc length of each control point, (m,) [m]; the curve's end for those without a place.
-        failure: why some module, and all after it, have no place; None if all have one.
+        positions: joint positions, (nv,) [rad or m]; zero for modules that could not be placed.
+        parameters: arc length of each control point, (m,) [m]; the curve's end where it could not be placed.
+        failure: why a module, and all after it, could not be placed; None if all are placed.
     """
 
     positions: Array
@@ -67,16 +69,11 @@ class Placement(NamedTuple):
     failure: TargetError | None
 
 
-def lay(arm: Arm, curve: Curve, placement: str | None, roll: float) -> Curve:
-    """Move a curve to an arm; see `resolve_targets`.
+def place_curve(arm: Arm, curve: Curve, placement: str | None, roll: float) -> tuple[Curve, Moved]:
+    """Move a curve to an arm as `resolve_targets` describes; return it and how it was moved.
 
     A plane curve for a planar arm is also rolled into the arm's plane, by the smaller angle.
     """
-    return laid(arm, curve, placement, roll)[0]
-
-
-def laid(arm: Arm, curve: Curve, placement: str | None, roll: float) -> tuple[Curve, Moved]:
-    """The curve moved to an arm, and how; as `lay`."""
     if placement == "as_is":
         return curve, Moved((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     turn = np.eye(3)
@@ -84,43 +81,34 @@ def laid(arm: Arm, curve: Curve, placement: str | None, roll: float) -> tuple[Cu
         axis = arm_axis(arm)
         turn = _least_rotation(curve.tangent(0.0), axis)
         if arm.dimension == 2 and curve.dimension == 2:
-            turn = _into_plane(arm, curve, turn, axis) @ turn
+            turn = _roll_into_plane(arm, curve, turn, axis) @ turn
         if roll != 0.0:
             turn = _rotation(axis, roll) @ turn
-    way = (arm.chain.base - curve.start).tolist()
-    moved = Moved((way[0], way[1], way[2]), _rotation_vector(turn))
+    translation = tuple((arm.chain.base - curve.start).tolist())
+    moved = Moved(translation, tuple(pin.log3(turn).tolist()))
     return curve.moved(turn, arm.chain.base - turn @ curve.start), moved
 
 
-def _rotation_vector(turn: Array) -> tuple[float, float, float]:
-    x, y, z = pin.log3(turn).tolist()
-    return x, y, z
-
-
 def beginning(arm: Arm, curve: Curve) -> tuple[float, bool]:
-    """Arc length at which the base of an arm comes nearest to a curve [m], and whether it is on it.
+    """Return the arc length of the point of a curve nearest to the base [m], and whether the base is on it.
 
-    A base that slides without real limits (`Arm.roaming`) drives to the start of a curve that it is not on.
+    A base that slides without limits (`Arm.roaming`) drives to the start of a curve that it is not on.
     """
-    slack = ROUNDING * arm.length
-    if math.dist(curve.start, arm.chain.base) <= slack:
+    tolerance = ON_CURVE * arm.length
+    if math.dist(curve.start, arm.chain.base) <= tolerance:
         return 0.0, True
     nearest, distance = curve.nearest(arm.chain.base)
-    if distance > slack and np.any(arm.roaming):
+    if distance > tolerance and np.any(arm.roaming):
         return 0.0, False
-    return float(nearest), float(distance) <= slack
-
-
-SAMPLES_PER_LINK, ZOOMS = 4, 5
-"""Into how many parts a link is cut to find its farthest place, and how often again around that place."""
+    return float(nearest), float(distance) <= tolerance
 
 
 def distance_from_curve(arm: Arm, q: Array, curve: Curve) -> float:
-    """How far the whole arm is from a curve: the farthest of all places along its links from the curve [m].
+    """Return the distance of the point of the arm farthest from a curve [m].
 
-    Links are straight between the centres of joints, control points and the tip (`ArmState.links`). A planar
-    arm is seen in the plane of its base: links and a tip that lie beside it are not farther for that. What
-    counts is the nearest place of the curve, so that one that goes on beyond the tip makes no difference.
+    Links are straight between joint centres, control points and the tip (`ArmState.links`). A planar arm is
+    projected onto the plane of its base. Each point is measured to the nearest point of the curve, so a curve
+    that goes on beyond the tip adds nothing.
 
     Args:
         arm: the arm.
@@ -128,78 +116,60 @@ def distance_from_curve(arm: Arm, q: Array, curve: Curve) -> float:
         curve: the curve, placed in the world.
 
     Returns:
-        The distance, from samples that close in on the farthest place; it may miss a peak that is narrower
-        than a quarter of a link.
+        The distance, found by sampling ever more finely around the farthest point; a peak narrower than a
+        quarter of a link may be missed.
     """
     ends = arm.chain.flattened(arm.at(q).compiled.links)
-    starts, ways = ends[:-1], np.diff(ends, axis=0)
-    longest = float(np.linalg.norm(ways, axis=1).max())
-    parts = np.maximum(np.ceil(SAMPLES_PER_LINK * np.linalg.norm(ways, axis=1) / longest), 1.0).astype(int)
-    link = np.repeat(np.arange(len(ways)), parts + 1)
+    starts, links = ends[:-1], np.diff(ends, axis=0)
+    longest = float(np.linalg.norm(links, axis=1).max())
+    parts = np.maximum(np.ceil(SAMPLES_PER_LINK * np.linalg.norm(links, axis=1) / longest), 1.0).astype(int)
+    link = np.repeat(np.arange(len(links)), parts + 1)
     share = np.concatenate([np.linspace(0.0, 1.0, count + 1) for count in parts])
     farthest = 0.0
-    for _ in range(ZOOMS):
-        distances = curve.nearest(starts[link] + share[:, None] * ways[link]).distance
+    for _ in range(REFINEMENTS):
+        distances = curve.nearest(starts[link] + share[:, None] * links[link]).distance
         best = int(np.argmax(distances))
         farthest = max(farthest, float(distances[best]))
-        at, width = share[best], 1.0 / parts[link[best]]
+        center, width = share[best], 1.0 / parts[link[best]]
         parts = parts * SAMPLES_PER_LINK
-        share = np.clip(np.linspace(at - width, at + width, 2 * SAMPLES_PER_LINK + 1), 0.0, 1.0)
+        share = np.clip(np.linspace(center - width, center + width, 2 * SAMPLES_PER_LINK + 1), 0.0, 1.0)
         link = np.full(len(share), link[best])
     return farthest
 
 
 def arm_axis(arm: Arm) -> Array:
-    """Direction in which the arm stretches from its base, unit vector (3,), world frame."""
+    """Return the direction from the base to the tip of the straight arm, unit vector (3,), world frame."""
     if arm_axis not in arm.cache:
-        arm.cache[arm_axis] = _stretch(arm)
+        reach = arm.chain.flattened(arm.at(arm.straight()).compiled.points[-1]) - arm.chain.base
+        direction = np.asarray(reach / max(float(np.linalg.norm(reach)), 1e-300))
+        direction.flags.writeable = False
+        arm.cache[arm_axis] = direction
     axis: Array = arm.cache[arm_axis]
     return axis
 
 
-def _stretch(arm: Arm) -> Array:
-    reach = arm.chain.flattened(arm.at(arm.straight()).compiled.points[-1]) - arm.chain.base
-    axis: Array = np.asarray(reach / max(float(np.linalg.norm(reach)), 1e-300))
-    axis.flags.writeable = False
-    return axis
-
-
 def _rotation(axis: Array, angle: float) -> Array:
-    """Rotation (3, 3) about a unit axis (3,) by an angle [rad]: the formula of Rodrigues."""
-    (x, y, z), c, s = axis.tolist(), math.cos(angle), math.sin(angle)
-    v = 1.0 - c
-    return np.array(
-        [
-            [c + v * x * x, v * x * y - s * z, v * x * z + s * y],
-            [v * x * y + s * z, c + v * y * y, v * y * z - s * x],
-            [v * x * z - s * y, v * y * z + s * x, c + v * z * z],
-        ]
-    )
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Cross product of two vectors (3,); NumPy's takes five times as long for a single one."""
-    (a0, a1, a2), (b0, b1, b2) = a.tolist(), b.tolist()
-    return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
+    """Return the rotation (3, 3) about a unit axis (3,) by an angle [rad]."""
+    return np.asarray(pin.AngleAxis(angle, axis).toRotationMatrix())
 
 
 def _least_rotation(a: Array, b: Array) -> Array:
-    """The rotation (3, 3) by the smallest angle that turns unit vector a into unit vector b."""
-    across = _cross(a, b)
-    sine, cosine = math.hypot(*across), float(a @ b)
-    if sine < 1e-12:  # parallel: nothing to do, or half a turn about any axis across
-        any_across = _cross(b, np.eye(3)[np.argmin(np.abs(b))])
-        return _rotation(any_across / np.linalg.norm(any_across), 0.0 if cosine > 0 else math.pi)
-    return _rotation(across / sine, math.atan2(sine, cosine))
+    """Return the rotation (3, 3) by the smallest angle that turns unit vector a into unit vector b."""
+    normal = np.cross(a, b)
+    sine, cosine = math.hypot(*normal), float(a @ b)
+    if sine < 1e-12:  # parallel: no turn, or half a turn about any normal
+        any_normal = np.cross(b, np.eye(3)[np.argmin(np.abs(b))])
+        return _rotation(any_normal / np.linalg.norm(any_normal), 0.0 if cosine > 0 else math.pi)
+    return _rotation(normal / sine, math.atan2(sine, cosine))
 
 
-def _into_plane(arm: Arm, curve: Curve, aligned: Array, axis: Array) -> Array:
-    """Roll about the arm's axis that brings a plane curve into the plane of a planar arm, (3, 3)."""
+def _roll_into_plane(arm: Arm, curve: Curve, aligned: Array, axis: Array) -> Array:
+    """Return the rotation (3, 3) about the arm's axis that brings a plane curve into a planar arm's plane."""
     points = (curve.resample(200) - curve.start) @ aligned.T
     off_axis = points - (points @ axis)[:, None] * axis
     widest = off_axis[np.argmax(np.einsum("ij,ij->i", off_axis, off_axis))]
     if math.hypot(*widest) < 1e-9 * curve.length:  # a straight line lies in every plane
         return np.eye(3)
-    normal = _cross(*arm.plane)
-    angle = math.atan2(widest @ normal, widest @ _cross(normal, axis))
+    normal = np.cross(*arm.plane)
+    angle = math.atan2(widest @ normal, widest @ np.cross(normal, axis))
     return _rotation(axis, math.pi * round(angle / math.pi) - angle)

@@ -1,4 +1,4 @@
-"""Closed-form kinematics of modules, and which solver serves which joints of an arm (Section 6.1.1)."""
+"""Closed-form kinematics of modules (Section 6.1.1), and which of them applies to which joints of an arm."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
-from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +14,14 @@ from pinposture import kernels
 from pinposture.arm.chain import Chain
 from pinposture.errors import UnsupportedModule
 
-# Closed-form kinematics of a module with two crossed hinges (Section 6.1.1).
-#
-# The module turns by q0 about its y axis, goes l1 along x, turns by q1 about its z axis and goes l2 along x:
-# the RyRz module of the thesis. Its end lies on a torus around the y axis with radii l1 and l2. RzRy, and
-# any other pair of perpendicular hinges across the arm, is the same module seen in another frame.
+# The RyRz module of the thesis turns by q0 about its y axis, goes l1 along x, turns by q1 about its z axis
+# and goes l2 along x. Its end lies on a torus around the y axis with radii l1 and l2. RzRy, and any other
+# pair of perpendicular hinges across the arm, is the same module in another frame.
 
 Array = NDArray[np.float64]
+
+SHAPE_TOLERANCE = 1e-9
+"""Largest deviation from a module with a closed form, relative to its length or to one radian."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Torus:
         return self.l1 + self.l2
 
     def forward(self, q: Array) -> tuple[Array, Array]:
-        """FK, (6.1) with the sign of (6.1b) put right.
+        """FK, (6.1) with the sign of (6.1b) corrected.
 
         Args:
             q: hinge angles (2,) [rad].
@@ -70,12 +70,12 @@ class Torus:
         return list(out[: kernels.torus_inverse(self.l1, self.l2, self.sense, x, y, z, out)])
 
     def faces(self, p: Array) -> bool:
-        """True on the outer part of the torus, where the second hinge bends by less than a right angle."""
+        """Whether p is on the outer part of the torus, where the second hinge bends less than 90 degrees."""
         x, y, z = map(float, p)
         return bool(kernels.torus_faces(self.l1, self.l2, x, y, z))
 
     def crossings(self, points: Array) -> Iterator[tuple[int, float]]:
-        """TP, (6.13)-(6.15) put right: where a polyline crosses the torus.
+        """TP, (6.13)-(6.15) corrected: where a polyline crosses the torus.
 
         Args:
             points: vertices (n + 1, 3) [m], base frame.
@@ -91,12 +91,9 @@ class Torus:
                 yield i, float(t)
 
 
-# Closed-form kinematics of a module with one hinge, which moves in a plane (Section 4.6).
-
-
 @dataclass(frozen=True)
 class Circle:
-    """FK, IK and TP of a 1-DOF module, in the frame at its base (x along the module, y the hinge).
+    """FK, IK and TP of a module with one hinge (Section 4.6), in the frame at its base (y is the hinge).
 
     Attributes:
         link: distance from the hinge to the end [m].
@@ -121,19 +118,10 @@ class Circle:
         x, y, z = map(float, p)
         return list(out[: kernels.circle_inverse(self.link, x, y, z, out), :1])
 
-    def faces(self, p: Array) -> bool:
-        """Always True: the circle has no inner part."""
-        return True
-
     def crossings(self, points: Array) -> Iterator[tuple[int, float]]:
-        """TP: where a polyline leaves or enters the circle.
+        """TP: where a polyline (n + 1, 3) [m] crosses the sphere around the base, as `Torus.crossings`.
 
-        Args:
-            points: vertices (n + 1, 3) [m], base frame.
-
-        Yields:
-            Segment index i and t in (0, 1] of each crossing of the sphere around the base, in order. The
-            crossing is on the circle if the polyline lies in the plane of the module; `inverse` tells.
+        The crossing is on the circle if the polyline lies in the plane of the module; `inverse` tells.
         """
         out = np.empty(4)
         for i, (a, b) in enumerate(pairwise(np.asarray(points, dtype=float).tolist())):
@@ -141,48 +129,15 @@ class Circle:
                 yield i, float(t)
 
 
-# Which closed-form solver serves which joints of an arm.
-
-STRAIGHT = 1e-9
-"""How far from exact a module may be to count as one of ours, relative to its length or to one radian."""
-
-
-class ModuleKinematics(Protocol):
-    """The three solvers that a module must supply (Section 4.1), in the frame at its base.
-
-    They are compiled, in `pinposture.kernels.modules`; whole arms are placed there too, by `kernels.modules`.
-    """
-
-    @property
-    def dof(self) -> int:
-        """Number of joints."""
-
-    @property
-    def reach(self) -> float:
-        """Largest distance of the end from the base [m]."""
-
-    def forward(self, q: Array) -> tuple[Array, Array]:
-        """FK: position (3,) [m] and orientation (3, 3) of the end."""
-
-    def inverse(self, p: Array) -> list[Array]:
-        """IK: all joint positions that put the end at p, (3,) [m]."""
-
-    def faces(self, p: Array) -> bool:
-        """True if p lies on the part of the reachable set to prefer."""
-
-    def crossings(self, points: Array) -> Iterator[tuple[int, float]]:
-        """TP: where the polyline (n + 1, 3) [m] crosses the reachable set, in order."""
-
-
 @dataclass(frozen=True)
 class Unit:
-    """A stretch of the arm that one solver places.
+    """Consecutive joints of a module that one closed form places.
 
     Attributes:
-        module: index of the module it belongs to, 0-based.
+        module: index of the module, 0-based.
         joints: indices into the chain.
         frame: axes of its base frame as columns, in the neutral posture, (3, 3), world frame.
-        kinematics: its solver.
+        kinematics: its closed form.
     """
 
     module: int
@@ -193,52 +148,35 @@ class Unit:
 
 @lru_cache(maxsize=64)
 def arm_units(chain: Chain) -> tuple[Unit, ...]:
-    """Find a solver for every module of an arm; remembered, because targets are resolved again and again.
+    """Return the closed forms that place the modules of an arm, from base to tip.
 
-    A module with two perpendicular hinges is a `Torus`; hinges that are all parallel are placed one by
-    one as `Circle`s.
+    A module with two perpendicular hinges is a `Torus`; parallel hinges are placed one by one as `Circle`s.
 
     Raises:
         UnsupportedModule: a module that is neither.
     """
     units: list[Unit] = []
     start = chain.base
-    for module, joints in enumerate(chain.module_slices):
-        end = chain.points[module]
+    for module, (joints, end) in enumerate(zip(chain.module_slices, chain.points, strict=True)):
         units.extend(_module_units(chain, module, joints, start, end))
         start = end
     return tuple(units)
 
 
-class Layout(NamedTuple):
-    """The units of an arm as kernels want them, see `kernels.modules.place_modules`.
-
-    Attributes:
-        units: degrees of freedom, first joint and module of each, (n, 3).
-        shapes: lengths, sense and base frame of each, (n, 12).
-    """
-
-    units: NDArray[np.int64]
-    shapes: Array
-
-
 @lru_cache(maxsize=64)
-def layout(chain: Chain) -> Layout:
-    """Lay the solvers of an arm out; remembered likewise.
+def unit_arrays(chain: Chain) -> tuple[NDArray[np.int64], Array]:
+    """Return the units of an arm as `kernels.place_modules` takes them, `units` (n, 3) and `shapes` (n, 12).
 
     Raises:
         UnsupportedModule: as `arm_units`.
     """
-    units = arm_units(chain)
-    numbers, shapes = np.zeros((len(units), 3), dtype=np.int64), np.zeros((len(units), 12))
-    for number, shape, unit in zip(numbers, shapes, units, strict=True):
-        solver = unit.kinematics
-        number[:] = solver.dof, unit.joints.start, unit.module
-        shape[:3] = (
-            (solver.l1, solver.l2, solver.sense) if isinstance(solver, Torus) else (solver.link, 0.0, 1.0)
-        )
-        shape[3:] = unit.frame.ravel()
-    return Layout(numbers, shapes)
+    numbers, shapes = [], []
+    for unit in arm_units(chain):
+        form = unit.kinematics
+        numbers.append((form.dof, unit.joints.start, unit.module))
+        lengths = (form.l1, form.l2, form.sense) if isinstance(form, Torus) else (form.link, 0.0, 1.0)
+        shapes.append([*lengths, *unit.frame.ravel()])
+    return np.array(numbers, dtype=np.int64), np.array(shapes)
 
 
 def _module_units(chain: Chain, module: int, joints: slice, start: Array, end: Array) -> list[Unit]:
@@ -254,24 +192,24 @@ def _module_units(chain: Chain, module: int, joints: slice, start: Array, end: A
 
     if not np.all(chain.revolute[joints]):
         raise refuse("has a sliding joint")
-    if np.any(lengths <= STRAIGHT * lengths.max()):
+    if np.any(lengths <= SHAPE_TOLERANCE * lengths.max()):
         raise refuse("has a link without length")
     along = links[0] / lengths[0]
-    if np.abs(links / lengths[:, None] - along).max() > STRAIGHT:
+    if np.abs(links / lengths[:, None] - along).max() > SHAPE_TOLERANCE:
         raise refuse("is not straight at its neutral configuration")
-    if np.linalg.norm(np.cross(origins[0] - start, axes[0])) > STRAIGHT * lengths.sum():
+    if np.linalg.norm(np.cross(origins[0] - start, axes[0])) > SHAPE_TOLERANCE * lengths.sum():
         raise refuse("its first joint does not sit at its base")
-    if np.abs(axes @ along).max() > STRAIGHT:
+    if np.abs(axes @ along).max() > SHAPE_TOLERANCE:
         raise refuse("has a joint axis that is not across the module")
 
-    parallel = np.linalg.norm(np.cross(axes, axes[0]), axis=1) < STRAIGHT
+    parallel = np.linalg.norm(np.cross(axes, axes[0]), axis=1) < SHAPE_TOLERANCE
     first = joints.start
     if np.all(parallel):
         return [
             Unit(module, slice(first + i, first + i + 1), _frame(along, axes[i]), Circle(float(lengths[i])))
             for i in range(len(axes))
         ]
-    if len(axes) == 2 and abs(axes[0] @ axes[1]) < STRAIGHT:
+    if len(axes) == 2 and abs(axes[0] @ axes[1]) < SHAPE_TOLERANCE:
         frame = _frame(along, axes[0])
         torus = Torus(float(lengths[0]), float(lengths[1]), sense=float(np.sign(frame[:, 2] @ axes[1])))
         return [Unit(module, joints, frame, torus)]

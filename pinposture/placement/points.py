@@ -1,4 +1,4 @@
-"""The configuration that takes given control points, or comes closest to them."""
+"""The configuration that puts the control points at given points, or as near as possible."""
 
 from __future__ import annotations
 
@@ -14,176 +14,194 @@ from pinposture.arm import Arm
 from pinposture.arm.chain import Chain
 from pinposture.curve import Curve
 from pinposture.errors import PostureError
-from pinposture.kernels.arrays import PointObjective, Screwed
+from pinposture.kernels.arrays import PointObjective, ScrewChain
 from pinposture.placement.least_squares import fit_curve
 from pinposture.placement.target import Target
-
-# The configuration that takes given control points exactly, module by module, where there is one.
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
-MOST_TRIED, LEAST_TRIED = 20, 200
-"""How many modules are looked at, per module on average and at least, before the search is given up."""
+VISITS_PER_MODULE, MIN_VISITS = 20, 200
+"""Limit on the number of modules that a search visits: per module, and at least."""
 
 WINDOW = 3
-"""How many modules are corrected together where a point cannot be taken by its own joints."""
+"""Number of modules corrected together where a point cannot be reached by its own joints."""
 
-SAMPLES = 16
-"""How many places are tried for joints that a closed form does not find; twice as many for more than one."""
+JOINT_SAMPLES = 16
+"""Number of samples of joints without a closed form; twice as many for two such joints or more."""
 
-ROUGH, EXACT = 1e-3, 1e-9
-"""How far from its point the end of a module may stay while the search goes on, in mean module lengths, and
-the distance that is none, in arm lengths."""
+ROUGH_DISTANCE, EXACT_DISTANCE = 1e-3, 1e-9
+"""Distances accepted by a rough search, in mean module lengths, and by an exact one, in arm lengths."""
 
-ON_AXIS = 1e-9
-"""How far from the axis of a joint a point may be that it does not move, relative to the arm length."""
+ON_AXIS_DISTANCE = 1e-9
+"""Distance from a joint axis within which a point counts as on it, in arm lengths."""
+
+REGULARISATION = 1e-8
+"""Weight of the joint positions against distances in arm lengths [1/rad]; decides what these leave open."""
+
+TAKEN, NO_ERROR = 1e-6, 1e-9
+"""Distances at which a point counts as reached, and at which the search for a closer posture ends, in arm
+lengths."""
+
+POINT_FIT_RESTARTS, POINT_FIT_NOISE = 8, 0.3
+"""Number of restarts from perturbed joint positions, and their standard deviation in `Arm.joint_units`."""
+
+POINT_FIT_STEPS, POINT_FIT_MAX_STEP = 300, 0.5
+"""Maximum number of steps of a fit, and the largest of them in `Arm.joint_units`."""
+
+MIN_DECREASE, MAX_SLOW_STEPS = 1e-9, 3
+"""Relative decrease of the cost that counts as progress, and how many steps in a row may do without."""
+
+MIN_POINT_DAMPING, MAX_POINT_DAMPING = 1e-12, 1e6
+"""Bounds of the damping of a fit, relative to its mean stiffness."""
+
+POINT_DAMPING_DOWN, POINT_DAMPING_UP = 0.2, 5.0
+"""Factors of the damping after a better and a worse step."""
 
 
-def place_sequentially(arm: Arm, points: Array, placed: NDArray[np.bool_], near: Array) -> tuple[Array, bool]:
-    """Find joint positions that put the control points where they should be.
+def place_sequentially(
+    arm: Arm, points: Array, has_target: NDArray[np.bool_], near: Array
+) -> tuple[Array, bool]:
+    """Find joint positions that put the control points at given points, module by module.
 
     The point at the end of a module leaves a few solutions for its joints. A wrong one shows at a later
-    module, whose point it puts out of reach: the search then goes back and takes another, those first that
-    are nearest. Where points cannot be taken exactly, a little is given up.
+    module, whose point it puts out of reach: the search then goes back and takes another, those nearest to
+    `near` first. Where points cannot be reached exactly, a small distance is accepted.
 
     Args:
         arm: the arm.
         points: a position for every control point, (m, 3) [m], world frame.
-        placed: which of them count, (m,).
-        near: joint positions to prefer, (nv,) [rad or m].
+        has_target: which of them count, (m,).
+        near: preferred joint positions, (nv,) [rad or m].
 
     Returns:
-        Joint positions (nv,) [rad or m] within the limits, and whether they take the points, but for a
-        little. If not, they take as many as was possible from the base on, and the rest as nearly as each
-        module can.
+        Joint positions (nv,) [rad or m] within the limits, and whether they reach the points. If not, they
+        reach as many as was possible from the base on, and the others as nearly as each module can.
     """
-    chain, wanted = _problem(arm, points, placed, near)
+    chain, goals = _screw_chain(arm, points, has_target, near)
     bounded = np.isfinite(chain.lower) & np.isfinite(chain.upper)
     low, high = (np.where(bounded, side, chain.near) for side in (chain.lower, chain.upper))
-    centre = 0.5 * low + 0.5 * high
-    tries, positions = max(MOST_TRIED * len(wanted), LEAST_TRIED), near.copy()
-    exact, rough = EXACT * arm.length, ROUGH * arm.length / len(wanted)
-    one, samples = chain.near, _samples(len(centre))
-    # What is far from the limits leaves more freedom to the modules that follow.
-    for start, good, first in ((one, exact, 0), (centre, exact, SAMPLES), (one, rough, 0)):
-        given = np.roll(samples, first, axis=0)
-        taken = _search(arm, chain._replace(near=start), wanted, good, WINDOW, tries, given, positions)
-        if taken == len(wanted):
+    center = 0.5 * low + 0.5 * high
+    visits, positions = max(VISITS_PER_MODULE * len(goals), MIN_VISITS), near.copy()
+    exact, rough = EXACT_DISTANCE * arm.length, ROUGH_DISTANCE * arm.length / len(goals)
+    samples = _joint_samples(len(center))
+    # Positions far from the limits leave more freedom to the modules that follow.
+    for start, accepted, first in (
+        (chain.near, exact, 0),
+        (center, exact, JOINT_SAMPLES),
+        (chain.near, rough, 0),
+    ):
+        shuffled = np.roll(samples, first, axis=0)
+        reached = _search(
+            arm, chain._replace(near=start), goals, accepted, WINDOW, visits, shuffled, positions
+        )
+        if reached == len(goals):
             return positions, True
     return positions, False
 
 
+def with_configuration(arm: Arm, target: Target, near: Array | None = None) -> Target:
+    """Return the target with a configuration that takes it exactly, if a search without choices finds one.
+
+    Args:
+        arm: the arm.
+        target: positions of its control points; it fits the arm.
+        near: a configuration to be near, (nq,); the straight one if None.
+    """
+    if target.q is not None or not np.all(target.has_target):
+        return target
+    exact = taken_exactly(arm, target.points, arm.positions(arm.straight() if near is None else near))
+    return target if exact is None else replace(target, q=arm.configuration(exact))
+
+
 def taken_exactly(arm: Arm, points: Array, near: Array) -> Array | None:
-    """What `place_sequentially` finds for all points where nothing has to be chosen, in microseconds.
+    """Find joint positions that put all control points at given points, without going back; microseconds.
 
     Args:
         arm: the arm.
         points: a position for every control point, (m, 3) [m], world frame.
-        near: joint positions to prefer, (nv,) [rad or m].
+        near: preferred joint positions, (nv,) [rad or m].
 
     Returns:
-        Joint positions (nv,) [rad or m] within the limits; None if there are none, as for points that were
-        measured, or if a module has more joints than two.
+        Joint positions (nv,) [rad or m] within the limits; None if there are none, as for measured points, or
+        if a module has more than two joints.
     """
-    chain, wanted = _problem(arm, points, np.ones(arm.n_modules, dtype=np.bool_), near)
+    chain, goals = _screw_chain(arm, points, np.ones(arm.n_modules, dtype=np.bool_), near)
     if np.diff(chain.begins).max() > 2:
         return None
-    positions = near.copy()
-    m, samples = len(wanted), _samples(len(chain.near))
-    return (
-        positions
-        if _search(arm, chain, wanted, EXACT * arm.length, 1, 2 * m, samples, positions) == m
-        else None
-    )
+    m, positions, samples = len(goals), near.copy(), _joint_samples(len(chain.near))
+    reached = _search(arm, chain, goals, EXACT_DISTANCE * arm.length, 1, 2 * m, samples, positions)
+    return positions if reached == m else None
 
 
-def _problem(arm: Arm, points: Array, placed: NDArray[np.bool_], near: Array) -> tuple[Screwed, Array]:
-    """What kernels want to know: the chain, and the points that count, (p, 3) [m]."""
+def _screw_chain(
+    arm: Arm, points: Array, has_target: NDArray[np.bool_], near: Array
+) -> tuple[ScrewChain, Array]:
+    """Return the chain as kernels take it, and the points that count, (p, 3) [m]."""
     chain, columns = arm.chain, arm.columns
     lower, upper = arm.limits.lower[columns], arm.limits.upper[columns]
-    own, begins = _own_joints(chain, tuple(np.flatnonzero(placed).tolist()))
-    wanted, carried = points[own], chain.points[own]
-    if arm.dimension == 2:  # what lies across the plane cannot be had
-        wanted = carried + (wanted - carried) @ arm.plane.T @ arm.plane
+    indices, begins = _first_joints(chain, tuple(np.flatnonzero(has_target).tolist()))
+    goals, carried = points[indices], chain.points[indices]
+    if arm.dimension == 2:  # errors normal to the plane cannot be reduced
+        goals = carried + (goals - carried) @ arm.plane.T @ arm.plane
     preferred = np.clip(near[columns], lower, upper)
-    given = ~chain.revolute, chain.axes, chain.origins, carried, begins
-    return Screwed(*given, lower, upper, preferred), np.ascontiguousarray(wanted)
+    geometry = ~chain.revolute, chain.axes, chain.origins, carried, begins
+    return ScrewChain(*geometry, lower, upper, preferred), np.ascontiguousarray(goals)
 
 
 def _search(
     arm: Arm,
-    chain: Screwed,
-    wanted: Array,
-    good: float,
+    chain: ScrewChain,
+    goals: Array,
+    accepted: float,
     window: int,
-    tries: int,
+    visits: int,
     samples: Array,
     positions: Array,
 ) -> int:
-    """Put the outcome of the search into positions (nv,); how many points it takes."""
+    """Search, write the result to positions (nv,), and return how many points it reaches."""
     found = chain.near.copy()
-    taken = kernels.search_branches(chain, wanted, arm.length, good, window, tries, samples, found)
+    reached = kernels.search_branches(chain, goals, arm.length, accepted, window, visits, samples, found)
     positions[arm.columns] = found
-    return taken
+    return reached
 
 
 @lru_cache(maxsize=64)
-def _own_joints(chain: Chain, placed: tuple[int, ...]) -> tuple[Whole, Whole]:
-    """The control points that count, (p,), and the first joint of each, (p + 1,).
+def _first_joints(chain: Chain, indices: tuple[int, ...]) -> tuple[Whole, Whole]:
+    """Return the control points that count, (p,), and the first joint of each and the end, (p + 1,).
 
-    A joint belongs to the first point that it can move. The last joints before a point may all turn about
-    axes through it: they belong to the next.
+    A joint belongs to the first point that it can move: joints whose axes pass through a point belong to the
+    next.
     """
     ends = [*chain.module_starts[1:].tolist(), len(chain.joints)]
     begins = [0]
-    for k in placed:
+    for k in indices:
         stop = ends[k]
         while stop > begins[-1] and chain.revolute[stop - 1]:
-            arm = chain.points[k] - chain.origins[stop - 1]
-            if np.linalg.norm(np.cross(chain.axes[stop - 1], arm)) > ON_AXIS * chain.length:
+            lever = chain.points[k] - chain.origins[stop - 1]
+            if np.linalg.norm(np.cross(chain.axes[stop - 1], lever)) > ON_AXIS_DISTANCE * chain.length:
                 break
             stop -= 1
         begins.append(stop)
-    return np.array(placed, dtype=np.int64), np.array(begins, dtype=np.int64)
+    return np.array(indices, dtype=np.int64), np.array(begins, dtype=np.int64)
 
 
 @lru_cache(maxsize=64)
-def _samples(n: int) -> Array:
-    """Shares of the range of each joint, (2 S, n): both halves evenly spread, in an order for each joint."""
+def _joint_samples(n: int) -> Array:
+    """Return shares of the range of each joint, (2 S, n): two even spreads, shuffled for each joint."""
     rng = np.random.default_rng(0)
-    sets = [(np.arange(SAMPLES) + middle) / SAMPLES for middle in (0.25, 0.75)]
+    sets = [(np.arange(JOINT_SAMPLES) + middle) / JOINT_SAMPLES for middle in (0.25, 0.75)]
     columns = [np.concatenate([rng.permutation(shares) for shares in sets]) for _ in range(n)]
     return np.ascontiguousarray(np.column_stack(columns))
-
-
-# The configuration that takes given control points, or comes closest to them where none can.
-
-STRAIGHTENING = 1e-8
-"""Weight of the joint positions against distances in arm lengths [1/rad]: it settles what they leave open."""
-
-TAKEN, ENOUGH = 1e-6, 1e-9
-"""How far a control point may be from its point that counts as taken, and from where on nothing closer is
-looked for, in arm lengths."""
-
-RETRIES, NUDGE = 8, 0.3
-"""How often a closer posture is looked for around the closest, and how far away, in `Arm.joint_units`."""
-
-ROUNDS, STRIDE, SETTLED, PATIENCE = 300, 0.5, 1e-9, 3
-"""The most steps of a fit, the largest of them in `Arm.joint_units`, and the relative fall of the squares
-that is none, so many times in a row."""
-
-LEAST, EASIER, HARDER, MOST = 1e-12, 0.2, 5.0, 1e6
-"""Smallest and largest damping of a fit, relative to its mean stiffness, and how it changes."""
 
 
 def fit_points(arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) -> Target:
     """Find the configuration that takes given points, or comes closest to them within the limits.
 
-    Points that the arm can take are taken module by module, with a search back where a choice was wrong: it
-    is the search of the default controller. Points that it cannot take, such as measured ones, are fitted by
-    least squares, from where that search ended, from the fit of the whole arm to a curve through the points,
-    which knows the way round, and from the straight arm. What that finds may be a local minimum.
+    Points within reach are found module by module, by a search that backtracks; the default controller uses
+    the same search. Other points, such as measured ones, are fitted by least squares. These start from the
+    result of that search, from the fit of the whole arm to a curve through the points, which winds the right
+    way round, and from the straight arm. The result may be a local minimum.
 
     Args:
         arm: the arm.
@@ -191,24 +209,23 @@ def fit_points(arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) ->
         weights: 1 to control a point, 0 to leave it free, (m,); all 1 if None.
 
     Returns:
-        The target at those points, with the configuration `q` that comes closest to them and the distance of
-        its control points from them as `residual`. Where one of them is not taken, `approximate` says so.
+        The target at those points, with the closest configuration `q` and the distance of its control points
+        from them as `residual`. If one of them is not reached, `approximate` says so.
 
     Raises:
         InvalidValue: wrong shape, not finite, negative weights, or no point with a weight.
     """
     target = Target.from_points(arm, points, weights)
     straight = arm.positions(arm.straight())
-    rng, nudge = np.random.default_rng(0), np.where(arm.moved > 0.0, NUDGE * arm.joint_units, 0.0)
+    rng, noise = np.random.default_rng(0), np.where(arm.moved > 0.0, POINT_FIT_NOISE * arm.joint_units, 0.0)
     best, least = straight, np.inf
-    for start in (*initial_guesses(arm, target, straight), straight, *[None] * RETRIES):
-        begin = best + nudge * rng.normal(size=arm.nv) if start is None else start
-        found = _closest(arm, target, begin)
+    for guess in (*initial_guesses(arm, target, straight), straight, *[None] * POINT_FIT_RESTARTS):
+        found = _fit(arm, target, best + noise * rng.normal(size=arm.nv) if guess is None else guess)
         gaps = _gaps(arm, target, found)
-        squares = float(target.weights @ np.einsum("ij,ij->i", gaps, gaps))
-        if squares < least:
-            best, least = found, squares
-        if least <= (ENOUGH * arm.length) ** 2:
+        cost = float(target.weights @ np.einsum("ij,ij->i", gaps, gaps))
+        if cost < least:
+            best, least = found, cost
+        if least <= (NO_ERROR * arm.length) ** 2:
             break
     residual = np.linalg.norm(_gaps(arm, target, best), axis=1)
     farthest = int(np.argmax(np.where(target.has_target, residual, -1.0)))
@@ -222,27 +239,13 @@ def fit_points(arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) ->
     return replace(target, q=q, residual=residual, method="closest", approximate=approximate)
 
 
-def with_configuration(arm: Arm, target: Target, near: Array | None = None) -> Target:
-    """The target with a configuration that takes all of it, if it knows none and a quick look finds one.
-
-    Args:
-        arm: the arm.
-        target: where its control points should be; it fits the arm.
-        near: a configuration to be near, (nq,); the straight one if None.
-    """
-    if target.q is not None or not np.all(target.has_target):
-        return target
-    exact = taken_exactly(arm, target.points, arm.positions(arm.straight() if near is None else near))
-    return target if exact is None else replace(target, q=arm.configuration(exact))
-
-
 def initial_guesses(arm: Arm, target: Target, near: Array) -> Iterator[Array]:
-    """Where to look for the configuration that does best for a target: one that takes it, if one is found.
+    """Yield joint positions from which to search for the configuration closest to a target.
 
     Args:
         arm: the arm.
-        target: where its control points should be; it fits the arm.
-        near: joint positions to be near where there is a choice, (nv,) [rad or m].
+        target: positions of its control points; it fits the arm.
+        near: preferred joint positions, (nv,) [rad or m].
 
     Yields:
         Joint positions (nv,) [rad or m] within the limits, the most promising first; only one if it takes all
@@ -250,62 +253,57 @@ def initial_guesses(arm: Arm, target: Target, near: Array) -> Iterator[Array]:
     """
     positions, complete = place_sequentially(arm, target.points, target.has_target, near)
     yield positions
-    if complete and np.abs(_gaps(arm, target, positions)).max() <= ENOUGH * arm.length:
+    if complete and np.abs(_gaps(arm, target, positions)).max() <= NO_ERROR * arm.length:
         return
     try:
         curve = Curve.points(np.vstack([arm.chain.base, target.points[target.has_target]]))
-        yield fit_curve(arm, curve, 0.0, STRAIGHTENING * arm.length, rough=True).positions
-    except PostureError:  # two in one place, for instance: they make no curve
+        yield fit_curve(arm, curve, 0.0, REGULARISATION * arm.length, rough=True).positions
+    except PostureError:  # points that make no curve, such as two in one place
         return
 
 
 def _gaps(arm: Arm, target: Target, positions: Array) -> Array:
-    """From the control points to where they should be, (m, 3) [m]."""
+    """Return the vectors from the control points to their targets, (m, 3) [m]."""
     return np.asarray(target.points - arm.kinematics.forward(positions).points)
 
 
-def _closest(arm: Arm, target: Target, start: Array) -> Array:
-    """Joint positions (nv,) at the least squares near a start: Levenberg and Marquardt's method, by sweeps.
-
-    Args:
-        arm: the arm.
-        target: where its control points should be.
-        start: joint positions to begin with, (nv,) [rad or m].
-    """
-    columns, placed, slides = arm.columns, np.flatnonzero(target.has_target), arm.kinematics.slides
-    ends, weights, chords = arm.kinematics.ends[placed], target.weights[placed], np.zeros(len(placed))
-    n, units, wanted = len(columns), arm.joint_units[columns], target.points[placed]
+def _fit(arm: Arm, target: Target, start: Array) -> Array:
+    """Minimise the squared distances near a start, (nv,), by Levenberg-Marquardt steps within the limits."""
+    columns, indices, slides = arm.columns, np.flatnonzero(target.has_target), arm.kinematics.slides
+    ends, weights, no_chords = arm.kinematics.ends[indices], target.weights[indices], np.zeros(len(indices))
+    n, units, goals = len(columns), arm.joint_units[columns], target.points[indices]
     lower, upper = arm.limits.lower[columns], arm.limits.upper[columns]
     sides, x, screws = np.zeros(n, dtype=np.int8), np.zeros(n), np.empty((n, 6))
 
-    def looked_at(tried: Array) -> tuple[float, Array, PointObjective]:
-        at = arm.kinematics.forward(tried)
-        reached = np.ascontiguousarray(at.points[placed])
-        gaps = wanted - reached
-        kernels.find_screws(np.arange(n), slides, units, at.axes, at.origins, ends, reached, screws)
-        springs = PointObjective(screws.copy(), ends, reached, weights, chords)
-        return float(weights @ np.einsum("ij,ij->i", gaps, gaps)), gaps, springs
+    def evaluate(positions: Array) -> tuple[float, Array, PointObjective]:
+        forward = arm.kinematics.forward(positions)
+        points = np.ascontiguousarray(forward.points[indices])
+        gaps = goals - points
+        kernels.find_screws(np.arange(n), slides, units, forward.axes, forward.origins, ends, points, screws)
+        objective = PointObjective(screws.copy(), ends, points, weights, no_chords)
+        return float(weights @ np.einsum("ij,ij->i", gaps, gaps)), gaps, objective
 
     positions = start.copy()
     positions[columns] = np.clip(start[columns], lower, upper)
-    squares, misses, springs = looked_at(positions)
-    damping, idle = 1e-3, 0
-    for _ in range(ROUNDS):
-        if idle >= PATIENCE or damping > MOST or squares <= (1e-3 * ENOUGH * arm.length) ** 2:
+    cost, gaps, objective = evaluate(positions)
+    damping, slow_steps = 1e-3, 0
+    for _ in range(POINT_FIT_STEPS):
+        no_error = (1e-3 * NO_ERROR * arm.length) ** 2
+        if slow_steps >= MAX_SLOW_STEPS or damping > MAX_POINT_DAMPING or cost <= no_error:
             break
         here = positions[columns]
-        low = np.maximum((lower - here) / units, -STRIDE)
-        high = np.minimum((upper - here) / units, STRIDE)
-        weight = damping * max(kernels.stiffness(springs), 1e-12 * arm.length**2)
+        low = np.maximum((lower - here) / units, -POINT_FIT_MAX_STEP)
+        high = np.minimum((upper - here) / units, POINT_FIT_MAX_STEP)
+        weight = damping * max(kernels.stiffness(objective), 1e-12 * arm.length**2)
         sides[:] = 0
-        kernels.minimise_in_box(springs, misses, np.full(n, weight), np.zeros(n), low, high, sides, x)
-        tried = positions.copy()
-        tried[columns] = np.clip(here + units * x, lower, upper)
-        found, gaps, after = looked_at(tried)
-        if found < squares:
-            idle = idle + 1 if found > (1.0 - SETTLED) * squares else 0
-            positions, squares, misses, springs = tried, found, gaps, after
-            damping = max(damping * EASIER, LEAST)
+        kernels.minimise_in_box(objective, gaps, np.full(n, weight), np.zeros(n), low, high, sides, x)
+        trial = positions.copy()
+        trial[columns] = np.clip(here + units * x, lower, upper)
+        evaluated = evaluate(trial)
+        if evaluated[0] < cost:
+            slow_steps = slow_steps + 1 if evaluated[0] > (1.0 - MIN_DECREASE) * cost else 0
+            positions, (cost, gaps, objective) = trial, evaluated
+            damping = max(damping * POINT_DAMPING_DOWN, MIN_POINT_DAMPING)
         else:
-            damping *= HARDER
+            damping *= POINT_DAMPING_UP
     return np.asarray(positions)

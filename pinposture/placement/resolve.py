@@ -1,4 +1,4 @@
-"""Targets of all control points on a curve: Algorithm 1, or least squares (Section 4.2)."""
+"""Targets of all control points on a curve: Algorithm 1, or a least-squares fit (Section 4.2)."""
 
 from __future__ import annotations
 
@@ -24,31 +24,49 @@ from pinposture.errors import (
     UnknownName,
     UnsupportedModule,
 )
-from pinposture.placement.curve_placement import ROUNDING, Moved, Placement, beginning, laid
+from pinposture.placement.curve_placement import ON_CURVE, Moved, Placement, beginning, place_curve
 from pinposture.placement.least_squares import fit_curve, fit_near
-from pinposture.placement.module_kinematics import Unit, arm_units, layout
+from pinposture.placement.module_kinematics import Unit, arm_units, unit_arrays
 from pinposture.placement.target import Target
-
-# Algorithm 1: modules placed on a curve one after the other, each where it first crosses the curve ahead.
 
 Array = NDArray[np.float64]
 
+PLACEMENTS = ("as_is", "translate", "align")
+METHODS = ("auto", "sequential", "smooth", "closest")
+
+STIFFNESS = {"smooth": 0.02, "closest": 1e-8}
+"""Weight of one radian of bending against distance from the curve, in module lengths [1/rad].
+
+It is not zero for "closest", because some joints move no control point.
+"""
+
+FAR = 0.1
+"""How far the start of a curve may be moved, and the farthest link be from the curve, without a warning, in
+arm lengths."""
+
+AT_LIMIT = 1e-6
+"""Distance from a position limit at which a joint counts as at it, in `Arm.joint_units`."""
+
+OFF_CURVE = 0.1
+"""Distance from the curve at which a control point counts as not placed, in lengths of its module, or of a
+row of modules that are bound to one plane together (`Chain.spans`)."""
+
 
 def place_in_turn(arm: Arm, curve: Curve, samples: int) -> Placement:
-    """Algorithm 1.
+    """Place modules from base to tip, each where it first crosses the curve ahead (Algorithm 1).
 
     Args:
-        arm: the arm; each of its modules has a closed-form solver.
+        arm: the arm; each of its modules has a closed form.
         curve: the curve, placed in the world.
         samples: number of points at equal arc length that stand for the curve.
 
     Returns:
-        Where the modules belong; with a failure if one of them has no place.
+        The placement, with a failure if a module could not be placed.
 
     Raises:
-        UnsupportedModule: a module without a solver.
+        UnsupportedModule: a module without a closed form.
     """
-    numbers, shapes = layout(arm.chain)
+    units, shapes = unit_arrays(arm.chain)
     parameter, on_curve = beginning(arm, curve)
     base = np.array(arm.chain.base)
     state = np.empty(9)
@@ -56,7 +74,7 @@ def place_in_turn(arm: Arm, curve: Curve, samples: int) -> Placement:
     lower, upper = arm.limits.lower[arm.columns], arm.limits.upper[arm.columns]
     found, parameters = np.zeros(len(lower)), np.full(arm.n_modules, curve.length)
     stopped = kernels.place_modules(
-        *curve.measured, samples, numbers, shapes, lower, upper, state, found, parameters
+        *curve.measured, samples, units, shapes, lower, upper, state, found, parameters
     )
     positions = np.zeros(arm.nv)
     positions[arm.columns] = found
@@ -68,11 +86,11 @@ def place_in_turn(arm: Arm, curve: Curve, samples: int) -> Placement:
 
 
 def _failure(arm: Arm, curve: Curve, unit: Unit, state: Array) -> TargetError:
-    """Why a unit has no place, from what `kernels.place_modules` left in the state."""
+    """Explain why a unit could not be placed, from what `kernels.place_modules` left in the state."""
     first, last, beyond, found = state[1:4], state[4:7], bool(state[7]), int(state[8])
-    module, at, slack = unit.module + 1, float(state[0]), ROUNDING * arm.length
+    module, at, slack = unit.module + 1, float(state[0]), ON_CURVE * arm.length
     reach = unit.kinematics.reach
-    off_axis = _leaves_off_axis(unit, curve, at)
+    off_axis = unit.module == 0 and np.linalg.norm(np.cross(curve.tangent(at), unit.frame[:, 0])) > 1e-6
     if found:
         advice = "use a gentler curve, wider joint limits or shorter modules"
         kind = CurveLeavesTooSharply if off_axis else CurveBendsTooMuch
@@ -81,9 +99,7 @@ def _failure(arm: Arm, curve: Curve, unit: Unit, state: Array) -> TargetError:
         left, distance = curve.length - at, float(np.linalg.norm(last))
         advice = f"the module is {reach:.4g} m long; lengthen the curve or use fewer modules"
         text = f"the curve ends {left:.4g} m farther on, {distance:.4g} m from its base; {advice}"
-        if left <= slack:
-            text = f"the curve ends there; {advice}"
-        return CurveEndsEarly(module, at, text)
+        return CurveEndsEarly(module, at, f"the curve ends there; {advice}" if left <= slack else text)
     gap = float(np.linalg.norm(first))
     if gap > reach:
         advice = 'use placement="translate" or "align"'
@@ -91,42 +107,13 @@ def _failure(arm: Arm, curve: Curve, unit: Unit, state: Array) -> TargetError:
     if unit.kinematics.dof == 1 and abs(last[1]) > slack:
         text = f"the curve leaves the plane in which the module moves by {abs(last[1]):.4g} m"
         return CurveBendsTooMuch(module, at, f"{text}; use a planar curve in that plane, or two hinges")
-    exit_at = last / np.linalg.norm(last)
-    angle = float(np.degrees(np.arccos(np.clip(exit_at[0], -1.0, 1.0))))
+    direction = last / np.linalg.norm(last)
+    angle = float(np.degrees(np.arccos(np.clip(direction[0], -1.0, 1.0))))
     text = f"the curve leaves its reach {angle:.3g} degrees off its axis, where it cannot turn"
     if off_axis:
         advice = 'placement="align" turns the curve to the arm'
         return CurveLeavesTooSharply(module, at, f"{text}; {advice}")
     return CurveBendsTooMuch(module, at, f"{text}; use a gentler curve or shorter modules")
-
-
-def _leaves_off_axis(unit: Unit, curve: Curve, at: float) -> bool:
-    """True if this is the first module and the curve does not set out along it."""
-    if unit.module > 0:
-        return False
-    return float(np.linalg.norm(np.cross(curve.tangent(at), unit.frame[:, 0]))) > 1e-6
-
-
-# Targets of all control points on a curve (Section 4.2).
-
-PLACEMENTS = ("as_is", "translate", "align")
-METHODS = ("auto", "sequential", "smooth", "closest")
-
-STIFFNESS = {"smooth": 0.02, "closest": 1e-8}
-"""What one radian of bending weighs against distance from the curve, in module lengths [1/rad].
-
-The closest placement has a trace of it: joints that move no control point need to be told something."""
-
-FAR = 0.1
-"""How far the start of a curve may be moved without a word, if nobody asked for it, and how far the farthest
-link may be from a curve that an arm counts as following, in arm lengths."""
-
-AT_LIMIT = 1e-6
-"""How near a limit of its position a joint is at it, in `Arm.joint_units`."""
-
-OFF_CURVE = 0.1
-"""How far off the curve a control point may be before it counts as having no place, in module lengths, or in
-those of a row of modules that are bound to one plane together (`Chain.spans`)."""
 
 
 def resolve_targets(
@@ -139,71 +126,56 @@ def resolve_targets(
     method: Literal["auto", "sequential", "smooth", "closest"] = "auto",
     near: Target | None = None,
 ) -> Target:
-    """Find where on a curve each control point belongs, and the configuration that puts it there.
+    """Find the point of a curve for each control point, and the configuration that puts it there.
 
     Modules are placed "sequential"ly as in Algorithm 1 (exact, from base to tip, for modules with closed-form
     kinematics), or all at once by least squares within the joint limits, for any arm: "closest" to the
-    curve, or "smooth", which gives up a little closeness for less bending. Sequential placement multiplies
-    whatever angle a module makes with the curve by -l1 / l2 from module to module, and can zigzag along a
-    curve that leaves the base at an angle; smooth placement does not.
+    curve, or "smooth", which accepts some distance for less bending. Sequential placement multiplies the
+    angle between a module and the curve by -l1 / l2 from module to module, and can zigzag along a curve that
+    leaves the base at an angle; smooth placement does not.
 
     Args:
         arm: the arm.
         curve: the shape to take.
         samples: number of points at equal arc length that stand for the curve in sequential placement.
         placement: "as_is" uses the curve where it is; "translate" moves its start to the base of the
-            arm; "align" also turns its first tangent to the arm's axis by the least rotation, and a plane
-            curve into the plane of a planar arm. None aligns, and a `PostureWarning` tells if the start was
-            moved by more than a tenth of the arm's length; `moved` of the target tells it in any case. A base
-            that slides without real limits (`Arm.roaming`) stays where it is, unless a curve is to be used
-            "as_is" that it does not lie on: then it drives to its start.
+            arm; "align" also turns its first tangent to the arm's axis by the smallest rotation, and a plane
+            curve into the plane of a planar arm. None aligns, with a `PostureWarning` if that moves the start
+            by more than a tenth of the arm's length. A base that slides without limits (`Arm.roaming`) stays
+            where it is, unless a curve used "as_is" does not pass through it: then it drives to its start.
         roll: further turn of an aligned curve about the arm's axis [rad].
-        incomplete: what to do when some module has no place: "raise" an error, or return a "partial"
-            target that says why in `incomplete` and gives weight 0 to the points from there on.
+        incomplete: what to do if a module cannot be placed: "raise" an error, or return a "partial"
+            target that gives the reason in `incomplete` and weight 0 to the points from there on.
         method: as above; "auto" is sequential where that works and does not zigzag, else smooth, or
             closest where a module has no closed-form kinematics.
-        near: the target on a curve that differs a little, as while one is dragged, or of a configuration that
-            nearly takes this one (`Target.from_configuration`). Least squares then begin there and look no
-            farther, which is quick; None: they begin with the straight arm, and take tenths of a second for
-            20 modules and seconds for 100.
+        near: the target on a slightly different curve, or of a configuration that nearly takes this one
+            (`Target.from_configuration`). Least squares then start there and search no farther, which is
+            fast; None: they start with the straight arm, and take tenths of a second for 20 modules and
+            seconds for 100.
 
     Returns:
-        The target, with `q`, `parameters`, `residual`, `method` and `moved` filled in. How far the whole arm
-        is from the curve, links and all, `Target.distance_from_curve` says; where that is more than a tenth
-        of its length and no `near` was given, a `PostureWarning` says why (`Arm.can_follow`). Joints that can
-        turn without limit are within half a turn of `near`, or of the straight arm.
+        The target, with `q`, `parameters`, `residual`, `method` and `moved` filled in. If the links are more
+        than a tenth of the arm length from the curve (`Target.distance_from_curve`) and no `near` was given,
+        a `PostureWarning` says why (`Arm.can_follow`). Joints that can turn without limit are within half a
+        turn of `near`, or of the straight arm.
 
     Raises:
-        CurveEndsEarly: the curve is over before the last module is placed.
+        CurveEndsEarly: the curve ends before the last module does.
         CurveLeavesTooSharply: the first module cannot turn to where the curve goes, or the curve passes the
             base at a distance.
-        CurveOutOfReach: slides end before a control point can get to the curve.
-        CurveBendsTooMuch: a later module cannot, or the curve leaves the plane of a planar module, or a
-            control point stays farther off the curve than a tenth of its module's length, or of the length of
-            neighbouring modules that are bound to one plane together; says what keeps it from there.
-        UnsupportedModule: sequential placement of a module for which no solver exists.
-        InvalidValue: no arm or no curve, fewer than 2 samples, a roll that is not finite, a target of another
-            arm or without configuration to be near to.
+        CurveOutOfReach: slides end before a control point can reach the curve.
+        CurveBendsTooMuch: a later module cannot turn to where the curve goes, the curve leaves the plane of a
+            planar module, or a control point stays farther from the curve than a tenth of its module's
+            length, or of the length of neighbouring modules that are bound to one plane together.
+        UnsupportedModule: sequential placement of a module without a closed form.
+        InvalidValue: no arm or no curve, fewer than 2 samples, a roll that is not finite, or a `near` of
+            another arm or without configuration.
         UnknownName: a `placement`, `incomplete` or `method` that does not exist.
     """
-    if not isinstance(arm, Arm):
-        raise InvalidValue("arm", arm, "an Arm")
-    if not isinstance(curve, Curve):
-        raise InvalidValue("curve", curve, "a Curve")
-    if placement is not None:
-        _require("placement", placement, PLACEMENTS)
-    _require("way to treat an incomplete target", incomplete, ("raise", "partial"))
-    _require("method", method, METHODS)
-    if isinstance(samples, bool) or not isinstance(samples, int) or samples < 2:
-        raise InvalidValue("samples", samples, "a whole number of at least 2")
-    if not math.isfinite(roll):
-        raise InvalidValue("roll", roll, "a finite angle [rad]")
-    if near is not None:
-        near.check(arm)
-        if near.q is None:
-            raise InvalidValue("near", near, "a target with a configuration q")
-    placed, moved = laid(arm, curve, placement, roll)
-    _warn_if_moved(arm, placement, moved)
+    _check_arguments(arm, curve, samples, placement, roll, incomplete, method, near)
+    placed, moved = place_curve(arm, curve, placement, roll)
+    if placement is None and moved.distance > FAR * arm.length:
+        warnings.warn(far_moved(arm, "the curve", moved), PostureWarning, stacklevel=2)
     if method == "sequential":
         result = place_in_turn(arm, placed, samples)
     elif method == "auto":
@@ -218,21 +190,42 @@ def resolve_targets(
     return target
 
 
-def _warn_if_moved(arm: Arm, placement: str | None, moved: Moved) -> None:
-    if placement is None and moved.distance > FAR * arm.length:
-        warnings.warn(far_moved(arm, "the curve", moved), PostureWarning, stacklevel=3)
+def _check_arguments(
+    arm: Arm,
+    curve: Curve,
+    samples: int,
+    placement: str | None,
+    roll: float,
+    incomplete: str,
+    method: str,
+    near: Target | None,
+) -> None:
+    if not isinstance(arm, Arm):
+        raise InvalidValue("arm", arm, "an Arm")
+    if not isinstance(curve, Curve):
+        raise InvalidValue("curve", curve, "a Curve")
+    for kind, name, allowed in (
+        ("placement", "align" if placement is None else placement, PLACEMENTS),
+        ("way to treat an incomplete target", incomplete, ("raise", "partial")),
+        ("method", method, METHODS),
+    ):
+        if name not in allowed:
+            raise UnknownName(kind, name, allowed)
+    if isinstance(samples, bool) or not isinstance(samples, int) or samples < 2:
+        raise InvalidValue("samples", samples, "a whole number of at least 2")
+    if not math.isfinite(roll):
+        raise InvalidValue("roll", roll, "a finite angle [rad]")
+    if near is not None:
+        near.check(arm)
+        if near.q is None:
+            raise InvalidValue("near", near, "a target with a configuration q")
 
 
 def far_moved(arm: Arm, what: str, moved: Moved) -> str:
-    """What to say of a curve that was moved far without having been asked for."""
+    """Return the warning about a curve that was moved far without a `placement` that says so."""
     share = f"{moved.distance / arm.length:.2g} of the arm length"
     advice = 'placement="as_is" leaves it where it is, "align" says that it may be moved'
     return f"{what} was {moved} to the base of the arm, {share}; {advice}"
-
-
-def _require(kind: str, name: str, allowed: tuple[str, ...]) -> None:
-    if name not in allowed:
-        raise UnknownName(kind, name, allowed)
 
 
 def _choose(
@@ -253,23 +246,25 @@ def _choose(
 
 
 def _zigzags(arm: Arm, positions: Array) -> bool:
-    """True if most modules bend the other way than the one before."""
+    """Whether most modules bend in the opposite direction to the one before."""
     starts = np.append(arm.module_starts, len(arm.columns))
     products, norms = kernels.neighbours(positions[arm.columns], starts)
     return norms > 1e-6 * arm.n_modules and products < -0.5 * norms
 
 
 def _place_together(arm: Arm, curve: Curve, method: str, near: Target | None) -> Placement:
-    """Least squares over the whole arm; a failure where a control point ends up too far off the curve."""
+    """Fit the whole arm by least squares; fail where a control point ends up too far from the curve."""
     start, _ = beginning(arm, curve)
     lengths = np.maximum(arm.chain.module_lengths, arm.chain.module_lengths.mean())
     bending = STIFFNESS[method] * float(np.median(lengths))
-    given = arm, curve, start, bending
-    fit = fit_curve(*given) if near is None else fit_near(*given, near)
+    if near is None or near.q is None:
+        fit = fit_curve(arm, curve, start, bending)
+    else:
+        fit = fit_near(arm, curve, start, bending, near.q, near.parameters)
     ends = np.minimum(fit.parameters, curve.length)
-    residual = _off(arm, fit.positions, curve, ends)
+    residual = _distances(arm, fit.positions, curve, ends)
     failure: TargetError | None = None
-    over = np.flatnonzero(fit.parameters > curve.length + ROUNDING * arm.length)
+    over = np.flatnonzero(fit.parameters > curve.length + ON_CURVE * arm.length)
     spans = arm.chain.spans
     off = np.flatnonzero(residual > OFF_CURVE * np.maximum(spans, arm.chain.module_lengths.mean()))
     bases = np.concatenate([[start], ends[:-1]])
@@ -280,28 +275,27 @@ def _place_together(arm: Arm, curve: Curve, method: str, near: Target | None) ->
     elif len(off):
         k = int(off[0])
         text = f"the closest that its end can come to the curve is {residual[k]:.4g} m"
-        kind, why = _hindrance(arm, curve, fit.positions, k, start)
+        kind, why = _obstruction(arm, curve, fit.positions, k, start)
         failure = kind(k + 1, float(bases[k]), f"{text}; {why}")
     return Placement(fit.positions, ends, failure)
 
 
 def _target(arm: Arm, curve: Curve, result: Placement, method: str, near: Target | None) -> Target:
-    weights = np.ones(arm.n_modules)
-    reason = ""
+    weights, reason = np.ones(arm.n_modules), ""
     if result.failure is not None:
         weights[result.failure.module - 1 :] = 0.0
         reason = str(result.failure)
     q = arm.nearest_turns(arm.configuration(result.positions), None if near is None else near.q)
     points = arm.at(q).compiled.points
-    residual = _off(arm, result.positions, curve, result.parameters)
+    residual = _distances(arm, result.positions, curve, result.parameters)
     return Target(points, weights, q, curve, result.parameters, residual, method, reason)
 
 
 def _warn_if_far(arm: Arm, target: Target) -> None:
-    """Warn where the control points are on the curve, and the arm between them is not."""
+    """Warn if the control points are on the curve but the links between them are far from it."""
     if target.curve is None or target.q is None or target.residual is None:
         return
-    between = max(_line_lengths(arm, target.q)) / 2.0  # no link is farther from both control points beside it
+    between = max(_link_lengths(arm, target.q)) / 2.0  # no link is farther from both neighbouring points
     if between + float(target.residual.max()) <= FAR * arm.length:
         return
     away = target.distance_from_curve(arm)
@@ -318,8 +312,8 @@ def _warn_if_far(arm: Arm, target: Target) -> None:
     warnings.warn(f"{text} ({'; '.join(reasons)})", PostureWarning, stacklevel=3)
 
 
-def _line_lengths(arm: Arm, q: Array) -> list[float]:
-    """Length along the links of each module at a configuration, (m,) [m]."""
+def _link_lengths(arm: Arm, q: Array) -> list[float]:
+    """Return the length along the links of each module at a configuration, (m,) [m]."""
     state = arm.at(q).compiled
     lengths, start = [], arm.chain.base
     for k, joints in enumerate(arm.chain.module_slices):
@@ -329,17 +323,17 @@ def _line_lengths(arm: Arm, q: Array) -> list[float]:
     return lengths
 
 
-def _off(arm: Arm, positions: Array, curve: Curve, parameters: Array) -> Array:
-    """Distance of each control point from its place on the curve, (m,) [m]; of a planar arm, in its plane."""
+def _distances(arm: Arm, positions: Array, curve: Curve, parameters: Array) -> Array:
+    """Return the distances of the control points from their points on the curve, (m,) [m]."""
     points = arm.chain.flattened(arm.at(arm.configuration(positions)).compiled.points)
     gaps = points - curve.at(parameters)
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", gaps, gaps)))
 
 
-def _hindrance(
+def _obstruction(
     arm: Arm, curve: Curve, positions: Array, module: int, start: float
 ) -> tuple[type[TargetError], str]:
-    """What keeps the end of a module from a curve that joint positions (nv,) bring it nearest to."""
+    """Say what keeps the end of a module off the curve at the fitted joint positions (nv,)."""
     own = arm.columns[: arm.chain.module_slices[module].stop]
     room = np.minimum(positions - arm.limits.lower, arm.limits.upper - positions) / arm.joint_units
     names = dict(zip(arm.columns.tolist(), arm.chain.joints, strict=True))
@@ -350,7 +344,7 @@ def _hindrance(
         advice = "move the curve, or widen their limits"
         return CurveOutOfReach, f"slides end before it can get there: {listed}; {advice}"
     gap = float(np.linalg.norm(curve.at(start) - arm.chain.base))
-    if gap > ROUNDING * arm.length and not np.any(arm.roaming):
+    if gap > ON_CURVE * arm.length and not np.any(arm.roaming):
         advice = 'use placement="translate" or "align"'
         return CurveLeavesTooSharply, f"the curve passes {gap:.4g} m from the base; {advice}"
     if arm.chain.plane_bound[module]:

@@ -1,4 +1,4 @@
-"""The target posture: where each control point should be."""
+"""The target posture: target positions of the control points."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """Target positions of the control points, and how they were found.
+    """Target positions of the control points, and their origin.
 
     Attributes:
         points: target positions, (m, 3) [m], world frame.
         weights: 1 for a control point that has a target, 0 for one that is free, (m,). `fit_points` and
-            `LevenbergMarquardt` weigh by them; other controllers only ask whether they are above 0.
+            `LevenbergMarquardt` weight errors by them; other controllers only test whether they are above 0.
         q: a configuration that takes the target posture, (nq,), or None if none is known.
         curve: the curve as placed in the world, or None.
         parameters: arc length along the curve at each point, (m,) [m], or None.
         residual: distance of each point from the curve, or of the posture at `q` from measured points, (m,)
             [m], or None.
-        method: how the points were found on the curve: "sequential", "smooth" or "closest"; or empty.
-        moved: how the curve was moved from where it was drawn; None if there is none, or that is not known.
-        incomplete: why some control points have no place on the curve; empty if all have one. Those
+        method: the placement method: "sequential", "smooth" or "closest"; or empty.
+        moved: how the curve was moved from where it was drawn; None without a curve, or if unknown.
+        incomplete: why some control points could not be placed on the curve; empty if all are. Those
             have weight 0, and their `points` continue straight on from the last that was placed.
-        approximate: how far the posture at `q` stays from points that were given (`fit_points`), and that it
-            may be a local minimum; empty if it takes them, or none is known.
+        approximate: by how much the posture at `q` misses given points (`fit_points`), which may be a local
+            minimum; empty if it takes them, or none is known.
     """
 
     points: Array
@@ -63,15 +63,13 @@ class Target:
         return np.asarray(self.weights > 0.0)
 
     def distance_from_curve(self, arm: Arm) -> float | None:
-        """How far the whole arm is from the curve at `q` [m]: its links, not its control points alone.
+        """Return the distance of the point of the links farthest from the curve at `q` [m].
 
         Args:
             arm: the arm that the target is for.
 
         Returns:
-            The distance of the farthest place on its links, from joint to joint and to the tip, from the
-            curve; of a planar arm, in its plane (`curve_placement`). None if
-            there is no curve, or no configuration is known.
+            The distance, in the plane of a planar arm; None without a curve or configuration.
         """
         if self.q is None or self.curve is None:
             return None
@@ -96,7 +94,7 @@ class Target:
             arm.checked(self.q, "target.q")
 
     def region(self, first: int, last: int) -> Target:
-        """The same target for control points `first` to `last` only; the others are free.
+        """Return the same target for control points `first` to `last` only; the others are free.
 
         Weights within the region stay as they are. So does `q`, which still takes the whole posture.
 
@@ -115,14 +113,14 @@ class Target:
         inside = np.zeros(m, dtype=np.bool_)
         inside[first : last + 1] = True
         if not np.any(self.has_target & inside):
-            has_target = ", ".join(map(str, np.flatnonzero(self.has_target)))
-            allowed = f"a region with a control point that has a target: {has_target}"
+            listed = ", ".join(map(str, np.flatnonzero(self.has_target)))
+            allowed = f"a region with a control point that has a target: {listed}"
             raise InvalidValue("region", (int(first), int(last)), allowed)
         return replace(self, weights=np.where(inside, self.weights, 0.0))
 
     @classmethod
     def from_points(cls, arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) -> Target:
-        """Take target positions as they are, for instance measured ones.
+        """Make a target of given positions, for instance measured ones.
 
         Args:
             arm: the arm.
@@ -133,15 +131,15 @@ class Target:
             InvalidValue: wrong shape, not finite, negative weights, or no point with a weight.
         """
         m = arm.n_modules
-        checked = _array("points", points, (m, 3))
-        weighted = np.ones(m) if weights is None else _array("weights", weights, (m,))
-        if np.any(weighted < 0.0) or not np.any(weighted > 0.0):
-            raise InvalidValue("weights", weighted.tolist(), "numbers >= 0, at least one of them > 0")
-        return cls(checked, weighted)
+        positions = _finite_array("points", points, (m, 3))
+        checked = np.ones(m) if weights is None else _finite_array("weights", weights, (m,))
+        if np.any(checked < 0.0) or not np.any(checked > 0.0):
+            raise InvalidValue("weights", checked.tolist(), "numbers >= 0, at least one of them > 0")
+        return cls(positions, checked)
 
     @classmethod
     def from_configuration(cls, arm: Arm, q: ArrayLike) -> Target:
-        """Take the posture that the arm has at a configuration q, (nq,).
+        """Make a target of the posture at a configuration q, (nq,).
 
         Raises:
             InvalidValue: as `Arm.checked_start`.
@@ -150,7 +148,7 @@ class Target:
         return cls(state.points, np.ones(arm.n_modules), q=state.q)
 
 
-def _array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
+def _finite_array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
     array = float_array(name, values, shape)
     if not np.all(np.isfinite(array)):
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])

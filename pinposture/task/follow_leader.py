@@ -15,8 +15,7 @@ from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.errors import CurveBendsTooMuch, InvalidValue, TargetError, UnknownName, UnsupportedModule
 from pinposture.placement import Target
-from pinposture.placement.curve_placement import arm_axis
-from pinposture.placement.curve_placement import laid as laid_at
+from pinposture.placement.curve_placement import arm_axis, place_curve
 from pinposture.placement.resolve import place_in_turn
 from pinposture.task.reference import Mark, Reference
 
@@ -174,7 +173,7 @@ class Route:
         if placement not in PATH_PLACEMENTS:
             raise UnknownName("placement", placement, PATH_PLACEMENTS)
         self.fed = fed = FedArm(arm, start)
-        placed, moved = laid_at(fed.body, path, placement, 0.0)
+        placed, moved = place_curve(fed.body, path, placement, 0.0)
         if placement == "align":
             placed = placed.moved(np.eye(3), fed.tip - placed.start)
             x, y, z = (fed.tip - path.start).tolist()

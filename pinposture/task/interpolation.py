@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.placement.curve_placement import arm_axis
-from pinposture.placement.least_squares import SAMPLES_PER_MODULE, Samples, carried_turns
+from pinposture.placement.least_squares import SAMPLES_PER_MODULE, Samples, transported_turns
 
 # The vector of a curve holds where it begins, in which direction, and how it bends.
 #
@@ -120,7 +120,7 @@ class Bending:
         points = curve.at(inside) + (s - inside)[:, None] * tangents
         direction = self._direction(tangents[0], np.zeros(3) if before is None else before[3:6])
         frame = Rotation.from_rotvec(direction).as_matrix() @ self._axes
-        turns = (carried_turns(tangents) @ frame)[:, 1:]
+        turns = (transported_turns(tangents) @ frame)[:, 1:]
         frames, chords = self._frames(frame[None], turns[None])
         seen = np.einsum("nji,nj->ni", frames[0, :-1], np.diff(points, axis=0))
         start = points[0] - self._base

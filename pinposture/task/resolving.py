@@ -21,7 +21,7 @@ from pinposture.errors import PostureWarning, TargetError, TaskError
 from pinposture.placement import Target, resolve_targets
 from pinposture.placement.curve_placement import beginning
 from pinposture.placement.least_squares import FitProblem, refined, stiffness
-from pinposture.placement.module_kinematics import layout
+from pinposture.placement.module_kinematics import unit_arrays
 from pinposture.placement.resolve import FAR, STIFFNESS, far_moved
 from pinposture.task.interpolation import AnchoredCurve, BentCurve
 from pinposture.task.keyframe import Keyframe, naming, title
@@ -260,7 +260,7 @@ class SequentialFollower:
     """Sequential placement on curves that begin at the base of the arm, or beside it."""
 
     def __init__(self, arm: Arm) -> None:
-        self._arm, (self._units, self._shapes) = arm, layout(arm.chain)
+        self._arm, (self._units, self._shapes) = arm, unit_arrays(arm.chain)
         self._limits = arm.limits.lower[arm.columns], arm.limits.upper[arm.columns]
         self._base = np.array(arm.chain.base)
 

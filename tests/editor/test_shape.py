@@ -18,7 +18,7 @@ from pinposture.editor.shape import DEGREE, FIT_TOLERANCE, MAX_CONTROL_POINTS, M
 from pinposture.editor.solver import judge
 from pinposture.errors import CurveError, InvalidValue, PostureError
 from pinposture.placement import resolve_targets
-from pinposture.placement.curve_placement import lay
+from pinposture.placement.curve_placement import place_curve
 from pinposture.task import Keyframe
 
 AWAY = pin.SE3(pin.exp3(np.array([0.3, -0.5, 0.9])), np.array([0.7, -0.4, 1.1]))
@@ -180,7 +180,7 @@ def test_another_kind_of_curve_is_controlled_within_what_it_says(
 ) -> None:
     arm, curve = ARMS[where](), make()
     keyframe = Keyframe(curve, trim=True)
-    shape, laid = Shape.of(arm, keyframe), lay(arm, curve, "align", 0.0)
+    shape, laid = Shape.of(arm, keyframe), place_curve(arm, curve, "align", 0.0)[0]
     places = laid.at(np.linspace(0.0, min(laid.length, arm.length), 1001))
     fine = shape.curve.at(np.linspace(0.0, shape.curve.length, 40_001))
     apart = max(float(np.linalg.norm(fine - place, axis=1).min()) for place in places)

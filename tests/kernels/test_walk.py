@@ -14,7 +14,7 @@ from sampling import examples
 
 import pinposture as pp
 from pinposture import kernels
-from pinposture.placement.module_kinematics import layout
+from pinposture.placement.module_kinematics import unit_arrays
 
 STANDS = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -0.2, 0.7]))
 MIXED = [
@@ -40,7 +40,7 @@ def arm_called(name: str) -> pp.Arm:
 
 def both(arm: pp.Arm, curve: pp.Curve, samples: int, parameter: float = 0.0) -> int:
     """Compare the two; the index of the unit without a place, or -1."""
-    units, shapes = layout(arm.chain)
+    units, shapes = unit_arrays(arm.chain)
     lower, upper = arm.limits.lower[arm.columns], arm.limits.upper[arm.columns]
     start = arm.chain.base if parameter == 0.0 else curve.at(parameter)
     state = np.concatenate([[parameter], arm.chain.base, start, [0.0, 0.0]])

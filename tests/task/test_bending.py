@@ -15,7 +15,7 @@ from scipy.interpolate import BSpline, CubicHermiteSpline
 from task.keyed_arms import S_CURVE, coil
 
 import pinposture as pp
-from pinposture.placement.curve_placement import lay
+from pinposture.placement.curve_placement import place_curve
 from pinposture.task.interpolation import AnchoredCurve, Bending
 
 CURVES = {
@@ -37,7 +37,7 @@ def bendings() -> Bending:
 
 
 def vector(curve: pp.Curve, roll: float = 0.3) -> np.ndarray:
-    return bendings().vector(AnchoredCurve(lay(spatial(), curve, "align", roll), 0.0))
+    return bendings().vector(AnchoredCurve(place_curve(spatial(), curve, "align", roll)[0], 0.0))
 
 
 def turns(of: np.ndarray) -> np.ndarray:
@@ -46,7 +46,7 @@ def turns(of: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("name", CURVES)
 def test_a_curve_comes_back_out_of_its_vector(name: str) -> None:
-    placed = lay(spatial(), CURVES[name](), "align", 0.3)
+    placed = place_curve(spatial(), CURVES[name](), "align", 0.3)[0]
     back = bendings().curves(vector(CURVES[name]())[None])[0]
     s = np.linspace(0, min(1.2, placed.length - bendings().cell), 777)  # it ends within a cell
     assert np.abs(back.at(s) - placed.at(s)).max() < 1e-8
@@ -57,7 +57,7 @@ def test_a_curve_comes_back_out_of_its_vector(name: str) -> None:
 def test_arcs_alone_miss_next_to_nothing(name: str) -> None:
     alone = vector(CURVES[name]())
     alone[6 + 2 * bendings().cells :] = 0.0
-    placed, back = lay(spatial(), CURVES[name](), "align", 0.3), bendings().curves(alone[None])[0]
+    placed, back = place_curve(spatial(), CURVES[name](), "align", 0.3)[0], bendings().curves(alone[None])[0]
     s = np.linspace(0, min(1.2, placed.length), 777)
     assert np.abs(back.at(s) - placed.at(s)).max() < 2e-4
 
@@ -85,7 +85,7 @@ def test_between_two_arcs_lies_the_arc_of_the_mean_curvature(share: float) -> No
 
 
 def test_beyond_its_end_a_curve_goes_straight_on() -> None:
-    short = lay(spatial(), pp.Curve.spline(0.5 * S_CURVE), "align", 0.0)
+    short = place_curve(spatial(), pp.Curve.spline(0.5 * S_CURVE), "align", 0.0)[0]
     back = bendings().curves(bendings().vector(AnchoredCurve(short, 0.0))[None])[0]
     s = np.array([0.02, 0.2, 0.4])
     end, direction = short.end, short.tangent(short.length)
@@ -103,7 +103,8 @@ def test_a_curve_may_begin_beside_the_base_and_before_it() -> None:
 def test_curves_of_a_planar_arm_stay_in_its_plane() -> None:
     arm = pp.Arm.from_template("RzRz", modules=6)
     bending = Bending(arm, 1.2 * arm.length)
-    laid = (lay(arm, pp.Curve.helix(r * arm.length, 0, 1, axis=(1, 2, 3)), "align", 0.0) for r in (0.3, 0.9))
+    helices = (pp.Curve.helix(r * arm.length, 0, 1, axis=(1, 2, 3)) for r in (0.3, 0.9))
+    laid = (place_curve(arm, helix, "align", 0.0)[0] for helix in helices)
     ring, bow = (bending.vector(AnchoredCurve(curve, 0.0)) for curve in laid)
     curve = bending.curves((0.4 * ring + 0.6 * bow)[None])[0]
     normal = np.cross(*arm.plane)

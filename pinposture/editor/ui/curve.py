@@ -26,7 +26,7 @@ from pinposture.editor.ui.parts import (
     put_at,
     quaternions,
 )
-from pinposture.placement.curve_placement import lay
+from pinposture.placement.curve_placement import place_curve
 from pinposture.task import Keyframe
 from pinposture.viz import palette
 from pinposture.viz.drawing import link_radius
@@ -305,7 +305,7 @@ class OtherCurves:
 
     def _line(self, keyframe: Keyframe) -> Array:
         """Return places along the part of the curve that the arm needs, (OTHER_PIECES + 1, 3) [m]."""
-        laid = lay(self._arm, keyframe.curve, keyframe.placement, keyframe.roll)
+        laid, _ = place_curve(self._arm, keyframe.curve, keyframe.placement, keyframe.roll)
         end = min(laid.length, required_length(self._arm))
         return np.asarray(laid.at(np.linspace(0.0, end, OTHER_PIECES + 1)))
 
