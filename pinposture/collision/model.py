@@ -1,4 +1,4 @@
-"""How far an arm is from its surroundings and from itself, and which pairs of bodies are looked at."""
+"""Distances of an arm from obstacles and from itself, and the choice of the pairs to check."""
 
 from __future__ import annotations
 
@@ -21,31 +21,54 @@ from pinposture.collision.scene import Scene
 from pinposture.errors import InvalidValue, PostureWarning
 
 Array = NDArray[np.float64]
-
-# Which pairs of solids are looked at, and which cannot be told apart by any motion of the arm.
-#
-# Left out are * bodies on one joint, and bodies on joints that follow each other: they touch where they are
-# joined; * bodies of the arm that are nearer to each other than twice the margin where the arm is stretched
-# farthest, or at its neutral configuration: links so thick or so short that their neighbours' neighbours
-# touch, tubes that slide in one another, meshes that overlap as they were made. Had they to keep clear, the
-# arm could not even stand straight; * an obstacle that the arm is mounted on: one within the margin of an
-# end of a body that no joint moves; * bodies that no joint moves, against obstacles; * pairs that are within
-# the margin in every posture that is tried, the straight one and many arbitrary ones: something beside the
-# base, that the first links pass however the arm bends. These are also warned of. If the last body is among
-# them, the arm is inside of an obstacle, and nothing is left out.
-
+Pair = tuple[str, str]
 IndexPair: TypeAlias = tuple[int, int]
 
-POSTURES = 40
-"""Arbitrary postures that are tried before a pair counts as one that can never keep the margin."""
+MAX_MODELS = 16
+"""Number of collision models that an arm remembers."""
 
-STRETCHED = 2.0
-"""Bodies nearer than this many margins where the arm is straight are left out."""
+MAX_LISTED_PAIRS = 4
+"""Number of pairs that a warning lists."""
+
+RANDOM_POSTURES = 40
+"""Random postures that are tried before a pair counts as one that can never keep the margin."""
+
+MARGINS_APART = 2.0
+"""Bodies nearer than this many margins in the straight or neutral posture are left out."""
+
 ALWAYS_CLOSE = "within the margin however the arm bends"
 """Why a pair is left out that is also warned of."""
 
-_STILL = 1e-9
-"""How far a point may move that does not move, relative to the arm."""
+IN_PLANE = 1e-3
+"""In-plane share of a normal below which a planar arm gets another escape direction."""
+
+STATIONARY = 1e-9
+"""Distance below which a point counts as stationary, in arm lengths."""
+
+_NEGLIGIBLE = 1e-9
+
+
+def stationary_ends(
+    arm: Arm, kinematics: TreeKinematics, bodies: Sequence[Body], solids: Sequence[Solid]
+) -> list[tuple[int, Array]]:
+    """Return the axis ends that no joint motion moves, of bodies that joints carry.
+
+    Args:
+        arm: the arm.
+        kinematics: of its model.
+        bodies: the bodies.
+        solids: the same as solids.
+
+    Returns:
+        Index of the body and world position of the end, (3,) [m], of each.
+    """
+    ends = np.array([[each.start, each.end] for each in solids]).reshape(-1, 2, 3)
+    joints, rng, found = np.array([body.joint for body in bodies], dtype=int), np.random.default_rng(0), []
+    for q in (arm.neutral(), arm.random(rng), arm.random(rng)):
+        rotations, positions = (each[0, joints] for each in kinematics.place(q))
+        found.append(ends @ rotations.swapaxes(1, 2) + positions[:, None])
+    still = np.ptp(found, axis=0).max(axis=2) <= STATIONARY * arm.length  # (bodies, 2)
+    return [(int(body), found[0][body, end]) for body, end in np.argwhere(still & (joints > 0)[:, None])]
 
 
 class ExcludedPair(NamedTuple):
@@ -62,8 +85,8 @@ class ExcludedPair(NamedTuple):
     reason: str
 
 
-def self_pairs(model: pin.Model, bodies: Sequence[Body]) -> Iterator[IndexPair]:
-    """The pairs of bodies that can move against each other and are not joined by one joint."""
+def _self_pairs(model: pin.Model, bodies: Sequence[Body]) -> Iterator[IndexPair]:
+    """Yield the pairs of bodies that can move against each other and are not joined by one joint."""
     for second, other in enumerate(bodies):
         for first, body in enumerate(bodies[:second]):
             joints = (body.joint, other.joint)
@@ -73,7 +96,7 @@ def self_pairs(model: pin.Model, bodies: Sequence[Body]) -> Iterator[IndexPair]:
                 yield (second, first) if other.joint >= body.joint else (first, second)
 
 
-def choose_pairs(
+def _choose_pairs(
     arm: Arm,
     kinematics: TreeKinematics,
     bodies: Sequence[Body],
@@ -81,37 +104,45 @@ def choose_pairs(
     obstacles: Mapping[str, Solid],
     scene: Scene,
 ) -> tuple[list[IndexPair], dict[IndexPair, str]]:
-    """The pairs to look at, by the rules above.
+    """Choose the pairs to check.
+
+    Left out without mention are bodies on one joint, bodies on joints that follow each other, and bodies that
+    no joint moves against obstacles. Left out with a reason are
+
+    * an obstacle that the arm is mounted on: one within the margin of an end of a body that no joint moves;
+    * bodies nearer to each other than twice the margin where the arm is straight or neutral, such as thick
+      or short links, telescoping tubes, and overlapping meshes: the arm could not even stand straight;
+    * pairs within the margin in every posture that is tried, such as an obstacle beside the base. If the last
+      body is among them, the arm is inside an obstacle, and they are kept.
 
     Args:
         arm: the arm.
-        kinematics: where its joints are.
+        kinematics: of its model.
         bodies: its bodies.
         solids: the same as solids.
         obstacles: the obstacles.
-        scene: what the pairs are for.
+        scene: the scene that they are from.
 
     Returns:
         Pairs of a body and another, or of a body and the number of bodies plus that of an obstacle; and those
         left out, with the reason.
     """
     fixed, count = list(obstacles.values()), len(bodies)
-    standing = _mounted(arm, kinematics, bodies, solids, fixed, scene.margin)
-    excluded = dict.fromkeys(sorted(standing), "the arm is mounted on it")
+    mounted = _mounted_pairs(arm, kinematics, bodies, solids, fixed, scene.margin)
+    excluded = dict.fromkeys(sorted(mounted), "the arm is mounted on it")
     moving = [index for index, body in enumerate(bodies) if body.joint]
     against = [(index, count + k) for index in moving for k in range(len(fixed))]
-    own = list(self_pairs(arm.model, bodies)) if scene.self_collision else []
+    own = list(_self_pairs(arm.model, bodies)) if scene.self_collision else []
     near = PairDistances(solids, [body.joint for body in bodies], [], own)
     touching = set[IndexPair]()
     for q in (arm.straight(), arm.neutral()):
-        limit = STRETCHED * scene.margin + _STILL * arm.length
+        limit = MARGINS_APART * scene.margin + STATIONARY * arm.length
         found = near.near(kinematics.place(q), limit).pairs
         touching |= {(int(near.first[k]), int(near.second[k])) for k in found}
     excluded |= dict.fromkeys(sorted(touching), "near each other where the arm is straight or neutral")
     left = [pair for pair in (*against, *own) if pair not in excluded]
-    always = _always_close(arm, kinematics, bodies, solids, fixed, left, scene.margin)
-    close = dict.fromkeys(always, ALWAYS_CLOSE)
-    return [pair for pair in left if pair not in close], excluded | close
+    close = _always_close(arm, kinematics, bodies, solids, fixed, left, scene.margin)
+    return [pair for pair in left if pair not in close], excluded | dict.fromkeys(close, ALWAYS_CLOSE)
 
 
 def _always_close(
@@ -123,21 +154,20 @@ def _always_close(
     pairs: Sequence[IndexPair],
     margin: float,
 ) -> list[IndexPair]:
-    """Pairs that are nearer than the margin in every posture that is tried."""
+    """Return the pairs nearer than the margin in every posture that is tried."""
     rng, left = np.random.default_rng(0), list(pairs)
-    postures = (arm.straight(), arm.neutral(), *(arm.random(rng) for _ in range(POSTURES)))
-    for q in postures:
+    for q in (arm.straight(), arm.neutral(), *(arm.random(rng) for _ in range(RANDOM_POSTURES))):
         if not left:
             break
         distances = PairDistances(solids, [body.joint for body in bodies], fixed, left)
         found = np.sort(distances.near(kinematics.place(q), margin).pairs)
         left = [(int(distances.first[k]), int(distances.second[k])) for k in found]
-    # What not even the tip comes clear of is no neighbour of the base: the arm is inside of it.
+    # An obstacle that even the last body never clears does not stand beside the base: the arm is inside it.
     around_all = {second for first, second in left if second >= len(bodies) and first == len(bodies) - 1}
     return [pair for pair in left if pair[1] not in around_all]
 
 
-def _mounted(
+def _mounted_pairs(
     arm: Arm,
     kinematics: TreeKinematics,
     bodies: Sequence[Body],
@@ -145,91 +175,66 @@ def _mounted(
     fixed: Sequence[Solid],
     margin: float,
 ) -> set[IndexPair]:
-    """Pairs of a body and an obstacle that some point of the body never moves away from."""
-    ends = np.array([[each.start, each.end] for each in solids]).reshape(-1, 2, 3)
-    joints, rng, found = [body.joint for body in bodies], np.random.default_rng(0), []
-    for q in (arm.neutral(), arm.random(rng), arm.random(rng)):
-        at = kinematics.place(q)
-        turns, shifts = at.rotations[0, joints], at.origins[0, joints]
-        found.append(ends @ turns.swapaxes(1, 2) + shifts[:, None])
-    still = np.ptp(found, axis=0).max(axis=2) <= _STILL * arm.length  # (bodies, 2)
+    """Return the pairs of a body and an obstacle near an end of the body that no joint moves."""
     narrow, pairs = Narrow(), set()
-    for body, end in np.argwhere(still & (np.array(joints) > 0)[:, None]):
-        radius = solids[body].radius if solids[body].round else 1e-3 * _STILL * arm.length
-        ball, at = coal.Sphere(radius), coal.Transform3s(np.eye(3), found[0][body, end])
+    for body, position in stationary_ends(arm, kinematics, bodies, solids):
+        radius = solids[body].radius if solids[body].round else 1e-3 * STATIONARY * arm.length
+        ball, at = coal.Sphere(radius), coal.Transform3s(np.eye(3), position)
         for k, each in enumerate(fixed):
             there = coal.Transform3s(each.rotation, each.position)
             if narrow.distance((ball, at, each.geometry, there)) <= margin:
-                pairs.add((int(body), len(bodies) + k))
+                pairs.add((body, len(bodies) + k))
     return pairs
 
 
-# Which way out, where the distance of two solids does not say.
-#
-# Where the axes of two capsules meet, every direction across both is equally short; and a planar arm that
-# crosses something in its plane would be shorter out of the plane, where it cannot go.
-
-_SMALL = 1e-9
-
-
 def escape_direction(first: Array, second: Array, plane: Array) -> Array:
-    """The direction of the shortest translation that takes one line from another, across both if it can be.
+    """Return the direction of the shortest translation that separates two segments.
+
+    It replaces a normal that is undefined, because the axes of two capsules meet, or that points out of the
+    plane of a planar arm. It is normal to both segments if possible.
 
     Args:
-        first: ends of the line that is to move, (2, 3) [m].
-        second: ends of the line that it meets, (2, 3) [m].
-        plane: orthonormal directions in which it can move, (2, 3) or (3, 3).
+        first: ends of the segment that is to move, (2, 3) [m].
+        second: ends of the other segment, (2, 3) [m].
+        plane: orthonormal directions in which the first can move, (2, 3) or (3, 3).
 
     Returns:
-        Unit vector in the span of `plane`, (3,); the same for the same arguments.
+        Unit vector in the span of `plane`, (3,).
     """
     moving, still = first @ plane.T, second @ plane.T
     u, v = moving[1] - moving[0], still[1] - still[0]
     size = max(float(np.linalg.norm(u)), float(np.linalg.norm(v)), 1e-300)
-    apart = moving.mean(axis=0) - still.mean(axis=0)
+    offset = moving.mean(axis=0) - still.mean(axis=0)
     if len(plane) == 2:
-        across = [np.array([-line[1], line[0]]) for line in (u, v)]
-        directions = [line / np.linalg.norm(line) for line in across if np.linalg.norm(line) > _SMALL * size]
+        normals = [np.array([-line[1], line[0]]) for line in (u, v)]
+        directions = [n / np.linalg.norm(n) for n in normals if np.linalg.norm(n) > _NEGLIGIBLE * size]
         if not directions:  # both are points in the plane
-            gap = float(np.linalg.norm(apart))
-            return np.asarray((apart / gap if gap > 0.0 else np.array([1.0, 0.0])) @ plane)
+            gap = float(np.linalg.norm(offset))
+            return np.asarray((offset / gap if gap > 0.0 else np.array([1.0, 0.0])) @ plane)
         return np.asarray(_shortest(moving, still, directions) @ plane)
     normal = np.cross(u, v)
-    if np.linalg.norm(normal) <= _SMALL * size * size:  # parallel: across the line, from middle to middle
+    if np.linalg.norm(normal) <= _NEGLIGIBLE * size * size:  # parallel: from middle to middle, normal to both
         line = (u if np.linalg.norm(u) >= np.linalg.norm(v) else v) / size
-        normal = apart - line * (line @ apart)
-        if np.linalg.norm(normal) <= _SMALL * size:
+        normal = offset - line * (line @ offset)
+        if np.linalg.norm(normal) <= _NEGLIGIBLE * size:
             normal = np.cross(line, np.eye(3)[np.argmin(np.abs(line))])
-            if np.linalg.norm(normal) == 0.0:  # two points in one place
+            if np.linalg.norm(normal) == 0.0:  # coincident points
                 normal = np.array([0.0, 0.0, 1.0])
     return np.asarray((normal / np.linalg.norm(normal)) @ plane)
 
 
 def _shortest(moving: Array, still: Array, directions: list[Array]) -> Array:
-    """Of several directions and their opposites, the one along which the lines are soonest apart."""
+    """Return the one of several directions and their opposites along which the segments separate soonest."""
     best, least = directions[0], np.inf
-    for direction in directions:
-        for sign in (1.0, -1.0):
-            way = sign * direction
-            needed = float((still @ way).max() - (moving @ way).min())
-            if needed < least - 1e-12:
-                best, least = way, needed
+    for direction in (sign * each for each in directions for sign in (1.0, -1.0)):
+        needed = float((still @ direction).max() - (moving @ direction).min())
+        if needed < least - 1e-12:
+            best, least = direction, needed
     return best
 
 
-# How far an arm is from what surrounds it, and from itself.
-
-Pair = tuple[str, str]
-
-MENTIONED = 4
-"""How many pairs a warning lists."""
-
-IN_PLANE = 1e-3
-"""Share of a normal in the plane of a planar arm below which the arm is shown another way out."""
-
-
 class Closest(NamedTuple):
-    """The pair that is nearest to each other, or deepest in each other.
+    """The nearest pair, or the one that overlaps most.
 
     Attributes:
         distance: between their surfaces, negative where they overlap [m]; infinite if there is no pair.
@@ -241,12 +246,13 @@ class Closest(NamedTuple):
 
 
 class Distances(NamedTuple):
-    """The pairs that are near, nearest first, and how their distances change.
+    """The pairs that are near, nearest first, and the derivatives of their distances.
 
     Attributes:
         distances: between their surfaces, negative where they overlap, (k,) [m].
         jacobian: derivatives of the distances by the joint displacement, (k, nv) [m/rad or m/m]. Where a
-            distance has none, or a planar arm could only leave its plane, the direction that leads out.
+            distance has none, or only motion out of a planar arm's plane increases it, those along another
+            normal that separates the pair.
         pairs: names of the body and of the obstacle or the other body, k of them. A body of several solids
             may have several rows with one name.
         points: point of the body nearest to the other, (k, 3) [m], world frame.
@@ -262,10 +268,6 @@ class Distances(NamedTuple):
     normals: Array
     minimum: float
     pair: Pair | None
-
-
-MAX_MODELS = 16
-"""How many collision models an arm remembers."""
 
 
 class CollisionModel:
@@ -285,12 +287,12 @@ class CollisionModel:
         scene: the scene.
         bodies: names of the bodies of the arm, from base to tip.
         pairs: names of all pairs whose distance is computed.
-        excluded_pairs: pairs whose distance is not, because no motion could separate them, or they touch
-            where the arm is straight; bodies next to each other are not even listed.
+        excluded_pairs: pairs whose distance is not computed, because no motion could separate them, or they
+            touch where the arm is straight; bodies next to each other are not listed.
     """
 
     def __new__(cls, arm: Arm, scene: Scene) -> CollisionModel:
-        """Find or make the model of an arm and a scene.
+        """Return the model of an arm and a scene, made on first use.
 
         Args:
             arm: the arm.
@@ -321,15 +323,15 @@ class CollisionModel:
         obstacles = {name: solid(obstacle) for name, obstacle in scene.obstacles.items()}
         self.bodies = tuple(body.name for body in bodies)
         names = (*self.bodies, *obstacles)
-        chosen, excluded = choose_pairs(arm, self._kinematics, bodies, self._solids, obstacles, scene)
+        chosen, excluded = _choose_pairs(arm, self._kinematics, bodies, self._solids, obstacles, scene)
         self.excluded_pairs = tuple(ExcludedPair(names[a], names[b], why) for (a, b), why in excluded.items())
         close = [
             f"{each.first} to {each.second}" for each in self.excluded_pairs if each.reason == ALWAYS_CLOSE
         ]
         if close:
-            named = ", ".join(close[:MENTIONED]) + (
-                f" and {len(close) - MENTIONED} more pairs" if close[MENTIONED:] else ""
-            )
+            named = ", ".join(close[:MAX_LISTED_PAIRS])
+            if len(close) > MAX_LISTED_PAIRS:
+                named += f" and {len(close) - MAX_LISTED_PAIRS} more pairs"
             text = f"{named}: {ALWAYS_CLOSE}; nothing keeps them apart (margin {scene.margin:g} m)"
             warnings.warn(text, PostureWarning, stacklevel=3)
         joints = [body.joint for body in bodies]
@@ -339,11 +341,11 @@ class CollisionModel:
         self._carriers = np.array([*joints, *[0] * len(obstacles)], dtype=np.int64)
 
     def nearest(self, state: ArmState, within: float) -> Distances:
-        """The pairs nearer than a distance, and how their distances change with the joints.
+        """Return the pairs nearer than a distance, and the derivatives of their distances.
 
         Args:
             state: a state of the arm.
-            within: how near [m]; may be infinite.
+            within: the distance [m]; may be infinite.
 
         Raises:
             InvalidValue: a state of another arm, or not a distance.
@@ -370,7 +372,7 @@ class CollisionModel:
         )
 
     def minimum(self, q: ArrayLike) -> Closest:
-        """The smallest of the distances of all pairs at a configuration.
+        """Return the smallest of the distances of all pairs at a configuration.
 
         Args:
             q: configuration, (nq,) [rad or m].
@@ -382,29 +384,28 @@ class CollisionModel:
         return self._closest(*self._distances.minimum(placements))
 
     def minimum_between(self, q0: ArrayLike, dq: ArrayLike, samples: int = 10) -> Closest:
-        """The smallest distance on the way from a configuration along a joint displacement.
+        """Return the smallest distance on the path from a configuration along a joint displacement.
 
         Args:
-            q0: where the way begins, (nq,) [rad or m].
+            q0: start of the path, (nq,) [rad or m].
             dq: the displacement, (nv,) [rad or m].
-            samples: at how many configurations: equally spaced, the end among them, the beginning not.
+            samples: number of configurations: equally spaced, with the end, without the start.
 
         Raises:
             InvalidValue: a vector of the wrong size or not finite, or no samples.
         """
         if not is_count(samples):
             raise InvalidValue("samples", samples, "a whole number of at least 1")
-        start, way = self._space.checked(q0, "q0"), finite_vector("dq", dq, self._model.nv)
-        return self.minimum_along(start, way * (np.arange(1, samples + 1)[:, None] / samples))
+        start, displacement = self._space.checked(q0, "q0"), finite_vector("dq", dq, self._model.nv)
+        return self.minimum_along(start, displacement * (np.arange(1, samples + 1)[:, None] / samples))
 
     def minimum_along(self, q0: Array, offsets: Array, below: float = np.inf) -> Closest:
-        """The smallest distance at several configurations.
+        """Return the smallest distance at several configurations.
 
         Args:
             q0: a configuration, (nq,) [rad or m], as `Arm.checked` returns it.
             offsets: displacements from it, (s, nv) [rad or m], s > 0.
-            below: distances that matter [m]: if none is smaller, some larger one is returned, or none, which
-                takes less time.
+            below: if no distance is smaller than this [m], any larger one, or none, is returned faster.
         """
         placements = self._kinematics.place(q0, offsets)
         return self._closest(*self._distances.minimum(placements, below))

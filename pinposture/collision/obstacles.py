@@ -1,4 +1,4 @@
-"""Obstacles: solids that do not move, in metres and in the world frame."""
+"""Obstacles: solids that do not move, in metres and in the world frame; mesh files."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from importlib.util import find_spec
-from numbers import Real
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
@@ -24,6 +23,7 @@ from pinposture._validation import (
     Matrix,
     Vector,
     direction,
+    is_number,
     known_keys,
     length,
     point,
@@ -33,14 +33,14 @@ from pinposture.arm.urdf_reader import parse_xml
 from pinposture.errors import FileError, InvalidValue, PostureError, UnknownName
 from pinposture.storage import read_text
 
-# The files that hold meshes: where a description means them to be, and the triangles in them.
+Array = NDArray[np.float64]
 
 MESH_FORMATS = (".stl", ".obj", ".dae", ".ply")
-"""Endings of the files that are read."""
+"""Suffixes of the mesh files that can be read."""
 
 
 class Triangles(NamedTuple):
-    """The surface in a file.
+    """A triangulated surface.
 
     Attributes:
         vertices: its corners, (n, 3) [m].
@@ -52,12 +52,12 @@ class Triangles(NamedTuple):
 
 
 def find_mesh(filename: str, package_dirs: Sequence[str] = ()) -> Path:
-    """The file that a description means.
+    """Find the mesh file that a robot description refers to.
 
     Args:
         filename: "package://name/rest", "file:///...", or a path; relative paths start at `package_dirs`.
-        package_dirs: folders to look in, those that hold packages, are packages, or lie in packages. Packages
-            are looked for in the folders of the environment variable ROS_PACKAGE_PATH as well. A package has
+        package_dirs: folders to search, which hold packages, are packages, or lie in packages. Packages
+            are also searched in the folders of the environment variable ROS_PACKAGE_PATH. A package has
             the name of its folder, or that in its package.xml.
 
     Raises:
@@ -83,10 +83,10 @@ def find_mesh(filename: str, package_dirs: Sequence[str] = ()) -> Path:
 
 
 def read_mesh(path: Path) -> Triangles:
-    """Read a file of one of the FORMATS; COLLADA in the unit that it states, others in metres.
+    """Read a mesh file of one of the `MESH_FORMATS`; COLLADA in the unit that it states, others in metres.
 
     Raises:
-        FileError: missing, of another format, or the file does not hold triangles as it should.
+        FileError: missing, of another format, or without valid triangles.
     """
     if path.suffix.lower() not in MESH_FORMATS:
         raise FileError(path, f"is of an unknown format; allowed: {', '.join(MESH_FORMATS)}")
@@ -95,14 +95,14 @@ def read_mesh(path: Path) -> Triangles:
     if path.suffix.lower() == ".dae" and find_spec("collada") is None:
         raise FileError(path, "is COLLADA, which only the package pycollada reads; install it")
     try:
-        import trimesh  # here, because most arms need no files
+        import trimesh  # slow, and most arms need no files
 
         scene = trimesh.load_scene(path, process=False)
         if path.suffix.lower() == ".dae" and scene.units is not None:
             scene = scene.convert_units("meters")
         surface = scene.to_mesh()
         mesh = Triangles(np.array(surface.vertices, dtype=np.float64), np.array(surface.faces, dtype=np.intp))
-    except Exception as error:  # a broken file makes a reader fail in any way
+    except Exception as error:  # a broken file makes a reader raise anything
         raise FileError(path, f"cannot be read: {str(error) or type(error).__name__}") from error
     if not mesh.faces.size:
         raise FileError(path, "holds no triangles")
@@ -112,7 +112,7 @@ def read_mesh(path: Path) -> Triangles:
 
 
 def _packages(name: str, folders: Sequence[Path]) -> Iterator[Path]:
-    """The folders that may be a package: those that are called so, then those whose package.xml says so."""
+    """Yield the folders that may be a package: first by their own name, then by that in their package.xml."""
     yield from (folder / name for folder in folders)
     for folder in folders:
         yield from (at for at in (folder, *folder.parents) if at.name == name)
@@ -121,11 +121,11 @@ def _packages(name: str, folders: Sequence[Path]) -> Iterator[Path]:
             below = sorted(at for at in folder.iterdir() if at.is_dir())
         except (OSError, ValueError):
             below = []
-        yield from (at for at in (folder, *folder.parents, *below) if _named_inside(at) == name)
+        yield from (at for at in (folder, *folder.parents, *below) if _package_name(at) == name)
 
 
-def _named_inside(folder: Path) -> str:
-    """The name that the package.xml in a folder gives; empty if there is none, or none that can be read."""
+def _package_name(folder: Path) -> str:
+    """Return the name in the package.xml of a folder; empty if there is none that can be read."""
     file = folder / "package.xml"
     if not _is_file(file):
         return ""
@@ -139,27 +139,57 @@ def _named_inside(folder: Path) -> str:
 def _is_file(path: Path) -> bool:
     try:
         return path.is_file()
-    except (OSError, ValueError):  # a name that is too long, or no name at all
+    except (OSError, ValueError):  # a name that is too long or empty
         return False
 
 
-# An obstacle with flat faces: the convex hull of points.
+def scale_factor(path: Any, scale: Any) -> float:
+    """Check the arguments of a loader: the name of a file, and the factor of its coordinates.
 
-Array = NDArray[np.float64]
+    Raises:
+        InvalidValue: anything else.
+    """
+    if not isinstance(path, (str, PathLike)):
+        raise InvalidValue("path", path, "the name of a file")
+    if not is_number(scale) or not SMALLEST_LENGTH <= scale <= LARGEST_LENGTH:
+        raise InvalidValue("scale", scale, f"a factor of {SMALLEST_LENGTH:g} to {LARGEST_LENGTH:g}")
+    return float(scale)
+
+
+def _set(solid: object, **values: object) -> None:
+    for name, value in values.items():
+        object.__setattr__(solid, name, value)
+
+
+def _check_apart(start: Vector, end: Vector, instead: str) -> None:
+    if np.linalg.norm(np.subtract(end, start)) < SMALLEST_LENGTH:
+        raise InvalidValue("end", end, f"another point than start; {instead}")
+
+
+class _Described:
+    """Conversion of an obstacle to plain data."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the obstacle as data that JSON can hold; see `obstacle_from_dict`."""
+        described: dict[str, Any] = {"type": self.type}  # type: ignore[attr-defined]
+        for each in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, each.name)
+            described[each.name] = np.array(value).tolist() if isinstance(value, tuple) else value
+        return described
 
 
 @dataclass(frozen=True)
-class Mesh:
+class Mesh(_Described):
     """The convex hull of points, or of the mesh in a file: hollows are filled.
 
-    A hollow thing, such as a ring, is a scene of several convex meshes.
+    A hollow object, such as a ring, is a scene of several convex meshes.
 
     Attributes:
         vertices: the corners of the hull, (n, 3) [m], in the frame of the mesh, sorted. Any points may be
             given; those inside the hull are dropped.
-        center: where the origin of the mesh stands in the world, (3,) [m].
+        center: position of the origin of the mesh in the world, (3,) [m].
         rotation: from the axes of the mesh to the world's, (3, 3); given as such, or as roll, pitch, yaw
-            [rad]; no turn if None.
+            [rad]; the identity if None.
     """
 
     type: ClassVar[str] = "mesh"
@@ -168,40 +198,32 @@ class Mesh:
     rotation: Matrix = None  # type: ignore[assignment]  # never None once it is made
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "vertices", _corners(self.vertices))
-        object.__setattr__(self, "center", point("center", self.center))
-        object.__setattr__(self, "rotation", rotation("rotation", self.rotation))
+        _set(self, vertices=_hull_vertices(self.vertices), center=point("center", self.center))
+        _set(self, rotation=rotation("rotation", self.rotation))
 
     @classmethod
     def load(
         cls, path: str | Path, scale: float = 1.0, center: ArrayLike = (0, 0, 0), rotation: Any = None
     ) -> Mesh:
-        """The convex hull of the mesh in a file (.stl, .obj, .ply, .dae).
+        """Read the convex hull of the mesh in a file (.stl, .obj, .ply, .dae).
 
         Args:
             path: the file.
             scale: factor of its coordinates, such as 0.001 for a file in millimetres.
-            center: where its origin stands in the world, (3,) [m].
-            rotation: how it is turned there, as in `Mesh`.
+            center: as in `Mesh`.
+            rotation: as in `Mesh`.
 
         Raises:
             FileError: missing, of another format, or without triangles.
             InvalidValue: a value as described in `Mesh`, or a mesh without volume.
         """
-        if not isinstance(path, (str, PathLike)):
-            raise InvalidValue("path", path, "the name of a file")
-        if (
-            not isinstance(scale, Real)
-            or isinstance(scale, bool)
-            or not SMALLEST_LENGTH <= scale <= LARGEST_LENGTH
-        ):
-            raise InvalidValue("scale", scale, f"a factor of {SMALLEST_LENGTH:g} to {LARGEST_LENGTH:g}")
+        factor = scale_factor(path, scale)
         vertices, _ = read_mesh(Path(path))
-        return cls(vertices * float(scale), center, rotation)
+        return cls(vertices * factor, center, rotation)  # type: ignore[arg-type]  # converted when made
 
     @classmethod
     def from_dict(cls, described: Mapping[str, Any], folder: str = ".") -> Mesh:
-        """The mesh that `to_dict` described, or one in a file; see `obstacle_from_dict`."""
+        """Make the mesh that `to_dict` described, or read one from a file; see `obstacle_from_dict`."""
         values = dict(described)
         known_keys("a mesh", values, ("vertices", "path", "scale", "center", "rotation"))
         if ("path" in values) == ("vertices" in values):
@@ -216,21 +238,17 @@ class Mesh:
             raise InvalidValue("scale", values["scale"], "nothing: vertices are in metres")
         return cls(**values)
 
-    def to_dict(self) -> dict[str, Any]:
-        """The mesh as data that JSON can hold."""
-        return {
-            "type": self.type,
-            "vertices": np.array(self.vertices).tolist(),
-            "center": list(self.center),
-            "rotation": np.array(self.rotation).tolist(),
-        }
-
     def faces(self) -> NDArray[np.intp]:
-        """Triangles of the hull as indices of its vertices, seen counterclockwise from outside, (t, 3)."""
-        return _outward(ConvexHull(np.array(self.vertices)))
+        """Return the triangles of the hull as vertex indices, counterclockwise from outside, (t, 3)."""
+        hull = ConvexHull(np.array(self.vertices))
+        faces = np.array(hull.simplices, dtype=np.intp)
+        a, b, c = (hull.points[faces[:, k]] for k in range(3))
+        inward = np.einsum("ti,ti->t", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
+        faces[inward] = faces[inward][:, ::-1]
+        return faces
 
 
-def _corners(vertices: Any) -> tuple[Vector, ...]:
+def _hull_vertices(vertices: Any) -> tuple[Vector, ...]:
     allowed = "points (n, 3) [m] that span a volume"
     try:
         points = np.array(vertices, dtype=np.float64)
@@ -241,7 +259,7 @@ def _corners(vertices: Any) -> tuple[Vector, ...]:
     if points.size and np.abs(points).max() > LARGEST_LENGTH:
         raise InvalidValue("vertices (largest)", float(np.abs(points).max()), f"at most {LARGEST_LENGTH:g} m")
     points, count = np.unique(points, axis=0), 0
-    # Corners that lie almost in a face may be dropped one by one; the hull is final when none is.
+    # Corners that are almost in a face may be dropped one by one: repeat until none is.
     while len(points) != count:
         count = len(points)
         try:
@@ -252,42 +270,6 @@ def _corners(vertices: Any) -> tuple[Vector, ...]:
     if hull.volume < SMALLEST_LENGTH**3:
         raise InvalidValue("vertices (volume)", float(hull.volume), allowed)
     return tuple((float(x), float(y), float(z)) for x, y, z in points)
-
-
-def _outward(hull: ConvexHull) -> NDArray[np.intp]:
-    """The triangles of a hull, turned so that their normals point outwards."""
-    faces = np.array(hull.simplices, dtype=np.intp)
-    a, b, c = (hull.points[faces[:, k]] for k in range(3))
-    inward = np.einsum("ti,ti->t", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
-    faces[inward] = faces[inward][:, ::-1]
-    return faces
-
-
-# What is in the way: solids that do not move, in metres and in the world frame.
-#
-# The same solids, in the frame of a joint, are the bodies of an arm.
-
-
-def _set(solid: object, **values: object) -> None:
-    for name, value in values.items():
-        object.__setattr__(solid, name, value)
-
-
-def _check_apart(start: Vector, end: Vector, instead: str) -> None:
-    if np.linalg.norm(np.subtract(end, start)) < SMALLEST_LENGTH:
-        raise InvalidValue("end", end, f"another point than start; {instead}")
-
-
-class _Described:
-    """Conversion to plain data, the same for every kind of obstacle but meshes."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """The obstacle as data that JSON can hold; see `obstacle_from_dict`."""
-        described: dict[str, Any] = {"type": self.type}  # type: ignore[attr-defined]
-        for each in fields(self):  # type: ignore[arg-type]
-            value = getattr(self, each.name)
-            described[each.name] = np.array(value).tolist() if isinstance(value, tuple) else value
-        return described
 
 
 @dataclass(frozen=True)
@@ -355,9 +337,9 @@ class Box(_Described):
 
     Attributes:
         center: its centre, (3,) [m].
-        size: its edges along its own axes, whole lengths, (3,) [m].
+        size: lengths of its edges along its own axes, (3,) [m].
         rotation: from its axes to the world's, (3, 3); given as such, or as roll, pitch, yaw [rad]; the
-            axes of the world if None.
+            identity if None.
     """
 
     type: ClassVar[str] = "box"
@@ -378,7 +360,7 @@ class HalfSpace(_Described):
 
     Attributes:
         point: a point of the plane, (3,) [m].
-        normal: points away from the solid, to the side that is free, (3,); made a unit vector.
+        normal: unit vector to the free side, (3,); normalised if it is not.
     """
 
     type: ClassVar[str] = "half_space"
@@ -391,22 +373,22 @@ class HalfSpace(_Described):
 
 Obstacle: TypeAlias = "Sphere | Capsule | Cylinder | Box | HalfSpace | Mesh"
 
-KINDS: Mapping[str, type[Obstacle]] = MappingProxyType(
+OBSTACLE_TYPES: Mapping[str, type[Obstacle]] = MappingProxyType(
     {kind.type: kind for kind in (Sphere, Capsule, Cylinder, Box, HalfSpace, Mesh)}
 )
-"""The kinds of obstacles by the name that a scene file gives them."""
+"""Classes of obstacles by their name in scene files."""
 
 
 def obstacle_from_dict(described: Mapping[str, Any], folder: str = ".") -> Obstacle:
-    """The obstacle that `to_dict` described.
+    """Make the obstacle that `to_dict` described.
 
     Args:
-        described: "type", and the attributes of that kind under their names. A mesh has "vertices" or
-            "path", the name of a file, and with a path "scale" if it likes.
-        folder: where a relative path begins.
+        described: "type", and the attributes of that type under their names. A mesh has "vertices" or
+            "path", the name of a file, and with a path optionally "scale".
+        folder: folder to which paths are relative.
 
     Raises:
-        InvalidValue: an attribute that is missing, unknown or of a wrong value.
+        InvalidValue: an attribute that is missing, unknown or invalid.
         UnknownName: there is no such type.
         FileError: the file of a mesh is missing or holds none.
     """
@@ -415,10 +397,10 @@ def obstacle_from_dict(described: Mapping[str, Any], folder: str = ".") -> Obsta
     values = dict(described)
     name = values.pop("type", None)
     if name is None:
-        raise InvalidValue("type", None, ", ".join(KINDS))
-    if not isinstance(name, str) or name not in KINDS:
-        raise UnknownName("type of obstacle", name, KINDS)
-    kind = KINDS[name]
+        raise InvalidValue("type", None, ", ".join(OBSTACLE_TYPES))
+    if not isinstance(name, str) or name not in OBSTACLE_TYPES:
+        raise UnknownName("type of obstacle", name, OBSTACLE_TYPES)
+    kind = OBSTACLE_TYPES[name]
     if kind is Mesh:
         return Mesh.from_dict(values, folder)
     allowed = [each.name for each in fields(kind)]
@@ -429,11 +411,8 @@ def obstacle_from_dict(described: Mapping[str, Any], folder: str = ".") -> Obsta
     return kind(**values)
 
 
-# Solids as distances need them: for coal, and as bounds that numpy can work with many at a time.
-
-
 class Solid(NamedTuple):
-    """A solid in some frame.
+    """A solid in some frame, with its bounding volumes.
 
     Attributes:
         geometry: the shape for coal.
@@ -441,11 +420,11 @@ class Solid(NamedTuple):
         position: its origin in the frame, (3,) [m].
         start: one end of the axis of a capsule that contains the solid, (3,) [m].
         end: the other end, (3,) [m]; the same for a sphere.
-        radius: radius of that capsule [m]; infinite for a half-space, which none contains.
-        round: True if the solid is that capsule, and not just inside of it.
+        radius: radius of that capsule [m]; infinite for a half-space.
+        round: True if the solid is that capsule.
         center: centre of a box with the axes of `rotation` that contains the solid, (3,) [m].
         half: half the edges of that box, (3,) [m].
-        bound: which bound of it is best: "capsule", "box", or "plane" with the normal z and a point `center`.
+        bound: the tightest bound: "capsule", "box", or "plane" with the normal z and a point `center`.
     """
 
     geometry: coal.CollisionGeometry
@@ -461,7 +440,7 @@ class Solid(NamedTuple):
 
 
 def solid(shape: Obstacle) -> Solid:
-    """Prepare a shape for distances."""
+    """Return a shape with its bounding volumes."""
     if isinstance(shape, Sphere):
         center = np.array(shape.center)
         half = np.full(3, shape.radius)
@@ -469,7 +448,7 @@ def solid(shape: Obstacle) -> Solid:
         return Solid(geometry, np.eye(3), center, center, center, shape.radius, True, center, half, "capsule")
     if isinstance(shape, (Capsule, Cylinder)):
         start, end, radius = np.array(shape.start), np.array(shape.end), shape.radius
-        length, center, turn = float(np.linalg.norm(end - start)), (start + end) / 2.0, _along(end - start)
+        length, center, turn = float(np.linalg.norm(end - start)), (start + end) / 2.0, _z_along(end - start)
         round_ = isinstance(shape, Capsule)
         geometry = (coal.Capsule if round_ else coal.Cylinder)(radius, length)
         half = np.array([radius, radius, length / 2.0 + round_ * radius])
@@ -478,7 +457,7 @@ def solid(shape: Obstacle) -> Solid:
         normal, place = np.array(shape.normal), np.array(shape.point)
         geometry = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)  # the points with z <= 0
         whole = np.full(3, np.inf)
-        return Solid(geometry, _along(normal), place, place, place, np.inf, False, place, whole, "plane")
+        return Solid(geometry, _z_along(normal), place, place, place, np.inf, False, place, whole, "plane")
     turn, center = np.array(shape.rotation), np.array(shape.center)
     if isinstance(shape, Box):
         half = np.array(shape.size) / 2.0
@@ -493,8 +472,8 @@ def solid(shape: Obstacle) -> Solid:
     return Solid(geometry, turn, center, start, end, radius, False, middle, half, "box")
 
 
-def _along(axis: Array) -> Array:
-    """A rotation that turns z along an axis."""
+def _z_along(axis: Array) -> Array:
+    """Return a rotation (3, 3) that turns z to a vector (3,)."""
     z = axis / np.linalg.norm(axis)
     x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
     x /= np.linalg.norm(x)
@@ -511,14 +490,14 @@ def _convex(mesh: Mesh) -> coal.Convex:
 
 
 def _capsule_around(points: Array) -> tuple[Array, Array, float]:
-    """A capsule that contains points: along the direction in which they spread most."""
+    """Return axis ends and radius of a capsule around points, along the direction of their largest spread."""
     middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
     offsets = points - middle
     axis = np.linalg.svd(offsets, full_matrices=False)[2][0]
     along = offsets @ axis
     across = np.linalg.norm(offsets - np.outer(along, axis), axis=1)
     radius = float(across.max()) * (1.0 + 1e-9)
-    # A point may lie beyond an end of the axis by as much as the ball there reaches at its distance across.
+    # A point may lie beyond an end of the axis by the extent of the ball there at its distance from the axis.
     reach = np.sqrt(radius**2 - across**2)
     first, last = float(np.min(along + reach)), float(np.max(along - reach))
     if first > last:  # a single ball holds them all

@@ -1,4 +1,4 @@
-"""The distance of an arm from a scan: coal for surfaces, a k-d tree for clouds of points."""
+"""Distance of an arm from a scan: by coal from surfaces, by a k-d tree from point clouds."""
 
 from __future__ import annotations
 
@@ -14,113 +14,85 @@ from pinposture.arm import Arm
 from pinposture.arm.configurations import ConfigurationSpace
 from pinposture.collision.bodies import Body, bodies_of
 from pinposture.collision.distances import Narrow, TreeKinematics
-from pinposture.collision.model import MAX_MODELS, ExcludedPair
+from pinposture.collision.model import MAX_MODELS, ExcludedPair, stationary_ends
 from pinposture.collision.obstacles import Solid, Sphere, solid
 from pinposture.collision.scan import Scan, ScanGeometry
 from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
 
-MOUNTED = 0.01
-"""How near a scan has to be to where the arm is fixed to count as what it is mounted on [m]."""
+PosedSolids: TypeAlias = list[tuple[Solid, coal.Transform3s]]
+"""Solids, each with the placement of its shape in the world."""
 
-_STILL = 1e-9
-"""How far a point may move that does not move, relative to the arm."""
+Nearest: TypeAlias = tuple[float, int, Array, Array]
+"""Distance [m], 0 if they overlap, index of the solid, and the nearest points of solid and scan, (3,) [m]."""
+
+MOUNT_DISTANCE = 0.01
+"""Distance from a stationary point of the arm at which it counts as mounted on a scan [m]."""
+
 _MAX_BALLS = 16
-"""How many balls cover a body, at most."""
+"""Largest number of balls that cover a body."""
 _TOUCHING = 1e-12
 """Distance below which a body touches a scan [m]."""
 
 
-class NearestPart(NamedTuple):
-    """Where one of several bodies is nearest to a scan.
-
-    Attributes:
-        distance: between their surfaces [m]; 0 where they overlap.
-        body: index of the body.
-        on_body: point of its surface, (3,) [m], world frame; where points of a cloud are inside, one of them.
-        on_scan: point of the scan, (3,) [m], world frame; where a surface overlaps the body, of a triangle
-            that does.
-    """
-
-    distance: float
-    body: int
-    on_body: Array
-    on_scan: Array
-
-
-ForwardKinematics: TypeAlias = list[tuple[Solid, coal.Transform3s]]
-"""Solids, and where the shape of each is in the world."""
-
-
-def nearest_to_surface(scan: ScanGeometry, bodies: ForwardKinematics) -> NearestPart:
-    """Where bodies are nearest to a surface; exact.
-
-    Args:
-        scan: a scan with triangles.
-        bodies: the bodies, at least one.
-    """
-    request, result, here = coal.DistanceRequest(), coal.DistanceResult(), coal.Transform3s()
+def _nearest_to_surface(scan: ScanGeometry, solids: PosedSolids) -> Nearest:
+    """Return where solids, at least one, are nearest to a scan with triangles."""
+    request, result, origin = coal.DistanceRequest(), coal.DistanceResult(), coal.Transform3s()
     request.gjk_tolerance = 1e-9
     request.enable_signed_distance = False
-    centers = np.array([place.getTranslation() for _, place in bodies])
-    best = NearestPart(np.inf, 0, np.zeros(3), np.zeros(3))
-    # What one body has found bounds the search of those after it: the result is not cleared in between.
-    for body in np.argsort(scan.tree.query(centers)[0]):
-        shape, place = bodies[body]
-        coal.distance(shape.geometry, place, scan.surface, here, request, result)
+    centers = np.array([pose.getTranslation() for _, pose in solids])
+    best: Nearest = np.inf, 0, np.zeros(3), np.zeros(3)
+    # The result of one solid bounds the search of the next: it is not cleared in between.
+    for index in map(int, np.argsort(scan.tree.query(centers)[0])):
+        shape, pose = solids[index]
+        coal.distance(shape.geometry, pose, scan.surface, origin, request, result)
         if result.min_distance <= _TOUCHING:
-            meeting = coal.CollisionResult()
-            coal.collide(shape.geometry, place, scan.surface, here, coal.CollisionRequest(), meeting)
-            found = meeting.getContacts()[0] if meeting.isCollision() else result
-            points = np.array(found.getNearestPoint1()), np.array(found.getNearestPoint2())
-            return NearestPart(0.0, int(body), *points)
-        if result.min_distance < best.distance:
+            collision = coal.CollisionResult()
+            coal.collide(shape.geometry, pose, scan.surface, origin, coal.CollisionRequest(), collision)
+            found = collision.getContacts()[0] if collision.isCollision() else result
+            return 0.0, index, np.array(found.getNearestPoint1()), np.array(found.getNearestPoint2())
+        if result.min_distance < best[0]:
             points = np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())
-            best = NearestPart(float(result.min_distance), int(body), *points)
+            best = float(result.min_distance), index, *points
     return best
 
 
-def nearest_to_points(scan: ScanGeometry, bodies: ForwardKinematics) -> NearestPart:
-    """Where bodies are nearest to a cloud of points; exact.
+def _nearest_to_points(scan: ScanGeometry, solids: PosedSolids) -> Nearest:
+    """Return where solids, at least one, are nearest to a scan without triangles.
 
-    Each body is covered by balls along its axis; the tree of the points tells which of the balls, and which
-    points around them, can have the smallest distance.
-
-    Args:
-        scan: a scan without triangles.
-        bodies: the bodies, at least one.
+    Balls along its axis cover each solid; the k-d tree gives the points that may be nearest to each ball.
     """
     narrow = Narrow()
     centers, radii, owners, axes = [], [], [], []
-    for body, (shape, place) in enumerate(bodies):
-        turn = place.getRotation() @ shape.rotation.T
-        shift = place.getTranslation() - turn @ shape.position
+    for index, (shape, pose) in enumerate(solids):
+        turn = pose.getRotation() @ shape.rotation.T
+        shift = pose.getTranslation() - turn @ shape.position
         start, end = turn @ shape.start + shift, turn @ shape.end + shift
         span = float(np.linalg.norm(end - start))
         count = int(np.clip(np.ceil(span / (2.0 * shape.radius)), 1, _MAX_BALLS))
         shares = (np.arange(count) + 0.5) / count
         centers.append(start + shares[:, None] * (end - start))
         radii.append(np.full(count, shape.radius + span / (2.0 * count)))
-        owners.append(np.full(count, body))
+        owners.append(np.full(count, index))
         axes.append((start, end))
     center, radius, owner = np.concatenate(centers), np.concatenate(radii), np.concatenate(owners)
-    apart, first = scan.tree.query(center)
-    lower = apart - radius
-    best = NearestPart(np.inf, 0, np.zeros(3), np.zeros(3))
+    distances, first = scan.tree.query(center)
+    lower = distances - radius
+    best: Nearest = np.inf, 0, np.zeros(3), np.zeros(3)
     for ball in np.argsort(lower):
-        if lower[ball] >= best.distance:
+        if lower[ball] >= best[0]:
             break
-        body = int(owner[ball])
-        shape, place = bodies[body]
-        # The nearest point to the centre of the ball bounds how far the others can be.
-        given = shape, place, axes[body], narrow
-        found = _nearest_point(scan.points[first[ball : ball + 1]], *given, best.distance)
-        best = best if found is None else NearestPart(found[0], body, *found[1:])
-        around = scan.tree.query_ball_point(center[ball], best.distance + radius[ball] + _TOUCHING)
-        found = _nearest_point(scan.points[around], *given, best.distance)
-        best = best if found is None else NearestPart(found[0], body, *found[1:])
-        if best.distance <= 0.0:
+        index = int(owner[ball])
+        shape, pose = solids[index]
+        given = shape, pose, axes[index], narrow
+        # The point nearest to the centre of the ball bounds the distance of the others.
+        found = _nearest_point(scan.points[first[ball : ball + 1]], *given, best[0])
+        best = best if found is None else (found[0], index, *found[1:])
+        around = scan.tree.query_ball_point(center[ball], best[0] + radius[ball] + _TOUCHING)
+        found = _nearest_point(scan.points[around], *given, best[0])
+        best = best if found is None else (found[0], index, *found[1:])
+        if best[0] <= 0.0:
             break
     return best
 
@@ -128,23 +100,15 @@ def nearest_to_points(scan: ScanGeometry, bodies: ForwardKinematics) -> NearestP
 def _nearest_point(
     points: Array,
     shape: Solid,
-    place: coal.Transform3s,
+    pose: coal.Transform3s,
     axis: tuple[Array, Array],
     narrow: Narrow,
     below: float,
 ) -> tuple[float, Array, Array] | None:
-    """The nearest of points to a body.
+    """Return distance, point of the solid and point of the scan for the nearest of points (n, 3) to a solid.
 
-    Args:
-        points: the points, (n, 3) [m], world frame.
-        shape: the body.
-        place: where its shape is in the world.
-        axis: ends of the axis of the capsule around it, (3,) [m], world frame.
-        narrow: for distances by coal.
-        below: the distance that a point has to be nearer than [m].
-
-    Returns:
-        Distance [m], point of the body, and point of the scan, (3,) [m]; None if no point is near enough.
+    The axis is that of the capsule around the solid; all is in the world frame. None if no point is nearer
+    than `below`.
     """
     on_axis = _nearest_on_line(points, *axis)
     gaps = points - on_axis
@@ -159,18 +123,18 @@ def _nearest_point(
         if lower[k] <= 0.0:
             return 0.0, points[k], points[k]
         return float(lower[k]), on_axis[k] + gaps[k] * (shape.radius / from_axis[k]), points[k]
-    # The box around the body lies along the axes of its shape.
+    # The bounding box has the axes of the shape.
     middle = shape.rotation.T @ (shape.center - shape.position)
-    local = (points - place.getTranslation()) @ place.getRotation() - middle
+    local = (points - pose.getTranslation()) @ pose.getRotation() - middle
     beyond = np.maximum(np.abs(local) - shape.half, 0.0)
     lower = np.maximum(lower, np.linalg.norm(beyond, axis=1))
     best: tuple[float, Array, Array] | None = None
     for k in np.argsort(lower):
         if lower[k] >= below:
             break
-        there = coal.Transform3s(np.eye(3), points[k])
-        contact = narrow.contact((shape.geometry, place, coal.Sphere(0.0), there))
-        if not contact.distance > _TOUCHING:  # nor where coal cannot tell: it can, where they are apart
+        at_point = coal.Transform3s(np.eye(3), points[k])
+        contact = narrow.contact((shape.geometry, pose, coal.Sphere(0.0), at_point))
+        if not contact.distance > _TOUCHING:  # or NaN: coal only fails where they overlap
             return 0.0, points[k], points[k]
         if contact.distance < below:
             below = contact.distance
@@ -185,33 +149,26 @@ def _nearest_on_line(points: Array, start: Array, end: Array) -> Array:
     return np.asarray(start + shares[:, None] * way)
 
 
-def _nearest(scan: ScanGeometry, solids: list[Solid], rotations: Array, positions: Array) -> NearestPart:
-    """Where solids are nearest to a scan.
-
-    Args:
-        scan: the scan.
-        solids: the solids, each in the frame of its joint.
-        rotations: of these joints, (b, 3, 3).
-        positions: of these joints, (b, 3) [m].
-    """
-    placed = [
+def _nearest(scan: ScanGeometry, solids: list[Solid], rotations: Array, positions: Array) -> Nearest:
+    """Return where solids are nearest to a scan, given the placements (b, 3, 3), (b, 3) of their joints."""
+    posed = [
         (each, coal.Transform3s(turn @ each.rotation, turn @ each.position + shift))
         for each, turn, shift in zip(solids, rotations, positions, strict=True)
     ]
-    return nearest_to_points(scan, placed) if scan.surface is None else nearest_to_surface(scan, placed)
+    return _nearest_to_points(scan, posed) if scan.surface is None else _nearest_to_surface(scan, posed)
 
 
 class ScanGap(NamedTuple):
-    """Where an arm is nearest to a scan.
+    """The smallest distance of an arm from a scan.
 
     Attributes:
         distance: from the surface of the arm to the nearest point of the scan [m]; 0 where they overlap.
-            Infinite if the arm has no body to look at.
-        body: name of the body that is nearest; None without a body.
-        on_arm: the point of its surface, (3,) [m], world frame; None without a body. Where points of a cloud
-            are inside of the body, one of them.
-        on_scan: the point of the scan, (3,) [m], world frame; None without a body. Where a surface overlaps
-            the body, a point of a triangle that does.
+            Infinite if no body is checked.
+        body: name of the nearest body; None without a body.
+        on_arm: the nearest point of its surface, (3,) [m], world frame; None without a body. If points of a
+            cloud are inside the body, one of them.
+        on_scan: the nearest point of the scan, (3,) [m], world frame; None without a body. If a surface
+            overlaps the body, a point of an overlapping triangle.
     """
 
     distance: float
@@ -223,25 +180,22 @@ class ScanGap(NamedTuple):
 class ScanClearance:
     """The distance of an arm from a scan; may be shared between threads.
 
-    An arm remembers it for each scan and radius.
-
-    Distances are exact. Where points or triangles of the scan are in the arm, the distance is 0: how deep
-    they are is not computed.
+    An arm remembers it for each scan and radius. Distances are exact, and 0 if points or triangles of the
+    scan are inside the arm: the depth is not computed.
 
     Attributes:
-        bodies: names of the bodies that are looked at, from base to tip.
-        excluded_pairs: bodies that are not: those that no joint moves, and those that have a point that
-            stands still within `MOUNTED` of the scan, which is what the arm is mounted on.
+        bodies: names of the bodies that are checked, from base to tip.
+        excluded_pairs: bodies that are not: those that no joint moves, and those with a stationary point
+            within 1 cm of the scan, on which the arm is mounted.
     """
 
     def __new__(cls, arm: Arm, scan: Scan, arm_radius: float | None = None) -> ScanClearance:
-        """Find or make what tells the distance of an arm from a scan.
+        """Return the clearance of an arm and a scan, made on first use.
 
         Args:
             arm: the arm.
             scan: the scan.
-            arm_radius: radius of capsules that stand in for whatever the arm's description says [m], as in
-                `Scene`; if None, that.
+            arm_radius: radius of stand-in capsules [m], as in `Scene`.
 
         Raises:
             InvalidValue: not an arm, not a scan, or not a radius.
@@ -262,23 +216,22 @@ class ScanClearance:
         return made[radius]
 
     def _prepare(self, arm: Arm, scan: Scan, radius: float | None) -> None:
-        # Without the scan itself, which is forgotten with its last user.
-        self._space = ConfigurationSpace(arm.model)
-        self._kinematics = TreeKinematics(arm.model)
-        listed = bodies_of(arm, radius)
-        moved = [body for body in listed if body.joint]
-        standing = self._standing(scan, arm, moved)
-        reasons = {body.name: "no joint moves it" for body in listed if not body.joint}
-        reasons |= {moved[k].name: "the arm is mounted on the scan" for k in standing}
+        # The scan itself is not referenced: the weak keys of the cache would keep it alive.
+        self._space, self._kinematics = ConfigurationSpace(arm.model), TreeKinematics(arm.model)
+        bodies = bodies_of(arm, radius)
+        moved = [body for body in bodies if body.joint]
+        mounted = self._mounted(scan.geometry, arm, moved)
+        reasons = {body.name: "no joint moves it" for body in bodies if not body.joint}
+        reasons |= {moved[k].name: "the arm is mounted on the scan" for k in mounted}
         self.excluded_pairs = tuple(ExcludedPair(name, scan.name, why) for name, why in reasons.items())
-        left = [body for k, body in enumerate(moved) if k not in standing]
-        self.bodies = tuple(body.name for body in left)
-        self._joints = [body.joint for body in left]
-        self._solids = [solid(body.shape) for body in left]
+        checked = [body for k, body in enumerate(moved) if k not in mounted]
+        self.bodies = tuple(body.name for body in checked)
+        self._joints = [body.joint for body in checked]
+        self._solids = [solid(body.shape) for body in checked]
         self._geometry = scan.geometry
 
     def minimum(self, q: ArrayLike) -> ScanGap:
-        """How far the arm is from the scan at a configuration, and where.
+        """Return the smallest distance at a configuration.
 
         Args:
             q: configuration, (nq,) [rad or m].
@@ -290,24 +243,16 @@ class ScanClearance:
         if not self._solids:
             return ScanGap(np.inf, None, None, None)
         rotations, positions = (each[0, self._joints] for each in placements)
-        found = _nearest(self._geometry, self._solids, rotations, positions)
-        return ScanGap(found.distance, self.bodies[found.body], found.on_body, found.on_scan)
+        distance, index, on_arm, on_scan = _nearest(self._geometry, self._solids, rotations, positions)
+        return ScanGap(distance, self.bodies[index], on_arm, on_scan)
 
-    def _standing(self, scan: Scan, arm: Arm, bodies: list[Body]) -> set[int]:
-        """Indices of the bodies by which the arm is mounted on the scan."""
-        ends = np.array([[each.start, each.end] for each in (solid(body.shape) for body in bodies)])
-        joints, rng, found = [body.joint for body in bodies], np.random.default_rng(0), []
-        if not bodies:
-            return set()
-        for q in (arm.neutral(), arm.random(rng), arm.random(rng)):
-            turns, shifts = (each[0, joints] for each in self._kinematics.place(q))
-            found.append(ends @ turns.swapaxes(1, 2) + shifts[:, None])
-        still = np.ptp(found, axis=0).max(axis=2) <= _STILL * arm.length  # (bodies, 2)
+    def _mounted(self, scan: ScanGeometry, arm: Arm, bodies: list[Body]) -> set[int]:
+        """Return the indices of the bodies by which the arm is mounted on the scan."""
+        solids = [solid(body.shape) for body in bodies]
         mounted = set()
-        for body, end in np.argwhere(still):
-            shape = solid(bodies[body].shape)
-            ball = solid(Sphere((0.0, 0.0, 0.0), shape.radius if shape.round else SMALLEST_LENGTH))
-            place = _nearest(scan.geometry, [ball], np.eye(3)[None], found[0][body, end][None])
-            if place.distance <= MOUNTED:
-                mounted.add(int(body))
+        for index, position in stationary_ends(arm, self._kinematics, bodies, solids) if bodies else ():
+            radius = solids[index].radius if solids[index].round else SMALLEST_LENGTH
+            ball = solid(Sphere((0.0, 0.0, 0.0), radius))
+            if _nearest(scan, [ball], np.eye(3)[None], position[None])[0] <= MOUNT_DISTANCE:
+                mounted.add(index)
         return mounted

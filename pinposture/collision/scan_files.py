@@ -14,21 +14,24 @@ from numpy.typing import NDArray
 from pinposture.errors import FileError
 from pinposture.storage import read_text
 
-# The files that hold scans: which reader each has, and those of plain numbers.
-
 Array = NDArray[np.float64]
 
-_ARRAYS = ("points", "faces", "colors")
 _COMMENTS = ("#", "//")
+_LINES = "lines of three numbers or more, x y z first or where the line before them names x, y and z"
+_XYZ = {"x", "y", "z"}
+_GREY = 180
+"""Colour of parts without colours in a file in which other parts have some."""
+_MAX_HEADER = 100_000
+"""Largest size of the header of a PLY file [bytes]."""
 
 
 class ReadScan(NamedTuple):
-    """What a file says, as it says it.
+    """The contents of a scan file, unchecked.
 
     Attributes:
         points: (n, 3), in the unit of the file, finite or not.
         faces: triangles as indices of points, (k, 3); None for a cloud of points.
-        colors: of the points, (n, 3), 0 to 255 if they are whole numbers, else 0 to 1; None without.
+        colors: of the points, (n, 3), 0 to 255 if they are integers, else 0 to 1; None without.
     """
 
     points: Array
@@ -37,7 +40,7 @@ class ReadScan(NamedTuple):
 
 
 def read_scan(path: Path) -> ReadScan:
-    """Read a file in a format of `SCAN_READERS`.
+    """Read a scan file in a format of `SCAN_READERS`.
 
     Raises:
         FileError: missing, of another format, or malformed; says what is wrong and what is allowed.
@@ -62,9 +65,9 @@ def read_scan(path: Path) -> ReadScan:
 
 
 def _read_text(path: Path) -> ReadScan:
-    """Lines of numbers between spaces, commas or semicolons; the first may name the columns."""
+    """Read lines of numbers separated by spaces, commas or semicolons; the first may name the columns."""
     text = read_text(path)
-    start = _start(text)
+    start = _first_line(text)
     if start is None:
         raise FileError(path, f"holds no points; allowed: {_LINES}")
     mark = next((mark for mark in (";", ",") if mark in start.first), None)
@@ -92,16 +95,12 @@ def _read_text(path: Path) -> ReadScan:
     return ReadScan(points)
 
 
-_LINES = "lines of three numbers or more, x y z first or where the line before them names x, y and z"
-_XYZ = {"x", "y", "z"}
-
-
 class _Start(NamedTuple):
-    """Where the lines of a text begin that say something.
+    """The first line of a text that is not blank or a comment.
 
     Attributes:
-        number: of the first of them, from 1.
-        first: what it says.
+        number: its number, from 1.
+        first: its text without comments.
         comment: the last comment before it.
     """
 
@@ -110,36 +109,36 @@ class _Start(NamedTuple):
     comment: str
 
 
-def _start(text: str) -> _Start | None:
+def _first_line(text: str) -> _Start | None:
     comment = ""
     for number, line in enumerate(io.StringIO(text), start=1):
-        said = _said(line)
-        if said:
-            return _Start(number, said, comment)
+        content = _without_comment(line)
+        if content:
+            return _Start(number, content, comment)
         comment = line.strip().lstrip("#/").strip() or comment
     return None
 
 
 def _names(line: str, mark: str | None) -> list[str]:
-    """Names of columns, without their units."""
+    """Return the names of columns, without their units."""
     words = line.split(mark if mark is not None and mark in line else None)
     return [word.strip(' \t"').lower().partition("[")[0].partition("(")[0].strip() for word in words]
 
 
-def _said(line: str) -> str:
+def _without_comment(line: str) -> str:
     for comment in _COMMENTS:
         line = line.partition(comment)[0]
     return line.strip()
 
 
 def _fault(text: str, skipped: int, mark: str | None, columns: tuple[int, ...]) -> str:
-    """Which line is at fault, in words; nothing if none is."""
+    """Describe the first faulty line; empty if there is none."""
     for number, line in enumerate(io.StringIO(text), start=1):
-        said = _said(line)
-        if said and number > skipped:
-            words = said.split(mark)
+        content = _without_comment(line)
+        if content and number > skipped:
+            words = content.split(mark)
             if len(words) <= max(columns) or not _are_numbers([words[column] for column in columns]):
-                return f"line {number} is {_short(said)}; allowed: {_LINES}"
+                return f"line {number} is {_short(content)}; allowed: {_LINES}"
     return ""
 
 
@@ -153,7 +152,7 @@ def _are_numbers(words: list[str]) -> bool:
 def _read_npy(path: Path) -> ReadScan:
     try:
         values = np.load(path, allow_pickle=False)
-    except Exception as error:  # a broken header makes numpy fail in any way
+    except Exception as error:  # a broken header makes numpy raise anything
         raise FileError(path, f"is no array that can be read ({error}); allowed: .npy of numbers") from error
     return ReadScan(_rows(path, "the array", values))
 
@@ -168,16 +167,15 @@ def _read_npz(path: Path) -> ReadScan:
     if "points" not in arrays:
         if len(arrays) != 1:
             listed = ", ".join(arrays) or "nothing"
-            raise FileError(
-                path, f"holds {listed}; allowed: an array points, with faces and colors if need be"
-            )
+            allowed = "an array points, with faces and colors if need be"
+            raise FileError(path, f"holds {listed}; allowed: {allowed}")
         return ReadScan(_rows(path, *next(iter(arrays.items()))))
     points = _rows(path, "points", arrays["points"])
-    return ReadScan(points, *(arrays.get(name) for name in _ARRAYS[1:]))
+    return ReadScan(points, arrays.get("faces"), arrays.get("colors"))
 
 
 def _rows(path: Path, name: str, values: NDArray[Any]) -> Array:
-    """Points from an array whose last axis holds x, y, z and maybe more; depth images have two more axes."""
+    """Return points from an array with x, y, z first in its last axis; depth images have two more axes."""
     if values.ndim not in (2, 3) or values.shape[-1] < 3 or values.dtype.kind not in "iuf":
         found = f"{name} is {values.dtype} {values.shape}"
         raise FileError(path, f"{found}; allowed: numbers, (n, 3) or (rows, columns, 3)")
@@ -188,33 +186,19 @@ def _short(text: str) -> str:
     return repr(text if len(text) < 60 else text[:57] + "...")
 
 
-# Scans in the files of meshes, read by trimesh: surfaces, and clouds of points in those that hold them.
-
-_GREY = 180
-"""The colour of parts that have none in a file in which others have."""
-_LONGEST = 100_000
-"""Bytes within which the header of a PLY file has to be over."""
-
-
 def _read_model(path: Path) -> ReadScan:
-    """Points, triangles and colours of all that is in a file.
-
-    Raises:
-        FileError: malformed, with nothing in it, or with both triangles and loose points.
-    """
+    """Read the points, triangles and colours of all parts of a file by trimesh."""
     if path.suffix.lower() == ".ply":
         _check_ply(path)
     try:
-        import trimesh  # here, because most arms need no files
+        import trimesh  # slow, and most arms need no files
 
-        parts = trimesh.load_scene(path, process=False).dump()  # each where the file has it
-        surfaces = [_surface(part) for part in parts if isinstance(part, trimesh.Trimesh) and len(part.faces)]
+        parts = trimesh.load_scene(path, process=False).dump()  # each part in the frame of the file
+        meshes = [part for part in parts if isinstance(part, trimesh.Trimesh)]
+        surfaces = [_surface(part) for part in meshes if len(part.faces)]
         clouds = [_cloud(part) for part in parts if isinstance(part, trimesh.PointCloud)]
-        # Triangles may be none, and what is left are their corners.
-        clouds += [
-            _cloud(part) for part in parts if isinstance(part, trimesh.Trimesh) and not len(part.faces)
-        ]
-    except Exception as error:  # a broken file makes a reader fail in any way
+        clouds += [_cloud(part) for part in meshes if not len(part.faces)]
+    except Exception as error:  # a broken file makes a reader raise anything
         raise FileError(path, f"cannot be read: {str(error) or type(error).__name__}") from error
     clouds = [part for part in clouds if len(part.points)]
     if surfaces and clouds:
@@ -224,7 +208,7 @@ def _read_model(path: Path) -> ReadScan:
     for points, faces, _ in surfaces:
         if faces is not None and not 0 <= faces.min() <= faces.max() < len(points):
             raise FileError(path, "has triangles with corners that it does not hold")
-    return _shared(_joined(surfaces)) if surfaces else _joined(clouds)
+    return _merge_corners(_join(surfaces)) if surfaces else _join(clouds)
 
 
 def _surface(part: Any) -> ReadScan:
@@ -234,40 +218,45 @@ def _surface(part: Any) -> ReadScan:
 
 def _cloud(part: Any) -> ReadScan:
     points = np.array(part.vertices, dtype=np.float64).reshape(-1, 3)
-    colors = np.array(getattr(part, "colors", ()))  # a surface without triangles has none
-    return ReadScan(
-        points, None, colors[:, :3].astype(np.uint8) if colors.shape == (len(points), 4) else None
-    )
+    # A surface without triangles has no colors.
+    return ReadScan(points, None, _rgb(np.array(getattr(part, "colors", ())), len(points)))
+
+
+def _rgb(colors: NDArray[Any], count: int) -> NDArray[np.uint8] | None:
+    """Return red, green and blue of `count` points; None if there are no such colours."""
+    return colors[:, :3].astype(np.uint8) if colors.shape == (count, 4) else None
 
 
 def _colors(part: Any) -> NDArray[np.uint8] | None:
-    """Colours of the corners of a surface, also where the file has them by triangle or as a picture."""
+    """Return the colours of the corners of a surface, also from colours of triangles or from a texture."""
     visual = part.visual
     try:
         if visual.kind == "texture":
             visual = visual.to_color()
         colors = np.array(visual.vertex_colors) if visual.kind in ("vertex", "face") else np.zeros(0)
-    except Exception:  # a picture that is not there: the surface is of use without it
+    except Exception:  # a missing texture: the surface is of use without it
         return None
-    return colors[:, :3].astype(np.uint8) if colors.shape == (len(part.vertices), 4) else None
+    return _rgb(colors, len(part.vertices))
 
 
-def _joined(parts: list[ReadScan]) -> ReadScan:
-    """All parts as one; grey where only others have colours."""
+def _join(parts: list[ReadScan]) -> ReadScan:
+    """Join all parts; those without colours are grey if others have some."""
     points = np.concatenate([part.points for part in parts])
     starts = np.cumsum([0, *(len(part.points) for part in parts)])
     faces = [part.faces + start for part, start in zip(parts, starts, strict=False) if part.faces is not None]
     colors = None
     if any(part.colors is not None for part in parts):
-        grey = [np.full(part.points.shape, _GREY, dtype=np.uint8) for part in parts]
         colors = np.concatenate(
-            [blank if part.colors is None else part.colors for part, blank in zip(parts, grey, strict=True)]
+            [
+                np.full(part.points.shape, _GREY, dtype=np.uint8) if part.colors is None else part.colors
+                for part in parts
+            ]
         )
     return ReadScan(points, np.concatenate(faces) if faces else None, colors)
 
 
-def _shared(part: ReadScan) -> ReadScan:
-    """The same surface with each corner once, if it has no colours: STL files have one for each triangle."""
+def _merge_corners(part: ReadScan) -> ReadScan:
+    """Merge the equal corners of a surface without colours: STL files repeat them for each triangle."""
     if part.faces is None or part.colors is not None or len(part.points) < 3 * len(part.faces):
         return part
     order = np.lexsort(part.points.T)
@@ -280,22 +269,22 @@ def _shared(part: ReadScan) -> ReadScan:
 
 
 def _check_ply(path: Path) -> None:
-    """Refuse an ascii file with another number of lines than it says: trimesh would take faces for points."""
+    """Refuse an ASCII file with a wrong number of lines: trimesh would take faces for points."""
     with path.open("rb") as file:
         header: list[list[bytes]] = []
-        while file.tell() < _LONGEST and header[-1:] != [[b"end_header"]]:
-            line = file.readline(_LONGEST)
+        while file.tell() < _MAX_HEADER and header[-1:] != [[b"end_header"]]:
+            line = file.readline(_MAX_HEADER)
             if not line or (not header and line.strip() != b"ply"):
                 break
             header.append(line.split())
         if header[-1:] != [[b"end_header"]]:
             raise FileError(path, "is no PLY file: it has no header from 'ply' to 'end_header'")
         if [b"format", b"ascii", b"1.0"] not in header:
-            return  # of others trimesh knows how long they have to be
-        told = [line[2] for line in header if line[:1] == [b"element"] and len(line) == 3]
-        if not all(count.isdigit() for count in told):
+            return  # trimesh checks the size of binary files
+        counts = [line[2] for line in header if line[:1] == [b"element"] and len(line) == 3]
+        if not all(count.isdigit() for count in counts):
             raise FileError(path, "has an element whose number is no number")
-        expected, found = sum(map(int, told)), sum(1 for line in file if line.strip())
+        expected, found = sum(map(int, counts)), sum(1 for line in file if line.strip())
     if found != expected:
         raise FileError(path, f"says that it has {expected} lines of data, but has {found}")
 
@@ -314,4 +303,4 @@ SCAN_READERS: Mapping[str, Callable[[Path], ReadScan]] = MappingProxyType(
         ".glb": _read_model,
     }
 )
-"""Readers by the ending of the name."""
+"""Readers by the suffix of the file name."""

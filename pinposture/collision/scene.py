@@ -1,4 +1,4 @@
-"""What surrounds an arm: obstacles, whether it may touch itself, and the margin to keep; scene files."""
+"""Scenes: obstacles, self-collision and the margin to keep; scene files."""
 
 from __future__ import annotations
 
@@ -16,62 +16,30 @@ from numpy.typing import ArrayLike
 
 from pinposture._validation import known_keys, length
 from pinposture.collision.distances import Narrow
-from pinposture.collision.obstacles import KINDS, Obstacle, obstacle_from_dict, solid
+from pinposture.collision.obstacles import OBSTACLE_TYPES, Obstacle, obstacle_from_dict, solid
 from pinposture.errors import FileError, InvalidValue, PostureError, UnknownName
 from pinposture.storage import read_text, write_text
-
-# Scene files: TOML or JSON to plain data, and plain data to JSON.
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
 
-
-def read_scene(path: Path) -> Any:
-    """Read a file without looking at what it says.
-
-    Raises:
-        FileError: missing, unreadable, of another format, or malformed; names the line.
-    """
-    suffix = path.suffix.lower()
-    if suffix not in (".toml", ".json"):
-        raise FileError(path, f"the name ends in {suffix!r}; allowed: .toml, .json")
-    text = read_text(path)
-    try:
-        return tomllib.loads(text) if suffix == ".toml" else json.loads(text)
-    except json.JSONDecodeError as error:
-        raise FileError(path, f"line {error.lineno}, column {error.colno}: {error.msg}") from error
-    except (ValueError, RecursionError) as error:  # TOML errors say the line themselves
-        raise FileError(path, str(error).replace("\n", " ")) from error
-
-
-def write_scene(path: Path, content: Mapping[str, Any]) -> Path:
-    """Write a JSON file whole or not at all. Returns its path.
-
-    Raises:
-        FileError: the name does not end in .json, or the file cannot be written.
-    """
-    if path.suffix.lower() != ".json":
-        raise FileError(path, f"the name ends in {path.suffix!r}; allowed: .json")
-    write_text(path, json.dumps(content, allow_nan=False, indent=1) + "\n")
-    return path
-
-
-# What surrounds an arm, as a value: obstacles, whether it may touch itself, and how much room to keep.
-
 VERSION = 1
-NAMED = 8
-"""How many obstacles are named where a scene is told in a line."""
+MAX_LISTED_OBSTACLES = 8
+"""Number of obstacles up to which `repr` names them all."""
+
+PROBE_RADIUS = 1e-6
+"""Radius of the ball that stands for a point [m]."""
 
 _KEYS = ("version", "obstacles", "self_collision", "margin", "arm_radius")
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Obstacles that stand still, and how an arm is to keep clear of them and of itself.
+    """Fixed obstacles, and how an arm must keep clear of them and of itself.
 
-    A scene is immutable, can be compared and pickled, and knows of no arm; `CollisionModel` takes both:
+    A scene is immutable, can be compared and pickled, and belongs to no arm; `CollisionModel` takes both:
 
         scene = pp.Scene({"post": pp.Cylinder([0.3, 0.1, -1], [0.3, 0.1, 1], 0.02)}, self_collision=True)
         scene = pp.Scene.load("scene.toml")
@@ -80,9 +48,9 @@ class Scene:
         obstacles: the obstacles by name.
         self_collision: whether the arm must keep clear of itself as well.
         margin: the distance to keep [m].
-        arm_radius: radius of stand-in capsules along the links [m], in place of the collision geometry that
-            the arm's description gives. If None, that geometry, or where there is none capsules as thick as
-            a link of such length usually is (`pinposture.collision.bodies`).
+        arm_radius: radius of stand-in capsules along the links [m], in place of the collision geometry in
+            the arm's description. If None, that geometry, or where there is none capsules with a radius of a
+            tenth of the mean module length (`pinposture.collision.bodies`).
     """
 
     obstacles: Mapping[str, Obstacle] = field(default_factory=dict)
@@ -97,8 +65,8 @@ class Scene:
         for name, obstacle in self.obstacles.items():
             if not isinstance(name, str) or not name.strip() or not name.isprintable():
                 raise InvalidValue("name of an obstacle", name, "printable text that is not blank")
-            if not isinstance(obstacle, tuple(KINDS.values())):
-                allowed = ", ".join(kind.__name__ for kind in KINDS.values())
+            if not isinstance(obstacle, tuple(OBSTACLE_TYPES.values())):
+                allowed = ", ".join(kind.__name__ for kind in OBSTACLE_TYPES.values())
                 raise InvalidValue(f"obstacles[{name!r}]", obstacle, allowed)
         if not isinstance(self.self_collision, bool):
             raise InvalidValue("self_collision", self.self_collision, "True or False")
@@ -106,29 +74,30 @@ class Scene:
         object.__setattr__(self, "margin", length("margin", self.margin, zero=True))
         if self.arm_radius is not None:
             object.__setattr__(self, "arm_radius", length("arm_radius", self.arm_radius))
-        object.__setattr__(
-            self, "_hash", hash(self._key())
-        )  # every control step may look up the collision model of a scene
+        # Every control step may look up the collision model of a scene.
+        object.__setattr__(self, "_hash", hash(self._key()))
 
     def to_dict(self) -> dict[str, Any]:
-        """The scene as data that JSON can hold."""
-        described: dict[str, Any] = {"version": VERSION, "self_collision": self.self_collision}
-        described["margin"] = self.margin
-        if self.arm_radius is not None:
-            described["arm_radius"] = self.arm_radius
-        described["obstacles"] = {name: each.to_dict() for name, each in self.obstacles.items()}
-        return described
+        """Return the scene as data that JSON can hold."""
+        radius = {} if self.arm_radius is None else {"arm_radius": self.arm_radius}
+        return {
+            "version": VERSION,
+            "self_collision": self.self_collision,
+            "margin": self.margin,
+            **radius,
+            "obstacles": {name: each.to_dict() for name, each in self.obstacles.items()},
+        }
 
     @classmethod
     def from_dict(cls, described: Mapping[str, Any], folder: str = ".") -> Scene:
-        """The scene that `to_dict` described.
+        """Make the scene that `to_dict` described.
 
         Args:
             described: the attributes under their names, and the version of the format; all may be left out.
-            folder: where relative paths of meshes begin.
+            folder: folder to which paths of meshes are relative.
 
         Raises:
-            InvalidValue: an unknown key, or a wrong value; names the obstacle.
+            InvalidValue: an unknown key, or an invalid value; names the obstacle.
             UnknownName: a type of obstacle that does not exist.
             FileError: a mesh that is missing or cannot be read.
         """
@@ -149,13 +118,23 @@ class Scene:
     def load(cls, path: str | Path) -> Scene:
         """Read a scene from a TOML or JSON file; both have the keys of `to_dict`.
 
-        Paths of meshes in it start at the folder that it lies in.
+        Paths of meshes are relative to the folder of the file.
 
         Raises:
-            FileError: missing, unreadable, or not a scene; names the key and what is allowed.
+            FileError: missing, unreadable, malformed, or not a scene; names the line, or the key and what is
+                allowed.
         """
         path = Path(path)
-        content = read_scene(path)
+        suffix = path.suffix.lower()
+        if suffix not in (".toml", ".json"):
+            raise FileError(path, f"the name ends in {suffix!r}; allowed: .toml, .json")
+        text = read_text(path)
+        try:
+            content = tomllib.loads(text) if suffix == ".toml" else json.loads(text)
+        except json.JSONDecodeError as error:
+            raise FileError(path, f"line {error.lineno}, column {error.colno}: {error.msg}") from error
+        except (ValueError, RecursionError) as error:  # TOML errors contain the line
+            raise FileError(path, str(error).replace("\n", " ")) from error
         try:
             return cls.from_dict(content, str(path.parent))
         except PostureError as error:
@@ -167,11 +146,15 @@ class Scene:
         Raises:
             FileError: the name does not end in .json, or the file cannot be written.
         """
-        return write_scene(Path(path), self.to_dict())
+        path = Path(path)
+        if path.suffix.lower() != ".json":
+            raise FileError(path, f"the name ends in {path.suffix!r}; allowed: .json")
+        write_text(path, json.dumps(self.to_dict(), allow_nan=False, indent=1) + "\n")
+        return path
 
     def __repr__(self) -> str:
         named = ", ".join(self.obstacles) or "no obstacles"
-        if len(self.obstacles) > NAMED:
+        if len(self.obstacles) > MAX_LISTED_OBSTACLES:
             first, *_, last = self.obstacles
             named = f"{len(self.obstacles)} obstacles, {first} to {last}"
         itself = ", clear of itself" if self.self_collision else ""
@@ -201,26 +184,20 @@ def _obstacle(name: str, described: Any, folder: str) -> Obstacle:
         raise FileError(error.path, f"{error.reason}; the mesh of obstacle {name!r}") from error
 
 
-# Which obstacles a point is inside of.
-
-SMALL = 1e-6
-"""Radius of the ball that stands for the point [m]."""
-
-
 def obstacles_around(scene: Scene, point: ArrayLike, depth: float = 1e-4) -> tuple[str, ...]:
-    """Name the obstacles that a point lies in, and not just on.
+    """Return the names of the obstacles that a point lies inside.
 
     Args:
         scene: the scene.
         point: the point, (3,) [m], world frame.
-        depth: how far below the surface it has to be to count [m].
+        depth: depth below the surface at which it counts as inside [m].
     """
-    ball, narrow = coal.Sphere(SMALL), Narrow()
+    ball, narrow = coal.Sphere(PROBE_RADIUS), Narrow()
     at = coal.Transform3s(np.eye(3), np.array(point, dtype=np.float64))
     found = []
     for name, obstacle in scene.obstacles.items():
         shape = solid(obstacle)
         there = coal.Transform3s(shape.rotation, shape.position)
-        if narrow.distance((ball, at, shape.geometry, there)) < -depth - SMALL:
+        if narrow.distance((ball, at, shape.geometry, there)) < -depth - PROBE_RADIUS:
             found.append(name)
     return tuple(found)

@@ -14,7 +14,7 @@ from threading import Lock, Thread
 from typing import TypeAlias
 
 from pinposture.collision import Mesh, Scene
-from pinposture.collision.scan import WIDE, Scan
+from pinposture.collision.scan import MAX_PLAUSIBLE_WIDTH, Scan
 from pinposture.editor.clearances import ClearanceQuery, Clearances, Marks, MarksQuery
 from pinposture.editor.edits import Edit
 from pinposture.editor.obstacles import free_name, insert_obstacle, obstacles_of
@@ -164,7 +164,7 @@ class ScanShelf:
         with self._lock:
             self._known[path], self._thinned[path] = scan, thinned
         width = float((scan.points.max(axis=0) - scan.points.min(axis=0)).max())
-        if new and width > WIDE:
+        if new and width > MAX_PLAUSIBLE_WIDTH:
             text = f"{path.name} is {width:.3g} m wide: is it in millimetres? Scans are taken to be in metres"
             self._post(lambda session: session.say(text, "warning"))
         return scan

@@ -15,7 +15,7 @@ from pydantic import BeforeValidator
 from pinposture.arm import Arm, ArmSpec
 from pinposture.arm.manipulability import chosen_points
 from pinposture.collision import Scene
-from pinposture.collision.obstacles import KINDS, Obstacle, obstacle_from_dict
+from pinposture.collision.obstacles import OBSTACLE_TYPES, Obstacle, obstacle_from_dict
 from pinposture.collision.scene import obstacles_around
 from pinposture.control import Controller, EndEffector, Geodesic, Limits, controller_named
 from pinposture.control.limits import cycle_of
@@ -263,7 +263,7 @@ def check_task(task: TaskParts) -> None:
             raise UnknownName("format", each, RESULT_FORMATS)
     if not isinstance(task.name, str):
         raise InvalidValue("name", task.name, "text")
-    described, kinds = task.described, (Curve, EndEffector, Scene, *KINDS.values())
+    described, kinds = task.described, (Curve, EndEffector, Scene, *OBSTACLE_TYPES.values())
     if not isinstance(described, Mapping) or not all(isinstance(each, kinds) for each in described):
         allowed = "a mapping from curves, tips, a scene or obstacles to what a file says of them"
         raise InvalidValue("described", described, allowed)

@@ -9,7 +9,7 @@ import pytest
 
 import pinposture
 from pinposture.collision import Cylinder, Scene
-from pinposture.collision.obstacles import KINDS
+from pinposture.collision.obstacles import OBSTACLE_TYPES
 from pinposture.control import CONTROLLERS
 from pinposture.curve.presets import CURVES
 from pinposture.editor.session import Session
@@ -80,7 +80,7 @@ def test_the_scene_in_the_help_is_one_and_names_every_kind_of_obstacle(command, 
     scene = Scene.load(tmp_path / "scene.toml")
     assert scene == Scene({"post": Cylinder((0.3, 0.1, -1), (0.3, 0.1, 1), 0.02)})
     out = " ".join(command("track", "--help", env={"COLUMNS": "80"}).out.split())
-    for kind in KINDS:
+    for kind in OBSTACLE_TYPES:
         assert f"{kind} (" in out or f'"{kind}"' in out
     for key in ("margin", "arm_radius", "self_collision", f"else {scene.margin:g})"):
         assert key in out

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from sampling import examples
 
 from pinposture.collision import Scan
-from pinposture.collision.scan import MOST
+from pinposture.collision.scan import MAX_SCAN_SIZE
 from pinposture.errors import InvalidValue, PostureWarning
 
 FACES = np.arange(18).reshape(6, 3)
@@ -74,7 +74,7 @@ def test_points_that_are_not_finite_are_left_out_with_their_triangles_and_colors
         ({"points": [["a", "b", "c"]]}, "points"),
         ({"points": [[1, 2], [3]]}, "points"),
         ({"points": np.full((2, 3), 1e5)}, "largest coordinate"),
-        ({"points": np.broadcast_to(0.0, (MOST + 1, 3))}, "number"),
+        ({"points": np.broadcast_to(0.0, (MAX_SCAN_SIZE + 1, 3))}, "number"),
         ({"faces": [[0, 1, 20]]}, "faces"),
         ({"faces": [[0, -1, 2]]}, "faces"),
         ({"faces": [[0, 1]]}, "faces"),

@@ -12,7 +12,7 @@ from collision.arms_with_bodies import PLACED, described, geometry, modelled, pl
 
 import pinposture as pp
 from pinposture.collision import Box, Capsule, CollisionModel, Cylinder, Mesh, Scene, Sphere
-from pinposture.collision.bodies import THICKNESS, bodies_of
+from pinposture.collision.bodies import STAND_IN_RADIUS, bodies_of
 from pinposture.errors import PostureWarning
 
 
@@ -106,7 +106,7 @@ def test_a_joint_that_slides_leaves_no_gap_behind():
 
 def test_an_arm_without_geometry_has_stand_ins_of_usual_thickness():
     arm = modelled()
-    radius = THICKNESS * arm.chain.module_lengths.mean()
+    radius = STAND_IN_RADIUS * arm.chain.module_lengths.mean()
     assert {body.shape.radius for body in bodies_of(arm)} == {radius}
     bare = pp.Arm.from_urdf(described([""] * 4), modules=2)
     assert {type(body.shape) for body in bodies_of(bare)} == {Capsule}
