@@ -14,32 +14,23 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture.arm import Arm, ControlPoints, Ellipsoid
 from pinposture.collision import Scene
 from pinposture.viz import palette
-from pinposture.viz.body import bodies, body_poses
+from pinposture.viz.axes import FIGURE_WIDTH
 from pinposture.viz.ellipsoids import draw_ellipsoids, ellipsoid_key, scale_in_words, shade_ellipsoids
-from pinposture.viz.postures import PosturePanel, box_extent, draw_obstacles, make_room_for
+from pinposture.viz.postures import PosturePanel, box_extent
 
 Array = NDArray[np.float64]
 
-WIDTH = 12.0
-"""Width of the figure [inch]."""
-
-MARGIN = 1.9
-"""Height that title, scales and legend take [inch]."""
-
-HEIGHTS = (3.6, 8.0)
-"""Least and largest height of the figure [inch]; an arm that lies stretched needs no more than the least."""
-
-CROWDED = 0.017
-"""Distance between two numbers, relative to the size of the arm, below which one of them is left out."""
+TEXT_HEIGHT = 1.9  # of title, scales and legend [inch]
+HEIGHT_RANGE = (3.6, 8.0)  # of the figure [inch]; a stretched arm needs no more than the least
+MIN_NUMBER_DISTANCE = 0.017  # relative to the size of the arm; numbers closer to another are left out
 
 
 class ArmParts(NamedTuple):
     """Where the parts of an arm are at a configuration, world frame.
 
     Attributes:
-        modules: of each module, the broken line from its base through its joints to its control point, each
-            (p, 3) [m].
-        joints: where the joints are, (n, 3) [m].
+        modules: of each module, the line from its base through its joints to its control point, (p, 3) [m].
+        joints: joints, (n, 3) [m].
         axes: unit vectors along their axes, (n, 3).
         points: control points, (m, 3) [m].
     """
@@ -56,35 +47,31 @@ def arm_parts(arm: Arm, q: ArrayLike) -> ArmParts:
     Raises:
         InvalidValue: a configuration of the wrong size, or not finite.
     """
-    poses = body_poses(arm, q)
-    joints = poses[:, :3, 3]
-    axes = np.einsum("uij,uj->ui", poses[:, :3, :3], arm.chain.axes)
-    ends = [(body, pose) for body, pose in zip(bodies(arm), poses, strict=True) if body.point is not None]
-    points = np.array([pose[:3, :3] @ body.point + pose[:3, 3] for body, pose in ends])
-    starts = np.vstack([arm.chain.base, points[:-1]])
-    own = [joints[joint] for joint in arm.chain.module_slices]
-    modules = tuple(np.vstack(line) for line in zip(starts, own, points, strict=True))
-    return ArmParts(modules, joints, axes, points)
+    forward = arm.at(q).forward
+    starts = np.vstack([arm.chain.base, forward.points[:-1]])
+    own = [forward.origins[joints] for joints in arm.chain.module_slices]
+    modules = tuple(np.vstack(line) for line in zip(starts, own, forward.points, strict=True))
+    return ArmParts(modules, forward.origins, forward.axes, forward.points)
 
 
 def plot_arm(
     arm: Arm, q: ArrayLike | None = None, ellipsoids: ControlPoints = (), scene: Scene | None = None
 ) -> Figure:
-    """Show how an arm is built: modules in two shades that take turns, joint axes, numbered control points.
+    """Draw how an arm is built: modules in two alternating shades, joint axes, numbered control points.
 
-    A joint that turns has a bar along its axis, or in the plane of a planar arm, where its axis is seen from
-    its end, a ring; one that slides has a dotted bar. Where control points crowd, some have no number.
-    Manipulability ellipsoids (Section 3.3) have the colour of their index; the legend says at what scale.
+    A revolute joint has a bar along its axis, or a ring in the plane of a planar arm; a prismatic joint has a
+    dotted bar. Where control points crowd, some have no number. Manipulability ellipsoids (Section 3.3) have
+    the colour of their index; the legend says at what scale.
 
     Args:
         arm: the arm.
         q: configuration, (nq,) [rad or m]; the neutral one if None.
         ellipsoids: control points to draw the manipulability ellipsoids of, by their indices, 0-based or from
             the tip as -1, or by their names.
-        scene: what surrounds the arm; obstacles are shown where they are near.
+        scene: obstacles; they are shown where they are near.
 
     Returns:
-        A figure, 1200 pixels wide, as `plot` gives it; a planar arm is seen in its plane, others in space.
+        A figure, 1200 pixels wide, as from `plot`; a planar arm is seen in its plane, others in space.
 
     Raises:
         InvalidValue: a configuration of the wrong size, or not finite; or no choice of control points.
@@ -92,9 +79,10 @@ def plot_arm(
     """
     shown = arm.neutral() if q is None else q
     parts, chosen = arm_parts(arm, shown), arm.at(shown).ellipsoids(ellipsoids)
-    half = _half_bar(arm)
+    # Half of the length of the bars: short beside the links, and still visible beside the arm.
+    half = float(np.clip(0.3 * np.median(arm.chain.module_lengths), 0.012 * arm.length, 0.035 * arm.length))
     planar = arm.dimension == 2
-    figure = Figure(figsize=(WIDTH, HEIGHTS[0]))
+    figure = Figure(figsize=(FIGURE_WIDTH, HEIGHT_RANGE[0]))
     # In space, too, the arm lies on top of what may be around it.
     ax = figure.add_subplot(**({} if planar else {"projection": "3d", "computed_zorder": False}))
     panel = PosturePanel(arm, ax)
@@ -105,54 +93,42 @@ def plot_arm(
     _draw_axes(panel, arm, parts, half)
     dots = {"ls": "none", "marker": "o", "ms": 4.2, "mfc": "white", "mec": palette.INK, "mew": 0.9}
     panel.line(parts.points[:-1], label="control points", zorder=6, **dots)
-    surroundings = make_room_for(panel, scene)
-    panel.finish()
-    draw_obstacles(panel, surroundings)
+    panel.finish(scene)
     panel.line(parts.points[-1:], ls="none", marker="D", ms=6.0, color=palette.INK, label="tip", zorder=7)
     shade_ellipsoids(panel, chosen)
-    _fit(figure, panel)
-    _number(panel, parts.points, arm.chain.base, 1.3 * half)
+    _fit_figure(figure, panel)
+    _number_points(panel, parts.points, arm.chain.base, 1.3 * half)
     _add_legends(figure, panel, chosen)
     kind = "planar" if planar else "spatial"
     modules = "1 module" if arm.n_modules == 1 else f"{arm.n_modules} modules"
     where = ", neutral configuration" if q is None else ""
-    title = f"{arm.model.name}: {kind}, {modules}, {arm.nv} DOF, {arm.length:.4g} m{where}"
-    figure.suptitle(title, fontsize=10, x=0.012, ha="left", color=palette.INK, parse_math=False)
+    text = f"{arm.model.name}: {kind}, {modules}, {arm.nv} DOF, {arm.length:.4g} m{where}"
+    figure.suptitle(text, fontsize=10, x=0.012, ha="left", color=palette.INK, parse_math=False)
     return figure
 
 
-def _half_bar(arm: Arm) -> float:
-    """Half of the length of the bars [m]: short beside the links, and still to be seen beside the arm."""
-    return float(np.clip(0.3 * np.median(arm.chain.module_lengths), 0.012 * arm.length, 0.035 * arm.length))
-
-
-def _fit(figure: Figure, panel: PosturePanel) -> None:
-    """Make the figure as high as the picture of the arm needs if it fills the width, or all there may be."""
+def _fit_figure(figure: Figure, panel: PosturePanel) -> None:
+    """Set the height of the figure that the arm needs if it fills the width, within limits."""
     if not panel.spatial:
         wide, high = np.ptp(panel.drawn @ panel.screen.T, axis=0)
         slope = high / max(wide, 1e-9 * panel.arm.length)
-        figure.set_figheight(float(np.clip(MARGIN + WIDTH * slope, *HEIGHTS)))
+        figure.set_figheight(float(np.clip(TEXT_HEIGHT + FIGURE_WIDTH * slope, *HEIGHT_RANGE)))
         figure.set_layout_engine(ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.09))
         return
     # Axes in space are square: a picture that is wider than high leaves the figure above and below it.
     high = float(box_extent(panel.ax)[1])
-    height = float(np.clip(MARGIN + WIDTH * high, *HEIGHTS))
-    side = min(WIDTH, (height - MARGIN) / high)
+    height = float(np.clip(TEXT_HEIGHT + FIGURE_WIDTH * high, *HEIGHT_RANGE))
+    side = min(FIGURE_WIDTH, (height - TEXT_HEIGHT) / high)
     figure.set_figheight(height)
-    panel.ax.set_position((0.5 - side / WIDTH / 2, 0.5 - side / height / 2, side / WIDTH, side / height))
+    width = side / FIGURE_WIDTH
+    panel.ax.set_position((0.5 - width / 2, 0.5 - side / height / 2, width, side / height))
 
 
 def _draw_axes(panel: PosturePanel, arm: Arm, parts: ArmParts, half: float) -> None:
     turns = arm.chain.revolute
     facing = (np.linalg.norm(parts.axes @ panel.screen.T, axis=1) < 0.1) & (not panel.spatial)
-    rings: dict[str, Any] = {
-        "ls": "none",
-        "marker": "o",
-        "ms": 9.0,
-        "mfc": "none",
-        "mew": 1.4,
-        "mec": palette.TURN,
-    }
+    rings: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 9.0, "mfc": "none", "mew": 1.4}
+    rings["mec"] = palette.TURN
     bars: dict[str, Any] = {"color": palette.TURN, "lw": 1.8, "solid_capstyle": "round"}
     slides: dict[str, Any] = {"color": palette.SLIDE, "lw": 2.6, "ls": (0, (1, 0.7))}
     turning, sliding = "axis of a joint that turns", "axis of a joint that slides"
@@ -170,7 +146,7 @@ def _draw_axes(panel: PosturePanel, arm: Arm, parts: ArmParts, half: float) -> N
 
 
 def _add_legends(figure: Figure, panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> None:
-    """Write the legends: below what the arm is made of, at the top on the right what the ellipsoids say."""
+    """Add the legend of the arm at the bottom, and that of ellipsoids at the top right."""
     shades = palette.MODULES[: panel.arm.n_modules]
     for name, shade in zip(("odd modules", "even modules"), shades, strict=False):
         panel.ax.plot([], [], color=shade, lw=5.0, label=name)
@@ -183,13 +159,13 @@ def _add_legends(figure: Figure, panel: PosturePanel, ellipsoids: Sequence[Ellip
     handles, labels = panel.ax.get_legend_handles_labels()
     figure.legend(handles, labels, loc=lower, fontsize=9, frameon=False, ncols=8)
     if ellipsoids:
-        title = f"manipulability ellipsoids, {scale_in_words(panel.arm, [one.point for one in ellipsoids])}"
-        style: dict[str, Any] = {"title": title, "title_fontsize": 9, "alignment": "left"}
+        text = f"manipulability ellipsoids, {scale_in_words(panel.arm, [one.point for one in ellipsoids])}"
+        style: dict[str, Any] = {"title": text, "title_fontsize": 9, "alignment": "left"}
         figure.legend(handles=ellipsoid_key(), loc=upper, fontsize=9, frameon=False, ncols=8, **style)
 
 
-def _number(panel: PosturePanel, points: Array, base: Array, offset: float) -> None:
-    """Write the number of each control point beside the arm, the last one first; none upon another."""
+def _number_points(panel: PosturePanel, points: Array, base: Array, offset: float) -> None:
+    """Write the number of each control point beside the arm, the last one first, without overlap."""
     screen, ax = panel.screen, cast(Any, panel.ax)  # text in space has three coordinates
     flat = np.vstack([base, points]) @ screen.T
     size = float(np.ptp(flat, axis=0).max())
@@ -202,7 +178,7 @@ def _number(panel: PosturePanel, points: Array, base: Array, offset: float) -> N
     written: list[Array] = []
     for k in (len(points), *range(1, len(points))):
         place = flat[k] + offset * beside[k]
-        if any(np.linalg.norm(place - other) < CROWDED * size for other in written):
+        if any(np.linalg.norm(place - other) < MIN_NUMBER_DISTANCE * size for other in written):
             continue
         written.append(place)
         (where,) = np.transpose(panel.coordinates(points[k - 1 : k] + offset * beside[k] @ screen))

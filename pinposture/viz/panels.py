@@ -16,11 +16,10 @@ from pinposture.motion import Motion, Trajectory
 from pinposture.motion.trajectory import limit_shares
 from pinposture.viz import palette
 from pinposture.viz.axes import (
-    LONGEST_NAME,
+    MAX_NAME_LENGTH,
     Place,
     add_colorbar,
     colors_along,
-    format_axes,
     format_step_axes,
     format_time_axes,
     mark_end,
@@ -32,35 +31,42 @@ from pinposture.viz.axes import (
 
 Array = NDArray[np.float64]
 
+
+def marker(count: int) -> str:
+    """Return the marker of a line through so many points: a single one would not be visible without."""
+    return "o" if count == 1 else ""
+
+
+def _note(ax: Axes, text: str) -> None:
+    ax.set_title(text, fontsize=8, loc="right", color=palette.INK)
+
+
 # A run against steps.
 
 
 def has_singular_values(run: Trajectory) -> bool:
-    """Whether the controller inverted a posture control matrix, whose singular values were recorded."""
+    """Whether the controller inverted a posture control matrix."""
     return bool(np.any(run.sigma_max > 0.0))
 
 
 def chooses_points(run: Trajectory) -> bool:
-    """Whether there is something to tell of the control points that were active: a choice, or conditions."""
+    """Whether the active control points changed, or their conditioning was recorded."""
     counts = run.active.sum(axis=1)
     return not run.steps or has_singular_values(run) or bool(np.any(counts != counts[0]))
 
 
 def plot_posture_error(run: Trajectory, ax: Axes, color: str | None = None, label: str | None = None) -> None:
-    """Draw the posture error [m] against steps, its first and last value written beside it.
+    """Draw the posture error [m] against steps, annotated with its first and last value.
 
     Args:
         run: the run.
-        ax: where to draw. Lines that are there already stay, and are taken into account by the scale.
+        ax: where to draw. Lines that are there already stay, and count for the scale.
         color: colour of the line; that of the controller if None.
-        label: name of the line in a legend. A line with a name has only its last value written.
+        label: name of the line in a legend. Only the last value of a named line is annotated.
     """
     color = palette.controller_color(run.controller) if color is None else color
-    marker = "" if run.steps else "o"
-    steps = np.arange(run.steps + 1)
-    ax.plot(
-        steps, run.posture_error, color=color, lw=1.8, label=label, marker=marker, clip_on=bool(run.steps)
-    )
+    style: dict[str, Any] = {"lw": 1.8, "marker": marker(run.steps + 1), "clip_on": bool(run.steps)}
+    ax.plot(np.arange(run.steps + 1), run.posture_error, color=color, label=label, **style)
     format_step_axes(ax, "posture error [m]")
     scale_values(ax)
     if label is None:
@@ -72,25 +78,22 @@ def plot_posture_error(run: Trajectory, ax: Axes, color: str | None = None, labe
 def plot_point_errors(run: Trajectory, ax: Axes) -> None:
     """Draw the error [m] of every control point that has a target against steps.
 
-    The colour tells how far along the arm a control point is; a bar beside the axes says how.
+    The colour of a line tells where along the arm its control point is; a colour bar explains it.
 
     Args:
         run: the run.
         ax: where to draw.
     """
-    m = run.arm.n_modules
+    m, targeted = run.arm.n_modules, np.flatnonzero(run.target.has_target)
     colors, norm = colors_along(m)
-    for k in np.flatnonzero(run.target.has_target):
-        marker = "" if run.steps else "o"
-        steps = np.arange(run.steps + 1)
-        ax.plot(steps, run.point_errors[:, k], color=colors(norm(k + 1)), lw=1.0, marker=marker, ms=3)
+    style: dict[str, Any] = {"lw": 1.0, "marker": marker(run.steps + 1), "ms": 3}
+    for k in targeted:
+        ax.plot(np.arange(run.steps + 1), run.point_errors[:, k], color=colors(norm(k + 1)), **style)
     format_step_axes(ax, "point errors [m]")
     scale_values(ax)
     add_colorbar([ax], m, "control point", pad=0.02, aspect=16)
-    free = m - int(np.count_nonzero(run.target.has_target))
-    if free:
-        note = f"{free} of {m} control points have no target"
-        ax.set_title(note, fontsize=8, loc="right", color=palette.INK)
+    if len(targeted) < m:
+        _note(ax, f"{m - len(targeted)} of {m} control points have no target")
 
 
 def plot_active_points(run: Trajectory, ax: Axes) -> None:
@@ -105,48 +108,33 @@ def plot_active_points(run: Trajectory, ax: Axes) -> None:
     plot_point_count(run, ax)
     ax.yaxis.label.set_color(palette.controller_color(run.controller))
     if not run.steps:
-        ax.set_title("no step was taken", fontsize=8, loc="right", color=palette.INK)
+        _note(ax, "no step was taken")
     if has_singular_values(run):
-        _plot_beside(run, ax, run.sigma_min, r"$\sigma_{\min}$ [m/rad]")
+        _plot_on_second_axis(run, ax, run.sigma_min, r"$\sigma_{\min}$ [m/rad]")
 
 
 def plot_points_and_index(run: Trajectory, ax: Axes) -> None:
-    """Draw how many control points were active in each step, and the smallest index among their conditions.
-
-    A second axis holds the manipulability index, unless the controller has no posture control matrix.
-
-    Args:
-        run: the run.
-        ax: where to draw.
-    """
+    """Draw how many control points were active in each step and, if recorded, the manipulability index."""
     plot_point_count(run, ax)
     ax.yaxis.label.set_color(palette.controller_color(run.controller))
     if has_singular_values(run) or not run.steps:
-        _plot_beside(run, ax, run.index, "manipulability index")
+        _plot_on_second_axis(run, ax, run.index, "manipulability index")
 
 
 def plot_point_count(run: Trajectory, ax: Axes, color: str | None = None) -> None:
-    """Draw how many control points were active in each step.
-
-    Args:
-        run: the run.
-        ax: where to draw. Lines that are there already stay.
-        color: colour of the line; that of the controller if None.
-    """
+    """Draw how many control points were active in each step, in the colour of the controller if None."""
     color = palette.controller_color(run.controller) if color is None else color
-    marker = "o" if run.steps == 1 else ""
-    style: dict[str, Any] = {"lw": 1.6, "drawstyle": "steps-mid", "marker": marker}
+    style: dict[str, Any] = {"lw": 1.6, "drawstyle": "steps-mid", "marker": marker(run.steps)}
     ax.plot(np.arange(1, run.steps + 1), run.active.sum(axis=1), color=color, **style)
     format_step_axes(ax, "active control points")
     scale_counts(ax, run.arm.n_modules)
 
 
-def _plot_beside(run: Trajectory, ax: Axes, values: Array, label: str) -> None:
+def _plot_on_second_axis(run: Trajectory, ax: Axes, values: Array, label: str) -> None:
     """Draw a value of each step as a dashed line, with an axis of its own on the right."""
     other = ax.twinx()
-    marker = "o" if run.steps == 1 else ""
-    style: dict[str, Any] = {"color": palette.INK, "lw": 1.0, "ls": (0, (4, 1.5)), "marker": marker, "ms": 3}
-    other.plot(np.arange(1, run.steps + 1), values, **style)
+    style: dict[str, Any] = {"lw": 1.0, "ls": (0, (4, 1.5)), "marker": marker(run.steps), "ms": 3}
+    other.plot(np.arange(1, run.steps + 1), values, color=palette.INK, **style)
     scale_values(other)
     other.set_ylabel(label, fontsize=9, color=palette.INK)
     other.tick_params(labelsize=8)
@@ -154,16 +142,11 @@ def _plot_beside(run: Trajectory, ax: Axes, values: Array, label: str) -> None:
 
 
 def plot_used_points(run: Trajectory, ax: Axes) -> None:
-    """Draw a dot for each control point that was active in a step.
-
-    Args:
-        run: the run.
-        ax: where to draw.
-    """
-    color = palette.controller_color(run.controller)
+    """Draw a dot for each control point that was active in a step."""
     steps, points = np.nonzero(run.active)
-    size = float(np.clip(260.0 / max(run.steps, 1), 1.2, 4.0))
-    ax.plot(steps + 1, points + 1, ls="none", marker="o", ms=size, mew=0.0, color=color)
+    style: dict[str, Any] = {"ls": "none", "marker": "o", "mew": 0.0}
+    style["ms"] = float(np.clip(260.0 / max(run.steps, 1), 1.2, 4.0))
+    ax.plot(steps + 1, points + 1, color=palette.controller_color(run.controller), **style)
     format_step_axes(ax, "control point, from base to tip")
     ax.set_xlim(0.0, run.steps + 1.0)
     ax.set_ylim(0.0, run.arm.n_modules + 1.0)
@@ -171,27 +154,22 @@ def plot_used_points(run: Trajectory, ax: Axes) -> None:
 
 
 def mark_method(run: Trajectory, ax: Axes, method: str = "projection") -> None:
-    """Mark the steps that a controller of several methods left to one of them, by red dots on the step axis.
-
-    Args:
-        run: the run.
-        ax: axes that hold something against steps already.
-        method: which of its methods.
-    """
-    steps = np.flatnonzero(run.method == method) + 1
-    where: dict[str, Any] = {"transform": ax.get_xaxis_transform(), "clip_on": False, "zorder": 6}
-    style: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 3.2, "mew": 0.0, "color": palette.MARK}
-    ax.plot(steps, np.zeros(len(steps)), label=method, **style, **where)
+    """Mark the steps that a controller of several methods took by one of them, by red dots on the axis."""
+    _mark_on_axis(ax, np.flatnonzero(run.method == method) + 1, method, marker="o", ms=3.2, mew=0.0)
 
 
-# Clearance, escapes and violated constraints.
+def _mark_on_axis(ax: Axes, places: Array | NDArray[np.intp], label: str, **style: Any) -> None:
+    style |= {"ls": "none", "color": palette.MARK, "label": label, "clip_on": False, "zorder": 6}
+    ax.plot(places, np.zeros(len(places)), transform=ax.get_xaxis_transform(), **style)
 
-LONGEST_REASON = 44
-"""Characters of what gave way that a legend has room for."""
+
+# Clearance, escapes and violated constraints, against steps or time.
+
+MAX_REASON_LENGTH = 44  # of a constraint in a legend [characters]
 
 
 def has_clearance(run: Trajectory) -> bool:
-    """Whether there was anything that the arm could have touched."""
+    """Whether a clearance was recorded."""
     return run.scene is not None and bool(np.isfinite(run.clearance).any())
 
 
@@ -204,27 +182,25 @@ def plot_clearance(
 ) -> None:
     """Draw the smallest distance [m] to an obstacle, or between parts of the arm, against steps or time.
 
-    Its least value is written beside it; a dashed line is the margin that the scene asks to keep.
+    Its least value is annotated; a dashed line is the margin that the scene asks to keep.
 
     Args:
         run: a run in a scene.
-        ax: where to draw. Lines that are there already stay, and are taken into account by the scale.
+        ax: where to draw. Lines that are there already stay, and count for the scale.
         color: colour of the line; that of the controller if None.
         label: name of the line in a legend.
-        time: when each configuration was reached, (steps + 1,) [s]; None to draw against steps.
+        time: time of each configuration, (steps + 1,) [s]; None to draw against steps.
     """
     places = np.arange(run.steps + 1) if time is None else time
     color = palette.controller_color(run.controller) if color is None else color
     values = np.where(np.isfinite(run.clearance), run.clearance, np.nan)
-    marker = "" if run.steps else "o"
-    ax.plot(places, values, color=color, lw=1.6, label=label, marker=marker)
+    ax.plot(places, values, color=color, lw=1.6, label=label, marker=marker(run.steps + 1))
     if run.scene is not None:
         margin = f"margin to keep, {run.scene.margin:.3g} m"
-        known = [str(line.get_label()) for line in ax.get_lines()]
-        if margin not in known:
+        if margin not in [line.get_label() for line in ax.get_lines()]:
             ends = [0.0, places[-1] or 1.0]
-            ax.plot(ends, [run.scene.margin] * 2, color=palette.INK, lw=1.0, ls=(0, (4, 2)), label=margin)
-    format_axes(ax, "clearance [m]", time)
+            ax.plot(ends, [run.scene.margin] * 2, color=palette.INK, lw=1.0, ls=DASHES, label=margin)
+    (format_step_axes if time is None else format_time_axes)(ax, "clearance [m]")
     scale_values(ax)
     drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=np.float64) for line in ax.get_lines()])
     low, high = float(np.nanmin(drawn)), float(np.nanmax(drawn))
@@ -238,7 +214,7 @@ def plot_clearance(
 
 
 def mark_escapes(run: Trajectory, ax: Axes, time: Array | None = None) -> None:
-    """Shade the steps of a run that were meant as an escape, in which the posture error may rise."""
+    """Shade the escape steps of a run, in which the posture error may rise."""
     places = np.arange(run.steps + 1) if time is None else time
     steps = np.flatnonzero(run.error_increasing)
     if len(steps):
@@ -251,25 +227,18 @@ def mark_escapes(run: Trajectory, ax: Axes, time: Array | None = None) -> None:
 
 
 def mark_relaxed(run: Trajectory, ax: Axes, time: Array | None = None) -> None:
-    """Mark on the axis below the steps in which constraints gave way; the legend quotes the first of them."""
+    """Mark on the axis the steps in which constraints were relaxed; the legend quotes the first of them."""
     places = np.arange(run.steps + 1) if time is None else time
     steps: NDArray[np.intp] = np.flatnonzero(run.violated_constraints != "")
     if len(steps):
-        words = textwrap.shorten(str(run.violated_constraints[steps[0]]), LONGEST_REASON, placeholder=" ...")
+        first = str(run.violated_constraints[steps[0]])
+        words = textwrap.shorten(first, MAX_REASON_LENGTH, placeholder=" ...")
         label = f"gave way in {len(steps)} step{'s' * (len(steps) > 1)}: {words}"
-        style: dict[str, Any] = {"ls": "none", "marker": "|", "ms": 7.0, "mew": 1.2, "color": palette.MARK}
-        where: dict[str, Any] = {"transform": ax.get_xaxis_transform(), "clip_on": False, "zorder": 6}
-        ax.plot(places[steps + 1], np.zeros(len(steps)), label=label, **style, **where)
+        _mark_on_axis(ax, places[steps + 1], label, marker="|", ms=7.0, mew=1.2)
 
 
 def add_legend(ax: Axes, columns: int = 1, inside: bool = False) -> None:
-    """Write a legend above the axes, on the right, if anything in them has a name.
-
-    Args:
-        ax: the axes.
-        columns: of the legend.
-        inside: whether to write it into the axes, where there is most room, because others write above them.
-    """
+    """Add a legend, above the axes or inside where there is most room, unless nothing has a label."""
     handles, labels = ax.get_legend_handles_labels()
     if handles:
         style: dict[str, Any] = {"fontsize": 8, "borderaxespad": 0.2, "labelspacing": 0.3, "ncols": columns}
@@ -283,39 +252,28 @@ def add_legend(ax: Axes, columns: int = 1, inside: bool = False) -> None:
 
 # A motion against time.
 
-LETTER = 4.6
-"""Width of a letter of the names above the axes, on average [pt]."""
-
-LEAST = 18.0
-"""How far apart names have to be [pt]."""
-
-ROUNDING = 1e-9
-"""Posture error below which there is none to speak of, in lengths of the arm."""
-
+LETTER_WIDTH = 4.6  # of the names above the axes, on average [pt]
+MIN_NAME_DISTANCE = 18.0  # [pt]
+NO_ERROR = 1e-9  # posture error that is shown as 0, in arm lengths
 DASHES = (0, (4, 2))
 
 
 def plot_error(motion: Motion, ax: Axes) -> None:
-    """Draw the posture error [m] along the way against time, and what was out of the ordinary in it.
+    """Draw the posture error [m] of a motion against time, with escapes and violated constraints.
 
-    What is below `ROUNDING` is not shown.
-
-    Args:
-        motion: the motion.
-        ax: where to draw.
+    An error below `NO_ERROR` is not shown.
     """
     run, color = motion.run, palette.controller_color(motion.run.controller)
-    floor = ROUNDING * motion.arm.length
+    floor = NO_ERROR * motion.arm.length
     values = np.where(run.posture_error > floor, run.posture_error, 0.0)
-    marker = "" if run.steps else "o"
-    ax.plot(motion.time, values, color=color, lw=1.8, marker=marker)
+    ax.plot(motion.time, values, color=color, lw=1.8, marker=marker(run.steps + 1))
     format_time_axes(ax, "posture error [m]")
     scale_values(ax)
     if not values.any():
         ax.set_yticks([0.0])
-        note = f"below {floor:.2g} m throughout"
         where: dict[str, Any] = {"transform": ax.transAxes, "ha": "center", "va": "center"}
-        ax.text(0.5, 0.5, note, fontsize=9, color=color, backgroundcolor="white", **where)
+        text = f"below {floor:.2g} m throughout"
+        ax.text(0.5, 0.5, text, fontsize=9, color=color, backgroundcolor="white", **where)
     else:
         low, high = ax.get_ylim()  # names stand above, and the value at the start has to be below them
         ax.set_ylim(low, high * (high / low) ** 0.12 if low > 0.0 else 1.1 * high)
@@ -332,41 +290,27 @@ def plot_error(motion: Motion, ax: Axes) -> None:
 
 
 def plot_joint_rates(motion: Motion, ax: Axes) -> None:
-    """Draw the largest joint speed and acceleration relative to their limits against time.
-
-    A dashed line is at 1, where a joint is at its limit. What has no limit is left out.
-
-    Args:
-        motion: the motion.
-        ax: where to draw.
-    """
+    """Draw the largest joint speed and acceleration relative to their limits, as far as there are limits."""
     speeds, accelerations = limit_shares(motion.run)
-    marker = "o" if motion.steps == 1 else ""
-    most = 1.0
+    largest = 1.0
     if accelerations is not None:
-        style: dict[str, Any] = {"color": palette.SPARE[0], "lw": 1.0, "label": "acceleration"}
-        ax.plot(motion.time, accelerations, **style)
-        most = max(most, float(accelerations.max()))
+        ax.plot(motion.time, accelerations, color=palette.SPARE[0], lw=1.0, label="acceleration")
+        largest = max(largest, float(accelerations.max()))
     if speeds is not None:
-        style = {"color": palette.SPARE[2], "lw": 1.6, "label": "speed", "marker": marker}
-        ax.plot(motion.time[1:] - motion.dt / 2.0, speeds, **style)
-        most = max(most, float(speeds.max(initial=0.0)))
+        style: dict[str, Any] = {"lw": 1.6, "label": "speed", "marker": marker(motion.steps)}
+        ax.plot(motion.time[1:] - motion.dt / 2.0, speeds, color=palette.SPARE[2], **style)
+        largest = max(largest, float(speeds.max(initial=0.0)))
     ends = [0.0, float(motion.time[-1]) or 1.0]
     ax.plot(ends, [1.0, 1.0], color=palette.INK, lw=1.0, ls=DASHES, label="limit")
     format_time_axes(ax, "largest of all joints\n[share of limit]")
-    ax.set_ylim(-0.03 * most, 1.12 * most)
+    ax.set_ylim(-0.03 * largest, 1.12 * largest)
     add_legend(ax, columns=3)
 
 
 def plot_plan_time(motion: Motion, ax: Axes) -> None:
-    """Draw the time of the plan against the real one, and what it would be if nothing had slowed the motion.
-
-    Args:
-        motion: the motion.
-        ax: where to draw.
-    """
-    begun = float(motion.time[motion.start_index])
-    plan = [0.0, begun, begun + motion.planned]
+    """Draw the time of the plan against real time, as it was and as planned."""
+    begin = float(motion.time[motion.start_index])
+    plan = [0.0, begin, begin + motion.planned]
     ax.plot(plan, [0.0, 0.0, motion.planned], color=palette.INK, lw=1.0, ls=DASHES, label="as planned")
     label = f"as it was, {motion.time_scale:.3g} times as long"
     ax.plot(motion.time, motion.plan_time, color=palette.SPARE[1], lw=1.6, label=label)
@@ -375,41 +319,35 @@ def plot_plan_time(motion: Motion, ax: Axes) -> None:
     add_legend(ax, columns=2)
 
 
-def mark_places(places: Sequence[Place], panels: Sequence[Axes], time: Sequence[float]) -> None:
-    """Mark moments by lines through panels above each other, their names above the first.
-
-    Args:
-        places: the named places of a motion.
-        panels: axes against time, from above, dressed.
-        time: when each is reached, [s].
-    """
+def mark_places(places: Sequence[Place], panels: Sequence[Axes], times: Sequence[float]) -> None:
+    """Mark the times [s] of places by lines through stacked panels, with names above the first panel."""
     if not places:
         return
     for ax in panels:
-        for place, moment in zip(places, time, strict=True):
+        for place, time in zip(places, times, strict=True):
             where: dict[str, Any] = {"transform": ax.get_xaxis_transform(), "zorder": 1.5, "clip_on": False}
-            ax.vlines(moment, 0.0, 1.0, color=place.color, lw=1.0, **where)
+            ax.vlines(time, 0.0, 1.0, color=place.color, lw=1.0, **where)
     first = panels[0]
     low, high = first.get_xlim()
-    width = 72.0 * first.bbox.width / first.figure.dpi / (high - low)  # [pt] to a second
-    names = _joined(places, [width * moment for moment in time])
+    scale = 72.0 * first.bbox.width / first.figure.dpi / (high - low)  # [pt/s]
+    names = _merge_close_names(places, [scale * time for time in times])
     slanted = any(
-        (at - before) < LETTER * (len(name) + len(other)) / 2.0 + LETTER
+        (at - before) < LETTER_WIDTH * (len(name) + len(other)) / 2.0 + LETTER_WIDTH
         for (before, other), (at, name) in pairwise(names)
     )
     for at, name in names:
         style: dict[str, Any] = {"fontsize": 8, "color": palette.INK, "parse_math": False, "va": "bottom"}
         style |= {"rotation": 30, "ha": "left", "rotation_mode": "anchor"} if slanted else {"ha": "center"}
         where = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
-        first.annotate(name, (at / width, 1.0), xytext=(0, 3), annotation_clip=False, **where, **style)
+        first.annotate(name, (at / scale, 1.0), xytext=(0, 3), annotation_clip=False, **where, **style)
 
 
-def _joined(places: Sequence[Place], moments: Sequence[float]) -> list[tuple[float, str]]:
-    """Where to write which names [pt]: those too close together as one, or if that is long the first."""
+def _merge_close_names(places: Sequence[Place], positions: Sequence[float]) -> list[tuple[float, str]]:
+    """Return the names to write at which positions [pt]; of names too close to another, as many as fit."""
     names: list[tuple[float, str]] = []
-    for place, at in zip(places, moments, strict=True):
-        if not names or at - names[-1][0] >= LEAST:
+    for place, at in zip(places, positions, strict=True):
+        if not names or at - names[-1][0] >= MIN_NAME_DISTANCE:
             names.append((at, place.name))
-        elif len(names[-1][1]) + len(place.name) < LONGEST_NAME:
+        elif len(names[-1][1]) + len(place.name) < MAX_NAME_LENGTH:
             names[-1] = names[-1][0], f"{names[-1][1]}, {place.name}"
     return names

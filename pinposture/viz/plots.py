@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -45,74 +45,54 @@ from pinposture.viz.panels import (
     plot_posture_error,
 )
 from pinposture.viz.postures import (
-    BETWEEN,
     PosturePanel,
     draw_intermediate_postures,
-    draw_obstacles,
     draw_runs,
     evenly_spaced_rows,
-    make_room_for,
     plot_postures,
 )
 
 # A motion.
 
-FEW = 3
-"""So many named places tell what the way was like; where there are fewer, postures in between are drawn."""
-
-LETTERS, HANDLE = 84, 8
-"""Letters that fit beside each other above the postures, and the room in letters that a handle takes."""
-
-MOST_DETOURS = 2
-"""Detours that a title has room for."""
+MIN_PLACES = 3  # a motion with fewer named places is shown with intermediate postures
+LEGEND_WIDTH, HANDLE_WIDTH = 84, 8  # of the legend above the postures, and of a symbol in it [characters]
+MAX_DETOURS = 2  # in a title
 
 
 def plot_motion(motion: Motion) -> Figure:
-    """Tell a motion in time in one figure; see `pinposture.plot`.
-
-    Args:
-        motion: the motion.
-
-    Returns:
-        A figure, 1200 pixels wide.
-    """
+    """Draw a motion in time in one figure; see `pinposture.viz.plot`."""
     run, time = motion.run, motion.time
-    rated = any(share is not None for share in limit_shares(motion.run))
-    near = has_clearance(run)
-    figure, postures, panels = new_figure(motion.arm, 1 + rated + is_slowed(motion) + near)
-    plot_places(motion, postures)
-    left = iter(panels)
-    error = next(left)
-    plot_error(motion, error)
-    if rated:
-        plot_joint_rates(motion, next(left))
+    draws: list[Callable[[Motion, Axes], None]] = [plot_error]
+    if any(share is not None for share in limit_shares(run)):
+        draws.append(plot_joint_rates)
     if is_slowed(motion):
-        plot_plan_time(motion, next(left))
-    if near:
-        plot_clearance(run, next(left), time=time)
+        draws.append(plot_plan_time)
+    if has_clearance(run):
+        draws.append(lambda motion, ax: plot_clearance(motion.run, ax, time=motion.time))
+    figure, postures, panels = new_figure(motion.arm, len(draws))
+    plot_places(motion, postures)
+    for draw, panel in zip(draws, panels, strict=True):
+        draw(motion, panel)
     places = shown_places(motion)
     mark_places(places, panels, [float(time[place.row]) for place in places])
     share_axis(panels)
-    deviations = [f"Detour: {text}" for text in motion.deviations[:MOST_DETOURS]]
-    if len(motion.deviations) > MOST_DETOURS:
-        deviations.append(f"and {len(motion.deviations) - MOST_DETOURS} more")
+    deviations = [f"Detour: {text}" for text in motion.deviations[:MAX_DETOURS]]
+    if len(motion.deviations) > MAX_DETOURS:
+        deviations.append(f"and {len(motion.deviations) - MAX_DETOURS} more")
     title(figure, [f"{controller_name(run)} {motion_ending_text(motion)}: {run.reason}", *deviations])
     footnote(figure, "; ".join(filter(None, [placement_text(motion), run.controller])))
-    figure.draw_without_rendering()  # the layout of a high legend settles in the second drawing only
+    figure.draw_without_rendering()  # the layout of a high legend needs two passes
     return figure
 
 
 def plot_places(motion: Motion, ax: Axes) -> None:
-    """Draw the postures that a motion took at its named places, from pale to dark, and the targets there.
-
-    Args:
-        motion: the motion.
-        ax: axes with projection "3d"; for a planar arm also plain ones.
+    """Draw the postures at the named places of a motion, from pale to dark, and the targets there.
 
     Raises:
         InvalidValue: plain axes for an arm that moves in space.
     """
     run, panel = motion.run, PosturePanel(motion.arm, ax)
+    color = palette.controller_color(run.controller)
     groups = group_alike(motion, shown_places(motion))
     rows = [group[0].row for group in groups]
     targets = [motion.targets[row][motion.target_mask[row]] for row in rows or [motion.steps]]
@@ -124,24 +104,15 @@ def plot_places(motion: Motion, ax: Axes) -> None:
         label = "; ".join(f"{place.name}, {motion.time[place.row]:.3g} s" for place in group)
         panel.posture(run.q[group[0].row], group[0].color, label, 2.2)
     if not groups:
-        panel.posture(run.q[-1], palette.controller_color(run.controller), "final posture", 2.2)
-    if run.scene is not None or len(groups) < FEW:
-        draw_intermediate_postures(
-            panel, run, palette.controller_color(run.controller), evenly_spaced_rows(run, BETWEEN)
-        )
-    shown = make_room_for(panel, run.scene)
-    panel.finish()
-    draw_obstacles(panel, shown)
-    _add_legends(ax)
-
-
-def _add_legends(ax: Axes) -> None:
-    """Write the legend above the axes, in as many columns as fit."""
+        panel.posture(run.q[-1], color, "final posture", 2.2)
+    if run.scene is not None or len(groups) < MIN_PLACES:
+        draw_intermediate_postures(panel, run, color, evenly_spaced_rows(run))
+    panel.finish(run.scene)
     handles, labels = ax.get_legend_handles_labels()
     for columns in (3, 2, 1):
-        rows = -(-len(labels) // columns)
-        widest = [max(map(len, labels[k : k + rows])) for k in range(0, len(labels), rows)]
-        if sum(widest) + HANDLE * columns <= LETTERS:
+        rows_each = -(-len(labels) // columns)
+        widths = [max(map(len, labels[k : k + rows_each])) for k in range(0, len(labels), rows_each)]
+        if sum(widths) + HANDLE_WIDTH * columns <= LEGEND_WIDTH:
             break
     where: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": columns}
     legend = ax.legend(handles, labels, fontsize=9, frameon=False, **where)
@@ -153,14 +124,14 @@ def _add_legends(ax: Axes) -> None:
 
 
 def plot(run: Trajectory | Motion) -> Figure:
-    """Tell a run in one figure: postures, posture error, point errors, active points, clearance.
+    """Draw a run in one figure: postures, posture error, point errors, active points, clearance.
 
-    Active points are left out where the controller does not choose any, clearance where there was no scene.
-    Where a controller took turns, red dots on the axis mark the steps that it left to Projection. Behind the
-    posture error, escape steps are shaded; red bars below it mark steps in which a constraint gave way.
+    Active points are left out if the controller does not choose any, clearance if there was no scene. For a
+    switching controller, red dots on the axis mark the steps by Projection. Behind the posture error, escape
+    steps are shaded; red bars below it mark steps in which a constraint was relaxed.
 
-    Of a motion in time it tells the postures at its named places, and over time the posture error, joint
-    speeds and accelerations relative to their limits, what was slowed down, and clearance.
+    A motion in time is drawn by the postures at its named places, and over time by the posture error, joint
+    speeds and accelerations relative to their limits, delays, and clearance.
 
     Args:
         run: the run, or the motion.
@@ -198,38 +169,17 @@ def plot(run: Trajectory | Motion) -> Figure:
 
 
 def plot_comparison(runs: Mapping[str, Trajectory]) -> Figure:
-    """Show several runs towards one target in one figure: postures, posture errors, active points, clearance.
+    """Draw several runs to one target in one figure: postures, posture errors, active points, clearance.
 
     Args:
-        runs: the runs by the names that they are to have in the figure.
+        runs: the runs by their names in the figure.
 
     Returns:
-        A figure, 1200 pixels wide, as `plot` gives it.
+        A figure, 1200 pixels wide, as from `plot`.
 
     Raises:
         InvalidValue: no run at all, or runs of different arms or targets.
     """
-    _require_same_target(runs)
-    colors = palette.distinct_colors(run.controller for run in runs.values())
-    near = any(has_clearance(run) for run in runs.values())
-    figure, postures, panels = new_figure(next(iter(runs.values())).arm, 2 + near)
-    errors, counts = panels[:2]
-    draw_runs(
-        [(run, label, color) for (label, run), color in zip(runs.items(), colors, strict=True)], postures
-    )
-    for (label, run), color in zip(runs.items(), colors, strict=True):
-        plot_posture_error(run, errors, color, label)
-        plot_point_count(run, counts, color)
-    scale_counts(counts, max(run.arm.n_modules for run in runs.values()))
-    if near:
-        for run, color in zip(runs.values(), colors, strict=True):
-            plot_clearance(run, panels[2], color)
-    share_axis(panels)
-    title(figure, [f"{label} {ending_text(run)}: {run.reason}" for label, run in runs.items()])
-    return figure
-
-
-def _require_same_target(runs: Mapping[str, Trajectory]) -> None:
     if not runs:
         raise InvalidValue("runs", dict(runs), "at least one run")
     first_label, first = next(iter(runs.items()))
@@ -237,3 +187,17 @@ def _require_same_target(runs: Mapping[str, Trajectory]) -> None:
         same = run.target.points.shape == first.target.points.shape
         if not (same and np.allclose(run.target.points, first.target.points, rtol=0.0, atol=1e-9)):
             raise InvalidValue("runs", label, f"runs towards the same target as {first_label!r}")
+    colors = palette.distinct_colors(run.controller for run in runs.values())
+    drawn = [(run, label, color) for (label, run), color in zip(runs.items(), colors, strict=True)]
+    near = any(has_clearance(run) for run in runs.values())
+    figure, postures, panels = new_figure(first.arm, 2 + near)
+    draw_runs(drawn, postures)
+    for run, label, color in drawn:
+        plot_posture_error(run, panels[0], color, label)
+        plot_point_count(run, panels[1], color)
+        if near:
+            plot_clearance(run, panels[2], color)
+    scale_counts(panels[1], max(run.arm.n_modules for run in runs.values()))
+    share_axis(panels)
+    title(figure, [f"{label} {ending_text(run)}: {run.reason}" for label, run in runs.items()])
+    return figure

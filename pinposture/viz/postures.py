@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory
 from pinposture.placement import Target
 from pinposture.viz import palette
+from pinposture.viz.axes import add_grid
 from pinposture.viz.body import backbone
 from pinposture.viz.drawing import (
     ShownObstacle,
@@ -32,17 +34,11 @@ from pinposture.viz.mesh import convex_outline, facets, is_hidden, section
 
 Array = NDArray[np.float64]
 
-FILL = 0.78
-"""Share of three-dimensional axes that the plot takes; the rest is for its scales."""
+PLOT_SHARE = 0.78  # of three-dimensional axes; the rest is for the scales
 
 
-class DrawnPosture(NamedTuple):
-    """A line in a panel, as it was drawn.
-
-    Attributes:
-        points: (n, 3) [m], world frame.
-        style: as for `Axes.plot`.
-    """
+class DrawnLine(NamedTuple):
+    """A line in a panel: points (n, 3) [m], world frame, and its style as for `Axes.plot`."""
 
     points: Array
     style: dict[str, Any]
@@ -52,7 +48,7 @@ class PosturePanel:
     """Draws postures and targets into one axes: in space, or for a planar arm in its plane.
 
     Attributes:
-        arm: whose postures these are.
+        arm: the arm.
         ax: axes with projection "3d"; for a planar arm also plain ones.
         spatial: whether they are in space.
         lines: what was drawn so far.
@@ -67,14 +63,14 @@ class PosturePanel:
         if not self.spatial and arm.dimension == 3:
             allowed = 'axes made with projection="3d", for an arm that moves in space'
             raise InvalidValue("ax (projection)", ax.name, allowed)
-        # Seen from the other side if that makes the axes of the picture point the way the world's do.
+        # The plane is seen from the side from which its axes point like those of the world.
         signs = np.sign(arm.plane[np.arange(arm.dimension), np.abs(arm.plane).argmax(axis=1)])
         self._plane: Array = arm.plane * signs[:, None]
-        self.lines: list[DrawnPosture] = []
-        self._room: list[Array] = []
+        self.lines: list[DrawnLine] = []
+        self._obstacle_corners: Array = np.zeros((0, 3))
 
     def coordinates(self, points: Array) -> tuple[Array, ...]:
-        """Points (n, 3) [m] of the world as the coordinates of the axes, each (n,) [m]."""
+        """Return points (n, 3) [m] of the world in the coordinates of the axes, each (n,) [m]."""
         return tuple(points.T) if self.spatial else tuple(self._plane @ points.T)
 
     @property
@@ -83,86 +79,80 @@ class PosturePanel:
         if not self.spatial:
             return self._plane
         view: Any = self.ax
-        right, up, _ = view_axes(np.radians(view.azim), np.radians(view.elev))
-        return np.array([right, up])
+        return view_axes(np.radians(view.azim), np.radians(view.elev))[:2]
 
     @property
     def eye(self) -> Array:
-        """Unit vector towards whoever looks at the finished picture, (3,), world frame."""
+        """Unit vector towards the viewer of the finished picture, (3,), world frame."""
         return np.asarray(np.cross(*self.screen))
 
     @property
     def drawn(self) -> Array:
         """The points that the picture has to show, (n, 3) [m], world frame."""
-        points = np.vstack([*(line.points for line in self.lines), *self._room])
+        points = np.vstack([*(line.points for line in self.lines), self._obstacle_corners])
         return points[np.isfinite(points).all(axis=1)]  # a line may have gaps
 
     def line(self, points: Array, **style: Any) -> None:
         """Draw a line through points (n, 3) [m], world frame."""
-        self.lines.append(DrawnPosture(points, style))
+        self.lines.append(DrawnLine(points, style))
         self.ax.plot(*self.coordinates(points), **style)
-
-    def make_room(self, points: Array) -> None:
-        """Let the picture show the places (n, 3) [m], world frame, of what is drawn when it is finished."""
-        self._room.append(points)
 
     def posture(self, q: Array, color: str, label: str, width: float) -> None:
         """Draw the arm at a configuration (nq,): its bodies, and its control points as dots."""
-        points = self.arm.at(q).points
-        # Thin lines go on top of thick ones, so that postures that coincide are both seen.
+        # Thin lines go on top of thick ones, so that postures that coincide are both visible.
         self.line(backbone(self.arm, q), color=color, lw=width, solid_capstyle="round", zorder=6 - width / 4)
         dots: dict[str, Any] = {"marker": "o", "ms": 2.2 + 0.8 * width, "mec": "white", "mew": 0.4}
-        self.line(points, color=color, ls="none", zorder=6.01 - width / 4, **dots)
+        self.line(self.arm.at(q).points, color=color, ls="none", zorder=6.01 - width / 4, **dots)
         self.ax.plot([], [], color=color, lw=width, label=label, **dots)
 
     def target(self, target: Target) -> None:
         """Draw the target curve, or without one the target posture, and the target points.
 
-        Only what lies between target points that follow each other is drawn boldly; free points are left out.
+        Only the line between consecutive target points is bold.
         """
-        placed = target.has_target
         lines = outline(self.arm, target)
         style: dict[str, Any] = {"color": palette.TARGET, "zorder": 3, "solid_capstyle": "round"}
         known = "posture" if target.curve is None else "curve"
         if lines.covered:
-            self.line(_joined(lines.covered), lw=1.4, label=f"target {known}", **style)
+            self.line(_join(lines.covered), lw=1.4, label=f"target {known}", **style)
         if lines.rest:
             label, dashes = f"rest of the {known}", (0, (4, 2))
-            self.line(_joined(lines.rest), color=palette.REST, lw=0.9, ls=dashes, zorder=2, label=label)
+            self.line(_join(lines.rest), color=palette.REST, lw=0.9, ls=dashes, zorder=2, label=label)
         if not (lines.covered or lines.rest):
-            joined = np.vstack([self.arm.chain.base, np.where(placed[:, None], target.points, np.nan)])
+            points = np.where(target.has_target[:, None], target.points, np.nan)
+            joined = np.vstack([self.arm.chain.base, points])
             self.ax.plot(*self.coordinates(joined), lw=1.0, ls=(0, (1, 1.5)), **style)
         rings = {"ls": "none", "marker": "o", "ms": 4.6, "mfc": "white", "mec": palette.TARGET, "mew": 0.8}
-        self.line(target.points[placed], label="target points", zorder=3, **rings)
+        self.line(target.points[target.has_target], label="target points", zorder=3, **rings)
 
-    def finish(self) -> None:
-        """Set the view, the equal scales and the labels to fit what was drawn."""
+    def finish(self, *scenes: Scene | None) -> None:
+        """Fit view, scales and labels to what was drawn, and draw the obstacles of distinct scenes."""
         base = self.arm.chain.base[None]
-        marks = {"ls": "none", "marker": "s", "ms": 6.5, "color": palette.BASE, "label": "base"}
-        self.line(base, zorder=6, **marks)
+        distinct = list(dict.fromkeys(scene for scene in scenes if scene is not None))
+        points = np.vstack([self.drawn, base]) if distinct else base
+        obstacles = [each for scene in distinct for each in shown_obstacles(scene, points)]
+        self._obstacle_corners = shown_corners(obstacles)
+        self.line(base, zorder=6, ls="none", marker="s", ms=6.5, color=palette.BASE, label="base")
         if self.spatial:
             _frame_space(self.ax, self.drawn)
         else:
             self._frame_plane()
+        _draw_obstacles(self, obstacles)
 
     def _frame_plane(self) -> None:
         self.ax.set_aspect("equal", adjustable="datalim")
         self.ax.margins(0.06)
-        names = ("along the arm [m]", "across the arm [m]")
         labels = []
-        for name, direction in zip(names, self._plane, strict=True):
+        for name, direction in zip(("along", "across"), self._plane, strict=True):
             main = int(np.abs(direction).argmax())
-            labels.append(f"{'xyz'[main]} [m]" if direction[main] > 1.0 - 1e-9 else name)
+            labels.append(f"{'xyz'[main]} [m]" if direction[main] > 1.0 - 1e-9 else f"{name} the arm [m]")
         self.ax.set_xlabel(labels[0], fontsize=9)
         self.ax.set_ylabel(labels[1], fontsize=9)
-        self.ax.tick_params(labelsize=8)
-        self.ax.spines[["top", "right"]].set_visible(False)
-        self.ax.grid(color=palette.FAINT, lw=0.6)
-        self.ax.set_axisbelow(True)
+        add_grid(self.ax)
 
 
-def _joined(lines: tuple[Array, ...]) -> Array:
-    """Several lines as one with gaps, for one entry in the legend."""
+def _join(lines: tuple[Array, ...]) -> Array:
+    """Join lines to one with gaps, for one entry in the legend."""
     gap = np.full((1, 3), np.nan)
     return np.vstack([part for line in lines for part in (gap, line)][1:])
 
@@ -170,7 +160,7 @@ def _joined(lines: tuple[Array, ...]) -> Array:
 def _frame_space(ax: Any, points: Array) -> None:
     framing = frame_points(points)
     low, high = points.min(axis=0), points.max(axis=0)
-    # An axis along which nothing happens still needs some room for its ticks.
+    # An axis without extent still needs some room for its ticks.
     half = np.maximum((high - low) / 2.0, 0.2 * framing.radius) * 1.04
     middle = (low + high) / 2.0
     for name, center, size in zip("xyz", middle, half, strict=True):
@@ -178,23 +168,23 @@ def _frame_space(ax: Any, points: Array) -> None:
         axis = getattr(ax, f"{name}axis")
         locator = MaxNLocator(max(2, round(7 * size / half.max())), steps=[1, 2, 5, 10])
         places = locator.tick_values(center - size, center + size)
-        # At the corners the scales of two axes would meet.
+        # Without ticks at the corners, where the scales of two axes meet.
         axis.set_ticks(places[np.abs(places - center) < 0.9 * size])
         axis.pane.set(facecolor="none", edgecolor=palette.FAINT)
-        axis._axinfo["grid"].update(color=palette.FAINT, linewidth=0.6)  # there is no public way
+        axis._axinfo["grid"].update(color=palette.FAINT, linewidth=0.6)  # there is no public method
         axis.set_label_text(f"{name} [m]", fontsize=9)
-        # Labels are shifted by this many shares of the other two scales, which may be short.
+        # Labels are shifted by these shares of the other two scales, which may be short.
         slender = float(half.max() / np.delete(half, "xyz".index(name)).max())
         axis.set_tick_params(labelsize=8, pad=3.0 * (slender - 1.0))
         axis.labelpad = 8.0 * (slender - 1.0) if name == "z" else 12.0 * slender
     ax.set_proj_type("ortho")
     ax.view_init(elev=np.degrees(framing.elevation), azim=np.degrees(framing.azimuth))
     ax.set_box_aspect(tuple(half))  # a copy: it scales an array in place
-    ax.set_box_aspect(tuple(half), zoom=FILL / box_extent(ax).max())
+    ax.set_box_aspect(tuple(half), zoom=PLOT_SHARE / box_extent(ax).max())
 
 
 def box_extent(ax: Any) -> Array:
-    """Shares of the width and the height of three-dimensional axes that the box of the plot takes, (2,)."""
+    """Return the share that the plot takes of the width and height of three-dimensional axes, (2,)."""
     corners = np.array(np.meshgrid(ax.get_xlim(), ax.get_ylim(), ax.get_zlim())).reshape(3, -1).T
     projected = np.hstack([corners, np.ones((8, 1))]) @ ax.get_proj().T
     flat = ax.transLimits.transform(projected[:, :2] / projected[:, 3:])
@@ -203,75 +193,49 @@ def box_extent(ax: Any) -> Array:
 
 # Obstacles: shaded in space, cut open in the plane.
 
-VEIL = 0.6
-"""Share of the colour of an obstacle in that of a line behind it."""
-
-FINE = 400
-"""Pieces of the size of the picture in which a line is told to be hidden or not."""
-
-EDGE = palette.mixed(palette.OBSTACLE, palette.INK, 0.35)
-"""Outlines of obstacles."""
+VEIL = 0.6  # share of the colour of an obstacle in that of a line behind it
+VEIL_SEGMENTS = 400  # a line is split into pieces of the picture size over this to find its hidden parts
+EDGE = palette.mixed(palette.OBSTACLE, palette.INK, 0.35)  # colour of outlines
 
 
-def make_room_for(panel: PosturePanel, *scenes: Scene | None) -> list[ShownObstacle]:
-    """Make room in a panel for the obstacles near what was drawn; call it before the panel is finished.
+def _draw_obstacles(panel: PosturePanel, shown: Sequence[ShownObstacle]) -> None:
+    """Draw obstacles into a panel that is framed, with an entry for the legend.
 
-    Args:
-        panel: the panel, with all postures and targets in it.
-        scenes: scenes whose obstacles to show; None for none, the same one only counts once.
-
-    Returns:
-        The obstacles, for `draw_obstacles`.
+    In space they are translucent, and lines that they hide are veiled. For a planar arm their sections with
+    its plane are drawn; those that do not meet the plane have a dotted outline.
     """
-    distinct = list(dict.fromkeys(scene for scene in scenes if scene is not None))
-    points = np.vstack([panel.drawn, panel.arm.chain.base])
-    shown = [each for scene in distinct for each in shown_obstacles(scene, points)]
-    panel.make_room(shown_corners(shown))
-    return shown
-
-
-def draw_obstacles(panel: PosturePanel, shown: Sequence[ShownObstacle]) -> None:
-    """Draw obstacles into a panel that is finished, with an entry for the legend.
-
-    In space they are translucent, and lines that they hide are veiled. In the plane of a planar arm they are
-    drawn where they meet that plane; what lies before or behind it is a dotted outline.
-
-    Args:
-        panel: the panel.
-        shown: what `make_room_for` returned.
-    """
-    near = [each.near for each in shown if len(each.near)]
     if not shown:
         return
+    near = [each for each in shown if len(each.near)]
+    solids = [each.near for each in near]
     if panel.spatial:
-        _draw_solids(panel, near)
-        _dim_hidden_lines(panel, near)
+        _draw_solids(panel, solids)
+        _dim_hidden_lines(panel, solids)
     else:
-        _draw_sections(panel, near)
-    away = len(shown) - len(near)
+        _draw_sections(panel, solids)
     label = "obstacle" if len(shown) == 1 else "obstacles"
-    label += ", cut off" if any(each.cut for each in shown if len(each.near)) else ""
-    label += f", {away} far off" if away else ""
+    label += ", cut off" if any(each.cut for each in near) else ""
+    label += f", {len(shown) - len(near)} far off" if len(near) < len(shown) else ""
     square: dict[str, Any] = {"ls": "none", "marker": "s", "ms": 9.0, "mec": EDGE, "mew": 0.7}
     panel.ax.plot([], [], mfc=(*palette.rgb(palette.OBSTACLE), palette.SEE_THROUGH), label=label, **square)
 
 
-def _draw_solids(panel: PosturePanel, near: Sequence[Array]) -> None:
+def _draw_solids(panel: PosturePanel, solids: Sequence[Array]) -> None:
     ax: Any = panel.ax
-    ax.computed_zorder = False  # or they would cover lines that are in front of them
+    ax.computed_zorder = False  # otherwise they cover lines that are in front of them
     right, up = panel.screen
     light = 0.5 * panel.eye + 0.8 * up - 0.4 * right
     light /= np.linalg.norm(light)
     faces: list[Array] = []
     shades: list[tuple[float, ...]] = []
-    for solid in near:
-        seen = [(face, normal) for face, normal in facets(solid) if normal @ panel.eye > 0.0]
-        faces.extend(face for face, _ in seen)
-        shades.extend(_shade(float(normal @ light)) for _, normal in seen)
-        outline = convex_outline(solid @ panel.screen.T)
-        if len(outline):
+    for solid in solids:
+        visible = [(face, normal) for face, normal in facets(solid) if normal @ panel.eye > 0.0]
+        faces.extend(face for face, _ in visible)
+        shades.extend(_shade(float(normal @ light)) for _, normal in visible)
+        rim = convex_outline(solid @ panel.screen.T)
+        if len(rim):
             depth = float((solid @ panel.eye).mean())
-            line = np.vstack([outline, outline[:1]]) @ panel.screen + depth * panel.eye
+            line = np.vstack([rim, rim[:1]]) @ panel.screen + depth * panel.eye
             ax.plot(*line.T, color=EDGE, lw=0.8, zorder=0.6)
     if shades:
         most = max(map(len, faces))
@@ -281,23 +245,23 @@ def _draw_solids(panel: PosturePanel, near: Sequence[Array]) -> None:
 
 
 def _shade(level: float) -> tuple[float, float, float, float]:
-    """Colour of a face whose normal has that cosine to the light."""
+    """Return the colour of a face by the cosine between its normal and the light."""
     other = "#FFFFFF" if level > 0.0 else palette.INK
     return (*palette.rgb(palette.mixed(palette.OBSTACLE, other, 0.55 * abs(level))), palette.SEE_THROUGH)
 
 
-def _dim_hidden_lines(panel: PosturePanel, near: Sequence[Array]) -> None:
-    """Draw anew, in a colour between theirs and that of obstacles, what these hide of the lines."""
-    finest = float(np.ptp(panel.drawn, axis=0).max()) / FINE
+def _dim_hidden_lines(panel: PosturePanel, solids: Sequence[Array]) -> None:
+    """Redraw the parts of lines that solids hide, blended with the colour of obstacles."""
+    finest = float(np.ptp(panel.drawn, axis=0).max()) / VEIL_SEGMENTS
     for line in list(panel.lines):
-        dashed = line.style.get("ls", "-") not in ("-", "none")
+        dots = line.style.get("ls") == "none"
+        dashed = not dots and line.style.get("ls", "-") != "-"
         if dashed or "alpha" in line.style:  # too faint already to be veiled
             continue
-        dots = line.style.get("ls") == "none"
-        points = line.points if dots else _subdivided(line, finest)
+        points = line.points if dots else _subdivide(line.points, finest)
         behind = np.zeros(len(points), dtype=np.bool_)
         known = np.isfinite(points).all(axis=1)
-        for solid in near:
+        for solid in solids:
             behind[known] |= is_hidden(points[known], solid, panel.eye)
         if behind.any():
             style = {**line.style, "label": "_", "zorder": line.style["zorder"] + 0.001}
@@ -307,37 +271,30 @@ def _dim_hidden_lines(panel: PosturePanel, near: Sequence[Array]) -> None:
             panel.ax.plot(*panel.coordinates(np.where(behind[:, None], points, np.nan)), **style)
 
 
-def _subdivided(line: DrawnPosture, finest: float) -> Array:
-    """Points along a line no farther from each other than that [m], its own among them."""
-    pieces = [line.points[:1]]
-    for a, b in zip(line.points[:-1], line.points[1:], strict=True):
+def _subdivide(points: Array, finest: float) -> Array:
+    """Insert points into a line until consecutive ones are no farther apart than `finest` [m]."""
+    pieces = [points[:1]]
+    for a, b in pairwise(points):
         length = float(np.linalg.norm(b - a))
         count = max(1, int(np.ceil(length / finest))) if np.isfinite(length) else 1
         pieces.append(a + np.linspace(0.0, 1.0, count + 1)[1:, None] * (b - a) if count > 1 else b[None])
     return np.vstack(pieces)
 
 
-def _draw_sections(panel: PosturePanel, near: Sequence[Array]) -> None:
+def _draw_sections(panel: PosturePanel, solids: Sequence[Array]) -> None:
     ax: Axes = panel.ax
-    edge: dict[str, Any] = {"edgecolor": EDGE, "lw": 0.8}
+    edge: dict[str, Any] = {"edgecolor": EDGE, "lw": 0.8, "zorder": 0.6}
     face = (*palette.rgb(palette.OBSTACLE), palette.SEE_THROUGH)
-    for solid in near:
+    for solid in solids:
         cross = section(solid, panel.arm.chain.base, panel.screen)
+        rim = convex_outline(solid @ panel.screen.T)
         if len(cross):
-            ax.fill(*cross.T, facecolor=face, zorder=0.6, **edge)
-            continue
-        outline = convex_outline(solid @ panel.screen.T)
-        if len(outline):
-            ax.fill(*outline.T, fill=False, ls=(0, (1, 2)), zorder=0.6, **edge)
+            ax.fill(*cross.T, facecolor=face, **edge)
+        elif len(rim):
+            ax.fill(*rim.T, fill=False, ls=(0, (1, 2)), **edge)
 
 
 # Runs.
-
-BETWEEN = 8
-"""How many of the postures on the way are drawn where there is something to get around."""
-
-PALE: dict[str, Any] = {"lw": 0.7, "alpha": 0.35, "zorder": 1}
-"""How a posture on the way is drawn."""
 
 
 def plot_postures(run: Trajectory, ax: Axes) -> None:
@@ -354,13 +311,13 @@ def plot_postures(run: Trajectory, ax: Axes) -> None:
 
 
 def draw_runs(runs: Sequence[tuple[Trajectory, str, str]], ax: Axes) -> None:
-    """Draw several runs of one arm towards one target; each distinct start is drawn once.
+    """Draw several runs of one arm to one target; each distinct start is drawn once.
 
     Args:
         runs: run, label and colour of each.
         ax: as for `plot_postures`.
     """
-    first = runs[0][0]
+    first, _, first_color = runs[0]
     panel = PosturePanel(first.arm, ax)
     panel.target(first.target)
     starts: list[Array] = []
@@ -371,32 +328,23 @@ def draw_runs(runs: Sequence[tuple[Trajectory, str, str]], ax: Axes) -> None:
     for i, (run, label, color) in enumerate(runs):
         panel.posture(run.q[-1], color, label, width=2.2 + 1.2 * (len(runs) - 1 - i))
     if len(runs) == 1 and first.scene is not None:
-        draw_intermediate_postures(panel, first, runs[0][2], evenly_spaced_rows(first, BETWEEN))
-    shown = make_room_for(panel, *(run.scene for run, _, _ in runs))
-    panel.finish()
-    draw_obstacles(panel, shown)
+        draw_intermediate_postures(panel, first, first_color, evenly_spaced_rows(first))
+    panel.finish(*(run.scene for run, _, _ in runs))
     ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=9, frameon=False, ncols=3)
 
 
-def evenly_spaced_rows(run: Trajectory, count: int) -> NDArray[np.intp]:
-    """Rows of `run.q` between which the control points move about equally far, without the first and last."""
+def evenly_spaced_rows(run: Trajectory, count: int = 8) -> NDArray[np.intp]:
+    """Return inner rows of `run.q` between which the control points move about equally far."""
     moved = np.linalg.norm(np.diff(run.points, axis=0), axis=2).mean(axis=1)
-    way = np.concatenate([[0.0], np.cumsum(moved)])
-    rows = np.searchsorted(way, np.linspace(0.0, way[-1], count + 2)[1:-1])
+    path = np.concatenate([[0.0], np.cumsum(moved)])
+    rows = np.searchsorted(path, np.linspace(0.0, path[-1], count + 2)[1:-1])
     return np.unique(rows[(rows > 0) & (rows < run.steps)])
 
 
 def draw_intermediate_postures(
     panel: PosturePanel, run: Trajectory, color: str, rows: NDArray[np.intp]
 ) -> None:
-    """Draw some of the postures between the first and the last of a run.
-
-    Args:
-        panel: where to draw.
-        run: the run.
-        color: colour of the lines.
-        rows: which rows of `run.q`, (n,).
-    """
+    """Draw the postures at some rows of `run.q` as pale lines."""
+    pale: dict[str, Any] = {"color": color, "lw": 0.7, "alpha": 0.35, "zorder": 1}
     for k, row in enumerate(rows):
-        label = "_" if k else "postures on the way"
-        panel.line(backbone(run.arm, run.q[row]), color=color, label=label, **PALE)
+        panel.line(backbone(run.arm, run.q[row]), label="_" if k else "postures on the way", **pale)

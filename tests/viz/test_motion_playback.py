@@ -23,7 +23,7 @@ from pinposture.viz.animation import (
     playback,
     tracks,
 )
-from pinposture.viz.axes import MOST, group_alike, shown_places
+from pinposture.viz.axes import MAX_PLACES, group_alike, shown_places
 from pinposture.viz.body import body_poses
 from pinposture.viz.meshcat import add_moving_targets
 
@@ -179,9 +179,9 @@ def test_lines_without_a_direction_still_have_hoops_that_can_be_drawn(case):
 def test_of_many_places_the_first_the_last_and_some_between_are_shown():
     motion = some_motion(names=tuple(f"place {k}" for k in range(31)))
     places = shown_places(motion)
-    assert len(places) == MOST
+    assert len(places) == MAX_PLACES
     assert (places[0].name, places[-1].name) == ("place 0", "place 30")
-    assert len({place.color for place in places}) == MOST
+    assert len({place.color for place in places}) == MAX_PLACES
 
 
 def test_places_that_were_not_reached_are_left_out_and_long_names_keep_both_ends():
