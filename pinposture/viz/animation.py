@@ -1,16 +1,13 @@
-"""Which configurations are shown when, and everything that moves with them."""
+"""Which configurations are shown when, and how objects in the viewer move with them."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 import umsgpack
-from meshcat.animation import Animation, AnimationClip
-from meshcat.path import Path
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -25,37 +22,33 @@ from pinposture.viz.body import bodies, body_poses
 Array = NDArray[np.float64]
 
 ROOT = "/pinposture"
-
-POINT_SIZE = 1.9
-"""Radius of an active control point, relative to that of the bars of the arm."""
-
-IDLE_SIZE = 0.75
-"""Size of a control point that is not active, relative to one that is."""
+POINT_SIZE = 1.9  # radius of an active control point, relative to that of the bars of the arm
+IDLE_SIZE = 0.75  # size of an inactive control point, relative to an active one
 
 
 def body_path(index: int) -> str:
-    """Path in the viewer of the body that joint `index` of the chain moves."""
+    """Return the path of the body that joint `index` of the chain moves."""
     return f"{ROOT}/arm/body_{index + 1:03d}"
 
 
 def point_path(index: int) -> str:
-    """Path in the viewer of the control point on the body that joint `index` of the chain moves."""
+    """Return the path of the control point on the body that joint `index` of the chain moves."""
     return f"{body_path(index)}/point"
 
 
 class Track(NamedTuple):
-    """How one property of one object changes with time, in place of `meshcat.animation.AnimationTrack`.
+    """How one property of one object changes with time.
 
-    That one packs a value of its own for each number of each frame, in three times the space, and cannot hold
-    a value until the next.
+    `meshcat.animation.AnimationTrack` takes three times the space, because it packs each number of each frame
+    separately, and it cannot hold a value until the next.
 
     Attributes:
         path: the object in the viewer.
         name: the property, for instance "position".
         kind: "vector3", "quaternion" (x, y, z, w) or "color" (red, green, blue in [0, 1]).
-        times: (n,) increasing, in frames.
+        times: increasing, (n,) [frames].
         values: (n, 3) or (n, 4).
-        smooth: whether values in between are interpolated, or hold until the next.
+        smooth: whether values are interpolated, or held until the next.
     """
 
     path: str
@@ -66,7 +59,7 @@ class Track(NamedTuple):
     smooth: bool
 
     def lower(self) -> dict[str, Any]:
-        """The track as meshcat's viewer receives it: numbers packed in single precision."""
+        """Return the track as meshcat's viewer receives it: numbers packed in single precision."""
         lowered: dict[str, Any] = {"name": f".{self.name}", "type": self.kind}
         for name, numbers in (("times", self.times), ("values", self.values)):
             lowered[name] = umsgpack.Ext(0x17, numbers.astype("<f4").tobytes())
@@ -75,39 +68,25 @@ class Track(NamedTuple):
         return lowered
 
 
-def animation(tracks: Sequence[Track], fps: float) -> Animation:
-    """The animation that plays tracks."""
-    whole = Animation()
-    for track in tracks:
-        clip = whole.clips.setdefault(Path().append(track.path), AnimationClip(fps=fps, name="run"))
-        clip.tracks[track.name] = track
-    return whole
-
-
 # Which configurations are shown, and when.
 
-REST_BEFORE, REST_AFTER = 0.6, 1.6
-"""How long the first and the last posture stand still [s]."""
-
-SHORTEST = 2.0
-"""How long a run is shown at least; one of few steps is shown slower [s]."""
-
-LONGEST = 60.0
-"""How long a motion in time is shown at most; one that takes longer is shown faster [s]."""
+REST_BEFORE, REST_AFTER = 0.6, 1.6  # how long the first and the last posture are held [s]
+MIN_DURATION = 2.0  # of a run; one of few steps is shown slower [s]
+MAX_DURATION = 60.0  # of a motion in time; a longer one is shown faster [s]
 
 
 @dataclass(frozen=True)
 class Timeline:
-    """The configurations of a run or a motion that are shown, one after the other.
+    """The configurations of a run or a motion that are shown, and when.
 
     Attributes:
         run: the run, or that of the motion.
-        motion: the motion; None for a run, whose steps know of no time.
-        rows: which rows of `run.q` are shown, increasing, first and last included, (f,).
-        times: when each is reached, (f,), in frames.
-        end: when it is over and starts again, in frames.
+        motion: the motion; None for a run, whose steps have no time.
+        rows: rows of `run.q` that are shown, increasing, first and last included, (f,).
+        times: when each is reached, (f,) [frames].
+        end: when the animation is over and starts again [frames].
         fps: frames per second.
-        speedup: how many times as fast as it was a motion is shown; 1 in real time.
+        speedup: speed relative to that of the motion; 1 in real time.
     """
 
     run: Trajectory
@@ -120,29 +99,25 @@ class Timeline:
 
     @property
     def key_rows(self) -> NDArray[np.intp]:
-        """Which of `rows` is seen at each of `key_times`, (f + 2,)."""
+        """Which of `rows` is shown at each of `key_times`, (f + 2,)."""
         return np.concatenate([[0], np.arange(len(self.rows)), [len(self.rows) - 1]])
 
     @property
     def key_times(self) -> Array:
-        """`times` with beginning and end, (f + 2,), in frames.
-
-        The first and the last configuration are held, so that one sees them before all starts again.
-        """
+        """`times` with beginning and end, where first and last configuration are held, (f + 2,) [frames]."""
         return np.concatenate([[0.0], self.times, [self.end]])
 
 
 def playback(shown: Trajectory | Motion, fps: float, max_frames: int) -> Timeline:
     """Choose what to show: every configuration, or as many as allowed, evenly spaced.
 
-    A motion is shown in real time, unless that takes longer than `LONGEST`. Then it is shown 2, 5, 10, ...
-    times as fast.
+    A motion is shown in real time, or 2, 5, 10, ... times as fast if that takes longer than `MAX_DURATION`.
 
     Args:
         shown: a run, or a motion in time.
         fps: configurations of a motion per second of playback, fewer if it has fewer; steps of a run per
-            second, fewer if it would be over too soon.
-        max_frames: number of configurations at most, at least 2.
+            second, fewer if it would take less than `MIN_DURATION`.
+        max_frames: largest number of configurations, at least 2.
 
     Raises:
         InvalidValue: `fps` or `max_frames`.
@@ -154,15 +129,17 @@ def playback(shown: Trajectory | Motion, fps: float, max_frames: int) -> Timelin
     if isinstance(shown, Motion):
         return _motion_playback(shown, float(fps), max_frames)
     count = min(shown.steps + 1, max_frames)
-    fps = min(fps, max(count - 1, 1) / SHORTEST)
+    fps = min(fps, max(count - 1, 1) / MIN_DURATION)
     rows = np.round(np.linspace(0, shown.steps, count)).astype(np.intp)
     times = REST_BEFORE * fps + np.arange(count, dtype=np.float64)
     return Timeline(shown, None, rows, times, float(times[-1] + REST_AFTER * fps), float(fps))
 
 
 def _motion_playback(motion: Motion, fps: float, max_frames: int) -> Timeline:
-    """Rows of a motion and when to show them; `fps` is but the unit of time then."""
-    speedup = _speedup(float(motion.time[-1]))
+    """Choose rows of a motion and when to show them; `fps` is only the unit of time here."""
+    factors = (digit * 10.0**power for power in itertools.count() for digit in (1.0, 2.0, 5.0))
+    end = float(motion.time[-1])
+    speedup = next(factor for factor in factors if end <= MAX_DURATION * factor * (1.0 + 1e-9))
     frames = int(np.ceil(motion.time[-1] / speedup * fps))
     count = min(frames, motion.steps, max_frames - 1) + 1
     rows = np.round(np.linspace(0, motion.steps, count)).astype(np.intp)
@@ -170,19 +147,11 @@ def _motion_playback(motion: Motion, fps: float, max_frames: int) -> Timeline:
     return Timeline(motion.run, motion, rows, times, float(times[-1] + REST_AFTER * fps), fps, speedup)
 
 
-def _speedup(seconds: float) -> float:
-    """How many times as fast to show a motion: the least of 1, 2, 5, 10, 20, ... that makes it short."""
-    allowed = (digit * 10.0**power for power in itertools.count() for digit in (1.0, 2.0, 5.0))
-    return next(speedup for speedup in allowed if seconds <= LONGEST * speedup * (1.0 + 1e-9))
-
-
 def tracks(arm: Arm, shown: Timeline) -> list[Track]:
-    """How the bodies of the arm move and its control points change, for an arm that has been drawn.
+    """Return how the bodies of the arm move and its control points change.
 
-    Args:
-        arm: the arm.
-        shown: what to show. A control point counts as active at a configuration if it is in the active
-            control set of the step that leaves it; at the last, of the step that led to it.
+    A control point counts as active at a configuration if it is active in the step from there; at the last
+    configuration, in the step to there.
     """
     run = shown.run
     poses = body_poses(arm, run.q[shown.rows])  # (f, n, 4, 4)
@@ -201,82 +170,79 @@ def tracks(arm: Arm, shown: Timeline) -> list[Track]:
 
 
 def _activity_tracks(path: str, times: Array, on: NDArray[np.bool_]) -> list[Track]:
-    """Colour and size of a control point that is active at some times, told only where that changes."""
-    told = np.concatenate([[True], on[1:] != on[:-1]])
-    told[-1] = True  # all tracks end together, or those that end early would start again early
-    colors = np.where(on[told, None], palette.rgb(palette.ACTIVE), palette.rgb(palette.IDLE))
-    sizes = np.where(on[told, None], 1.0, IDLE_SIZE) * np.ones(3)
+    """Return colour and size of a control point that is active at some times, with a key for each change."""
+    changed = np.concatenate([[True], on[1:] != on[:-1]])
+    changed[-1] = True  # all tracks have to end together, because each starts again when it ends
+    colors = np.where(on[changed, None], palette.rgb(palette.ACTIVE), palette.rgb(palette.IDLE))
+    sizes = np.where(on[changed, None], 1.0, IDLE_SIZE) * np.ones(3)
     return [
-        Track(f"{path}/<object>", "material.color", "color", times[told], colors, smooth=False),
-        Track(path, "scale", "vector3", times[told], sizes, smooth=False),
+        Track(f"{path}/<object>", "material.color", "color", times[changed], colors, smooth=False),
+        Track(path, "scale", "vector3", times[changed], sizes, smooth=False),
     ]
 
 
 # The targets of a motion: a hoop for each control point, where it should be.
 
-NO_SIZE = 1e-3
-"""Size of a hoop that is not there."""
+NO_SIZE = 1e-3  # size of a hoop without a target
 
 
 def moving_target_tracks(motion: Motion, playback: Timeline) -> list[Track]:
-    """How targets that have been drawn move, come and go."""
+    """Return how the hoops of targets move, appear and disappear."""
     held, times = playback.key_rows, playback.key_times
-    targets, asked = motion.targets[playback.rows], motion.target_mask[playback.rows]
-    turns = hoop_turns(motion.arm, targets, asked)
+    targets, mask = motion.targets[playback.rows], motion.target_mask[playback.rows]
+    turns = hoop_turns(motion.arm, targets, mask)
     listed = []
     for k in targeted_points(motion):
         path = hoop_path(k)
         listed.append(Track(path, "position", "vector3", times, targets[held, k], smooth=True))
         listed.append(Track(path, "quaternion", "quaternion", times, turns[held, k], smooth=True))
-        if not asked[:, k].all():
-            sizes = np.where(asked[held, k, None], 1.0, NO_SIZE) * np.ones(3)
+        if not mask[:, k].all():
+            sizes = np.where(mask[held, k, None], 1.0, NO_SIZE) * np.ones(3)
             listed.append(Track(path, "scale", "vector3", times, sizes, smooth=False))
     return listed
 
 
 def hoop_path(point: int) -> str:
-    """Path in the scene of the hoop for a control point, 0-based."""
+    """Return the path of the hoop for a control point, 0-based."""
     return f"{ROOT}/target/hoop_{point + 1:03d}"
 
 
-def hoop_turns(arm: Arm, targets: Array, asked: NDArray[np.bool_]) -> Array:
-    """Turns that stand hoops across the line through the targets, quaternions (x, y, z, w), (f, m, 4).
+def hoop_turns(arm: Arm, targets: Array, mask: NDArray[np.bool_]) -> Array:
+    """Return orientations of hoops across the line through the targets, (f, m, 4), (x, y, z, w).
 
-    Each follows from the one before by the least rotation, so that hoops do not spin.
+    Each follows from the one before by the smallest rotation, so that hoops do not spin.
 
     Args:
         arm: the arm.
         targets: where control points should be, (f, m, 3) [m], world frame.
-        asked: which of them have a target, (f, m).
+        mask: which of them have a target, (f, m).
     """
-    turns = np.empty((*asked.shape, 4))
-    normals = np.broadcast_to([0.0, 0.0, 1.0], (asked.shape[1], 3))
-    turn = Rotation.identity(asked.shape[1])
+    turns = np.empty((*mask.shape, 4))
+    normals = np.broadcast_to([0.0, 0.0, 1.0], (mask.shape[1], 3))
+    turn = Rotation.identity(mask.shape[1])
     for row in range(len(targets)):
-        ahead = _tangents(arm, targets[row], asked[row], normals)
+        ahead = _tangents(arm, targets[row], mask[row], normals)
         turn = _shortest_rotations(normals, ahead) * turn
         normals, turns[row] = ahead, turn.as_quat()
     return same_signs(turns)
 
 
 def same_signs(turns: Array) -> Array:
-    """Quaternions (f, ..., 4) with signs such that each is on the side of the one before."""
+    """Choose the signs of quaternions (f, ..., 4) such that each is closest to the one before."""
     flips = np.ones(turns.shape[:-1])
     flips[1:] = np.where(np.sum(turns[1:] * turns[:-1], axis=-1) < 0.0, -1.0, 1.0)
     return np.asarray(turns * np.cumprod(flips, axis=0)[..., None])
 
 
-def _tangents(arm: Arm, points: Array, asked: NDArray[np.bool_], known: Array) -> Array:
-    """Directions of the line from the base through targets (m, 3), or those known where there is none."""
+def _tangents(arm: Arm, points: Array, mask: NDArray[np.bool_], known: Array) -> Array:
+    """Return tangents of the line from the base through targets (m, 3); known ones where there are none."""
     tangents: Array = known.copy()
-    here = np.flatnonzero(asked)
-    line = np.vstack([arm.chain.base, points[here]])
-    behind = np.diff(line, axis=0)
-    ahead = np.vstack([behind[1:], behind[-1:]])
-    across = _unit(behind) + _unit(ahead)
+    targeted = np.flatnonzero(mask)
+    behind = _unit(np.diff(np.vstack([arm.chain.base, points[targeted]]), axis=0))
+    across = behind + np.vstack([behind[1:], behind[-1:]])
     lengths = np.linalg.norm(across, axis=1)
     plain = lengths > 1e-6
-    tangents[here[plain]] = across[plain] / lengths[plain, None]
+    tangents[targeted[plain]] = across[plain] / lengths[plain, None]
     return tangents
 
 
@@ -286,16 +252,16 @@ def _unit(vectors: Array) -> Array:
 
 
 def _shortest_rotations(before: Array, after: Array) -> Rotation:
-    """The least rotations that take unit vectors (m, 3) to others."""
+    """Return the smallest rotations from unit vectors (m, 3) to others."""
     axes = np.cross(before, after)
     sines = np.linalg.norm(axes, axis=1, keepdims=True)
     angles = np.arctan2(sines, np.einsum("mi,mi->m", before, after)[:, None])
-    aside = np.cross(before, np.eye(3)[np.abs(before).argmin(axis=1)])  # for those that turn round
+    aside = np.cross(before, np.eye(3)[np.abs(before).argmin(axis=1)])  # for opposite vectors
     around = np.where(sines > 1e-9, axes / np.maximum(sines, 1e-9), _unit(aside))
     turns: Rotation = Rotation.from_rotvec(angles * around)
     return turns
 
 
 def targeted_points(motion: Motion) -> NDArray[np.intp]:
-    """Control points, 0-based, that have a target at some time."""
+    """Return the control points, 0-based, that have a target at some time."""
     return np.asarray(np.flatnonzero(motion.target_mask.any(axis=0)))

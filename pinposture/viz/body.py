@@ -1,4 +1,4 @@
-"""The bodies of an arm as they are drawn: along its links, or the meshes of its description."""
+"""The bodies of an arm as they are drawn: lines along its links, and the visual meshes of its description."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm
+from pinposture.arm.chain import neutral_placements
 from pinposture.arm.urdf_reader import parse_xml
 from pinposture.collision.obstacles import find_mesh, read_mesh
 from pinposture.collision.scan import between_cubes, representatives
 from pinposture.errors import FileError, PostureWarning
-from pinposture.viz.mesh import TriangleMesh, merge
+from pinposture.viz.mesh import TriangleMesh, merge, without_repeats
 
 # Shape and pose of each body.
 
@@ -24,17 +25,17 @@ Array = NDArray[np.float64]
 
 
 class DrawnBody(NamedTuple):
-    """What one joint of the chain moves, as a broken line.
+    """What one joint of the chain moves, as a polyline.
 
-    The frame of a body has its origin at the joint and, at the neutral configuration, the axes of the world.
+    The body frame has its origin at the joint and, at the neutral configuration, the axes of the world.
 
     Attributes:
         joint: name of the joint.
-        module: index of the module that it belongs to, 0-based.
-        nodes: from the joint by way of the control point, if one is fixed to the body, to the next joint,
-            (p, 3) [m], body frame.
-        point: the control point fixed to the body, (3,) [m], body frame; None if there is none.
-        slide: how far back the joint may reach along its axis, (3,) [m], body frame; zero if it turns.
+        module: index of its module, 0-based.
+        nodes: the joint, the control point on the body if there is one, and the next joint, (p, 3) [m], body
+            frame.
+        point: the control point on the body, (3,) [m], body frame; None if there is none.
+        slide: how far back a prismatic joint reaches along its axis, (3,) [m], body frame; else zero.
     """
 
     joint: str
@@ -45,7 +46,7 @@ class DrawnBody(NamedTuple):
 
 
 def bodies(arm: Arm) -> tuple[DrawnBody, ...]:
-    """The moving bodies of an arm, from base to tip, one for each joint of the chain."""
+    """Return the moving bodies of an arm, from base to tip, one for each joint of the chain."""
     chain = arm.chain
     ends = {joints.stop - 1: k for k, joints in enumerate(chain.module_slices)}
     modules = np.repeat(np.arange(arm.n_modules), [len(joints) for joints in arm.module_joints])
@@ -58,15 +59,16 @@ def bodies(arm: Arm) -> tuple[DrawnBody, ...]:
         if u + 1 < len(chain.origins):
             nodes.append(chain.origins[u + 1] - origin)
         reach = arm.limits.upper[chain.columns[u]]
-        # Models made by hand have the largest number there is for a limit where there is none.
+        # Some models have the largest floating-point number where there is no limit.
         slides = not chain.revolute[u] and 0.0 < reach < 10.0 * arm.length
         slide = -reach * chain.axes[u] if slides else np.zeros(3)
-        listed.append(DrawnBody(chain.joints[u], int(modules[u]), _distinct(nodes, arm.length), point, slide))
+        distinct = without_repeats(np.array(nodes), 1e-9 * arm.length)
+        listed.append(DrawnBody(chain.joints[u], int(modules[u]), distinct, point, slide))
     return tuple(listed)
 
 
 def body_poses(arm: Arm, q: ArrayLike) -> Array:
-    """Where the bodies are, by the product of exponentials of the joint screws.
+    """Return the poses of the bodies, by the product of exponentials of the joint screws.
 
     Args:
         arm: the arm.
@@ -84,13 +86,13 @@ def body_poses(arm: Arm, q: ArrayLike) -> Array:
     chain = arm.chain
     poses = np.zeros((len(positions), len(chain.joints), 4, 4))
     poses[..., 3, 3] = 1.0
-    # (f, n, 3, 3), all at once: one by one they take longer than everything else here
+    # (f, n, 3, 3), all at once: one call per joint takes longer than everything else here.
     vectors = (positions[:, chain.columns, None] * chain.axes).reshape(-1, 3)
     turns = Rotation.from_rotvec(vectors).as_matrix().reshape(len(positions), -1, 3, 3)
     turn = np.broadcast_to(np.eye(3), (len(positions), 3, 3))
     shift = np.zeros((len(positions), 3))
     for u, (axis, origin) in enumerate(zip(chain.axes, chain.origins, strict=True)):
-        # The joint stands where the bodies before it carry its neutral place: p = R origin + shift.
+        # The bodies before the joint carry it from its neutral position: p = R origin + shift.
         place = turn @ origin + shift
         if chain.revolute[u]:
             turn = turn @ turns[:, u]
@@ -103,14 +105,7 @@ def body_poses(arm: Arm, q: ArrayLike) -> Array:
 
 
 def backbone(arm: Arm, q: ArrayLike) -> Array:
-    """The broken line from the base through joints and control points to the tip at a configuration.
-
-    Args:
-        arm: the arm.
-        q: configuration, (nq,) [rad or m].
-
-    Returns:
-        Array (p, 3) [m], world frame.
+    """Return the line from base through joints and control points to the tip, (p, 3) [m], world frame.
 
     Raises:
         InvalidValue: a configuration of the wrong size, or not finite.
@@ -121,21 +116,10 @@ def backbone(arm: Arm, q: ArrayLike) -> Array:
     return np.vstack(stations)
 
 
-def _distinct(nodes: list[Array], length: float) -> Array:
-    """The nodes without those that repeat the one before."""
-    kept = [nodes[0]]
-    for node in nodes[1:]:
-        if np.linalg.norm(node - kept[-1]) > 1e-9 * length:
-            kept.append(node)
-    return np.array(kept)
-
-
 # Visual meshes. Only drawing reads them: a body whose mesh is missing or cannot be read is drawn as bars.
 
-MOST_TRIANGLES = 200_000
-"""Triangles of all meshes together that are drawn at most, for a browser to turn them smoothly."""
-
-_LISTED = 12  # files that a warning names before it only counts them
+MAX_TRIANGLES = 200_000  # of all meshes together, so that a browser turns them smoothly
+_MAX_LISTED = 12  # files that a warning names
 
 
 class VisualMesh(NamedTuple):
@@ -145,7 +129,7 @@ class VisualMesh(NamedTuple):
         link: name of the link.
         filename: as written: "package://name/rest", "file:///...", or a path.
         scale: factors along the axes of the mesh, (3,).
-        placement: from the frame of the mesh to that of the link [m].
+        placement: of the mesh in the frame of the link [m].
     """
 
     link: str
@@ -155,31 +139,20 @@ class VisualMesh(NamedTuple):
 
 
 class BodyMeshes(NamedTuple):
-    """What to draw in place of the stand-in shapes; None where those stay.
-
-    Attributes:
-        base: the links that never move, world frame [m].
-        bodies: one entry for each joint of the chain, from base to tip, body frame [m]: the origin is at the
-            joint and, at the neutral configuration, the axes are those of the world.
-    """
+    """The meshes of the base, world frame, and of each body from base to tip, body frame; None if missing."""
 
     base: TriangleMesh | None
     bodies: tuple[TriangleMesh | None, ...]
 
 
-def body_meshes(arm: Arm, most_triangles: int = MOST_TRIANGLES) -> BodyMeshes:
+def body_meshes(arm: Arm, max_triangles: int = MAX_TRIANGLES) -> BodyMeshes:
     """Read the visual meshes of an arm, merged to one surface for each body.
 
-    Bodies with most triangles are drawn coarser where there are too many in all for a browser to turn them
-    smoothly. A `PostureWarning`, one for all, names their files, and those that are missing or cannot be
-    read.
-
-    Args:
-        arm: the arm; one that was not loaded from a description has no meshes.
-        most_triangles: triangles of all meshes together that are accepted.
+    If there are too many triangles in all, the bodies with most of them are simplified. One `PostureWarning`
+    names their files, and those that are missing or cannot be read.
     """
     joints = arm.chain.joints
-    # Place of a body's joint in the chain by the number that the model gives it; the base is last.
+    # Index of each body by the joint of the model that moves it; the base is last.
     owners = {arm.model.getJointId(name): u for u, name in enumerate(joints)} | {0: len(joints)}
     origins = np.vstack([arm.chain.origins, np.zeros(3)])
     parts: dict[int, list[TriangleMesh]] = {}
@@ -187,7 +160,7 @@ def body_meshes(arm: Arm, most_triangles: int = MOST_TRIANGLES) -> BodyMeshes:
     surfaces: dict[str, TriangleMesh] = {}
     faults: dict[str, str] = {}
     mentioned = visual_meshes(arm)
-    links = _links(arm) if mentioned else {}
+    links = _link_placements(arm) if mentioned else {}
     for visual in mentioned:
         joint, link = links.get(visual.link, (-1, pin.SE3.Identity()))
         if joint not in owners:
@@ -197,20 +170,20 @@ def body_meshes(arm: Arm, most_triangles: int = MOST_TRIANGLES) -> BodyMeshes:
             if name not in faults and name not in surfaces:
                 surfaces[name] = TriangleMesh(*read_mesh(find_mesh(name, arm.package_dirs)))
             if name in surfaces:
-                placed = _placed(surfaces[name], visual, link, origins[owner])
+                placed = _place_mesh(surfaces[name], visual, link, origins[owner])
                 parts.setdefault(owner, []).append(placed)
                 files.setdefault(owner, []).append(name)
         except FileError as error:
             faults[name] = error.reason
     merged = {owner: merge(listed) for owner, listed in parts.items()}
     total = sum(len(mesh.faces) for mesh in merged.values())
-    most = _most_of_a_body([len(mesh.faces) for mesh in merged.values()], most_triangles)
-    many = f"all meshes together having {total} triangles, more than {most_triangles}"
-    for owner in [owner for owner, mesh in merged.items() if len(mesh.faces) > most]:
-        thinned = _decimated(merged.pop(owner), most)
-        if thinned is not None:
-            merged[owner] = thinned
-        how = "is left out" if thinned is None else f"is drawn with {len(thinned.faces)} triangles"
+    limit = _triangles_per_body([len(mesh.faces) for mesh in merged.values()], max_triangles)
+    many = f"all meshes together having {total} triangles, more than {max_triangles}"
+    for owner in [owner for owner, mesh in merged.items() if len(mesh.faces) > limit]:
+        coarse = _simplify(merged.pop(owner), limit)
+        if coarse is not None:
+            merged[owner] = coarse
+        how = "is left out" if coarse is None else f"is drawn with {len(coarse.faces)} triangles"
         faults.update(dict.fromkeys(files[owner], f"{how}, {many}"))
     if faults:
         warnings.warn(_warning_text(faults), PostureWarning, stacklevel=2)
@@ -218,7 +191,7 @@ def body_meshes(arm: Arm, most_triangles: int = MOST_TRIANGLES) -> BodyMeshes:
 
 
 def visual_meshes(arm: Arm) -> list[VisualMesh]:
-    """The meshes that the description of an arm mentions, in the order of the text; nothing is read."""
+    """Return the meshes that the description of an arm mentions, in order, without reading them."""
     if arm.urdf is None or "<mesh" not in arm.urdf:
         return []
     listed = []
@@ -235,68 +208,59 @@ def visual_meshes(arm: Arm) -> list[VisualMesh]:
     return listed
 
 
-def _placed(mesh: TriangleMesh, visual: VisualMesh, link: pin.SE3, origin: Array) -> TriangleMesh:
-    """A mesh in the frame of its body, given the link in the world at the neutral configuration."""
+def _place_mesh(mesh: TriangleMesh, visual: VisualMesh, link: pin.SE3, origin: Array) -> TriangleMesh:
+    """Move a mesh to its body frame, given the neutral placement of the link in the world."""
     pose = link * visual.placement
-    with np.errstate(all="ignore"):  # what is not finite is refused below
+    with np.errstate(all="ignore"):  # refused below
         vertices = (mesh.vertices * visual.scale) @ pose.rotation.T + (pose.translation - origin)
     if not np.all(np.isfinite(vertices)):
         raise FileError(visual.filename, "has vertices, a scale or an origin that are no finite numbers")
-    # A mirrored triangle would show its back.
+    # A mirrored triangle has its front on the other side.
     return TriangleMesh(vertices, mesh.faces[:, ::-1] if np.prod(visual.scale) < 0.0 else mesh.faces)
 
 
-def joint_placements(arm: Arm) -> list[pin.SE3]:
-    """Where the joints of the model are in the world at the neutral configuration, the universe first."""
-    # Every joint of a chain is the identity there, so this needs no pin.Data, which is huge for long arms.
-    model, places = arm.model, [pin.SE3.Identity()]
-    for joint in range(1, model.njoints):
-        places.append(places[model.parents[joint]] * model.jointPlacements[joint])
-    return places
-
-
-def _links(arm: Arm) -> dict[str, tuple[int, pin.SE3]]:
-    """The joint that moves each link, and where the link is in the world at the neutral configuration."""
-    places = joint_placements(arm)
+def _link_placements(arm: Arm) -> dict[str, tuple[int, pin.SE3]]:
+    """Return the joint that moves each link, and the neutral placement of the link in the world."""
+    places = neutral_placements(arm.model)
     frames = [frame for frame in arm.model.frames if frame.type == pin.FrameType.BODY]
-    # Links that never move are placed relative to the root link, the first, which stands where the base is.
+    # Fixed links are placed relative to the root link, the first, which is at the base placement.
     places[0] = arm.base_placement * frames[0].placement.inverse()
     return {
         frame.name: (int(frame.parentJoint), places[frame.parentJoint] * frame.placement) for frame in frames
     }
 
 
-def _most_of_a_body(counts: Sequence[int], most_triangles: int) -> int:
-    """How many triangles a body may have, so that all together have few enough."""
-    left, bodies = most_triangles, len(counts)
+def _triangles_per_body(counts: Sequence[int], max_triangles: int) -> int:
+    """Return the largest number of triangles of a body with which all together have few enough."""
+    left, bodies = max_triangles, len(counts)
     for count in sorted(counts):
         if count * bodies > left:
             return left // bodies
         left, bodies = left - count, bodies - 1
-    return most_triangles
+    return max_triangles
 
 
-def _decimated(mesh: TriangleMesh, most: int) -> TriangleMesh | None:
-    """The mesh with at most so many triangles, close corners made one; None if no triangle would be left."""
-    points = min(most, len(mesh.vertices) - 1)
+def _simplify(mesh: TriangleMesh, limit: int) -> TriangleMesh | None:
+    """Merge vertices until at most `limit` triangles are left; None if none would be left."""
+    points = min(limit, len(mesh.vertices) - 1)
     while points > 2:
         kept, cubes = representatives(mesh.vertices, points)
         faces = between_cubes(mesh.faces, cubes)
-        if 0 < len(faces) <= most:
+        if 0 < len(faces) <= limit:
             return TriangleMesh(mesh.vertices[kept], faces)
         points //= 2
     return None
 
 
 def _warning_text(faults: Mapping[str, str]) -> str:
-    named = [f"{name} {reason}" for name, reason in list(faults.items())[:_LISTED]]
-    if len(faults) > _LISTED:
-        named.append(f"and {len(faults) - _LISTED} more")
+    named = [f"{name} {reason}" for name, reason in list(faults.items())[:_MAX_LISTED]]
+    if len(faults) > _MAX_LISTED:
+        named.append(f"and {len(faults) - _MAX_LISTED} more")
     return f"links are not drawn as their meshes have them: {'; '.join(named)}"
 
 
 def _three_numbers(text: str) -> Array:
-    """Three numbers; not a number, which is noticed later, if the text is something else."""
+    """Parse three numbers; NaN, which is refused later, if the text is something else."""
     try:
         numbers = np.array([float(word) for word in text.split()])
     except ValueError:

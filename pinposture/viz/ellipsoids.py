@@ -22,70 +22,50 @@ from pinposture.viz.postures import PosturePanel
 
 Array = NDArray[np.float64]
 
-LARGEST = 0.2
-"""Largest radius that is drawn, relative to the length of the arm, or not much above."""
-
-SCALE_DIGITS = (7.0, 5.0, 3.0, 2.0, 1.5, 1.0)
-"""First digits that a scale may have."""
-
-KEY = {
+LARGEST_RADIUS = 0.2  # that is drawn, approximately, relative to the length of the arm
+SIDES = 48  # of the polygon that stands for an ellipse
+KEY = {  # what the colours of ellipsoids say of their index (4.4)
     palette.SINGULAR: "0, singular",
     palette.WORSE: f"{palette.REGULAR_INDEX / 4:g}",
     palette.REGULAR: f"{palette.REGULAR_INDEX:g} and more",
 }
-"""What the colours of ellipsoids say of their index (4.4)."""
-
-SIDES = 48
-"""Corners of the polygon that stands for an ellipse."""
 
 
 def drawn_length(arm: Arm, points: Sequence[int]) -> float:
-    """Length with which 1 m/rad is drawn, the same in every posture, so that ellipsoids can be compared.
+    """Return the length that stands for 1 m/rad [m], the same in every posture.
 
-    Args:
-        arm: the arm.
-        points: indices of the control points whose ellipsoids are shown, 0-based.
-
-    Returns:
-        A round length [m] at which the largest of them is well seen beside the arm.
+    It is a round number with which the largest ellipsoid of the control points (indices, 0-based) is well
+    visible beside the arm.
     """
-    # A joint that turns moves a point by the length of the arm between them at most, per radian.
+    # Per radian, a revolute joint moves a point by at most the length of the arm between them.
     fastest = max((float(np.linalg.norm(_lever_arms(arm, point))) for point in points), default=0.0)
-    # In space joints share out their motion over two directions across the arm.
+    # In space the motions of the joints spread over two directions across the arm.
     radius = max(fastest / np.sqrt(arm.dimension - 1.0), 0.01 * arm.length)
-    length = LARGEST * arm.length / radius
+    return round_down(LARGEST_RADIUS * arm.length / radius, (1.0, 1.5, 2.0, 3.0, 5.0, 7.0))
+
+
+def round_down(length: float, digits: tuple[float, ...] = (1.0, 2.0, 5.0)) -> float:
+    """Return the next smaller of some first digits times a power of ten."""
     power = 10.0 ** np.floor(np.log10(length))
-    return float(next(step for step in SCALE_DIGITS if step * power <= length * (1.0 + 1e-9)) * power)
+    return float(max(digit for digit in digits if digit * power <= length * (1.0 + 1e-9)) * power)
 
 
 def scale_in_words(arm: Arm, points: Sequence[int]) -> str:
-    """The scale of ellipsoids as a legend says it."""
+    """Return the scale of ellipsoids for a legend."""
     return f"1 m/rad drawn as {drawn_length(arm, points):.3g} m"
 
 
 def draw_ellipsoids(panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> None:
-    """Draw the ellipse of each two principal axes, below the arm; a flat one leaves a rim or a line.
-
-    Call it before the panel is finished, so that it makes room for them.
-
-    Args:
-        panel: the panel.
-        ellipsoids: ellipsoids of the arm of the panel.
-    """
-    for color, center, axes in _drawn(panel, ellipsoids):
+    """Draw the ellipse of each pair of principal axes, below the arm, before the panel is finished."""
+    for color, center, axes in _scaled_axes(panel, ellipsoids):
         for pair in combinations(axes, 2):
             panel.line(center + _circle() @ pair, color=color, lw=0.9, zorder=1.9)
 
 
 def shade_ellipsoids(panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> None:
-    """Shade ellipsoids, drawn before, within their outlines; call it after the panel is finished.
-
-    Args:
-        panel: the panel.
-        ellipsoids: ellipsoids of the arm of the panel.
-    """
+    """Shade ellipsoids within their outlines, after the panel is finished."""
     ax: Any = panel.ax
-    for color, center, axes in _drawn(panel, ellipsoids):
+    for color, center, axes in _scaled_axes(panel, ellipsoids):
         outline = center + silhouette(axes, panel.screen)
         panel.line(outline, color=color, lw=1.3, zorder=1.9)
         style = {"facecolor": (*palette.rgb(color), 0.22), "edgecolor": "none", "zorder": 1.8}
@@ -96,22 +76,19 @@ def shade_ellipsoids(panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> No
 
 
 def silhouette(axes: Array, screen: Array) -> Array:
-    """Where rays to a far eye touch an ellipsoid about the origin.
+    """Return the closed line (n, 3) [m] where rays to a far eye touch an ellipsoid about the origin.
 
     Args:
         axes: its semi-axes, (d, 3) [m], world frame.
         screen: unit vectors to the right and up, (2, 3), world frame.
-
-    Returns:
-        A closed line, (n, 3) [m], world frame.
     """
-    # The points of the unit ball that become the rim of its picture: those across the line of sight.
+    # The line consists of the images of those points of the unit sphere that are across the line of sight.
     _, _, rim = np.linalg.svd(screen @ axes.T, full_matrices=False)
     return np.asarray(_circle() @ rim @ axes)
 
 
 def ellipsoid_key() -> list[Patch]:
-    """Entries of a legend for the colours of ellipsoids."""
+    """Return the entries of a legend for the colours of ellipsoids."""
     listed = []
     for color, meaning in KEY.items():
         red, green, blue = palette.rgb(color)
@@ -119,15 +96,15 @@ def ellipsoid_key() -> list[Patch]:
     return listed
 
 
-def _drawn(panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> Iterator[tuple[str, Array, Array]]:
-    """Colour, centre (3,) [m] and semi-axes (d, 3) [m] as drawn of each."""
+def _scaled_axes(panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> Iterator[tuple[str, Array, Array]]:
+    """Yield the colour, centre (3,) [m] and drawn semi-axes (d, 3) [m] of each."""
     length = drawn_length(panel.arm, [one.point for one in ellipsoids])
     for one in ellipsoids:
         yield palette.index_color(one.index), one.center, length * one.semi_axes
 
 
 def _lever_arms(arm: Arm, point: int) -> Array:
-    """How far each joint can move a control point per unit of its motion at most, (n,) [m]."""
+    """Return how far each joint moves a control point per unit of its motion at most, (n,) [m]."""
     chain = arm.chain
     end = chain.module_slices[point].stop
     legs = np.linalg.norm(np.diff(np.vstack([chain.origins[:end], chain.points[point]]), axis=0), axis=1)
@@ -136,15 +113,14 @@ def _lever_arms(arm: Arm, point: int) -> Array:
 
 
 def _circle() -> Array:
-    """Points of the unit circle, closed, (SIDES + 1, 2)."""
+    """Return the unit circle as a closed line, (SIDES + 1, 2)."""
     around = np.linspace(0.0, 2.0 * np.pi, SIDES + 1)
     return np.column_stack([np.cos(around), np.sin(around)])
 
 
 # In the browser: unit spheres that are scaled and turned as the arm moves.
 
-THINNEST = 0.3
-"""Least radius of a ball, relative to that of the bars of the arm: a flat one is drawn as a disc or a rod."""
+THINNEST = 0.3  # smallest radius, relative to that of the bars of the arm; flat ones are discs or rods
 
 # Permutations of the axes of a right-handed frame, signs included, as rotations (24, 3, 3).
 _AXIS_PERMUTATIONS = np.rint(Rotation.create_group("O").as_matrix())
@@ -156,9 +132,9 @@ class EllipsoidMotion(NamedTuple):
     Attributes:
         points: indices of the control points, 0-based, (p,).
         centers: (f, p, 3) [m], world frame.
-        frames: principal axes, one per row, right-handed, (f, p, 3, 3), world frame; axes keep their row and
-            their sign from each configuration to the next as far as they can.
-        radii: along these axes, as drawn, (f, p, 3) [m].
+        frames: principal axes in rows, right-handed, (f, p, 3, 3), world frame, in the order and with the
+            signs that change least from each configuration to the next.
+        radii: drawn radii along these axes, (f, p, 3) [m].
         indices: manipulability indices, (f, p).
     """
 
@@ -170,7 +146,7 @@ class EllipsoidMotion(NamedTuple):
 
 
 def ellipsoid_motion(arm: Arm, points: tuple[int, ...], rows: Array) -> EllipsoidMotion:
-    """The ellipsoids of control points, 0-based, at configurations (f, nq), one after the other."""
+    """Return the ellipsoids of control points, 0-based, at consecutive configurations (f, nq)."""
     shape = (len(rows), len(points))
     listed = [one for q in rows for one in arm.at(q).ellipsoids(points)] if points else []
     centers = np.array([one.center for one in listed]).reshape(*shape, 3)
@@ -183,19 +159,14 @@ def ellipsoid_motion(arm: Arm, points: tuple[int, ...], rows: Array) -> Ellipsoi
 
 
 def axis_ends(shown: EllipsoidMotion) -> Array:
-    """The ends of the principal axes at all configurations, (n, 3) [m], world frame."""
+    """Return the ends of the principal axes at all configurations, (n, 3) [m], world frame."""
     axes = shown.frames * shown.radii[..., None]
     ends = shown.centers[..., None, :] + np.stack([axes, -axes])
     return ends.reshape(-1, 3)
 
 
 def ellipsoid_tracks(shown: EllipsoidMotion, playback: Timeline) -> list[Track]:
-    """How ellipsoids that have been drawn move, stretch and change their colour.
-
-    Args:
-        shown: the ellipsoids at the configurations that are played.
-        playback: when they are shown.
-    """
+    """Return how ellipsoids move, stretch and change their colour in a playback."""
     held, times = playback.key_rows, playback.key_times
     listed = []
     for p, point in enumerate(shown.points):
@@ -212,17 +183,16 @@ def ellipsoid_tracks(shown: EllipsoidMotion, playback: Timeline) -> list[Track]:
 
 
 def continue_axes(frames: Array, radii: Array) -> tuple[Array, Array]:
-    """Name the axes of each frame such that they continue those of the one before.
+    """Reorder and reverse the axes of each frame such that they continue those of the one before.
 
-    An ellipsoid has no order of its axes, and no signs: where two radii pass each other, or anywhere, they
-    would jump.
+    Order and signs of the principal axes of an ellipsoid are arbitrary, so they could jump otherwise.
 
     Args:
         frames: right-handed, axes in rows, (f, p, 3, 3).
-        radii: along them, (f, p, 3).
+        radii: radii along them, (f, p, 3).
 
     Returns:
-        Both, with the rows of each frame in another order and some of them reversed; still right-handed.
+        Frames, still right-handed, and radii.
     """
     frames, radii = frames.copy(), radii.copy()
     for before, now, lengths in zip(frames[:-1], frames[1:], radii[1:], strict=True):
@@ -234,12 +204,12 @@ def continue_axes(frames: Array, radii: Array) -> tuple[Array, Array]:
 
 
 def ellipsoid_path(point: int) -> str:
-    """Path in the viewer of the ellipsoid of a control point, 0-based."""
+    """Return the path of the ellipsoid of a control point, 0-based."""
     return f"{ROOT}/ellipsoids/point_{point + 1:03d}"
 
 
 def principal_frame(one: Ellipsoid) -> Array:
-    """Principal axes, one per row, right-handed, (3, 3); that of an ellipse in a plane is completed."""
+    """Return the principal axes in rows, right-handed, (3, 3); those of an ellipse with its normal."""
     if len(one.directions) == 3:
         return one.directions
     return np.vstack([one.directions, np.cross(*one.directions)])

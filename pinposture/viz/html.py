@@ -30,7 +30,7 @@ from pinposture.viz.panels import has_clearance
 
 
 def captions(shown: Timeline) -> list[str]:
-    """What is written under each configuration that is shown."""
+    """Return the text under each configuration that is shown."""
     listed, run = [], shown.run
     for row in shown.rows:
         text = _step_text(shown, row) if shown.motion is None else _motion_text(shown.motion, row)
@@ -39,7 +39,7 @@ def captions(shown: Timeline) -> list[str]:
 
 
 def _step_text(shown: Timeline, row: int) -> str:
-    """A configuration of a run in words."""
+    """Describe a configuration of a run."""
     run = shown.run
     text = f"step {row} of {run.steps}, posture error {run.posture_error[row]:.3g} m"
     if run.steps:
@@ -51,7 +51,7 @@ def _step_text(shown: Timeline, row: int) -> str:
 
 
 def _motion_text(motion: Motion, row: int) -> str:
-    """A configuration of a motion in words."""
+    """Describe a configuration of a motion."""
     text = f"{motion.time[row]:.2f} of {motion.time[-1]:.2f} s"
     if is_slowed(motion):
         text += f" ({motion.plan_time[row]:.2f} of {motion.planned:.2f} s of the plan)"
@@ -64,12 +64,12 @@ def _motion_text(motion: Motion, row: int) -> str:
 
 
 def legend_html(shown: Timeline, drawn: DrawnScene, target: bool, scale: str) -> str:
-    """What the colours mean, and how fast a motion is shown, as HTML.
+    """Return the legend, and the speed at which a motion is shown, as HTML.
 
     Args:
         shown: what is shown.
         drawn: what is drawn of it.
-        target: whether a target is drawn that stays where it is.
+        target: whether a fixed target is drawn.
         scale: the scale of ellipsoids, in words; empty if there are none.
     """
     entries = [("target", palette.TARGET)] if target else []
@@ -83,7 +83,9 @@ def legend_html(shown: Timeline, drawn: DrawnScene, target: bool, scale: str) ->
         entries.append(("obstacle", palette.OBSTACLE))
     lines = [_color_key(entries)]
     if shown.motion is not None:
-        lines.append(_speed_html(shown, drawn))
+        speed = "in real time" if shown.speedup == 1.0 else f"{shown.speedup:.0f} times as fast as it was"
+        named = [(", ".join(place.name for place in group), group[0].color) for group in drawn.places]
+        lines.append(f"shown {speed}; targets at {_color_key(named)}" if named else f"shown {speed}")
     moved = placement_text(shown.run if shown.motion is None else shown.motion)
     if moved:
         lines.append(html.escape(moved))
@@ -91,14 +93,6 @@ def legend_html(shown: Timeline, drawn: DrawnScene, target: bool, scale: str) ->
         listed = [(f"index {meaning}", color) for color, meaning in KEY.items()]
         lines.append(f"ellipsoids, {scale}: {_color_key(listed)}")
     return "<br>".join(lines)
-
-
-def _speed_html(shown: Timeline, drawn: DrawnScene) -> str:
-    speed = (
-        "shown in real time" if shown.speedup == 1.0 else f"shown {shown.speedup:.0f} times as fast as it was"
-    )
-    named = [(", ".join(place.name for place in group), group[0].color) for group in drawn.places]
-    return f"{speed}; targets at {_color_key(named)}" if named else speed
 
 
 def _color_key(entries: Sequence[tuple[str, str]]) -> str:
@@ -110,8 +104,7 @@ def _color_key(entries: Sequence[tuple[str, str]]) -> str:
 
 # The page.
 
-MOST, MOST_IN_TIME = 240, 1200
-"""Configurations of a run and of a motion that a file holds at most."""
+MAX_RUN_FRAMES, MAX_MOTION_FRAMES = 240, 1200
 
 
 def save_html(
@@ -123,30 +116,30 @@ def save_html(
     max_frames: int | None = None,
     ellipsoids: ControlPoints = (),
 ) -> Path:
-    """Write a run or a motion as an animation to one HTML file, all or nothing.
+    """Write a run or a motion as an animation to one HTML file, atomically.
 
-    The file holds all that it needs, the viewer's script included: it opens from disk, offline. The run
+    The file contains everything, including the script of the viewer, so it opens from disk, offline. The run
     plays over and over; the mouse turns, shifts and zooms. Active control points are coloured and large.
-    Obstacles are translucent; of a half-space there is a patch.
+    Obstacles are translucent; a half-space is drawn as a plate.
 
-    A motion in time plays as by `view`. Below it is written when it came to which of its named places.
+    A motion in time plays as by `view`. Its caption tells which of its named places it has reached.
 
     Args:
         arm: the arm.
         run: the run, or the motion in time, to show.
-        path: the file; ".html" is added to a name without ending.
-        target: a target to show, which stays where it is; that of a run if None.
+        path: the file; ".html" is added to a name without suffix.
+        target: a fixed target to show; that of a run if None.
         fps: configurations shown per second; fewer if the run is so short that it would last under 2 s.
-        max_frames: number of configurations shown at most; of longer runs some are skipped. None: 240 of a
+        max_frames: largest number of configurations shown; of longer runs some are skipped. None: 240 of a
             run, 1200 of a motion.
-        ellipsoids: control points to show the manipulability ellipsoids of, as for `view`; the page says what
-            their colours mean, and at what scale they are drawn.
+        ellipsoids: control points to show the manipulability ellipsoids of, as for `view`; the page explains
+            their colours and their scale.
 
     Returns:
         The path written.
 
     Raises:
-        FileError: the name has another ending, or the file cannot be written.
+        FileError: the name has another suffix, or the file cannot be written.
         InvalidValue: a run of another arm, `fps` or `max_frames`, or no choice of control points.
         UnknownName: a name that no control point has.
     """
@@ -155,7 +148,7 @@ def save_html(
     require_fitting(arm, run, target)
     points = chosen_points(arm.control_points, ellipsoids)
     if max_frames is None:
-        max_frames = MOST_IN_TIME if isinstance(run, Motion) else MOST
+        max_frames = MAX_MOTION_FRAMES if isinstance(run, Motion) else MAX_RUN_FRAMES
     write_text(path, _page_html(arm, playback(run, fps, max_frames), target, points))
     return path
 
@@ -184,5 +177,5 @@ def _page_html(arm: Arm, shown: Timeline, target: Target | None, points: tuple[i
 
 
 def _viewer_script() -> str:
-    """The script of the meshcat viewer, as the package ships it for its own pages."""
+    """Return the script of the meshcat viewer, as meshcat ships it for its own pages."""
     return Path(VIEWER_ROOT, "main.min.js").read_text(encoding="utf-8")

@@ -15,8 +15,7 @@ from pinposture.collision import Box, Capsule, Cylinder, Mesh, Sphere
 
 Array = NDArray[np.float64]
 
-SIDES = 16
-"""Corners of the polygon that stands for a circle."""
+SIDES = 16  # of the polygon that stands for the section of a tube or disc
 
 
 class TriangleMesh(NamedTuple):
@@ -32,71 +31,64 @@ class TriangleMesh(NamedTuple):
 
 
 def merge(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
-    """Several surfaces as one, so that one transform moves them all."""
+    """Merge surfaces to one, so that one transform moves them all."""
     shifts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     faces = [mesh.faces + shift for mesh, shift in zip(meshes, shifts, strict=False)]
     return TriangleMesh(np.vstack([mesh.vertices for mesh in meshes]), np.vstack(faces))
 
 
+def without_repeats(line: Array, tolerance: float = 1e-9) -> Array:
+    """Return the points of a line (n, 3) that are farther than a tolerance from the one before [m]."""
+    legs = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    return np.asarray(line[np.concatenate([[True], legs > tolerance])])
+
+
 @cache
 def _unit_ball(subdivisions: int) -> TriangleMesh:
-    from trimesh.creation import icosphere  # here, because most figures need none
+    from trimesh.creation import icosphere  # imported here, because most figures need none
 
     sphere = icosphere(subdivisions=subdivisions)
     return TriangleMesh(np.asarray(sphere.vertices), np.asarray(sphere.faces, dtype=np.intp))
 
 
 def ball(center: Array, radius: float, subdivisions: int = 2) -> TriangleMesh:
-    """A sphere about a centre (3,) [m], of 20 * 4^subdivisions triangles."""
+    """Return a sphere about a centre (3,) [m], of 20 * 4^subdivisions triangles."""
     unit = _unit_ball(subdivisions)
     return TriangleMesh(np.asarray(center) + radius * unit.vertices, unit.faces)
 
 
 def tube(path: Array, radius: float) -> TriangleMesh:
-    """A round bar along a path, open at its ends.
-
-    Args:
-        path: points that the axis of the bar goes through, (n, 3) [m], n >= 2, no two in a row equal.
-        radius: of the bar [m].
-    """
-    tangents = _tangents(path)
+    """Return a tube with open ends along a path (n, 3) [m], n >= 2, without repeated points."""
+    legs = np.diff(path, axis=0)
+    legs /= np.linalg.norm(legs, axis=1, keepdims=True)
+    inner = legs[:-1] + legs[1:]
+    lengths = np.linalg.norm(inner, axis=1, keepdims=True)
+    inner = np.where(lengths > 1e-9, inner / np.maximum(lengths, 1e-9), legs[:-1])
+    tangents = np.vstack([legs[:1], inner, legs[-1:]])
     side = _perpendicular(tangents[0])
     around = 2.0 * np.pi * np.arange(SIDES) / SIDES
     rings = []
     for point, tangent in zip(path, tangents, strict=True):
-        # Carried along rather than chosen anew, so that the bar does not twist.
+        # Transported along the path, so that the tube does not twist.
         side = side - tangent * (tangent @ side)
         length = np.linalg.norm(side)
         side = side / length if length > 1e-6 else _perpendicular(tangent)
         other = np.cross(tangent, side)
         rings.append(point + radius * (np.outer(np.cos(around), side) + np.outer(np.sin(around), other)))
-    return TriangleMesh(np.vstack(rings), _sheet(len(path))[:, ::-1])
+    ring, corner = np.meshgrid(np.arange(len(path) - 1), np.arange(SIDES), indexing="ij")
+    a = (ring * SIDES + corner).ravel()
+    b = (ring * SIDES + (corner + 1) % SIDES).ravel()
+    faces = np.vstack([np.stack([b, a + SIDES, a], 1), np.stack([b + SIDES, a + SIDES, b], 1)])
+    return TriangleMesh(np.vstack(rings), faces)
 
 
 def disc(center: Array, axis: Array, radius: float, thickness: float) -> TriangleMesh:
-    """A round plate about a centre (3,) [m], its faces across a unit axis (3,)."""
+    """Return a round plate about a centre (3,) [m] with a unit axis (3,)."""
     from trimesh.creation import cylinder
 
     half = axis * thickness / 2.0
     plate = cylinder(radius, segment=[center - half, center + half], sections=SIDES)
     return TriangleMesh(np.asarray(plate.vertices), np.asarray(plate.faces, dtype=np.intp))
-
-
-def _sheet(rings: int) -> NDArray[np.intp]:
-    """Triangles between rings of SIDES vertices each, the outside of rings going down and around."""
-    ring, corner = np.meshgrid(np.arange(rings - 1), np.arange(SIDES), indexing="ij")
-    a = (ring * SIDES + corner).ravel()
-    b = (ring * SIDES + (corner + 1) % SIDES).ravel()
-    return np.vstack([np.stack([a, a + SIDES, b], 1), np.stack([b, a + SIDES, b + SIDES], 1)])
-
-
-def _tangents(path: Array) -> Array:
-    legs = np.diff(path, axis=0)
-    legs /= np.linalg.norm(legs, axis=1, keepdims=True)
-    inner = legs[:-1] + legs[1:]
-    turned = np.linalg.norm(inner, axis=1, keepdims=True)
-    inner = np.where(turned > 1e-9, inner / np.maximum(turned, 1e-9), legs[:-1])
-    return np.vstack([legs[:1], inner, legs[-1:]])
 
 
 def _perpendicular(direction: Array) -> Array:
@@ -106,25 +98,24 @@ def _perpendicular(direction: Array) -> Array:
 
 # Convex solids, given by their corners.
 
-FLAT = 1e-7
-"""Thickness relative to the size below which a solid is none any more."""
+FLAT = 1e-7  # thickness relative to the size below which a solid counts as flat
 
 
 def box_corners(low: Array, high: Array) -> Array:
-    """The corners of a box along the axes of the world, (8, 3) [m]."""
+    """Return the corners of a box along the axes of the world, (8, 3) [m]."""
     return np.array(list(product(*zip(low, high, strict=True))))
 
 
 def cut_by_plane(corners: Array, normal: Array, offset: float) -> Array:
-    """The part of a solid on the lower side of a plane.
+    """Return the part of a solid where normal . x <= offset [m].
 
     Args:
-        corners: any points that the solid is the convex hull of, (n, 3) [m].
-        normal: unit vector across the plane, (3,).
-        offset: the plane is where normal . x = offset [m].
+        corners: points whose convex hull is the solid, (n, 3) [m].
+        normal: unit normal of the plane, (3,).
+        offset: distance of the plane from the origin along the normal [m].
 
     Returns:
-        Corners of the part, (k, 3) [m]; those given if the plane takes nothing away, none if it takes all.
+        Corners of the part, (k, 3) [m]: `corners` itself if nothing is cut off, none if nothing is left.
     """
     heights = corners @ normal - offset
     if not np.any(heights > 0.0):
@@ -137,11 +128,11 @@ def cut_by_plane(corners: Array, normal: Array, offset: float) -> Array:
     share = (heights[a] / (heights[a] - heights[b]))[:, None]
     below = hull.vertices[heights[hull.vertices] <= 0.0]
     left = np.vstack([corners[below], corners[a] + share * (corners[b] - corners[a])])
-    return left if _has_volume(left) else np.zeros((0, 3))
+    return np.zeros((0, 3)) if _is_flat(left) else left
 
 
 def clip_to_box(corners: Array, low: Array, high: Array) -> Array:
-    """The part of a solid inside a box along the axes of the world, as corners (k, 3) [m]."""
+    """Return the part of a solid inside a box along the axes of the world, as corners (k, 3) [m]."""
     for axis in range(3):
         for sign, side in ((1.0, high), (-1.0, low)):
             if len(corners):
@@ -150,7 +141,7 @@ def clip_to_box(corners: Array, low: Array, high: Array) -> Array:
 
 
 def hull_surface(corners: Array) -> TriangleMesh:
-    """The surface of a solid; no triangles share corners, so that each is shaded as flat as it is."""
+    """Return the surface of a solid; triangles share no corners, so that they are shaded flat."""
     from trimesh.convex import convex_hull
 
     triangles = np.asarray(convex_hull(corners).triangles)
@@ -158,7 +149,7 @@ def hull_surface(corners: Array) -> TriangleMesh:
 
 
 def facets(corners: Array) -> list[tuple[Array, Array]]:
-    """The flat faces of a solid: corners (k, 3), counter-clockwise from outside, and unit normal (3,)."""
+    """Return the faces of a solid: corners (k, 3), counter-clockwise from outside, and unit normal (3,)."""
     hull = ConvexHull(corners)
     planes, which = np.unique(hull.equations.round(9), axis=0, return_inverse=True)
     listed = []
@@ -172,16 +163,11 @@ def facets(corners: Array) -> list[tuple[Array, Array]]:
 
 
 def section(corners: Array, origin: Array, plane: Array) -> Array:
-    """Where a solid meets a plane.
-
-    Args:
-        corners: of the solid, (n, 3) [m].
-        origin: a point of the plane, (3,) [m].
-        plane: orthonormal directions in it, (2, 3).
+    """Return the section of a solid (n, 3) [m] with a plane, given by a point and orthonormal axes (2, 3).
 
     Returns:
-        Corners of the section in order, (k, 2) [m], along the directions of the plane from the origin of the
-        world; none if it does not meet the plane, or only just.
+        Corners of the section in order, (k, 2) [m], in the axes of the plane from the origin of the world;
+        none if the solid does not meet the plane.
     """
     normal = np.cross(*plane)
     offset = float(normal @ origin)
@@ -195,23 +181,14 @@ def section(corners: Array, origin: Array, plane: Array) -> Array:
 
 
 def convex_outline(flat: Array) -> Array:
-    """The corners of the convex hull of points in a plane (n, 2), in order; none if they lie on a line."""
-    spread = np.linalg.svd(flat - flat.mean(axis=0), compute_uv=False) if len(flat) > 2 else np.zeros(2)
-    if spread[-1] <= FLAT * spread[0]:
-        return np.zeros((0, 2))
-    return np.asarray(flat[ConvexHull(flat).vertices])
+    """Return the corners of the convex hull of points (n, 2), in order; none if they lie on a line."""
+    return np.zeros((0, 2)) if _is_flat(flat) else np.asarray(flat[ConvexHull(flat).vertices])
 
 
 def is_hidden(points: Array, corners: Array, eye: Array) -> NDArray[np.bool_]:
-    """Which points a solid hides from an eye far away, or holds within itself.
-
-    Args:
-        points: (n, 3) [m].
-        corners: of the solid, (k, 3) [m].
-        eye: unit vector towards the eye, (3,).
-    """
+    """Return which points (n, 3) [m] a solid contains or hides from an eye in a direction (3,), far away."""
     sides = ConvexHull(corners).equations
-    # On the way from a point to the eye, each side of the solid is passed once, inwards or outwards.
+    # The ray from a point to the eye crosses the plane of each side once, inwards or outwards.
     above, rising = points @ sides[:, :3].T + sides[:, 3], sides[:, :3] @ eye
     along = np.abs(rising) < 1e-12
     passed = -above / np.where(along, 1.0, rising)
@@ -222,23 +199,23 @@ def is_hidden(points: Array, corners: Array, eye: Array) -> NDArray[np.bool_]:
     return np.asarray(~aside & (np.maximum(enter.max(axis=1), 0.0) < leave.min(axis=1)))
 
 
-def _has_volume(corners: Array) -> bool:
-    if len(corners) < 4:
-        return False
-    spread = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
-    return bool(spread[-1] > FLAT * spread[0])
+def _is_flat(points: Array) -> bool:
+    """Whether points (n, d) lie in a subspace of fewer than d dimensions."""
+    if len(points) <= points.shape[1]:
+        return True
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(spread[-1] <= FLAT * spread[0])
 
 
 # Surfaces of obstacles.
 
 Solid: TypeAlias = "Sphere | Capsule | Cylinder | Box | Mesh"
 
-CYLINDER_SIDES = 48
-"""Corners of the polygon that stands for a circle; an obstacle may be large, and corners would show."""
+CYLINDER_SIDES = 48  # of the polygon that stands for the section of an obstacle, which may be large
 
 
 def surface(obstacle: Solid) -> TriangleMesh:
-    """The surface of an obstacle other than a half-space, which has no end, world frame [m]."""
+    """Return the surface of an obstacle other than a half-space, which is unbounded, world frame [m]."""
     if isinstance(obstacle, Sphere):
         center = np.array(obstacle.center)
         return _revolved(center, np.array([0.0, 0.0, 1.0]), _arc(obstacle.radius, -1.0, 1.0))
@@ -247,7 +224,7 @@ def surface(obstacle: Solid) -> TriangleMesh:
         length = float(np.linalg.norm(np.subtract(obstacle.end, start)))
         if isinstance(obstacle, Capsule):
             profile = np.vstack([_arc(radius, -1.0, 0.0), _arc(radius, 0.0, 1.0) + (0.0, length)])
-        else:  # rims twice: an edge that two faces share would be shaded as if it were round
+        else:  # rims twice: an edge shared by two faces would be shaded as if it were round
             profile = np.array([[0.0, 0.0], [radius, 0.0], [radius, 0.0], [radius, length]])
             profile = np.vstack([profile, [[radius, length], [0.0, length]]])
         return _revolved(start, np.subtract(obstacle.end, start) / length, profile)
@@ -260,20 +237,14 @@ def surface(obstacle: Solid) -> TriangleMesh:
 
 
 def _arc(radius: float, first: float, last: float) -> Array:
-    """Distance from the axis and height along it, from one latitude to another, quarter turns, (n, 2)."""
+    """Return distance from the axis and height, (n, 2), between two latitudes [quarter turns]."""
     count = 1 + round(CYLINDER_SIDES / 4 * (last - first))
     latitude = np.pi / 2.0 * np.linspace(first, last, count)
     return radius * np.column_stack([np.cos(latitude), np.sin(latitude)])
 
 
 def _revolved(origin: Array, axis: Array, profile: Array) -> TriangleMesh:
-    """The surface of revolution of a line.
-
-    Args:
-        origin: a point of the axis, (3,) [m].
-        axis: unit vector along it, (3,).
-        profile: distance from the axis and height above the origin, upwards, (n, 2) [m].
-    """
+    """Return the surface of revolution of a profile (n, 2) [m]: distance from the axis, and height."""
     from trimesh.creation import revolve
     from trimesh.geometry import align_vectors
 

@@ -8,16 +8,17 @@ import subprocess
 import webbrowser
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
-from types import TracebackType
 from typing import Any, NamedTuple
 
 import numpy as np
 import umsgpack
 import zmq
 from meshcat import Visualizer
+from meshcat.animation import Animation, AnimationClip
 from meshcat.commands import SetAnimation
 from meshcat.geometry import Geometry, Mesh, MeshPhongMaterial, TriangularMeshGeometry
 from meshcat.geometry import Sphere as BallGeometry
+from meshcat.path import Path
 from meshcat.visualizer import ViewerWindow
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
@@ -36,7 +37,6 @@ from pinposture.viz.animation import (
     ROOT,
     Timeline,
     Track,
-    animation,
     body_path,
     hoop_path,
     hoop_turns,
@@ -66,8 +66,9 @@ from pinposture.viz.ellipsoids import (
     ellipsoid_motion,
     ellipsoid_path,
     ellipsoid_tracks,
+    round_down,
 )
-from pinposture.viz.mesh import TriangleMesh, ball, merge, tube
+from pinposture.viz.mesh import TriangleMesh, ball, merge, tube, without_repeats
 
 logger = logging.getLogger(__name__)
 
@@ -75,16 +76,15 @@ Array = NDArray[np.float64]
 
 # Where meshcat's commands go: to a server, or into a list for a page.
 
-TIMEOUT = 10_000
-"""How long to wait for an answer of a server [ms]."""
+TIMEOUT = 10_000  # for answers of a server [ms]
 
 
 class Connection(ViewerWindow):  # type: ignore[misc]
-    """meshcat's connection to its server, with a limit to waiting.
+    """meshcat's connection to its server, with a timeout.
 
     Args:
-        address: where a server listens for commands, as in "tcp://127.0.0.1:6000"; None to start one, which
-            takes commands from this machine only; its page is served to others, too (see SECURITY.md).
+        address: where a server listens for commands, as in "tcp://127.0.0.1:6000"; None to start one. That
+            takes commands from this machine only, but serves its page to others, too (see SECURITY.md).
 
     Raises:
         ViewerError: the server cannot be started or does not answer.
@@ -105,7 +105,7 @@ class Connection(ViewerWindow):  # type: ignore[misc]
             raise ViewerError(self._name, f"cannot be started ({'; '.join([str(error), *last])})") from error
 
     def connect_zmq(self) -> None:
-        """Connect, anew if there is a connection already."""
+        """Connect, or connect again."""
         self._disconnect()
         socket = self.zmq_socket = self.context.socket(zmq.REQ)
         for option, value in ((zmq.RCVTIMEO, TIMEOUT), (zmq.SNDTIMEO, TIMEOUT), (zmq.LINGER, 0)):
@@ -113,7 +113,7 @@ class Connection(ViewerWindow):  # type: ignore[misc]
         socket.connect(self.zmq_url)
 
     def send(self, command: Any) -> None:
-        """Have every browser, now and later, carry out a command of meshcat.
+        """Send a command of meshcat to every browser, now and later.
 
         Raises:
             ViewerError: the server does not answer, or the connection was closed.
@@ -124,7 +124,7 @@ class Connection(ViewerWindow):  # type: ignore[misc]
             super().send(command)
 
     def close(self) -> None:
-        """Disconnect, and end the server if it was started here."""
+        """Disconnect, and stop the server if it was started here."""
         self._disconnect()
         if self.server_proc is not None:
             self.server_proc.kill()
@@ -149,7 +149,7 @@ class Connection(ViewerWindow):  # type: ignore[misc]
 
 
 class CommandRecorder:
-    """Takes the commands of a `meshcat.Visualizer` in place of a connection.
+    """Records the commands of a `meshcat.Visualizer` in place of a connection.
 
     Attributes:
         packed: the commands as the viewer in a browser receives them.
@@ -166,51 +166,48 @@ class CommandRecorder:
 class PlayAnimation(SetAnimation):  # type: ignore[misc]
     """Play an animation over and over, in place of the one before.
 
-    A server keeps commands by path and tells them to later browsers parents first. An animation means nothing
-    before the objects that it moves are there, so its path is after theirs.
+    A server keeps commands by path and sends them to later browsers parents first. The objects of an
+    animation have to exist before it, so its path comes after theirs.
     """
 
     def lower(self) -> dict[str, Any]:
-        """The command as the viewer receives it."""
+        """Return the command as the viewer receives it."""
         return {**super().lower(), "path": f"{ROOT}/animation"}
 
 
 def play_animation(viewer: Visualizer, moving: Sequence[Track], fps: float) -> None:
-    """Play tracks over and over, in place of what was played before; no tracks: stop."""
-    viewer.window.send(PlayAnimation(animation(moving, fps), repetitions=float("inf")))
+    """Play tracks over and over, in place of what was played before; without tracks, stop."""
+    animation = Animation()
+    for track in moving:
+        clip = animation.clips.setdefault(Path().append(track.path), AnimationClip(fps=fps, name="run"))
+        clip.tracks[track.name] = track
+    viewer.window.send(PlayAnimation(animation, repetitions=float("inf")))
 
 
 # Objects of the scene.
 
 ELLIPSOID_OPACITY = 0.5
-
-HOOP_RADIUS, WIRE_RADIUS = 1.35, 0.14
-"""Radius of a hoop, and of the wire that it is made of, relative to that of a control point."""
-
-HOOP_SIDES = 32
-"""Corners of the polygon that stands for a hoop."""
-
-LINE_RADIUS = 0.25
-"""Radius of a line through the targets at a named place, relative to that of the bars of the arm."""
+HOOP_RADIUS, WIRE_RADIUS = 1.35, 0.14  # of a hoop and its wire, relative to that of a control point
+HOOP_SIDES = 32  # of the polygon that stands for a hoop
+LINE_RADIUS = 0.25  # of lines through targets, relative to that of the bars of the arm
 
 
 def add(
     viewer: Visualizer, path: str, shape: TriangleMesh | Geometry, color: str, opacity: float = 1.0
 ) -> None:
-    """Add a shape [m] of one colour "#RRGGBB", which may let through what is behind it."""
+    """Add a shape [m] of a colour "#RRGGBB"."""
     geometry = TriangularMeshGeometry(*shape) if isinstance(shape, TriangleMesh) else shape
-    see_through = opacity < 1.0  # what shines through must not hide what is drawn later
-    material = MeshPhongMaterial(
-        int(color.lstrip("#"), 16), opacity=opacity, shininess=40, depthWrite=not see_through
-    )
+    # A translucent object must not hide what is drawn later.
+    style = {"opacity": opacity, "shininess": 40, "depthWrite": opacity >= 1.0}
+    material = MeshPhongMaterial(int(color.lstrip("#"), 16), **style)
     mesh = Mesh(geometry, material)
-    # meshcat draws random names; these make the same scene the same page.
+    # With the random identifiers of meshcat the same scene would never give the same page.
     mesh.uuid, geometry.uuid, material.uuid = (f"{path}/{part}" for part in ("mesh", "geometry", "material"))
     viewer[path].set_object(mesh)
 
 
 def add_arm(viewer: Visualizer, arm: Arm, q: Array) -> None:
-    """Draw the arm at a configuration (nq,): one mesh for each body, control points fixed to theirs."""
+    """Draw the arm at a configuration (nq,): a mesh for each body, and control points fixed to bodies."""
     radius, surfaces = link_radius(arm), arm_surfaces(arm)
     add(viewer, f"{ROOT}/arm/base", surfaces.base, palette.BASE)
     for u, body in enumerate(bodies(arm)):
@@ -223,17 +220,17 @@ def add_arm(viewer: Visualizer, arm: Arm, q: Array) -> None:
 
 
 def pose_arm(viewer: Visualizer, arm: Arm, q: Array) -> None:
-    """Move the arm, drawn before, to a configuration (nq,)."""
+    """Move an arm that is drawn to a configuration (nq,)."""
     for u, pose in enumerate(body_poses(arm, q)):
         viewer[body_path(u)].set_transform(pose)
 
 
 def add_target(viewer: Visualizer, arm: Arm, target: Target) -> None:
-    """Draw the line that the target posture lies on, as far as it is known, and the target points."""
+    """Draw the line of the target posture, as far as it is known, and the target points."""
     radius = 0.3 * link_radius(arm)
     colors = {"covered": palette.TARGET, "rest": palette.REST}
     for part, lines in outline(arm, target)._asdict().items():
-        paths = [path for path in map(_without_repeats, lines) if len(path) > 1]
+        paths = [path for path in map(without_repeats, lines) if len(path) > 1]
         if paths:
             add(viewer, f"{ROOT}/target/{part}", merge([tube(path, radius) for path in paths]), colors[part])
     dots = [ball(point, 2.8 * radius, 1) for point in target.points[target.has_target]]
@@ -242,11 +239,11 @@ def add_target(viewer: Visualizer, arm: Arm, target: Target) -> None:
 
 
 def add_moving_targets(viewer: Visualizer, motion: Motion, places: Sequence[Place]) -> None:
-    """Draw the targets of a motion where it starts, and thin lines through those at named places."""
+    """Draw the targets at the start of a motion, and thin lines through those at named places."""
     arm, radius = motion.arm, link_radius(motion.arm)
     for number, place in enumerate(places, start=1):
         points = motion.targets[place.row][motion.target_mask[place.row]]
-        line = _without_repeats(np.vstack([arm.chain.base, points]), 1e-9 * arm.length)
+        line = without_repeats(np.vstack([arm.chain.base, points]), 1e-9 * arm.length)
         if len(line) > 1:
             add(viewer, f"{ROOT}/target/place_{number:03d}", tube(line, LINE_RADIUS * radius), place.color)
     around = 2.0 * np.pi * np.arange(HOOP_SIDES + 1) / HOOP_SIDES
@@ -261,14 +258,14 @@ def add_moving_targets(viewer: Visualizer, motion: Motion, places: Sequence[Plac
 
 
 def add_obstacles(viewer: Visualizer, shown: Sequence[ShownObstacle]) -> None:
-    """Draw obstacles; the walls of a pipe, for instance, hide what is in it but a little."""
+    """Draw translucent obstacles."""
     opacity = palette.SHEER if len(shown) > MANY else palette.SEE_THROUGH
     for number, each in enumerate(shown, start=1):
         add(viewer, f"{ROOT}/obstacles/obstacle_{number:03d}", each.surface, palette.OBSTACLE, opacity)
 
 
 def add_ellipsoids(viewer: Visualizer, shown: EllipsoidMotion) -> None:
-    """Draw the ellipsoids of the first configuration, or draw them anew."""
+    """Draw the ellipsoids of the first configuration in place of those before."""
     unit = ball(np.zeros(3), 1.0, 3)
     for p, point in enumerate(shown.points):
         path, axes = ellipsoid_path(point), (shown.frames[0, p] * shown.radii[0, p, :, None]).T
@@ -277,41 +274,29 @@ def add_ellipsoids(viewer: Visualizer, shown: EllipsoidMotion) -> None:
 
 
 def _transform(position: Array, linear: Array | float = 1.0) -> Array:
-    """Homogeneous transform (4, 4) of a position (3,) [m] and a matrix (3, 3), or a scale."""
+    """Return the homogeneous transform (4, 4) of a position (3,) [m] and a matrix (3, 3) or scale."""
     matrix = np.eye(4)
-    matrix[:3, :3] = linear * np.eye(3) if np.ndim(linear) == 0 else linear
+    matrix[:3, :3] = linear if np.ndim(linear) else linear * np.eye(3)
     matrix[:3, 3] = position
     return matrix
 
 
-def _without_repeats(line: Array, least: float = 1e-9) -> Array:
-    """The points of a line (n, 3) [m] that are farther than that from the one before."""
-    legs = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    return np.asarray(line[np.concatenate([[True], legs > least])])
-
-
 # Light, floor and camera.
 
-FIELD_OF_VIEW = 35.0
-"""Vertical opening of the camera [deg]; narrower than usual, so that what is near does not bulge."""
-
-ASPECT = 4.0 / 3.0
-"""Narrowest window, width relative to height, for which the camera is placed."""
-
-CAMERA_MARGIN = 1.15
-"""How much farther off than needed the camera is."""
+FIELD_OF_VIEW = 35.0  # vertical [deg]; narrower than usual, for less distortion of what is near
+ASPECT = 4.0 / 3.0  # width relative to height of the narrowest window that shows everything
+CAMERA_MARGIN = 1.15  # factor of the distance of the camera
 
 
 def set_camera(viewer: Visualizer, arm: Arm, points: Array) -> None:
     """Set up light, floor and camera so that points (n, 3) [m] of the world are in view.
 
-    The viewer turns about the origin of its scene, so the world is shifted until the middle of the points
-    is there.
+    The camera turns about the origin of the scene, so the world is shifted by the centre of the points.
     """
     framing = frame_points(points)
     floor = points[:, 2].min() - framing.center[2] - 3.0 * link_radius(arm)
     viewer[ROOT].set_transform(_transform(-framing.center))
-    grid = _transform(np.array([0.0, 0.0, floor]), 0.4 * _round_down(framing.radius))
+    grid = _transform(np.array([0.0, 0.0, floor]), 0.4 * round_down(framing.radius))
     viewer["/Grid"].set_transform(grid)
     distance = CAMERA_MARGIN * framing.distance(points, np.radians(FIELD_OF_VIEW), ASPECT)
     x, y, z = distance * framing.axes[2]
@@ -323,35 +308,29 @@ def set_camera(viewer: Visualizer, arm: Arm, points: Array) -> None:
         ("/Axes", "visible", False),
         ("/Lights/AmbientLight/<object>", "intensity", 0.42),
         ("/Lights/FillLight/<object>", "intensity", 0.25),
-        # These two would fade out after 10 m.
+        # By default these two fade out after 10 m.
         ("/Lights/PointLightNegativeX/<object>", "distance", 0.0),
         ("/Lights/PointLightPositiveX/<object>", "distance", 0.0),
         (camera, "fov", FIELD_OF_VIEW),
         (camera, "near", 0.01 * distance),
         (camera, "far", 100.0 * distance),
-        # The camera lives in axes of its own, in which y points up.
+        # In the axes of the camera y points up.
         (camera, "position", [x, z, -y]),
     ]
     for path, name, value in properties:
         viewer[path].set_property(name, value)
 
 
-def _round_down(length: float) -> float:
-    """The next smaller of 1, 2, 5, 10, ... times a power of ten."""
-    power = 10.0 ** np.floor(np.log10(length))
-    return float(max(step for step in (1.0, 2.0, 5.0) if step * power <= length * (1.0 + 1e-9)) * power)
-
-
 # The whole scene.
 
 
 class DrawnScene(NamedTuple):
-    """What was drawn, as far as it matters later.
+    """What was drawn.
 
     Attributes:
-        tracks: how it moves; nothing if there is nothing to play.
-        obstacles: whether there are obstacles in the picture.
-        places: the named places of a motion with lines of their own, those that look alike together.
+        tracks: how it moves; empty if there is nothing to play.
+        obstacles: whether there are obstacles.
+        places: the named places of a motion that are drawn, grouped if they look alike.
     """
 
     tracks: list[Track]
@@ -367,14 +346,14 @@ def draw_scene(
     scene: Scene | None,
     points: tuple[int, ...],
 ) -> DrawnScene:
-    """Draw an arm and all around it.
+    """Draw an arm and its surroundings.
 
     Args:
         viewer: where to draw.
         arm: the arm.
         shown: what to play; None to show the arm at its neutral configuration.
-        target: a target that stays where it is; None if there is none.
-        scene: what surrounds the arm; None if nothing.
+        target: a fixed target; None if there is none.
+        scene: obstacles; None if there are none.
         points: control points with an ellipsoid, 0-based.
     """
     rows = arm.neutral()[None] if shown is None else shown.run.q[shown.rows]
@@ -403,23 +382,21 @@ def draw_scene(
 
 # The viewer.
 
-MOST_FRAMES = 2000
-"""Configurations of a run or a motion that are sent to the browser at most."""
+MAX_FRAMES = 2000  # configurations of a run or a motion that are sent to the browser
 
 
 class Viewer:
-    """An arm in the browser, by way of a meshcat server; see `pinposture.viz.view`.
+    """An arm in the browser, shown by a meshcat server; see `pinposture.viz.view`.
 
-    Also a context manager that closes itself. The scene is shifted so that what happens is in its middle,
-    because that is what the viewer's camera turns about.
+    It is also a context manager, which closes it.
 
     Attributes:
         arm: the arm.
         run: the run, or the motion in time, that `play` plays, or None.
         target: the target shown, or None.
-        scene: what surrounds the arm, or None.
+        scene: the obstacles, or None.
         ellipsoids: indices of the control points with an ellipsoid, 0-based.
-        meshcat: the `meshcat.Visualizer`, to draw more; what is below "/pinposture" is in the world frame.
+        meshcat: the `meshcat.Visualizer`, to draw more; objects below "/pinposture" are in the world frame.
     """
 
     def __init__(
@@ -435,7 +412,7 @@ class Viewer:
         require_fitting(arm, run, target)
         self.arm, self.run, self.target, self.scene = arm, run, target, scene
         self.ellipsoids = chosen_points(arm.control_points, ellipsoids)
-        self._playback = None if run is None else playback(run, fps, MOST_FRAMES)
+        self._playback = None if run is None else playback(run, fps, MAX_FRAMES)
         self._playing = False
         self.meshcat = Visualizer(window=Connection(url))
         try:
@@ -451,7 +428,7 @@ class Viewer:
 
     @property
     def url(self) -> str:
-        """What to open in a browser; any number of them may, at any time."""
+        """The address to open in a browser, or in several."""
         return str(self.meshcat.url())
 
     def open(self) -> None:
@@ -459,9 +436,9 @@ class Viewer:
         webbrowser.open(self.url, new=2)
 
     def show(self, q: ArrayLike) -> None:
-        """Show the arm at a configuration, in place of the run if that is being played.
+        """Show the arm at a configuration, and stop playing the run.
 
-        Takes about a millisecond per joint and ellipsoid; 20 times a second is as much as a browser follows.
+        It takes about a millisecond per joint and ellipsoid. Browsers follow about 20 calls per second.
 
         Args:
             q: configuration, (nq,) [rad or m].
@@ -478,7 +455,7 @@ class Viewer:
         add_ellipsoids(self.meshcat, ellipsoid_motion(self.arm, self.ellipsoids, q[None]))
 
     def play(self) -> None:
-        """Play the run from its start, over and over; the browser does so on its own.
+        """Play the run from its start, over and over, in the browser.
 
         Raises:
             InvalidValue: there is no run.
@@ -490,15 +467,13 @@ class Viewer:
         self._playing = True
 
     def close(self) -> None:
-        """End the viewer, and its server if that was started for it."""
+        """Close the viewer, and stop its server if it started one."""
         self.meshcat.close()
 
     def __enter__(self) -> Viewer:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()
 
     def __repr__(self) -> str:
@@ -518,45 +493,44 @@ def view(
 ) -> Viewer:
     """Show an arm in the browser: at its neutral configuration, or playing a run or a motion.
 
-    The arm is drawn with the visual meshes of its description where there are any that can be read, elsewhere
-    from its kinematics, in two shades that take turns from module to module. Control points that are active
-    are coloured and large. One `PostureWarning` names the meshes that are not drawn.
+    The arm is drawn with the visual meshes of its description where they can be read, elsewhere as bars, in
+    alternating shades for its modules. Active control points are coloured and large. One `PostureWarning`
+    names the meshes that are not drawn.
 
     A motion in time plays in real time, unless it takes longer than a minute: then 2, 5, 10, ... times as
-    fast. Hoops go where its control points should be, and thin lines are its targets at named places.
+    fast. Hoops show where its control points should be, and thin lines its targets at named places.
 
     Args:
         arm: the arm.
         run: a run, or a motion in time, to play over and over; None to show the arm at rest.
-        target: a target to show, which stays where it is; if None that of the run, if there is one.
-        viewer: what draws it: "meshcat".
+        target: a fixed target to show; if None that of the run, if there is one.
+        viewer: the program that draws it: "meshcat".
         open_browser: whether to open a browser on this computer. Without, open the viewer's `url`.
         fps: steps of the run shown per second; fewer if it is so short that it would last under 2 s. Of a
             motion in time, configurations shown per second.
-        url: where a server that runs already listens for commands, as in "tcp://127.0.0.1:6000"; None to
-            start one. It takes commands from this machine only, and shows its page to others, too.
+        url: address for commands of a running server, as in "tcp://127.0.0.1:6000"; None to start one. It
+            takes commands from this machine only, but shows its page to others, too.
         ellipsoids: control points to show the manipulability ellipsoids of (Section 3.3), by their indices,
-            0-based or from the tip as -1, or by their names. They follow the arm. In a singular posture they
-            are red and flat, far from one green, in between yellow.
-        scene: what surrounds the arm; that of the run, if there is one, if None. Obstacles are translucent;
-            of a half-space there is a patch.
+            0-based or from the tip as -1, or by their names. In a singular posture they are red and flat, far
+            from one green, in between yellow.
+        scene: obstacles; if None those of the run, if there is one. They are translucent; a half-space is
+            drawn as a plate.
 
     Returns:
         The viewer: `show(q)` shows a configuration, `play()` plays the run again, `close()` ends it, and
         `meshcat` is the `meshcat.Visualizer` to draw more with. It lives until it is closed or Python ends.
 
     Raises:
-        UnknownName: no viewer has that name, or no control point.
+        UnknownName: an unknown viewer or control point.
         InvalidValue: a run or target of another arm, `fps`, or no choice of control points.
         ViewerError: the server cannot be started or reached.
     """
     if viewer != "meshcat":
         raise UnknownName("viewer", viewer, ("meshcat",))
-    own = run.run if isinstance(run, Motion) else run
-    if target is None and own is run and own is not None:
-        target = own.target
-    if scene is None and own is not None:
-        scene = own.scene
+    if target is None and isinstance(run, Trajectory):
+        target = run.target
+    if scene is None and isinstance(run, Trajectory | Motion):
+        scene = run.run.scene if isinstance(run, Motion) else run.scene
     shown = Viewer(arm, run, target, fps, url, ellipsoids, scene)
     logger.info("%s viewer at %s", viewer, shown.url)
     if open_browser:
