@@ -56,7 +56,7 @@ class Track(NamedTuple):
     kind: str
     times: Array
     values: Array
-    smooth: bool
+    smooth: bool = True
 
     def lower(self) -> dict[str, Any]:
         """Return the track as meshcat's viewer receives it: numbers packed in single precision."""
@@ -66,6 +66,14 @@ class Track(NamedTuple):
         if not self.smooth:
             lowered["interpolation"] = 2300  # three.js's InterpolateDiscrete
         return lowered
+
+
+def pose_tracks(path: str, times: Array, positions: Array, turns: Array) -> list[Track]:
+    """Return the motion of an object: positions (n, 3) [m] and quaternions (n, 4), (x, y, z, w)."""
+    return [
+        Track(path, "position", "vector3", times, positions),
+        Track(path, "quaternion", "quaternion", times, turns),
+    ]
 
 
 # Which configurations are shown, and when.
@@ -159,8 +167,7 @@ def tracks(arm: Arm, shown: Timeline) -> list[Track]:
     listed = []
     for u in range(poses.shape[1]):
         turns = Rotation.from_matrix(poses[:, u, :3, :3]).as_quat()
-        listed.append(Track(body_path(u), "position", "vector3", times, poses[held, u, :3, 3], smooth=True))
-        listed.append(Track(body_path(u), "quaternion", "quaternion", times, turns[held], smooth=True))
+        listed += pose_tracks(body_path(u), times, poses[held, u, :3, 3], turns[held])
     if run.steps:
         active = run.active[np.minimum(shown.rows, run.steps - 1)][held]  # (f + 2, m)
         ends = [u for u, body in enumerate(bodies(arm)) if body.point is not None]
@@ -194,8 +201,7 @@ def moving_target_tracks(motion: Motion, playback: Timeline) -> list[Track]:
     listed = []
     for k in targeted_points(motion):
         path = hoop_path(k)
-        listed.append(Track(path, "position", "vector3", times, targets[held, k], smooth=True))
-        listed.append(Track(path, "quaternion", "quaternion", times, turns[held, k], smooth=True))
+        listed += pose_tracks(path, times, targets[held, k], turns[held, k])
         if not mask[:, k].all():
             sizes = np.where(mask[held, k, None], 1.0, NO_SIZE) * np.ones(3)
             listed.append(Track(path, "scale", "vector3", times, sizes, smooth=False))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -23,35 +23,6 @@ Array = NDArray[np.float64]
 TEXT_HEIGHT = 1.9  # of title, scales and legend [inch]
 HEIGHT_RANGE = (3.6, 8.0)  # of the figure [inch]; a stretched arm needs no more than the least
 MIN_NUMBER_DISTANCE = 0.017  # relative to the size of the arm; numbers closer to another are left out
-
-
-class ArmParts(NamedTuple):
-    """Where the parts of an arm are at a configuration, world frame.
-
-    Attributes:
-        modules: of each module, the line from its base through its joints to its control point, (p, 3) [m].
-        joints: joints, (n, 3) [m].
-        axes: unit vectors along their axes, (n, 3).
-        points: control points, (m, 3) [m].
-    """
-
-    modules: tuple[Array, ...]
-    joints: Array
-    axes: Array
-    points: Array
-
-
-def arm_parts(arm: Arm, q: ArrayLike) -> ArmParts:
-    """Find the parts of an arm at a configuration (nq,).
-
-    Raises:
-        InvalidValue: a configuration of the wrong size, or not finite.
-    """
-    forward = arm.at(q).forward
-    starts = np.vstack([arm.chain.base, forward.points[:-1]])
-    own = [forward.origins[joints] for joints in arm.chain.module_slices]
-    modules = tuple(np.vstack(line) for line in zip(starts, own, forward.points, strict=True))
-    return ArmParts(modules, forward.origins, forward.axes, forward.points)
 
 
 def plot_arm(
@@ -78,7 +49,7 @@ def plot_arm(
         UnknownName: a name that no control point has.
     """
     shown = arm.neutral() if q is None else q
-    parts, chosen = arm_parts(arm, shown), arm.at(shown).ellipsoids(ellipsoids)
+    forward, chosen = arm.at(shown).forward, arm.at(shown).ellipsoids(ellipsoids)
     # Half of the length of the bars: short beside the links, and still visible beside the arm.
     half = float(np.clip(0.3 * np.median(arm.chain.module_lengths), 0.012 * arm.length, 0.035 * arm.length))
     planar = arm.dimension == 2
@@ -87,17 +58,19 @@ def plot_arm(
     ax = figure.add_subplot(**({} if planar else {"projection": "3d", "computed_zorder": False}))
     panel = PosturePanel(arm, ax)
     draw_ellipsoids(panel, chosen)
-    for k, line in enumerate(parts.modules):
-        shade = palette.MODULES[k % 2]
+    start = arm.chain.base
+    for k, (joints, point) in enumerate(zip(arm.chain.module_slices, forward.points, strict=True)):
+        line, shade = np.vstack([start, forward.origins[joints], point]), palette.MODULES[k % 2]
         panel.line(line, color=shade, lw=5.0, solid_capstyle="butt", solid_joinstyle="round", zorder=3)
-    _draw_axes(panel, arm, parts, half)
+        start = point
+    _draw_axes(panel, forward.origins, forward.axes, half)
     dots = {"ls": "none", "marker": "o", "ms": 4.2, "mfc": "white", "mec": palette.INK, "mew": 0.9}
-    panel.line(parts.points[:-1], label="control points", zorder=6, **dots)
+    panel.line(forward.points[:-1], label="control points", zorder=6, **dots)
     panel.finish(scene)
-    panel.line(parts.points[-1:], ls="none", marker="D", ms=6.0, color=palette.INK, label="tip", zorder=7)
+    panel.line(forward.points[-1:], ls="none", marker="D", ms=6.0, color=palette.INK, label="tip", zorder=7)
     shade_ellipsoids(panel, chosen)
     _fit_figure(figure, panel)
-    _number_points(panel, parts.points, arm.chain.base, 1.3 * half)
+    _number_points(panel, forward.points, arm.chain.base, 1.3 * half)
     _add_legends(figure, panel, chosen)
     kind = "planar" if planar else "spatial"
     modules = "1 module" if arm.n_modules == 1 else f"{arm.n_modules} modules"
@@ -124,9 +97,9 @@ def _fit_figure(figure: Figure, panel: PosturePanel) -> None:
     panel.ax.set_position((0.5 - width / 2, 0.5 - side / height / 2, width, side / height))
 
 
-def _draw_axes(panel: PosturePanel, arm: Arm, parts: ArmParts, half: float) -> None:
-    turns = arm.chain.revolute
-    facing = (np.linalg.norm(parts.axes @ panel.screen.T, axis=1) < 0.1) & (not panel.spatial)
+def _draw_axes(panel: PosturePanel, origins: Array, axes: Array, half: float) -> None:
+    turns = panel.arm.chain.revolute
+    facing = (np.linalg.norm(axes @ panel.screen.T, axis=1) < 0.1) & (not panel.spatial)
     rings: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 9.0, "mfc": "none", "mew": 1.4}
     rings["mec"] = palette.TURN
     bars: dict[str, Any] = {"color": palette.TURN, "lw": 1.8, "solid_capstyle": "round"}
@@ -137,12 +110,12 @@ def _draw_axes(panel: PosturePanel, arm: Arm, parts: ArmParts, half: float) -> N
         (turns & ~facing, "_" if np.any(turns & facing) else turning, bars),
         (~turns, sliding, slides),
     ):
-        joints, axes = parts.joints[chosen], parts.axes[chosen]
+        points, along = origins[chosen], half * axes[chosen]
         if style is not rings:  # one line with gaps, for one entry in the legend
-            gaps = np.full_like(joints, np.nan)
-            joints = np.stack([joints - half * axes, joints + half * axes, gaps], axis=1).reshape(-1, 3)
-        if len(joints):
-            panel.line(joints, label=label, zorder=5, **style)
+            gaps = np.full_like(points, np.nan)
+            points = np.stack([points - along, points + along, gaps], axis=1).reshape(-1, 3)
+        if len(points):
+            panel.line(points, label=label, zorder=5, **style)
 
 
 def _add_legends(figure: Figure, panel: PosturePanel, ellipsoids: Sequence[Ellipsoid]) -> None:
@@ -150,18 +123,14 @@ def _add_legends(figure: Figure, panel: PosturePanel, ellipsoids: Sequence[Ellip
     shades = palette.MODULES[: panel.arm.n_modules]
     for name, shade in zip(("odd modules", "even modules"), shades, strict=False):
         panel.ax.plot([], [], color=shade, lw=5.0, label=name)
-    lower: Literal["outside lower left", "lower left"] = (
-        "lower left" if panel.spatial else "outside lower left"
-    )
-    upper: Literal["outside upper right", "upper right"] = (
-        "upper right" if panel.spatial else "outside upper right"
-    )
+    style: dict[str, Any] = {"fontsize": 9, "frameon": False, "ncols": 8}
+    outside = "" if panel.spatial else "outside "
     handles, labels = panel.ax.get_legend_handles_labels()
-    figure.legend(handles, labels, loc=lower, fontsize=9, frameon=False, ncols=8)
+    figure.legend(handles, labels, loc=cast(Any, f"{outside}lower left"), **style)
     if ellipsoids:
         text = f"manipulability ellipsoids, {scale_in_words(panel.arm, [one.point for one in ellipsoids])}"
-        style: dict[str, Any] = {"title": text, "title_fontsize": 9, "alignment": "left"}
-        figure.legend(handles=ellipsoid_key(), loc=upper, fontsize=9, frameon=False, ncols=8, **style)
+        style |= {"title": text, "title_fontsize": 9, "alignment": "left"}
+        figure.legend(handles=ellipsoid_key(), loc=cast(Any, f"{outside}upper right"), **style)
 
 
 def _number_points(panel: PosturePanel, points: Array, base: Array, offset: float) -> None:

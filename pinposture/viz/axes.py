@@ -79,35 +79,22 @@ def scale_counts(ax: Axes, largest: int) -> None:
     ax.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True, min_n_ticks=1))
 
 
-def mark_start(ax: Axes, value: float, color: str, unit: str) -> None:
-    """Write the value at the start beside it."""
-    _annotate_value(ax, 0, value, color, unit, (7, 4), "left", "bottom")
+def mark_value(ax: Axes, x: float, value: float, color: str, unit: str, where: str) -> None:
+    """Annotate the value at the "start" or "end" of a line, or its "least" value.
 
-
-def mark_end(ax: Axes, x: float, value: float, color: str, unit: str) -> None:
-    """Write the last value in the right margin, above the axis if it is below that."""
-    below = value <= ax.get_ylim()[0]
-    _annotate_value(
-        ax, x, value, color, unit, (6, 4 if below else 0), "left", "bottom" if below else "center"
-    )
-
-
-def mark_least(ax: Axes, x: float, value: float, color: str, unit: str) -> None:
-    """Write the least value above its place, where the line leaves room on both sides."""
-    _annotate_value(ax, x, value, color, unit, (0, 8), "center", "bottom")
-
-
-def _annotate_value(
-    ax: Axes, x: float, value: float, color: str, unit: str, offset: tuple[int, int], ha: str, va: str
-) -> None:
+    The last value is written in the right margin, above the axis if it is below that, the least one above it.
+    """
     low, high = ax.get_ylim()
     place = (x, float(np.clip(value, low, high)))  # a logarithmic axis has no place for 0
     ax.plot(*place, marker="o", ms=4, color=color, clip_on=False, zorder=5)
     ax.set_ylim(low, high)
+    styles = {"start": (7, 4, "left", "bottom"), "least": (0, 8, "center", "bottom")}
+    styles["end"] = (6, 4, "left", "bottom") if value <= low else (6, 0, "left", "center")
+    right, up, ha, va = styles[where]
     ax.annotate(
         f"{value:.3g} {unit}",
         place,
-        xytext=offset,
+        xytext=(right, up),
         textcoords="offset points",
         ha=ha,
         va=va,

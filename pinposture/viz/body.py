@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -122,22 +122,6 @@ MAX_TRIANGLES = 200_000  # of all meshes together, so that a browser turns them 
 _MAX_LISTED = 12  # files that a warning names
 
 
-class VisualMesh(NamedTuple):
-    """A mesh as a description mentions it.
-
-    Attributes:
-        link: name of the link.
-        filename: as written: "package://name/rest", "file:///...", or a path.
-        scale: factors along the axes of the mesh, (3,).
-        placement: of the mesh in the frame of the link [m].
-    """
-
-    link: str
-    filename: str
-    scale: Array
-    placement: pin.SE3
-
-
 class BodyMeshes(NamedTuple):
     """The meshes of the base, world frame, and of each body from base to tip, body frame; None if missing."""
 
@@ -159,18 +143,15 @@ def body_meshes(arm: Arm, max_triangles: int = MAX_TRIANGLES) -> BodyMeshes:
     files: dict[int, list[str]] = {}
     surfaces: dict[str, TriangleMesh] = {}
     faults: dict[str, str] = {}
-    mentioned = visual_meshes(arm)
-    links = _link_placements(arm) if mentioned else {}
-    for visual in mentioned:
-        joint, link = links.get(visual.link, (-1, pin.SE3.Identity()))
+    for name, joint, placement, scale in _visual_meshes(arm):
         if joint not in owners:
             continue
-        owner, name = owners[joint], visual.filename
+        owner = owners[joint]
         try:
             if name not in faults and name not in surfaces:
                 surfaces[name] = TriangleMesh(*read_mesh(find_mesh(name, arm.package_dirs)))
             if name in surfaces:
-                placed = _place_mesh(surfaces[name], visual, link, origins[owner])
+                placed = _place_mesh(name, surfaces[name], placement, scale, origins[owner])
                 parts.setdefault(owner, []).append(placed)
                 files.setdefault(owner, []).append(name)
         except FileError as error:
@@ -186,48 +167,43 @@ def body_meshes(arm: Arm, max_triangles: int = MAX_TRIANGLES) -> BodyMeshes:
         how = "is left out" if coarse is None else f"is drawn with {len(coarse.faces)} triangles"
         faults.update(dict.fromkeys(files[owner], f"{how}, {many}"))
     if faults:
-        warnings.warn(_warning_text(faults), PostureWarning, stacklevel=2)
+        listed = [f"{name} {reason}" for name, reason in list(faults.items())[:_MAX_LISTED]]
+        listed += [f"and {len(faults) - _MAX_LISTED} more"] if len(faults) > _MAX_LISTED else []
+        text = f"links are not drawn as their meshes have them: {'; '.join(listed)}"
+        warnings.warn(text, PostureWarning, stacklevel=2)
     return BodyMeshes(merged.get(len(joints)), tuple(merged.get(u) for u in range(len(joints))))
 
 
-def visual_meshes(arm: Arm) -> list[VisualMesh]:
-    """Return the meshes that the description of an arm mentions, in order, without reading them."""
+def _visual_meshes(arm: Arm) -> Iterator[tuple[str, int, pin.SE3, Array]]:
+    """Yield the file, joint, neutral placement in the world and scale of each mesh in the description."""
     if arm.urdf is None or "<mesh" not in arm.urdf:
-        return []
-    listed = []
+        return
+    links = [frame for frame in arm.model.frames if frame.type == pin.FrameType.BODY]
+    places = neutral_placements(arm.model)
+    # Fixed links are placed relative to the root link, the first, which is at the base placement.
+    places[0] = arm.base_placement * links[0].placement.inverse()
+    frames = {frame.name: frame for frame in links}
     for link in parse_xml(arm.urdf, "URDF text").iterfind("link"):
+        frame = frames.get(link.get("name", ""))
         for visual in link.iterfind("visual"):
             mesh, origin = visual.find("geometry/mesh"), visual.find("origin")
-            if mesh is None:
+            if mesh is None or frame is None:
                 continue
             place = {} if origin is None else origin.attrib
             turn = pin.rpy.rpyToMatrix(_three_numbers(place.get("rpy", "0 0 0")))
             placement = pin.SE3(turn, _three_numbers(place.get("xyz", "0 0 0")))
-            scale = _three_numbers(mesh.get("scale", "1 1 1"))
-            listed.append(VisualMesh(link.get("name", ""), mesh.get("filename", ""), scale, placement))
-    return listed
+            scale, joint = _three_numbers(mesh.get("scale", "1 1 1")), int(frame.parentJoint)
+            yield mesh.get("filename", ""), joint, places[joint] * frame.placement * placement, scale
 
 
-def _place_mesh(mesh: TriangleMesh, visual: VisualMesh, link: pin.SE3, origin: Array) -> TriangleMesh:
-    """Move a mesh to its body frame, given the neutral placement of the link in the world."""
-    pose = link * visual.placement
+def _place_mesh(name: str, mesh: TriangleMesh, pose: pin.SE3, scale: Array, origin: Array) -> TriangleMesh:
+    """Scale a mesh and move it to its neutral pose in the world, relative to the origin of its body."""
     with np.errstate(all="ignore"):  # refused below
-        vertices = (mesh.vertices * visual.scale) @ pose.rotation.T + (pose.translation - origin)
+        vertices = (mesh.vertices * scale) @ pose.rotation.T + (pose.translation - origin)
     if not np.all(np.isfinite(vertices)):
-        raise FileError(visual.filename, "has vertices, a scale or an origin that are no finite numbers")
+        raise FileError(name, "has vertices, a scale or an origin that are no finite numbers")
     # A mirrored triangle has its front on the other side.
-    return TriangleMesh(vertices, mesh.faces[:, ::-1] if np.prod(visual.scale) < 0.0 else mesh.faces)
-
-
-def _link_placements(arm: Arm) -> dict[str, tuple[int, pin.SE3]]:
-    """Return the joint that moves each link, and the neutral placement of the link in the world."""
-    places = neutral_placements(arm.model)
-    frames = [frame for frame in arm.model.frames if frame.type == pin.FrameType.BODY]
-    # Fixed links are placed relative to the root link, the first, which is at the base placement.
-    places[0] = arm.base_placement * frames[0].placement.inverse()
-    return {
-        frame.name: (int(frame.parentJoint), places[frame.parentJoint] * frame.placement) for frame in frames
-    }
+    return TriangleMesh(vertices, mesh.faces[:, ::-1] if np.prod(scale) < 0.0 else mesh.faces)
 
 
 def _triangles_per_body(counts: Sequence[int], max_triangles: int) -> int:
@@ -250,13 +226,6 @@ def _simplify(mesh: TriangleMesh, limit: int) -> TriangleMesh | None:
             return TriangleMesh(mesh.vertices[kept], faces)
         points //= 2
     return None
-
-
-def _warning_text(faults: Mapping[str, str]) -> str:
-    named = [f"{name} {reason}" for name, reason in list(faults.items())[:_MAX_LISTED]]
-    if len(faults) > _MAX_LISTED:
-        named.append(f"and {len(faults) - _MAX_LISTED} more")
-    return f"links are not drawn as their meshes have them: {'; '.join(named)}"
 
 
 def _three_numbers(text: str) -> Array:

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm, Ellipsoid
 from pinposture.viz import palette
-from pinposture.viz.animation import ROOT, Timeline, Track, same_signs
+from pinposture.viz.animation import ROOT, Timeline, Track, pose_tracks, same_signs
 from pinposture.viz.drawing import link_radius
 from pinposture.viz.postures import PosturePanel
 
@@ -174,10 +174,9 @@ def ellipsoid_tracks(shown: EllipsoidMotion, playback: Timeline) -> list[Track]:
         colors = np.array([palette.rgb(palette.index_color(index)) for index in shown.indices[:, p]])
         path = ellipsoid_path(point)
         listed += [
-            Track(path, "position", "vector3", times, shown.centers[held, p], smooth=True),
-            Track(path, "quaternion", "quaternion", times, same_signs(turns)[held], smooth=True),
-            Track(path, "scale", "vector3", times, shown.radii[held, p], smooth=True),
-            Track(f"{path}/<object>", "material.color", "color", times, colors[held], smooth=True),
+            *pose_tracks(path, times, shown.centers[held, p], same_signs(turns)[held]),
+            Track(path, "scale", "vector3", times, shown.radii[held, p]),
+            Track(f"{path}/<object>", "material.color", "color", times, colors[held]),
         ]
     return listed
 

@@ -29,37 +29,10 @@ from pinposture.collision import Scene
 from pinposture.errors import InvalidValue, UnknownName, ViewerError
 from pinposture.motion import Motion, Trajectory
 from pinposture.placement import Target
-from pinposture.viz import palette
-from pinposture.viz.animation import (
-    IDLE_SIZE,
-    NO_SIZE,
-    POINT_SIZE,
-    ROOT,
-    Timeline,
-    Track,
-    body_path,
-    hoop_path,
-    hoop_turns,
-    moving_target_tracks,
-    playback,
-    point_path,
-    targeted_points,
-    tracks,
-)
+from pinposture.viz import animation, drawing, palette
+from pinposture.viz.animation import ROOT, Timeline, Track
 from pinposture.viz.axes import Place, group_alike, shown_places
 from pinposture.viz.body import bodies, body_poses
-from pinposture.viz.drawing import (
-    MANY,
-    ShownObstacle,
-    arm_surfaces,
-    frame_points,
-    link_radius,
-    outline,
-    require_fitting,
-    scene_points,
-    shown_corners,
-    shown_obstacles,
-)
 from pinposture.viz.ellipsoids import (
     EllipsoidMotion,
     axis_ends,
@@ -177,11 +150,11 @@ class PlayAnimation(SetAnimation):  # type: ignore[misc]
 
 def play_animation(viewer: Visualizer, moving: Sequence[Track], fps: float) -> None:
     """Play tracks over and over, in place of what was played before; without tracks, stop."""
-    animation = Animation()
+    whole = Animation()
     for track in moving:
-        clip = animation.clips.setdefault(Path().append(track.path), AnimationClip(fps=fps, name="run"))
+        clip = whole.clips.setdefault(Path().append(track.path), AnimationClip(fps=fps, name="run"))
         clip.tracks[track.name] = track
-    viewer.window.send(PlayAnimation(animation, repetitions=float("inf")))
+    viewer.window.send(PlayAnimation(whole, repetitions=float("inf")))
 
 
 # Objects of the scene.
@@ -208,28 +181,28 @@ def add(
 
 def add_arm(viewer: Visualizer, arm: Arm, q: Array) -> None:
     """Draw the arm at a configuration (nq,): a mesh for each body, and control points fixed to bodies."""
-    radius, surfaces = link_radius(arm), arm_surfaces(arm)
+    radius, surfaces = drawing.link_radius(arm), drawing.arm_surfaces(arm)
     add(viewer, f"{ROOT}/arm/base", surfaces.base, palette.BASE)
     for u, body in enumerate(bodies(arm)):
         shade = palette.MODULES[body.module % len(palette.MODULES)]
-        add(viewer, f"{body_path(u)}/link", surfaces.bodies[u], shade)
+        add(viewer, f"{animation.body_path(u)}/link", surfaces.bodies[u], shade)
         if body.point is not None:
-            add(viewer, point_path(u), BallGeometry(POINT_SIZE * radius), palette.IDLE)
-            viewer[point_path(u)].set_transform(_transform(body.point, IDLE_SIZE))
+            add(viewer, animation.point_path(u), BallGeometry(animation.POINT_SIZE * radius), palette.IDLE)
+            viewer[animation.point_path(u)].set_transform(_transform(body.point, animation.IDLE_SIZE))
     pose_arm(viewer, arm, q)
 
 
 def pose_arm(viewer: Visualizer, arm: Arm, q: Array) -> None:
     """Move an arm that is drawn to a configuration (nq,)."""
     for u, pose in enumerate(body_poses(arm, q)):
-        viewer[body_path(u)].set_transform(pose)
+        viewer[animation.body_path(u)].set_transform(pose)
 
 
 def add_target(viewer: Visualizer, arm: Arm, target: Target) -> None:
     """Draw the line of the target posture, as far as it is known, and the target points."""
-    radius = 0.3 * link_radius(arm)
+    radius = 0.3 * drawing.link_radius(arm)
     colors = {"covered": palette.TARGET, "rest": palette.REST}
-    for part, lines in outline(arm, target)._asdict().items():
+    for part, lines in drawing.outline(arm, target)._asdict().items():
         paths = [path for path in map(without_repeats, lines) if len(path) > 1]
         if paths:
             add(viewer, f"{ROOT}/target/{part}", merge([tube(path, radius) for path in paths]), colors[part])
@@ -240,7 +213,7 @@ def add_target(viewer: Visualizer, arm: Arm, target: Target) -> None:
 
 def add_moving_targets(viewer: Visualizer, motion: Motion, places: Sequence[Place]) -> None:
     """Draw the targets at the start of a motion, and thin lines through those at named places."""
-    arm, radius = motion.arm, link_radius(motion.arm)
+    arm, radius = motion.arm, drawing.link_radius(motion.arm)
     for number, place in enumerate(places, start=1):
         points = motion.targets[place.row][motion.target_mask[place.row]]
         line = without_repeats(np.vstack([arm.chain.base, points]), 1e-9 * arm.length)
@@ -248,18 +221,20 @@ def add_moving_targets(viewer: Visualizer, motion: Motion, places: Sequence[Plac
             add(viewer, f"{ROOT}/target/place_{number:03d}", tube(line, LINE_RADIUS * radius), place.color)
     around = 2.0 * np.pi * np.arange(HOOP_SIDES + 1) / HOOP_SIDES
     circle = np.stack([np.cos(around), np.sin(around), np.zeros(HOOP_SIDES + 1)], axis=1)
-    hoop = tube(HOOP_RADIUS * POINT_SIZE * radius * circle, WIRE_RADIUS * POINT_SIZE * radius)
-    turns = hoop_turns(arm, motion.targets[:1], motion.target_mask[:1])
-    for k in targeted_points(motion):
-        size = 1.0 if motion.target_mask[0, k] else NO_SIZE
+    hoop = tube(
+        HOOP_RADIUS * animation.POINT_SIZE * radius * circle, WIRE_RADIUS * animation.POINT_SIZE * radius
+    )
+    turns = animation.hoop_turns(arm, motion.targets[:1], motion.target_mask[:1])
+    for k in animation.targeted_points(motion):
+        size = 1.0 if motion.target_mask[0, k] else animation.NO_SIZE
         turn = Rotation.from_quat(turns[0, k]).as_matrix()
-        add(viewer, hoop_path(k), hoop, palette.TARGET)
-        viewer[hoop_path(k)].set_transform(_transform(motion.targets[0, k], size * turn))
+        add(viewer, animation.hoop_path(k), hoop, palette.TARGET)
+        viewer[animation.hoop_path(k)].set_transform(_transform(motion.targets[0, k], size * turn))
 
 
-def add_obstacles(viewer: Visualizer, shown: Sequence[ShownObstacle]) -> None:
+def add_obstacles(viewer: Visualizer, shown: Sequence[drawing.ShownObstacle]) -> None:
     """Draw translucent obstacles."""
-    opacity = palette.SHEER if len(shown) > MANY else palette.SEE_THROUGH
+    opacity = palette.SHEER if len(shown) > drawing.MANY else palette.SEE_THROUGH
     for number, each in enumerate(shown, start=1):
         add(viewer, f"{ROOT}/obstacles/obstacle_{number:03d}", each.surface, palette.OBSTACLE, opacity)
 
@@ -293,8 +268,8 @@ def set_camera(viewer: Visualizer, arm: Arm, points: Array) -> None:
 
     The camera turns about the origin of the scene, so the world is shifted by the centre of the points.
     """
-    framing = frame_points(points)
-    floor = points[:, 2].min() - framing.center[2] - 3.0 * link_radius(arm)
+    framing = drawing.frame_points(points)
+    floor = points[:, 2].min() - framing.center[2] - 3.0 * drawing.link_radius(arm)
     viewer[ROOT].set_transform(_transform(-framing.center))
     grid = _transform(np.array([0.0, 0.0, floor]), 0.4 * round_down(framing.radius))
     viewer["/Grid"].set_transform(grid)
@@ -359,13 +334,13 @@ def draw_scene(
     rows = arm.neutral()[None] if shown is None else shown.run.q[shown.rows]
     run, motion = (None, None) if shown is None else (shown.run, shown.motion)
     ellipsoids = ellipsoid_motion(arm, points, rows)
-    seen = np.vstack([scene_points(arm, run, target), axis_ends(ellipsoids)])
+    seen = np.vstack([drawing.scene_points(arm, run, target), axis_ends(ellipsoids)])
     places: list[list[Place]] = []
     if motion is not None:
         seen = np.vstack([seen, motion.targets[motion.target_mask]])
         places = group_alike(motion, shown_places(motion))
-    obstacles = shown_obstacles(scene, seen)
-    set_camera(viewer, arm, np.vstack([seen, shown_corners(obstacles)]))
+    obstacles = drawing.shown_obstacles(scene, seen)
+    set_camera(viewer, arm, np.vstack([seen, drawing.shown_corners(obstacles)]))
     add_arm(viewer, arm, rows[0])
     if target is not None:
         add_target(viewer, arm, target)
@@ -375,8 +350,8 @@ def draw_scene(
     add_ellipsoids(viewer, ellipsoids)
     moving: list[Track] = []
     if shown is not None:
-        moving = [*tracks(arm, shown), *ellipsoid_tracks(ellipsoids, shown)]
-        moving += [] if motion is None else moving_target_tracks(motion, shown)
+        moving = [*animation.tracks(arm, shown), *ellipsoid_tracks(ellipsoids, shown)]
+        moving += [] if motion is None else animation.moving_target_tracks(motion, shown)
     return DrawnScene(moving, bool(obstacles), places)
 
 
@@ -409,10 +384,10 @@ class Viewer:
         ellipsoids: ControlPoints = (),
         scene: Scene | None = None,
     ) -> None:
-        require_fitting(arm, run, target)
+        drawing.require_fitting(arm, run, target)
         self.arm, self.run, self.target, self.scene = arm, run, target, scene
         self.ellipsoids = chosen_points(arm.control_points, ellipsoids)
-        self._playback = None if run is None else playback(run, fps, MAX_FRAMES)
+        self._playback = None if run is None else animation.playback(run, fps, MAX_FRAMES)
         self._playing = False
         self.meshcat = Visualizer(window=Connection(url))
         try:

@@ -22,9 +22,7 @@ from pinposture.viz.axes import (
     colors_along,
     format_step_axes,
     format_time_axes,
-    mark_end,
-    mark_least,
-    mark_start,
+    mark_value,
     scale_counts,
     scale_values,
 )
@@ -70,9 +68,9 @@ def plot_posture_error(run: Trajectory, ax: Axes, color: str | None = None, labe
     format_step_axes(ax, "posture error [m]")
     scale_values(ax)
     if label is None:
-        mark_start(ax, float(run.posture_error[0]), color, "m")
+        mark_value(ax, 0, float(run.posture_error[0]), color, "m", "start")
     if run.steps:
-        mark_end(ax, run.steps, float(run.posture_error[-1]), color, "m")
+        mark_value(ax, run.steps, float(run.posture_error[-1]), color, "m", "end")
 
 
 def plot_point_errors(run: Trajectory, ax: Axes) -> None:
@@ -209,7 +207,7 @@ def plot_clearance(
         ax.set_ylim(low - 0.1 * (high - low), high + 0.15 * (high - low) + 1e-12)
     if np.isfinite(values).any():
         least = int(np.nanargmin(values))
-        mark_least(ax, float(places[least]), float(values[least]), color, "m")
+        mark_value(ax, float(places[least]), float(values[least]), color, "m", "least")
     add_legend(ax)
 
 
@@ -278,9 +276,9 @@ def plot_error(motion: Motion, ax: Axes) -> None:
         low, high = ax.get_ylim()  # names stand above, and the value at the start has to be below them
         ax.set_ylim(low, high * (high / low) ** 0.12 if low > 0.0 else 1.1 * high)
         if values[0]:
-            mark_start(ax, float(values[0]), color, "m")
+            mark_value(ax, 0, float(values[0]), color, "m", "start")
         if values[-1] and run.steps:
-            mark_end(ax, float(motion.time[-1]), float(values[-1]), color, "m")
+            mark_value(ax, float(motion.time[-1]), float(values[-1]), color, "m", "end")
     mark_escapes(run, ax, motion.time)
     mark_relaxed(run, ax, motion.time)
     if motion.start_index:

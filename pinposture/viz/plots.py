@@ -12,38 +12,7 @@ from matplotlib.figure import Figure
 from pinposture.errors import InvalidValue
 from pinposture.motion import Motion, Trajectory
 from pinposture.motion.trajectory import limit_shares
-from pinposture.viz import palette
-from pinposture.viz.axes import (
-    controller_name,
-    ending_text,
-    footnote,
-    group_alike,
-    is_slowed,
-    motion_ending_text,
-    new_figure,
-    placement_text,
-    scale_counts,
-    share_axis,
-    shown_places,
-    title,
-)
-from pinposture.viz.panels import (
-    add_legend,
-    chooses_points,
-    has_clearance,
-    mark_escapes,
-    mark_method,
-    mark_places,
-    mark_relaxed,
-    plot_active_points,
-    plot_clearance,
-    plot_error,
-    plot_joint_rates,
-    plot_plan_time,
-    plot_point_count,
-    plot_point_errors,
-    plot_posture_error,
-)
+from pinposture.viz import axes, palette, panels
 from pinposture.viz.postures import (
     PosturePanel,
     draw_intermediate_postures,
@@ -62,25 +31,26 @@ MAX_DETOURS = 2  # in a title
 def plot_motion(motion: Motion) -> Figure:
     """Draw a motion in time in one figure; see `pinposture.viz.plot`."""
     run, time = motion.run, motion.time
-    draws: list[Callable[[Motion, Axes], None]] = [plot_error]
+    draws: list[Callable[[Motion, Axes], None]] = [panels.plot_error]
     if any(share is not None for share in limit_shares(run)):
-        draws.append(plot_joint_rates)
-    if is_slowed(motion):
-        draws.append(plot_plan_time)
-    if has_clearance(run):
-        draws.append(lambda motion, ax: plot_clearance(motion.run, ax, time=motion.time))
-    figure, postures, panels = new_figure(motion.arm, len(draws))
+        draws.append(panels.plot_joint_rates)
+    if axes.is_slowed(motion):
+        draws.append(panels.plot_plan_time)
+    if panels.has_clearance(run):
+        draws.append(lambda motion, ax: panels.plot_clearance(motion.run, ax, time=motion.time))
+    figure, postures, rows = axes.new_figure(motion.arm, len(draws))
     plot_places(motion, postures)
-    for draw, panel in zip(draws, panels, strict=True):
+    for draw, panel in zip(draws, rows, strict=True):
         draw(motion, panel)
-    places = shown_places(motion)
-    mark_places(places, panels, [float(time[place.row]) for place in places])
-    share_axis(panels)
+    places = axes.shown_places(motion)
+    panels.mark_places(places, rows, [float(time[place.row]) for place in places])
+    axes.share_axis(rows)
     deviations = [f"Detour: {text}" for text in motion.deviations[:MAX_DETOURS]]
     if len(motion.deviations) > MAX_DETOURS:
         deviations.append(f"and {len(motion.deviations) - MAX_DETOURS} more")
-    title(figure, [f"{controller_name(run)} {motion_ending_text(motion)}: {run.reason}", *deviations])
-    footnote(figure, "; ".join(filter(None, [placement_text(motion), run.controller])))
+    ending = f"{axes.controller_name(run)} {axes.motion_ending_text(motion)}: {run.reason}"
+    axes.title(figure, [ending, *deviations])
+    axes.footnote(figure, "; ".join(filter(None, [axes.placement_text(motion), run.controller])))
     figure.draw_without_rendering()  # the layout of a high legend needs two passes
     return figure
 
@@ -93,7 +63,7 @@ def plot_places(motion: Motion, ax: Axes) -> None:
     """
     run, panel = motion.run, PosturePanel(motion.arm, ax)
     color = palette.controller_color(run.controller)
-    groups = group_alike(motion, shown_places(motion))
+    groups = axes.group_alike(motion, axes.shown_places(motion))
     rows = [group[0].row for group in groups]
     targets = [motion.targets[row][motion.target_mask[row]] for row in rows or [motion.steps]]
     rings: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 4.6, "mfc": "white", "mew": 0.8}
@@ -147,24 +117,24 @@ def plot(run: Trajectory | Motion) -> Figure:
         return plot_motion(run)
     if not isinstance(run, Trajectory):
         raise InvalidValue("run", run, "a Trajectory, as from `track`, or a Motion, as from `move_through`")
-    draws = [plot_posture_error, plot_point_errors]
-    if chooses_points(run):
-        draws.append(plot_active_points)
-    if has_clearance(run):
-        draws.append(plot_clearance)
-    figure, postures, panels = new_figure(run.arm, len(draws))
+    draws = [panels.plot_posture_error, panels.plot_point_errors]
+    if panels.chooses_points(run):
+        draws.append(panels.plot_active_points)
+    if panels.has_clearance(run):
+        draws.append(panels.plot_clearance)
+    figure, postures, rows = axes.new_figure(run.arm, len(draws))
     plot_postures(run, postures)
-    for draw, panel in zip(draws, panels, strict=True):
+    for draw, panel in zip(draws, rows, strict=True):
         draw(run, panel)
-    mark_escapes(run, panels[0])
-    mark_relaxed(run, panels[0])
-    add_legend(panels[0])
-    share_axis(panels)
+    panels.mark_escapes(run, rows[0])
+    panels.mark_relaxed(run, rows[0])
+    panels.add_legend(rows[0])
+    axes.share_axis(rows)
     if run.switches:
-        mark_method(run, panels[-1])
-        panels[-1].set_xlabel("step (red: steps by Projection)")
-    title(figure, [f"{controller_name(run)} {ending_text(run)}: {run.reason}"])
-    footnote(figure, "; ".join(filter(None, [placement_text(run), run.controller])))
+        panels.mark_method(run, rows[-1])
+        rows[-1].set_xlabel("step (red: steps by Projection)")
+    axes.title(figure, [f"{axes.controller_name(run)} {axes.ending_text(run)}: {run.reason}"])
+    axes.footnote(figure, "; ".join(filter(None, [axes.placement_text(run), run.controller])))
     return figure
 
 
@@ -189,15 +159,15 @@ def plot_comparison(runs: Mapping[str, Trajectory]) -> Figure:
             raise InvalidValue("runs", label, f"runs towards the same target as {first_label!r}")
     colors = palette.distinct_colors(run.controller for run in runs.values())
     drawn = [(run, label, color) for (label, run), color in zip(runs.items(), colors, strict=True)]
-    near = any(has_clearance(run) for run in runs.values())
-    figure, postures, panels = new_figure(first.arm, 2 + near)
+    near = any(panels.has_clearance(run) for run in runs.values())
+    figure, postures, rows = axes.new_figure(first.arm, 2 + near)
     draw_runs(drawn, postures)
     for run, label, color in drawn:
-        plot_posture_error(run, panels[0], color, label)
-        plot_point_count(run, panels[1], color)
+        panels.plot_posture_error(run, rows[0], color, label)
+        panels.plot_point_count(run, rows[1], color)
         if near:
-            plot_clearance(run, panels[2], color)
-    scale_counts(panels[1], max(run.arm.n_modules for run in runs.values()))
-    share_axis(panels)
-    title(figure, [f"{label} {ending_text(run)}: {run.reason}" for label, run in runs.items()])
+            panels.plot_clearance(run, rows[2], color)
+    axes.scale_counts(rows[1], max(run.arm.n_modules for run in runs.values()))
+    axes.share_axis(rows)
+    axes.title(figure, [f"{label} {axes.ending_text(run)}: {run.reason}" for label, run in runs.items()])
     return figure

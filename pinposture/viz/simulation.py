@@ -18,7 +18,7 @@ from pinposture.viz.axes import (
     colors_along,
     footnote,
     format_time_axes,
-    mark_end,
+    mark_value,
     scale_values,
     share_axis,
     title,
@@ -78,7 +78,7 @@ def _plot_posture_errors(simulation: Simulation, ax: Axes) -> None:
     format_time_axes(ax, "posture error [m]")
     scale_values(ax)
     for values, color in lines.values():
-        mark_end(ax, simulation.time[-1], float(values[-1]), color, "m")
+        mark_value(ax, simulation.time[-1], float(values[-1]), color, "m", "end")
     if len(lines) > 1:
         ax.legend(fontsize=8, frameon=False, loc="upper right")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
@@ -13,7 +14,6 @@ from matplotlib.figure import Figure
 import pinposture as pp
 from pinposture.errors import InvalidValue
 from pinposture.viz import palette
-from pinposture.viz.arm_figure import arm_parts
 
 
 def spatial() -> pp.Arm:
@@ -71,25 +71,28 @@ def pixels(figure: Figure) -> np.ndarray:
 def test_the_parts_are_where_pinocchio_has_them(rng, make):
     arm = make()
     q = arm.random(rng)
-    parts = arm_parts(arm, q)
+    parts = arm.at(q).forward
     model, data = arm.model, arm.model.createData()
     pin.forwardKinematics(model, data, q)
     for u, name in enumerate(arm.chain.joints):
         joint = model.getJointId(name)
         pin_axis = {"X": 0, "Y": 1, "Z": 2}[model.joints[joint].shortname()[-1]]
         np.testing.assert_allclose(parts.axes[u], data.oMi[joint].rotation[:, pin_axis], atol=1e-12)
-        np.testing.assert_allclose(parts.joints[u], data.oMi[joint].translation, atol=1e-12)
+        np.testing.assert_allclose(parts.origins[u], data.oMi[joint].translation, atol=1e-12)
     np.testing.assert_allclose(parts.points, arm.at(q).points, atol=1e-12)
 
 
 def test_modules_join_end_to_end_from_base_to_tip(rng):
     arm = spatial()
-    parts = arm_parts(arm, arm.random(rng))
-    np.testing.assert_array_equal(parts.modules[0][0], arm.chain.base)
-    for before, after in zip(parts.modules, parts.modules[1:], strict=False):
+    q = arm.random(rng)
+    drawn = pp.plot_arm(arm, q).axes[0].get_lines()
+    shaded = [line for line in drawn if line.get_color() in palette.MODULES]
+    modules = [np.transpose(line.get_data_3d()) for line in shaded[: arm.n_modules]]
+    np.testing.assert_array_equal(modules[0][0], arm.chain.base)
+    for before, after in pairwise(modules):
         np.testing.assert_array_equal(before[-1], after[0])
-    for line, point in zip(parts.modules, parts.points, strict=True):
-        np.testing.assert_array_equal(line[-1], point)
+    for line, point in zip(modules, arm.at(q).points, strict=True):
+        np.testing.assert_allclose(line[-1], point, atol=1e-12)
 
 
 def test_control_points_base_and_tip_are_marked_where_they_are(rng):
@@ -134,9 +137,9 @@ def test_a_bar_lies_along_each_axis_about_its_joint(rng):
     arm = spatial()
     q = arm.random(rng)
     bars = flat_points(pp.plot_arm(arm, q), "axis of a joint that turns")
-    parts = arm_parts(arm, q)
+    parts = arm.at(q).forward
     ends = bars.reshape(arm.nv, 3, 3)  # both ends, and a gap
-    np.testing.assert_allclose(ends[:, :2].mean(axis=1), parts.joints, atol=1e-12)
+    np.testing.assert_allclose(ends[:, :2].mean(axis=1), parts.origins, atol=1e-12)
     along = ends[:, 1] - ends[:, 0]
     lengths = np.linalg.norm(along, axis=1)
     np.testing.assert_allclose(along / lengths[:, None], parts.axes, atol=1e-9)
@@ -151,17 +154,17 @@ def test_a_planar_arm_is_drawn_in_its_plane_with_rings_for_axes_seen_from_the_en
     (ax,) = figure.axes
     assert ax.name == "rectilinear"
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("x [m]", "z [m]")
-    places = arm_parts(arm, arm.configuration([0.3, 0.2, -0.5, 0.1, 0.4])).joints[:, [0, 2]]
+    places = arm.at(arm.configuration([0.3, 0.2, -0.5, 0.1, 0.4])).forward.origins[:, [0, 2]]
     np.testing.assert_allclose(flat_points(figure, "axis of a joint that turns"), places, atol=1e-12)
 
 
 def test_joints_that_slide_are_told_from_those_that_turn():
     arm = sliding(["0 0 1", "0 1 0", "0 1 0"], ["revolute", "prismatic", "revolute"])
     assert arm.dimension == 3
-    figure, parts = pp.plot_arm(arm), arm_parts(arm, arm.neutral())
+    figure, parts = pp.plot_arm(arm), arm.at(arm.neutral()).forward
     for name, joints in (("slides", [1]), ("turns", [0, 2])):
         bars = flat_points(figure, f"axis of a joint that {name}").reshape(-1, 3, 3)[:, :2]
-        np.testing.assert_allclose(bars.mean(axis=1), parts.joints[joints], atol=1e-12)
+        np.testing.assert_allclose(bars.mean(axis=1), parts.origins[joints], atol=1e-12)
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
     assert {"axis of a joint that slides", "axis of a joint that turns", "odd modules", "tip"} <= set(labels)
 
