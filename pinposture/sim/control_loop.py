@@ -27,12 +27,11 @@ AnyMotion: TypeAlias = "Trajectory | Motion | JointTrajectory | ArrayLike"
 Progress = Callable[[int, int], object]
 """Called with the number of completed cycles and the number of all cycles."""
 
-UNIFORM = 1e-6
-"""Relative variation up to which sampling periods count as equal."""
+UNIFORM = 1e-6  # relative variation up to which sampling periods count as equal
 
-TOLERANCE = 0.01
-"""Mean distance of the control points from where they should be at the end that counts as arrived, in arm
-lengths. Servos without integral action sag under gravity by some thousandths."""
+# Mean distance of the control points from where they should be at the end that counts as arrived, in arm
+# lengths. Servos without integral action sag under gravity by some thousandths.
+ARRIVAL_TOLERANCE = 0.01
 
 
 class SetPoints(NamedTuple):
@@ -47,10 +46,7 @@ class SetPoints(NamedTuple):
     dt: float
 
     def targets(self, arm: Arm) -> Callable[[float], Target]:
-        """Return the posture of the motion as a function of time [s], for a controller that is to follow it.
-
-        After the end it is the last posture.
-        """
+        """Return the posture of the motion as a function of time [s]; after the end it is the last one."""
 
         def at(time: float) -> Target:
             row = min(round(time / self.dt), len(self.positions) - 1)
@@ -63,7 +59,7 @@ def set_points(arm: Arm, motion: AnyMotion, dt: float | None = None) -> SetPoint
     """Sample a motion for the servos of an arm.
 
     Args:
-        arm: the arm that is to move.
+        arm: the arm to move.
         motion: the motion; joints of another arm are matched by name.
         dt: sampling period [s]. Needed for configurations and for a run without one in its limits; other runs
             accept only their own. A joint trajectory is resampled by cubic polynomials, also where its rows
@@ -231,17 +227,18 @@ def simulate_closed(
 
 
 class Recording:
-    """Advances a plant and records set points, measured positions and torques of each cycle.
-
-    Attributes:
-        plant: the simulated arm.
-    """
+    """Advances a plant and records its state, and the target, after each cycle."""
 
     def __init__(self, plant: Plant, target: Target | None = None) -> None:
         self.plant = plant
-        self._set_points, self._positions = [plant.set_points], [plant.positions]
-        self._torques = [plant.torques]
-        self._targets = [] if target is None else [target]
+        self._rows: list[tuple[Array, Array, Array]] = []
+        self._targets: list[Target] = []
+        self._record(target)
+
+    def _record(self, target: Target | None) -> None:
+        self._rows.append((self.plant.set_points, self.plant.positions, self.plant.torques))
+        if target is not None:
+            self._targets.append(target)
 
     def advance(self, command: Array, target: Target | None = None) -> bool:
         """Simulate a cycle; return False, and record nothing of it, if the arm runs away.
@@ -252,50 +249,36 @@ class Recording:
         """
         if not self.plant.advance(command):
             return False
-        self._set_points.append(self.plant.set_points)
-        self._positions.append(self.plant.positions)
-        self._torques.append(self.plant.torques)
-        if target is not None:
-            self._targets.append(target)
+        self._record(target)
         return True
 
     def simulation(
         self, loop: str, scene: Scene | None, tolerance: float | None, measured: float = 1.0
     ) -> Simulation:
-        """Return the recorded motion.
-
-        Args:
-            loop: "open" or "closed".
-            scene: obstacles for the clearance; none if None.
-            tolerance: mean distance of the control points from where they should be at the end that counts as
-                arrived [m]; 1 % of the arm length if None.
-            measured: share of the cycles in which a measurement arrived.
-        """
-        plant, model = self.plant, self.plant.model
-        arm = model.arm
-        commanded = np.array([arm.configuration(row) for row in self._set_points])
-        q = np.array([arm.configuration(row) for row in self._positions])
+        """Return the recorded motion; the arguments are those of `simulate` and fields of `Simulation`."""
+        plant, model, arm = self.plant, self.plant.model, self.plant.model.arm
+        set_points, positions, torques = (np.array(column) for column in zip(*self._rows, strict=True))
+        commanded = np.array([arm.configuration(row) for row in set_points])
+        q = np.array([arm.configuration(row) for row in positions])
         commanded_points = np.array([arm.at(row).points for row in commanded])
         points = np.array([arm.at(row).points for row in q])
         clearance = np.full(len(q), np.inf)
         if scene is not None:
-            around = CollisionModel(arm, scene)
-            clearance = np.array([around.minimum(row).distance for row in q])
+            collisions = CollisionModel(arm, scene)
+            clearance = np.array([collisions.minimum(row).distance for row in q])
         goal = self._targets[-1] if self._targets else Target(commanded_points[-1], np.ones(arm.n_modules))
         distances = np.linalg.norm((goal.points - points[-1])[goal.has_target], axis=1)
         error = float(distances.sum()) / max(len(distances), 1)
-        tolerance = TOLERANCE * arm.length if tolerance is None else tolerance
+        tolerance = ARRIVAL_TOLERANCE * arm.length if tolerance is None else tolerance
         status, reason = "unstable", plant.failure
         if not plant.failure:
             status = "converged" if error <= tolerance else "missed"
             reason = _final_error(error, tolerance, plant.dt * (len(q) - 1), plant.saturated)
         targets = weights = None
         if self._targets:
-            # The points of a target may be NaN where their weight is 0.
-            targets = np.array(
-                [np.where(each.weights[:, None] > 0.0, each.points, 0.0) for each in self._targets]
-            )
             weights = np.array([each.weights for each in self._targets], dtype=np.float64)
+            # The points of a target may be NaN where their weight is 0.
+            targets = np.where(weights[..., None] > 0.0, [each.points for each in self._targets], 0.0)
         return Simulation(
             arm=arm,
             loop=loop,
@@ -309,7 +292,7 @@ class Recording:
             q=q,
             commanded_points=commanded_points,
             points=points,
-            torques=np.array(self._torques),
+            torques=torques,
             torque_limits=model.torque_limits[model.columns],
             saturated=plant.saturated,
             clearance=clearance,

@@ -1,8 +1,8 @@
 """The MuJoCo model of an arm: bodies, joints, inertias and servos, built from its Pinocchio model.
 
-The arm itself keeps only the joints of its chain, with everything else fixed. The simulation needs the other
-joints as well, because servos hold them. So Pinocchio reads the description once more, whole, and each joint
-of that model becomes a MuJoCo body with one hinge or slide. There are no shapes and no contacts.
+The model of the arm has the joints of its chain only. The simulation also needs the other joints, which servos
+hold, so Pinocchio reads the whole description again. Each joint of that model becomes a MuJoCo body with one
+hinge or slide. There are no shapes and no contacts.
 """
 
 from __future__ import annotations
@@ -30,38 +30,23 @@ from pinposture.sim.servos import Gains, Servos
 Array = NDArray[np.float64]
 
 COMMAND = "pip install 'pinposture[sim]'"
-"""What installs MuJoCo."""
+GRAVITY = (0.0, 0.0, -9.81)  # for `gravity=True`, world frame [m/s^2]
+POSITION_TOLERANCE = 1e-9  # of control points in MuJoCo, relative to the arm length or 1 m
+MAX_DEFLECTION = 0.01  # of a servo by friction and damping of its joint at speed 1, in joint units
+N_RANDOM_POSTURES = 8  # to compare forward kinematics and evaluate mass matrices
+MAX_LISTED = 6  # links with the same fault in a warning
 
-GRAVITY = (0.0, 0.0, -9.81)
-"""What `gravity=True` means, world frame [m/s^2]."""
-
-POSITION_TOLERANCE = 1e-9
-"""Accepted distance between control points in MuJoCo and in Pinocchio, relative to the arm length or 1 m."""
-
-MAX_DEFLECTION = 0.01
-"""Largest deflection of a servo by friction and damping of its own joint at speed 1, in joint units."""
-
-N_RANDOM_POSTURES = 8
-"""Random configurations at which forward kinematics are compared and mass matrices are evaluated."""
-
+# The solid ball that replaces a moving link without mass, centred at its joint [kg], [m].
 DEFAULT_MASS, DEFAULT_RADIUS = 1e-3, 1e-2
-"""The solid ball that replaces a moving link without mass, centred at its joint [kg], [m]."""
+MIN_RADIUS = 1e-4  # moments of inertia are at least those of a ball of the same mass with this radius [m]
+INERTIA_ROUNDING = 1e-3  # relative violation of physical consistency that draws no warning
 
-MIN_RADIUS = 1e-4
-"""Moments of inertia are at least those of a ball of the same mass with this radius [m]."""
-
-INERTIA_ROUNDING = 1e-3
-"""Relative violation of physical consistency that counts as rounding and draws no warning."""
-
-MAX_LISTED = 6
-"""How many links with the same fault a warning lists."""
-
+# Attributes of the elements of <inertial>: how many numbers each has, the least, and both in words.
 _INERTIAL = {
     "mass": (("value",), 1, 0.0, "a finite number, 0 or more [kg]"),
     "inertia": (("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1, -np.finfo(np.float64).max, "a finite number"),
     "origin": (("xyz", "rpy"), 3, -np.finfo(np.float64).max, "three finite numbers"),
 }
-"""Attributes of the elements of <inertial>: how many numbers each has, the least, and both in words."""
 
 
 class MujocoMissing(PostureError, ImportError):
@@ -163,7 +148,7 @@ class PlantModel:
     warnings: tuple[str, ...]
 
     def positions(self, of_arm: Array) -> Array:
-        """Positions of all joints, (n,), for joint positions of the arm, (nv,) [rad or m]."""
+        """Return positions of all joints, (n,), for joint positions of the arm, (nv,) [rad or m]."""
         positions: Array = self.rest.copy()
         positions[self.columns] = of_arm
         return positions
@@ -188,7 +173,10 @@ def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | Ar
     """
     mujoco = load_mujoco()
     servos = Servos() if servos is None else servos
-    acceleration = _gravity(gravity)
+    if isinstance(gravity, (bool, np.bool_)):
+        acceleration = np.array(GRAVITY) if gravity else np.zeros(3)
+    else:
+        acceleration = finite_vector("gravity", gravity, 3)
     complete, source = _complete_model(arm)
     bodies, corrections = _rigid_bodies(complete)
     for message in corrections:
@@ -252,12 +240,6 @@ def full_mass_matrix(model: Any, data: Any) -> Array:
     for row, unit in zip(matrix, np.eye(model.nv), strict=True):
         mujoco.mj_mulM(model, data, row, unit)
     return matrix
-
-
-def _gravity(gravity: bool | ArrayLike) -> Array:
-    if isinstance(gravity, (bool, np.bool_)):
-        return np.array(GRAVITY) if gravity else np.zeros(3)
-    return finite_vector("gravity", gravity, 3)
 
 
 def _complete_model(arm: Arm) -> tuple[pin.Model, str]:
@@ -324,18 +306,18 @@ def _rigid_bodies(model: pin.Model) -> tuple[list[RigidBody], tuple[str, ...]]:
         "no mass": f"taken as {ball}",
         "moments of no solid": "moments raised to the nearest that a solid can have",
     }
-    return bodies, tuple(f"{_listed(names)}: {fault}; {correction[fault]}" for fault, names in faults.items())
+    messages = []
+    for fault, names in faults.items():
+        more = f" and {len(names) - MAX_LISTED} more" if len(names) > MAX_LISTED else ""
+        listed = f"moving link{'s' * (len(names) > 1)} {', '.join(map(repr, names[:MAX_LISTED]))}{more}"
+        messages.append(f"{listed}: {fault}; {correction[fault]}")
+    return bodies, tuple(messages)
 
 
 def _links_after(model: pin.Model) -> dict[str, pin.Frame]:
     """Return the frame of the link after each joint, by the name of the joint."""
     frames = list(model.frames)
     return {frames[frame.parentFrame].name: frame for frame in frames if frame.type == pin.FrameType.BODY}
-
-
-def _listed(links: list[str]) -> str:
-    more = f" and {len(links) - MAX_LISTED} more" if len(links) > MAX_LISTED else ""
-    return f"moving link{'s' * (len(links) > 1)} {', '.join(map(repr, links[:MAX_LISTED]))}{more}"
 
 
 def _specification(
@@ -384,7 +366,7 @@ def _specification(
 
 
 def _placement(placement: pin.SE3) -> dict[str, Array]:
-    """A placement in the terms of MuJoCo, whose quaternions begin with w."""
+    """Return a placement as arguments of MuJoCo, whose quaternions begin with w."""
     quaternion = np.roll(pin.Quaternion(placement.rotation).coeffs(), 1)
     return {"pos": np.array(placement.translation), "quat": quaternion}
 
@@ -402,10 +384,9 @@ def _held_positions(arm: Arm, model: pin.Model, source: str) -> dict[str, float]
         if frame.type != pin.FrameType.JOINT or frame.name in arm.joint_names:
             continue
         parent, child = frames[frame.parentFrame], children[frame.name]
-        if parent.name not in links or child.name not in links:
+        before, after = links.get(parent.name), links.get(child.name)
+        if before is None or after is None or before.parentJoint != after.parentJoint:
             raise URDFError(source, f"joint {frame.name!r}", "is not in the model of the arm")
-        before, after = links[parent.name], links[child.name]
-        assert before.parentJoint == after.parentJoint  # both are part of one rigid body
         origin = parent.placement.actInv(model.jointPlacements[frame.parentJoint])
         moved = origin.actInv(before.placement.actInv(after.placement))
         motion = np.ravel(model.joints[frame.parentJoint].createData().S)
@@ -414,7 +395,7 @@ def _held_positions(arm: Arm, model: pin.Model, source: str) -> dict[str, float]
 
 
 def _sample_positions(arm: Arm) -> list[Array]:
-    """Joint positions (nv,) to evaluate the model at: straight, nearly straight, and random ones."""
+    """Return joint positions (nv,) to evaluate the model at: straight, nearly straight, and random ones."""
     rng = np.random.default_rng(0)
     straight = arm.positions(arm.straight())
     return [

@@ -1,15 +1,14 @@
 """The plant: the simulated arm with servos and position sensors, advanced by one control cycle at a time.
 
 **Set points.** In each cycle the servos are sent a configuration. Their set points follow the quadratic
-B-spline of these: at the edges of a cycle they are half-way between two of them, with the velocity of the
-step in between; within a cycle their acceleration is constant, the second difference. So velocity is
-continuous, and velocity and acceleration keep the limits that the steps keep. The price is a delay of half a
-cycle.
+B-spline of these: at the edges of a cycle they are half-way between two configurations, with the velocity of
+the step in between; within a cycle their acceleration is constant, the second difference. So velocity is
+continuous, and velocity and acceleration keep the limits of the steps, with a delay of half a cycle.
 
-**Actuator saturation.** A stiff servo on a light link asks for a large torque at the beginning of a physics
-step, though its damping removes it within microseconds. Cutting that off would make the servo chatter. The
-limit therefore applies to the torque that acts over the step, which is the one at the velocity at the end of
-the step. The set of saturated servos is found by iteration; where that cycles, by a quadratic program.
+**Actuator saturation.** A stiff servo on a light link requests a large torque at the beginning of a physics
+step, which its damping removes within microseconds. Clipping that would make the servo chatter. The limit
+therefore applies to the torque at the velocity at the end of the step. The set of saturated servos is found
+by iteration; if that cycles, by a quadratic program.
 """
 
 from __future__ import annotations
@@ -29,11 +28,8 @@ from pinposture.sim.servos import Servos, torques_within_limits
 
 Array = NDArray[np.float64]
 
-RUNAWAY = 1e3
-"""Joint speed at which a simulation is given up as unstable [rad/s or m/s]."""
-
-TRIALS = 6
-"""Iterations on the set of saturated servos before the quadratic program is solved."""
+RUNAWAY = 1e3  # joint speed at which a simulation ends as unstable [rad/s or m/s]
+TRIALS = 6  # iterations on the set of saturated servos before the quadratic program is solved
 
 
 class Plant:
@@ -44,7 +40,7 @@ class Plant:
         dt: duration of a control cycle [s].
         substeps: physics steps in each cycle.
         cycles: number of cycles since the start.
-        failure: why the simulation cannot go on, in words; "" if it can.
+        failure: why the simulation cannot continue, in words; "" if it can.
     """
 
     def __init__(self, model: PlantModel, start: Array, dt: float) -> None:
@@ -63,9 +59,9 @@ class Plant:
         self._at_limit = np.zeros(self._model.nv)  # 1 or -1 where a servo is saturated
         self._saturated = np.zeros(self._model.nv, dtype=np.intp)  # physics steps in which it was
         self._sent = model.positions(start)
-        self._at = self._sent.copy()  # the set points
-        self._speed = np.zeros(len(self._at))  # and their velocity
-        self._data.qpos[:] = self._at
+        self._set_points = self._sent.copy()
+        self._speed = np.zeros(len(self._sent))  # of the set points
+        self._data.qpos[:] = self._set_points
         self._mujoco.mj_forward(self._model, self._data)
         most = model.torque_limits
         self._torques = np.clip(self._data.qfrc_gravcomp, -most, most)
@@ -78,7 +74,7 @@ class Plant:
     @property
     def set_points(self) -> Array:
         """Set points of the servos of the arm, (nv,) [rad or m]."""
-        return np.array(self._at[self.model.columns])
+        return np.array(self._set_points[self.model.columns])
 
     @property
     def torques(self) -> Array:
@@ -97,12 +93,12 @@ class Plant:
             command: joint positions sent to the servos, (nv,) [rad or m].
         """
         sent = self.model.positions(command)
-        begun, first, last = self._at, self._speed, (sent - self._sent) / self.dt
+        begin, first, last = self._set_points, self._speed, (sent - self._sent) / self.dt
         follows = float(self.model.servos.speed_reference)
         with no_log_file(self._mujoco):
             for number in range(self.substeps):
                 share, midst = number / self.substeps, (number + 0.5) / self.substeps
-                at = begun + self.dt * (share * first + share**2 / 2.0 * (last - first))
+                at = begin + self.dt * (share * first + share**2 / 2.0 * (last - first))
                 before = np.array(self._data.qpos)
                 self._step(at, follows * (first + midst * (last - first)))
                 self._saturated += self._at_limit != 0.0
@@ -111,7 +107,7 @@ class Plant:
                     self.failure = self._runaway((number + 1) * self._model.opt.timestep)
                     self._data.qpos[:] = before
                     break
-        self._at = (self._sent + sent) / 2.0
+        self._set_points = (self._sent + sent) / 2.0
         self._speed, self._sent = last, sent
         self.cycles += 1
         return not self.failure
@@ -157,17 +153,15 @@ class Plant:
         return np.asarray(step * (inverse + inverse.T) / 2.0)
 
     def _runaway(self, after: float) -> str:
-        """Return which joint is fastest, in words, some time after the beginning of the cycle [s]."""
+        """Return in words which joint is fastest, at a time after the beginning of the cycle [s]."""
         speeds = np.abs(np.array(self._data.qvel))
         worst = int(np.argmax(np.where(np.isfinite(speeds), speeds, np.inf)))
         name = self._model.joint(int(self._model.dof_jntid[worst])).name
         at = self.cycles * self.dt + after
-        how_fast = f"{speeds[worst]:.3g}" if np.isfinite(speeds[worst]) else "no finite number"
+        speed = f"{speeds[worst]:.3g}" if np.isfinite(speeds[worst]) else "no finite number"
+        reason = f"its speed is {speed} [rad/s or m/s], above {RUNAWAY:g}"
         advice = f"; {self._advice}" if self._advice else ""
-        return (
-            f"joint {name!r} runs away at {at:.6g} s: its speed is {how_fast} "
-            f"[rad/s or m/s], above {RUNAWAY:g}{advice}"
-        )
+        return f"joint {name!r} runs away at {at:.6g} s: {reason}{advice}"
 
 
 def _too_coarse(servos: Servos, timestep: float) -> str:

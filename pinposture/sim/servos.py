@@ -15,8 +15,7 @@ from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
 
-UNBOUNDED = 1e30
-"""A torque bound of the quadratic program that stands for none."""
+UNBOUNDED = 1e30  # bound of the quadratic program that stands for none
 
 
 class Gains(NamedTuple):
@@ -37,8 +36,8 @@ class Servos:
 
     Stiffnesses are proportional to the inertias that the joints carry, and so large that no vibration of the
     whole arm on its servos is slower than `frequency`. Servos tuned joint by joint to that frequency would
-    leave a long arm compliant: joints are springs in series, and the slowest vibration of 40 joints is four
-    times as slow, that of 200 joints nine times.
+    leave a long arm compliant: joints are springs in series, and the slowest vibration of 40 joints has a
+    quarter of that frequency, that of 200 joints a ninth.
 
     Attributes:
         frequency: natural frequency of the slowest vibration of the arm on its servos [Hz]. Under gravity the

@@ -154,11 +154,7 @@ class Simulation:
             "servos": vars(self.servos),
             "turning_joints": self._joint_summary(~self.arm.slides, "rad"),
             "sliding_joints": self._joint_summary(self.arm.slides, "m"),
-            "mean_point_error": {
-                "rms": _rms(mean),
-                "largest": float(mean.max()),
-                "end": float(mean[-1]),
-            },
+            "mean_point_error": _statistics(mean),
             "largest_point_error": {
                 "value": float(self.point_errors[largest]),
                 "point": self.arm.control_points[int(largest[1])],
@@ -174,11 +170,7 @@ class Simulation:
         }
         if self.target_errors is not None and self.weights is not None:
             to_target = self.target_errors.sum(axis=1) / np.maximum((self.weights > 0.0).sum(axis=1), 1)
-            results["target_error"] = {
-                "rms": _rms(to_target),
-                "largest": float(to_target.max()),
-                "end": float(to_target[-1]),
-            }
+            results["target_error"] = _statistics(to_target)
         return results
 
     def _joint_summary(self, which: NDArray[np.bool_], unit: str) -> dict[str, Any] | None:
@@ -215,7 +207,11 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-_ADVICE = {
+def _statistics(values: Array) -> dict[str, float]:
+    return {"rms": _rms(values), "largest": float(values.max()), "end": float(values[-1])}
+
+
+_ADVICE_BY_FORMAT = {
     "pinposture-run": "holds a run, not a simulation of it; simulate it with: pinposture simulate FILE",
     "pinposture-motion": "holds a motion, not a simulation of it; simulate it with: pinposture simulate FILE",
 }
@@ -264,4 +260,4 @@ def _unpack(about: dict[str, Any], arrays: dict[str, Any]) -> Simulation:
     )
 
 
-register(Format("pinposture-simulation", 2, Simulation, "simulation", _pack, _unpack, _ADVICE))
+register(Format("pinposture-simulation", 2, Simulation, "simulation", _pack, _unpack, _ADVICE_BY_FORMAT))
