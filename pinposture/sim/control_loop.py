@@ -31,7 +31,7 @@ UNIFORM = 1e-6  # relative variation up to which sampling periods count as equal
 
 # Mean distance of the control points from where they should be at the end that counts as arrived, in arm
 # lengths. Servos without integral action sag under gravity by some thousandths.
-ARRIVAL_TOLERANCE = 0.01
+END_TOLERANCE = 0.01
 
 
 class SetPoints(NamedTuple):
@@ -269,7 +269,7 @@ class Recording:
         goal = self._targets[-1] if self._targets else Target(commanded_points[-1], np.ones(arm.n_modules))
         distances = np.linalg.norm((goal.points - points[-1])[goal.has_target], axis=1)
         error = float(distances.sum()) / max(len(distances), 1)
-        tolerance = ARRIVAL_TOLERANCE * arm.length if tolerance is None else tolerance
+        tolerance = END_TOLERANCE * arm.length if tolerance is None else tolerance
         status, reason = "unstable", plant.failure
         if not plant.failure:
             status = "converged" if error <= tolerance else "missed"

@@ -1,8 +1,8 @@
 """The MuJoCo model of an arm: bodies, joints, inertias and servos, built from its Pinocchio model.
 
-The model of the arm has the joints of its chain only. The simulation also needs the other joints, which servos
-hold, so Pinocchio reads the whole description again. Each joint of that model becomes a MuJoCo body with one
-hinge or slide. There are no shapes and no contacts.
+The model of the arm has the joints of its chain only. The simulation also needs the joints that servos hold,
+so Pinocchio reads the whole description again. Each joint of that model becomes a MuJoCo body with one hinge
+or slide. There are no shapes and no contacts.
 """
 
 from __future__ import annotations

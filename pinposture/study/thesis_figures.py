@@ -17,7 +17,7 @@ from matplotlib.ticker import NullFormatter
 from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory
 from pinposture.viz import palette
-from pinposture.viz.axes import DEEPEST, ending_text
+from pinposture.viz.axes import MAX_DECADES, ending_text
 from pinposture.viz.panels import (
     mark_method,
     plot_point_count,
@@ -163,7 +163,7 @@ def _share_values(panels: list[Axes]) -> None:
     positive = np.concatenate([values[values > 0.0] for values in drawn])
     if not len(positive):
         return
-    least = max(float(positive.min()), float(positive.max()) * 10.0**-DEEPEST)
+    least = max(float(positive.min()), float(positive.max()) * 10.0**-MAX_DECADES)
     logarithmic = any(panel.get_yscale() == "log" for panel in panels)
     limits = [panel.get_ylim() for panel in panels if not logarithmic or panel.get_yscale() == "log"]
     low, high = min(each[0] for each in limits), max(each[1] for each in limits)

@@ -22,7 +22,7 @@ from pinposture.viz import palette
 # Scales, ticks and labels of axes against steps or time.
 
 LOG_DECADES = 1.5  # a range of values of so many powers of ten or more gets a logarithmic axis
-DEEPEST = 12.0  # powers of ten below the largest value that such an axis shows at most; below is rounding
+MAX_DECADES = 12.0  # powers of ten below the largest value that such an axis shows at most; below is rounding
 
 
 def format_step_axes(ax: Axes, label: str) -> None:
@@ -70,7 +70,7 @@ def scale_values(ax: Axes) -> None:
         return
     ax.set_yscale("log", nonpositive="clip")
     ax.yaxis.set_minor_formatter(NullFormatter())
-    ax.set_ylim(max(float(positive.min()), top * 10.0**-DEEPEST) / 1.8, top * 1.8)
+    ax.set_ylim(max(float(positive.min()), top * 10.0**-MAX_DECADES) / 1.8, top * 1.8)
 
 
 def scale_counts(ax: Axes, largest: int) -> None:

@@ -276,7 +276,7 @@ SHOWN_PART = 0.25  # how much is shown of an obstacle that is larger than the pi
 PLATE_THICKNESS = 0.02  # of the plate that stands for a half-space
 MIN_PLATE_WIDTH = 0.3  # of that plate
 
-MANY = 24  # number of obstacles above which they are drawn more transparent
+MANY_OBSTACLES = 24  # number of obstacles above which they are drawn more transparent
 
 
 class ShownObstacle(NamedTuple):

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 LARGEST_RADIUS = 0.2  # that is drawn, approximately, relative to the length of the arm
 SIDES = 48  # of the polygon that stands for an ellipse
-KEY = {  # what the colours of ellipsoids say of their index (4.4)
+INDEX_LABELS = {  # what the colours of ellipsoids say of their index (4.4)
     palette.SINGULAR: "0, singular",
     palette.WORSE: f"{palette.REGULAR_INDEX / 4:g}",
     palette.REGULAR: f"{palette.REGULAR_INDEX:g} and more",
@@ -90,7 +90,7 @@ def silhouette(axes: Array, screen: Array) -> Array:
 def ellipsoid_key() -> list[Patch]:
     """Return the entries of a legend for the colours of ellipsoids."""
     listed = []
-    for color, meaning in KEY.items():
+    for color, meaning in INDEX_LABELS.items():
         red, green, blue = palette.rgb(color)
         listed.append(Patch(facecolor=(red, green, blue, 0.3), edgecolor=color, label=f"index {meaning}"))
     return listed
@@ -120,7 +120,7 @@ def _circle() -> Array:
 
 # In the browser: unit spheres that are scaled and turned as the arm moves.
 
-THINNEST = 0.3  # smallest radius, relative to that of the bars of the arm; flat ones are discs or rods
+MIN_ELLIPSOID_RADIUS = 0.3  # relative to that of the bars of the arm; flat ones are discs or rods
 
 # Permutations of the axes of a right-handed frame, signs included, as rotations (24, 3, 3).
 _AXIS_PERMUTATIONS = np.rint(Rotation.create_group("O").as_matrix())
@@ -154,7 +154,7 @@ def ellipsoid_motion(arm: Arm, points: tuple[int, ...], rows: Array) -> Ellipsoi
     # An ellipse in a plane has no third radius.
     radii = np.array([np.append(one.radii, 0.0)[:3] for one in listed]).reshape(*shape, 3)
     indices = np.array([one.index for one in listed]).reshape(shape)
-    drawn = np.maximum(drawn_length(arm, points) * radii, THINNEST * link_radius(arm))
+    drawn = np.maximum(drawn_length(arm, points) * radii, MIN_ELLIPSOID_RADIUS * link_radius(arm))
     return EllipsoidMotion(points, centers, *continue_axes(frames, drawn), indices)
 
 

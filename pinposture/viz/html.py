@@ -22,7 +22,7 @@ from pinposture.viz import palette
 from pinposture.viz.animation import Timeline, playback
 from pinposture.viz.axes import controller_name, ending_text, is_slowed, motion_ending_text, placement_text
 from pinposture.viz.drawing import require_fitting
-from pinposture.viz.ellipsoids import KEY, scale_in_words
+from pinposture.viz.ellipsoids import INDEX_LABELS, scale_in_words
 from pinposture.viz.meshcat import ASPECT, CommandRecorder, DrawnScene, draw_scene, play_animation
 from pinposture.viz.panels import has_clearance
 
@@ -90,7 +90,7 @@ def legend_html(shown: Timeline, drawn: DrawnScene, target: bool, scale: str) ->
     if moved:
         lines.append(html.escape(moved))
     if scale:
-        listed = [(f"index {meaning}", color) for color, meaning in KEY.items()]
+        listed = [(f"index {meaning}", color) for color, meaning in INDEX_LABELS.items()]
         lines.append(f"ellipsoids, {scale}: {_color_key(listed)}")
     return "<br>".join(lines)
 

@@ -98,7 +98,7 @@ def _perpendicular(direction: Array) -> Array:
 
 # Convex solids, given by their corners.
 
-FLAT = 1e-7  # thickness relative to the size below which a solid counts as flat
+FLATNESS = 1e-7  # thickness relative to the size below which a solid counts as flat
 
 
 def box_corners(low: Array, high: Array) -> Array:
@@ -173,10 +173,10 @@ def section(corners: Array, origin: Array, plane: Array) -> Array:
     offset = float(normal @ origin)
     size = float(np.ptp(corners, axis=0).max())
     low, high = (corners @ normal - offset).min(), (corners @ normal - offset).max()
-    if not low < -FLAT * size < FLAT * size < high:
+    if not low < -FLATNESS * size < FLATNESS * size < high:
         return np.zeros((0, 2))
     lower = cut_by_plane(corners, normal, offset)
-    face = lower[np.abs(lower @ normal - offset) <= FLAT * size]
+    face = lower[np.abs(lower @ normal - offset) <= FLATNESS * size]
     return convex_outline(face @ plane.T)
 
 
@@ -204,7 +204,7 @@ def _is_flat(points: Array) -> bool:
     if len(points) <= points.shape[1]:
         return True
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(spread[-1] <= FLAT * spread[0])
+    return bool(spread[-1] <= FLATNESS * spread[0])
 
 
 # Surfaces of obstacles.

@@ -234,7 +234,7 @@ def add_moving_targets(viewer: Visualizer, motion: Motion, places: Sequence[Plac
 
 def add_obstacles(viewer: Visualizer, shown: Sequence[drawing.ShownObstacle]) -> None:
     """Draw translucent obstacles."""
-    opacity = palette.SHEER if len(shown) > drawing.MANY else palette.SEE_THROUGH
+    opacity = palette.SHEER if len(shown) > drawing.MANY_OBSTACLES else palette.SEE_THROUGH
     for number, each in enumerate(shown, start=1):
         add(viewer, f"{ROOT}/obstacles/obstacle_{number:03d}", each.surface, palette.OBSTACLE, opacity)
 

@@ -193,9 +193,9 @@ def box_extent(ax: Any) -> Array:
 
 # Obstacles: shaded in space, cut open in the plane.
 
-VEIL = 0.6  # share of the colour of an obstacle in that of a line behind it
+VEIL_SHARE = 0.6  # share of the colour of an obstacle in that of a line behind it
 VEIL_SEGMENTS = 400  # a line is split into pieces of the picture size over this to find its hidden parts
-EDGE = palette.mixed(palette.OBSTACLE, palette.INK, 0.35)  # colour of outlines
+EDGE_COLOR = palette.mixed(palette.OBSTACLE, palette.INK, 0.35)  # colour of outlines
 
 
 def _draw_obstacles(panel: PosturePanel, shown: Sequence[ShownObstacle]) -> None:
@@ -216,7 +216,7 @@ def _draw_obstacles(panel: PosturePanel, shown: Sequence[ShownObstacle]) -> None
     label = "obstacle" if len(shown) == 1 else "obstacles"
     label += ", cut off" if any(each.cut for each in near) else ""
     label += f", {len(shown) - len(near)} far off" if len(near) < len(shown) else ""
-    square: dict[str, Any] = {"ls": "none", "marker": "s", "ms": 9.0, "mec": EDGE, "mew": 0.7}
+    square: dict[str, Any] = {"ls": "none", "marker": "s", "ms": 9.0, "mec": EDGE_COLOR, "mew": 0.7}
     panel.ax.plot([], [], mfc=(*palette.rgb(palette.OBSTACLE), palette.SEE_THROUGH), label=label, **square)
 
 
@@ -236,7 +236,7 @@ def _draw_solids(panel: PosturePanel, solids: Sequence[Array]) -> None:
         if len(rim):
             depth = float((solid @ panel.eye).mean())
             line = np.vstack([rim, rim[:1]]) @ panel.screen + depth * panel.eye
-            ax.plot(*line.T, color=EDGE, lw=0.8, zorder=0.6)
+            ax.plot(*line.T, color=EDGE_COLOR, lw=0.8, zorder=0.6)
     if shades:
         most = max(map(len, faces))
         faces = [np.vstack([face, *[face[-1:]] * (most - len(face))]) for face in faces]
@@ -267,7 +267,7 @@ def _dim_hidden_lines(panel: PosturePanel, solids: Sequence[Array]) -> None:
             style = {**line.style, "label": "_", "zorder": line.style["zorder"] + 0.001}
             for key in ("color", "mfc", "mec"):
                 if str(style.get(key, "")).startswith("#"):
-                    style[key] = palette.mixed(style[key], palette.OBSTACLE, VEIL)
+                    style[key] = palette.mixed(style[key], palette.OBSTACLE, VEIL_SHARE)
             panel.ax.plot(*panel.coordinates(np.where(behind[:, None], points, np.nan)), **style)
 
 
@@ -283,7 +283,7 @@ def _subdivide(points: Array, finest: float) -> Array:
 
 def _draw_sections(panel: PosturePanel, solids: Sequence[Array]) -> None:
     ax: Axes = panel.ax
-    edge: dict[str, Any] = {"edgecolor": EDGE, "lw": 0.8, "zorder": 0.6}
+    edge: dict[str, Any] = {"edgecolor": EDGE_COLOR, "lw": 0.8, "zorder": 0.6}
     face = (*palette.rgb(palette.OBSTACLE), palette.SEE_THROUGH)
     for solid in solids:
         cross = section(solid, panel.arm.chain.base, panel.screen)

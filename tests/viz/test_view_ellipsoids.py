@@ -12,7 +12,7 @@ from viz.ellipsoid_shapes import levels, planar, spatial
 
 import pinposture as pp
 from pinposture.viz import palette
-from pinposture.viz.ellipsoids import KEY, drawn_length, silhouette
+from pinposture.viz.ellipsoids import INDEX_LABELS, drawn_length, silhouette
 
 
 @pytest.fixture
@@ -128,7 +128,9 @@ def test_the_legend_says_the_scale_and_what_colours_mean_only_if_there_are_ellip
     assert key.get_title().get_text() == (
         f"manipulability ellipsoids, 1 m/rad drawn as {drawn_length(arm, [5]):g} m"
     )
-    assert [text.get_text() for text in key.get_texts()] == [f"index {meaning}" for meaning in KEY.values()]
+    assert [text.get_text() for text in key.get_texts()] == [
+        f"index {meaning}" for meaning in INDEX_LABELS.values()
+    ]
     assert len(pp.plot_arm(arm).legends) == 1
     assert outlines(pp.plot_arm(arm), arm) == []
 

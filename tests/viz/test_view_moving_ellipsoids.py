@@ -23,7 +23,7 @@ from pinposture.errors import InvalidValue, UnknownName
 from pinposture.viz import palette
 from pinposture.viz.animation import playback
 from pinposture.viz.ellipsoids import (
-    KEY,
+    INDEX_LABELS,
     EllipsoidMotion,
     axis_ends,
     continue_axes,
@@ -216,7 +216,7 @@ def test_the_page_holds_the_ellipsoids_their_tracks_and_a_legend(tmp_path):
         assert [track["name"] for track in clips[path]] == [".position", ".quaternion", ".scale"]
         assert [track["name"] for track in clips[f"{path}/<object>"]] == [".material.color"]
     assert f"1 m/rad drawn as {drawn_length(arm, [2, 5]):g} m" in text
-    assert all(f"index {meaning}" in text and color in text for color, meaning in KEY.items())
+    assert all(f"index {meaning}" in text and color in text for color, meaning in INDEX_LABELS.items())
 
 
 def test_without_ellipsoids_the_page_is_what_it_was(tmp_path):

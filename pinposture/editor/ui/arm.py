@@ -20,7 +20,7 @@ from pinposture.editor.ui.parts import Post, Typed, color, framed_html, on_chang
 from pinposture.viz import palette
 from pinposture.viz.body import bodies, body_poses
 from pinposture.viz.drawing import arm_surfaces, link_radius
-from pinposture.viz.ellipsoids import THINNEST, drawn_length, principal_frame
+from pinposture.viz.ellipsoids import MIN_ELLIPSOID_RADIUS, drawn_length, principal_frame
 from pinposture.viz.mesh import TriangleMesh, ball
 
 Array = NDArray[np.float64]
@@ -167,7 +167,7 @@ class Ellipsoids:
         self.points = tuple(range(arm.n_modules - 1, -1, -every))[::-1]
         count = len(self.points)
         self._length = drawn_length(arm, self.points)
-        self._thinnest = THINNEST * link_radius(arm)
+        self._thinnest = MIN_ELLIPSOID_RADIUS * link_radius(arm)
         self._steps = -1
         self._balls = server.scene.add_batched_meshes_simple(
             "/ellipsoids",

@@ -35,7 +35,7 @@ from pinposture.editor.ui.parts import (
 )
 from pinposture.editor.ui.scans import ScanControls
 from pinposture.viz import palette
-from pinposture.viz.drawing import MANY, link_radius
+from pinposture.viz.drawing import MANY_OBSTACLES, link_radius
 from pinposture.viz.mesh import TriangleMesh as Surface
 from pinposture.viz.mesh import surface
 
@@ -113,7 +113,7 @@ class Obstacles:
         listed = obstacles.obstacles_of(session.shown)
         for name in [name for name in self._drawn if name not in listed]:
             self._drawn.pop(name).handle.remove()
-        opacity = palette.SHEER if len(listed) > MANY else palette.SEE_THROUGH
+        opacity = palette.SHEER if len(listed) > MANY_OBSTACLES else palette.SEE_THROUGH
         for name, obstacle in listed.items():
             self._draw(name, obstacle, opacity, name == session.obstacle)
         # Either a control point of the curve is selected, or an obstacle.
