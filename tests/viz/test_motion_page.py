@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arms import template_arm
-from viz.listening import held
+from viz.commands import server_commands
 from viz.motions import around_a_ball, five_modules, some_motion
 from viz.test_view_html import Page
 
@@ -156,12 +156,12 @@ def test_a_motion_of_another_arm_is_refused(tmp_path):
 def test_the_viewer_plays_a_motion_with_its_targets(running):
     motion = some_motion(scene=around_a_ball())
     with pp.view(five_modules(), motion, url=running.zmq_url) as viewer:
-        commands = held(running.zmq_url)
+        commands = server_commands(running.zmq_url)
         drawn = {c["path"] for c in commands if c["type"] == "set_object"}
         assert "/pinposture/obstacles/obstacle_001" in drawn
         assert "/pinposture/target/hoop_005" in clips(commands)
         assert "/pinposture/target/points" not in drawn
         viewer.show(motion.q[-1])
-        assert clips(held(running.zmq_url)) == {}
+        assert clips(server_commands(running.zmq_url)) == {}
         viewer.play()
-        assert "/pinposture/arm/body_001" in clips(held(running.zmq_url))
+        assert "/pinposture/arm/body_001" in clips(server_commands(running.zmq_url))

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sampling import examples
 from scipy.spatial.transform import Rotation
-from viz.listening import told
+from viz.commands import recorded_commands
 from viz.motions import five_modules, some_motion
 
 import pinposture as pp
@@ -104,7 +104,7 @@ def test_hoops_are_where_the_targets_of_the_moment_are_and_play_along_with_the_a
 
 def test_everything_that_moves_was_drawn_where_it_starts():
     motion = known_motion()
-    commands = told(add_moving_targets, motion, [])
+    commands = recorded_commands(add_moving_targets, motion, [])
     drawn = {command["path"] for command in commands if command["type"] == "set_object"}
     assert {each.path for each in moving_target_tracks(motion, playback(motion, 20.0, 1200))} == drawn
     placed = {c["path"]: np.reshape(c["matrix"], (4, 4)).T for c in commands if c["type"] == "set_transform"}

@@ -11,7 +11,7 @@ from arms import template_arm
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from viz.listening import told
+from viz.commands import recorded_commands
 
 from pinposture import Arm, Target, Trajectory, track
 from pinposture.errors import InvalidValue
@@ -126,7 +126,7 @@ def test_playback_with_skipped_steps_shows_the_active_set_of_the_configuration_s
 def test_packed_tracks_hold_their_numbers_as_flat_single_precision_floats():
     shown = playback(some_run(), 20.0, 240)
     listed = tracks(four_modules(), shown)
-    (command,) = told(play_animation, listed, shown.fps)
+    (command,) = recorded_commands(play_animation, listed, shown.fps)
     assert command["options"] == {"play": True, "repetitions": np.inf}
     clips = {item["path"]: item["clip"] for item in command["animations"]}
     assert len(clips) == len({item.path for item in listed})

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pinocchio.visualize import MeshcatVisualizer
-from viz.listening import told
+from viz.commands import recorded_commands
 
 from pinposture import Arm, JointSpec, ModuleTemplate
 from pinposture.errors import InvalidValue
@@ -156,7 +156,7 @@ def test_pinocchios_visualizer_shows_the_drawn_bodies_where_they_are(name):
         shown.loadViewerModel("arm")
         shown.display(q)
 
-    commands = told(show)
+    commands = recorded_commands(show)
     drawn = {c["path"].rpartition("/")[2]: c["object"] for c in commands if c["type"] == "set_object"}
     placed = {c["path"].rpartition("/")[2]: c["matrix"] for c in commands if c["type"] == "set_transform"}
     names = [f"body_{u + 1:03d}" for u in range(len(arm.chain.joints))]

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 from arms import template_arm
-from viz.listening import held
+from viz.commands import server_commands
 
 import pinposture as pp
 import pinposture.viz
@@ -40,7 +40,7 @@ def animations(commands: list[dict]) -> list[dict]:
 
 def test_an_arm_alone_is_shown_at_rest_and_then_wherever_it_is_told(arm, running):
     viewer = pp.view(arm, url=running.zmq_url)
-    commands = held(running.zmq_url)
+    commands = server_commands(running.zmq_url)
     drawn = [c["path"] for c in commands if c["type"] == "set_object"]
     assert sum(path.endswith("/link") for path in drawn) == arm.nv
     assert sum(path.endswith("/point") for path in drawn) == 3
@@ -48,14 +48,14 @@ def test_an_arm_alone_is_shown_at_rest_and_then_wherever_it_is_told(arm, running
     np.testing.assert_allclose(shown_poses(commands), body_poses(arm, arm.neutral()), atol=1e-12)
     q = arm.random(np.random.default_rng(1))
     viewer.show(q)
-    np.testing.assert_allclose(shown_poses(held(running.zmq_url)), body_poses(arm, q), atol=1e-12)
+    np.testing.assert_allclose(shown_poses(server_commands(running.zmq_url)), body_poses(arm, q), atol=1e-12)
     viewer.close()
 
 
 def test_a_run_is_played_after_all_that_it_moves_is_drawn(arm, running):
     run = some_run()
     with pp.view(arm, run, url=running.zmq_url) as viewer:
-        commands = held(running.zmq_url)
+        commands = server_commands(running.zmq_url)
         kinds = [(c["type"], c["path"]) for c in commands]
         assert [kind for kind, _ in kinds].count("set_animation") == 1
         played = next(i for i, (kind, _) in enumerate(kinds) if kind == "set_animation")
@@ -70,18 +70,18 @@ def test_showing_a_configuration_stops_the_run_and_playing_starts_it_again(arm, 
     run = some_run()
     viewer = pp.view(arm, run, url=running.zmq_url)
     viewer.show(run.q[-1])
-    commands = held(running.zmq_url)
+    commands = server_commands(running.zmq_url)
     assert animations(commands) == []
     np.testing.assert_allclose(shown_poses(commands), body_poses(arm, run.q[-1]), atol=1e-12)
     viewer.play()
-    assert len(animations(held(running.zmq_url))) > arm.nv
+    assert len(animations(server_commands(running.zmq_url))) > arm.nv
     viewer.close()
 
 
 def test_a_second_view_on_the_same_server_replaces_the_first(arm, running):
     pp.view(arm, some_run(), url=running.zmq_url).close()
     pp.view(pp.Arm.from_template("Rz", modules=2), url=running.zmq_url).close()
-    drawn = [c["path"] for c in held(running.zmq_url) if c["type"] == "set_object"]
+    drawn = [c["path"] for c in server_commands(running.zmq_url) if c["type"] == "set_object"]
     assert sum(path.endswith("/link") for path in drawn) == 2
 
 

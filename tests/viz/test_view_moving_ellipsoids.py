@@ -15,8 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sampling import examples
 from scipy.spatial.transform import Rotation
+from viz.commands import recorded_commands, server_commands
 from viz.ellipsoid_shapes import gram, levels, planar, some_run, spatial
-from viz.listening import held, told
 
 import pinposture as pp
 from pinposture.errors import InvalidValue, UnknownName
@@ -53,7 +53,7 @@ def test_the_ball_that_is_drawn_has_the_surface_of_the_ellipsoid(rng, make):
     arm = make()
     q = arm.configuration(rng.uniform(0.6, 1.0, arm.nv))
     chosen = (2, 5) if make is spatial else (2, 4)
-    commands = told(add_ellipsoids, ellipsoid_motion(arm, chosen, q[None]))
+    commands = recorded_commands(add_ellipsoids, ellipsoid_motion(arm, chosen, q[None]))
     scale = drawn_length(arm, chosen)
     for point, color in zip(chosen, arm.at(q).ellipsoids(chosen), strict=True):
         path = f"/pinposture/ellipsoids/point_{point + 1:03d}"
@@ -232,12 +232,12 @@ def test_without_ellipsoids_the_page_is_what_it_was(tmp_path):
 def test_the_live_viewer_shows_them_wherever_the_arm_goes_and_keeps_nothing_of_before(rng, running):
     arm = spatial()
     with pp.view(arm, url=running.zmq_url, ellipsoids=[5]) as viewer:
-        at_first = len(held(running.zmq_url))
+        at_first = len(server_commands(running.zmq_url))
         scale = drawn_length(arm, [5])
         for _ in range(3):
             q = arm.configuration(rng.uniform(-1.0, 1.0, arm.nv))
             viewer.show(q)
-            commands = held(running.zmq_url)
+            commands = server_commands(running.zmq_url)
             (drawing,) = by_kind(commands, "set_object").values()
             (placing,) = by_kind(commands, "set_transform").values()
             matrix = np.reshape(placing["matrix"], (4, 4)).T
@@ -253,11 +253,11 @@ def test_the_live_viewer_plays_them_and_stops_when_told_to_show(running):
     run = some_run(arm)
     with pp.view(arm, run, url=running.zmq_url, ellipsoids=[0, 5]) as viewer:
         assert viewer.ellipsoids == (0, 5)
-        (animation,) = [c for c in held(running.zmq_url) if c["type"] == "set_animation"]
+        (animation,) = [c for c in server_commands(running.zmq_url) if c["type"] == "set_animation"]
         moved = {item["path"] for item in animation["animations"]}
         assert {f"/pinposture/ellipsoids/point_00{k}" for k in (1, 6)} <= moved
         viewer.show(run.q[-1])
-        (animation,) = [c for c in held(running.zmq_url) if c["type"] == "set_animation"]
+        (animation,) = [c for c in server_commands(running.zmq_url) if c["type"] == "set_animation"]
         assert animation["animations"] == []
 
 

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from sampling import examples
-from viz.listening import held
+from viz.commands import server_commands
 from viz.obstacle_scenes import SOLIDS
 
 import pinposture as pp
@@ -103,12 +103,12 @@ def test_a_surface_is_closed_faces_outwards_and_holds_the_volume(name):
 
 def test_the_browser_is_told_of_every_kind_of_obstacle(scene, arm, running):
     with pp.view(arm, scene=scene, url=running.zmq_url):
-        check_all(drawn_in(held(running.zmq_url)))
+        check_all(drawn_in(server_commands(running.zmq_url)))
     with pp.view(arm, still(arm, scene), url=running.zmq_url) as viewer:
-        check_all(drawn_in(held(running.zmq_url)))
+        check_all(drawn_in(server_commands(running.zmq_url)))
         assert viewer.scene is scene
     with pp.view(arm, url=running.zmq_url):
-        assert drawn_in(held(running.zmq_url)) == []
+        assert drawn_in(server_commands(running.zmq_url)) == []
 
 
 def test_the_page_holds_every_kind_of_obstacle_and_says_how_near_they_are(scene, arm, tmp_path):
@@ -201,7 +201,7 @@ def test_a_half_space_that_ends_far_away_is_not_shown(arm):
 def test_half_spaces_reach_the_browser(arm, running):
     scene = pp.Scene({"wall": pp.HalfSpace((0.6, 0, 0), (-1, 0, 0))})
     with pp.view(arm, scene=scene, url=running.zmq_url):
-        ((vertices, _),) = drawn_in(held(running.zmq_url))
+        ((vertices, _),) = drawn_in(server_commands(running.zmq_url))
     assert vertices[:, 0].min() == pytest.approx(0.6)
     assert np.all(np.ptp(vertices, axis=0)[1:] > 0.3)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from arms import template_arm
 from matplotlib.figure import Figure
-from viz.listening import told
+from viz.commands import recorded_commands
 
 import pinposture as pp
 from pinposture.viz.body import backbone
@@ -88,5 +88,5 @@ def test_both_parts_are_named_once_and_shown_in_the_browser(arm, whole, bent, na
     panel.target(target.region(3, 6))
     _, labels = panel.ax.get_legend_handles_labels()
     assert labels == [f"target {name}", f"rest of the {name}", "target points"]
-    paths = [command["path"] for command in told(add_target, arm, target.region(3, 6))]
+    paths = [command["path"] for command in recorded_commands(add_target, arm, target.region(3, 6))]
     assert paths == [f"/pinposture/target/{part}" for part in ("covered", "rest", "points")]

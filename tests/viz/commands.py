@@ -1,4 +1,4 @@
-"""What a browser would be told, by a meshcat server or by a page."""
+"""The commands that a browser receives from a meshcat server or a page."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from meshcat import Visualizer
 from pinposture.viz.meshcat import CommandRecorder
 
 
-def held(address: str) -> list[dict]:
-    """What the server would tell a browser that comes now, in its order."""
+def server_commands(address: str) -> list[dict]:
+    """Return the commands that a server sends to a new browser, in order."""
     with zmq.Context.instance().socket(zmq.REQ) as line:
         line.setsockopt(zmq.LINGER, 0)
         line.setsockopt(zmq.RCVTIMEO, 10_000)
@@ -24,8 +24,8 @@ def held(address: str) -> list[dict]:
     return [umsgpack.unpackb(base64.b64decode(data)) for data in packed]
 
 
-def told(draw, *args) -> list[dict]:
-    """The commands of a function that draws into a viewer."""
+def recorded_commands(draw, *args) -> list[dict]:
+    """Return the commands of a function that draws into a viewer."""
     recording = CommandRecorder()
     draw(Visualizer(window=recording), *args)
     return [umsgpack.unpackb(command) for command in recording.packed]
