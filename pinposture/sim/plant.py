@@ -116,27 +116,34 @@ class Plant:
         """Take a physics step in which no servo exceeds its limit."""
         data, damping, limits = self._data, self.model.gains.damping, self.model.torque_limits
         state = [np.array(part) for part in (data.qpos, data.qvel, data.qacc_warmstart)]
-        borne = np.array(data.qfrc_gravcomp)  # gravity compensation counts towards the limits
+        compensation = np.array(data.qfrc_gravcomp)  # of gravity; it counts towards the limits
         spring = self.model.gains.stiffness * (set_point - state[0]) + damping * speed
         for trial in range(TRIALS):
             free = self._at_limit == 0.0
-            most = self._at_limit * np.where(free, 0.0, limits)  # no infinity times 0
-            self._try(state if trial else None, np.where(free, spring, most - borne), damping * free)
-            asked = spring - damping * data.qvel + borne
-            wanted = np.sign(asked) * (np.abs(asked) > limits)
-            if np.array_equal(wanted, self._at_limit) or not np.all(np.isfinite(asked)):
-                self._torques = np.where(free, asked, most)
+            limiting = self._at_limit * np.where(free, 0.0, limits)  # no infinity times 0
+            self._integrate(
+                state if trial else None, np.where(free, spring, limiting - compensation), damping * free
+            )
+            requested = spring - damping * data.qvel + compensation
+            saturated = np.sign(requested) * (np.abs(requested) > limits)
+            if np.array_equal(saturated, self._at_limit) or not np.all(np.isfinite(requested)):
+                self._torques = np.where(free, requested, limiting)
                 return
-            self._at_limit = wanted
-        self._try(state, 0.0 * borne, 0.0 * damping)
+            self._at_limit = saturated
+        self._integrate(state, 0.0 * compensation, 0.0 * damping)
         within = torques_within_limits(
-            self._mobility(), np.array(data.qvel), spring, damping, -limits - borne, limits - borne
+            self._mobility(),
+            np.array(data.qvel),
+            spring,
+            damping,
+            -limits - compensation,
+            limits - compensation,
         )
-        self._try(state, within, 0.0 * damping)
-        self._torques = within + borne
+        self._integrate(state, within, 0.0 * damping)
+        self._torques = within + compensation
         self._at_limit = np.sign(self._torques) * (np.abs(self._torques) >= limits * (1.0 - 1e-9))
 
-    def _try(self, state: list[Array] | None, torques: Array, damping: Array) -> None:
+    def _integrate(self, state: list[Array] | None, torques: Array, damping: Array) -> None:
         """Take a physics step with these torques minus damping times the velocity at its end."""
         data = self._data
         if state is not None:

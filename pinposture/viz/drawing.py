@@ -283,13 +283,11 @@ class ShownObstacle(NamedTuple):
     """An obstacle, and the part of it that the picture shows.
 
     Attributes:
-        name: its name in the scene.
         surface: its whole surface, world frame [m]; for a half-space a plate that fits the picture.
         near: corners of the part in the picture, (k, 3) [m], world frame; none if it is far away.
         cut: whether that is only a part.
     """
 
-    name: str
     surface: TriangleMesh
     near: Array
     cut: bool
@@ -324,11 +322,11 @@ def shown_obstacles(scene: Scene | None, points: Array) -> list[ShownObstacle]:
                 least = np.minimum(low, part.max(axis=0)) - SHOWN_PART * size
                 most = np.maximum(high, part.min(axis=0)) + SHOWN_PART * size
                 part = clip_to_box(part, np.maximum(least, region[0]), np.minimum(most, region[1]))
-            shown[name] = ShownObstacle(name, whole, part, part is not corners)
+            shown[name] = ShownObstacle(whole, part, part is not corners)
     if planes:
         seen = np.vstack([points, shown_corners(list(shown.values()))])
         for name, plate in _half_space_plates(planes, seen, size, region).items():
-            shown[name] = ShownObstacle(name, hull_surface(plate), plate, True)
+            shown[name] = ShownObstacle(hull_surface(plate), plate, True)
     return [shown[name] for name in scene.obstacles if name in shown]
 
 
