@@ -155,7 +155,7 @@ def _motion_playback(motion: Motion, fps: float, max_frames: int) -> Timeline:
     return Timeline(motion.run, motion, rows, times, float(times[-1] + REST_AFTER * fps), fps, speedup)
 
 
-def tracks(arm: Arm, shown: Timeline) -> list[Track]:
+def arm_tracks(arm: Arm, shown: Timeline) -> list[Track]:
     """Return how the bodies of the arm move and its control points change.
 
     A control point counts as active at a configuration if it is active in the step from there; at the last

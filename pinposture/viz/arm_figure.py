@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture.arm import Arm, ControlPoints, Ellipsoid
 from pinposture.collision import Scene
 from pinposture.viz import palette
-from pinposture.viz.axes import FIGURE_WIDTH
+from pinposture.viz.axes import FIGURE_WIDTH, add_title
 from pinposture.viz.ellipsoids import draw_ellipsoids, ellipsoid_key, scale_in_words, shade_ellipsoids
 from pinposture.viz.postures import PosturePanel, box_extent
 
@@ -75,8 +75,8 @@ def plot_arm(
     kind = "planar" if planar else "spatial"
     modules = "1 module" if arm.n_modules == 1 else f"{arm.n_modules} modules"
     where = ", neutral configuration" if q is None else ""
-    text = f"{arm.model.name}: {kind}, {modules}, {arm.nv} DOF, {arm.length:.4g} m{where}"
-    figure.suptitle(text, fontsize=10, x=0.012, ha="left", color=palette.INK, parse_math=False)
+    sentence = f"{arm.model.name}: {kind}, {modules}, {arm.nv} DOF, {arm.length:.4g} m{where}"
+    add_title(figure, [sentence])
     return figure
 
 

@@ -142,13 +142,13 @@ def share_axis(panels: Sequence[Axes]) -> None:
         panel.tick_params(labelbottom=False)
 
 
-def title(figure: Figure, sentences: Sequence[str]) -> None:
+def add_title(figure: Figure, sentences: Sequence[str]) -> None:
     """Write sentences above the panels, each on a line of its own, wrapped if it is long."""
     text = "\n".join(textwrap.fill(sentence, 145) for sentence in sentences)
     figure.suptitle(text, fontsize=10, x=0.012, ha="left", color=palette.INK, parse_math=False)
 
 
-def footnote(figure: Figure, text: str) -> None:
+def add_footnote(figure: Figure, text: str) -> None:
     """Write details below the panels."""
     text = textwrap.fill(textwrap.shorten(text, 500), 190)
     figure.supxlabel(text, fontsize=8, x=0.012, ha="left", color=palette.QUIET, parse_math=False)

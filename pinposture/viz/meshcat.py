@@ -350,7 +350,7 @@ def draw_scene(
     add_ellipsoids(viewer, ellipsoids)
     moving: list[Track] = []
     if shown is not None:
-        moving = [*animation.tracks(arm, shown), *ellipsoid_tracks(ellipsoids, shown)]
+        moving = [*animation.arm_tracks(arm, shown), *ellipsoid_tracks(ellipsoids, shown)]
         moving += [] if motion is None else animation.moving_target_tracks(motion, shown)
     return DrawnScene(moving, bool(obstacles), places)
 

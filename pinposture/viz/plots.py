@@ -49,8 +49,8 @@ def plot_motion(motion: Motion) -> Figure:
     if len(motion.deviations) > MAX_DETOURS:
         deviations.append(f"and {len(motion.deviations) - MAX_DETOURS} more")
     ending = f"{axes.controller_name(run)} {axes.motion_ending_text(motion)}: {run.reason}"
-    axes.title(figure, [ending, *deviations])
-    axes.footnote(figure, "; ".join(filter(None, [axes.placement_text(motion), run.controller])))
+    axes.add_title(figure, [ending, *deviations])
+    axes.add_footnote(figure, "; ".join(filter(None, [axes.placement_text(motion), run.controller])))
     figure.draw_without_rendering()  # the layout of a high legend needs two passes
     return figure
 
@@ -133,8 +133,8 @@ def plot(run: Trajectory | Motion) -> Figure:
     if run.switches:
         panels.mark_method(run, rows[-1])
         rows[-1].set_xlabel("step (red: steps by Projection)")
-    axes.title(figure, [f"{axes.controller_name(run)} {axes.ending_text(run)}: {run.reason}"])
-    axes.footnote(figure, "; ".join(filter(None, [axes.placement_text(run), run.controller])))
+    axes.add_title(figure, [f"{axes.controller_name(run)} {axes.ending_text(run)}: {run.reason}"])
+    axes.add_footnote(figure, "; ".join(filter(None, [axes.placement_text(run), run.controller])))
     return figure
 
 
@@ -169,5 +169,5 @@ def plot_comparison(runs: Mapping[str, Trajectory]) -> Figure:
             panels.plot_clearance(run, rows[2], color)
     axes.scale_counts(rows[1], max(run.arm.n_modules for run in runs.values()))
     axes.share_axis(rows)
-    axes.title(figure, [f"{label} {axes.ending_text(run)}: {run.reason}" for label, run in runs.items()])
+    axes.add_title(figure, [f"{label} {axes.ending_text(run)}: {run.reason}" for label, run in runs.items()])
     return figure

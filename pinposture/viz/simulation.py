@@ -15,13 +15,13 @@ from pinposture.viz.axes import (
     FIGURE_HEIGHT,
     FIGURE_WIDTH,
     add_colorbar,
+    add_footnote,
+    add_title,
     colors_along,
-    footnote,
     format_time_axes,
     mark_value,
     scale_values,
     share_axis,
-    title,
 )
 from pinposture.viz.panels import marker
 
@@ -51,8 +51,8 @@ def plot_simulation(simulation: Simulation) -> Figure:
     add_colorbar([panels[0], panels[2]], count, "joint, from base to tip", pad=0.01, aspect=40)
     strength = float(np.linalg.norm(simulation.gravity))
     weight = f"gravity {strength:.4g} m/s²" if strength else "no gravity"
-    title(figure, [f"{simulation.loop} loop, {weight}: {simulation.status}, {simulation.reason}"])
-    footnote(figure, str(simulation.servos))
+    add_title(figure, [f"{simulation.loop} loop, {weight}: {simulation.status}, {simulation.reason}"])
+    add_footnote(figure, str(simulation.servos))
     return figure
 
 

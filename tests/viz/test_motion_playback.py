@@ -18,10 +18,10 @@ import pinposture as pp
 from pinposture.motion.motion import Motion, Waypoint
 from pinposture.viz.animation import (
     REST_BEFORE,
+    arm_tracks,
     hoop_turns,
     moving_target_tracks,
     playback,
-    tracks,
 )
 from pinposture.viz.axes import MAX_PLACES, group_alike, shown_places
 from pinposture.viz.body import body_poses
@@ -86,7 +86,7 @@ def test_bodies_are_where_they_were_in_the_rows_that_are_shown():
     assert 2 < len(shown.rows) < 60
     poses = body_poses(arm, motion.q[shown.rows])
     for u in range(arm.nv):
-        position = track_of(tracks(arm, shown), f"/pinposture/arm/body_{u + 1:03d}", "position")
+        position = track_of(arm_tracks(arm, shown), f"/pinposture/arm/body_{u + 1:03d}", "position")
         np.testing.assert_allclose(position.values[1:-1], poses[:, u, :3, 3], atol=1e-12)
 
 
@@ -97,7 +97,7 @@ def test_hoops_are_where_the_targets_of_the_moment_are_and_play_along_with_the_a
     for k in range(arm.n_modules):
         position = track_of(listed, f"/pinposture/target/hoop_{k + 1:03d}", "position")
         np.testing.assert_array_equal(position.values[1:-1], motion.targets[shown.rows, k])
-    ends = {(each.times[0], each.times[-1]) for each in [*listed, *tracks(arm, shown)]}
+    ends = {(each.times[0], each.times[-1]) for each in [*listed, *arm_tracks(arm, shown)]}
     assert ends == {(0.0, shown.end)}
     assert {each.name for each in listed} == {"position", "quaternion"}
 

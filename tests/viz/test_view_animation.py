@@ -16,7 +16,7 @@ from viz.commands import recorded_commands
 from pinposture import Arm, Target, Trajectory, track
 from pinposture.errors import InvalidValue
 from pinposture.viz import palette
-from pinposture.viz.animation import playback, tracks
+from pinposture.viz.animation import arm_tracks, playback
 from pinposture.viz.body import body_poses
 from pinposture.viz.meshcat import play_animation
 
@@ -74,7 +74,7 @@ def test_a_motion_lasts_as_long_as_its_steps_but_at_least_two_seconds(steps, fps
 def test_bodies_are_where_they_were_in_the_run():
     arm, run = four_modules(), some_run()
     shown = playback(run, 20.0, 240)
-    listed = tracks(arm, shown)
+    listed = arm_tracks(arm, shown)
     poses = body_poses(arm, run.q)
     for u in range(arm.nv):
         path = f"/pinposture/arm/body_{u + 1:03d}"
@@ -91,7 +91,7 @@ def test_bodies_are_where_they_were_in_the_run():
 def test_control_points_are_coloured_and_large_while_they_are_active():
     run = some_run()
     shown = playback(run, 20.0, 240)
-    listed = tracks(four_modules(), shown)
+    listed = arm_tracks(four_modules(), shown)
     active = np.vstack([run.active, run.active[-1:]])
     for k in range(4):
         path = f"/pinposture/arm/body_{2 * k + 2:03d}/point"
@@ -109,7 +109,7 @@ def test_control_points_are_coloured_and_large_while_they_are_active():
 
 def test_all_tracks_begin_and_end_together_so_that_they_stay_in_step_when_repeated():
     shown = playback(some_run(), 20.0, 240)
-    listed = tracks(four_modules(), shown)
+    listed = arm_tracks(four_modules(), shown)
     assert {(item.times[0], item.times[-1]) for item in listed} == {(0.0, shown.end)}
     assert all(np.all(np.diff(item.times) > 0.0) for item in listed)
 
@@ -117,7 +117,7 @@ def test_all_tracks_begin_and_end_together_so_that_they_stay_in_step_when_repeat
 def test_playback_with_skipped_steps_shows_the_active_set_of_the_configuration_shown():
     run = some_run(50)
     shown = playback(run, 20.0, 12)
-    listed = tracks(four_modules(), shown)
+    listed = arm_tracks(four_modules(), shown)
     color = values_at(listed, "/pinposture/arm/body_004/point/<object>", "material.color")
     on = np.all(value_while(color, shown.times) == palette.rgb(palette.ACTIVE), axis=1)
     np.testing.assert_array_equal(on, run.active[np.minimum(shown.rows, 49), 1])
@@ -125,7 +125,7 @@ def test_playback_with_skipped_steps_shows_the_active_set_of_the_configuration_s
 
 def test_packed_tracks_hold_their_numbers_as_flat_single_precision_floats():
     shown = playback(some_run(), 20.0, 240)
-    listed = tracks(four_modules(), shown)
+    listed = arm_tracks(four_modules(), shown)
     (command,) = recorded_commands(play_animation, listed, shown.fps)
     assert command["options"] == {"play": True, "repetitions": np.inf}
     clips = {item["path"]: item["clip"] for item in command["animations"]}
