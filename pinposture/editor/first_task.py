@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm
 from pinposture.control import Limits
 from pinposture.curve import Curve
-from pinposture.editor.shape import FIT_TOLERANCE, MAX_CONTROL_POINTS, Shape
+from pinposture.editor.shape import FIT_TOLERANCE, MAX_SHAPE_POINTS, Shape
 from pinposture.editor.solver import judge
 from pinposture.errors import PostureError, TaskError
 from pinposture.placement.curve_placement import arm_axis
@@ -100,7 +100,7 @@ def _along_arm(arm: Arm, shares: tuple[float, ...]) -> list[Shape]:
             end = kept[-1] + (kept[-1] - kept[-2]) / np.linalg.norm(kept[-1] - kept[-2]) * 0.05 * arm.length
             through = Curve.points(np.vstack([kept, end]))
             tolerance = 2.0 * FIT_TOLERANCE * float(arm.chain.module_lengths.mean())
-            fitted = through.controlled_within(tolerance, most=MAX_CONTROL_POINTS)
+            fitted = through.controlled_within(tolerance, most=MAX_SHAPE_POINTS)
             shapes.append(Shape(np.array(fitted.coefficients)))
         except PostureError:
             continue

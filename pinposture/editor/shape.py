@@ -21,7 +21,7 @@ from pinposture.task.follow_leader import Leader
 Array = NDArray[np.float64]
 
 DEGREE = 3
-MAX_CONTROL_POINTS = 32
+MAX_SHAPE_POINTS = 32
 FIT_TOLERANCE = 0.02  # deviation of a fitted curve, relative to the mean module length
 MIN_POINT_DISTANCE = 0.2  # between control points, relative to the shortest module
 EXTRA_LENGTH = 1.0  # of a lengthened curve over the arm, in mean module lengths: modules cut corners
@@ -75,16 +75,16 @@ class Shape:
         begin, on_it = beginning(arm, laid)
         begin = begin if on_it else 0.0
         own = laid.control_points if begin == 0.0 and laid.degree <= DEGREE else None
-        if own is not None and DEGREE < len(own) <= MAX_CONTROL_POINTS:
+        if own is not None and DEGREE < len(own) <= MAX_SHAPE_POINTS:
             return cls(np.array(own), laid.degree)
         end = min(laid.length, begin + required_length(arm))
         if begin > 0.0 or end < laid.length:
             laid = laid.trimmed(begin, end)
         tolerance = FIT_TOLERANCE * float(arm.chain.module_lengths.mean())
         try:
-            fitted = laid.controlled_within(tolerance, most=MAX_CONTROL_POINTS)
+            fitted = laid.controlled_within(tolerance, most=MAX_SHAPE_POINTS)
         except InvalidValue:  # too many windings for that many points
-            fitted = laid.controlled(MAX_CONTROL_POINTS)
+            fitted = laid.controlled(MAX_SHAPE_POINTS)
         return cls(np.array(fitted.coefficients), fitted.degree, deviation(laid, fitted))
 
     @property

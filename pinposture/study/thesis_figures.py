@@ -28,7 +28,7 @@ from pinposture.viz.panels import (
 )
 from pinposture.viz.postures import PosturePanel, draw_intermediate_postures, draw_runs
 
-FIGURE_WIDTH = 12.0
+THESIS_FIGURE_WIDTH = 12.0
 """Width of a figure [inch]; 1200 pixels at the default resolution."""
 
 SHOWN_POSTURES = 14
@@ -218,7 +218,7 @@ def _draw_way(run: Trajectory, ax: Axes) -> None:
 
 def _figure(height: float, title: str) -> Figure:
     layout = ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08, wspace=0.03, hspace=0.03)
-    figure = Figure(figsize=(FIGURE_WIDTH, height), layout=layout)
+    figure = Figure(figsize=(THESIS_FIGURE_WIDTH, height), layout=layout)
     text = "\n".join(textwrap.fill(line, 150) for line in title.splitlines())
     figure.suptitle(text, fontsize=10, x=0.012, ha="left", color=palette.INK, parse_math=False)
     return figure

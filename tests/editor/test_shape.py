@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from sampling import cases, examples
 
 import pinposture as pp
-from pinposture.editor.shape import DEGREE, FIT_TOLERANCE, MAX_CONTROL_POINTS, MIN_POINT_DISTANCE, Shape
+from pinposture.editor.shape import DEGREE, FIT_TOLERANCE, MAX_SHAPE_POINTS, MIN_POINT_DISTANCE, Shape
 from pinposture.editor.solver import judge
 from pinposture.errors import CurveError, InvalidValue, PostureError
 from pinposture.placement import resolve_targets
@@ -186,14 +186,14 @@ def test_another_kind_of_curve_is_controlled_within_what_it_says(
     apart = max(float(np.linalg.norm(fine - place, axis=1).min()) for place in places)
     assert shape.off <= FIT_TOLERANCE * arm.chain.module_lengths.mean()
     assert apart <= shape.off + 1e-4 * arm.length
-    assert DEGREE < len(shape.points) <= MAX_CONTROL_POINTS
+    assert DEGREE < len(shape.points) <= MAX_SHAPE_POINTS
     assert np.allclose(shape.points[0], arm.chain.base, atol=1e-9)
 
 
 def test_a_curve_that_winds_too_much_says_how_far_off_it_is() -> None:
     arm = pp.Arm.from_template("RyRz", modules=40)
     shape = Shape.of(arm, Keyframe(pp.Curve.helix(0.02, 0.005, 40), trim=True))
-    assert len(shape.points) == MAX_CONTROL_POINTS
+    assert len(shape.points) == MAX_SHAPE_POINTS
     assert shape.off > FIT_TOLERANCE * arm.chain.module_lengths.mean()
 
 

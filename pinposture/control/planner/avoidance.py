@@ -143,7 +143,7 @@ PATH_CLEARANCE = 0.01
 GAIN_SHARE = 0.5
 """Share of the largest gain of clearance in a step that is demanded of a pair that is too close."""
 
-MAX_LISTED_PAIRS = 3
+MAX_NAMED_PAIRS = 3
 """Largest number of pairs that are listed."""
 
 SAMPLE_MOTION, SAMPLE_TURN = 0.005, 0.1
@@ -350,8 +350,8 @@ class Avoidance:
         """Describe the pairs that are closer than the margin."""
         close = self.near(state).distances < self.margin - 1e-9 * self._length
         words = [f"margin of {1e3 * self.margin:.3g} mm: {pair}" for pair in self._describe(state, close)]
-        more = (f"and {len(words) - MAX_LISTED_PAIRS} more pairs",) if len(words) > MAX_LISTED_PAIRS else ()
-        return (*words[:MAX_LISTED_PAIRS], *more)
+        more = (f"and {len(words) - MAX_NAMED_PAIRS} more pairs",) if len(words) > MAX_NAMED_PAIRS else ()
+        return (*words[:MAX_NAMED_PAIRS], *more)
 
     def describe_obstruction(
         self, state: ArmState, solution: Solution | None, stuck: bool

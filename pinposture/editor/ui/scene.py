@@ -44,7 +44,10 @@ Array = NDArray[np.float64]
 HANDLE_RADIUS = 2.0  # relative to that of the bars of the arm
 MIN_AXES_SIZE = 0.16  # of the axes that move and turn the selected obstacle, relative to the arm
 AXES_REACH = 1.5  # of these axes, relative to the obstacle
-PLATE_WIDTH, PLATE_THICKNESS = 1.6, 0.01  # of the plate that stands for a half-space, relative to the arm
+HALF_SPACE_WIDTH, HALF_SPACE_THICKNESS = (
+    1.6,
+    0.01,
+)  # of the plate that stands for a half-space, relative to the arm
 SELECTED_COLOR = palette.mixed(palette.OBSTACLE, palette.START, 0.55)
 HANDLE_COLOR = palette.SPARE[1]  # differs from that of the control points of the curve
 CLEARANCE_COLORS = {"inside": palette.MARK, "within the margin": palette.ACTIVE, "clear": palette.REGULAR}
@@ -169,7 +172,7 @@ class Obstacles:
         """Return the surface of an obstacle in its own frame; of a half-space, a plate."""
         centered = obstacles.at_pose(obstacle, obstacles.Pose(np.zeros(3), np.eye(3)))
         if isinstance(centered, HalfSpace):
-            width, thick = PLATE_WIDTH * self._arm.length, PLATE_THICKNESS * self._arm.length
+            width, thick = HALF_SPACE_WIDTH * self._arm.length, HALF_SPACE_THICKNESS * self._arm.length
             return surface(Box((0.0, 0.0, -0.5 * thick), (width, width, thick)))
         return surface(centered)
 
