@@ -21,6 +21,7 @@ class Gate:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.begun, self.open = threading.Semaphore(0), threading.Semaphore(0)
         self.finished: list[str] = []
+        moved()  # computed before `perform` is replaced
 
         def perform(task: Task, reference: object, progress: Callable[[float, float], object]) -> Motion:
             del reference
