@@ -1,8 +1,7 @@
-"""Compiled kernels: passes along a chain, on plain arrays.
+"""Compiled kernels: functions of plain arrays that run in every control cycle.
 
-Whatever runs in every control cycle and cannot be put into a few NumPy calls. Kernels know arrays only, no
-arm and no target; the rooms above say what the numbers mean. They are compiled by numba, see
-`kernels.compiled`, and imported when first used: numba takes a while to start.
+They know nothing of arms and targets. Numba compiles them (`kernels.compiled`); each is imported when first
+used, because numba takes a while to start.
 """
 
 from __future__ import annotations
@@ -70,73 +69,38 @@ if TYPE_CHECKING:
     from pinposture.kernels.time_parameterization import step_box as step_box
     from pinposture.kernels.time_parameterization import stoppable_steps as stoppable_steps
 
-_HOMES = {
-    "expand_spans": "spline",
-    "measure_length": "spline",
-    "parameters_at": "spline",
-    "minimise_in_box": "chain_solver",
-    "differentiate_distances": "collision",
-    "keeps_distance": "collision",
-    "near_pairs": "collision",
-    "place_axes": "collision",
-    "place_joints": "collision",
-    "smallest_distance": "collision",
-    "step_box": "time_parameterization",
-    "stoppable_steps": "time_parameterization",
-    "shorten_step": "time_parameterization",
-    "best_branch": "manipulability",
-    "advance": "path",
-    "solve_tridiagonal": "path",
-    "step_along": "path",
-    "joint_distance": "path",
-    "sum_point_errors": "path",
-    "look_ahead": "path",
-    "position_excess": "path",
-    "eliminated": "posture_matrix",
-    "least_change": "posture_matrix",
-    "search_branches": "branch_search",
-    "carry_screws": "kinematics",
-    "jacobians": "kinematics",
-    "placements": "kinematics",
-    "measure_point_errors": "chain_solver",
-    "move_points": "chain_solver",
-    "find_screws": "chain_solver",
-    "stiffness": "chain_solver",
-    "circle_crossings": "modules",
-    "circle_forward": "modules",
-    "circle_inverse": "modules",
-    "torus_crossings": "modules",
-    "torus_faces": "modules",
-    "torus_forward": "modules",
-    "torus_inverse": "modules",
-    "nearest_places": "spline",
-    "find_speed_profile": "time_parameterization",
-    "next_path_speed": "time_parameterization",
-    "all_indices": "manipulability",
-    "base_indices": "manipulability",
-    "best_path": "manipulability",
-    "stride_indices": "manipulability",
-    "weakest_index": "manipulability",
-    "relax_waypoints": "path",
-    "measure_path_lengths": "path",
-    "joints_along": "kinematics",
-    "motions_along": "kinematics",
-    "module_spaces": "manipulability",
-    "extreme_value": "posture_matrix",
-    "inverse_norm": "posture_matrix",
-    "spline_coefficients": "spline",
-    "spline_values": "spline",
-    "find_stationary_point": "time_parameterization",
-    "neighbours": "modules",
-    "place_modules": "modules",
+_KERNELS = {
+    "branch_search": "search_branches",
+    "chain_solver": "find_screws measure_point_errors minimise_in_box move_points stiffness",
+    "collision": (
+        "differentiate_distances keeps_distance near_pairs place_axes place_joints smallest_distance"
+    ),
+    "kinematics": "carry_screws jacobians joints_along motions_along placements",
+    "manipulability": (
+        "all_indices base_indices best_branch best_path module_spaces stride_indices weakest_index"
+    ),
+    "modules": (
+        "circle_crossings circle_forward circle_inverse neighbours place_modules torus_crossings "
+        "torus_faces torus_forward torus_inverse"
+    ),
+    "path": (
+        "advance joint_distance look_ahead measure_path_lengths position_excess relax_waypoints "
+        "solve_tridiagonal step_along sum_point_errors"
+    ),
+    "posture_matrix": "eliminated extreme_value inverse_norm least_change",
+    "spline": "expand_spans measure_length nearest_places parameters_at spline_coefficients spline_values",
+    "time_parameterization": (
+        "find_speed_profile find_stationary_point next_path_speed shorten_step step_box stoppable_steps"
+    ),
 }
+"""The kernels that other packages call, by module."""
 
+_HOMES = {name: module for module, names in _KERNELS.items() for name in names.split()}
 NAMES = tuple(_HOMES)
-"""The kernels that other rooms call."""
 
 
 def __getattr__(name: str) -> object:
-    """Import a kernel when it is first asked for."""
+    """Import a kernel on first access."""
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     kernel = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
@@ -145,9 +109,9 @@ def __getattr__(name: str) -> object:
 
 
 def load() -> None:
-    """Compile all kernels, or load them where they are kept, so that no later call has to wait.
+    """Compile all kernels, or load them from the cache, so that no later call has to wait.
 
-    It takes half a second if they are compiled, else about a minute.
+    It takes half a second if they are cached, else about a minute.
     """
     from pinposture.kernels.compiled import load as load_kernel
 

@@ -1,7 +1,7 @@
-"""What kernels take more than one array of: names for arrays that belong together.
+"""Named tuples of arrays that kernels take as arguments.
 
-Numba knows these tuples field by field. To take one apart costs a call from Python half a microsecond, so
-that what is not shared by several kernels stays a plain argument.
+Unpacking a tuple costs a call from Python half a microsecond: arrays that few kernels share stay plain
+arguments.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Ints2 = Annotated[NDArray[np.int64], 2]
 Flags1 = Annotated[NDArray[np.bool_], 1]
 Flags2 = Annotated[NDArray[np.bool_], 2]
 Bytes1 = Annotated[NDArray[np.int8], 1]
-"""Contiguous arrays and how many dimensions they have: `kernels.compiled` compiles for these."""
+"""C-contiguous arrays with their number of dimensions: `kernels.compiled` compiles for these types."""
 
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
@@ -30,8 +30,8 @@ class ChainArrays(NamedTuple):
     """The constants of a serial chain of n joints with m control points.
 
     Attributes:
-        slides: True for a joint that slides, (n,); others turn.
-        columns: where the position of each joint is among all joint positions, (n,).
+        slides: True for a prismatic joint, (n,); others are revolute.
+        columns: index of each joint among all joint positions, (n,).
         fixed: placement of each joint in the frame of the one before, rotation and translation, (n, 12).
         axes: unit axis in the frame of the joint, (n, 3).
         ends: number of joints that carry each control point, (m,); increasing.
@@ -49,10 +49,11 @@ class ChainArrays(NamedTuple):
 
 
 class PointObjective(NamedTuple):
-    """What pulls at a chain: points, and chords from each point to the next.
+    """A weighted least-squares objective of points along a chain, and of chords from each point to the next.
 
     Attributes:
-        screws: motion and turning of the first point that each joint carries, (n, 6), from `find_screws`.
+        screws: linear and angular velocity of the first point that each joint carries, (n, 6), from
+            `find_screws`.
         ends: number of joints that carry each point, (p,); not decreasing.
         points: the points, (p, 3).
         weights: weights W of the points, (p,).
@@ -67,11 +68,11 @@ class PointObjective(NamedTuple):
 
 
 class Screws(NamedTuple):
-    """The motions of a chain at one configuration, from which Jacobians are made.
+    """The joint screws of a chain at one configuration.
 
     Attributes:
-        screws: motion of the first control point that each joint carries and turning of its body, (n, 6)
-            [m, rad], per unit of joint motion (`Arm.joint_units`), world axes.
+        screws: linear velocity of the first control point that each joint carries, and angular velocity,
+            (n, 6) [m, rad], per unit of joint motion (`Arm.joint_units`), world axes.
         ends: number of joints that carry each control point, (m,); increasing.
         points: the control points, (m, 3) [m].
     """
@@ -82,17 +83,17 @@ class Screws(NamedTuple):
 
 
 class ScrewChain(NamedTuple):
-    """A chain as screws in its neutral posture, each joint given to the first point that it can move.
+    """A chain as screws in its neutral posture, each joint assigned to the first point that it can move.
 
     Attributes:
-        slides: True for a joint that slides, (n,); others turn.
+        slides: True for a prismatic joint, (n,); others are revolute.
         axes: unit joint axes, (n, 3).
         origins: a point on each axis, (n, 3).
         points: the points that are carried, (m, 3).
-        begins: number of the first joint of each point, and at the end how many joints there are, (m + 1,).
+        begins: index of the first joint of each point, and the number of joints, (m + 1,).
         lower: lower limits, (n,).
         upper: upper limits, (n,).
-        near: joint positions to prefer, within the limits, (n,).
+        near: preferred joint positions, within the limits, (n,).
     """
 
     slides: Flags1
@@ -162,15 +163,15 @@ SEGMENT, BOX, PLANE, CYLINDER = 0, 1, 2, 3
 """Kinds of `Pairs`, by the shape of the second solid."""
 
 FULL, RELATIVE, LOCAL = 0, 1, 2
-"""Couplings: what rows know of joints before their section, as `kernels.kinematics` explains."""
+"""Couplings: how rows depend on the joints before their section; see `kernels.kinematics`."""
 
 
 class Rows(NamedTuple):
-    """Which motions a posture control matrix consists of.
+    """The rows of a posture control matrix.
 
     Attributes:
         stations: control points that have rows, (p,); increasing, at least one.
-        ranks: how many of its directions each of them has rows for, (p,).
+        ranks: number of directions of each of them that have rows, (p,).
         directions: orthonormal directions, those with a row first, (p, 3, 3), world axes.
         coupling: FULL, RELATIVE or LOCAL.
     """
@@ -182,11 +183,11 @@ class Rows(NamedTuple):
 
 
 class Factors(NamedTuple):
-    """L of a posture control matrix L Q, as `kernels.posture_matrix` keeps it.
+    """The factor L of a posture control matrix L Q; see `kernels.posture_matrix`.
 
     Attributes:
         triangles: lower triangular blocks R, (p, 3, 3); a tiny number on a diagonal stands for zero, where a
-            row depends on others.
+            row depends linearly on others.
         gains: K, (p, 6, 3).
     """
 

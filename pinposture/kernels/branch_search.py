@@ -1,14 +1,4 @@
-"""Modules that take given points one after the other, with a search back where a choice was wrong.
-
-The chain is given as screws in its neutral posture (a product of exponentials): the point that the joints 0
-to u carry is exp(q_0) exp(q_1) ... exp(q_u) c. What is left to the joints of one module is the same problem
-with a few joints, for a point seen from its base.
-
-The last two hinges of a module are solved in closed form. A hinge b carries the point c round a circle, and
-a hinge a before it keeps the height of a point along its own axis and its distance from any place there:
-both are linear in the cosine and the sine of b. Joints before those two are sampled, and each find is
-corrected by a few steps of least squares within the limits.
-"""
+"""Search for joint positions that put the ends of modules at given points, with backtracking."""
 
 from __future__ import annotations
 
@@ -17,30 +7,39 @@ import numpy as np
 from pinposture.kernels.arrays import Array1, Array2, Array3, Ints1, ScrewChain
 from pinposture.kernels.compiled import compiled, subkernel
 
-MOST = 24
-"""How many solutions of a module are kept."""
+# The chain is given as screws in its neutral posture (a product of exponentials): the point that joints 0 to
+# u carry is exp(q_0) exp(q_1) ... exp(q_u) c. Seen from the base of a module, its joints solve the same
+# problem with a few joints.
+#
+# The last two hinges of a module are solved in closed form. A hinge b moves the point c on a circle, and a
+# hinge a before it keeps the height of a point along its own axis and its distance from any point of the
+# axis: both are linear in the cosine and the sine of b. Joints before those two are sampled, and each result
+# is corrected by a few steps of least squares within the limits.
 
-FEW = 16
-"""How many samples will do for a module of three joints."""
+MAX_SOLUTIONS = 24
+"""Largest number of solutions of a module that are kept."""
 
-ALIKE = 1e-3
-"""How far apart two solutions are at least [rad, or units of length]."""
+MAX_SAMPLES_OF_THREE = 16
+"""Number of samples for a module of three joints."""
 
-CORRECTIONS, CALM = 15, 1e-12
-"""The most steps of a correction, and the error that is none, relative to the length of the arm."""
+MIN_DIFFERENCE = 1e-3
+"""Smallest difference of two solutions [rad, or units of length]."""
 
-WORTH = 3
-"""How many ends that miss their point are corrected together with the modules before."""
+MAX_CORRECTIONS, NO_DISTANCE = 15, 1e-12
+"""Largest number of correction steps, and the distance at which they end, relative to the arm length."""
 
-FARTHEST = 8
-"""How many modules are corrected together at most."""
+MAX_CORRECTED = 3
+"""Number of inexact solutions of a module that are corrected together with the modules before."""
 
-TURN = 2.0 * np.pi
+MAX_WINDOW = 8
+"""Largest number of modules that are corrected together."""
+
+FULL_TURN = 2.0 * np.pi
 
 
 @subkernel
-def carry(slide: bool, axis: Array1, origin: Array1, q: float, turn: Array2, place: Array1) -> None:
-    """Move a frame on by a joint: turn (3, 3) and place (3,) times the exponential of its screw."""
+def apply_joint(slide: bool, axis: Array1, origin: Array1, q: float, turn: Array2, place: Array1) -> None:
+    """Multiply a frame, turn (3, 3) and place (3,), by the exponential of a joint's screw."""
     x, y, z = axis[0], axis[1], axis[2]
     if slide:
         for i in range(3):
@@ -64,7 +63,7 @@ def carry(slide: bool, axis: Array1, origin: Array1, q: float, turn: Array2, pla
 
 
 @subkernel
-def set_frame(turn: Array2, place: Array1, to_turn: Array2, to_place: Array1) -> None:
+def copy_frame(turn: Array2, place: Array1, to_turn: Array2, to_place: Array1) -> None:
     """Copy a frame."""
     for i in range(3):
         to_place[i] = place[i]
@@ -73,8 +72,8 @@ def set_frame(turn: Array2, place: Array1, to_turn: Array2, to_place: Array1) ->
 
 
 @subkernel
-def rank(values: Array1, count: int, order: Ints1) -> None:
-    """Put the numbers of the first values into order, the smallest first."""
+def sort_indices(values: Array1, count: int, order: Ints1) -> None:
+    """Sort the indices of the first values by value, into order."""
     for i in range(count):
         at = i
         while at > 0 and values[order[at - 1]] > values[i]:
@@ -84,29 +83,29 @@ def rank(values: Array1, count: int, order: Ints1) -> None:
 
 
 @subkernel
-def put_within(chain: ScrewChain, u: int, q: float) -> float:
-    """The position of a joint that is the same but for whole turns, nearest to where it is to be near.
+def wrap_into_limits(chain: ScrewChain, u: int, q: float) -> float:
+    """Return the equivalent position of a joint, up to whole turns, nearest to its preferred position.
 
-    Where the limits allow none of them, the limit that is nearest.
+    If none is within the limits, return the nearest limit.
     """
     low, high = chain.lower[u], chain.upper[u]
     if chain.slides[u]:
         return min(max(q, low), high)
-    q += TURN * np.round((chain.near[u] - q) / TURN)
+    q += FULL_TURN * np.round((chain.near[u] - q) / FULL_TURN)
     if q > high:
-        q -= TURN * np.ceil((q - high) / TURN)
+        q -= FULL_TURN * np.ceil((q - high) / FULL_TURN)
         if q < low:
-            return low if low - q < q + TURN - high else high
+            return low if low - q < q + FULL_TURN - high else high
     elif q < low:
-        q += TURN * np.ceil((low - q) / TURN)
+        q += FULL_TURN * np.ceil((low - q) / FULL_TURN)
         if q > high:
-            return high if q - high < low - q + TURN else low
+            return high if q - high < low - q + FULL_TURN else low
     return q
 
 
 @subkernel
-def last_joint(chain: ScrewChain, u: int, x: Array1, goal: Array1) -> float:
-    """The position of joint u that brings the point x nearest to a goal."""
+def solve_last_joint(chain: ScrewChain, u: int, x: Array1, goal: Array1) -> float:
+    """Return the position of joint u that brings the point x nearest to a goal."""
     a, o = chain.axes[u], chain.origins[u]
     if chain.slides[u]:
         return a[0] * (goal[0] - x[0]) + a[1] * (goal[1] - x[1]) + a[2] * (goal[2] - x[2])
@@ -118,19 +117,11 @@ def last_joint(chain: ScrewChain, u: int, x: Array1, goal: Array1) -> float:
 
 
 @subkernel
-def last_two(chain: ScrewChain, u: int, c: Array1, goal: Array1, alone: bool, out: Array2) -> int:
-    """Positions of the hinges u and u + 1 that may bring the point c to a goal.
+def solve_last_two(chain: ScrewChain, u: int, c: Array1, goal: Array1, alone: bool, out: Array2) -> int:
+    """Find positions of the hinges u and u + 1 that may bring the point c to a goal, into out (4, 2).
 
-    Args:
-        chain: the chain.
-        u: the first of them.
-        c: the point.
-        goal: where it should be, seen from the base of the first.
-        alone: whether the one solution of both equations will do, where there is only one.
-        out: filled with them, (4, 2).
-
-    Returns:
-        How many there are.
+    The goal is in the frame at the base of the first. If `alone`, only the solution of both equations is
+    returned where it is unique. Returns the number of solutions.
     """
     a, oa, b, ob = chain.axes[u], chain.origins[u], chain.axes[u + 1], chain.origins[u + 1]
     c0, c1, c2 = c[0] - ob[0], c[1] - ob[1], c[2] - ob[2]
@@ -173,7 +164,7 @@ def last_two(chain: ScrewChain, u: int, c: Array1, goal: Array1, alone: bool, ou
                 middle, half = np.arctan2(sine, cosine), np.arccos(min(max(constant / size, -1.0), 1.0))
                 out[count, 1], out[count + 1, 1] = middle - half, middle + half
                 count += 2
-        if count == 0:  # it does not matter how the last one turns
+        if count == 0:  # the last one does not move the point
             out[0, 1] = chain.near[u + 1]
             count = 1
     for i in range(count):
@@ -181,12 +172,12 @@ def last_two(chain: ScrewChain, u: int, c: Array1, goal: Array1, alone: bool, ou
         x[0] = oa[0] + g0 + cosine * w0 + sine * s0
         x[1] = oa[1] + g1 + cosine * w1 + sine * s1
         x[2] = oa[2] + g2 + cosine * w2 + sine * s2
-        out[i, 0] = last_joint(chain, u, x, goal)
+        out[i, 0] = solve_last_joint(chain, u, x, goal)
     return count
 
 
 @subkernel
-def misses(
+def measure_errors(
     chain: ScrewChain,
     first: int,
     last: int,
@@ -196,24 +187,16 @@ def misses(
     q: Array1,
     e: Array2,
 ) -> float:
-    """How far the modules first to last leave their points, into e (W, 3); the sum of squares.
+    """Fill e (W, 3) with the errors of the ends of modules first to last at q; return their sum of squares.
 
-    Args:
-        chain: the chain.
-        first: the first module.
-        last: the last one.
-        turns: orientation of the base of each module; those after the first are filled in.
-        places: origin of it likewise.
-        points: where the modules should end.
-        q: positions of all joints of the chain.
-        e: filled.
+    Orientations `turns` and origins `places` of the bases of the modules after the first are filled in.
     """
     total = 0.0
     for k in range(first, last + 1):
         turn, place = turns[k + 1], places[k + 1]
-        set_frame(turns[k], places[k], turn, place)
+        copy_frame(turns[k], places[k], turn, place)
         for u in range(chain.begins[k], chain.begins[k + 1]):
-            carry(chain.slides[u], chain.axes[u], chain.origins[u], q[u], turn, place)
+            apply_joint(chain.slides[u], chain.axes[u], chain.origins[u], q[u], turn, place)
         c = chain.points[k]
         for i in range(3):
             at = turn[i, 0] * c[0] + turn[i, 1] * c[1] + turn[i, 2] * c[2] + place[i]
@@ -223,10 +206,10 @@ def misses(
 
 
 @subkernel
-def rows_of(
+def fill_jacobian(
     chain: ScrewChain, first: int, last: int, turns: Array3, places: Array2, q: Array1, rows: Array2
 ) -> None:
-    """How the joints of the modules first to last move their ends, into rows (3 W, n)."""
+    """Fill rows (3 W, n) with the Jacobian of the ends of modules first to last by their joints."""
     begin, modules = chain.begins[first], last - first + 1
     turn, place, ends = np.empty((3, 3)), np.empty(3), np.empty((modules, 3))
     for k in range(modules):
@@ -234,7 +217,7 @@ def rows_of(
         for i in range(3):
             t = turns[first + k + 1, i]
             ends[k, i] = t[0] * c[0] + t[1] * c[1] + t[2] * c[2] + places[first + k + 1, i]
-    set_frame(turns[first], places[first], turn, place)
+    copy_frame(turns[first], places[first], turn, place)
     for own in range(modules):
         for u in range(chain.begins[first + own], chain.begins[first + own + 1]):
             a, o, j = chain.axes[u], chain.origins[u], u - begin
@@ -254,12 +237,12 @@ def rows_of(
                     rows[3 * k, j] = a1 * z - a2 * y
                     rows[3 * k + 1, j] = a2 * x - a0 * z
                     rows[3 * k + 2, j] = a0 * y - a1 * x
-            carry(chain.slides[u], a, o, q[u], turn, place)
+            apply_joint(chain.slides[u], a, o, q[u], turn, place)
 
 
 @subkernel
-def solve_squares(matrix: Array2, x: Array1, r: int) -> None:
-    """Solve a symmetric positive definite system of r equations in place, by Cholesky's method."""
+def solve_cholesky(matrix: Array2, x: Array1, r: int) -> None:
+    """Solve a symmetric positive definite system of r equations in place, by Cholesky factorisation."""
     for i in range(r):
         for j in range(i + 1):
             value = matrix[i, j]
@@ -276,7 +259,7 @@ def solve_squares(matrix: Array2, x: Array1, r: int) -> None:
 
 
 @subkernel
-def corrected(
+def correct(
     chain: ScrewChain,
     first: int,
     last: int,
@@ -286,32 +269,21 @@ def corrected(
     size: float,
     q: Array1,
 ) -> float:
-    """Bring the ends of the modules first to last to their points: Levenberg and Marquardt, within limits.
+    """Bring the ends of modules first to last to their points, by Levenberg-Marquardt steps within limits.
 
-    Args:
-        chain: the chain.
-        first: the first module whose joints may move.
-        last: the last one.
-        turns: orientation of the base of each module; those after the first are filled in.
-        places: origin of it likewise.
-        points: where the modules should end.
-        size: length of the arm.
-        q: positions of all joints of the chain; those of these modules are changed.
-
-    Returns:
-        The largest distance that is left.
+    Changes q of these modules, fills in the bases after the first, and returns the largest distance left.
     """
     begin, r = chain.begins[first], 3 * (last - first + 1)
     n = chain.begins[last + 1] - begin
-    e, there = np.empty((r // 3, 3)), np.empty((r // 3, 3))
+    e, trial_e = np.empty((r // 3, 3)), np.empty((r // 3, 3))
     rows, matrix, x = np.empty((r, n)), np.empty((r, r)), np.empty(r)
     tried, held = q.copy(), np.zeros(n, dtype=np.bool_)
-    cost = misses(chain, first, last, turns, places, points, q, e)
+    cost = measure_errors(chain, first, last, turns, places, points, q, e)
     damping = 1e-3
-    for _ in range(CORRECTIONS):
-        if cost <= (CALM * size) ** 2 or n == 0:
+    for _ in range(MAX_CORRECTIONS):
+        if cost <= (NO_DISTANCE * size) ** 2 or n == 0:
             break
-        rows_of(chain, first, last, turns, places, q, rows)
+        fill_jacobian(chain, first, last, turns, places, q, rows)
         trace = 0.0
         for j in range(n):
             u, slope = begin + j, 0.0
@@ -334,7 +306,7 @@ def corrected(
                     for j in range(n):
                         inner += rows[i, j] * rows[k, j]
                     matrix[i, k] = inner
-            solve_squares(matrix, x, r)
+            solve_cholesky(matrix, x, r)
             for j in range(n):
                 u, step = begin + j, 0.0
                 for i in range(r):
@@ -342,7 +314,7 @@ def corrected(
                 if not chain.slides[u]:
                     step = min(max(step, -0.5), 0.5)
                 tried[u] = min(max(q[u] + step, chain.lower[u]), chain.upper[u])
-            found = misses(chain, first, last, turns, places, points, tried, there)
+            found = measure_errors(chain, first, last, turns, places, points, tried, trial_e)
             better = found < cost
             if better:
                 damping = max(damping * 0.1, 1e-6)
@@ -351,14 +323,14 @@ def corrected(
         if not better:
             break
         for i in range(r // 3):
-            e[i, 0], e[i, 1], e[i, 2] = there[i, 0], there[i, 1], there[i, 2]
+            e[i, 0], e[i, 1], e[i, 2] = trial_e[i, 0], trial_e[i, 1], trial_e[i, 2]
         for u in range(begin, begin + n):
             q[u] = tried[u]
         fallen = cost - found
         cost = found
-        if fallen <= 1e-3 * cost and cost > (1e-6 * size) ** 2:  # no nearer than this
+        if fallen <= 1e-3 * cost and cost > (1e-6 * size) ** 2:  # it has converged to a distance
             break
-    misses(chain, first, last, turns, places, points, q, e)
+    measure_errors(chain, first, last, turns, places, points, q, e)
     worst = 0.0
     for i in range(r // 3):
         worst = max(worst, e[i, 0] ** 2 + e[i, 1] ** 2 + e[i, 2] ** 2)
@@ -366,61 +338,50 @@ def corrected(
 
 
 @subkernel
-def kept(left: float, q: Array1, first: int, stop: int, lefts: Array1, found: Array2, count: int) -> int:
-    """Keep a solution unless it is known or worse than all that there is room for; how many there are."""
+def keep_solution(
+    residual: float, q: Array1, first: int, stop: int, residuals: Array1, found: Array2, count: int
+) -> int:
+    """Keep a solution unless it is known or worse than all for which there is room; return their number."""
     at = count
     for i in range(count):
         apart = 0.0
         for j in range(stop - first):
             apart = max(apart, abs(found[i, j] - q[first + j]))
-        if apart <= ALIKE:
-            if left >= lefts[i]:
+        if apart <= MIN_DIFFERENCE:
+            if residual >= residuals[i]:
                 return count
             at = i
             break
-    if at == len(lefts):
+    if at == len(residuals):
         at = 0
         for i in range(1, count):
-            at = i if lefts[i] > lefts[at] else at
-        if left >= lefts[at]:
+            at = i if residuals[i] > residuals[at] else at
+        if residual >= residuals[at]:
             return count
-    lefts[at] = left
+    residuals[at] = residual
     for j in range(stop - first):
         found[at, j] = q[first + j]
     return max(count, at + 1)
 
 
 @subkernel
-def ends_of(
+def solve_module(
     chain: ScrewChain,
     k: int,
     turns: Array3,
     places: Array2,
     points: Array2,
     size: float,
-    good: float,
+    accepted: float,
     samples: Array2,
     q: Array1,
-    lefts: Array1,
+    residuals: Array1,
     found: Array2,
 ) -> int:
-    """Positions of the joints of module k that bring its end to its point, or as near as they come.
+    """Find positions of the joints of module k that bring its end to its point, or as near as possible.
 
-    Args:
-        chain: the chain.
-        k: the module.
-        turns: orientation of the base of each module, up to this one.
-        places: origin of it likewise.
-        points: where the modules should end.
-        size: length of the arm.
-        good: distance that counts as none.
-        samples: shares of the range of each joint, (S, n).
-        q: positions of all joints of the chain; those of this module are used.
-        lefts: filled with what each solution leaves, (MOST,).
-        found: filled with the solutions, (MOST, n) or wider.
-
-    Returns:
-        How many there are.
+    Fills `residuals` (MAX_SOLUTIONS,) and `found` (MAX_SOLUTIONS, n) with distances and solutions; uses q of
+    this module as scratch. Returns the number of solutions. Other arguments are as in `search_branches`.
     """
     first, stop = chain.begins[k], chain.begins[k + 1]
     n = stop - first
@@ -432,13 +393,15 @@ def ends_of(
         closed = 1
     turn, place, start, e = np.empty((3, 3)), np.empty(3), np.empty(n), np.empty((1, 3))
     count = 0
-    if n > closed:  # the nearest that there is
+    if n > closed:  # the solution nearest to the preferred positions
         for u in range(first, stop):
             q[u] = chain.near[u]
-        left = corrected(chain, k, k, turns, places, points, size, q)
-        count = kept(left, q, first, stop, lefts, found, count)
-    for number in range(1 if n <= closed else min(len(samples), FEW) if n == 3 else len(samples)):
-        set_frame(turns[k], places[k], turn, place)
+        residual = correct(chain, k, k, turns, places, points, size, q)
+        count = keep_solution(residual, q, first, stop, residuals, found, count)
+    for number in range(
+        1 if n <= closed else min(len(samples), MAX_SAMPLES_OF_THREE) if n == 3 else len(samples)
+    ):
+        copy_frame(turns[k], places[k], turn, place)
         for u in range(first, stop - closed):
             start[u - first] = chain.near[u]
             if number:
@@ -448,48 +411,48 @@ def ends_of(
                     min(chain.upper[u], chain.near[u] + half),
                 )
                 start[u - first] = low + samples[number, u] * (high - low)
-            carry(chain.slides[u], chain.axes[u], chain.origins[u], start[u - first], turn, place)
+            apply_joint(chain.slides[u], chain.axes[u], chain.origins[u], start[u - first], turn, place)
         for i in range(3):
             local[i] = 0.0
             for j in range(3):
                 local[i] += turn[j, i] * (points[k, j] - place[j])
         pairs = 1
         if closed == 1:
-            pair[0, 1] = last_joint(chain, stop - 1, c, local)
-        for attempt in range(2 if n <= closed else 0):  # the closed form has all solutions, if there are any
+            pair[0, 1] = solve_last_joint(chain, stop - 1, c, local)
+        for attempt in range(2 if n <= closed else 0):  # the closed form has all exact solutions
             if closed == 2:
-                pairs = last_two(chain, stop - 2, c, local, attempt == 0, pair)
+                pairs = solve_last_two(chain, stop - 2, c, local, attempt == 0, pair)
             for i in range(pairs):
                 for u in range(first, stop):
-                    q[u] = put_within(chain, u, pair[i, 2 - stop + u])
-                left = np.sqrt(misses(chain, k, k, turns, places, points, q, e))
-                if left <= good:
-                    count = kept(left, q, first, stop, lefts, found, count)
+                    q[u] = wrap_into_limits(chain, u, pair[i, 2 - stop + u])
+                residual = np.sqrt(measure_errors(chain, k, k, turns, places, points, q, e))
+                if residual <= accepted:
+                    count = keep_solution(residual, q, first, stop, residuals, found, count)
             if count:
                 return count
         if closed == 2 and n > closed:
-            pairs = last_two(chain, stop - 2, c, local, False, pair)
+            pairs = solve_last_two(chain, stop - 2, c, local, False, pair)
         for i in range(pairs):
             for u in range(first, stop - closed):
                 q[u] = start[u - first]
             for u in range(stop - closed, stop):
-                q[u] = put_within(chain, u, pair[i, 2 - stop + u])
-            left = corrected(chain, k, k, turns, places, points, size, q)
-            if left <= good:
+                q[u] = wrap_into_limits(chain, u, pair[i, 2 - stop + u])
+            residual = correct(chain, k, k, turns, places, points, size, q)
+            if residual <= accepted:
                 for u in range(first, stop):
-                    q[u] = put_within(chain, u, q[u])
-            count = kept(left, q, first, stop, lefts, found, count)
+                    q[u] = wrap_into_limits(chain, u, q[u])
+            count = keep_solution(residual, q, first, stop, residuals, found, count)
     return count
 
 
 @subkernel
-def corrected_from(chain: ScrewChain, k: int, window: int) -> int:
-    """The first of the modules that are corrected together with module k.
+def first_corrected(chain: ScrewChain, k: int, window: int) -> int:
+    """Return the first of the modules that are corrected together with module k.
 
-    Some more than usual where that gives them as many joints as their points have coordinates.
+    The window is extended if that gives its modules as many joints as their points have coordinates.
     """
     low = max(k - window + 1, 0)
-    for first in range(low, max(k - FARTHEST, -1), -1):
+    for first in range(low, max(k - MAX_WINDOW, -1), -1):
         if chain.begins[k + 1] - chain.begins[first] >= 3 * (k - first + 1):
             return first
     return low
@@ -500,117 +463,121 @@ def search_branches(
     chain: ScrewChain,
     points: Array2,
     size: float,
-    good: float,
+    accepted: float,
     window: int,
-    tries: int,
+    visits: int,
     samples: Array2,
     q: Array1,
 ) -> int:
     """Find joint positions that put the end of every module at its point.
 
-    Depth first: the solutions of a module that are nearest to `chain.near` are looked into first. Where none
-    takes its point, the best are corrected together with the modules before, which have freedom left where
-    they have more than three joints or their points on the axis of one.
+    Depth first: the solutions of a module that are nearest to `chain.near` are tried first. If none reaches
+    its point, the best are corrected together with the modules before, which have freedom left if they have
+    more than three joints or their points are on a joint axis.
 
     Args:
         chain: the chain.
-        points: where the modules should end, (m, 3).
+        points: goals of the ends of the modules, (m, 3).
         size: length of the arm.
-        good: distance from its point at which the end of a module takes it.
-        window: how many modules are corrected together; if one, only q that takes all points is of use.
-        tries: how many modules to look at before giving up.
-        samples: shares of the range of each joint that are tried, (S, n); of the first, `near` is taken.
-        q: filled with the positions of the joints of the chain; where not all points were taken, with those
-            that took most, and the nearest for the others.
+        accepted: distance from its point at which the end of a module reaches it.
+        window: number of modules that are corrected together; with 1, q is only of use if all points are
+            reached.
+        visits: number of modules to visit before giving up.
+        samples: shares of the range of each joint to try, (S, n); instead of the first, `near` is used.
+        q: filled with the positions of the joints of the chain; if not all points were reached, with those
+            that reached most, and the nearest for the others.
 
     Returns:
-        How many points were taken, from the base on.
+        Number of points that were reached, from the base on.
     """
     m = len(points)
     widest = 0
     for k in range(m):
-        widest = max(widest, chain.begins[k + 1] - chain.begins[corrected_from(chain, k, window)])
+        widest = max(widest, chain.begins[k + 1] - chain.begins[first_corrected(chain, k, window)])
     turns, places = np.zeros((m + 1, 3, 3)), np.zeros((m + 1, 3))
     turns[0, 0, 0] = turns[0, 1, 1] = turns[0, 2, 2] = 1.0
-    choices, order = np.empty((m, MOST, widest)), np.zeros((m, MOST), np.int64)
-    number, taken, base = np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros(m, np.int64)
-    lefts, found, ranked = np.empty(MOST), np.empty((MOST, widest)), np.zeros(MOST, np.int64)
-    scores, e, before = np.empty(MOST), np.empty((m, 3)), q.copy()
+    choices, order = np.empty((m, MAX_SOLUTIONS, widest)), np.zeros((m, MAX_SOLUTIONS), np.int64)
+    number, next_choice, base = np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros(m, np.int64)
+    residuals, found = np.empty(MAX_SOLUTIONS), np.empty((MAX_SOLUTIONS, widest))
+    ranked = np.zeros(MAX_SOLUTIONS, np.int64)
+    scores, e, before = np.empty(MAX_SOLUTIONS), np.empty((m, 3)), q.copy()
     deepest, best = -1, q.copy()
-    k, arrived = base[0], True  # a literal 0 would be compiled apart, with all that is called with it
+    k, descending = base[0], True  # a literal 0 would be compiled as another type
     while True:
-        if arrived:
-            tries -= 1
+        if descending:
+            visits -= 1
             first, stop = chain.begins[k], chain.begins[k + 1]
-            ends = ends_of(chain, k, turns, places, points, size, good, samples, q, lefts, found)
-            rank(lefts, ends, ranked)
+            ends = solve_module(chain, k, turns, places, points, size, accepted, samples, q, residuals, found)
+            sort_indices(residuals, ends, ranked)
             if k > deepest:
                 deepest = k
                 for u in range(stop):
                     best[u] = q[u] if u < first else found[ranked[0], u - first]
             count, base[k] = 0, k
             for i in range(ends):
-                if lefts[ranked[i]] <= good:
+                if residuals[ranked[i]] <= accepted:
                     for u in range(first, stop):
                         choices[k, count, u - first] = found[ranked[i], u - first]
                     count += 1
             if count == 0 and window > 1 and k > 0:
-                base[k] = corrected_from(chain, k, window)
+                base[k] = first_corrected(chain, k, window)
                 low = chain.begins[base[k]]
                 for u in range(low, first):
                     before[u] = q[u]
-                for i in range(min(WORTH, ends)):
+                for i in range(min(MAX_CORRECTED, ends)):
                     for u in range(low, stop):
                         q[u] = before[u] if u < first else found[ranked[i], u - first]
-                    if corrected(chain, base[k], k, turns, places, points, size, q) <= good:
+                    if correct(chain, base[k], k, turns, places, points, size, q) <= accepted:
                         for u in range(low, stop):
                             choices[k, count, u - low] = q[u]
                         count += 1
                 for u in range(low, first):
                     q[u] = before[u]
-                misses(chain, base[k], k, turns, places, points, q, e)
+                measure_errors(chain, base[k], k, turns, places, points, q, e)
             low = chain.begins[base[k]]
             for i in range(count):
                 scores[i] = 0.0
                 for u in range(low, stop):
                     scores[i] += (choices[k, i, u - low] - chain.near[u]) ** 2
-            rank(scores, count, order[k])
-            number[k], taken[k] = count, 0
-            if tries <= 0:
+            sort_indices(scores, count, order[k])
+            number[k], next_choice[k] = count, 0
+            if visits <= 0:
                 break
-        if taken[k] == number[k]:  # none is left here: another one for the module before
+        if next_choice[k] == number[k]:  # no solution is left: try the next one of the module before
             if k == 0:
                 break
             k -= 1
-            arrived = False
-            for i in range(k):  # what was corrected together with this module, as it was before
+            descending = False
+            for i in range(k):  # undo the correction together with this module
                 low = chain.begins[base[i]]
                 for u in range(low, chain.begins[i + 1]):
-                    q[u] = choices[i, order[i, taken[i] - 1], u - low]
+                    q[u] = choices[i, order[i, next_choice[i] - 1], u - low]
             if k:
-                misses(chain, 0, k - 1, turns, places, points, q, e)
+                measure_errors(chain, 0, k - 1, turns, places, points, q, e)
             continue
         low, stop = chain.begins[base[k]], chain.begins[k + 1]
         for u in range(low, stop):
-            q[u] = choices[k, order[k, taken[k]], u - low]
-        taken[k] += 1
-        misses(chain, base[k], k, turns, places, points, q, e)
+            q[u] = choices[k, order[k, next_choice[k]], u - low]
+        next_choice[k] += 1
+        measure_errors(chain, base[k], k, turns, places, points, q, e)
         if k == m - 1:
             return m
         k += 1
-        arrived = True
+        descending = True
     if window == 1:
         return deepest
-    # As far as it went, and from there on whatever comes nearest.
+    # The deepest result, and from there on the nearest solution of each module.
     for u in range(len(q)):
         q[u] = best[u]
     for i in range(m):
         if i > deepest:
             first = chain.begins[i]
-            rank(
-                lefts, ends_of(chain, i, turns, places, points, size, good, samples, q, lefts, found), ranked
+            sort_indices(
+                residuals,
+                solve_module(chain, i, turns, places, points, size, accepted, samples, q, residuals, found),
+                ranked,
             )
             for u in range(first, chain.begins[i + 1]):
                 q[u] = found[ranked[0], u - first]
-        misses(chain, i, i, turns, places, points, q, e)
+        measure_errors(chain, i, i, turns, places, points, q, e)
     return deepest

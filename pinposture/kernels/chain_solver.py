@@ -1,4 +1,4 @@
-"""Least squares along a chain in O(m): one pass to the base, one back; within a box too."""
+"""Least squares along a chain in O(n), by one pass to the base and one back; also within a box."""
 
 from __future__ import annotations
 
@@ -7,47 +7,57 @@ import numpy as np
 from pinposture.kernels.arrays import Array1, Array2, Bytes1, Flags1, Ints1, PointObjective
 from pinposture.kernels.compiled import compiled, subkernel
 
-# Least squares along a chain, by sweeps: one pass from the tip to the base, and one back.
-#
-# The unknowns are the motions x of the joints. Point k moves by v_k, its body turns by w_k, and
+# The unknowns are the motions x of the joints. Point k moves by v_k, its body turns by w_k. Minimised is
 #
 # sum over k of W_k |v_k - e_k|^2 + C_k |v_k - v_{k-1} - (e_k - e_{k-1})|^2 + sum over u of D_u (x_u - z_u)^2
 #
-# is to be least. A chain makes this an optimal control problem with the joint for time: the state is (v, w)
-# at a point, and joint u adds (a x (p - o), a) x_u to it. What all farther joints can do about a state is a
-# quadratic function of it, found from the tip to the base (a Riccati recursion, with the state before a
-# module, the displacement since then and the turning w side by side, because chords ask for the
-# displacement). The motions then follow from the base to the tip. Both passes are linear in the number of
-# joints. Velocities are taken at the points themselves, one after the other: at a common origin far away
-# they would cancel.
-#
-# Joints may be held: they keep their x, and the others make the best of it.
+# A chain makes this an optimal control problem with the joint index for time: the state is (v, w) at a
+# point, and joint u adds (a x (p - o), a) x_u to it. The minimum over all farther joints is a quadratic
+# function of the state, found from the tip to the base (a Riccati recursion on the state before a module, the
+# displacement since then and the rotation, because chords depend on the displacement). The motions then
+# follow from the base to the tip. Velocities are taken at the points themselves: at a common origin far away
+# they would cancel. Joints may be held at their x, and the others are optimal given those.
+
+MAX_CORRECTIONS_OF_SET = 6
+"""Largest number of corrections of the active set."""
+
+MAX_ITERATIONS = 40
+"""Largest number of iterations of the interior point method."""
+
+RELATIVE_GAP = 1e-11
+"""Complementarity gap at which the interior point method ends, relative to the initial one."""
+
+NEGLIGIBLE_MOTION = 1e-12
+"""Joint motion that counts as rounding, in units of a joint."""
+
+STEP_TO_BOUNDARY = 0.995
+"""Share of the distance to the boundary that one iteration goes."""
 
 
 @subkernel
-def factored(
-    springs: PointObjective,
+def factor(
+    objective: PointObjective,
     damping: Array1,
     held: Flags1,
     gains: Array2,
 ) -> None:
-    """What farther joints can do about a state: the pass from the tip to the base, without right-hand sides.
+    """Run the pass from the tip to the base, without right-hand sides.
 
     Args:
-        springs: points and chords.
+        objective: points and chords.
         damping: D, (n,), positive.
         held: which joints are held, (n,).
-        gains: filled with what `answered` wants to know, (n, 11).
+        gains: filled with the gains for `solve_factored`, (n, 11).
     """
-    b, ends, points, weights, chords = springs
+    b, ends, points, weights, chords = objective
     m = len(ends)
-    for u in range(ends[m - 1], len(b)):  # joints beyond the last point resist with their damping alone
+    for u in range(ends[m - 1], len(b)):  # joints beyond the last point only have damping
         gains[u, 10] = 1.0 / damping[u]
     P = np.zeros((9, 9))  # of (v before, displacement since, w)
     turned = np.empty((9, 3))
     for k in range(m - 1, -1, -1):
         first = ends[k - 1] if k else 0
-        # So far it is a function of (v, w) after the module, in rows 0:3 and 6:9.
+        # P is a function of (v, w) after the module, in rows 0:3 and 6:9.
         for i in range(3):
             P[i, i] += weights[k]
         for i in range(3):
@@ -68,7 +78,7 @@ def factored(
                 for i in range(3):
                     moved = P[i, 3] * b0 + P[i, 4] * b1 + P[i, 5] * b2
                     g[i] = moved + P[i, 6] * b3 + P[i, 7] * b4 + P[i, 8] * b5
-            else:  # who asks for no chord cannot tell the displacement from v before
+            else:  # without a chord, displacement and v before are equivalent
                 for i in range(3):
                     g[i] = g[3 + i]
             inverse = 1.0 / (
@@ -97,12 +107,12 @@ def factored(
                 for j in range(3):
                     P[i, j] = P[3 + i, 3 + j]
         if k:
-            _before(P, turned, points[k], points[k - 1])
+            _shift_to_previous(P, turned, points[k], points[k - 1])
 
 
 @subkernel
-def _before(P: Array2, turned: Array2, point: Array1, previous: Array1) -> None:
-    """What (v, displacement, w) cost, as a function of (v, w) at the point before: displacement = w x r."""
+def _shift_to_previous(P: Array2, turned: Array2, point: Array1, previous: Array1) -> None:
+    """Turn the cost of (v, displacement, w) into that of (v, w) at the point before: displacement = w x r."""
     r0, r1, r2 = point[0] - previous[0], point[1] - previous[1], point[2] - previous[2]
     for i in range(9):  # P (w x r) for the three units of w
         turned[i, 0] = P[i, 5] * r1 - P[i, 4] * r2
@@ -121,8 +131,8 @@ def _before(P: Array2, turned: Array2, point: Array1, previous: Array1) -> None:
 
 
 @subkernel
-def answered(
-    springs: PointObjective,
+def solve_factored(
+    objective: PointObjective,
     errors: Array2,
     damping: Array1,
     centre: Array1,
@@ -130,20 +140,20 @@ def answered(
     gains: Array2,
     x: Array1,
 ) -> None:
-    """The motions for one right-hand side, after `factored` with all else the same.
+    """Solve for one right-hand side after `factor`: the pass back to the base, then that to the tip.
 
     Args:
-        springs: as above.
+        objective: points and chords.
         errors: e, (m, 3).
-        damping: as above.
+        damping: D, (n,).
         centre: z, (n,).
-        held: as above.
-        gains: as `factored` left it; its column 9 is scratch.
+        held: which joints are held, (n,).
+        gains: from `factor`; its column 9 is scratch.
         x: motions of the joints that are held; filled with those of the others, (n,).
     """
-    b, ends, points, weights, chords = springs
+    b, ends, points, weights, chords = objective
     n, m = len(b), len(ends)
-    for i in range(ends[m - 1], n):  # joints beyond the last point move nothing that counts
+    for i in range(ends[m - 1], n):  # joints beyond the last point move no point
         if not held[i]:
             x[i] = centre[i]
     s0, s1, s2, s3, s4, s5, s6, s7, s8 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -197,8 +207,8 @@ def answered(
 
 
 @subkernel
-def slope_of(
-    springs: PointObjective,
+def evaluate_gradient(
+    objective: PointObjective,
     errors: Array2,
     damping: Array1,
     centre: Array1,
@@ -206,8 +216,8 @@ def slope_of(
     slope: Array1,
     missed: Array2,
 ) -> float:
-    """Half the sum at x, and half its gradient, which `slope` is filled with; `missed` is scratch, (m, 6)."""
-    b, ends, points, weights, chords = springs
+    """Return half the objective at x and fill `slope` with half its gradient; `missed` (m, 6) is scratch."""
+    b, ends, points, weights, chords = objective
     n, m = len(b), len(ends)
     total = 0.0
     for u in range(n):
@@ -255,9 +265,6 @@ def slope_of(
     return 0.5 * total
 
 
-# Points and chords along a chain: how joints move them, how far they are off, how much they resist.
-
-
 @compiled
 def find_screws(
     which: Ints1,
@@ -269,17 +276,17 @@ def find_screws(
     points: Array2,
     filled: Array2,
 ) -> None:
-    """How each joint moves the first point that it carries, and turns it.
+    """Compute the linear and angular velocity of the first point that each joint carries.
 
     Args:
-        which: the joints, by their numbers along the chain, (n,); increasing.
-        slides: True for a joint of the chain that slides; others turn.
-        units: the motion of each joint that counts as one, (n,).
+        which: the joints, by their index along the chain, (n,); increasing.
+        slides: True for a prismatic joint of the chain; others are revolute.
+        units: unit of motion of each joint, (n,).
         axes: axes of the joints of the chain.
         origins: their origins.
-        ends: how many of the joints carry each point, (m,); increasing.
+        ends: number of the joints that carry each point, (m,); increasing.
         points: the points, (m, 3).
-        filled: filled with motion and turning, (n, 6).
+        filled: filled with linear and angular velocity, (n, 6).
     """
     k = 0
     for i in range(len(which)):
@@ -303,7 +310,7 @@ def find_screws(
 
 @compiled
 def move_points(b: Array2, ends: Ints1, points: Array2, x: Array1, filled: Array2) -> None:
-    """How motions x of the joints move the points: fills v, (m, 3)."""
+    """Compute the motions v of the points, (m, 3), by motions x of the joints."""
     v0, v1, v2, w0, w1, w2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(len(ends)):
         if k:
@@ -321,14 +328,14 @@ def move_points(b: Array2, ends: Ints1, points: Array2, x: Array1, filled: Array
 def measure_point_errors(
     points: Array2, targets: Array2, weights: Array1, chords: Array1, normal: Array1, errors: Array2
 ) -> float:
-    """Errors of points, and the weighted sum of their squares and of those of their chords.
+    """Compute errors of points; return the weighted sum of their squares and of those of their chords.
 
     Args:
         points: the points, (m, 3).
-        targets: where they should be, (m, 3).
+        targets: their targets, (m, 3).
         weights: W, (m,).
         chords: C, (m,).
-        normal: a direction in which nothing can move and errors do not count, (3,); zero if there is none.
+        normal: direction in which errors do not count, such as the normal of a plane, (3,); zero for none.
         errors: filled with e, (m, 3).
     """
     total = 0.0
@@ -345,9 +352,9 @@ def measure_point_errors(
 
 
 @compiled
-def stiffness(springs: PointObjective) -> float:
-    """Mean over the joints of what one unit of their motion, alone, adds to the sum by points and chords."""
-    b, ends, points, weights, chords = springs
+def stiffness(objective: PointObjective) -> float:
+    """Return the mean over the joints of the cost of points and chords for one unit of their motion alone."""
+    b, ends, points, weights, chords = objective
     m = len(ends)
     total, whole = 0.0, 0.0
     first_moment, second, of_chords = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
@@ -385,31 +392,16 @@ def stiffness(springs: PointObjective) -> float:
     return total / max(len(b), 1)
 
 
-# Least squares along a chain within a box: the motions that limits leave, still by sweeps.
-#
-# First the joints at a bound are guessed and corrected: those that would leave the box are held at its side,
-# those that are held and pushed inwards are let go, all at once, until nothing changes (a primal-dual active
-# set method, which is Newton's on the optimality conditions). Mostly two to five rounds are enough. Where
-# they go round in circles, an interior point method (Mehrotra's predictor and corrector) comes close in some
-# ten iterations, however many joints are at their bounds, and the guess that it leads to is corrected as
-# before.
-
-ROUNDS, ITERATIONS = 6, 40
-"""The most corrections of a guess, and the most iterations of the interior point method."""
-
-GAP = 1e-11
-"""Complementarity gap at which the interior point method ends, relative to the one at its beginning."""
-
-TINY = 1e-12
-"""Motion that is only rounding, in units of a joint."""
-
-BACK = 0.995
-"""Share of the way to the boundary that one iteration goes."""
+# Within a box, the set of joints at a bound is guessed and corrected: joints that would leave the box are
+# held at its side, those that are held and pushed inwards are released, all at once, until nothing changes (a
+# primal-dual active set method, which is Newton's on the optimality conditions). Mostly two to five
+# corrections are enough. If they cycle, an interior point method (Mehrotra's predictor and corrector) comes
+# close in some ten iterations, and the active set that it suggests is corrected as before.
 
 
 @compiled
 def minimise_in_box(
-    springs: PointObjective,
+    objective: PointObjective,
     errors: Array2,
     damping: Array1,
     centre: Array1,
@@ -418,80 +410,80 @@ def minimise_in_box(
     sides: Bytes1,
     x: Array1,
 ) -> int:
-    """Minimise the sum of `kernels.chain_solver` within a box.
+    """Minimise the objective within a box.
 
     Args:
-        springs: points and chords.
+        objective: points and chords.
         errors: e, (m, 3).
         damping: D, (n,), positive.
         centre: z, (n,).
         lower: smallest x, (n,).
         upper: largest x, (n,).
-        sides: a guess of which joints are at their lower (-1) or upper (1) bound; filled with those that
-            are, (n,).
+        sides: initial active set: -1 for a joint at its lower bound, 1 at its upper, else 0; filled with the
+            final one, (n,).
         x: filled with the minimum, (n,).
 
     Returns:
-        How many systems were solved.
+        Number of systems that were solved.
     """
-    n, m = len(springs.screws), len(springs.ends)
+    n, m = len(objective.screws), len(objective.ends)
     gains, slope, missed = np.empty((n, 11)), np.empty(n), np.empty((m, 6))
-    held, close = np.empty(n, dtype=np.bool_), np.empty(n)
+    held, interior = np.empty(n, dtype=np.bool_), np.empty(n)
     solved = 0
     for attempt in range(2):
-        for _ in range(ROUNDS):
+        for _ in range(MAX_CORRECTIONS_OF_SET):
             any_held = False
             for u in range(n):
-                held[u] = sides[u] != 0 or _thin(lower[u], upper[u])
+                held[u] = sides[u] != 0 or _is_fixed(lower[u], upper[u])
                 any_held = any_held or held[u]
                 if held[u]:
                     x[u] = upper[u] if sides[u] > 0 else lower[u]
-            factored(springs, damping, held, gains)
-            answered(springs, errors, damping, centre, held, gains, x)
+            factor(objective, damping, held, gains)
+            solve_factored(objective, errors, damping, centre, held, gains, x)
             solved += 1
             if any_held:
-                slope_of(springs, errors, damping, centre, x, slope, missed)
-            settled = True
+                evaluate_gradient(objective, errors, damping, centre, x, slope, missed)
+            converged = True
             for u in range(n):
-                if _thin(lower[u], upper[u]):
+                if _is_fixed(lower[u], upper[u]):
                     continue
                 side, inverse = 0, gains[u, 10]
-                if held[u]:  # where it would go, let alone, counts if it is more than rounding
-                    if -slope[u] * inverse * sides[u] >= -TINY:
+                if held[u]:  # it stays held unless it would move inwards by more than rounding
+                    if -slope[u] * inverse * sides[u] >= -NEGLIGIBLE_MOTION:
                         side = sides[u]
-                elif x[u] < lower[u] - TINY:
+                elif x[u] < lower[u] - NEGLIGIBLE_MOTION:
                     side = -1
-                elif x[u] > upper[u] + TINY:
+                elif x[u] > upper[u] + NEGLIGIBLE_MOTION:
                     side = 1
-                settled = settled and side == sides[u]
+                converged = converged and side == sides[u]
                 sides[u] = side
-            if settled:
-                _cut(x, lower, upper)
+            if converged:
+                _clip(x, lower, upper)
                 return solved
         if attempt == 0:
-            solved += _inner(springs, errors, damping, centre, lower, upper, sides, x, gains)
+            solved += _interior_point(objective, errors, damping, centre, lower, upper, sides, x, gains)
             for u in range(n):
-                close[u] = x[u]
-    # Round in circles again: as close as the one or the other came.
-    _cut(x, lower, upper)
-    _cut(close, lower, upper)
-    last = slope_of(springs, errors, damping, centre, x, slope, missed)
-    inner = slope_of(springs, errors, damping, centre, close, slope, missed)
+                interior[u] = x[u]
+    # It cycled again: take the better of both results.
+    _clip(x, lower, upper)
+    _clip(interior, lower, upper)
+    last = evaluate_gradient(objective, errors, damping, centre, x, slope, missed)
+    inner = evaluate_gradient(objective, errors, damping, centre, interior, slope, missed)
     if not last <= inner:
         for u in range(n):
-            x[u] = close[u]
+            x[u] = interior[u]
     return solved
 
 
 @subkernel
-def _thin(lower: float, upper: float) -> bool:
-    """Whether there is no room between two bounds."""
-    return upper - lower <= TINY
+def _is_fixed(lower: float, upper: float) -> bool:
+    """Whether two bounds leave no room to move."""
+    return upper - lower <= NEGLIGIBLE_MOTION
 
 
 @subkernel
-def _cut(x: Array1, lower: Array1, upper: Array1) -> None:
-    """Bring x into the box; no motion, where it is no number."""
+def _clip(x: Array1, lower: Array1, upper: Array1) -> None:
+    """Clip x to the box; NaN becomes 0."""
     for u in range(len(x)):
         if np.isnan(x[u]):
             x[u] = 0.0
@@ -499,8 +491,8 @@ def _cut(x: Array1, lower: Array1, upper: Array1) -> None:
 
 
 @subkernel
-def _inner(
-    springs: PointObjective,
+def _interior_point(
+    objective: PointObjective,
     errors: Array2,
     damping: Array1,
     centre: Array1,
@@ -510,15 +502,15 @@ def _inner(
     x: Array1,
     gains: Array2,
 ) -> int:
-    """An interior point method: fills x with a point near the minimum, and `sides` with a guess."""
-    n, m = len(springs.screws), len(springs.ends)
+    """Fill x with a point near the minimum, by an interior point method, and `sides` with an active set."""
+    n, m = len(objective.screws), len(objective.ends)
     slope, missed, held = np.empty(n), np.empty((m, 6)), np.zeros(n, dtype=np.bool_)
     low, high = np.zeros(n), np.zeros(n)  # multipliers of the sides
-    stiff, pulled, there = np.empty(n), np.empty(n), np.empty(n)
+    stiff, pulled, trial = np.empty(n), np.empty(n), np.empty(n)
     moves, downs, ups = np.zeros(n), np.zeros(n), np.zeros(n)
     bounds = 0
     for u in range(n):
-        held[u] = _thin(lower[u], upper[u])
+        held[u] = _is_fixed(lower[u], upper[u])
         below, above = np.isfinite(lower[u]), np.isfinite(upper[u])
         if held[u]:
             x[u] = lower[u]
@@ -531,7 +523,7 @@ def _inner(
         else:
             x[u] = centre[u]
         bounds += 0 if held[u] else int(below) + int(above)
-    slope_of(springs, errors, damping, centre, x, slope, missed)
+    evaluate_gradient(objective, errors, damping, centre, x, slope, missed)
     start = 0.0
     for u in range(n):
         if not held[u]:
@@ -542,21 +534,21 @@ def _inner(
         if not held[u]:
             low[u] = start / (x[u] - lower[u])
             high[u] = start / (upper[u] - x[u])
-    iterations, left = 0, 1.0  # share of the mismatch of multipliers and slope
-    while iterations < ITERATIONS:
+    iterations, mismatch = 0, 1.0  # share of the initial mismatch of multipliers and gradient
+    while iterations < MAX_ITERATIONS:
         gap = 0.0
         for u in range(n):
             if not held[u]:
-                gap += _product(low[u], x[u] - lower[u]) + _product(high[u], upper[u] - x[u])
+                gap += _complementarity(low[u], x[u] - lower[u]) + _complementarity(high[u], upper[u] - x[u])
         gap /= max(bounds, 1)
-        if gap <= GAP * start and left <= GAP:
+        if gap <= RELATIVE_GAP * start and mismatch <= RELATIVE_GAP:
             break
         iterations += 1
         aim, gap_there = 0.0, 0.0
         for corrector in range(2):
             for u in range(n):
                 if held[u]:
-                    there[u] = x[u]
+                    trial[u] = x[u]
                     continue
                 a, c = x[u] - lower[u], upper[u] - x[u]
                 p, r = low[u] / a, high[u] / c
@@ -567,14 +559,14 @@ def _inner(
                 stiff[u] = damping[u] + p + r
                 pulled[u] = (damping[u] * centre[u] + (p + r) * x[u] + push) / stiff[u]
             if not corrector:
-                factored(springs, stiff, held, gains)
-            answered(springs, errors, stiff, pulled, held, gains, there)
-            # How far there is room to go, for x and for the multipliers.
+                factor(objective, stiff, held, gains)
+            solve_factored(objective, errors, stiff, pulled, held, gains, trial)
+            # The longest step that keeps x within the bounds and the multipliers positive.
             reach = 1.0
             for u in range(n):
                 if held[u]:
                     continue
-                a, c, move = x[u] - lower[u], upper[u] - x[u], there[u] - x[u]
+                a, c, move = x[u] - lower[u], upper[u] - x[u], trial[u] - x[u]
                 p, r = low[u] / a, high[u] / c
                 first = moves[u] if corrector else 0.0
                 down = (aim + (low[u] + p * first) * first) / a - low[u] - p * move
@@ -594,16 +586,16 @@ def _inner(
             for u in range(n):
                 if not held[u]:
                     move = reach * moves[u]
-                    gap_there += _product(low[u] + reach * downs[u], x[u] + move - lower[u])
-                    gap_there += _product(high[u] + reach * ups[u], upper[u] - x[u] - move)
+                    gap_there += _complementarity(low[u] + reach * downs[u], x[u] + move - lower[u])
+                    gap_there += _complementarity(high[u] + reach * ups[u], upper[u] - x[u] - move)
             gap_there /= max(bounds, 1)
             aim = gap * (gap_there / gap) ** 3
-        left *= 1.0 - BACK * reach
+        mismatch *= 1.0 - STEP_TO_BOUNDARY * reach
         for u in range(n):
             if not held[u]:
-                x[u] += BACK * reach * (there[u] - x[u])
-                low[u] += BACK * reach * downs[u]
-                high[u] += BACK * reach * ups[u]
+                x[u] += STEP_TO_BOUNDARY * reach * (trial[u] - x[u])
+                low[u] += STEP_TO_BOUNDARY * reach * downs[u]
+                high[u] += STEP_TO_BOUNDARY * reach * ups[u]
     for u in range(n):
         sides[u] = 0
         if not held[u] and gains[u, 10] * low[u] > 0.5 * (x[u] - lower[u]):
@@ -614,6 +606,6 @@ def _inner(
 
 
 @subkernel
-def _product(multiplier: float, room: float) -> float:
-    """Complementarity of one side; none where there is no bound."""
+def _complementarity(multiplier: float, room: float) -> float:
+    """Return the complementarity of one side; 0 without a bound."""
     return multiplier * room if np.isfinite(room) else 0.0

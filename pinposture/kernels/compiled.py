@@ -1,10 +1,9 @@
-"""Functions that are compiled for the machine they run on: when, where the result is kept, how it is told.
+"""Compilation of kernels by numba, and its cache.
 
-A kernel is compiled once for an installation and user, for the arguments that its annotations name. Numba
-keeps the machine code beside the source, or in the user's cache where it may not write there, or in
-NUMBA_CACHE_DIR. It happens when a kernel is first called, or ahead of that by `load` and by
-`pinposture compile`. Processes that want the same kernel at the same time compile it once: one does, the
-others wait and load the result.
+A kernel is compiled once for an installation and user, for the argument types in its annotations: when it is
+first called, or ahead of that by `load` and by `pinposture compile`. Numba keeps the machine code beside the
+source, or in the user's cache if it may not write there, or in NUMBA_CACHE_DIR. If several processes need a
+kernel at the same time, one compiles it and the others wait and load the result.
 """
 
 from __future__ import annotations
@@ -37,61 +36,59 @@ Function = TypeVar("Function", bound=Callable[..., object])
 logger = logging.getLogger(__name__)
 
 OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-"""What numba is told: kernels are called from Python and by each other, never from C."""
+"""Options of numba: kernels are called from Python and by each other, never from C."""
 
-_NEWS = "compiling kernels, once for an installation and user; `pinposture compile` does all of it now"
+_NOTICE = "compiling kernels, once for an installation and user; `pinposture compile` does all of it now"
 
-_RECENT = 3600.0
-"""How long other processes keep quiet after one has told the news [s]."""
+_NOTICE_INTERVAL = 3600.0
+"""Time after a notice in which other processes do not repeat it [s]."""
 
 _IMPORT = re.compile(r"^from pinposture\.kernels\.(\w+) import", re.MULTILINE)
 
 
 def compiled(function: Function) -> Function:
-    """Compile a function that works on arrays and numbers alone; it runs without holding the GIL.
+    """Compile a function of arrays and numbers; it runs without holding the GIL.
 
-    Divisions by zero give inf or NaN, as in NumPy. Arrays have to be C-contiguous, may be written to, and
-    have the type and the number of dimensions that the annotations name: any other kind would be compiled for
-    anew.
+    Divisions by zero give inf or NaN, as in NumPy. Arrays must be C-contiguous and writable, and have the
+    type and number of dimensions of the annotations: any other type leads to another compilation.
     """
-    return _made(function, {})
+    return _compile(function, {})
 
 
 def subkernel(function: Function) -> Function:
-    """Compile a function that other kernels call, and Python never."""
-    return _made(function, {"no_cpython_wrapper": True})
+    """Compile a function that only other kernels call."""
+    return _compile(function, {"no_cpython_wrapper": True})
 
 
-def _made(function: Function, options: dict[str, Any]) -> Function:
-    made: Any = numba.njit(**OPTIONS, **options)(function)
+def _compile(function: Function, options: dict[str, Any]) -> Function:
+    kernel: Any = numba.njit(**OPTIONS, **options)(function)
     try:
-        made.enable_caching()
+        kernel.enable_caching()
     except RuntimeError:
-        _say_that_nothing_is_kept()
-    if (kept := _kept(made)) is not None:
-        # Machine code contains the kernels that it calls, and numba looks at the file of the caller alone.
-        kept._source_stamp = source_stamp(Path(function.__code__.co_filename))
-        kept._load_index = _nothing_if_unreadable(kept._load_index)
-        made.compile = _one_at_a_time(
-            made.compile, Path(made._cache.cache_path) / f"{function.__name__}.lock"
-        )
-    return cast(Function, made)
+        _warn_without_cache()
+    if (cached := _cache_file(kernel)) is not None:
+        # Machine code includes the kernels that it calls, but numba only checks the file of the caller.
+        cached._source_stamp = source_stamp(Path(function.__code__.co_filename))
+        cached._load_index = _empty_if_unreadable(cached._load_index)
+        lock = Path(kernel._cache.cache_path) / f"{function.__name__}.lock"
+        kernel.compile = _one_at_a_time(kernel.compile, lock)
+    return cast(Function, kernel)
 
 
 def load(kernel: Any) -> None:
-    """Compile a kernel for the arguments that it is annotated with, or load it from where it is kept."""
+    """Compile a kernel for the arguments that it is annotated with, or load it from the cache."""
     if not kernel.signatures:
         kernel.compile(arguments_of(kernel))
 
 
 def arguments_of(kernel: Any) -> tuple[types.Type, ...]:
-    """What numba calls the arguments that a kernel is annotated with."""
+    """Return numba's types of the arguments that a kernel is annotated with."""
     hints = get_type_hints(kernel.py_func, include_extras=True)
     return tuple(_type_of(hints[name]) for name in signature(kernel.py_func).parameters)
 
 
 def _type_of(hint: Any) -> types.Type:
-    """What numba calls the arguments that an annotation stands for."""
+    """Return numba's type of an annotation."""
     if hint in _SCALARS:
         return _SCALARS[hint]
     if get_origin(hint) is Annotated:  # an array of `kernels.arrays`
@@ -107,15 +104,15 @@ _SCALARS = {float: types.float64, int: types.int64, bool: types.boolean}
 
 
 def _one_at_a_time(compile_kernel: Callable[..., Any], lock: Path) -> Callable[..., Any]:
-    """Let one process compile a kernel; the others wait, and find it where it is kept.
+    """Let one process compile a kernel while the others wait and then load it from the cache.
 
-    A kernel that another one calls is locked after its caller, so nobody waits in a circle. Numba's own lock
-    comes first, so that threads of one process do not either.
+    A kernel is locked after its caller, and numba's own lock comes first: neither processes nor threads can
+    deadlock.
     """
 
     def compile_once(signature: Any) -> Any:
         arguments, _ = normalize_signature(signature)  # type: ignore[no-untyped-call]
-        # A constant is a number like others, not a type of its own.
+        # A literal argument must not become a type of its own.
         arguments = tuple(types.unliteral(each) for each in arguments)  # type: ignore[no-untyped-call]
         with global_compiler_lock, _locked(lock):
             return compile_kernel(arguments)
@@ -125,11 +122,11 @@ def _one_at_a_time(compile_kernel: Callable[..., Any], lock: Path) -> Callable[.
 
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
-    """Hold a lock on a file; without one where files cannot be locked. It ends with the process."""
+    """Hold a lock on a file, if files can be locked; it ends with the process."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         file = path.open("w")
-    except OSError:  # a folder that can only be read
+    except OSError:  # a read-only folder
         yield
         return
     with file:
@@ -139,32 +136,32 @@ def _locked(path: Path) -> Iterator[None]:
         yield
 
 
-def _nothing_if_unreadable(load_index: Callable[[], Any]) -> Callable[[], Any]:
-    """Take an index for empty that cannot be read: it may name classes of another version of the library."""
+def _empty_if_unreadable(load_index: Callable[[], Any]) -> Callable[[], Any]:
+    """Treat an unreadable index as empty: it may name classes of another version of the library."""
 
-    def load_or_start_anew() -> Any:
+    def load_or_empty() -> Any:
         try:
             return load_index()
         except (AttributeError, ImportError, EOFError, pickle.UnpicklingError):
             return {}
 
-    return load_or_start_anew
+    return load_or_empty
 
 
 def is_ready(kernel: Any) -> bool:
-    """Whether a kernel is compiled, in this process or where the results are kept."""
-    kept = _kept(kernel)
-    return bool(kernel.signatures) or (kept is not None and bool(kept._load_index()))
+    """Whether a kernel is compiled, in this process or in the cache."""
+    cached = _cache_file(kernel)
+    return bool(kernel.signatures) or (cached is not None and bool(cached._load_index()))
 
 
-def _kept(kernel: Any) -> Any:
-    """Numba's index of what is kept of a kernel; None if nothing is, or if it is not where it used to be."""
-    kept = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
-    return kept if hasattr(kept, "_source_stamp") and hasattr(kept, "_load_index") else None
+def _cache_file(kernel: Any) -> Any:
+    """Return numba's index of a kernel's cache; None without one, or if numba's internals have changed."""
+    cached = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
+    return cached if hasattr(cached, "_source_stamp") and hasattr(cached, "_load_index") else None
 
 
 @cache
-def _say_that_nothing_is_kept() -> None:
+def _warn_without_cache() -> None:
     logger.warning(
         "there is no folder to keep compiled kernels in, so that every process compiles its own; "
         "set NUMBA_CACHE_DIR to one that can be written to"
@@ -173,7 +170,7 @@ def _say_that_nothing_is_kept() -> None:
 
 @cache
 def source_stamp(file: Path) -> str:
-    """Changes when a file of kernels does, or one of those that it imports from, directly or not."""
+    """Return a hash of a file of kernels and of all kernels that it imports, directly or not."""
     digest = hashlib.sha256()
     for path in sorted(_sources(file)):
         digest.update(path.read_bytes())
@@ -182,43 +179,41 @@ def source_stamp(file: Path) -> str:
 
 @cache
 def _sources(file: Path) -> frozenset[Path]:
-    """A file of kernels, and all of this package that it imports from, directly or not."""
+    """Return a file of kernels and all files of kernels that it imports, directly or not."""
     found = {file}
     for name in _IMPORT.findall(file.read_text(encoding="utf-8")):
         found |= _sources(file.with_name(f"{name}.py"))
     return frozenset(found)
 
 
-class _Announcement(event.Listener):
-    """Says that there is something to wait for: once, however many processes of a user wait for it."""
+class _Notice(event.Listener):
+    """Log that kernels are being compiled: once, for all processes of a user that wait for it."""
 
     def __init__(self) -> None:
-        self._told = False
+        self._given = False
 
     def on_start(self, event: event.Event) -> None:
-        """A kernel is about to be compiled; it was not found where they are kept."""
+        """Handle a kernel that was not found in the cache and is about to be compiled."""
         dispatcher: Any = (event.data or {}).get("dispatcher")
         ours = getattr(getattr(dispatcher, "py_func", None), "__module__", "").startswith("pinposture.")
-        if ours and not self._told:
-            self._told = True
-            if _kept(dispatcher) is None or _is_news(Path(dispatcher._cache.cache_path)):
-                logger.warning(_NEWS)
+        if ours and not self._given:
+            self._given = True
+            if _cache_file(dispatcher) is None or _is_due(Path(dispatcher._cache.cache_path)):
+                logger.warning(_NOTICE)
 
     def on_end(self, event: event.Event) -> None:
-        """It is compiled."""
+        """Ignore the end of a compilation."""
 
 
-def _is_news(folder: Path) -> bool:
-    """Whether no process has told it lately, by a file beside the kernels; this one counts from now on."""
+def _is_due(folder: Path) -> bool:
+    """Whether no process has given the notice lately, by a file beside the kernels, which is touched."""
     note = folder / "compiling.note"
-    try:
-        if time.time() - note.stat().st_mtime < _RECENT:
+    with suppress(OSError):  # there is none yet
+        if time.time() - note.stat().st_mtime < _NOTICE_INTERVAL:
             return False
-    except OSError:
-        pass  # there is none yet
     with suppress(OSError):
         note.touch()
     return True
 
 
-event.register("numba:compile", _Announcement())  # type: ignore[no-untyped-call]
+event.register("numba:compile", _Notice())  # type: ignore[no-untyped-call]

@@ -1,13 +1,28 @@
-"""Placements and Jacobians of the joints and control points of a serial chain."""
+"""Forward kinematics and Jacobians of a serial chain, and products with its posture control matrices."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import FULL, LOCAL, Array1, Array2, Array3, ChainArrays, Ints1, Rows, Screws
-from pinposture.kernels.compiled import compiled
+from pinposture.kernels.arrays import (
+    FULL,
+    LOCAL,
+    Array1,
+    Array2,
+    Array3,
+    ChainArrays,
+    Ints1,
+    Rows,
+    Screws,
+    Three,
+)
+from pinposture.kernels.compiled import compiled, subkernel
 
-# Where the joints and control points of a serial chain are.
+
+@subkernel
+def difference(points: Array2, i: int, j: int) -> Three:
+    """Return the vector to point i from point j."""
+    return points[i, 0] - points[j, 0], points[i, 1] - points[j, 1], points[i, 2] - points[j, 2]
 
 
 @compiled
@@ -19,7 +34,7 @@ def placements(
     points: Array2,
     rotations: Array3,
 ) -> None:
-    """Forward kinematics, one joint after the other.
+    """Compute the forward kinematics.
 
     Args:
         chain: the chain.
@@ -60,11 +75,11 @@ def placements(
         x, y, z = axes[u, 0], axes[u, 1], axes[u, 2]
         ax, ay, az = r00 * x + r01 * y + r02 * z, r10 * x + r11 * y + r12 * z, r20 * x + r21 * y + r22 * z
         joint_axes[u, 0], joint_axes[u, 1], joint_axes[u, 2] = ax, ay, az
-        at = positions[columns[u]]
+        q = positions[columns[u]]
         if slides[u]:
-            px, py, pz = px + at * ax, py + at * ay, pz + at * az
+            px, py, pz = px + q * ax, py + q * ay, pz + q * az
         else:
-            c, s = np.cos(at), np.sin(at)
+            c, s = np.cos(q), np.sin(q)
             # Rodrigues' formula, in the frame of the joint.
             v = 1.0 - c
             e00, e01, e02 = c + v * x * x, v * x * y - s * z, v * x * z + s * y
@@ -102,7 +117,7 @@ def placements(
 def jacobians(
     chain: ChainArrays, joint_axes: Array2, joint_origins: Array2, points: Array2, filled: Array3
 ) -> None:
-    """Position Jacobians of all control points: d p_k / d q_u = a_u x (p_k - o_u), or a_u where it slides.
+    """Compute the position Jacobians of all control points: a_u x (p_k - o_u), or a_u for a prismatic joint.
 
     Args:
         chain: the chain.
@@ -130,13 +145,13 @@ def jacobians(
 def carry_screws(
     motions: Array2, columns: Ints1, units: Array1, ends: Ints1, points: Array2, filled: Array2
 ) -> None:
-    """How each joint moves the first point that it carries, and turns it: v + w x p and w.
+    """Compute the linear and angular velocity of the first point that each joint carries, v + w x p and w.
 
     Args:
         motions: velocity v at the world origin and angular velocity w of each degree of freedom, (nv, 6).
         columns: the degree of freedom of each joint of the chain, (n,).
-        units: the motion of each joint that counts as one, (n,).
-        ends: how many of the joints carry each point, (m,); increasing.
+        units: unit of motion of each joint, (n,).
+        ends: number of the joints that carry each point, (m,); increasing.
         points: the points, (m, 3).
         filled: filled with v + w x p and w, (n, 6).
     """
@@ -154,16 +169,15 @@ def carry_screws(
         filled[i, 3], filled[i, 4], filled[i, 5] = units[i] * w0, units[i] * w1, units[i] * w2
 
 
-# Posture control matrices as a chain has them: motions of points along directions, never written out.
+# The rows of a posture control matrix are motions of some points, the stations, along some directions. The
+# matrix is never formed: its product with a vector is a pass along the chain, whose state is the velocity v
+# of a point and the angular velocity w of its body, to which each joint adds its screw. From point to point
+# the state becomes v + w x r: velocities at a common origin far away would cancel. The coupling says how rows
+# depend on the joints before their section, those up to the station before:
 #
-# A matrix asks of some points, the stations, how they move along some directions. How it multiplies a vector
-# is a pass along the chain: the state is the motion v of a point and the turning w of its body, and each
-# joint adds its screw. Between stations they are taken to the next point, v + w x r: velocities at a common
-# origin far away would cancel. What rows know of the joints before their section, those up to the station
-# before, depends on the coupling:
-#
-# * FULL: everything. Rows are those of the position Jacobians. * RELATIVE: the motion of the point relative
-# to the station before. * LOCAL: nothing.
+# * FULL: completely. Rows are those of the position Jacobians.
+# * RELATIVE: by the motion of the point relative to the station before.
+# * LOCAL: not at all.
 
 
 @compiled
@@ -173,11 +187,11 @@ def motions_along(
     x: Array1,
     values: Array2,
 ) -> None:
-    """The matrix times a vector: how the joints move the stations along the directions.
+    """Multiply a posture control matrix by a vector.
 
     Args:
-        screws: how joints move the points.
-        rows: which motions the matrix consists of.
+        screws: the screws of the joints.
+        rows: the rows of the matrix.
         x: motions of the joints, (n,).
         values: filled with one value for each direction that has a row, (p, 3).
     """
@@ -213,11 +227,11 @@ def joints_along(
     values: Array2,
     x: Array1,
 ) -> None:
-    """The transposed matrix times a vector: what forces along the directions do to the joints.
+    """Multiply a transposed posture control matrix by a vector.
 
     Args:
-        screws: how joints move the points.
-        rows: which motions the matrix consists of.
+        screws: the screws of the joints.
+        rows: the rows of the matrix.
         values: one value for each direction that has a row, (p, 3).
         x: filled with one value for each joint, (n,).
     """

@@ -1,4 +1,4 @@
-"""Manipulability indices of sections of a chain, and the control set with the best ones."""
+"""Manipulability of the sections of a chain, and the control set with the best indices."""
 
 from __future__ import annotations
 
@@ -7,26 +7,30 @@ import numpy as np
 from pinposture.kernels.arrays import Array1, Array2, Array3, Flags1, Flags2, Ints1
 from pinposture.kernels.compiled import compiled, subkernel
 
-# Manipulability indices of the sections of a chain: all of them, or those that a control set needs.
-#
 # The Jacobian of point i relative to point s has the columns of the joints between them. Its Gram matrix is
 # a sum of outer products over these joints, from i downwards, so that nothing cancels. Its eigenvalues have
 # closed forms.
 
 Gram = tuple[float, float, float, float, float, float]
 
-DOUBT = 1e-7
-"""How far the square of an index may be from that of a threshold for it to be computed the careful way."""
+RECOMPUTED_DIFFERENCE = 1e-7
+"""Difference of the squares of an index and a threshold below which the index is recomputed accurately."""
 
-ROUNDING = 1e-14
-"""Rounding of the determinant of a Gram matrix of trace 1, at most."""
+DETERMINANT_ERROR = 1e-14
+"""Largest rounding error of the determinant of a Gram matrix of trace 1."""
+
+MAX_SWEEPS = 40
+"""Largest number of sweeps of Jacobi rotations; three vectors take about five."""
+
+ORTHOGONAL = 1e-15
+"""Cosine of the angle between two vectors at which they count as orthogonal."""
 
 
 @subkernel
 def _with_module(
     gram: Gram, b: Array2, ends: Ints1, points: Array2, plane: Array2, module: int, point: int
 ) -> Gram:
-    """A Gram matrix (xx, xy, xz, yy, yz, zz) of the motion of a point, with one more module."""
+    """Add the joints of a module to the Gram matrix (xx, xy, xz, yy, yz, zz) of the motion of a point."""
     xx, xy, xz, yy, yz, zz = gram
     dx = points[point, 0] - points[module, 0]
     dy = points[point, 1] - points[module, 1]
@@ -53,7 +57,7 @@ def _determinant(gram: Gram) -> float:
 
 @subkernel
 def _index(gram: Gram, dimension: int) -> float:
-    """Product of the singular values over the power of the largest, (4.3) and (4.4)."""
+    """Return the product of the singular values over the power of the largest, (4.3) and (4.4)."""
     xx, xy, xz, yy, yz, zz = gram
     mean = (xx + yy + zz) / dimension
     if mean <= 0.0:
@@ -75,21 +79,21 @@ def _index(gram: Gram, dimension: int) -> float:
 
 
 @subkernel
-def _clears(gram: Gram, dimension: int, threshold: float) -> bool:
-    """Whether the index exceeds a threshold; the largest eigenvalue is only found where it decides."""
+def _exceeds(gram: Gram, dimension: int, threshold: float) -> bool:
+    """Whether the index exceeds a threshold; the largest eigenvalue is only computed if it decides."""
     trace = gram[0] + gram[3] + gram[5]
     if dimension == 3 and trace > 0.0:
         share = _determinant(gram) / (trace * trace * trace)
-        if share > threshold * threshold + ROUNDING:
+        if share > threshold * threshold + DETERMINANT_ERROR:
             return True
-        if share < threshold * threshold / 27.0 - ROUNDING:
+        if share < threshold * threshold / 27.0 - DETERMINANT_ERROR:
             return False
     return _index(gram, dimension) > threshold
 
 
 @subkernel
-def _section(b: Array2, ends: Ints1, points: Array2, plane: Array2, start: int, end: int) -> float:
-    """Index of point `end` - 1 relative to `start` - 1; 0 is the base."""
+def _section_index(b: Array2, ends: Ints1, points: Array2, plane: Array2, start: int, end: int) -> float:
+    """Return the index of point `end` - 1 relative to `start` - 1; 0 is the base."""
     gram = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for module in range(end - 1, start - 1, -1):
         gram = _with_module(gram, b, ends, points, plane, module, end - 1)
@@ -98,10 +102,10 @@ def _section(b: Array2, ends: Ints1, points: Array2, plane: Array2, start: int, 
 
 @compiled
 def all_indices(b: Array2, ends: Ints1, points: Array2, plane: Array2, filled: Array2) -> None:
-    """Indices of all sections.
+    """Compute the indices of all sections.
 
     Args:
-        b: motion and turning of the first point that each joint carries, (n, 6), from `find_screws`.
+        b: linear and angular velocity of the first point that each joint carries, (n, 6), from `find_screws`.
         ends: number of joints that carry each point, (m,); increasing.
         points: the points, (m, 3).
         plane: directions in which the points can move, (2, 3), or (3, 3) for any.
@@ -119,17 +123,17 @@ def all_indices(b: Array2, ends: Ints1, points: Array2, plane: Array2, filled: A
 def base_indices(
     b: Array2, ends: Ints1, points: Array2, plane: Array2, threshold: float, filled: Array1
 ) -> None:
-    """Indices of all points relative to the base, in one pass.
+    """Compute the indices of all points relative to the base, in one pass.
 
-    The Gram matrix of motion and turning goes along the chain from point to point. What rounding that adds
-    may not decide whether an index exceeds the threshold: the index is computed anew where it could.
+    The Gram matrix of linear and angular velocity is updated from point to point. Where the rounding errors
+    could decide whether an index exceeds the threshold, it is recomputed.
 
     Args:
-        b: see `all_indices`.
-        ends: see `all_indices`.
-        points: see `all_indices`.
-        plane: see `all_indices`.
-        threshold: what the indices are going to be compared with.
+        b: as for `all_indices`.
+        ends: as for `all_indices`.
+        points: as for `all_indices`.
+        plane: as for `all_indices`.
+        threshold: threshold of the indices.
         filled: filled with the indices, (m,).
     """
     vv, vw, ww = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
@@ -167,28 +171,28 @@ def base_indices(
                     yy += P[1, j] * vv[j, k] * P[1, k]
             gram = (xx, xy, 0.0, yy, 0.0, 0.0)
         filled[i] = _index(gram, d)
-        if abs(filled[i] * filled[i] - threshold * threshold) < DOUBT:
-            filled[i] = _section(b, ends, points, plane, 0, i + 1)
+        if abs(filled[i] * filled[i] - threshold * threshold) < RECOMPUTED_DIFFERENCE:
+            filled[i] = _section_index(b, ends, points, plane, 0, i + 1)
 
 
 @compiled
 def stride_indices(
     b: Array2, ends: Ints1, points: Array2, plane: Array2, strides: Ints1, filled: Array2
 ) -> None:
-    """Indices of the sections of some numbers of modules.
+    """Compute the indices of the sections of some numbers of modules.
 
     Args:
-        b: see `all_indices`.
-        ends: see `all_indices`.
-        points: see `all_indices`.
-        plane: see `all_indices`.
-        strides: how many modules the sections have, (S,).
+        b: as for `all_indices`.
+        ends: as for `all_indices`.
+        points: as for `all_indices`.
+        plane: as for `all_indices`.
+        strides: numbers of modules of the sections, (S,).
         filled: zeros, filled with the index of the section to each node from so many modules before,
             (S, m + 1); node k + 1 is point k.
     """
     for j in range(len(strides)):
         for end in range(strides[j], len(ends) + 1):
-            filled[j, end] = _section(b, ends, points, plane, end - strides[j], end)
+            filled[j, end] = _section_index(b, ends, points, plane, end - strides[j], end)
 
 
 @compiled
@@ -202,24 +206,24 @@ def best_path(
     relative: float,
     path: Ints1,
 ) -> int:
-    """The control set with the largest sum of errors: the longest path whose edges all clear the condition.
+    """Find the control set with the largest sum of errors: the longest path whose edges meet a condition.
 
-    The best path to a point goes through the best of the points that it can follow. These are tried from the
-    best downwards, so that the first whose section clears the condition is the one, and mostly it is near:
-    few of all the sections are looked at. Of equally good ones the first along the chain is taken.
+    The best path to a point goes through the best of its possible predecessors. These are tried from the best
+    downwards, so that the first whose section meets the condition is the one; it is usually near, and few of
+    all sections are evaluated. Of equally good ones the first along the chain is taken.
 
     Args:
-        b: see `all_indices`.
-        ends: see `all_indices`.
-        points: see `all_indices`.
-        plane: see `all_indices`.
+        b: as for `all_indices`.
+        ends: as for `all_indices`.
+        points: as for `all_indices`.
+        plane: as for `all_indices`.
         usable: which points may be in the set, (m,).
-        errors: what each of them adds, (m,); not negative.
+        errors: error of each of them, (m,); not negative.
         relative: threshold of the index of each point of the set relative to the one before it.
         path: filled with the points of the set from its beginning, (m,).
 
     Returns:
-        How many points it has.
+        Its number of points.
     """
     m, d, known = len(ends), len(plane), 0
     score, before = np.zeros(m), np.full(m, -1)
@@ -240,7 +244,7 @@ def best_path(
                 g = grams[reached]
                 g[0], g[1], g[2], g[3], g[4], g[5] = gram
             g = grams[s]
-            if _clears((g[0], g[1], g[2], g[3], g[4], g[5]), d, relative):
+            if _exceeds((g[0], g[1], g[2], g[3], g[4], g[5]), d, relative):
                 score[i] += score[s]
                 before[i] = s
                 break
@@ -263,13 +267,13 @@ def best_path(
 def weakest_index(
     b: Array2, ends: Ints1, points: Array2, plane: Array2, active: Ints1, base: Array1
 ) -> float:
-    """Smallest index of the points of a control set, relative to the base and to the point before.
+    """Return the smallest index of the points of a control set, relative to the base and to the point before.
 
     Args:
-        b: see `all_indices`.
-        ends: see `all_indices`.
-        points: see `all_indices`.
-        plane: see `all_indices`.
+        b: as for `all_indices`.
+        ends: as for `all_indices`.
+        points: as for `all_indices`.
+        plane: as for `all_indices`.
         active: the points of the set, increasing.
         base: indices of all points relative to the base, (m,).
     """
@@ -277,19 +281,10 @@ def weakest_index(
     for i in active:
         if base[i] < base[last]:
             last = i
-    weakest = _section(b, ends, points, plane, 0, last + 1)
+    weakest = _section_index(b, ends, points, plane, 0, last + 1)
     for k in range(1, len(active)):
-        weakest = min(weakest, _section(b, ends, points, plane, active[k - 1] + 1, active[k] + 1))
+        weakest = min(weakest, _section_index(b, ends, points, plane, active[k - 1] + 1, active[k] + 1))
     return weakest
-
-
-# Manipulability spaces of modules: the directions in which a module moves its end well.
-
-SWEEPS = 40
-"""The most rounds of rotations; three vectors take about five."""
-
-ANGLE = 1e-15
-"""Cosine of the angle between two vectors at which they count as at right angles."""
 
 
 @compiled
@@ -303,18 +298,18 @@ def module_spaces(
     directions: Array3,
     ranks: Ints1,
 ) -> float:
-    """Left singular vectors, above a threshold, of the Jacobian of each section by its own joints alone.
+    """Compute the left singular vectors, above a threshold, of each section's Jacobian by its own joints.
 
-    One-sided rotations (Jacobi, Hestenes) on the shorter side of the Jacobian: small singular values are as
+    One-sided Jacobi rotations (Hestenes) on the shorter side of the Jacobian: small singular values are as
     accurate as large ones, and two joints take a single rotation.
 
     Args:
-        b: motion and turning of the first point that each joint carries, (n, 6), from `find_screws`.
-        ends: number of joints that carry each point, (m,); increasing.
-        points: the points, (m, 3).
-        plane: directions in which the points can move, (2, 3), or (3, 3) for any.
+        b: as for `all_indices`.
+        ends: as for `all_indices`.
+        points: as for `all_indices`.
+        plane: as for `all_indices`.
         stations: the points at which the sections end, (p,); increasing.
-        thresholds: what the singular values of each of them have to exceed, (p,).
+        thresholds: thresholds of the singular values of each of them, (p,).
         directions: filled with orthonormal directions, the singular vectors that are kept first, (p, 3, 3).
         ranks: filled with their number, (p,).
 
@@ -363,7 +358,7 @@ def module_spaces(
             sigma[i] = -1.0
             rank += 1
         ranks[k] = rank
-        _complete(directions[k], rank)
+        _complete_basis(directions[k], rank)
     return smallest
 
 
@@ -377,17 +372,17 @@ def _product(vectors: Array2, i: int, j: int, length: int) -> float:
 
 @subkernel
 def _orthogonalise(vectors: Array2, turns: Array2, size: int, length: int) -> None:
-    """Turn up to three vectors among themselves until they are at right angles; the turns are kept."""
+    """Rotate up to three vectors into each other until they are orthogonal; `turns` gets the rotation."""
     for i in range(size):
         for j in range(size):
             turns[i, j] = 1.0 if i == j else 0.0
-    for _ in range(SWEEPS):
+    for _ in range(MAX_SWEEPS):
         turned = False
         for i in range(size - 1):
             for j in range(i + 1, size):
                 ii, jj = _product(vectors, i, i, length), _product(vectors, j, j, length)
                 ij = _product(vectors, i, j, length)
-                if abs(ij) <= ANGLE * np.sqrt(ii * jj):
+                if abs(ij) <= ORTHOGONAL * np.sqrt(ii * jj):
                     continue
                 turned = True
                 zeta = (jj - ii) / (2.0 * ij)
@@ -406,8 +401,8 @@ def _orthogonalise(vectors: Array2, turns: Array2, size: int, length: int) -> No
 
 
 @subkernel
-def _complete(directions: Array2, rank: int) -> None:
-    """Straighten the first directions by what rounding left, and add others at right angles to them."""
+def _complete_basis(directions: Array2, rank: int) -> None:
+    """Orthonormalise the first directions, and add others orthogonal to them."""
     for i in range(3):
         e = directions[i]
         for attempt in range(1 if i < rank else 3):
@@ -425,9 +420,6 @@ def _complete(directions: Array2, rank: int) -> None:
                 break
 
 
-# The best branch of a tree of sections, without looking at the branches one by one.
-
-
 @compiled
 def best_branch(
     root: int,
@@ -439,24 +431,24 @@ def best_branch(
     mean: bool,
     path: Ints1,
 ) -> tuple[int, float]:
-    """The branch with the largest score: a bonus for the edges left, and their indices.
+    """Find the branch of a tree of sections with the largest score: by stable edges and their indices.
 
-    Of all ways to a node on which as many edges are left, only that with the largest product of indices can
+    Of all paths to a node with equally many stable edges, only that with the largest product of indices can
     be part of it. Of equally good ones the first is taken, by its end, its edges and its strides.
 
     Args:
         root: the node at which all branches begin.
         leaf: the last node.
-        strides: how many modules an edge may have, (S,); increasing.
-        stable: which edges are left, by stride and by the node they lead to, (S, N).
+        strides: numbers of modules that an edge may have, (S,); increasing.
+        stable: which edges are stable, by stride and by the node they lead to, (S, N).
         logs: logarithms of their indices, (S, N).
-        bonus: added to the logarithm of the score for each number of edges left, (C,); minus infinity for
-            a number that does not count.
+        bonus: added to the logarithm of the score for each number of stable edges, (C,); minus infinity for
+            a number that is not allowed.
         mean: True for the geometric mean of the indices, False for their product.
-        path: filled with the nodes that the edges left lead to, from the last to the first, (N,).
+        path: filled with the nodes that the stable edges lead to, from the last to the first, (N,).
 
     Returns:
-        Number of edges left, and the logarithm of the score; minus infinity if there is no branch.
+        Number of stable edges, and the logarithm of the score; minus infinity if there is no branch.
     """
     counts = len(bonus)
     product = np.full((leaf + 1, counts), -np.inf)  # its logarithm, by node and edges left

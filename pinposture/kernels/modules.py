@@ -1,4 +1,4 @@
-"""Closed-form kinematics of modules, the frames of modules along a chain, and Algorithm 1 on them."""
+"""Closed-form kinematics of modules, and their placement on a curve (Algorithm 1)."""
 
 from __future__ import annotations
 
@@ -8,22 +8,23 @@ from pinposture.kernels.arrays import Array1, Array2, Array3, Four, Ints1, Ints2
 from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.spline import parameter_at, span_at, value
 
-# Closed forms of the modules that are placed by their ends: a torus and a circle.
-#
-# All are in the frame at the base of a module, x along it and y its first hinge. Signs and branches are
-# explained in `pinposture.placement.module_kinematics`.
+# All closed forms are in the frame at the base of a module, x along it and y its first hinge. Signs and
+# branches are explained in `pinposture.placement.module_kinematics`.
 
-FIRST, LAST = 1e-9, 1.0 + 1e-9
-"""Where on a segment a crossing may be: ahead of its start, and rounding beyond its end."""
+FIRST_CROSSING, LAST_CROSSING = 1e-9, 1.0 + 1e-9
+"""Range of a crossing on a segment from 0 to 1: after its start, and with rounding at its end."""
 
 TOUCHING = 0.5e-14
-"""How near zero counts as zero where a polynomial turns, over its second derivative: a pair of complex roots
-within 1e-7 of the segment."""
+"""Value that counts as zero at an extremum of a polynomial, over its second derivative: a pair of complex
+roots within 1e-7 of the segment."""
+
+REACH_TOLERANCE = 1e-9
+"""Tolerance of positions, relative to the reach of a module, and of joint limits [rad]."""
 
 
 @compiled
 def torus_forward(l1: float, l2: float, sense: float, q0: float, q1: float) -> tuple[float, ...]:
-    """Position x, y, z and orientation (row by row) of the end."""
+    """Return position x, y, z and orientation (row by row) of the end."""
     c0, s0 = np.cos(q0), np.sin(q0)
     c1, s1 = np.cos(sense * q1), np.sin(sense * q1)
     radius = l1 + l2 * c1
@@ -32,14 +33,14 @@ def torus_forward(l1: float, l2: float, sense: float, q0: float, q1: float) -> t
 
 @compiled
 def circle_forward(link: float, q0: float) -> tuple[float, ...]:
-    """Position x, y, z and orientation (row by row) of the end."""
+    """Return position x, y, z and orientation (row by row) of the end."""
     c, s = np.cos(q0), np.sin(q0)
     return (link * c, 0.0, -link * s, c, 0.0, s, 0.0, 1.0, 0.0, -s, 0.0, c)
 
 
 @compiled
 def torus_inverse(l1: float, l2: float, sense: float, x: float, y: float, z: float, out: Array2) -> int:
-    """Angles that put the end at a point, the branch that faces it first.
+    """Find the angles that put the end at a point, the branch that faces it first.
 
     Args:
         l1: distance between the hinges.
@@ -51,7 +52,7 @@ def torus_inverse(l1: float, l2: float, sense: float, x: float, y: float, z: flo
         out: filled with the pairs of angles, (2, 2).
 
     Returns:
-        How many pairs there are.
+        Number of pairs.
     """
     reach = l1 + l2
     radius = np.hypot(x, z)
@@ -71,7 +72,7 @@ def torus_inverse(l1: float, l2: float, sense: float, x: float, y: float, z: flo
 
 @compiled
 def circle_inverse(link: float, x: float, y: float, z: float, out: Array2) -> int:
-    """The angle that puts the end at a point, into out[0, 0]; returns how many there are, 0 or 1."""
+    """Find the angle that puts the end at a point, into out[0, 0]; return the number of solutions."""
     q0 = np.arctan2(-z, x)
     end = circle_forward(link, q0)
     out[0, 0] = q0
@@ -80,26 +81,26 @@ def circle_inverse(link: float, x: float, y: float, z: float, out: Array2) -> in
 
 @compiled
 def torus_faces(l1: float, l2: float, x: float, y: float, z: float) -> bool:
-    """True on the outer part of the torus."""
+    """Whether a point is on the outer part of the torus."""
     return x * x + y * y + z * z > (l1 * l1 + l2 * l2) * (1.0 - 1e-12)
 
 
 @subkernel
-def torus_clearance(l1: float, l2: float, x: float, y: float, z: float) -> float:
-    """A distance from a point within which there is no point of the torus."""
+def torus_distance(l1: float, l2: float, x: float, y: float, z: float) -> float:
+    """Return a lower bound of the distance of a point from the torus."""
     radius = np.hypot(x, z)
     return float(min(abs(np.hypot(radius - l1, y) - l2), abs(np.hypot(radius + l1, y) - l2)))
 
 
 @subkernel
 def quartic(c: Four, c4: float, t: float) -> float:
-    """Value at t of the polynomial of coefficients c, constant first, and c4."""
+    """Return the value at t of the polynomial of coefficients c, constant first, and c4."""
     return (((c4 * t + c[3]) * t + c[2]) * t + c[1]) * t + c[0]
 
 
 @subkernel
-def bracketed(c: Four, c4: float, low: float, high: float) -> float:
-    """The root of a quartic between two places where its sign differs, by Newton's method and bisection."""
+def root_between(c: Four, c4: float, low: float, high: float) -> float:
+    """Return the root of a quartic between two values of opposite sign, by Newton's method and bisection."""
     rising = quartic(c, c4, high) > 0.0
     t = 0.5 * (low + high)
     for _ in range(100):
@@ -110,7 +111,7 @@ def bracketed(c: Four, c4: float, low: float, high: float) -> float:
         else:
             low = t
         trial = t - value / slope
-        if not low <= trial <= high:  # NaN neither
+        if not low <= trial <= high:  # or NaN
             trial = 0.5 * (low + high)
         step = abs(trial - t)
         t = trial
@@ -121,18 +122,11 @@ def bracketed(c: Four, c4: float, low: float, high: float) -> float:
 
 @subkernel
 def roots_between(c: Four, c4: float, places: Array1, count: int, out: Array1) -> int:
-    """Roots of a quartic that has one or none between neighbouring places.
+    """Find the roots of a quartic that has one or none between neighbouring places.
 
-    Args:
-        c: the lower coefficients, constant first.
-        c4: the highest one.
-        places: increasing, (count,) or longer; one between the first and the last where the quartic is zero
-            but for rounding is a root too.
-        count: how many places there are.
-        out: filled with the roots, increasing.
-
-    Returns:
-        How many roots there are.
+    Coefficients are c, constant first, and c4; the `count` places increase. A place between the first and the
+    last where the quartic is zero up to rounding is a root too. Fills out with the roots, increasing, and
+    returns their number.
     """
     found = 0
     before = quartic(c, c4, places[0])
@@ -140,7 +134,7 @@ def roots_between(c: Four, c4: float, places: Array1, count: int, out: Array1) -
         t = places[i]
         after = quartic(c, c4, t)
         if (before > 0.0) != (after > 0.0):
-            out[found] = bracketed(c, c4, places[i - 1], t)
+            out[found] = root_between(c, c4, places[i - 1], t)
             found += 1
         elif i < count - 1 and abs(after) <= TOUCHING * abs(2.0 * c[2] + (6.0 * c[3] + 12.0 * c4 * t) * t):
             out[found] = t
@@ -151,43 +145,42 @@ def roots_between(c: Four, c4: float, places: Array1, count: int, out: Array1) -
 
 @subkernel
 def quartic_roots(c: Four, c4: float, out: Array1) -> int:
-    """Roots from `FIRST` to `LAST`, increasing, into out (4,); returns how many there are.
+    """Find the roots from `FIRST_CROSSING` to `LAST_CROSSING`, into out (4,); return their number.
 
-    Between its extrema a polynomial has one root or none; they are roots of the derivative, and found in the
-    same way.
+    Between its extrema a polynomial has one root or none; they are roots of its derivative, found alike.
     """
     places, extrema = np.empty(5), np.empty(4)
-    places[0] = FIRST
+    places[0] = FIRST_CROSSING
     count = 1
     square = 9.0 * c[3] * c[3] - 24.0 * c4 * c[2]
-    if square >= 0.0:  # the second derivative c2 + 3 c3 t + 6 c4 t^2 (halved) has roots
+    if square >= 0.0:  # half the second derivative, c2 + 3 c3 t + 6 c4 t^2, has roots
         half = -0.5 * (3.0 * c[3] + np.copysign(np.sqrt(square), c[3]))
         a, b = half / (6.0 * c4), c[2] / half
         for t in (a, b) if a < b else (b, a):
-            if places[count - 1] < t < LAST:  # not so if NaN
+            if places[count - 1] < t < LAST_CROSSING:  # not so if NaN
                 places[count] = t
                 count += 1
-    places[count] = LAST
+    places[count] = LAST_CROSSING
     turning = roots_between((c[1], 2.0 * c[2], 3.0 * c[3], 4.0 * c4), 0.0, places, count + 1, extrema)
     for i in range(turning):
         places[1 + i] = extrema[i]
-    places[1 + turning] = LAST
+    places[1 + turning] = LAST_CROSSING
     return roots_between(c, c4, places, turning + 2, out)
 
 
 @compiled
 def torus_crossings(l1: float, l2: float, a: Three, b: Three, out: Array1) -> int:
-    """Where on the segment from a to b the torus is crossed, (6.13)-(6.15) put right.
+    """Find where the segment from a to b crosses the torus, (6.13)-(6.15) corrected.
 
     Args:
         l1: distance between the hinges.
         l2: distance from the second hinge to the end.
-        a: where the segment begins.
-        b: where it ends.
+        a: start of the segment.
+        b: its end.
         out: filled with t in (0, 1] of each crossing, increasing, (4,); none at the base itself.
 
     Returns:
-        How many there are.
+        Number of crossings.
     """
     ax, ay, az = a
     dx, dy, dz = b[0] - ax, b[1] - ay, b[2] - az
@@ -206,7 +199,7 @@ def torus_crossings(l1: float, l2: float, a: Three, b: Three, out: Array1) -> in
         t = out[i]
         s = min(t, 1.0)
         x, y, z = ax + s * dx, ay + s * dy, az + s * dz
-        if t > FIRST and x * x + y * y + z * z > smallest:
+        if t > FIRST_CROSSING and x * x + y * y + z * z > smallest:
             out[count] = s
             count += 1
     return count
@@ -214,7 +207,7 @@ def torus_crossings(l1: float, l2: float, a: Three, b: Three, out: Array1) -> in
 
 @compiled
 def circle_crossings(link: float, a: Three, b: Three, out: Array1) -> int:
-    """Where on the segment from a to b the sphere around the base is crossed; as `torus_crossings`."""
+    """Find where the segment from a to b crosses the sphere around the base, as `torus_crossings`."""
     ax, ay, az = a
     dx, dy, dz = b[0] - ax, b[1] - ay, b[2] - az
     ad = ax * dx + ay * dy + az * dz
@@ -224,31 +217,25 @@ def circle_crossings(link: float, a: Three, b: Three, out: Array1) -> int:
     if square >= 0.0 and dd > 0.0:
         half = np.sqrt(square)
         for t in ((-ad - half) / dd, (-ad + half) / dd):
-            if FIRST < t <= LAST:
+            if FIRST_CROSSING < t <= LAST_CROSSING:
                 out[count] = min(t, 1.0)
                 count += 1
     return count
 
 
-# One module among others: its joint limits, its base in the world, and what it hands on to the next.
-
-ROUNDING = 1e-9
-"""Slack for positions, relative to the reach of a module, and for joint limits [rad]."""
-
-
 @subkernel
-def solutions(dof: int, shape: Array1, x: float, y: float, z: float, out: Array2) -> int:
-    """Joint positions that put the end of a module at a point of its frame, into out (2, 2); how many."""
+def inverse(dof: int, shape: Array1, x: float, y: float, z: float, out: Array2) -> int:
+    """Find joint positions that put a module's end at a point, into out (2, 2); return their number."""
     if dof == 1:
         return circle_inverse(shape[0], x, y, z, out)
     return torus_inverse(shape[0], shape[1], shape[2], x, y, z, out)
 
 
 @subkernel
-def within(dof: int, q: Array1, first: int, lower: Array1, upper: Array1) -> bool:
-    """True if joint positions q are within the limits, but for rounding; they are put right."""
+def clip_to_limits(dof: int, q: Array1, first: int, lower: Array1, upper: Array1) -> bool:
+    """Whether joint positions q are within the limits, up to rounding; if so, clip them."""
     for j in range(dof):
-        if not lower[first + j] - ROUNDING <= q[j] <= upper[first + j] + ROUNDING:
+        if not lower[first + j] - REACH_TOLERANCE <= q[j] <= upper[first + j] + REACH_TOLERANCE:
             return False
     for j in range(dof):
         q[j] = min(max(q[j], lower[first + j]), upper[first + j])
@@ -256,16 +243,8 @@ def within(dof: int, q: Array1, first: int, lower: Array1, upper: Array1) -> boo
 
 
 @subkernel
-def turned(dof: int, shape: Array1, q: Array1, frame: Array2, next_turn: Array2) -> None:
-    """How the module after this one is turned, world frame, into next_turn (3, 3).
-
-    Args:
-        dof: 1 for a circle, 2 for a torus.
-        shape: of the module, see `walk.place_modules`.
-        q: its joint positions.
-        frame: axes of its base in the world, turned, (3, 3).
-        next_turn: filled.
-    """
+def end_frame(dof: int, shape: Array1, q: Array1, frame: Array2, next_turn: Array2) -> None:
+    """Fill next_turn (3, 3) with the rotation of the next module, from the base frame (3, 3) of this one."""
     if dof == 1:
         e = circle_forward(shape[0], q[0])
     else:
@@ -281,15 +260,15 @@ def turned(dof: int, shape: Array1, q: Array1, frame: Array2, next_turn: Array2)
 
 @subkernel
 def base_frame(turn: Array2, shape: Array1, frame: Array2) -> None:
-    """Axes of the base of a module in the world, into frame (3, 3)."""
+    """Fill frame (3, 3) with the axes of the base of a module in the world."""
     for i in range(3):
         for j in range(3):
             frame[i, j] = turn[i, 0] * shape[3 + j] + turn[i, 1] * shape[6 + j] + turn[i, 2] * shape[9 + j]
 
 
 @subkernel
-def seen(frame: Array2, x: float, y: float, z: float) -> Three:
-    """A vector of the world in a frame (3, 3)."""
+def in_frame(frame: Array2, x: float, y: float, z: float) -> Three:
+    """Return a vector of the world in a frame (3, 3)."""
     return (
         frame[0, 0] * x + frame[1, 0] * y + frame[2, 0] * z,
         frame[0, 1] * x + frame[1, 1] * y + frame[2, 1] * z,
@@ -297,16 +276,13 @@ def seen(frame: Array2, x: float, y: float, z: float) -> Three:
     )
 
 
-# Algorithm 1: modules placed on a curve one after the other, each where it first crosses the curve ahead.
-
-
 @subkernel
-def clearance(dof: int, shape: Array1, a: Three) -> float:
-    """A distance from a point of the base frame within which nothing is crossed, nor is it out of reach."""
+def free_distance(dof: int, shape: Array1, a: Three) -> float:
+    """Return the radius around a point of the base frame that is in reach and off the reachable set."""
     away = np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
     if dof == 1:
         return float(abs(shape[0] - away))
-    return float(min(shape[0] + shape[1] - away, torus_clearance(shape[0], shape[1], a[0], a[1], a[2])))
+    return float(min(shape[0] + shape[1] - away, torus_distance(shape[0], shape[1], a[0], a[1], a[2])))
 
 
 @subkernel
@@ -322,23 +298,14 @@ def search_segment(
     qs: Array2,
     choice: Array1,
 ) -> tuple[int, int]:
-    """Look for a place for the end of a module on a segment.
+    """Find where the end of a module can be on the segment from a to b of its base frame.
 
-    Args:
-        dof: of the module.
-        shape: of the module, see `place_modules`.
-        joint: its first joint.
-        lower: lower limits of the joints of the chain.
-        upper: upper limits.
-        a: where the segment begins, base frame.
-        b: where it ends.
-        roots: space, (4,).
-        qs: space, (2, 2).
-        choice: where on the segment from 0 to 1, the place (3,) and the joint positions (2,); filled with the
-            first place there that faces the module, or else with the first one if it was NaN.
+    Fills `choice` (6,) with the place on the segment from 0 to 1, the point (3,) and the joint positions (2,)
+    of the first solution that faces the module, or else, if it was NaN, of the first one. `roots` (4,) and
+    `qs` (2, 2) are scratch; the other arguments are as in `place_modules`.
 
     Returns:
-        Crossings regardless of joint limits, and whether the choice faces the module.
+        Number of crossings regardless of joint limits, and whether the choice faces the module.
     """
     found = 0
     if dof == 1:
@@ -348,11 +315,11 @@ def search_segment(
     for i in range(count):
         r = roots[i]
         x, y, z = a[0] + r * (b[0] - a[0]), a[1] + r * (b[1] - a[1]), a[2] + r * (b[2] - a[2])
-        n = solutions(dof, shape, x, y, z, qs)
+        n = inverse(dof, shape, x, y, z, qs)
         found += int(n > 0)
         facing = dof == 1 or torus_faces(shape[0], shape[1], x, y, z)
         for j in range(n):
-            if within(dof, qs[j], joint, lower, upper):
+            if clip_to_limits(dof, qs[j], joint, lower, upper):
                 if facing or np.isnan(choice[0]):
                     choice[0], choice[1], choice[2], choice[3], choice[4] = r, x, y, z, qs[j, 0]
                     choice[5] = qs[j, 1]
@@ -379,34 +346,33 @@ def place_modules(
     positions: Array1,
     parameters: Array1,
 ) -> int:
-    """Place modules until one has no place.
+    """Place modules on a curve one after the other, each where it first crosses the curve ahead.
 
-    The curve is a polyline of samples at equal arc length. From a sample at a distance d from all that the
-    end of a module can reach, the samples less than d ahead along the curve need no look.
+    The curve is a polyline of samples at equal arc length. If a sample is at a distance d from the reachable
+    set of the module's end, the samples less than d ahead along the curve are skipped.
 
     Args:
         t: knots of the curve.
-        table: of `spline.spline_coefficients`.
+        table: of `spline_coefficients`.
         degree: of the spline.
-        edges: of `arclength.measure_length`.
-        lengths: likewise.
-        series: likewise.
-        samples: how many, 2 at least.
-        units: of what is placed at once: its number of joints (1: a circle, 2: a torus), its first joint,
-            its module, (n, 3).
-        shapes: its l1, l2 and sense (a circle has its link for l1), and the axes of its base frame in the
-            neutral posture, row by row, (n, 12).
+        edges: of `measure_length`.
+        lengths: of `measure_length`.
+        series: of `measure_length`.
+        samples: number of samples, at least 2.
+        units: number of joints (1: a circle, 2: a torus), first joint and module of each unit, (n, 3).
+        shapes: l1, l2 and sense of each unit (a circle has its link for l1), and the axes of its base frame
+            in the neutral posture, row by row, (n, 12).
         lower: lower limits of the joints of the chain.
         upper: upper limits.
-        state: arc length at which the base is, where it is (3,), and the place on the curve there (3,), (7,);
-            on return, of the unit that has no place: where its base is on the curve; then, in its base frame,
-            the place of the curve there (3,) and the last one looked at (3,); whether that is out of reach;
-            how many crossings there were regardless of joint limits, (9,).
+        state: arc length of the base, its position (3,), and the point of the curve there (3,), (7,); on
+            return, for the unit that cannot be placed: arc length of its base; then, in its base frame, the
+            point of the curve there (3,) and the last one examined (3,); whether that is out of reach; the
+            number of crossings regardless of joint limits, (9,).
         positions: filled with the positions of the joints of the chain.
         parameters: filled with the arc length of each module's end, (m,).
 
     Returns:
-        Index of the unit that has no place; -1 if all have one.
+        Index of the unit that cannot be placed; -1 if all are placed.
     """
     total = lengths[-1]
     step = total / (samples - 1)
@@ -420,7 +386,7 @@ def place_modules(
         dof, joint, shape = units[k, 0], units[k, 1], shapes[k]
         reach = shape[0] + shape[1]
         base_frame(turn, shape, frame)
-        a, s, at = seen(frame, sx - px, sy - py, sz - pz), parameter, parameter
+        a, s, at = in_frame(frame, sx - px, sy - py, sz - pz), parameter, parameter
         state[0] = parameter
         state[1], state[2], state[3] = a
         # The first sample ahead.
@@ -430,18 +396,18 @@ def place_modules(
         found, beyond, facing = 0, False, 0
         choice[0] = np.nan
         while following < samples and not beyond and not facing:
-            # Jump to the last sample that is too near for a crossing or for being out of reach, if any. The
-            # thousandth of a step is for what samples are beside their places.
-            clear = clearance(dof, shape, a) - ROUNDING * reach
+            # Jump to the last sample that cannot be across the reachable set or out of reach, if any. The
+            # thousandth of a step is for errors of the arc length.
+            clear = free_distance(dof, shape, a) - REACH_TOLERANCE * reach
             ahead = int(min((s + clear) / step - 1e-3, samples - 1.0))
             jump = ahead >= following
             following = max(ahead, following)
             s_next = following * step if following < samples - 1 else total
             u = parameter_at(edges, lengths, series, s_next)
             x, y, z = value(t, table, degree, 0, span_at(t, degree, u), u, work)
-            b = seen(frame, x - px, y - py, z - pz)
+            b = in_frame(frame, x - px, y - py, z - pz)
             if not jump:
-                beyond = np.sqrt(b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) > reach * (1.0 + ROUNDING)
+                beyond = np.sqrt(b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) > reach * (1.0 + REACH_TOLERANCE)
                 before = choice[0]
                 crossed, facing = search_segment(dof, shape, joint, lower, upper, a, b, roots, qs, choice)
                 found += crossed
@@ -455,7 +421,7 @@ def place_modules(
             return k
         for j in range(dof):
             positions[joint + j] = choice[4 + j]
-        turned(dof, shape, choice[4:], frame, turn)
+        end_frame(dof, shape, choice[4:], frame, turn)
         px += frame[0, 0] * choice[1] + frame[0, 1] * choice[2] + frame[0, 2] * choice[3]
         py += frame[1, 0] * choice[1] + frame[1, 1] * choice[2] + frame[1, 2] * choice[3]
         pz += frame[2, 0] * choice[1] + frame[2, 1] * choice[2] + frame[2, 2] * choice[3]
@@ -466,15 +432,14 @@ def place_modules(
 
 @compiled
 def neighbours(q: Array1, starts: Ints1) -> tuple[float, float]:
-    """How far each module bends as the one before it does, where both have as many joints.
+    """Compare the joint positions of neighbouring modules with equally many joints.
 
     Args:
         q: positions of the joints of the chain, (n,).
         starts: first joint of each module, and n, (m + 1,).
 
     Returns:
-        Sums over the pairs: of the scalar products of their joint positions, and of the products of the
-        norms.
+        Sums over the pairs of the scalar products of their joint positions, and of the products of the norms.
     """
     products, norms, before = 0.0, 0.0, 0.0
     for k in range(len(starts) - 1):

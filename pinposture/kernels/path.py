@@ -1,4 +1,4 @@
-"""Paths through joint space: relaxed until the control points travel least, and followed step by step."""
+"""Paths through joint space: relaxation to the shortest motion of the control points, and following them."""
 
 from __future__ import annotations
 
@@ -10,33 +10,43 @@ from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.kinematics import placements
 from pinposture.kernels.time_parameterization import step_box
 
-# A step along a way through joint space, and what comes of it.
+STEP_ROUNDING = 1e-12
+"""Rounding error of a step, in units of each joint."""
 
-ROUNDING = 1e-12
-"""What is lost in the arithmetic of a step, in units of each joint."""
+MAX_RELAXATION = 1.85
+"""Largest over-relaxation of a waypoint; 1 moves it to its own minimum."""
+
+WAYPOINT_DAMPING_DOWN, WAYPOINT_DAMPING_UP = 0.1, 30.0
+"""Factors of a waypoint's damping after a move that lowered the energy, and after one that did not."""
+
+MIN_WAYPOINT_DAMPING = 3e-6
+"""Smallest damping, relative to the mean squared distance of the control points from the base."""
+
+MAX_WAYPOINT_TRIALS = 6
+"""Number of failed moves after which a waypoint waits for the next pass."""
 
 
 @compiled
 def joint_distance(one: Array1, other: Array1, endless: Flags1, columns: Ints1, units: Array1) -> float:
-    """The largest difference of joint positions (nv,), of those in `columns`, in units of each (n,)."""
-    most = 0.0
+    """Return the largest difference of joint positions (nv,) in `columns`, in units of each (n,)."""
+    largest = 0.0
     for i in range(len(columns)):
         u = columns[i]
-        way = abs(other[u] - one[u])
+        motion = abs(other[u] - one[u])
         if endless[u]:
-            way = abs(way - 2.0 * np.pi * np.round(way / (2.0 * np.pi)))
-        most = max(most, way / units[i])
-    return most
+            motion = abs(motion - 2.0 * np.pi * np.round(motion / (2.0 * np.pi)))
+        largest = max(largest, motion / units[i])
+    return largest
 
 
 @compiled
 def position_excess(positions: Array1, edges: Array2, columns: Ints1) -> float:
-    """By how much joints are outside their position limits, (2, nv), at most; 0 if none is."""
-    most = 0.0
+    """Return the largest excess of joints over their position limits, (2, nv); 0 if there is none."""
+    largest = 0.0
     for i in range(len(columns)):
         u = columns[i]
-        most = max(most, edges[0, u] - positions[u], positions[u] - edges[1, u])
-    return most
+        largest = max(largest, edges[0, u] - positions[u], positions[u] - edges[1, u])
+    return largest
 
 
 @compiled
@@ -49,26 +59,26 @@ def step_along(
     units: Array1,
     place: float,
     limits: Array2,
-    most: float,
+    max_motion: float,
     dq: Array1,
 ) -> tuple[float, float, bool]:
-    """The step to the farthest place on a way that can be reached without leaving a gap.
+    """Compute the step to the farthest place on a path that can be reached without leaving the path.
 
     Args:
         offsets: displacements of waypoints from the start, (N + 1, nv), joined by straight lines.
         start: joint positions at the start, (nv,).
-        positions: joint positions now, (nv,).
-        endless: which joints come round to where they were, (nv,).
-        columns: the joints that move on the way, (n,).
-        units: the motion of each of them that counts as one, (n,).
-        place: where the arm is on the way, or was last, as a number of waypoints.
+        positions: current joint positions, (nv,).
+        endless: which joints are periodic, (nv,).
+        columns: the joints that move on the path, (n,).
+        units: unit of motion of each of them, (n,).
+        place: current or last place on the path, in waypoints.
         limits: smallest and largest step, (2, nv).
-        most: the most that a joint may go where there is no limit, in units.
+        max_motion: largest motion of a joint without limits, in units.
         dq: zeros, filled with the step, (nv,).
 
     Returns:
         The place that it leads to, which is the old one if the limits do not admit more; the largest joint
-        motion left to the end of the way, in units; and whether the step is within the limits.
+        motion left to the end of the path, in units; and whether the step is within the limits.
     """
     n, last = len(columns), len(offsets) - 1
     offset, begin = np.empty(n), np.empty(n)
@@ -88,14 +98,14 @@ def step_along(
         reach = 1.0
         for k in range(n):
             u = columns[k]
-            bound = min(max(abs(limits[0, u]), abs(limits[1, u])), most * units[k])
-            way = offsets[i + 1, u] - offset[k] - begin[k]
+            bound = min(max(abs(limits[0, u]), abs(limits[1, u])), max_motion * units[k])
+            motion = offsets[i + 1, u] - offset[k] - begin[k]
             if abs(begin[k]) > bound:
                 reach = 0.0
-            elif way > 0.0:
-                reach = min(reach, (bound - begin[k]) / way)
-            elif way < 0.0:
-                reach = min(reach, (bound + begin[k]) / -way)
+            elif motion > 0.0:
+                reach = min(reach, (bound - begin[k]) / motion)
+            elif motion < 0.0:
+                reach = min(reach, (bound + begin[k]) / -motion)
         place = i + 1.0 if reach >= 1.0 else place + reach * (i + 1.0 - place)
         for k in range(n):
             begin[k] += min(reach, 1.0) * (offsets[i + 1, columns[k]] - offset[k] - begin[k])
@@ -103,10 +113,10 @@ def step_along(
             break
     inside = True
     for k in range(n):
-        u, slack = columns[k], ROUNDING * units[k]
+        u, slack = columns[k], STEP_ROUNDING * units[k]
         dq[u] = begin[k]
         fits = limits[0, u] - slack <= begin[k] <= limits[1, u] + slack
-        inside = inside and fits and abs(begin[k]) <= most * units[k]
+        inside = inside and fits and abs(begin[k]) <= max_motion * units[k]
     return place, left, inside
 
 
@@ -124,18 +134,18 @@ def look_ahead(
     reached: Array1,
     at_limit: Flags1,
 ) -> tuple[float, float]:
-    """Cut a step at its limits, and look where it leads.
+    """Clip a step to its limits, and compute the errors of the control points after it.
 
     Args:
         chain: the chain.
-        positions: joint positions now, (nv,).
-        units: the motion of each joint of the chain that counts as one, (n,).
+        positions: current joint positions, (nv,).
+        units: unit of motion of each joint of the chain, (n,).
         limits: smallest and largest step, (2, nv).
-        edges: joint positions to stay between, (2, nv).
-        points: control points now, (m, 3).
-        targets: where they should be, (m, 3).
+        edges: position limits, (2, nv).
+        points: current control points, (m, 3).
+        targets: their targets, (m, 3).
         placed: which of them have a target, (m,).
-        dq: the step, (nv,); cut.
+        dq: the step, (nv,); clipped.
         reached: filled with the joint positions after it, (nv,).
         at_limit: filled with which joints of the chain are at a position limit then, (nv,).
 
@@ -150,7 +160,7 @@ def look_ahead(
         u = columns[k]
         dq[u] = min(max(dq[u], limits[0, u]), limits[1, u])
         reached[u] = positions[u] + dq[u]
-        slack = ROUNDING * units[k]
+        slack = STEP_ROUNDING * units[k]
         at_limit[u] = min(abs(edges[0, u] - reached[u]), abs(edges[1, u] - reached[u])) <= slack
     joint_axes, joint_origins = np.empty((n, 3)), np.empty((n, 3))
     there, rotations = np.empty((m, 3)), np.empty((m, 3, 3))
@@ -160,7 +170,7 @@ def look_ahead(
 
 @compiled
 def sum_point_errors(points: Array2, targets: Array2, placed: Flags1) -> float:
-    """Sum of the distances of points (m, 3) from their targets (m, 3), of those that have one (m,)."""
+    """Return the sum of the distances of points (m, 3) from their targets (m, 3), where `placed` is True."""
     total = 0.0
     for k in range(len(points)):
         if placed[k]:
@@ -186,41 +196,41 @@ def advance(
     disturbed: float,
     arrived: float,
     rounding: float,
-    most: float,
+    max_motion: float,
     targets: Array2,
     placed: Flags1,
     dq: Array1,
     reached: Array1,
     at_limit: Flags1,
 ) -> tuple[bool, float, float, float]:
-    """`step_box`, `joint_distance`, `step_along` and `look_ahead` in one call: the usual step.
+    """Run `step_box`, `joint_distance`, `step_along` and `look_ahead` in one call, for the usual step.
 
     Args:
-        chain: the chain; all of its joints move on the way.
+        chain: the chain; all of its joints move on the path.
         endless: as for `step_along`.
-        units: the motion of each joint of the chain that counts as one, (n,).
+        units: as for `look_ahead`.
         leaning: as for `step_box`.
-        edges: see there.
-        bound: see there.
-        positions: joint positions now, (nv,).
+        edges: as for `step_box`.
+        bound: as for `step_box`.
+        positions: current joint positions, (nv,).
         points: as for `look_ahead`.
         offsets: as for `step_along`.
-        start: see there.
-        place: see there.
-        expected: joint positions that the arm should have, (nv,).
-        disturbed: how far it may be from them, in units.
-        arrived: joint motion left at which the way is behind the arm.
+        start: as for `step_along`.
+        place: as for `step_along`.
+        expected: expected joint positions, (nv,).
+        disturbed: largest difference from them, in units.
+        arrived: joint motion left at which the path is complete.
         rounding: as for `step_box`.
-        most: as for `step_along`.
+        max_motion: as for `step_along`.
         targets: as for `look_ahead`.
-        placed: see there.
+        placed: as for `look_ahead`.
         dq: zeros, filled with the step, (nv,).
         reached: as for `look_ahead`.
-        at_limit: see there.
+        at_limit: as for `look_ahead`.
 
     Returns:
-        Whether it is that simple; and if so, the place that the step leads to, and the sums of distances
-        before and after it.
+        Whether this is the usual step; if so, the place that it leads to, and the sums of distances before
+        and after it.
     """
     none, limits = np.empty(0), np.empty((2, len(positions)))
     if step_box(positions, edges, bound, none, none, rounding, chain.columns, leaning, limits) != 0:
@@ -228,7 +238,7 @@ def advance(
     if joint_distance(expected, positions, endless, chain.columns, units) > disturbed:
         return False, place, 0.0, 0.0
     there, left, inside = step_along(
-        offsets, start, positions, endless, chain.columns, units, place, limits, most, dq
+        offsets, start, positions, endless, chain.columns, units, place, limits, max_motion, dq
     )
     if not inside or (there >= len(offsets) - 1 and left <= arrived):
         return False, place, 0.0, 0.0
@@ -238,21 +248,11 @@ def advance(
     return True, there, before, after
 
 
-# The most direct way between two configurations, relaxed waypoint by waypoint.
-#
-# The energy that `trajectory_optimization` explains couples each waypoint with its two neighbours only.
-# With those held, it is least where the control points come nearest to the middle between the neighbours',
-# and the joints to the middle of theirs, by weight: least squares along the chain. Solving that for one
-# waypoint after the other, each time going somewhat beyond (successive over-relaxation), the energy never
-# rises, and one pass over all waypoints costs one sweep along the arm for each.
-
-MOST_OVER = 1.85
-"""How far a waypoint is moved at most, where its own minimum is at 1."""
-
-EASIER, HARDER, LEAST, TRIES = 0.1, 30.0, 3e-6, 6
-"""How the damping of a waypoint changes after a move that lowered the energy or failed to; the least,
-relative to the mean squared distance of the control points from the base; and after how many failures it
-waits for the next pass."""
+# The energy of a path (see `trajectory_optimization`) couples each waypoint with its two neighbours only.
+# With those fixed, it is smallest where the control points come nearest to the middle between the
+# neighbours', and the joints to the middle of theirs, by weight: least squares along the chain. Solving this
+# for one waypoint after the other, each time going somewhat beyond (successive over-relaxation), the energy
+# never rises, and one pass over all waypoints costs one pass along the arm for each.
 
 
 @compiled
@@ -273,22 +273,22 @@ def relax_waypoints(
 
     Args:
         chain: the chain.
-        which: joints that may move, by their numbers along the chain, (n,).
-        own_ends: how many of those carry each control point, (m,).
-        units: the motion of each of them that counts as one, (n,).
+        which: joints that may move, by their index along the chain, (n,).
+        own_ends: number of those that carry each control point, (m,).
+        units: unit of motion of each of them, (n,).
         start: joint positions at the start, (nv,).
         lower: smallest displacement from it, in units, (n,).
         upper: largest displacement from it, (n,).
         weight: mu^2, of the motion of joints against that of control points [m^2].
-        rounds: the most passes over all waypoints.
-        settled: relative fall of the energy in one pass at which to end.
+        rounds: largest number of passes over all waypoints.
+        settled: relative decrease of the energy in one pass at which to end.
         x: displacements of waypoints from the start, (N + 1, n); all but the ends are moved.
 
     Returns:
         The energy [m^2].
     """
     n, m, last = len(which), len(chain.ends), len(x) - 1
-    # Joint axes and origins of all waypoints, and of the one that is tried, in the last place.
+    # Joint axes and origins of all waypoints, and of the trial waypoint, which is the last.
     lines = (np.empty((last + 2, len(chain.slides), 3)), np.empty((last + 2, len(chain.slides), 3)))
     points, errors, rotations = np.empty((last + 2, m, 3)), np.empty((m, 3)), np.empty((m, 3, 3))
     there = points[last + 1]
@@ -297,44 +297,44 @@ def relax_waypoints(
     weights, chords, damping = np.ones(m), np.zeros(m), np.empty(n)
     sides = np.zeros(n, dtype=np.int8)
     for i in range(last + 1):
-        _displaced(start, chain.columns, which, units, x[i], positions)
+        _set_positions(start, chain.columns, which, units, x[i], positions)
         placements(chain, positions, lines[0][i], lines[1][i], points[i], rotations)
     size = weight
     for k in range(m):
         for j in range(3):
             size += (points[0, k, j] - lines[1][0, 0, j]) ** 2 / m
-    least = LEAST * size
+    least = MIN_WAYPOINT_DAMPING * size
     extra, energy = np.full(last + 1, least), 0.0
     for i in range(last):
-        energy += _motion(points[i], points[i + 1], x[i], x[i + 1], weight)
-    over = min(2.0 / (1.0 + np.sin(np.pi / last)), MOST_OVER)  # the best for as many equal springs in a row
+        energy += _segment_energy(points[i], points[i + 1], x[i], x[i + 1], weight)
+    relaxation = min(2.0 / (1.0 + np.sin(np.pi / last)), MAX_RELAXATION)  # optimal for a row of equal springs
     for number in range(rounds):
         fall = 0.0
         for place in range(1, last):
             i = last - place if number % 2 else place
             find_screws(which, chain.slides, units, lines[0][i], lines[1][i], own_ends, points[i], b)
-            springs = PointObjective(b, own_ends, points[i], weights, chords)
-            before = _motion(points[i - 1], points[i], x[i - 1], x[i], weight)
-            before += _motion(points[i], points[i + 1], x[i], x[i + 1], weight)
+            objective = PointObjective(b, own_ends, points[i], weights, chords)
+            before = _segment_energy(points[i - 1], points[i], x[i - 1], x[i], weight)
+            before += _segment_energy(points[i], points[i + 1], x[i], x[i + 1], weight)
             for k in range(m):
                 for j in range(3):
                     errors[k, j] = 0.5 * (points[i - 1, k, j] + points[i + 1, k, j]) - points[i, k, j]
-            for _ in range(TRIES):
+            for _ in range(MAX_WAYPOINT_TRIALS):
                 for u in range(n):
                     damping[u] = weight + extra[i]
                     aside = 0.5 * (x[i - 1, u] + x[i + 1, u]) - x[i, u]
                     centre[u] = weight * aside / damping[u]
                     low[u], high[u] = lower[u] - x[i, u], upper[u] - x[i, u]
                     sides[u] = 0
-                minimise_in_box(springs, errors, damping, centre, low, high, sides, dx)
+                minimise_in_box(objective, errors, damping, centre, low, high, sides, dx)
                 gain = 0.0
-                for share in (over, 1.0):
+                for share in (relaxation, 1.0):
                     for u in range(n):
                         moved[u] = min(max(x[i, u] + share * dx[u], lower[u]), upper[u])
-                    _displaced(start, chain.columns, which, units, moved, positions)
+                    _set_positions(start, chain.columns, which, units, moved, positions)
                     placements(chain, positions, lines[0][last + 1], lines[1][last + 1], there, rotations)
-                    after = _motion(points[i - 1], there, x[i - 1], moved, weight)
-                    after += _motion(there, points[i + 1], moved, x[i + 1], weight)
+                    after = _segment_energy(points[i - 1], there, x[i - 1], moved, weight)
+                    after += _segment_energy(there, points[i + 1], moved, x[i + 1], weight)
                     gain = before - after
                     if gain > 0.0:
                         break
@@ -342,9 +342,9 @@ def relax_waypoints(
                     x[i], points[i] = moved, there
                     lines[0][i], lines[1][i] = lines[0][last + 1], lines[1][last + 1]
                     fall += gain
-                    extra[i] = max(extra[i] * EASIER, least)
+                    extra[i] = max(extra[i] * WAYPOINT_DAMPING_DOWN, least)
                     break
-                extra[i] *= HARDER
+                extra[i] *= WAYPOINT_DAMPING_UP
         energy -= fall
         if fall <= settled * energy:
             break
@@ -358,51 +358,51 @@ def measure_path_lengths(
     units: Array1,
     start: Array1,
     x: Array2,
-    looks: int,
+    samples: int,
 ) -> tuple[float, float]:
-    """How far all control points travel on a way, and how far apart its ends are.
+    """Return the length of the paths of all control points, and the distance between their ends.
 
     Args:
-        chain: as above.
-        which: as above.
-        units: as above.
-        start: as above.
+        chain: as for `relax_waypoints`.
+        which: as for `relax_waypoints`.
+        units: as for `relax_waypoints`.
+        start: as for `relax_waypoints`.
         x: displacements of waypoints, joined by straight lines, (N + 1, n).
-        looks: at how many places, equally far apart, to look where the points are.
+        samples: number of samples at equal distances.
     """
     n, m, last = len(which), len(chain.ends), len(x) - 1
     frames = (np.empty((len(chain.slides), 3)), np.empty((len(chain.slides), 3)), np.empty((m, 3, 3)))
     points, positions, here = np.empty((3, m, 3)), start.copy(), np.empty(n)
     path, direct = 0.0, 0.0
-    for look in range(looks + 1):
-        place = last * look / looks
+    for sample in range(samples + 1):
+        place = last * sample / samples
         i = min(int(place), last - 1)
         share = place - i
         for u in range(n):
             here[u] = (1.0 - share) * x[i, u] + share * x[i + 1, u]
-        _displaced(start, chain.columns, which, units, here, positions)
-        at = 1 + look % 2 if look else 0
+        _set_positions(start, chain.columns, which, units, here, positions)
+        at = 1 + sample % 2 if sample else 0
         placements(chain, positions, frames[0], frames[1], points[at], frames[2])
-        if look:
-            path += _between(points[at], points[3 - at if look > 1 else 0])
-        if look == looks:
-            direct = _between(points[at], points[0])
+        if sample:
+            path += _sum_distances(points[at], points[3 - at if sample > 1 else 0])
+        if sample == samples:
+            direct = _sum_distances(points[at], points[0])
     return path, direct
 
 
 @subkernel
-def _displaced(
+def _set_positions(
     start: Array1, columns: Ints1, which: Ints1, units: Array1, x: Array1, positions: Array1
 ) -> None:
-    """Joint positions after a displacement."""
+    """Write the joint positions after a displacement."""
     for u in range(len(which)):
         j = columns[which[u]]
         positions[j] = start[j] + x[u] * units[u]
 
 
 @subkernel
-def _motion(one: Array2, other: Array2, x: Array1, y: Array1, weight: float) -> float:
-    """Energy of the motion between two neighbours."""
+def _segment_energy(one: Array2, other: Array2, x: Array1, y: Array1, weight: float) -> float:
+    """Return the energy of the motion between two neighbours."""
     points, joints = 0.0, 0.0
     for k in range(len(one)):
         for j in range(3):
@@ -413,8 +413,8 @@ def _motion(one: Array2, other: Array2, x: Array1, y: Array1, weight: float) -> 
 
 
 @subkernel
-def _between(one: Array2, other: Array2) -> float:
-    """Sum of the distances between points."""
+def _sum_distances(one: Array2, other: Array2) -> float:
+    """Return the sum of the distances between points."""
     total = 0.0
     for k in range(len(one)):
         x, y, z = one[k, 0] - other[k, 0], one[k, 1] - other[k, 1], one[k, 2] - other[k, 2]

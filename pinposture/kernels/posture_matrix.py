@@ -8,20 +8,26 @@ from pinposture.kernels.arrays import FULL, LOCAL, RELATIVE, Array1, Array2, Fac
 from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.kinematics import joints_along, motions_along
 
-# Posture control matrices of a chain as J = L Q: L block lower triangular, the rows of Q orthonormal.
+# A posture control matrix is decomposed as J = L Q: L block lower triangular, the rows of Q orthonormal.
 #
-# Nothing of size rows times joints is ever made. What the joints up to a station can still do about farther
-# ones, once the rows so far have what they ask for, is a motion and turning (v, w) spanned by at most six
-# orthonormal combinations of the joints. Those, and the joints of the next section, go through Householder
-# reflections: first the rows of the station become triangular, then what is left is brought back to six
-# columns. It is the array form of a Kalman filter with exact measurements. Nothing is squared, so the result
-# is as accurate as a QR decomposition of the matrix.
+# No array of size rows times joints is formed. The motions that joints up to a station still have, given the
+# values of all rows so far, are a linear and angular velocity (v, w) spanned by at most six orthonormal
+# combinations of the joints. Those, and the joints of the next section, go through Householder reflections:
+# first the rows of the station become triangular, then the rest is reduced to six columns. It is the array
+# form of a Kalman filter with exact measurements. Nothing is squared, so the result is as accurate as a QR
+# decomposition of the matrix.
 #
-# A station keeps its triangle R, (3, 3), and its gains K, (6, 3): what its share of the combinations does to
-# (v, w). With them, products with L, its transpose and their inverses are passes along the stations.
+# A station keeps its triangle R, (3, 3), and its gains K, (6, 3): the effect of its combinations on (v, w).
+# With them, products with L, its transpose and their inverses are passes along the stations.
 
-NOTHING = 1e-60
-"""Stands for a zero, so that there is an inverse of L; its square is still a number."""
+ZERO_PIVOT = 1e-60
+"""Value in place of a zero on the diagonal of L, so that it has an inverse; its square does not underflow."""
+
+LARGEST_BASIS = 400
+"""Number of Lanczos vectors after which the search restarts from the best result."""
+
+MAX_RESTARTS, BISECTIONS = 20, 60
+"""Largest number of restarts, and number of bisections of an eigenvalue."""
 
 
 @compiled
@@ -33,9 +39,9 @@ def eliminated(
     """Decompose a posture control matrix.
 
     Args:
-        screws: how joints move the points.
-        rows: which motions the matrix consists of.
-        factors: filled with L; NOTHING stands for zero on a diagonal.
+        screws: the screws of the joints.
+        rows: the rows of the matrix.
+        factors: filled with L; `ZERO_PIVOT` stands for zero on a diagonal.
     """
     b, ends, points = screws
     stations, ranks, directions, coupling = rows
@@ -49,14 +55,14 @@ def eliminated(
         E, rank, station = directions[k], ranks[k], stations[k]
         for c in range(free):
             w0, w1, w2 = left[3, c], left[4, c], left[5, c]
-            _enter(A, c, E, left[0, c], left[1, c], left[2, c], w0, w1, w2, points[station], points[at])
+            _write(A, c, E, left[0, c], left[1, c], left[2, c], w0, w1, w2, points[station], points[at])
         width, last = free, station
         if k:
             at += 1
         for point in range(at, last + 1):
             while u < ends[point]:
                 s = b[u]
-                _enter(A, width, E, s[0], s[1], s[2], s[3], s[4], s[5], points[last], points[point])
+                _write(A, width, E, s[0], s[1], s[2], s[3], s[4], s[5], points[last], points[point])
                 width += 1
                 u += 1
         at = last
@@ -67,11 +73,11 @@ def eliminated(
             for i in range(rank):
                 R[i, j] = A[i, j] if j <= i and j < width else 0.0
             if R[j, j] == 0.0:
-                R[j, j] = NOTHING
-            _leave(A, j, E, K, j, j < width)
+                R[j, j] = ZERO_PIVOT
+            _read_column(A, j, E, K, j, j < width)
         if coupling == LOCAL:
             continue
-        # The rows are settled: what is left of the columns cannot move along them.
+        # What is left of the columns does not change the rows of this station.
         kept = width - rank
         first = 3 if coupling == RELATIVE else rank
         if kept > 6 - first:
@@ -83,13 +89,13 @@ def eliminated(
             for c in range(rank, rank + free):
                 A[j, c] = 0.0
         for c in range(free):
-            _leave(A, rank + c, E, left, c, True)
+            _read_column(A, rank + c, E, left, c, True)
             if coupling == RELATIVE:
                 left[0, c], left[1, c], left[2, c] = 0.0, 0.0, 0.0
 
 
 @subkernel
-def _enter(
+def _write(
     A: Array2,
     column: int,
     E: Array2,
@@ -102,7 +108,7 @@ def _enter(
     to: Array1,
     since: Array1,
 ) -> None:
-    """Take (v, w) to another point, and write it along the directions."""
+    """Write (v, w), taken to another point and projected onto the directions, to a column."""
     r0, r1, r2 = to[0] - since[0], to[1] - since[1], to[2] - since[2]
     v0, v1, v2 = v0 + w1 * r2 - w2 * r1, v1 + w2 * r0 - w0 * r2, v2 + w0 * r1 - w1 * r0
     for i in range(3):
@@ -111,18 +117,18 @@ def _enter(
 
 
 @subkernel
-def _leave(A: Array2, column: int, E: Array2, to: Array2, place: int, there: bool) -> None:
-    """The way back from the directions to (v, w); zero if there is no such column."""
+def _read_column(A: Array2, column: int, E: Array2, to: Array2, place: int, exists: bool) -> None:
+    """Read (v, w) from a column; zero if there is no such column."""
     for i in range(3):
         to[i, place] = (
-            E[0, i] * A[0, column] + E[1, i] * A[1, column] + E[2, i] * A[2, column] if there else 0.0
+            E[0, i] * A[0, column] + E[1, i] * A[1, column] + E[2, i] * A[2, column] if exists else 0.0
         )
-        to[3 + i, place] = A[3 + i, column] if there else 0.0
+        to[3 + i, place] = A[3 + i, column] if exists else 0.0
 
 
 @subkernel
 def _reflect(A: Array2, row: int, pivot: int, width: int) -> None:
-    """Householder reflection of the columns from the pivot on, after which the row ends there."""
+    """Reflect the columns from the pivot on (Householder), so that the row is zero after the pivot."""
     head, tail = A[row, pivot], 0.0
     for c in range(pivot + 1, width):
         tail += A[row, c] * A[row, c]
@@ -146,22 +152,14 @@ def _reflect(A: Array2, row: int, pivot: int, width: int) -> None:
 
 
 @subkernel
-def down_stations(
+def multiply_down(
     points: Array2,
     rows: Rows,
     factors: Factors,
     solve: bool,
     values: Array2,
 ) -> None:
-    """Multiply by L, or solve with it: the pass from the base to the tip.
-
-    Args:
-        points: the points, (m, 3).
-        rows: which motions the matrix consists of.
-        factors: L, from `eliminated`.
-        solve: True for the inverse of L.
-        values: one value for each row, (p, 3); overwritten with the product.
-    """
+    """Multiply `values`, (p, 3), by L, or by its inverse to solve: the pass from the base to the tip."""
     stations, ranks, directions, coupling = rows
     triangles, gains = factors
     v0, v1, v2, w0, w1, w2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -191,22 +189,14 @@ def down_stations(
 
 
 @subkernel
-def up_stations(
+def multiply_up(
     points: Array2,
     rows: Rows,
     factors: Factors,
     solve: bool,
     values: Array2,
 ) -> None:
-    """Multiply by the transpose of L, or solve with it: the pass from the tip to the base.
-
-    Args:
-        points: the points, (m, 3).
-        rows: which motions the matrix consists of.
-        factors: L, from `eliminated`.
-        solve: True for the inverse.
-        values: one value for each row, (p, 3); overwritten with the product.
-    """
+    """Multiply `values`, (p, 3), by L transposed, or by its inverse: the pass from the tip to the base."""
     stations, ranks, directions, coupling = rows
     triangles, gains = factors
     f0, f1, f2, t0, t1, t2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -251,11 +241,11 @@ def least_change(
 ) -> None:
     """Change the motions of the joints as little as possible so that each row has its value.
 
-    With J = L Q, that is x + J^T L^-T L^-1 (values - J x): as accurate as with Q itself, which is not kept.
+    With J = L Q, that is x + J^T L^-T L^-1 (values - J x): as accurate as with Q itself, which is not stored.
 
     Args:
-        screws: how joints move the points.
-        rows: which motions the matrix consists of.
+        screws: the screws of the joints.
+        rows: the rows of the matrix.
         factors: L, from `eliminated`.
         values: one value for each row, (p, 3).
         x: motions of the joints, (n,); changed.
@@ -265,32 +255,23 @@ def least_change(
     for k in range(len(y)):
         for j in range(rows.ranks[k]):
             y[k, j] = values[k, j] - y[k, j]
-    down_stations(screws.points, rows, factors, True, y)
-    up_stations(screws.points, rows, factors, True, y)
+    multiply_down(screws.points, rows, factors, True, y)
+    multiply_up(screws.points, rows, factors, True, y)
     joints_along(screws, rows, y, change)
     for u in range(len(x)):
         x[u] += change[u]
 
 
-# Extreme singular values of a posture control matrix J = L Q, from products with L and its inverse.
-
-LARGEST_BASIS = 400
-"""How many vectors are kept before the search begins anew, from the best found so far."""
-
-BISECTIONS = 60
-RESTARTS = 20
-
-
 @compiled
 def inverse_norm(points: Array2, rows: Rows, factors: Factors) -> float:
-    """Frobenius norm of the pseudo-inverse of a FULL matrix.
+    """Return the Frobenius norm of the pseudo-inverse of a FULL matrix.
 
-    The smallest singular value is at least its inverse, and at most sqrt(rows) times that. It is the mean
-    square of L^-1 times white noise, whose covariance goes along the stations as a sum of squares.
+    The smallest singular value is at least its inverse, and at most sqrt(rows) times that. Its square is the
+    mean square of L^-1 times white noise, whose covariance is propagated along the stations.
 
     Args:
         points: the points, (m, 3).
-        rows: which motions the matrix consists of.
+        rows: the rows of the matrix.
         factors: L, from `eliminated`.
     """
     stations, ranks, directions, _ = rows
@@ -308,7 +289,7 @@ def inverse_norm(points: Array2, rows: Rows, factors: Factors) -> float:
         if k:
             to, since = points[stations[k]], points[stations[k - 1]]
             r0, r1, r2 = to[0] - since[0], to[1] - since[1], to[2] - since[2]
-            for i in range(6):  # what the state before does to the rows, and to the state after
+            for i in range(6):  # effect of the state before on the state after
                 for j in range(6):
                     M[i, j] = 1.0 if i == j else 0.0
             M[0, 4], M[0, 5], M[1, 3], M[1, 5], M[2, 3], M[2, 4] = r2, -r1, -r2, r0, r1, -r0
@@ -319,7 +300,7 @@ def inverse_norm(points: Array2, rows: Rows, factors: Factors) -> float:
                 for j in range(6):
                     for a in range(rank):
                         M[i, j] -= N[i, a] * T[a, j]
-            total += _share(R, T, C, rank)
+            total += _mean_square(R, T, C, rank)
             for i in range(6):
                 for j in range(6):
                     T[i, j] = 0.0
@@ -332,7 +313,7 @@ def inverse_norm(points: Array2, rows: Rows, factors: Factors) -> float:
                         C[i, j] += T[i, e] * M[j, e]
         else:
             T[:rank] = 0.0
-            total += _share(R, T, C, rank)
+            total += _mean_square(R, T, C, rank)
         for i in range(6):
             for j in range(i + 1):
                 for a in range(rank):
@@ -342,8 +323,8 @@ def inverse_norm(points: Array2, rows: Rows, factors: Factors) -> float:
 
 
 @subkernel
-def _share(R: Array2, T: Array2, C: Array2, rank: int) -> float:
-    """Mean square of R^-1 (white noise - T times a state of covariance C)."""
+def _mean_square(R: Array2, T: Array2, C: Array2, rank: int) -> float:
+    """Return the mean square of R^-1 (white noise - T times a state of covariance C)."""
     S = np.zeros((3, 3))
     for a in range(rank):
         S[a, a] = 1.0
@@ -377,26 +358,26 @@ def extreme_value(
     tolerance: float,
     vector: Array2,
 ) -> float:
-    """The smallest or largest singular value and its left singular vector: Lanczos on J J^T or its inverse.
+    """Compute the smallest or largest singular value, by Lanczos iterations on J J^T or its inverse.
 
     Args:
         points: the points, (m, 3).
-        rows: which motions the matrix consists of.
+        rows: the rows of the matrix.
         factors: L, from `eliminated`.
-        smallest: which of both.
+        smallest: whether to compute the smallest.
         tolerance: residual at which the search ends, relative to the square of the singular value.
-        vector: filled with the vector, one value for each row, (p, 3).
+        vector: filled with the left singular vector, one value for each row, (p, 3).
     """
     ranks, p = rows.ranks, len(rows.stations)
     count = int(np.sum(ranks))
-    most = min(count, LARGEST_BASIS)
-    V, y = np.empty((most + 1, count)), np.empty((p, 3))
-    diagonal, beside, ritz = np.empty(most), np.empty(most), np.empty(most)
+    largest_basis = min(count, LARGEST_BASIS)
+    V, y = np.empty((largest_basis + 1, count)), np.empty((p, 3))
+    diagonal, off, ritz = np.empty(largest_basis), np.empty(largest_basis), np.empty(largest_basis)
     start = np.empty(count)
-    for i in range(count):  # anything that no singular vector is at right angles to
+    for i in range(count):  # not orthogonal to any singular vector
         start[i] = 1.0 + np.sin(12.9898 * (i + 1.0) * (i + 1.0))
     best = 0.0
-    for _ in range(RESTARTS):
+    for _ in range(MAX_RESTARTS):
         V[0] = start / np.sqrt(np.sum(start * start))
         j, due = 0, 4
         while True:
@@ -406,11 +387,11 @@ def extreme_value(
                     y[k, c] = V[j, at]
                     at += 1
             if smallest:
-                down_stations(points, rows, factors, True, y)
-                up_stations(points, rows, factors, True, y)
+                multiply_down(points, rows, factors, True, y)
+                multiply_up(points, rows, factors, True, y)
             else:
-                up_stations(points, rows, factors, False, y)
-                down_stations(points, rows, factors, False, y)
+                multiply_up(points, rows, factors, False, y)
+                multiply_down(points, rows, factors, False, y)
             new = V[j + 1]
             at = 0
             for k in range(p):
@@ -423,19 +404,19 @@ def extreme_value(
                 if again == 0:
                     diagonal[j] = shares[j]
             norm = np.sqrt(np.sum(new * new))
-            beside[j] = norm
+            off[j] = norm
             j += 1
-            if j in (due, most) or norm <= 1e-15 * best:
+            if j in (due, largest_basis) or norm <= 1e-15 * best:
                 due += max(4, j // 4)
-                best = _top(diagonal, beside, j, ritz)
+                best = _largest_eigenvalue(diagonal, off, j, ritz)
                 residual = norm * abs(ritz[j - 1])
-                if j == most or residual <= tolerance * best:
+                if j == largest_basis or residual <= tolerance * best:
                     break
             new /= norm
         start[:] = 0.0
         for i in range(j):
             start += ritz[i] * V[i]
-        if residual <= tolerance * best or most == count:
+        if residual <= tolerance * best or largest_basis == count:
             break
     at = 0
     for k in range(p):
@@ -446,17 +427,17 @@ def extreme_value(
 
 
 @subkernel
-def _top(diagonal: Array1, beside: Array1, size: int, vector: Array1) -> float:
-    """Largest eigenvalue of a tridiagonal matrix, by bisection, and its vector, by inverse iteration."""
+def _largest_eigenvalue(diagonal: Array1, off: Array1, size: int, vector: Array1) -> float:
+    """Find the largest eigenvalue of a tridiagonal matrix by bisection, its vector by inverse iteration."""
     low, high = diagonal[0], diagonal[0]
     for i in range(size):
-        reach = (beside[i - 1] if i else 0.0) + (beside[i] if i < size - 1 else 0.0)
+        reach = (off[i - 1] if i else 0.0) + (off[i] if i < size - 1 else 0.0)
         low, high = max(low, diagonal[i]), max(high, diagonal[i] + reach)
     high *= 1.0 + 1e-14
     for _ in range(BISECTIONS):
         middle, pivot, above = 0.5 * (low + high), 1.0, True
         for i in range(size):
-            pivot = middle - diagonal[i] - (beside[i - 1] * beside[i - 1] / pivot if i else 0.0)
+            pivot = middle - diagonal[i] - (off[i - 1] * off[i - 1] / pivot if i else 0.0)
             if pivot <= 0.0:
                 above = False
                 break
@@ -467,15 +448,15 @@ def _top(diagonal: Array1, beside: Array1, size: int, vector: Array1) -> float:
     shift = high * (1.0 + 1e-15)
     pivots = np.empty(size)
     for i in range(size):
-        pivots[i] = shift - diagonal[i] - (beside[i - 1] * beside[i - 1] / pivots[i - 1] if i else 0.0)
+        pivots[i] = shift - diagonal[i] - (off[i - 1] * off[i - 1] / pivots[i - 1] if i else 0.0)
         if pivots[i] <= 0.0:
             pivots[i] = 1e-16 * high
         vector[i] = 1.0
     for _ in range(3):
         for i in range(1, size):
-            vector[i] += beside[i - 1] / pivots[i - 1] * vector[i - 1]
+            vector[i] += off[i - 1] / pivots[i - 1] * vector[i - 1]
         for i in range(size - 1, -1, -1):
-            vector[i] = (vector[i] + (beside[i] * vector[i + 1] if i < size - 1 else 0.0)) / pivots[i]
+            vector[i] = (vector[i] + (off[i] * vector[i + 1] if i < size - 1 else 0.0)) / pivots[i]
         norm = 0.0
         for i in range(size):
             norm += vector[i] * vector[i]

@@ -1,4 +1,4 @@
-"""B-splines: values, arc length, and the nearest place."""
+"""B-splines in space: values, arc length and the nearest point."""
 
 from __future__ import annotations
 
@@ -7,12 +7,19 @@ import numpy as np
 from pinposture.kernels.arrays import Array1, Array2, Array3
 from pinposture.kernels.compiled import compiled, subkernel
 
-# Values and derivatives of B-splines in space.
+MAX_HALVINGS = 48
+"""Largest number of halvings of a span, enough for a speed that nearly vanishes."""
+
+MAX_PIECES_PER_SPAN = 64
+"""Largest number of pieces per span that are halved at a time; more means that the rest is rounding."""
+
+MAX_NEWTON_STEPS, NEWTON_TOLERANCE = 60, 1e-10
+"""Largest number of Newton steps, and the step at which they end, relative to the bracket."""
 
 
 @compiled
 def spline_coefficients(t: Array1, c: Array2, degree: int) -> Array3:
-    """Coefficients of a B-spline and of all its derivatives, which are B-splines on the same knots.
+    """Compute the coefficients of a B-spline and of its derivatives, which are B-splines on the same knots.
 
     Args:
         t: knots, (n + degree + 1,).
@@ -38,7 +45,7 @@ def spline_coefficients(t: Array1, c: Array2, degree: int) -> Array3:
 
 @subkernel
 def span_at(t: Array1, degree: int, u: float) -> int:
-    """The knot span that holds u; at a knot the one that follows, at the end the last one."""
+    """Return the knot span that contains u; at a knot the one that follows, at the end the last one."""
     low, high = degree, len(t) - degree - 1
     while high - low > 1:
         middle = (low + high) // 2
@@ -55,19 +62,9 @@ def span_at(t: Array1, degree: int, u: float) -> int:
 def value(
     t: Array1, table: Array3, degree: int, order: int, span: int, u: float, work: Array2
 ) -> tuple[float, float, float]:
-    """A derivative of the spline at u, by de Boor's recursion.
+    """Return x, y and z of a derivative of the spline at u in a span, by de Boor's recursion.
 
-    Args:
-        t: knots, (n + degree + 1,).
-        table: of `spline_coefficients`.
-        degree: of the spline itself.
-        order: of the derivative, 0 to degree.
-        span: which holds u.
-        u: parameter.
-        work: space for the recursion, (6, 3).
-
-    Returns:
-        x, y and z.
+    `table` is that of `spline_coefficients`; `order` is 0 to `degree`; `work` (6, 3) is scratch.
     """
     d = degree - order
     c = table[order]
@@ -90,7 +87,7 @@ def value(
 
 @compiled
 def spline_values(t: Array1, table: Array3, degree: int, order: int, u: Array1) -> Array2:
-    """A derivative of the spline, (n, 3), at parameters u (n,); zero if its order is above the degree."""
+    """Return a derivative of the spline, (n, 3), at parameters u (n,); zero for orders above the degree."""
     out = np.zeros((len(u), 3))
     if order <= degree:
         work = np.empty((6, 3))
@@ -101,28 +98,14 @@ def spline_values(t: Array1, table: Array3, degree: int, order: int, u: Array1) 
     return out
 
 
-# Arc length of a B-spline as a function of its parameter, and back.
-
-DEPTH = 48  # halvings of a span, enough for a speed that nearly vanishes
-MOST = 64  # pieces to a span that are halved at a time; more means that rounding is all there is to see
-NEWTON = 60  # steps at most, and how small they get, next to the bracket
-CLOSE = 1e-10
-
-
 @subkernel
 def expand(
     t: Array1, table: Array3, degree: int, low: float, high: float, work: Array2, taylor: Array2
 ) -> None:
-    """Expand the velocity about the middle of a piece of one knot span.
+    """Expand the velocity about the middle of the piece from low to high of one knot span.
 
-    Args:
-        t: knots.
-        table: of `spline.spline_coefficients`.
-        degree: of the spline.
-        low: where the piece begins.
-        high: where it ends.
-        work: space, (6, 3).
-        taylor: filled with the coefficients of 1, x, x^2 ... on x from -1 to 1, (degree, 3).
+    Fills `taylor` (degree, 3) with the coefficients of 1, x, x^2 ... on x from -1 to 1; `work` (6, 3) is
+    scratch.
     """
     half = 0.5 * (high - low)
     middle = low + half
@@ -136,7 +119,7 @@ def expand(
 
 @subkernel
 def speed(taylor: Array2, degree: int, x: float) -> float:
-    """Speed at x of an expanded velocity."""
+    """Return the speed at x of an expanded velocity."""
     a, b, c = taylor[degree - 1, 0], taylor[degree - 1, 1], taylor[degree - 1, 2]
     for p in range(degree - 2, -1, -1):
         a, b, c = a * x + taylor[p, 0], b * x + taylor[p, 1], c * x + taylor[p, 2]
@@ -153,16 +136,12 @@ def expand_spans(t: Array1, table: Array3, degree: int, breaks: Array1) -> Array
 
 
 @subkernel
-def legendre(taylor: Array2, degree: int, rule: Array2, speeds: Array1, piece: Array1) -> None:
+def expand_speed(taylor: Array2, degree: int, rule: Array2, speeds: Array1, piece: Array1) -> None:
     """Expand the speed on a piece in Legendre polynomials.
 
-    Args:
-        taylor: the velocity there, of `expand`.
-        degree: of the spline.
-        rule: of `measure_length`.
-        speeds: space, (N,).
-        piece: its beginning and end; filled from [2] on with the size of the last two coefficients, and with
-            all of them, times half the width, (3 + N,).
+    `taylor` is the velocity there, `rule` that of `measure_length`, `speeds` (N,) scratch. `piece` (3 + N,)
+    has its start and end; from [2] on it is filled with the size of the last two coefficients, and with all
+    of them, times half the width.
     """
     nodes = len(rule)
     half = 0.5 * (piece[1] - piece[0])
@@ -170,7 +149,7 @@ def legendre(taylor: Array2, degree: int, rule: Array2, speeds: Array1, piece: A
         speeds[g] = speed(taylor, degree, rule[g, 0])
         piece[3 + g] = 0.0
     for g in range(1, nodes):
-        change = speeds[g] - speeds[0]  # of the difference, so that a constant speed is exact
+        change = speeds[g] - speeds[0]  # differences, so that a constant speed is exact
         for j in range(nodes):
             piece[3 + j] += change * rule[g, 1 + j]
     piece[3] += speeds[0]
@@ -192,18 +171,18 @@ def measure_length(
 ) -> tuple[Array1, Array1, Array2]:
     """Integrate the speed: a polynomial on each of many short pieces of the knot spans.
 
-    Pieces are halved until the Legendre series of the speed, sampled at Gauss nodes, has died out.
+    Pieces are halved until the Legendre series of the speed, sampled at Gauss nodes, has converged.
 
     Args:
         t: knots.
-        table: of `spline.spline_coefficients`.
+        table: of `spline_coefficients`.
         degree: of the spline.
         breaks: ends of the knot spans, increasing, (k + 1,).
         taylors: of `expand_spans`.
         rule: Gauss nodes; the matrix from values there to Legendre coefficients; that from these to power
             coefficients of the integral from -1, highest first; (N, 1 + N + N + 1).
-        tail: largest last terms of a piece's series, of the whole length.
-        rounding: error in the length of a span that rounding may cause; halving goes no further.
+        tail: largest last terms of a piece's series, relative to the whole length.
+        rounding: rounding error in the length of a span, at which halving ends.
 
     Returns:
         Parameters where the pieces meet (n + 1,), arc lengths there (n + 1,), and power coefficients of each
@@ -211,30 +190,30 @@ def measure_length(
     """
     nodes, spans = len(rule), len(taylors)
     work, finer, speeds = np.empty((6, 3)), np.empty((degree, 3)), np.empty(nodes)
-    # Where a piece begins and ends, how large its last Legendre coefficients are (-1: unknown), and all.
+    # Start and end of each piece, size of its last Legendre coefficients (-1: unknown), and all coefficients.
     pieces = np.empty((spans, 3 + nodes))
     for i in range(spans):
         pieces[i, 0], pieces[i, 1], pieces[i, 2] = breaks[i], breaks[i + 1], -1.0
-    largest, rough = 0.0, spans
-    for depth in range(DEPTH):
-        total, rough = 0.0, 0
+    largest, unresolved = 0.0, spans
+    for depth in range(MAX_HALVINGS):
+        total, unresolved = 0.0, 0
         for i in range(len(pieces)):
             piece = pieces[i]
             if piece[2] < 0.0:
                 taylor = taylors[i] if depth == 0 else finer
                 if depth > 0:
                     expand(t, table, degree, piece[0], piece[1], work, finer)
-                legendre(taylor, degree, rule, speeds, piece)
+                expand_speed(taylor, degree, rule, speeds, piece)
             total += 2.0 * piece[3]
             if depth > 0:
-                rough += int(piece[2] > largest)
+                unresolved += int(piece[2] > largest)
         if depth == 0:
             largest = max(tail * total, rounding)
             for i in range(spans):
-                rough += int(pieces[i, 2] > largest)
-        if rough == 0 or rough > MOST * len(breaks) or depth == DEPTH - 1:
+                unresolved += int(pieces[i, 2] > largest)
+        if unresolved == 0 or unresolved > MAX_PIECES_PER_SPAN * len(breaks) or depth == MAX_HALVINGS - 1:
             break
-        halves, k = np.empty((len(pieces) + rough, 3 + nodes)), 0
+        halves, k = np.empty((len(pieces) + unresolved, 3 + nodes)), 0
         for i in range(len(pieces)):
             piece = pieces[i]
             if piece[2] > largest:
@@ -261,7 +240,7 @@ def measure_length(
 
 @subkernel
 def piece_at(table: Array1, x: float) -> int:
-    """Which interval of an increasing table holds x; the first or last one if it is outside."""
+    """Return the interval of an increasing table that contains x; the first or last one if it is outside."""
     low, high = 0, len(table) - 1
     while high - low > 1:
         middle = (low + high) // 2
@@ -274,7 +253,7 @@ def piece_at(table: Array1, x: float) -> int:
 
 @subkernel
 def length_at(edges: Array1, lengths: Array1, series: Array2, u: float) -> float:
-    """Arc length from the start to the parameter u."""
+    """Return the arc length from the start to the parameter u."""
     i = piece_at(edges, u)
     x = (2.0 * u - edges[i] - edges[i + 1]) / (edges[i + 1] - edges[i])
     row = series[i]
@@ -286,12 +265,12 @@ def length_at(edges: Array1, lengths: Array1, series: Array2, u: float) -> float
 
 @subkernel
 def parameter_at(edges: Array1, lengths: Array1, series: Array2, s: float) -> float:
-    """Parameter at the arc length s, by Newton's method that cannot leave its bracket."""
+    """Return the parameter at the arc length s, by Newton's method within a bracket."""
     i = piece_at(lengths, s)
     row, local = series[i], s - lengths[i]
     low, high = -1.0, 1.0
     x = min(max(2.0 * local / (lengths[i + 1] - lengths[i]) - 1.0, -1.0), 1.0)
-    for _ in range(NEWTON):
+    for _ in range(MAX_NEWTON_STEPS):
         gap, slope = row[0], 0.0
         for j in range(1, len(row)):
             slope = slope * x + gap
@@ -306,7 +285,7 @@ def parameter_at(edges: Array1, lengths: Array1, series: Array2, s: float) -> fl
             trial = 0.5 * (low + high)
         step = abs(trial - x)
         x = trial
-        if step <= 2.0 * CLOSE:
+        if step <= 2.0 * NEWTON_TOLERANCE:
             break
     u = 0.5 * ((1.0 - x) * edges[i] + (1.0 + x) * edges[i + 1])
     return float(min(max(u, edges[i]), edges[i + 1]))
@@ -314,26 +293,23 @@ def parameter_at(edges: Array1, lengths: Array1, series: Array2, s: float) -> fl
 
 @compiled
 def parameters_at(edges: Array1, lengths: Array1, series: Array2, s: Array1) -> Array1:
-    """Parameters (n,) at arc lengths s (n,)."""
+    """Return the parameters (n,) at arc lengths s (n,)."""
     out = np.empty(len(s))
     for i in range(len(s)):
         out[i] = parameter_at(edges, lengths, series, s[i])
     return out
 
 
-# The place on a B-spline that is nearest to a point.
-
-
 @subkernel
 def distance_at(t: Array1, table: Array3, degree: int, u: float, p: Array1, work: Array2) -> float:
-    """Distance from the point p (3,) to the place at u."""
+    """Return the distance from the point p (3,) to the curve at u."""
     x, y, z = value(t, table, degree, 0, span_at(t, degree, u), u, work)
     return float(np.sqrt((x - p[0]) ** 2 + (y - p[1]) ** 2 + (z - p[2]) ** 2))
 
 
 @subkernel
 def slopes(t: Array1, table: Array3, degree: int, u: float, p: Array1, work: Array2) -> tuple[float, float]:
-    """Half the first and second derivatives by u of the squared distance from p (3,)."""
+    """Return half the first and second derivatives by u of the squared distance from p (3,)."""
     span = span_at(t, degree, u)
     x, y, z = value(t, table, degree, 0, span, u, work)
     x, y, z = x - p[0], y - p[1], z - p[2]
@@ -349,7 +325,7 @@ def slopes(t: Array1, table: Array3, degree: int, u: float, p: Array1, work: Arr
 def nearest_within(
     t: Array1, table: Array3, degree: int, low: float, high: float, p: Array1, work: Array2
 ) -> tuple[float, float]:
-    """Parameter of the place nearest to p (3,) within a short piece, and the distance."""
+    """Return the parameter of the point nearest to p (3,) within a short piece, and the distance."""
     best, distance = low, distance_at(t, table, degree, low, p, work)
     at_high = distance_at(t, table, degree, high, p, work)
     if at_high < distance:
@@ -357,7 +333,7 @@ def nearest_within(
     inner = np.nextafter(high, low)  # a corner there belongs to the next piece
     if slopes(t, table, degree, low, p, work)[0] < 0.0 and slopes(t, table, degree, inner, p, work)[0] > 0.0:
         u, width, left, right = 0.5 * (low + high), inner - low, low, inner
-        for _ in range(NEWTON):
+        for _ in range(MAX_NEWTON_STEPS):
             gap, slope = slopes(t, table, degree, u, p, work)
             if gap <= 0.0:
                 left = u
@@ -368,7 +344,7 @@ def nearest_within(
                 trial = 0.5 * (left + right)
             step = abs(trial - u)
             u = trial
-            if step <= CLOSE * width:
+            if step <= NEWTON_TOLERANCE * width:
                 break
         inside = distance_at(t, table, degree, u, p, work)
         if inside <= distance:
@@ -387,21 +363,21 @@ def nearest_places(
     pieces: int,
     points: Array2,
 ) -> Array2:
-    """Find the nearest places to points; of several equally near, one of them.
+    """Find the points of the curve nearest to given points; of several equally near, one of them.
 
     The curve is cut into pieces. If the middle of a piece is at a distance d, and its ends at most r away
-    from there along the curve, no part of it is nearer than d - r; so each piece that could hold the nearest
-    place is known, and searched.
+    from there along the curve, no part of it is nearer than d - r; all pieces that may contain the nearest
+    point are searched.
 
     Args:
         t: knots.
-        table: of `spline.spline_coefficients`.
+        table: of `spline_coefficients`.
         degree: of the spline.
-        edges: of `arclength.measure_length`.
-        lengths: likewise.
-        series: likewise.
-        pieces: how many at least.
-        points: shape (n, 3).
+        edges: of `measure_length`.
+        lengths: of `measure_length`.
+        series: of `measure_length`.
+        pieces: smallest number of pieces.
+        points: the points, (n, 3).
 
     Returns:
         Arc length and distance of each, (n, 2).
