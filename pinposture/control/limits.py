@@ -127,7 +127,7 @@ def _per_joint(name: str, value: float | Array, arm: Arm) -> Array:
 # slows down faster than in full braking. One that would so go beyond g(L) or g(U) is held there, as its A
 # allows.
 
-MAX_BRAKING_STEPS = 5000
+MAX_STOPPING_STEPS = 5000
 """Largest number of braking steps that are computed."""
 
 
@@ -164,7 +164,7 @@ def stopping_steps(rooms: Array, dq: Array, bound: Array, brake: Array | None) -
     """
     found = [np.empty((0, len(dq)))]
     while brake is not None and (ratio := float(np.max(np.abs(dq) / brake))) > 1.0:
-        shares = 1.0 - np.arange(1.0, min(np.ceil(ratio), MAX_BRAKING_STEPS)) / ratio
+        shares = 1.0 - np.arange(1.0, min(np.ceil(ratio), MAX_STOPPING_STEPS)) / ratio
         steps = shares[:, None] * dq
         gone = np.cumsum(steps, axis=0) - steps
         low = np.maximum(np.minimum(farthest(rooms[0] - gone, brake), 0.0), -bound)

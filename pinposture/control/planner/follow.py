@@ -51,7 +51,7 @@ ERROR_ROUNDING = 1e-12
 MAX_ATTEMPTS = 8
 """How often a step is damped harder when it fails to reduce the errors, before none is taken."""
 
-STEP_ROUNDING = 1e-12
+BOX_SLACK = 1e-12
 """What is lost in the arithmetic of a step, in `Arm.joint_units`; it is cut at its limits anyway."""
 
 NEGLIGIBLE_ERROR = 1e-13
@@ -402,7 +402,7 @@ def _next_on_path(progress: PathProgress, state: ArmState, box: StepBox, bounds:
         lag = farthest(lag, CATCH_UP_SHARE * bounds.brake)
     dq = path.smooth_offset(place) - smooth + lag
     one = state.arm.joint_units
-    within = (dq >= box.lower - STEP_ROUNDING * one) & (dq <= box.upper + STEP_ROUNDING * one)
+    within = (dq >= box.lower - BOX_SLACK * one) & (dq <= box.upper + BOX_SLACK * one)
     inside = bool(np.all((within & (np.abs(dq) <= MAX_STEP * one))[columns]))
     return _Proposal(place, left, inside, hindered, dq)
 

@@ -60,7 +60,7 @@ SMALL_BEND, LARGE_BEND = 0.05, 0.4
 """How far the first guess is bent to one side, relative to the largest change of a joint, which breaks
 symmetries; more for the variants."""
 
-MAX_NEWTON_STEPS, NEWTON_CONVERGED = 40, 1e-4
+MAX_PATH_ITERATIONS, NEWTON_CONVERGED = 40, 1e-4
 """Largest number of Gauss-Newton steps, and the relative fall of the energy at which they end."""
 
 FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-3, 1e-9, 1e6
@@ -250,7 +250,7 @@ def optimize_with_penalties(
     """
     search = _GaussNewton(objective, start, within, penalty)
     now, damping = search.evaluate(x), FIRST_DAMPING
-    for _ in range(MAX_NEWTON_STEPS):
+    for _ in range(MAX_PATH_ITERATIONS):
         step = search.step(now, damping)
         if step is not None:
             moved = now.x.copy()
