@@ -83,12 +83,7 @@ def _read_text(path: Path) -> ReadScan:
         columns = (names.index("x"), names.index("y"), names.index("z"))
     try:
         points = np.loadtxt(
-            io.StringIO(text),
-            delimiter=mark,
-            usecols=columns,
-            comments=_COMMENTS,
-            skiprows=skipped,
-            ndmin=2,
+            io.StringIO(text), delimiter=mark, usecols=columns, comments=_COMMENTS, skiprows=skipped, ndmin=2
         )
     except (ValueError, IndexError) as error:
         raise FileError(path, _fault(text, skipped, mark, columns) or str(error)) from None

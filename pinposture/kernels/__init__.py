@@ -57,13 +57,13 @@ if TYPE_CHECKING:
     from pinposture.kernels.posture_matrix import inverse_norm as inverse_norm
     from pinposture.kernels.posture_matrix import least_change as least_change
     from pinposture.kernels.spline import expand_spans as expand_spans
+    from pinposture.kernels.spline import find_stationary_point as find_stationary_point
     from pinposture.kernels.spline import measure_length as measure_length
     from pinposture.kernels.spline import nearest_places as nearest_places
     from pinposture.kernels.spline import parameters_at as parameters_at
     from pinposture.kernels.spline import spline_coefficients as spline_coefficients
     from pinposture.kernels.spline import spline_values as spline_values
     from pinposture.kernels.time_parameterization import find_speed_profile as find_speed_profile
-    from pinposture.kernels.time_parameterization import find_stationary_point as find_stationary_point
     from pinposture.kernels.time_parameterization import next_path_speed as next_path_speed
     from pinposture.kernels.time_parameterization import shorten_step as shorten_step
     from pinposture.kernels.time_parameterization import step_box as step_box
@@ -88,10 +88,11 @@ _KERNELS = {
         "solve_tridiagonal step_along sum_point_errors"
     ),
     "posture_matrix": "eliminated extreme_value inverse_norm least_change",
-    "spline": "expand_spans measure_length nearest_places parameters_at spline_coefficients spline_values",
-    "time_parameterization": (
-        "find_speed_profile find_stationary_point next_path_speed shorten_step step_box stoppable_steps"
+    "spline": (
+        "expand_spans find_stationary_point measure_length nearest_places parameters_at "
+        "spline_coefficients spline_values"
     ),
+    "time_parameterization": ("find_speed_profile next_path_speed shorten_step step_box stoppable_steps"),
 }
 """The kernels that other packages call, by module."""
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from pinposture.kernels.arrays import Array1, Array2, Bytes1, Flags1, Ints1, PointObjective
 from pinposture.kernels.compiled import compiled, subkernel
+from pinposture.kernels.kinematics import difference
 
 # The unknowns are the motions x of the joints. Point k moves by v_k, its body turns by w_k. Minimised is
 #
@@ -35,12 +36,7 @@ STEP_TO_BOUNDARY = 0.995
 
 
 @subkernel
-def factor(
-    objective: PointObjective,
-    damping: Array1,
-    held: Flags1,
-    gains: Array2,
-) -> None:
+def factor(objective: PointObjective, damping: Array1, held: Flags1, gains: Array2) -> None:
     """Run the pass from the tip to the base, without right-hand sides.
 
     Args:
@@ -180,18 +176,14 @@ def solve_factored(
             s3, s4, s5 = s3 - g[3] * t, s4 - g[4] * t, s5 - g[5] * t
             s6, s7, s8 = s6 - g[6] * t, s7 - g[7] * t, s8 - g[8] * t
         if k:
-            r0 = points[k, 0] - points[k - 1, 0]
-            r1 = points[k, 1] - points[k - 1, 1]
-            r2 = points[k, 2] - points[k - 1, 2]
+            r0, r1, r2 = difference(points, k, k - 1)
             s6, s7, s8 = s6 + r1 * s5 - r2 * s4, s7 + r2 * s3 - r0 * s5, s8 + r0 * s4 - r1 * s3
     v0, v1, v2, w0, w1, w2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(m):
         first = ends[k - 1] if k else 0
         d0, d1, d2 = 0.0, 0.0, 0.0
         if k:
-            r0 = points[k, 0] - points[k - 1, 0]
-            r1 = points[k, 1] - points[k - 1, 1]
-            r2 = points[k, 2] - points[k - 1, 2]
+            r0, r1, r2 = difference(points, k, k - 1)
             d0, d1, d2 = w1 * r2 - w2 * r1, w2 * r0 - w0 * r2, w0 * r1 - w1 * r0
         for u in range(first, ends[k]):
             if not held[u]:
@@ -230,9 +222,7 @@ def evaluate_gradient(
         d0, d1, d2 = 0.0, 0.0, 0.0
         e0, e1, e2 = 0.0, 0.0, 0.0
         if k:
-            r0 = points[k, 0] - points[k - 1, 0]
-            r1 = points[k, 1] - points[k - 1, 1]
-            r2 = points[k, 2] - points[k - 1, 2]
+            r0, r1, r2 = difference(points, k, k - 1)
             d0, d1, d2 = w1 * r2 - w2 * r1, w2 * r0 - w0 * r2, w0 * r1 - w1 * r0
             e0, e1, e2 = errors[k - 1, 0], errors[k - 1, 1], errors[k - 1, 2]
         for u in range(first, ends[k]):
@@ -258,9 +248,7 @@ def evaluate_gradient(
                 b[u, 0] * g0 + b[u, 1] * g1 + b[u, 2] * g2 + b[u, 3] * t0 + b[u, 4] * t1 + b[u, 5] * t2
             )
         if k:  # moments about the point before
-            r0 = points[k, 0] - points[k - 1, 0]
-            r1 = points[k, 1] - points[k - 1, 1]
-            r2 = points[k, 2] - points[k - 1, 2]
+            r0, r1, r2 = difference(points, k, k - 1)
             t0, t1, t2 = t0 + r1 * g2 - r2 * g1, t1 + r2 * g0 - r0 * g2, t2 + r0 * g1 - r1 * g0
     return 0.5 * total
 
@@ -314,9 +302,7 @@ def move_points(b: Array2, ends: Ints1, points: Array2, x: Array1, filled: Array
     v0, v1, v2, w0, w1, w2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(len(ends)):
         if k:
-            r0 = points[k, 0] - points[k - 1, 0]
-            r1 = points[k, 1] - points[k - 1, 1]
-            r2 = points[k, 2] - points[k - 1, 2]
+            r0, r1, r2 = difference(points, k, k - 1)
             v0, v1, v2 = v0 + w1 * r2 - w2 * r1, v1 + w2 * r0 - w0 * r2, v2 + w0 * r1 - w1 * r0
         for u in range(ends[k - 1] if k else 0, ends[k]):
             v0, v1, v2 = v0 + b[u, 0] * x[u], v1 + b[u, 1] * x[u], v2 + b[u, 2] * x[u]

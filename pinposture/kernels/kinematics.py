@@ -181,12 +181,7 @@ def carry_screws(
 
 
 @compiled
-def motions_along(
-    screws: Screws,
-    rows: Rows,
-    x: Array1,
-    values: Array2,
-) -> None:
+def motions_along(screws: Screws, rows: Rows, x: Array1, values: Array2) -> None:
     """Multiply a posture control matrix by a vector.
 
     Args:
@@ -205,9 +200,7 @@ def motions_along(
         if coupling == LOCAL:
             w0, w1, w2 = 0.0, 0.0, 0.0
         for point in range(stations[k - 1] + 1 if k else 0, stations[k] + 1):
-            r0 = points[point, 0] - points[at, 0]
-            r1 = points[point, 1] - points[at, 1]
-            r2 = points[point, 2] - points[at, 2]
+            r0, r1, r2 = difference(points, point, at)
             v0, v1, v2 = v0 + w1 * r2 - w2 * r1, v1 + w2 * r0 - w0 * r2, v2 + w0 * r1 - w1 * r0
             at = point
             while u < ends[point]:
@@ -221,12 +214,7 @@ def motions_along(
 
 
 @compiled
-def joints_along(
-    screws: Screws,
-    rows: Rows,
-    values: Array2,
-    x: Array1,
-) -> None:
+def joints_along(screws: Screws, rows: Rows, values: Array2, x: Array1) -> None:
     """Multiply a transposed posture control matrix by a vector.
 
     Args:
@@ -254,7 +242,5 @@ def joints_along(
             for u in range(ends[point] - 1, (ends[point - 1] if point else 0) - 1, -1):
                 x[u] = b[u, 0] * f0 + b[u, 1] * f1 + b[u, 2] * f2 + b[u, 3] * t0 + b[u, 4] * t1 + b[u, 5] * t2
             if point:
-                r0 = points[point, 0] - points[point - 1, 0]
-                r1 = points[point, 1] - points[point - 1, 1]
-                r2 = points[point, 2] - points[point - 1, 2]
+                r0, r1, r2 = difference(points, point, point - 1)
                 t0, t1, t2 = t0 + r1 * f2 - r2 * f1, t1 + r2 * f0 - r0 * f2, t2 + r0 * f1 - r1 * f0

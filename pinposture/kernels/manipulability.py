@@ -6,6 +6,7 @@ import numpy as np
 
 from pinposture.kernels.arrays import Array1, Array2, Array3, Flags1, Flags2, Ints1
 from pinposture.kernels.compiled import compiled, subkernel
+from pinposture.kernels.kinematics import difference
 
 # The Jacobian of point i relative to point s has the columns of the joints between them. Its Gram matrix is
 # a sum of outer products over these joints, from i downwards, so that nothing cancels. Its eigenvalues have
@@ -32,9 +33,7 @@ def _with_module(
 ) -> Gram:
     """Add the joints of a module to the Gram matrix (xx, xy, xz, yy, yz, zz) of the motion of a point."""
     xx, xy, xz, yy, yz, zz = gram
-    dx = points[point, 0] - points[module, 0]
-    dy = points[point, 1] - points[module, 1]
-    dz = points[point, 2] - points[module, 2]
+    dx, dy, dz = difference(points, point, module)
     for u in range(ends[module] - 1, (ends[module - 1] if module else 0) - 1, -1):
         x = b[u, 0] + b[u, 4] * dz - b[u, 5] * dy
         y = b[u, 1] + b[u, 5] * dx - b[u, 3] * dz
@@ -141,9 +140,7 @@ def base_indices(
     d = len(plane)
     for i in range(len(ends)):
         if i:  # v + w x r, as a matrix times w
-            r0 = points[i, 0] - points[i - 1, 0]
-            r1 = points[i, 1] - points[i - 1, 1]
-            r2 = points[i, 2] - points[i - 1, 2]
+            r0, r1, r2 = difference(points, i, i - 1)
             X[0, 1], X[0, 2], X[1, 0], X[1, 2], X[2, 0], X[2, 1] = r2, -r1, -r2, r0, r1, -r0
             for j in range(3):
                 for k in range(3):
@@ -422,14 +419,7 @@ def _complete_basis(directions: Array2, rank: int) -> None:
 
 @compiled
 def best_branch(
-    root: int,
-    leaf: int,
-    strides: Ints1,
-    stable: Flags2,
-    logs: Array2,
-    bonus: Array1,
-    mean: bool,
-    path: Ints1,
+    root: int, leaf: int, strides: Ints1, stable: Flags2, logs: Array2, bonus: Array1, mean: bool, path: Ints1
 ) -> tuple[int, float]:
     """Find the branch of a tree of sections with the largest score: by stable edges and their indices.
 

@@ -10,7 +10,7 @@ from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.kinematics import placements
 from pinposture.kernels.time_parameterization import step_box
 
-STEP_ROUNDING = 1e-12
+LIMIT_ROUNDING = 1e-12
 """Rounding error of a step, in units of each joint."""
 
 MAX_RELAXATION = 1.85
@@ -113,7 +113,7 @@ def step_along(
             break
     inside = True
     for k in range(n):
-        u, slack = columns[k], STEP_ROUNDING * units[k]
+        u, slack = columns[k], LIMIT_ROUNDING * units[k]
         dq[u] = begin[k]
         fits = limits[0, u] - slack <= begin[k] <= limits[1, u] + slack
         inside = inside and fits and abs(begin[k]) <= max_motion * units[k]
@@ -160,7 +160,7 @@ def look_ahead(
         u = columns[k]
         dq[u] = min(max(dq[u], limits[0, u]), limits[1, u])
         reached[u] = positions[u] + dq[u]
-        slack = STEP_ROUNDING * units[k]
+        slack = LIMIT_ROUNDING * units[k]
         at_limit[u] = min(abs(edges[0, u] - reached[u]), abs(edges[1, u] - reached[u])) <= slack
     joint_axes, joint_origins = np.empty((n, 3)), np.empty((n, 3))
     there, rotations = np.empty((m, 3)), np.empty((m, 3, 3))
@@ -353,12 +353,7 @@ def relax_waypoints(
 
 @compiled
 def measure_path_lengths(
-    chain: ChainArrays,
-    which: Ints1,
-    units: Array1,
-    start: Array1,
-    x: Array2,
-    samples: int,
+    chain: ChainArrays, which: Ints1, units: Array1, start: Array1, x: Array2, samples: int
 ) -> tuple[float, float]:
     """Return the length of the paths of all control points, and the distance between their ends.
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from pinposture.kernels.arrays import FULL, LOCAL, RELATIVE, Array1, Array2, Factors, Rows, Screws
 from pinposture.kernels.compiled import compiled, subkernel
-from pinposture.kernels.kinematics import joints_along, motions_along
+from pinposture.kernels.kinematics import difference, joints_along, motions_along
 
 # A posture control matrix is decomposed as J = L Q: L block lower triangular, the rows of Q orthonormal.
 #
@@ -31,11 +31,7 @@ MAX_RESTARTS, BISECTIONS = 20, 60
 
 
 @compiled
-def eliminated(
-    screws: Screws,
-    rows: Rows,
-    factors: Factors,
-) -> None:
+def eliminated(screws: Screws, rows: Rows, factors: Factors) -> None:
     """Decompose a posture control matrix.
 
     Args:
@@ -152,13 +148,7 @@ def _reflect(A: Array2, row: int, pivot: int, width: int) -> None:
 
 
 @subkernel
-def multiply_down(
-    points: Array2,
-    rows: Rows,
-    factors: Factors,
-    solve: bool,
-    values: Array2,
-) -> None:
+def multiply_down(points: Array2, rows: Rows, factors: Factors, solve: bool, values: Array2) -> None:
     """Multiply `values`, (p, 3), by L, or by its inverse to solve: the pass from the base to the tip."""
     stations, ranks, directions, coupling = rows
     triangles, gains = factors
@@ -169,8 +159,7 @@ def multiply_down(
         if coupling == LOCAL:
             w0, w1, w2 = 0.0, 0.0, 0.0
         if k:
-            to, since = points[stations[k]], points[stations[k - 1]]
-            r0, r1, r2 = to[0] - since[0], to[1] - since[1], to[2] - since[2]
+            r0, r1, r2 = difference(points, stations[k], stations[k - 1])
             v0, v1, v2 = v0 + w1 * r2 - w2 * r1, v1 + w2 * r0 - w0 * r2, v2 + w0 * r1 - w1 * r0
         E, R, K, y = directions[k], triangles[k], gains[k], values[k]
         p0, p1, p2, p3, p4, p5 = v0, v1, v2, w0, w1, w2
@@ -189,13 +178,7 @@ def multiply_down(
 
 
 @subkernel
-def multiply_up(
-    points: Array2,
-    rows: Rows,
-    factors: Factors,
-    solve: bool,
-    values: Array2,
-) -> None:
+def multiply_up(points: Array2, rows: Rows, factors: Factors, solve: bool, values: Array2) -> None:
     """Multiply `values`, (p, 3), by L transposed, or by its inverse: the pass from the tip to the base."""
     stations, ranks, directions, coupling = rows
     triangles, gains = factors
@@ -226,19 +209,12 @@ def multiply_up(
             for i in range(rank):
                 y[i] = before[i]
         if k:
-            to, since = points[stations[k]], points[stations[k - 1]]
-            r0, r1, r2 = to[0] - since[0], to[1] - since[1], to[2] - since[2]
+            r0, r1, r2 = difference(points, stations[k], stations[k - 1])
             t0, t1, t2 = t0 + r1 * f2 - r2 * f1, t1 + r2 * f0 - r0 * f2, t2 + r0 * f1 - r1 * f0
 
 
 @compiled
-def least_change(
-    screws: Screws,
-    rows: Rows,
-    factors: Factors,
-    values: Array2,
-    x: Array1,
-) -> None:
+def least_change(screws: Screws, rows: Rows, factors: Factors, values: Array2, x: Array1) -> None:
     """Change the motions of the joints as little as possible so that each row has its value.
 
     With J = L Q, that is x + J^T L^-T L^-1 (values - J x): as accurate as with Q itself, which is not stored.
@@ -287,8 +263,7 @@ def inverse_norm(points: Array2, rows: Rows, factors: Factors) -> float:
                     rest -= N[i, e] * R[e, j]
                 N[i, j] = rest / R[j, j]
         if k:
-            to, since = points[stations[k]], points[stations[k - 1]]
-            r0, r1, r2 = to[0] - since[0], to[1] - since[1], to[2] - since[2]
+            r0, r1, r2 = difference(points, stations[k], stations[k - 1])
             for i in range(6):  # effect of the state before on the state after
                 for j in range(6):
                     M[i, j] = 1.0 if i == j else 0.0
@@ -351,12 +326,7 @@ def _mean_square(R: Array2, T: Array2, C: Array2, rank: int) -> float:
 
 @compiled
 def extreme_value(
-    points: Array2,
-    rows: Rows,
-    factors: Factors,
-    smallest: bool,
-    tolerance: float,
-    vector: Array2,
+    points: Array2, rows: Rows, factors: Factors, smallest: bool, tolerance: float, vector: Array2
 ) -> float:
     """Compute the smallest or largest singular value, by Lanczos iterations on J J^T or its inverse.
 

@@ -16,6 +16,12 @@ MAX_PIECES_PER_SPAN = 64
 MAX_NEWTON_STEPS, NEWTON_TOLERANCE = 60, 1e-10
 """Largest number of Newton steps, and the step at which they end, relative to the bracket."""
 
+SPEED_SAMPLES = 9
+"""Number of samples of the speed in a knot span."""
+
+STATIONARY_SPEED = 1e-6
+"""Speed that counts as zero, relative to the largest in its span."""
+
 
 @compiled
 def spline_coefficients(t: Array1, c: Array2, degree: int) -> Array3:
@@ -416,3 +422,77 @@ def nearest_places(
                     bound = min(bound, d)
         found[k, 0], found[k, 1] = length_at(edges, lengths, series, best), distance
     return found
+
+
+@subkernel
+def half_square_slope(taylor: Array2, degree: int, x: float) -> tuple[float, float]:
+    """Return the first and second derivatives by x of half the squared speed of an expanded velocity."""
+    value, slope = 0.0, 0.0
+    for axis in range(3):
+        v, dv, ddv = taylor[degree - 1, axis], 0.0, 0.0
+        for p in range(degree - 2, -1, -1):
+            ddv = ddv * x + 2.0 * dv
+            dv = dv * x + v
+            v = v * x + taylor[p, axis]
+        value += v * dv
+        slope += dv * dv + v * ddv
+    return value, slope
+
+
+@subkernel
+def slowest_point(taylor: Array2, degree: int, low: float, high: float) -> float:
+    """Return the x of the smallest speed between two others, if its slope changes sign there; else NaN."""
+    falls, rises = half_square_slope(taylor, degree, low)[0], half_square_slope(taylor, degree, high)[0]
+    if not (falls < 0.0 and rises > 0.0):
+        return np.nan
+    x, width = 0.5 * (low + high), high - low
+    for _ in range(MAX_NEWTON_STEPS):
+        value, slope = half_square_slope(taylor, degree, x)
+        low, high = x if value <= 0.0 else low, x if value >= 0.0 else high
+        trial = x - value / slope
+        if not (slope > 0.0 and low <= trial <= high):
+            trial = 0.5 * (low + high)
+        step = abs(trial - x)
+        x = trial
+        if step <= NEWTON_TOLERANCE * width:
+            break
+    return x
+
+
+@compiled
+def find_stationary_point(taylors: Array3, breaks: Array1) -> float:
+    """Find a parameter at which the speed vanishes.
+
+    Args:
+        taylors: of `expand_spans`, (k, degree, 3).
+        breaks: ends of the knot spans, increasing, (k + 1,).
+
+    Returns:
+        The parameter; NaN if there is none.
+    """
+    spans, degree, last = len(taylors), taylors.shape[1], SPEED_SAMPLES - 1
+    v, fastest, overall = np.empty((spans, SPEED_SAMPLES)), np.zeros(spans), 0.0
+    for i in range(spans):
+        for j in range(SPEED_SAMPLES):
+            v[i, j] = speed(taylors[i], degree, 2.0 * j / last - 1.0)
+            fastest[i] = max(fastest[i], v[i, j])
+        overall = max(overall, fastest[i])
+    for i in range(spans):
+        if fastest[i] <= 1e-9 * overall:
+            return float(breaks[i])
+    # The smallest speed lies beside a sample that is slower than its neighbours. Next to a cusp one is far
+    # slower than the fastest; on a circle they are equal up to rounding, and not worth a search.
+    for i in range(spans):
+        for j in range(SPEED_SAMPLES):
+            before, after = max(j - 1, 0), min(j + 1, last)
+            if v[i, j] <= min(v[i, before], v[i, after]) and v[i, j] < 0.9 * fastest[i]:
+                x = slowest_point(taylors[i], degree, 2.0 * before / last - 1.0, 2.0 * after / last - 1.0)
+                if speed(taylors[i], degree, x) <= STATIONARY_SPEED * fastest[i]:  # not so if NaN
+                    return float(0.5 * ((1.0 - x) * breaks[i] + (1.0 + x) * breaks[i + 1]))
+    for i in range(spans):
+        if v[i, 0] <= STATIONARY_SPEED * fastest[i]:
+            return float(breaks[i])
+    for i in range(spans):
+        if v[i, last] <= STATIONARY_SPEED * fastest[i]:
+            return float(np.nextafter(breaks[i + 1], breaks[i]))
+    return np.nan
