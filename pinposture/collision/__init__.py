@@ -1,4 +1,4 @@
-"""What is in the way: obstacles, the arm itself, and how far it is from both."""
+"""Obstacles, scenes and scans, and the distances of an arm from them and from itself."""
 
 from pinposture.collision.model import Closest, CollisionModel, Distances, ExcludedPair
 from pinposture.collision.obstacles import (

@@ -211,16 +211,9 @@ def _two_postures(model: pin.Model) -> list[list[pin.SE3]]:
 
 
 def _stand_ins(arm: Arm, radius: float) -> Mapping[int, tuple[Body, ...]]:
-    """Return capsules from each joint past its control point, if any, to the next joint, or to the tip.
+    """Return capsules by the index of their joint, each past its control point to the next joint or the tip.
 
     The capsule of a sliding joint reaches back as far as the joint can slide out, so that no gap opens.
-
-    Args:
-        arm: the arm.
-        radius: radius of the capsules [m].
-
-    Returns:
-        The capsules by the index of the joint that carries them, from base to tip.
     """
     model, chain = arm.model, arm.chain
     frames = [pin.SE3.Identity()]  # of the joints at the neutral configuration

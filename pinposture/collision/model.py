@@ -53,14 +53,7 @@ def stationary_ends(
 ) -> list[tuple[int, Array]]:
     """Return the axis ends that no joint motion moves, of bodies that joints carry.
 
-    Args:
-        arm: the arm.
-        kinematics: of its model.
-        bodies: the bodies.
-        solids: the same as solids.
-
-    Returns:
-        Index of the body and world position of the end, (3,) [m], of each.
+    Each is given by the index of its body and its world position, (3,) [m]. `solids` are the bodies' shapes.
     """
     ends = np.array([[each.start, each.end] for each in solids]).reshape(-1, 2, 3)
     joints, rng, found = np.array([body.joint for body in bodies], dtype=int), np.random.default_rng(0), []
@@ -104,28 +97,17 @@ def _choose_pairs(
     obstacles: Mapping[str, Solid],
     scene: Scene,
 ) -> tuple[list[IndexPair], dict[IndexPair, str]]:
-    """Choose the pairs to check.
+    """Choose the pairs to check; return them and those left out with a reason.
 
-    Left out without mention are bodies on one joint, bodies on joints that follow each other, and bodies that
-    no joint moves against obstacles. Left out with a reason are
+    A pair is a body and another, or a body and the number of bodies plus that of an obstacle. Left out
+    without mention are bodies on one joint, bodies on joints that follow each other, and bodies that no joint
+    moves against obstacles. Left out with a reason are
 
     * an obstacle that the arm is mounted on: one within the margin of an end of a body that no joint moves;
     * bodies nearer to each other than twice the margin where the arm is straight or neutral, such as thick
       or short links, telescoping tubes, and overlapping meshes: the arm could not even stand straight;
     * pairs within the margin in every posture that is tried, such as an obstacle beside the base. If the last
       body is among them, the arm is inside an obstacle, and they are kept.
-
-    Args:
-        arm: the arm.
-        kinematics: of its model.
-        bodies: its bodies.
-        solids: the same as solids.
-        obstacles: the obstacles.
-        scene: the scene that they are from.
-
-    Returns:
-        Pairs of a body and another, or of a body and the number of bodies plus that of an obstacle; and those
-        left out, with the reason.
     """
     fixed, count = list(obstacles.values()), len(bodies)
     mounted = _mounted_pairs(arm, kinematics, bodies, solids, fixed, scene.margin)
@@ -181,8 +163,8 @@ def _mounted_pairs(
         radius = solids[body].radius if solids[body].round else 1e-3 * STATIONARY * arm.length
         ball, at = coal.Sphere(radius), coal.Transform3s(np.eye(3), position)
         for k, each in enumerate(fixed):
-            there = coal.Transform3s(each.rotation, each.position)
-            if narrow.distance((ball, at, each.geometry, there)) <= margin:
+            pose = coal.Transform3s(each.rotation, each.position)
+            if narrow.distance((ball, at, each.geometry, pose)) <= margin:
                 pairs.add((body, len(bodies) + k))
     return pairs
 

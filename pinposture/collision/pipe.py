@@ -171,11 +171,8 @@ def _side_normals(tangents: Array, sides: int) -> Array:
 def _rings(walls: Array, allowed: float) -> list[slice]:
     """Return the samples of each ring, the ends included: the longest rings within a tolerance.
 
-    Sides lie halfway between chord and arc, so that their deviation is at most half the height of the arc.
-
-    Args:
-        walls: middle of the inside of each side along the pipe, (n, sides, 3) [m].
-        allowed: largest deviation of a side [m].
+    Walls, (n, sides, 3), are the middle of the inside of each side along the pipe. Sides lie halfway between
+    chord and arc, so that their deviation is at most half the height of the arc.
     """
     rings, first, last = [], 0, len(walls) - 1
     while first < last:

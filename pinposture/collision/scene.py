@@ -197,7 +197,7 @@ def obstacles_around(scene: Scene, point: ArrayLike, depth: float = 1e-4) -> tup
     found = []
     for name, obstacle in scene.obstacles.items():
         shape = solid(obstacle)
-        there = coal.Transform3s(shape.rotation, shape.position)
-        if narrow.distance((ball, at, shape.geometry, there)) < -depth - PROBE_RADIUS:
+        pose = coal.Transform3s(shape.rotation, shape.position)
+        if narrow.distance((ball, at, shape.geometry, pose)) < -depth - PROBE_RADIUS:
             found.append(name)
     return tuple(found)

@@ -122,18 +122,11 @@ def all_indices(b: Array2, ends: Ints1, points: Array2, plane: Array2, filled: A
 def base_indices(
     b: Array2, ends: Ints1, points: Array2, plane: Array2, threshold: float, filled: Array1
 ) -> None:
-    """Compute the indices of all points relative to the base, in one pass.
+    """Compute the indices of all points relative to the base, in one pass, into `filled` (m,).
 
     The Gram matrix of linear and angular velocity is updated from point to point. Where the rounding errors
-    could decide whether an index exceeds the threshold, it is recomputed.
-
-    Args:
-        b: as for `all_indices`.
-        ends: as for `all_indices`.
-        points: as for `all_indices`.
-        plane: as for `all_indices`.
-        threshold: threshold of the indices.
-        filled: filled with the indices, (m,).
+    could decide whether an index exceeds the threshold, it is recomputed. Other arguments are as for
+    `all_indices`.
     """
     vv, vw, ww = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
     X, P = np.zeros((3, 3)), plane
@@ -176,16 +169,10 @@ def base_indices(
 def stride_indices(
     b: Array2, ends: Ints1, points: Array2, plane: Array2, strides: Ints1, filled: Array2
 ) -> None:
-    """Compute the indices of the sections of some numbers of modules.
+    """Compute the indices of the sections of some numbers of modules, `strides` (S,).
 
-    Args:
-        b: as for `all_indices`.
-        ends: as for `all_indices`.
-        points: as for `all_indices`.
-        plane: as for `all_indices`.
-        strides: numbers of modules of the sections, (S,).
-        filled: zeros, filled with the index of the section to each node from so many modules before,
-            (S, m + 1); node k + 1 is point k.
+    `filled` (S, m + 1), zeros, gets the index of the section to each node from so many modules before; node k
+    + 1 is point k. Other arguments are as for `all_indices`.
     """
     for j in range(len(strides)):
         for end in range(strides[j], len(ends) + 1):
@@ -209,15 +196,9 @@ def best_path(
     downwards, so that the first whose section meets the condition is the one; it is usually near, and few of
     all sections are evaluated. Of equally good ones the first along the chain is taken.
 
-    Args:
-        b: as for `all_indices`.
-        ends: as for `all_indices`.
-        points: as for `all_indices`.
-        plane: as for `all_indices`.
-        usable: which points may be in the set, (m,).
-        errors: error of each of them, (m,); not negative.
-        relative: threshold of the index of each point of the set relative to the one before it.
-        path: filled with the points of the set from its beginning, (m,).
+    `usable` (m,) says which points may be in the set, `errors` (m,), not negative, what each contributes,
+    `relative` is the threshold of the index of each point relative to the one before it in the set. `path`
+    (m,) is filled with the points of the set. Other arguments are as for `all_indices`.
 
     Returns:
         Its number of points.
@@ -266,13 +247,8 @@ def weakest_index(
 ) -> float:
     """Return the smallest index of the points of a control set, relative to the base and to the point before.
 
-    Args:
-        b: as for `all_indices`.
-        ends: as for `all_indices`.
-        points: as for `all_indices`.
-        plane: as for `all_indices`.
-        active: the points of the set, increasing.
-        base: indices of all points relative to the base, (m,).
+    `active` holds the points of the set, increasing, `base` (m,) the indices of all points relative to the
+    base. Other arguments are as for `all_indices`.
     """
     last = active[0]
     for i in active:

@@ -129,7 +129,7 @@ def look_ahead(
     edges: Array2,
     points: Array2,
     targets: Array2,
-    placed: Flags1,
+    has_target: Flags1,
     dq: Array1,
     reached: Array1,
     at_limit: Flags1,
@@ -144,7 +144,7 @@ def look_ahead(
         edges: position limits, (2, nv).
         points: current control points, (m, 3).
         targets: their targets, (m, 3).
-        placed: which of them have a target, (m,).
+        has_target: which of them have a target, (m,).
         dq: the step, (nv,); clipped.
         reached: filled with the joint positions after it, (nv,).
         at_limit: filled with which joints of the chain are at a position limit then, (nv,).
@@ -163,17 +163,17 @@ def look_ahead(
         slack = LIMIT_ROUNDING * units[k]
         at_limit[u] = min(abs(edges[0, u] - reached[u]), abs(edges[1, u] - reached[u])) <= slack
     joint_axes, joint_origins = np.empty((n, 3)), np.empty((n, 3))
-    there, rotations = np.empty((m, 3)), np.empty((m, 3, 3))
-    placements(chain, reached, joint_axes, joint_origins, there, rotations)
-    return sum_point_errors(points, targets, placed), sum_point_errors(there, targets, placed)
+    trial, rotations = np.empty((m, 3)), np.empty((m, 3, 3))
+    placements(chain, reached, joint_axes, joint_origins, trial, rotations)
+    return sum_point_errors(points, targets, has_target), sum_point_errors(trial, targets, has_target)
 
 
 @compiled
-def sum_point_errors(points: Array2, targets: Array2, placed: Flags1) -> float:
-    """Return the sum of the distances of points (m, 3) from their targets (m, 3), where `placed` is True."""
+def sum_point_errors(points: Array2, targets: Array2, has_target: Flags1) -> float:
+    """Return the sum of the distances of points (m, 3) from their targets (m, 3), of those that have one."""
     total = 0.0
     for k in range(len(points)):
-        if placed[k]:
+        if has_target[k]:
             x, y, z = points[k, 0] - targets[k, 0], points[k, 1] - targets[k, 1], points[k, 2] - targets[k, 2]
             total += np.sqrt(x * x + y * y + z * z)
     return total
@@ -198,35 +198,16 @@ def advance(
     rounding: float,
     max_motion: float,
     targets: Array2,
-    placed: Flags1,
+    has_target: Flags1,
     dq: Array1,
     reached: Array1,
     at_limit: Flags1,
 ) -> tuple[bool, float, float, float]:
     """Run `step_box`, `joint_distance`, `step_along` and `look_ahead` in one call, for the usual step.
 
-    Args:
-        chain: the chain; all of its joints move on the path.
-        endless: as for `step_along`.
-        units: as for `look_ahead`.
-        leaning: as for `step_box`.
-        edges: as for `step_box`.
-        bound: as for `step_box`.
-        positions: current joint positions, (nv,).
-        points: as for `look_ahead`.
-        offsets: as for `step_along`.
-        start: as for `step_along`.
-        place: as for `step_along`.
-        expected: expected joint positions, (nv,).
-        disturbed: largest difference from them, in units.
-        arrived: joint motion left at which the path is complete.
-        rounding: as for `step_box`.
-        max_motion: as for `step_along`.
-        targets: as for `look_ahead`.
-        placed: as for `look_ahead`.
-        dq: zeros, filled with the step, (nv,).
-        reached: as for `look_ahead`.
-        at_limit: as for `look_ahead`.
+    Arguments are those of these kernels. All joints of the chain move on the path. `disturbed` is the largest
+    difference from the `expected` joint positions, (nv,), and `arrived` the joint motion left at which the
+    path is complete, both in units.
 
     Returns:
         Whether this is the usual step; if so, the place that it leads to, and the sums of distances before
@@ -237,15 +218,15 @@ def advance(
         return False, place, 0.0, 0.0
     if joint_distance(expected, positions, endless, chain.columns, units) > disturbed:
         return False, place, 0.0, 0.0
-    there, left, inside = step_along(
+    next_place, left, inside = step_along(
         offsets, start, positions, endless, chain.columns, units, place, limits, max_motion, dq
     )
-    if not inside or (there >= len(offsets) - 1 and left <= arrived):
+    if not inside or (next_place >= len(offsets) - 1 and left <= arrived):
         return False, place, 0.0, 0.0
     before, after = look_ahead(
-        chain, positions, units, limits, edges, points, targets, placed, dq, reached, at_limit
+        chain, positions, units, limits, edges, points, targets, has_target, dq, reached, at_limit
     )
-    return True, there, before, after
+    return True, next_place, before, after
 
 
 # The energy of a path (see `trajectory_optimization`) couples each waypoint with its two neighbours only.
@@ -266,7 +247,7 @@ def relax_waypoints(
     upper: Array1,
     weight: float,
     rounds: int,
-    settled: float,
+    min_decrease: float,
     x: Array2,
 ) -> float:
     """Relax the waypoints between two ends.
@@ -281,7 +262,7 @@ def relax_waypoints(
         upper: largest displacement from it, (n,).
         weight: mu^2, of the motion of joints against that of control points [m^2].
         rounds: largest number of passes over all waypoints.
-        settled: relative decrease of the energy in one pass at which to end.
+        min_decrease: relative decrease of the energy in one pass at which to end.
         x: displacements of waypoints from the start, (N + 1, n); all but the ends are moved.
 
     Returns:
@@ -291,7 +272,7 @@ def relax_waypoints(
     # Joint axes and origins of all waypoints, and of the trial waypoint, which is the last.
     lines = (np.empty((last + 2, len(chain.slides), 3)), np.empty((last + 2, len(chain.slides), 3)))
     points, errors, rotations = np.empty((last + 2, m, 3)), np.empty((m, 3)), np.empty((m, 3, 3))
-    there = points[last + 1]
+    trial = points[last + 1]
     positions, b, dx = start.copy(), np.empty((n, 6)), np.empty(n)
     moved, centre, low, high = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     weights, chords, damping = np.ones(m), np.zeros(m), np.empty(n)
@@ -332,21 +313,21 @@ def relax_waypoints(
                     for u in range(n):
                         moved[u] = min(max(x[i, u] + share * dx[u], lower[u]), upper[u])
                     _set_positions(start, chain.columns, which, units, moved, positions)
-                    placements(chain, positions, lines[0][last + 1], lines[1][last + 1], there, rotations)
-                    after = _segment_energy(points[i - 1], there, x[i - 1], moved, weight)
-                    after += _segment_energy(there, points[i + 1], moved, x[i + 1], weight)
+                    placements(chain, positions, lines[0][last + 1], lines[1][last + 1], trial, rotations)
+                    after = _segment_energy(points[i - 1], trial, x[i - 1], moved, weight)
+                    after += _segment_energy(trial, points[i + 1], moved, x[i + 1], weight)
                     gain = before - after
                     if gain > 0.0:
                         break
                 if gain > 0.0:
-                    x[i], points[i] = moved, there
+                    x[i], points[i] = moved, trial
                     lines[0][i], lines[1][i] = lines[0][last + 1], lines[1][last + 1]
                     fall += gain
                     extra[i] = max(extra[i] * WAYPOINT_DAMPING_DOWN, least)
                     break
                 extra[i] *= WAYPOINT_DAMPING_UP
         energy -= fall
-        if fall <= settled * energy:
+        if fall <= min_decrease * energy:
             break
     return energy
 
@@ -357,13 +338,8 @@ def measure_path_lengths(
 ) -> tuple[float, float]:
     """Return the length of the paths of all control points, and the distance between their ends.
 
-    Args:
-        chain: as for `relax_waypoints`.
-        which: as for `relax_waypoints`.
-        units: as for `relax_waypoints`.
-        start: as for `relax_waypoints`.
-        x: displacements of waypoints, joined by straight lines, (N + 1, n).
-        samples: number of samples at equal distances.
+    The path is sampled at equal distances between the waypoints `x` (N + 1, n), which are joined by straight
+    lines. Other arguments are as for `relax_waypoints`.
     """
     n, m, last = len(which), len(chain.ends), len(x) - 1
     frames = (np.empty((len(chain.slides), 3)), np.empty((len(chain.slides), 3)), np.empty((m, 3, 3)))

@@ -186,16 +186,8 @@ def next_path_speed(
 ) -> float:
     """Return the number of waypoints to go in a step.
 
-    Args:
-        place: its start, in waypoints from the start of the path.
-        rate: number of waypoints of the step before.
-        slope: of `find_speed_profile`.
-        bend: of `find_speed_profile`.
-        cap: of `find_speed_profile`.
-        top: of `find_speed_profile`.
-        brake: as for `find_speed_profile`.
-        brake_share: as for `find_speed_profile`.
-        curve_share: as for `find_speed_profile`.
+    The step begins at a place, in waypoints from the start of the path; the step before went `rate`
+    waypoints. Other arguments are as for `find_speed_profile`.
     """
     last = len(top) - 1
     gain = np.inf  # the smallest at the waypoints that the step may pass
@@ -295,15 +287,8 @@ def shorten_step(
 ) -> float:
     """Scale a step to the step limit, then clip it; see `Limits.apply`.
 
-    Args:
-        dq: the requested step, (nv,).
-        positions: as for `step_box`.
-        edges: as for `step_box`.
-        bound: as for `step_box`.
-        brake: as for `step_box`.
-        previous: as for `step_box`.
-        cut: filled with the clipped step, (nv,).
-        clipped: filled with which joints were clipped, (nv,).
+    `dq` (nv,) is the requested step. Filled are `cut` (nv,) with the clipped step and `clipped` (nv,) with
+    which joints were clipped. Other arguments are as for `step_box`.
 
     Returns:
         Factor by which the whole step was scaled.

@@ -89,11 +89,11 @@ class Samples:
 
 
 def fit_curve(arm: Arm, curve: Curve, start: float, bending: float, rough: bool = False) -> Fit:
-    """Fit an arm to a curve, beginning with the straight arm.
+    """Fit an arm to a curve in the world, beginning with the straight arm.
 
     Args:
         arm: the arm.
-        curve: the curve, placed in the world.
+        curve: the curve.
         start: arc length of the point for the base of the arm [m].
         bending: weight of the joint positions, counted from the straight arm, against the distances, above
             0 [m/rad].
@@ -123,9 +123,9 @@ def fit_near(arm: Arm, curve: Curve, start: float, bending: float, q: Array, par
     """Fit an arm to a curve as `fit_curve` does, beginning with a configuration that nearly takes it.
 
     Args:
-        arm: the arm.
-        curve: the curve, placed in the world.
-        start: arc length of the point for the base of the arm [m].
+        arm: as for `fit_curve`.
+        curve: as for `fit_curve`.
+        start: as for `fit_curve`.
         bending: as for `fit_curve`.
         q: the configuration, (nq,).
         parameters: arc lengths of its control points, (m,) [m]; None: those of the nearest points.
@@ -138,14 +138,10 @@ def fit_near(arm: Arm, curve: Curve, start: float, bending: float, q: Array, par
 
 
 def transported_turns(tangents: Array) -> Array:
-    """Return the rotation vectors from each tangent to the next, in a parallel-transported frame.
+    """Return the rotation vectors (n - 1, 3) from each unit tangent (n, 3) to the next [rad].
 
-    Args:
-        tangents: unit tangents, (n, 3).
-
-    Returns:
-        Rotation vectors, (n - 1, 3) [rad]. The frame is the world's at the first tangent and does not twist
-        about the curve.
+    Their frame is the world's at the first tangent and is parallel-transported: it does not twist about the
+    curve.
     """
     normals = np.cross(tangents[:-1], tangents[1:])
     sine = np.linalg.norm(normals, axis=1)

@@ -101,12 +101,9 @@ def place_sequentially(
 
 
 def with_configuration(arm: Arm, target: Target, near: Array | None = None) -> Target:
-    """Return the target with a configuration that takes it exactly, if a search without choices finds one.
+    """Return the target with a configuration that takes it exactly, if `taken_exactly` finds one.
 
-    Args:
-        arm: the arm.
-        target: positions of its control points; it fits the arm.
-        near: a configuration to be near, (nq,); the straight one if None.
+    It is near a configuration (nq,), or the straight one if that is None.
     """
     if target.q is not None or not np.all(target.has_target):
         return target
