@@ -70,16 +70,17 @@ def _read_text(path: Path) -> ReadScan:
     start = _first_line(text)
     if start is None:
         raise FileError(path, f"holds no points; allowed: {_LINES}")
-    mark = next((mark for mark in (";", ",") if mark in start.first), None)
-    skipped, columns = start.number - 1, (0, 1, 2)
-    count = len(start.first.split(mark))
-    names = _names(start.comment, mark)
-    if not _are_numbers(start.first.split(mark)[:3]):
-        names, skipped = _names(start.first, mark), start.number
+    number, first, comment = start
+    mark = next((mark for mark in (";", ",") if mark in first), None)
+    skipped, columns = number - 1, (0, 1, 2)
+    count = len(first.split(mark))
+    names = _names(comment, mark)
+    if not _are_numbers(first.split(mark)[:3]):
+        names, skipped = _names(first, mark), number
         if not set(names) >= _XYZ:
-            raise FileError(path, f"line {start.number} is {_short(start.first)}; allowed: {_LINES}")
+            raise FileError(path, f"line {number} is {_short(first)}; allowed: {_LINES}")
     # A comment that names the columns names all of them.
-    if set(names) >= _XYZ and (skipped == start.number or len(names) == count):
+    if set(names) >= _XYZ and (skipped == number or len(names) == count):
         columns = (names.index("x"), names.index("y"), names.index("z"))
     try:
         points = np.loadtxt(
@@ -90,26 +91,13 @@ def _read_text(path: Path) -> ReadScan:
     return ReadScan(points)
 
 
-class _Start(NamedTuple):
-    """The first line of a text that is not blank or a comment.
-
-    Attributes:
-        number: its number, from 1.
-        first: its text without comments.
-        comment: the last comment before it.
-    """
-
-    number: int
-    first: str
-    comment: str
-
-
-def _first_line(text: str) -> _Start | None:
+def _first_line(text: str) -> tuple[int, str, str] | None:
+    """Return number and text of the first line that is not a comment, and the last comment before it."""
     comment = ""
     for number, line in enumerate(io.StringIO(text), start=1):
         content = _without_comment(line)
         if content:
-            return _Start(number, content, comment)
+            return number, content, comment
         comment = line.strip().lstrip("#/").strip() or comment
     return None
 

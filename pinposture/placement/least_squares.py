@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,18 +49,6 @@ LOOK_AHEAD, LOOK_AHEAD_SAMPLES = 2.0, 64
 """Distance along the curve in which the next control point is sought, in module lengths, and its samples."""
 
 
-class Fit(NamedTuple):
-    """An arm fitted to a curve.
-
-    Attributes:
-        positions: joint positions, (nv,) [rad or m].
-        parameters: arc length of each control point, (m,) [m]; beyond the curve's length where it ends early.
-    """
-
-    positions: Array
-    parameters: Array
-
-
 class Samples:
     """A curve given by samples.
 
@@ -88,7 +75,9 @@ class Samples:
         return np.column_stack([np.interp(s, self.s, axis) for axis in self.tangents.T])
 
 
-def fit_curve(arm: Arm, curve: Curve, start: float, bending: float, rough: bool = False) -> Fit:
+def fit_curve(
+    arm: Arm, curve: Curve, start: float, bending: float, rough: bool = False
+) -> tuple[Array, Array]:
     """Fit an arm to a curve in the world, beginning with the straight arm.
 
     Args:
@@ -97,7 +86,11 @@ def fit_curve(arm: Arm, curve: Curve, start: float, bending: float, rough: bool 
         start: arc length of the point for the base of the arm [m].
         bending: weight of the joint positions, counted from the straight arm, against the distances, above
             0 [m/rad].
-        rough: stop after a few evaluations, once the arm winds the right way round.
+        rough: stop after a few evaluations, once the arm winds in the right direction.
+
+    Returns:
+        Joint positions, (nv,) [rad or m], and the arc length of each control point, (m,) [m], which may
+        exceed the curve's length.
     """
     # As much of the curve as the arm can cover, and a little more.
     end = min(curve.length, start + 1.2 * arm.length)
@@ -116,10 +109,12 @@ def fit_curve(arm: Arm, curve: Curve, start: float, bending: float, rough: bool 
     for _ in range(RESTARTS_OF_FIT if not rough and problem.distance(curve, best) > EXACT_FIT else 0):
         other = problem.solve(curve, problem.perturb(best, rng), evaluations=60)
         best = min(best, other, key=lambda x: problem.distance(curve, x))
-    return Fit(*problem.split(best))
+    return problem.split(best)
 
 
-def fit_near(arm: Arm, curve: Curve, start: float, bending: float, q: Array, parameters: Array | None) -> Fit:
+def fit_near(
+    arm: Arm, curve: Curve, start: float, bending: float, q: Array, parameters: Array | None
+) -> tuple[Array, Array]:
     """Fit an arm to a curve as `fit_curve` does, beginning with a configuration that nearly takes it.
 
     Args:
@@ -134,7 +129,7 @@ def fit_near(arm: Arm, curve: Curve, start: float, bending: float, q: Array, par
     if parameters is None:
         parameters = _nearest_parameters(arm, curve, start, q)
     guess = problem.joined(arm.positions(q), parameters)
-    return Fit(*problem.split(refined(problem, curve, np.clip(guess, problem.lower, problem.upper))))
+    return problem.split(refined(problem, curve, np.clip(guess, problem.lower, problem.upper)))
 
 
 def transported_turns(tangents: Array) -> Array:

@@ -91,10 +91,10 @@ def place_sequentially(
         (center, exact, JOINT_SAMPLES),
         (chain.near, rough, 0),
     ):
-        shuffled = np.roll(samples, first, axis=0)
-        reached = _search(
-            arm, chain._replace(near=start), goals, accepted, WINDOW, visits, shuffled, positions
-        )
+        shuffled, found = np.roll(samples, first, axis=0), start.copy()
+        given = chain._replace(near=start), goals, arm.length, accepted
+        reached = kernels.search_branches(*given, WINDOW, visits, shuffled, found)
+        positions[arm.columns] = found
         if reached == len(goals):
             return positions, True
     return positions, False
@@ -126,9 +126,13 @@ def taken_exactly(arm: Arm, points: Array, near: Array) -> Array | None:
     chain, goals = _screw_chain(arm, points, np.ones(arm.n_modules, dtype=np.bool_), near)
     if np.diff(chain.begins).max() > 2:
         return None
-    m, positions, samples = len(goals), near.copy(), _joint_samples(len(chain.near))
-    reached = _search(arm, chain, goals, EXACT_DISTANCE * arm.length, 1, 2 * m, samples, positions)
-    return positions if reached == m else None
+    m, found, samples = len(goals), chain.near.copy(), _joint_samples(len(chain.near))
+    given = chain, goals, arm.length, EXACT_DISTANCE * arm.length
+    if kernels.search_branches(*given, 1, 2 * m, samples, found) < m:
+        return None
+    positions = np.array(near)
+    positions[arm.columns] = found
+    return positions
 
 
 def _screw_chain(
@@ -144,23 +148,6 @@ def _screw_chain(
     preferred = np.clip(near[columns], lower, upper)
     geometry = ~chain.revolute, chain.axes, chain.origins, carried, begins
     return ScrewChain(*geometry, lower, upper, preferred), np.ascontiguousarray(goals)
-
-
-def _search(
-    arm: Arm,
-    chain: ScrewChain,
-    goals: Array,
-    accepted: float,
-    window: int,
-    visits: int,
-    samples: Array,
-    positions: Array,
-) -> int:
-    """Search, write the result to positions (nv,), and return how many points it reaches."""
-    found = chain.near.copy()
-    reached = kernels.search_branches(chain, goals, arm.length, accepted, window, visits, samples, found)
-    positions[arm.columns] = found
-    return reached
 
 
 @lru_cache(maxsize=64)
@@ -254,7 +241,7 @@ def initial_guesses(arm: Arm, target: Target, near: Array) -> Iterator[Array]:
         return
     try:
         curve = Curve.points(np.vstack([arm.chain.base, target.points[target.has_target]]))
-        yield fit_curve(arm, curve, 0.0, REGULARISATION * arm.length, rough=True).positions
+        yield fit_curve(arm, curve, 0.0, REGULARISATION * arm.length, rough=True)[0]
     except PostureError:  # points that make no curve, such as two in one place
         return
 

@@ -258,13 +258,13 @@ def _place_together(arm: Arm, curve: Curve, method: str, near: Target | None) ->
     lengths = np.maximum(arm.chain.module_lengths, arm.chain.module_lengths.mean())
     bending = STIFFNESS[method] * float(np.median(lengths))
     if near is None or near.q is None:
-        fit = fit_curve(arm, curve, start, bending)
+        positions, parameters = fit_curve(arm, curve, start, bending)
     else:
-        fit = fit_near(arm, curve, start, bending, near.q, near.parameters)
-    ends = np.minimum(fit.parameters, curve.length)
-    residual = _distances(arm, fit.positions, curve, ends)
+        positions, parameters = fit_near(arm, curve, start, bending, near.q, near.parameters)
+    ends = np.minimum(parameters, curve.length)
+    residual = _distances(arm, positions, curve, ends)
     failure: TargetError | None = None
-    over = np.flatnonzero(fit.parameters > curve.length + ON_CURVE * arm.length)
+    over = np.flatnonzero(parameters > curve.length + ON_CURVE * arm.length)
     spans = arm.chain.spans
     off = np.flatnonzero(residual > OFF_CURVE * np.maximum(spans, arm.chain.module_lengths.mean()))
     bases = np.concatenate([[start], ends[:-1]])
@@ -275,9 +275,9 @@ def _place_together(arm: Arm, curve: Curve, method: str, near: Target | None) ->
     elif len(off):
         k = int(off[0])
         text = f"the closest that its end can come to the curve is {residual[k]:.4g} m"
-        kind, why = _obstruction(arm, curve, fit.positions, k, start)
+        kind, why = _obstruction(arm, curve, positions, k, start)
         failure = kind(k + 1, float(bases[k]), f"{text}; {why}")
-    return Placement(fit.positions, ends, failure)
+    return Placement(positions, ends, failure)
 
 
 def _target(arm: Arm, curve: Curve, result: Placement, method: str, near: Target | None) -> Target:
