@@ -22,12 +22,10 @@ Shape: TypeAlias = "Sphere | Capsule | Cylinder | Box | Mesh"
 Fault: TypeAlias = tuple[str, int, str]
 """Name of a link whose geometry is unusable, index of the joint that carries it, and the reason."""
 
-STAND_IN_RADIUS = 0.1
-"""Radius of the stand-in capsules, relative to the mean length of a module."""
+STAND_IN_RADIUS = 0.1  # radius of the stand-in capsules, relative to the mean length of a module
 
 _MAX_LISTED_FAULTS = 12
-_SAME = 1e-9
-"""Distance between equal points, and difference of equal radii, relative to the radius."""
+_SAME = 1e-9  # distance between equal points, and difference of equal radii, relative to the radius
 
 
 class Body(NamedTuple):

@@ -35,8 +35,7 @@ from pinposture.storage import read_text
 
 Array = NDArray[np.float64]
 
-MESH_FORMATS = (".stl", ".obj", ".dae", ".ply")
-"""Suffixes of the mesh files that can be read."""
+MESH_FORMATS = (".stl", ".obj", ".dae", ".ply")  # suffixes of the mesh files that can be read
 
 
 class Triangles(NamedTuple):

@@ -21,17 +21,13 @@ Array = NDArray[np.float64]
 WALL_TOLERANCE = 0.008
 """Largest deviation of a wall from its radius where the pipe bends, relative to the radius."""
 
-SAMPLES_PER_RADIUS = 50
-"""Number of samples of the axis on a length of the pipe's radius."""
+SAMPLES_PER_RADIUS = 50  # number of samples of the axis on a length of the pipe's radius
 
 MIN_SIDES = 6
 """Fewest sides; with fewer, longer ones, the overlap of rings at their corners would narrow a bend."""
 
-MAX_RADIUS = 0.9
-"""Largest radius of a pipe where it bends, relative to the radius of the bend."""
-
-POINTS_PER_BEND_RADIUS = 50
-"""Number of points of the axis on a length of the radius of the sharpest bend."""
+MAX_RADIUS = 0.9  # largest radius of a pipe where it bends, relative to the radius of the bend
+POINTS_PER_BEND_RADIUS = 50  # number of points of the axis on a length of the radius of the sharpest bend
 
 
 class Bend(NamedTuple):

@@ -20,17 +20,11 @@ from pinposture.errors import FileError, InvalidValue, PostureWarning
 
 Array = NDArray[np.float64]
 
-MAX_SCAN_SIZE = 5_000_000
-"""Largest number of points, and of triangles, of a scan."""
-
-MAX_PLAUSIBLE_WIDTH = 30.0
-"""Width of a scan above which its unit is probably not the metre [m]."""
-
-_MIN_FILL = 0.8
-"""Share of the requested points below which smaller cubes are tried."""
+MAX_SCAN_SIZE = 5_000_000  # largest number of points, and of triangles, of a scan
+MAX_PLAUSIBLE_WIDTH = 30.0  # width of a scan above which its unit is probably not the metre [m]
+_MIN_FILL = 0.8  # share of the requested points below which smaller cubes are tried
 _MAX_TRIALS = 12
-_MAX_CUBES = 2**20
-"""Largest number of cubes along an axis, so that three indices fit into one integer."""
+_MAX_CUBES = 2**20  # largest number of cubes along an axis, so that three indices fit into one integer
 
 
 def _points(values: ArrayLike) -> Array:

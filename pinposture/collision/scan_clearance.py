@@ -30,10 +30,8 @@ Nearest: TypeAlias = tuple[float, int, Array, Array]
 MOUNT_DISTANCE = 0.01
 """Distance from a stationary point of the arm at which it counts as mounted on a scan [m]."""
 
-_MAX_BALLS = 16
-"""Largest number of balls that cover a body."""
-_TOUCHING = 1e-12
-"""Distance below which a body touches a scan [m]."""
+_MAX_BALLS = 16  # largest number of balls that cover a body
+_TOUCHING = 1e-12  # distance below which a body touches a scan [m]
 
 
 def _nearest_to_surface(scan: ScanGeometry, solids: PosedSolids) -> Nearest:

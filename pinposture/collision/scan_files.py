@@ -19,10 +19,8 @@ Array = NDArray[np.float64]
 _COMMENTS = ("#", "//")
 _LINES = "lines of three numbers or more, x y z first or where the line before them names x, y and z"
 _XYZ = {"x", "y", "z"}
-_GREY = 180
-"""Colour of parts without colours in a file in which other parts have some."""
-_MAX_HEADER = 100_000
-"""Largest size of the header of a PLY file [bytes]."""
+_GREY = 180  # colour of parts without colours in a file in which other parts have some
+_MAX_HEADER = 100_000  # largest size of the header of a PLY file [bytes]
 
 
 class ReadScan(NamedTuple):

@@ -26,11 +26,8 @@ else:
     import tomli as tomllib
 
 VERSION = 1
-MAX_LISTED_OBSTACLES = 8
-"""Number of obstacles up to which `repr` names them all."""
-
-PROBE_RADIUS = 1e-6
-"""Radius of the ball that stands for a point [m]."""
+MAX_LISTED_OBSTACLES = 8  # number of obstacles up to which `repr` names them all
+PROBE_RADIUS = 1e-6  # radius of the ball that stands for a point [m]
 
 _KEYS = ("version", "obstacles", "self_collision", "margin", "arm_radius")
 

@@ -16,14 +16,9 @@ from pinposture.kernels.compiled import compiled, subkernel
 # axis: both are linear in the cosine and the sine of b. Joints before those two are sampled, and each result
 # is corrected by a few steps of least squares within the limits.
 
-MAX_SOLUTIONS = 24
-"""Largest number of solutions of a module that are kept."""
-
-MAX_SAMPLES_OF_THREE = 16
-"""Number of samples for a module of three joints."""
-
-MIN_DIFFERENCE = 1e-3
-"""Smallest difference of two solutions [rad, or units of length]."""
+MAX_SOLUTIONS = 24  # largest number of solutions of a module that are kept
+MAX_SAMPLES_OF_THREE = 16  # number of samples for a module of three joints
+MIN_DIFFERENCE = 1e-3  # smallest difference of two solutions [rad, or units of length]
 
 MAX_CORRECTIONS, NO_DISTANCE = 15, 1e-12
 """Largest number of correction steps, and the distance at which they end, relative to the arm length."""
@@ -31,8 +26,7 @@ MAX_CORRECTIONS, NO_DISTANCE = 15, 1e-12
 MAX_CORRECTED = 3
 """Number of inexact solutions of a module that are corrected together with the modules before."""
 
-MAX_WINDOW = 8
-"""Largest number of modules that are corrected together."""
+MAX_WINDOW = 8  # largest number of modules that are corrected together
 
 FULL_TURN = 2.0 * np.pi
 

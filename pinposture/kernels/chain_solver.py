@@ -19,20 +19,14 @@ from pinposture.kernels.kinematics import difference
 # follow from the base to the tip. Velocities are taken at the points themselves: at a common origin far away
 # they would cancel. Joints may be held at their x, and the others are optimal given those.
 
-MAX_CORRECTIONS_OF_SET = 6
-"""Largest number of corrections of the active set."""
-
-MAX_ITERATIONS = 40
-"""Largest number of iterations of the interior point method."""
+MAX_CORRECTIONS_OF_SET = 6  # largest number of corrections of the active set
+MAX_ITERATIONS = 40  # largest number of iterations of the interior point method
 
 RELATIVE_GAP = 1e-11
 """Complementarity gap at which the interior point method ends, relative to the initial one."""
 
-NEGLIGIBLE_MOTION = 1e-12
-"""Joint motion that counts as rounding, in units of a joint."""
-
-STEP_TO_BOUNDARY = 0.995
-"""Share of the distance to the boundary that one iteration goes."""
+NEGLIGIBLE_MOTION = 1e-12  # joint motion that counts as rounding, in units of a joint
+STEP_TO_BOUNDARY = 0.995  # share of the distance to the boundary that one iteration goes
 
 
 @subkernel

@@ -40,8 +40,7 @@ OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
 _NOTICE = "compiling kernels, once for an installation and user; `pinposture compile` does all of it now"
 
-_NOTICE_INTERVAL = 3600.0
-"""Time after a notice in which other processes do not repeat it [s]."""
+_NOTICE_INTERVAL = 3600.0  # time after a notice in which other processes do not repeat it [s]
 
 _IMPORT = re.compile(r"^from pinposture\.kernels\.(\w+) import", re.MULTILINE)
 

@@ -17,14 +17,9 @@ Gram = tuple[float, float, float, float, float, float]
 RECOMPUTED_DIFFERENCE = 1e-7
 """Difference of the squares of an index and a threshold below which the index is recomputed accurately."""
 
-DETERMINANT_ERROR = 1e-14
-"""Largest rounding error of the determinant of a Gram matrix of trace 1."""
-
-MAX_SWEEPS = 40
-"""Largest number of sweeps of Jacobi rotations; three vectors take about five."""
-
-ORTHOGONAL = 1e-15
-"""Cosine of the angle between two vectors at which they count as orthogonal."""
+DETERMINANT_ERROR = 1e-14  # largest rounding error of the determinant of a Gram matrix of trace 1
+MAX_SWEEPS = 40  # largest number of sweeps of Jacobi rotations; three vectors take about five
+ORTHOGONAL = 1e-15  # cosine of the angle between two vectors at which they count as orthogonal
 
 
 @subkernel

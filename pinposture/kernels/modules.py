@@ -18,8 +18,7 @@ TOUCHING = 0.5e-14
 """Value that counts as zero at an extremum of a polynomial, over its second derivative: a pair of complex
 roots within 1e-7 of the segment."""
 
-REACH_TOLERANCE = 1e-9
-"""Tolerance of positions, relative to the reach of a module, and of joint limits [rad]."""
+REACH_TOLERANCE = 1e-9  # tolerance of positions, relative to the reach of a module, and of joint limits [rad]
 
 
 @compiled

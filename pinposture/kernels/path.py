@@ -10,11 +10,8 @@ from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.kinematics import placements
 from pinposture.kernels.time_parameterization import step_box
 
-LIMIT_ROUNDING = 1e-12
-"""Rounding error of a step, in units of each joint."""
-
-MAX_RELAXATION = 1.85
-"""Largest over-relaxation of a waypoint; 1 moves it to its own minimum."""
+LIMIT_ROUNDING = 1e-12  # rounding error of a step, in units of each joint
+MAX_RELAXATION = 1.85  # largest over-relaxation of a waypoint; 1 moves it to its own minimum
 
 WAYPOINT_DAMPING_DOWN, WAYPOINT_DAMPING_UP = 0.1, 30.0
 """Factors of a waypoint's damping after a move that lowered the energy, and after one that did not."""
@@ -22,8 +19,7 @@ WAYPOINT_DAMPING_DOWN, WAYPOINT_DAMPING_UP = 0.1, 30.0
 MIN_WAYPOINT_DAMPING = 3e-6
 """Smallest damping, relative to the mean squared distance of the control points from the base."""
 
-MAX_WAYPOINT_TRIALS = 6
-"""Number of failed moves after which a waypoint waits for the next pass."""
+MAX_WAYPOINT_TRIALS = 6  # number of failed moves after which a waypoint waits for the next pass
 
 
 @compiled

@@ -23,11 +23,8 @@ from pinposture.kernels.kinematics import difference, joints_along, motions_alon
 ZERO_PIVOT = 1e-60
 """Value in place of a zero on the diagonal of L, so that it has an inverse; its square does not underflow."""
 
-LARGEST_BASIS = 400
-"""Number of Lanczos vectors after which the search restarts from the best result."""
-
-MAX_RESTARTS, BISECTIONS = 20, 60
-"""Largest number of restarts, and number of bisections of an eigenvalue."""
+LARGEST_BASIS = 400  # number of Lanczos vectors after which the search restarts from the best result
+MAX_RESTARTS, BISECTIONS = 20, 60  # largest number of restarts, and number of bisections of an eigenvalue
 
 
 @compiled

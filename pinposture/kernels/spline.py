@@ -7,8 +7,7 @@ import numpy as np
 from pinposture.kernels.arrays import Array1, Array2, Array3
 from pinposture.kernels.compiled import compiled, subkernel
 
-MAX_HALVINGS = 48
-"""Largest number of halvings of a span, enough for a speed that nearly vanishes."""
+MAX_HALVINGS = 48  # largest number of halvings of a span, enough for a speed that nearly vanishes
 
 MAX_PIECES_PER_SPAN = 64
 """Largest number of pieces per span that are halved at a time; more means that the rest is rounding."""
@@ -16,11 +15,8 @@ MAX_PIECES_PER_SPAN = 64
 MAX_NEWTON_STEPS, NEWTON_TOLERANCE = 60, 1e-10
 """Largest number of Newton steps, and the step at which they end, relative to the bracket."""
 
-SPEED_SAMPLES = 9
-"""Number of samples of the speed in a knot span."""
-
-STATIONARY_SPEED = 1e-6
-"""Speed that counts as zero, relative to the largest in its span."""
+SPEED_SAMPLES = 9  # number of samples of the speed in a knot span
+STATIONARY_SPEED = 1e-6  # speed that counts as zero, relative to the largest in its span
 
 
 @compiled

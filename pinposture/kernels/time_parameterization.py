@@ -7,8 +7,7 @@ import numpy as np
 from pinposture.kernels.arrays import Array1, Array2, Flags1, Ints1
 from pinposture.kernels.compiled import compiled, subkernel
 
-MAX_PASSED = 10
-"""Largest number of waypoints that one step passes if its length is limited."""
+MAX_PASSED = 10  # largest number of waypoints that one step passes if its length is limited
 
 MAX_BRAKING_STEPS = 1e60
 """Number of braking steps that stands for infinitely many: a joint without position limits."""

@@ -15,11 +15,8 @@ from pinposture.errors import TargetError
 
 Array = NDArray[np.float64]
 
-ON_CURVE = 1e-9
-"""Distance from a curve that counts as zero, relative to the arm length."""
-
-MIN_MOVEMENT = 1e-9
-"""Smallest translation [m] and rotation [rad] that count as having moved a curve."""
+ON_CURVE = 1e-9  # distance from a curve that counts as zero, relative to the arm length
+MIN_MOVEMENT = 1e-9  # smallest translation [m] and rotation [rad] that count as having moved a curve
 
 SAMPLES_PER_LINK, REFINEMENTS = 4, 5
 """Number of parts of a link in the search for its farthest point, and number of rounds of that search."""

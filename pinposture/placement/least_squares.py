@@ -18,17 +18,13 @@ from pinposture.curve import Curve
 
 Array = NDArray[np.float64]
 
-TURN_PER_STAGE = 2.0
-"""Largest turn of the curve's tip from one stage of bending to the next [rad]."""
+TURN_PER_STAGE = 2.0  # largest turn of the curve's tip from one stage of bending to the next [rad]
 
 RESTARTS_OF_FIT, RESTART_NOISE = 4, 0.3
 """Number of restarts from perturbed joint positions, and their standard deviation [rad, or arm lengths]."""
 
-EXACT_FIT = 1e-6
-"""Root mean square distance from the curve below which there are no restarts, in arm lengths."""
-
-ROUGH_EVALUATIONS = 6
-"""Number of evaluations at the final curve for a rough fit."""
+EXACT_FIT = 1e-6  # root mean square distance from the curve below which there are no restarts, in arm lengths
+ROUGH_EVALUATIONS = 6  # number of evaluations at the final curve for a rough fit
 
 SAMPLES_PER_MODULE = 12
 """Number of samples of the curve per module, in all stages but the last, which uses the curve itself."""

@@ -24,8 +24,7 @@ Whole = NDArray[np.int64]
 VISITS_PER_MODULE, MIN_VISITS = 20, 200
 """Limit on the number of modules that a search visits: per module, and at least."""
 
-WINDOW = 3
-"""Number of modules corrected together where a point cannot be reached by its own joints."""
+WINDOW = 3  # number of modules corrected together where a point cannot be reached by its own joints
 
 JOINT_SAMPLES = 16
 """Number of samples of joints without a closed form; twice as many for two such joints or more."""
@@ -33,8 +32,7 @@ JOINT_SAMPLES = 16
 ROUGH_DISTANCE, EXACT_DISTANCE = 1e-3, 1e-9
 """Distances accepted by a rough search, in mean module lengths, and by an exact one, in arm lengths."""
 
-ON_AXIS_DISTANCE = 1e-9
-"""Distance from a joint axis within which a point counts as on it, in arm lengths."""
+ON_AXIS_DISTANCE = 1e-9  # distance from a joint axis within which a point counts as on it, in arm lengths
 
 REGULARISATION = 1e-8
 """Weight of the joint positions against distances in arm lengths [1/rad]; decides what these leave open."""
@@ -55,8 +53,7 @@ MIN_DECREASE, MAX_SLOW_STEPS = 1e-9, 3
 MIN_POINT_DAMPING, MAX_POINT_DAMPING = 1e-12, 1e6
 """Bounds of the damping of a fit, relative to its mean stiffness."""
 
-POINT_DAMPING_DOWN, POINT_DAMPING_UP = 0.2, 5.0
-"""Factors of the damping after a better and a worse step."""
+POINT_DAMPING_DOWN, POINT_DAMPING_UP = 0.2, 5.0  # factors of the damping after a better and a worse step
 
 
 def place_sequentially(

@@ -44,8 +44,7 @@ FAR = 0.1
 """How far the start of a curve may be moved, and the farthest link be from the curve, without a warning, in
 arm lengths."""
 
-AT_LIMIT = 1e-6
-"""Distance from a position limit at which a joint counts as at it, in `Arm.joint_units`."""
+AT_LIMIT = 1e-6  # distance from a position limit at which a joint counts as at it, in `Arm.joint_units`
 
 OFF_CURVE = 0.1
 """Distance from the curve at which a control point counts as not placed, in lengths of its module, or of a
