@@ -101,11 +101,11 @@ def pipe(
     Args:
         path: axis of the pipe, in the world.
         radius: as in `pipe_walls`.
-        sides: likewise.
-        thickness: likewise.
+        sides: as in `pipe_walls`.
+        thickness: as in `pipe_walls`.
         margin: as in `Scene`.
-        self_collision: likewise.
-        arm_radius: likewise.
+        self_collision: as in `Scene`.
+        arm_radius: as in `Scene`.
 
     Raises:
         InvalidValue: values that make no pipe, or a bend that is too tight for its radius.

@@ -70,7 +70,7 @@ class Torus:
         return list(out[: kernels.torus_inverse(self.l1, self.l2, self.sense, x, y, z, out)])
 
     def faces(self, p: Array) -> bool:
-        """Whether p is on the outer part of the torus, where the second hinge bends less than 90 degrees."""
+        """Return whether p is on the outer part of the torus, where the second hinge bends < 90 degrees."""
         x, y, z = map(float, p)
         return bool(kernels.torus_faces(self.l1, self.l2, x, y, z))
 

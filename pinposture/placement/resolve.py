@@ -245,7 +245,7 @@ def _choose(
 
 
 def _zigzags(arm: Arm, positions: Array) -> bool:
-    """Whether most modules bend in the opposite direction to the one before."""
+    """Return whether most modules bend in the opposite direction to the one before."""
     starts = np.append(arm.module_starts, len(arm.columns))
     products, norms = kernels.neighbours(positions[arm.columns], starts)
     return norms > 1e-6 * arm.n_modules and products < -0.5 * norms
