@@ -234,14 +234,11 @@ def _choose(
         in_turn = place_in_turn(arm, curve, samples)
     except UnsupportedModule:
         return _place_together(arm, curve, "closest", near), "closest"
-    if isinstance(in_turn.failure, CurveEndsEarly):
-        return in_turn, "sequential"
-    if in_turn.failure is None and not _zigzags(arm, in_turn.positions):
+    ends_early = isinstance(in_turn.failure, CurveEndsEarly)
+    if ends_early or (in_turn.failure is None and not _zigzags(arm, in_turn.positions)):
         return in_turn, "sequential"
     together = _place_together(arm, curve, "smooth", near)
-    if together.failure is None:
-        return together, "smooth"
-    return in_turn, "sequential"
+    return (together, "smooth") if together.failure is None else (in_turn, "sequential")
 
 
 def _zigzags(arm: Arm, positions: Array) -> bool:
@@ -264,8 +261,8 @@ def _place_together(arm: Arm, curve: Curve, method: str, near: Target | None) ->
     residual = _distances(arm, positions, curve, ends)
     failure: TargetError | None = None
     over = np.flatnonzero(parameters > curve.length + ON_CURVE * arm.length)
-    spans = arm.chain.spans
-    off = np.flatnonzero(residual > OFF_CURVE * np.maximum(spans, arm.chain.module_lengths.mean()))
+    spans = np.maximum(arm.chain.spans, arm.chain.module_lengths.mean())
+    off = np.flatnonzero(residual > OFF_CURVE * spans)
     bases = np.concatenate([[start], ends[:-1]])
     if len(over) and (not len(off) or over[0] <= off[0]):
         k = int(over[0])

@@ -82,7 +82,7 @@ class Target:
             raise InvalidValue("target.points (shape)", self.points.shape, f"({m}, 3) for this arm")
         if self.weights.shape != (m,):
             raise InvalidValue("target.weights (shape)", self.weights.shape, f"({m},) for this arm")
-        if not self.weights.max() > 0.0 and not np.any(self.has_target):
+        if not np.any(self.has_target):
             raise InvalidValue("target.weights", 0.0, "at least one control point with a weight > 0")
         for name, values in (("points", self.points), ("weights", self.weights)):
             flat = values.ravel()
