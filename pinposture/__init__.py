@@ -17,7 +17,17 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pinposture.arm import Arm, ArmState, Ellipsoid, Feasibility, JointLimits, JointSpec, ModuleTemplate
     from pinposture.arm.template import template
-    from pinposture.collision import Box, Capsule, CollisionModel, Cylinder, HalfSpace, Mesh, Scene, Sphere
+    from pinposture.collision import (
+        Box,
+        Capsule,
+        CollisionModel,
+        Cylinder,
+        HalfSpace,
+        Mesh,
+        Scan,
+        Scene,
+        Sphere,
+    )
     from pinposture.control import (
         Controller,
         EndEffector,
@@ -79,6 +89,7 @@ __all__ = [
     "PostureError",
     "PostureWarning",
     "Projection",
+    "Scan",
     "Scene",
     "Selection",
     "Sphere",
@@ -154,7 +165,17 @@ _PACKAGES = {
         "track",
         "track_many",
     ),
-    "collision": ("Box", "Capsule", "CollisionModel", "Cylinder", "HalfSpace", "Mesh", "Scene", "Sphere"),
+    "collision": (
+        "Box",
+        "Capsule",
+        "CollisionModel",
+        "Cylinder",
+        "HalfSpace",
+        "Mesh",
+        "Scan",
+        "Scene",
+        "Sphere",
+    ),
     "placement": ("Target", "fit_points", "resolve_targets"),
     "task": (
         "Keyframe",

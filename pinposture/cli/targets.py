@@ -280,7 +280,8 @@ def describe_scene(scene: Scene, arm: Arm) -> dict[str, Any]:
         "pairs": len(clearance.pairs),
         "excluded_pairs": [each._asdict() for each in clearance.excluded_pairs],
         "obstacles": [
-            {"name": name, **obstacle.to_dict(), **beside(name)} for name, obstacle in scene.obstacles.items()
+            {"name": name, **obstacle.to_dict(embed=False), **beside(name)}
+            for name, obstacle in scene.obstacles.items()
         ],
         "bodies": [{"name": name, **beside(name)} for name in dict.fromkeys(clearance.bodies)],
     }

@@ -143,10 +143,10 @@ def run(
     bring or hold the tip somewhere; with others distances are only recorded. A scene file has a line for each
     obstacle, in TOML: obstacles.post = {type = "cylinder", start = [0.3, 0.1, -1], end = [0.3, 0.1, 1],
     radius = 0.02}. There are also sphere (center, radius), capsule (as cylinder), box (center, size,
-    rotation), half_space (point; normal, towards the free side) and mesh (path, scale, center, rotation; its
-    convex hull). A rotation is roll, pitch, yaw in rad, or a 3x3 matrix. It may set margin (the distance to
-    keep, else 0.005), self_collision (true or false) and arm_radius (of capsules in place of the arm's own
-    geometry) as well. Lengths in metres, in the world.
+    rotation), half_space (point; normal, towards the free side), mesh (path, scale, center, rotation) and
+    scan (as mesh; of points or a surface). A rotation is roll, pitch, yaw in rad, or a 3x3 matrix. It may set
+    margin (the distance to keep, else 0.005), self_collision (true or false) and arm_radius (of capsules in
+    place of the arm's own geometry) as well. Lengths in metres, in the world.
 
     With -o the run is kept in a directory: run.npz holds everything, run.png plots it, run.html plays it in
     any browser. The exit code is 0 if the arm got there within its limits and was clear of everything, 1 if

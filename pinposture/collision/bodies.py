@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.arm.urdf_reader import parse_xml
-from pinposture.collision.obstacles import Box, Capsule, Cylinder, Mesh, Sphere, find_mesh, read_mesh
+from pinposture.collision.mesh_files import find_mesh, read_mesh
+from pinposture.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 from pinposture.errors import FileError, InvalidValue, PostureWarning
 
 Array = NDArray[np.float64]
@@ -125,7 +126,7 @@ def _hull(filename: str, hulls: dict[str, Array | str], package_dirs: tuple[str,
     if filename not in hulls:
         try:
             vertices, _ = read_mesh(find_mesh(filename, package_dirs))
-            hulls[filename] = np.array(Mesh(vertices).vertices)  # type: ignore[arg-type]
+            hulls[filename] = Mesh(vertices).vertices
         except FileError as error:
             hulls[filename] = error.reason
     known = hulls[filename]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Sequence
+from copy import copy
 from typing import NamedTuple, TypeAlias
 
 import coal
@@ -16,7 +17,8 @@ from pinposture import kernels
 from pinposture.arm.chain import joint_screws
 from pinposture.arm.configurations import ConfigurationSpace
 from pinposture.collision.obstacles import Solid
-from pinposture.kernels.arrays import BLOCK, BOX, CYLINDER, PLANE, SEGMENT, JointTree, Pairs
+from pinposture.collision.pieces import join_trees
+from pinposture.kernels.arrays import BLOCK, INSIDE, PIECE, SEGMENT, JointTree, Pairs
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -227,7 +229,7 @@ class PairDistances:
         fixed: Sequence[Solid],
         pairs: Sequence[tuple[int, int]],
     ) -> None:
-        """Sort the pairs into groups.
+        """Prepare the solids, and sort the pairs into groups.
 
         Args:
             bodies: the bodies, each in the frame of its joint.
@@ -239,31 +241,54 @@ class PairDistances:
         self._fixed = [coal.Transform3s(each.rotation, each.position) for each in fixed]
         self._carriers = np.array(joints, dtype=np.int64)
         self._local = np.array([[each.start, each.end] for each in bodies]).reshape(-1, 2, 3)
-        count, blocks = len(bodies), (len(bodies) + BLOCK - 1) // BLOCK
+        kinds = np.array([SEGMENT] * len(bodies) + [each.kind for each in fixed], dtype=np.int64)
+        exact = [each.round for each in bodies] + [each.exact for each in fixed]
+        self._kinds, self._exact = kinds, np.array(exact, dtype=np.bool_)
+        nothing = np.zeros(0, dtype=np.int64)
+        self._arrays = Pairs(
+            first=nothing,
+            second=nothing,
+            kinds=nothing,
+            exact=np.zeros(0, dtype=np.bool_),
+            radii=np.array([each.radius if np.isfinite(each.radius) else 0.0 for each in self._solids]),
+            lines=np.array([[each.start, each.end] for each in fixed]).reshape(-1, 2, 3),
+            centers=np.array([each.center for each in fixed]).reshape(-1, 3),
+            frames=np.array([each.rotation for each in fixed]).reshape(-1, 3, 3),
+            halves=np.array([each.half for each in fixed]).reshape(-1, 3),
+            trees=join_trees([each.shape if isinstance(each.shape, tuple) else None for each in fixed]),
+            shapes=np.ascontiguousarray(kinds[len(bodies) :]),
+            groups=np.zeros((0, 2), dtype=np.int64),
+            starts=np.zeros(1, dtype=np.int64),
+        )
+        self._choose(pairs)
+
+    def among(self, pairs: Sequence[tuple[int, int]]) -> PairDistances:
+        """Return the distances of other pairs of the same bodies and obstacles."""
+        other = copy(self)
+        other._choose(pairs)
+        return other
+
+    def _choose(self, pairs: Sequence[tuple[int, int]]) -> None:
+        """Sort the pairs into groups."""
+        count, blocks = len(self._joints), (len(self._joints) + BLOCK - 1) // BLOCK
         listed = np.array(pairs, dtype=np.int64).reshape(-1, 2)
         groups = np.where(listed < count, listed // BLOCK, blocks + listed - count)
         order = np.lexsort((groups[:, 1], groups[:, 0]))
         listed, groups = listed[order], groups[order]
         begins = np.flatnonzero(np.any(np.diff(groups, axis=0, prepend=-1), axis=1))
         self.first, self.second = (np.ascontiguousarray(side) for side in listed.T)
-        round_ = np.array([each.round for each in self._solids], dtype=np.bool_)
-        kinds = np.array([SEGMENT] * count + [_kind_of(each) for each in fixed], dtype=np.int64)
-        closed = round_ | np.array([False] * count + [_is_closed(each) for each in fixed], dtype=np.bool_)
-        self._arrays = Pairs(
+        kinds = self._kinds[self.second]
+        # What is inside of a closed surface is so with the whole capsule around it.
+        exact = (self._exact[self.first] & self._exact[self.second]) | (kinds == INSIDE)
+        self._arrays = self._arrays._replace(
             first=self.first,
             second=self.second,
-            kinds=kinds[self.second],
-            exact=np.asarray(round_[self.first] & closed[self.second]),
-            radii=np.array([each.radius if np.isfinite(each.radius) else 0.0 for each in self._solids]),
-            lines=np.array([[each.start, each.end] for each in fixed]).reshape(-1, 2, 3),
-            centers=np.array([each.center for each in fixed]).reshape(-1, 3),
-            frames=np.array([each.rotation for each in fixed]).reshape(-1, 3, 3),
-            halves=np.array([each.half for each in fixed]).reshape(-1, 3),
-            shapes=np.ascontiguousarray(kinds[count:]),
+            kinds=kinds,
+            exact=np.asarray(exact),
             groups=np.ascontiguousarray(groups[begins]),
             starts=np.append(begins, len(listed)).astype(np.int64),
         )
-        self._open = int(np.count_nonzero(~self._arrays.exact))
+        self._open = int(np.count_nonzero(~exact))
 
     def near(self, placements: Placements, within: float) -> NearPairs:
         """Find the pairs nearer than a distance, and the nearest of all.
@@ -286,8 +311,8 @@ class PairDistances:
             if bound >= max(within, best):
                 break
             contact = self._narrow.contact(self._posed(k, placements, 0, places))
-            if math.isnan(contact.distance):
-                contact = contact._replace(distance=bound)
+            distance = bound if math.isnan(contact.distance) else contact.distance - self._point_radius(k)
+            contact = contact._replace(distance=distance)
             if contact.distance < best:
                 best, pair = contact.distance, k
             if contact.distance < within:
@@ -320,8 +345,8 @@ class PairDistances:
                 break
             sample, candidate = (int(each) for each in open_pairs[at])
             distance = self._narrow.distance(self._posed(candidate, placements, sample, places))
-            if math.isnan(distance):  # on the safe side
-                distance = float(bounds[at])
+            # If coal cannot tell, on the safe side.
+            distance = float(bounds[at]) if math.isnan(distance) else distance - self._point_radius(candidate)
             if distance < best:
                 best, pair = distance, candidate
         return best, pair
@@ -343,10 +368,18 @@ class PairDistances:
         rest = offsets[open_places]
         return not len(rest) or self.minimum(kinematics.place(q, rest), least)[0] >= least
 
-    def axes(self, pair: int, placements: Placements) -> tuple[Array, Array]:
-        """Return the ends of the axes of the capsules around both solids of a pair, (2, 3) each [m]."""
+    def axes(self, pair: int, placements: Placements, place: Array) -> tuple[Array, Array]:
+        """Return the ends of the axes of the capsules around both solids of a pair, (2, 3) each [m].
+
+        Of a piece of a surface it is the place (3,) where the body is nearest to it, twice.
+        """
         ends = np.concatenate([self._ends(placements)[0], self._arrays.lines])
-        return ends[self.first[pair]], ends[self.second[pair]]
+        moving, still = ends[self.first[pair]], ends[self.second[pair]]
+        return moving, np.stack([place, place]) if self._arrays.kinds[pair] in (PIECE, INSIDE) else still
+
+    def _point_radius(self, pair: int) -> float:
+        """Return the radius of the points of a cloud, which coal does not know of [m]; else 0."""
+        return float(self._arrays.radii[self.second[pair]]) if self._arrays.kinds[pair] == PIECE else 0.0
 
     def _ends(self, placements: Placements) -> Array:
         """Ends of the axes of all bodies, (s, bodies, 2, 3) [m], world frame."""
@@ -376,14 +409,3 @@ class PairDistances:
                 places[sample, index] = place
             posed += [each.geometry, place]
         return posed[0], posed[1], posed[2], posed[3]
-
-
-def _kind_of(each: Solid) -> int:
-    if isinstance(each.geometry, coal.Cylinder):
-        return CYLINDER
-    return {"capsule": SEGMENT, "box": BOX, "plane": PLANE}[each.bound]
-
-
-def _is_closed(each: Solid) -> bool:
-    """Whether the distance of a capsule from an obstacle has a closed form."""
-    return isinstance(each.geometry, coal.Box | coal.Cylinder | coal.Halfspace)

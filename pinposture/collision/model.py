@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple, TypeAlias
 
-import coal
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import finite_vector, is_count
+from pinposture._validation import SMALLEST_LENGTH, finite_vector, is_count
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.configurations import ConfigurationSpace
 from pinposture.collision.bodies import Body, bodies_of
-from pinposture.collision.distances import Narrow, PairDistances, Placements, TreeKinematics
-from pinposture.collision.obstacles import Solid, solid
+from pinposture.collision.distances import NearPairs, PairDistances, Placements, TreeKinematics
+from pinposture.collision.obstacles import Solid, solid, solids
 from pinposture.collision.scene import Scene
+from pinposture.collision.shapes import Sphere
 from pinposture.errors import InvalidValue, PostureWarning
 
 Array = NDArray[np.float64]
@@ -94,14 +94,14 @@ def _choose_pairs(
     kinematics: TreeKinematics,
     bodies: Sequence[Body],
     solids: Sequence[Solid],
-    obstacles: Mapping[str, Solid],
+    fixed: Sequence[Solid],
     scene: Scene,
 ) -> tuple[list[IndexPair], dict[IndexPair, str]]:
     """Choose the pairs to check; return them and those left out with a reason.
 
-    A pair is a body and another, or a body and the number of bodies plus that of an obstacle. Left out
-    without mention are bodies on one joint, bodies on joints that follow each other, and bodies that no joint
-    moves against obstacles. Left out with a reason are
+    A pair is a body and another, or a body and the number of bodies plus that of a solid, or of a piece of a
+    scan or a mesh, among the obstacles. Left out without mention are bodies on one joint, bodies on joints
+    that follow each other, and bodies that no joint moves against obstacles. Left out with a reason are
 
     * an obstacle that the arm is mounted on: one within the margin of an end of a body that no joint moves;
     * bodies nearer to each other than twice the margin where the arm is straight or neutral, such as thick
@@ -109,7 +109,7 @@ def _choose_pairs(
     * pairs within the margin in every posture that is tried, such as an obstacle beside the base. If the last
       body is among them, the arm is inside an obstacle, and they are kept.
     """
-    fixed, count = list(obstacles.values()), len(bodies)
+    count = len(bodies)
     mounted = _mounted_pairs(arm, kinematics, bodies, solids, fixed, scene.margin)
     excluded = dict.fromkeys(sorted(mounted), "the arm is mounted on it")
     moving = [index for index, body in enumerate(bodies) if body.joint]
@@ -138,12 +138,13 @@ def _always_close(
 ) -> list[IndexPair]:
     """Return the pairs nearer than the margin in every posture that is tried."""
     rng, left = np.random.default_rng(0), list(pairs)
+    distances = PairDistances(solids, [body.joint for body in bodies], fixed, left)
     for q in (arm.straight(), arm.neutral(), *(arm.random(rng) for _ in range(RANDOM_POSTURES))):
         if not left:
             break
-        distances = PairDistances(solids, [body.joint for body in bodies], fixed, left)
         found = np.sort(distances.near(kinematics.place(q), margin).pairs)
         left = [(int(distances.first[k]), int(distances.second[k])) for k in found]
+        distances = distances.among(left)
     # An obstacle that even the last body never clears does not stand beside the base: the arm is inside it.
     around_all = {second for first, second in left if second >= len(bodies) and first == len(bodies) - 1}
     return [pair for pair in left if pair[1] not in around_all]
@@ -158,15 +159,16 @@ def _mounted_pairs(
     margin: float,
 ) -> set[IndexPair]:
     """Return the pairs of a body and an obstacle near an end of the body that no joint moves."""
-    narrow, pairs = Narrow(), set()
-    for body, position in stationary_ends(arm, kinematics, bodies, solids):
-        radius = solids[body].radius if solids[body].round else 1e-3 * STATIONARY * arm.length
-        ball, at = coal.Sphere(radius), coal.Transform3s(np.eye(3), position)
-        for k, each in enumerate(fixed):
-            pose = coal.Transform3s(each.rotation, each.position)
-            if narrow.distance((ball, at, each.geometry, pose)) <= margin:
-                pairs.add((body, len(bodies) + k))
-    return pairs
+    still = stationary_ends(arm, kinematics, bodies, solids)
+    balls = []
+    for body, position in still:
+        radius = solids[body].radius if solids[body].round else SMALLEST_LENGTH
+        balls.append(solid(Sphere(tuple(position), radius)))
+    pairs = [(ball, len(balls) + k) for ball in range(len(balls)) for k in range(len(fixed))]
+    distances = PairDistances(balls, [0] * len(balls), fixed, pairs)
+    near = distances.near(kinematics.place(arm.neutral()), np.nextafter(margin, np.inf)).pairs
+    first, second = distances.first[near], distances.second[near] - len(balls)
+    return {(still[ball][0], len(bodies) + int(k)) for ball, k in zip(first, second, strict=True)}
 
 
 def escape_direction(first: Array, second: Array, plane: Array) -> Array:
@@ -302,25 +304,27 @@ class CollisionModel:
         self._space, self._kinematics = ConfigurationSpace(arm.model), TreeKinematics(arm.model)
         bodies = bodies_of(arm, scene.arm_radius)
         self._solids = [solid(body.shape) for body in bodies]
-        obstacles = {name: solid(obstacle) for name, obstacle in scene.obstacles.items()}
+        named = [(name, each) for name, obstacle in scene.obstacles.items() for each in solids(obstacle)]
+        fixed = [each for _, each in named]
         self.bodies = tuple(body.name for body in bodies)
-        names = (*self.bodies, *obstacles)
-        chosen, excluded = _choose_pairs(arm, self._kinematics, bodies, self._solids, obstacles, scene)
-        self.excluded_pairs = tuple(ExcludedPair(names[a], names[b], why) for (a, b), why in excluded.items())
+        names = (*self.bodies, *(name for name, _ in named))
+        chosen, excluded = _choose_pairs(arm, self._kinematics, bodies, self._solids, fixed, scene)
+        left_out = (ExcludedPair(names[a], names[b], why) for (a, b), why in excluded.items())
+        self.excluded_pairs = tuple(dict.fromkeys(left_out))
         close = [
             f"{each.first} to {each.second}" for each in self.excluded_pairs if each.reason == ALWAYS_CLOSE
         ]
         if close:
-            named = ", ".join(close[:MAX_LISTED_PAIRS])
+            listed = ", ".join(close[:MAX_LISTED_PAIRS])
             if len(close) > MAX_LISTED_PAIRS:
-                named += f" and {len(close) - MAX_LISTED_PAIRS} more pairs"
-            text = f"{named}: {ALWAYS_CLOSE}; nothing keeps them apart (margin {scene.margin:g} m)"
+                listed += f" and {len(close) - MAX_LISTED_PAIRS} more pairs"
+            text = f"{listed}: {ALWAYS_CLOSE}; nothing keeps them apart (margin {scene.margin:g} m)"
             warnings.warn(text, PostureWarning, stacklevel=3)
         joints = [body.joint for body in bodies]
-        self._distances = PairDistances(self._solids, joints, list(obstacles.values()), chosen)
+        self._distances = PairDistances(self._solids, joints, fixed, chosen)
         first, second = self._distances.first, self._distances.second
         self.pairs = tuple((names[a], names[b]) for a, b in zip(first, second, strict=True))
-        self._carriers = np.array([*joints, *[0] * len(obstacles)], dtype=np.int64)
+        self._carriers = np.array([*joints, *[0] * len(fixed)], dtype=np.int64)
 
     def nearest(self, state: ArmState, within: float) -> Distances:
         """Return the pairs nearer than a distance, and the derivatives of their distances.
@@ -338,7 +342,7 @@ class CollisionModel:
             raise InvalidValue("within", within, "a distance of at least 0 [m]")
         placements = self._kinematics.place(state.q)
         near = self._distances.near(placements, float(within))
-        normals = self._escape_normals(near.pairs, near.distances, near.normals, placements)
+        normals = self._escape_normals(near, placements)
         first = self._carriers[self._distances.first[near.pairs]]
         second = self._carriers[self._distances.second[near.pairs]]
         jacobian = self._kinematics.differentiate(placements, first, second, near.points, normals)
@@ -405,15 +409,15 @@ class CollisionModel:
     def _closest(self, distance: float, pair: int) -> Closest:
         return Closest(distance, self.pairs[pair] if pair >= 0 else None)
 
-    def _escape_normals(
-        self, pairs: NDArray[np.int64], distances: Array, normals: Array, placements: Placements
-    ) -> Array:
+    def _escape_normals(self, near: NearPairs, placements: Placements) -> Array:
         """Return normals along which the arm can leave, where there is none or it leads out of the plane."""
+        normals = near.normals.copy()
         lost = ~normals.any(axis=1)
         if len(self._plane) == 2:
             across = np.linalg.norm(normals @ self._plane.T, axis=1) < IN_PLANE
-            lost |= across & (distances < self.scene.margin)
+            lost |= across & (near.distances < self.scene.margin)
         for k in np.flatnonzero(lost):
-            moving, still = self._distances.axes(int(pairs[k]), placements)
+            place = near.points[k] - near.distances[k] * near.normals[k]
+            moving, still = self._distances.axes(int(near.pairs[k]), placements, place)
             normals[k] = escape_direction(moving, still, self._plane)
-        return normals
+        return np.asarray(normals)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from pinposture import _validation
 from pinposture._validation import is_count, length
-from pinposture.collision.obstacles import Box
 from pinposture.collision.scene import Scene
+from pinposture.collision.shapes import Box
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue
 

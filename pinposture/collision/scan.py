@@ -1,21 +1,29 @@
-"""A scanned workspace: a point cloud or a surface."""
+"""Scans: point clouds and surfaces of what is around an arm."""
 
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field
-from functools import cached_property
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar
 
-import coal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
-from pinposture._validation import LARGEST_LENGTH, is_count
-from pinposture.collision.obstacles import scale_factor
+from pinposture._validation import (
+    LARGEST_LENGTH,
+    Matrix,
+    Vector,
+    is_count,
+    known_keys,
+    length,
+    point,
+    rotation,
+)
+from pinposture.collision.mesh_files import scale_factor
 from pinposture.collision.scan_files import read_scan
+from pinposture.collision.shapes import UNTURNED, Surface, check_faces, from_points_or_path, set_fields
 from pinposture.errors import FileError, InvalidValue, PostureWarning
 
 Array = NDArray[np.float64]
@@ -38,22 +46,6 @@ def _points(values: ArrayLike) -> Array:
     if len(points) > MAX_SCAN_SIZE:
         raise InvalidValue("points (number)", len(points), f"at most {MAX_SCAN_SIZE}")
     return points
-
-
-def _faces(values: ArrayLike, count: int) -> NDArray[np.int32]:
-    """Return a new array of triangles, (k, 3), as indices of `count` points."""
-    try:
-        faces = np.array(values)
-    except (TypeError, ValueError):
-        faces = np.zeros(0)
-    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
-        raise InvalidValue("faces", values, "triangles, (k, 3), as whole numbers of points; None for a cloud")
-    if len(faces) > MAX_SCAN_SIZE:
-        raise InvalidValue("faces (number)", len(faces), f"at most {MAX_SCAN_SIZE}")
-    if faces.size and (faces.min() < 0 or faces.max() >= count):
-        wrong = int(faces.min() if faces.min() < 0 else faces.max())
-        raise InvalidValue("faces", wrong, f"numbers of points, 0 to {count - 1}")
-    return faces.astype(np.int32)
 
 
 def _colors(values: ArrayLike, count: int) -> NDArray[np.uint8]:
@@ -124,32 +116,21 @@ def _in_cubes(
     return first, inverse.reshape(-1)
 
 
-class ScanGeometry(NamedTuple):
-    """A scan prepared for distances.
-
-    Attributes:
-        points: the points, (n, 3) [m].
-        tree: k-d tree of the points.
-        surface: bounding volume hierarchy of the triangles; None for a cloud of points.
-    """
-
-    points: Array
-    tree: cKDTree
-    surface: coal.BVHModelOBBRSS | None
-
-
 @dataclass(frozen=True, eq=False)
-class Scan:
-    """A scanned surface or point cloud, world frame.
+class Scan(Surface):
+    """A scanned surface or point cloud: an obstacle as it is, hollows and all.
 
-    A scan is for display, and for the distance of an arm from it (`ScanClearance`). Controllers do not avoid
-    it; obstacles to avoid belong into a `Scene`.
+    It has no inside: an arm keeps clear of the points, or of the triangles from both sides. Between the
+    points of a cloud there is nothing, so that an arm that is thin fits through gaps that the thing itself
+    does not have; `point_radius` closes them.
 
     Points that are not finite, which scanners write where they saw nothing, are dropped and counted, and
     triangles with such corners are dropped.
 
-        scan = pp.collision.Scan.load("workshop.ply")
-        gap = pp.collision.ScanClearance(arm, scan).minimum(q)
+        scan = pp.Scan.load("workshop.ply")
+        scene = pp.Scene({"workshop": scan}, margin=0.01)
+
+    Scans are equal if their points, triangles and poses are; colours, names and files do not count.
 
     Attributes:
         points: the points, or the corners of the triangles, (n, 3) [m]; read-only.
@@ -158,20 +139,35 @@ class Scan:
             integers from 0 to 255, or as floats from 0 to 1.
         name: its name.
         path: the file that it was loaded from, if any.
+        scale: factor of the coordinates in that file.
+        center: position of the origin of the points in the world, (3,) [m].
+        rotation: from the axes of the points to the world's, (3, 3); given as such, or as roll, pitch, yaw
+            [rad]; the identity if None.
+        point_radius: radius of the balls that the points of a cloud stand for [m].
         dropped: number of points that were dropped.
     """
 
+    type: ClassVar[str] = "scan"
     points: Array = field(repr=False)
     faces: NDArray[np.int32] | None = field(default=None, repr=False)
     colors: NDArray[np.uint8] | None = field(default=None, repr=False)
     name: str = "scan"
     path: Path | None = None
+    scale: float = 1.0
+    center: Vector = (0.0, 0.0, 0.0)
+    rotation: Matrix = UNTURNED
+    point_radius: float = 0.0
     dropped: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:
         points = _points(self.points)
         colors = None if self.colors is None else _colors(self.colors, len(points))
-        faces = None if self.faces is None else _faces(self.faces, len(points))
+        faces = None if self.faces is None else check_faces(self.faces, len(points))
+        if faces is not None and len(faces) > MAX_SCAN_SIZE:
+            raise InvalidValue("faces (number)", len(faces), f"at most {MAX_SCAN_SIZE}")
+        radius = length("point_radius", self.point_radius, zero=True)
+        if faces is not None and radius > 0.0:
+            raise InvalidValue("point_radius", radius, "0 for a surface; give the scene a larger margin")
         if not isinstance(self.name, str) or not self.name.strip() or not self.name.isprintable():
             raise InvalidValue("name", self.name, "printable text that is not blank")
         finite = np.asarray(np.isfinite(points).all(axis=1))
@@ -196,14 +192,21 @@ class Scan:
                 f"{self.name} is {width:.4g} m wide; if its unit is the millimetre, load it with scale=0.001"
             )
             warnings.warn(text, PostureWarning, stacklevel=3)
-        for key, value in (("points", points), ("faces", faces), ("colors", colors)):
-            if value is not None:
-                value.flags.writeable = False
-            object.__setattr__(self, key, value)
-        object.__setattr__(self, "dropped", dropped)
+        for array in (points, faces, colors):
+            if array is not None:
+                array.flags.writeable = False
+        set_fields(self, points=points, faces=faces, colors=colors, dropped=dropped, point_radius=radius)
+        set_fields(self, center=point("center", self.center), rotation=rotation("rotation", self.rotation))
 
     @classmethod
-    def load(cls, path: str | Path, scale: float = 1.0) -> Scan:
+    def load(
+        cls,
+        path: str | Path,
+        scale: float = 1.0,
+        center: ArrayLike = (0, 0, 0),
+        rotation: Any = None,
+        point_radius: float = 0.0,
+    ) -> Scan:
         """Read a scan from a file.
 
         Point clouds: .ply, .xyz, .txt and .csv (columns named x, y and z, else the first three), .npy, .npz
@@ -213,20 +216,54 @@ class Scan:
         Args:
             path: the file.
             scale: factor of its coordinates, such as 0.001 for a file in millimetres.
+            center: as in `Scan`.
+            rotation: as in `Scan`.
+            point_radius: as in `Scan`.
 
         Raises:
             FileError: missing, of another format, malformed, without any finite point, too large, or with
                 coordinates beyond reason.
-            InvalidValue: not a factor.
+            InvalidValue: not a factor, or a value as described in `Scan`.
         """
         factor, path = scale_factor(path, scale), Path(path)
         read = read_scan(path)
         with np.errstate(over="ignore"):
             points = read.points * factor
         try:
-            return cls(points, read.faces, read.colors, path.name, path)
+            scan = cls(points, read.faces, read.colors, path.name, path, factor)
         except InvalidValue as error:
             raise FileError(path, str(error)) from error
+        placed = scan.placed(center, rotation)
+        return placed if point_radius == 0.0 else replace(placed, point_radius=point_radius)
+
+    @classmethod
+    def from_dict(cls, described: Mapping[str, Any], folder: str = ".") -> Scan:
+        """Make the scan that `to_dict` described, or read one from a file; see `obstacle_from_dict`."""
+        pose = ("center", "rotation", "point_radius")
+        known_keys("a scan", described, ("points", "faces", "path", "scale", *pose))
+        scan: Scan = from_points_or_path(cls, described, "points", folder)
+        return scan
+
+    def to_dict(self, embed: bool = True) -> dict[str, Any]:
+        """Return it as data that JSON can hold; see `obstacle_from_dict`.
+
+        Args:
+            embed: whether to include the points if they were loaded from a file, rather than its path.
+        """
+        radius = {"point_radius": self.point_radius} if self.point_radius else {}
+        return super().to_dict(embed) | radius
+
+    def _data(self) -> dict[str, Any]:
+        faces = {} if self.faces is None else {"faces": self.faces.tolist()}
+        return {"points": self.points.tolist(), **faces}
+
+    @property
+    def content(self) -> tuple[Array, NDArray[np.int32] | None]:
+        """The points (n, 3) [m], in their own frame, and the triangles between them, (k, 3); None without."""
+        return self.points, self.faces
+
+    def _key(self) -> tuple[Any, ...]:
+        return *super()._key(), self.point_radius
 
     def thinned(self, count: int) -> Scan:
         """Return the scan with fewer points, for display.
@@ -256,30 +293,9 @@ class Scan:
         colors = None if self.colors is None else self.colors[kept]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PostureWarning)  # its width was warned of before
-            return Scan(self.points[kept], faces, colors, self.name, self.path)
-
-    @cached_property
-    def geometry(self) -> ScanGeometry:
-        """The scan prepared for distances; made on first use."""
-        surface = None
-        if self.faces is not None:
-            surface = coal.BVHModelOBBRSS()
-            surface.beginModel(len(self.faces), len(self.points))
-            surface.addVertices(self.points)
-            surface.addTriangles(self.faces.astype(np.int64))
-            surface.endModel()
-        return ScanGeometry(self.points, cKDTree(self.points), surface)
+            return replace(self, points=self.points[kept], faces=faces, colors=colors, path=None)
 
     def __repr__(self) -> str:
         surface = "" if self.faces is None else f", {len(self.faces)} triangles"
         dropped = f", {self.dropped} dropped" if self.dropped else ""
         return f"Scan({self.name!r}, {len(self.points)} points{surface}{dropped})"
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {key: value for key, value in self.__dict__.items() if key != "geometry"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        for value in state.values():
-            if isinstance(value, np.ndarray):
-                value.flags.writeable = False
-        self.__dict__.update(state)

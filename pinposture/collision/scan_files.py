@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture.collision.mesh_files import Triangles, merge_corners
 from pinposture.errors import FileError
 from pinposture.storage import read_text
 
@@ -240,13 +241,7 @@ def _merge_corners(part: ReadScan) -> ReadScan:
     """Merge the equal corners of a surface without colours: STL files repeat them for each triangle."""
     if part.faces is None or part.colors is not None or len(part.points) < 3 * len(part.faces):
         return part
-    order = np.lexsort(part.points.T)
-    ordered = part.points[order]
-    new = np.ones(len(order), dtype=np.bool_)
-    new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
-    which = np.empty(len(order), dtype=np.int64)
-    which[order] = np.cumsum(new) - 1
-    return ReadScan(ordered[new], which[part.faces], None)
+    return ReadScan(*merge_corners(Triangles(part.points, part.faces)))
 
 
 def _check_ply(path: Path) -> None:

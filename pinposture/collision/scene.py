@@ -10,15 +10,15 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import coal
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pinposture._validation import known_keys, length
-from pinposture.collision.distances import Narrow
-from pinposture.collision.obstacles import OBSTACLE_TYPES, Obstacle, obstacle_from_dict, solid
+from pinposture.collision.distances import PairDistances, Placements
+from pinposture.collision.obstacles import OBSTACLE_TYPES, Obstacle, obstacle_from_dict, solid, solids
+from pinposture.collision.shapes import Sphere
 from pinposture.errors import FileError, InvalidValue, PostureError, UnknownName
-from pinposture.storage import read_text, write_text
+from pinposture.storage import read_text, relative, write_text
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -74,15 +74,19 @@ class Scene:
         # Every control step may look up the collision model of a scene.
         object.__setattr__(self, "_hash", hash(self._key()))
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the scene as data that JSON can hold."""
+    def to_dict(self, embed: bool = True) -> dict[str, Any]:
+        """Return the scene as data that JSON can hold.
+
+        Args:
+            embed: whether to include the points of meshes and scans from files, rather than their paths.
+        """
         radius = {} if self.arm_radius is None else {"arm_radius": self.arm_radius}
         return {
             "version": VERSION,
             "self_collision": self.self_collision,
             "margin": self.margin,
             **radius,
-            "obstacles": {name: each.to_dict() for name, each in self.obstacles.items()},
+            "obstacles": {name: each.to_dict(embed) for name, each in self.obstacles.items()},
         }
 
     @classmethod
@@ -91,12 +95,12 @@ class Scene:
 
         Args:
             described: the attributes under their names, and the version of the format; all may be left out.
-            folder: folder to which paths of meshes are relative.
+            folder: folder to which paths of meshes and scans are relative.
 
         Raises:
             InvalidValue: an unknown key, or an invalid value; names the obstacle.
             UnknownName: a type of obstacle that does not exist.
-            FileError: a mesh that is missing or cannot be read.
+            FileError: a mesh or a scan that is missing or cannot be read.
         """
         if not isinstance(described, Mapping):
             raise InvalidValue("scene", described, f"a table of: {', '.join(_KEYS)}")
@@ -115,7 +119,7 @@ class Scene:
     def load(cls, path: str | Path) -> Scene:
         """Read a scene from a TOML or JSON file; both have the keys of `to_dict`.
 
-        Paths of meshes are relative to the folder of the file.
+        Paths of meshes and scans are relative to the folder of the file.
 
         Raises:
             FileError: missing, unreadable, malformed, or not a scene; names the line, or the key and what is
@@ -140,13 +144,19 @@ class Scene:
     def save(self, path: str | Path) -> Path:
         """Write the scene to a JSON file, whole or not at all. Returns its path.
 
+        Meshes and scans that were loaded from files are given by the paths of these.
+
         Raises:
             FileError: the name does not end in .json, or the file cannot be written.
         """
         path = Path(path)
         if path.suffix.lower() != ".json":
             raise FileError(path, f"the name ends in {path.suffix!r}; allowed: .json")
-        write_text(path, json.dumps(self.to_dict(), allow_nan=False, indent=1) + "\n")
+        described = self.to_dict(embed=False)
+        for each in described["obstacles"].values():
+            if "path" in each:
+                each["path"] = relative(Path(each["path"]), path.parent)
+        write_text(path, json.dumps(described, allow_nan=False, indent=1) + "\n")
         return path
 
     def __repr__(self) -> str:
@@ -178,7 +188,9 @@ def _obstacle(name: str, described: Any, folder: str) -> Obstacle:
     except UnknownName as error:
         raise UnknownName(f"type of obstacle {name!r}", error.name, error.allowed) from None
     except FileError as error:
-        raise FileError(error.path, f"{error.reason}; the mesh of obstacle {name!r}") from error
+        raise FileError(
+            error.path, f"{error.reason}; the {described['type']} of obstacle {name!r}"
+        ) from error
 
 
 def obstacles_around(scene: Scene, point: ArrayLike, depth: float = 1e-4) -> tuple[str, ...]:
@@ -189,12 +201,21 @@ def obstacles_around(scene: Scene, point: ArrayLike, depth: float = 1e-4) -> tup
         point: the point, (3,) [m], world frame.
         depth: depth below the surface at which it counts as inside [m].
     """
-    ball, narrow = coal.Sphere(PROBE_RADIUS), Narrow()
-    at = coal.Transform3s(np.eye(3), np.array(point, dtype=np.float64))
-    found = []
-    for name, obstacle in scene.obstacles.items():
-        shape = solid(obstacle)
-        pose = coal.Transform3s(shape.rotation, shape.position)
-        if narrow.distance((ball, at, shape.geometry, pose)) < -depth - PROBE_RADIUS:
-            found.append(name)
-    return tuple(found)
+    return obstacles_near(scene, point, PROBE_RADIUS, -depth - PROBE_RADIUS)
+
+
+def obstacles_near(scene: Scene, center: ArrayLike, radius: float, within: float = 0.0) -> tuple[str, ...]:
+    """Return the names of the obstacles that a ball is nearer to than a distance, or overlaps.
+
+    Args:
+        scene: the scene.
+        center: centre of the ball, (3,) [m], world frame.
+        radius: its radius [m].
+        within: the distance of the surfaces [m].
+    """
+    x, y, z = np.array(center, dtype=np.float64)
+    named = [(name, each) for name, obstacle in scene.obstacles.items() for each in solids(obstacle)]
+    pairs = [(0, 1 + k) for k in range(len(named))]
+    distances = PairDistances([solid(Sphere((x, y, z), radius))], [0], [each for _, each in named], pairs)
+    near = distances.near(Placements(np.eye(3)[None, None], np.zeros((1, 1, 3))), within)
+    return tuple(dict.fromkeys(named[k][0] for k in np.sort(distances.second[near.pairs] - 1)))

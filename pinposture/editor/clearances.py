@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ArmState
-from pinposture.collision import CollisionModel, Scan, ScanClearance, Scene
+from pinposture.collision import CollisionModel, Scan, Scene
 from pinposture.editor.solver import CONTACT_DEPTH, VerdictCache, arm_alone
 from pinposture.errors import PostureError
 from pinposture.task import Keyframe
@@ -24,23 +24,23 @@ Answer = TypeVar("Answer")
 logger = logging.getLogger(__name__)
 
 MIN_PERIOD = 0.1  # of computing an answer [s]
+MOUNT_DISTANCE = 0.01  # from a scan of what the arm is mounted on [m]
 
 
 class NearestObstacle(NamedTuple):
     """Where an arm is nearest to its surroundings, or inside itself."""
 
-    distance: float  # between the surfaces [m]; where they overlap, negative, or 0 for a scan
+    distance: float  # between the surfaces [m]; negative where they overlap
     body: str  # name of the body of the arm
     other: str  # name of the obstacle, of the scan, or of another body that the first is inside of
     on_arm: Array  # point of the body, nearest to the other or deepest in it, (3,) [m], world frame
     on_other: Array  # point of the other's surface, (3,) [m], world frame
-    margin: float  # the distance to keep [m]; 0 for scans, which are not avoided
-    scanned: bool = False  # whether the other is a scan
+    margin: float  # the distance to keep [m]; 0 for scans that are only shown
 
     @property
     def level(self) -> str:
         """The distance in words: "inside", "within the margin" or "clear"."""
-        if self.distance < 0.0 or (self.scanned and self.distance == 0.0):
+        if self.distance < 0.0:
             return "inside"
         return "within the margin" if self.distance < self.margin else "clear"
 
@@ -77,11 +77,9 @@ def nearest(query: ClearanceQuery) -> NearestObstacle | None:
         found.append(inside)
     radius = None if scene is None else scene.arm_radius
     for name, scan in query.scans.items():
-        gap = ScanClearance(arm, scan, radius).minimum(state.q)
-        if gap.body is not None and gap.on_arm is not None and gap.on_scan is not None:
-            found.append(
-                NearestObstacle(gap.distance, gap.body, name, gap.on_arm, gap.on_scan, 0.0, scanned=True)
-            )
+        seen = _closest_pair(Scene({name: scan}, margin=MOUNT_DISTANCE, arm_radius=radius), state)
+        if seen is not None:
+            found.append(seen._replace(margin=0.0))
     return min((each for each in found if each is not None), key=lambda each: each.distance, default=None)
 
 

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from copy import copy
 from dataclasses import replace
 from itertools import count
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
-import coal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import Matrix, Vector
-from pinposture._validation import point as checked_point
 from pinposture.arm import Arm
-from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Mesh, Obstacle, Scene, Sphere
-from pinposture.collision.distances import Narrow
-from pinposture.collision.obstacles import solid
-from pinposture.collision.scene import obstacles_around
+from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Mesh, Obstacle, Scan, Scene, Sphere
+from pinposture.collision.scene import obstacles_around, obstacles_near
 from pinposture.editor.edits import Edit, with_obstacle
 from pinposture.editor.session import Proposal, Session
 from pinposture.errors import InvalidValue, PostureError, TaskError, UnknownName
@@ -84,7 +79,7 @@ def pose_of(obstacle: Obstacle, scale: ArmScale) -> Pose:
         return Pose(np.array(obstacle.center), np.eye(3))
     if isinstance(obstacle, Box):
         return Pose(np.array(obstacle.center), np.array(obstacle.rotation))
-    if isinstance(obstacle, Mesh):
+    if isinstance(obstacle, Mesh | Scan):
         rotation = np.array(obstacle.rotation)
         return Pose(obstacle.center + rotation @ _center(obstacle), rotation)
     if isinstance(obstacle, HalfSpace):
@@ -106,8 +101,8 @@ def at_pose(obstacle: Obstacle, pose: Pose) -> Obstacle:
         return replace(obstacle, center=_rounded(position))
     if isinstance(obstacle, Box):
         return replace(obstacle, center=_rounded(position), rotation=_matrix(rotation))
-    if isinstance(obstacle, Mesh):
-        return _moved_mesh(obstacle, position - rotation @ _center(obstacle), rotation)
+    if isinstance(obstacle, Mesh | Scan):
+        return obstacle.placed(_rounded(position - rotation @ _center(obstacle)), _matrix(rotation))
     if isinstance(obstacle, HalfSpace):
         return replace(obstacle, point=_rounded(position), normal=_vector(rotation[:, 2]))
     half = 0.5 * float(np.linalg.norm(np.subtract(obstacle.end, obstacle.start))) * rotation[:, 2]
@@ -125,8 +120,8 @@ def moved(obstacle: Obstacle, shift: ArrayLike) -> Obstacle:
         InvalidValue: coordinates out of bounds.
     """
     by = np.asarray(shift, dtype=np.float64)
-    if isinstance(obstacle, Mesh):
-        return _moved_mesh(obstacle, obstacle.center + by, np.array(obstacle.rotation))
+    if isinstance(obstacle, Mesh | Scan):
+        return obstacle.placed(_rounded(obstacle.center + by), obstacle.rotation)
     if isinstance(obstacle, HalfSpace):
         return replace(obstacle, point=_rounded(obstacle.point + by))
     if isinstance(obstacle, (Capsule, Cylinder)):
@@ -138,8 +133,8 @@ def size_handles(obstacle: Obstacle, scale: ArmScale) -> tuple[SizeHandle, ...]:
     """Return the handles that change the size of an obstacle, just outside of it.
 
     A box has them on three faces that meet; those across stay where they are. A ball has one. A cylinder and
-    a capsule have one at each end, and one for the radius. A half-space has one above its surface, and a mesh
-    has none.
+    a capsule have one at each end, and one for the radius. A half-space has one above its surface, and
+    meshes and scans have none.
     """
     pose, gap = pose_of(obstacle, scale), scale.gap
     if isinstance(obstacle, Box):
@@ -149,7 +144,7 @@ def size_handles(obstacle: Obstacle, scale: ArmScale) -> tuple[SizeHandle, ...]:
     if isinstance(obstacle, HalfSpace):
         foot = pose.position - HALF_SPACE_OFFSET * scale.length * pose.rotation[:, 0]
         return (SizeHandle("height", foot + gap * pose.rotation[:, 2]),)
-    if isinstance(obstacle, Mesh):
+    if isinstance(obstacle, Mesh | Scan):
         return ()
     radius = SizeHandle("radius", pose.position - (obstacle.radius + gap) * pose.rotation[:, 0])
     if isinstance(obstacle, Sphere):
@@ -183,7 +178,7 @@ def resized(obstacle: Obstacle, handle: str, place: ArrayLike, scale: ArmScale) 
     if isinstance(obstacle, HalfSpace):
         height = float(off @ pose.rotation[:, 2]) - gap
         return replace(obstacle, point=_rounded(pose.position + height * pose.rotation[:, 2]))
-    if isinstance(obstacle, Mesh):
+    if isinstance(obstacle, Mesh | Scan):
         return obstacle
     if isinstance(obstacle, Sphere) or handle == "radius":
         radius = max(float(-off @ pose.rotation[:, 0]) - gap, least)
@@ -216,8 +211,9 @@ def bounding_radius(obstacle: Obstacle) -> float:
         return 0.5 * float(np.linalg.norm(obstacle.size))
     if isinstance(obstacle, HalfSpace):
         return 0.0
-    if isinstance(obstacle, Mesh):
-        return float(np.linalg.norm(np.array(obstacle.vertices) - _center(obstacle), axis=1).max())
+    if isinstance(obstacle, Mesh | Scan):
+        low, high = obstacle.bounds
+        return float(np.linalg.norm(0.5 * (high - low)))
     half = 0.5 * float(np.linalg.norm(np.subtract(obstacle.end, obstacle.start)))
     return half + obstacle.radius if isinstance(obstacle, Capsule) else float(np.hypot(half, obstacle.radius))
 
@@ -226,18 +222,10 @@ def _cap_length(obstacle: Capsule | Cylinder) -> float:
     return obstacle.radius if isinstance(obstacle, Capsule) else 0.0
 
 
-def _center(mesh: Mesh) -> Array:
-    """Return the middle of a mesh in its own frame, (3,) [m]."""
-    corners = np.array(mesh.vertices)
-    return np.asarray(0.5 * (corners.min(axis=0) + corners.max(axis=0)))
-
-
-def _moved_mesh(mesh: Mesh, center: Array, rotation: Array) -> Mesh:
-    """Return a mesh at another pose, without computing its hull again."""
-    other = copy(mesh)
-    object.__setattr__(other, "center", checked_point("center", _rounded(center)))
-    object.__setattr__(other, "rotation", _matrix(rotation))
-    return other
+def _center(surface: Mesh | Scan) -> Array:
+    """Return the middle of a mesh or a scan in its own frame, (3,) [m]."""
+    low, high = surface.bounds
+    return np.asarray(0.5 * (low + high))
 
 
 def _rounded(place: Array) -> Vector:
@@ -333,16 +321,7 @@ def _resampled(points: Array) -> Array:
 
 def _is_free(scene: Scene | None, center: Array, radius: float) -> bool:
     """Return whether no obstacle of a scene touches a ball."""
-    if scene is None:
-        return True
-    ball, narrow = coal.Sphere(radius), Narrow()
-    at = coal.Transform3s(np.eye(3), center)
-    for obstacle in scene.obstacles.values():
-        shape = solid(obstacle)
-        posed = (ball, at, shape.geometry, coal.Transform3s(shape.rotation, shape.position))
-        if not narrow.distance(posed) > 0.0:
-            return False
-    return True
+    return scene is None or not obstacles_near(scene, center, radius, within=0.0)
 
 
 def _as_vector(place: Array) -> Vector:
@@ -461,6 +440,9 @@ def edit_obstacle(name: str, key: str, value: object, final: bool, session: Sess
     def change(obstacle: Obstacle) -> Obstacle:
         if not hasattr(obstacle, key):  # it has become another one since
             raise InvalidValue(f"{key} of {name}", value, f"nothing, of a {obstacle.type}")
+        if isinstance(obstacle, Mesh | Scan) and key in ("center", "rotation"):
+            pose: dict[str, Any] = {"center": obstacle.center, "rotation": obstacle.rotation, key: value}
+            return obstacle.placed(pose["center"], pose["rotation"])
         return replace(obstacle, **{key: value})  # type: ignore[arg-type]
 
     change_obstacle(name, change, f"changed {name}", final, session)

@@ -14,6 +14,7 @@ from threading import Lock, Thread
 from typing import TypeAlias
 
 from pinposture.collision import Mesh, Scene
+from pinposture.collision.mesh_files import MESH_FORMATS
 from pinposture.collision.scan import MAX_PLAUSIBLE_WIDTH, Scan
 from pinposture.editor.clearances import ClearanceQuery, Clearances, Marks, MarksQuery
 from pinposture.editor.edits import Edit
@@ -68,26 +69,26 @@ class ScanShelf:
         """Read a scan, and add it to the task if it can be read."""
         self._do(partial(self._add, path))
 
-    def add_mesh(self, path: Path, scale: float) -> None:
-        """Read a mesh, and add its convex hull to the obstacles if it can be read."""
+    def add_obstacle(self, path: Path, scale: float) -> None:
+        """Read a mesh or a cloud of points, and add it to the obstacles if it can be read."""
 
         def job() -> None:
             try:
-                self._load_mesh(path, scale)
+                self._load_obstacle(path, scale)
             except PostureError as error:
                 self._refuse(error)
 
         self._do(job)
 
-    def upload(self, name: str, content: bytes, folder: Path | None, scale: float, convex: bool) -> None:
-        """Add a file that was uploaded.
+    def upload(self, name: str, content: bytes, folder: Path | None, scale: float, avoided: bool) -> None:
+        """Add a file that was uploaded, and keep it.
 
         Args:
             name: its name.
             content: its content.
-            folder: where scans are kept: the folder of the task file; None if there is none yet.
-            scale: factor of the coordinates of a mesh.
-            convex: whether it is an obstacle, the convex hull of a mesh; a scan otherwise.
+            folder: where files are kept: the folder of the task file; None if there is none yet.
+            scale: factor of the coordinates of an obstacle.
+            avoided: whether it is an obstacle; a scan that is only shown otherwise.
         """
         plain = Path(name.replace("\\", "/")).name
 
@@ -96,19 +97,22 @@ class ScanShelf:
                 path = Path(draft) / plain
                 try:
                     path.write_bytes(content)
-                    if convex:
-                        self._load_mesh(path, scale)
-                        return
                     if folder is None:
                         raise FileError(plain, "is to be kept beside the task file: save the task first")
-                    Scan.load(path)
+                    if avoided:
+                        read_obstacle(path, scale)
+                    else:
+                        Scan.load(path)
                     kept = _free_path(folder, plain, content)
                     if not kept.exists():
                         write_bytes(kept, content)
+                    if avoided:
+                        self._load_obstacle(kept, scale)
                 except (PostureError, OSError) as error:
                     self._refuse(error, plain)
                     return
-            self._add(kept)
+            if not avoided:
+                self._add(kept)
 
         self._do(job)
 
@@ -133,13 +137,13 @@ class ScanShelf:
                 logger.exception("a file could not be taken in")
                 self._refuse(error)
 
-    def _load_mesh(self, path: Path, scale: float) -> None:
-        mesh = Mesh.load(path, scale)
-        stem = "".join(each for each in path.stem if each.isprintable()).strip() or "mesh"
+    def _load_obstacle(self, path: Path, scale: float) -> None:
+        obstacle = read_obstacle(path, scale)
+        stem = "".join(each for each in path.stem if each.isprintable()).strip() or obstacle.type
 
         def request(session: Session) -> None:
             taken = obstacles_of(session.task)
-            insert_obstacle(stem if stem not in taken else free_name(stem, taken), mesh, session)
+            insert_obstacle(stem if stem not in taken else free_name(stem, taken), obstacle, session)
 
         self._post(request)
 
@@ -174,6 +178,21 @@ class ScanShelf:
         if name is not None and isinstance(error, FileError):
             reason = f"{name}: {error.reason}"
         self._post(lambda session: session.say(reason, "error"))
+
+
+def read_obstacle(path: Path, scale: float) -> Mesh | Scan:
+    """Read a mesh, or a cloud of points; see `Mesh.load` and `Scan.load`.
+
+    Raises:
+        FileError: missing, of another format, or malformed.
+        InvalidValue: not a factor.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".ply" or suffix not in MESH_FORMATS:
+        scan = Scan.load(path, scale)
+        if scan.faces is None or suffix not in MESH_FORMATS:
+            return scan
+    return Mesh.load(path, scale)
 
 
 def with_scans(scans: tuple[Path, ...]) -> Edit:

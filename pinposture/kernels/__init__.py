@@ -10,6 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from pinposture.kernels.bounding_volumes import build_tree as build_tree
     from pinposture.kernels.branch_search import search_branches as search_branches
     from pinposture.kernels.chain_solver import find_screws as find_screws
     from pinposture.kernels.chain_solver import measure_point_errors as measure_point_errors
@@ -70,6 +71,7 @@ if TYPE_CHECKING:
     from pinposture.kernels.time_parameterization import stoppable_steps as stoppable_steps
 
 _KERNELS = {
+    "bounding_volumes": "build_tree",
     "branch_search": "search_branches",
     "chain_solver": "find_screws measure_point_errors minimise_in_box move_points stiffness",
     "collision": (

@@ -124,6 +124,23 @@ class JointTree(NamedTuple):
     axes: Array2
 
 
+class Trees(NamedTuple):
+    """Points and triangles of obstacles in trees of boxes; see `kernels.bounding_volumes`.
+
+    Attributes:
+        boxes: lowest and highest corner of each node, tree after tree, (nodes, 2, 3).
+        points: points in the order of their trees, (p, 3).
+        triangles: corners of triangles, likewise, (t, 3, 3).
+        pieces: where each obstacle is: where its boxes begin, its node, how many levels its tree has, where
+            its points or triangles begin, how many its tree has, and 1 if these are points, (o, 6).
+    """
+
+    boxes: Array3
+    points: Array2
+    triangles: Array3
+    pieces: Ints2
+
+
 class Pairs(NamedTuple):
     """Pairs of a body and another, or of a body and an obstacle, in groups; b bodies and o obstacles.
 
@@ -132,11 +149,13 @@ class Pairs(NamedTuple):
         second: the other body, or b plus the number of the obstacle, (n,).
         kinds: what the second solid is, `SEGMENT` for spheres, capsules and bodies, (n,).
         exact: False where solids only lie in the shapes that are given here, (n,).
-        radii: radius of the capsule of each body, then of each obstacle that is one, (b + o,).
+        radii: radius of the capsule of each body, then of each obstacle that is one, or of its points,
+            (b + o,).
         lines: axis of the capsule of each obstacle, (o, 2, 3).
-        centers: centre of each obstacle that is no capsule, (o, 3).
+        centers: centre of each obstacle that is no capsule, or of the box around it, (o, 3).
         frames: its axes, as columns; z is the normal of a half-space and the axis of a cylinder, (o, 3, 3).
         halves: half its extent along them, (o, 3).
+        trees: the obstacles that are pieces of scans or meshes.
         shapes: the kind of each obstacle, (o,).
         groups: block of bodies, and another block or the number of blocks plus that of an obstacle, (g, 2).
         starts: first pair of each group, and at the end how many pairs there are, (g + 1,).
@@ -151,6 +170,7 @@ class Pairs(NamedTuple):
     centers: Array2
     frames: Array3
     halves: Array2
+    trees: Trees
     shapes: Ints1
     groups: Ints2
     starts: Ints1
@@ -159,8 +179,8 @@ class Pairs(NamedTuple):
 BLOCK = 8
 """Number of bodies in a block of `Pairs`."""
 
-SEGMENT, BOX, PLANE, CYLINDER = 0, 1, 2, 3
-"""Kinds of `Pairs`, by the shape of the second solid."""
+SEGMENT, BOX, PLANE, CYLINDER, PIECE, INSIDE = 0, 1, 2, 3, 4, 5
+"""Kinds of `Pairs`, by the second solid; the last are a piece of a tree and the inside of a surface."""
 
 FULL, RELATIVE, LOCAL = 0, 1, 2
 """Couplings: how rows depend on the joints before their section; see `kernels.kinematics`."""

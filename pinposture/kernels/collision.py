@@ -1,9 +1,11 @@
 """Distances of the bodies of an arm from obstacles and from each other.
 
 A body is a capsule, or lies in one: an axis between two ends, and a radius. Distances of capsules from
-spheres, capsules, boxes, half-spaces and cylinders are closed forms. Where solids overlap, the distance is
-the negative length of a translation that separates them: the shortest one, except for cylinders, where only
-translations along and across their axes count; so it is never larger than the true one.
+spheres, capsules, boxes, half-spaces and cylinders are closed forms; those from scans and meshes are searched
+for in trees. Where solids overlap, the distance is the negative length of a translation that separates them:
+the shortest one, except for cylinders, where only translations along and across their axes count; so it is
+never larger than the true one. From a surface, an axis on either side of it is at the same distance, and one
+that crosses it leaves along the normal of a triangle, to the nearer side.
 
 Pairs are sorted into groups of a block of bodies and another block, or an obstacle. Bounding spheres of
 blocks decide which groups are evaluated.
@@ -16,6 +18,8 @@ import numpy as np
 from pinposture.kernels.arrays import (
     BLOCK,
     BOX,
+    INSIDE,
+    PIECE,
     PLANE,
     SEGMENT,
     Array1,
@@ -28,12 +32,8 @@ from pinposture.kernels.arrays import (
     JointTree,
     Pairs,
 )
+from pinposture.kernels.bounding_volumes import TINY, is_inside, nearest_in_tree, way_to_segment
 from pinposture.kernels.compiled import compiled, subkernel
-
-TINY = 1e-300
-
-PARALLEL = 1e-14
-"""Square of the sine of the angle below which lines count as parallel."""
 
 FLAT = 1e-13
 """Slope that counts as none, relative to the numbers that it is computed from."""
@@ -190,8 +190,11 @@ def differentiate_distances(
 
 
 @subkernel
-def pair_contact(ends: Array3, pairs: Pairs, pair: int) -> Contact:
-    """Distance, point of the first axis and normal of a pair; the normal is 0 where there is none."""
+def pair_contact(ends: Array3, pairs: Pairs, pair: int, below: float) -> Contact:
+    """Distance, point of the first axis and normal of a pair; the normal is 0 where there is none.
+
+    The distance from a tree may be infinite where it is not smaller than `below`.
+    """
     body, other = pairs.first[pair], pairs.second[pair] - len(ends)
     line, kind = ends[body], pairs.kinds[pair]
     radius = pairs.radii[body]
@@ -211,6 +214,10 @@ def pair_contact(ends: Array3, pairs: Pairs, pair: int) -> Contact:
         )
         end = 0 if heights[0] <= heights[1] else 1
         distance, px, py, pz = heights[end], line[end, 0], line[end, 1], line[end, 2]
+    elif kind in (PIECE, INSIDE):
+        radius += pairs.radii[pairs.second[pair]]
+        found = _tree_contact(line, pairs, other, kind == INSIDE, below + radius)
+        distance, px, py, pz, nx, ny, nz = found
     else:
         found = _cylinder_contact(line, pairs.centers[other], pairs.frames[other], pairs.halves[other])
         distance, px, py, pz, nx, ny, nz = found
@@ -222,18 +229,8 @@ def _segment_contact(line: Array2, other: Array2) -> Contact:
     ux, uy, uz = line[1, 0] - line[0, 0], line[1, 1] - line[0, 1], line[1, 2] - line[0, 2]
     vx, vy, vz = other[1, 0] - other[0, 0], other[1, 1] - other[0, 1], other[1, 2] - other[0, 2]
     rx, ry, rz = line[0, 0] - other[0, 0], line[0, 1] - other[0, 1], line[0, 2] - other[0, 2]
-    uu, vv, uv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, ux * vx + uy * vy + uz * vz
-    ur, vr = ux * rx + uy * ry + uz * rz, vx * rx + vy * ry + vz * rz
-    across = uu * vv - uv * uv
-    # On the line without ends, then on the other within its ends, then on the first again within its own.
-    # That is exact: the admissible pairs of places form a rectangle, and the distance is convex on it.
-    s = 0.0
-    if across > PARALLEL * uu * vv:
-        s = min(max((uv * vr - vv * ur) / across, 0.0), 1.0)
-    t = min(max((uv * s + vr) / max(vv, TINY), 0.0), 1.0)
-    s = min(max((uv * t - ur) / max(uu, TINY), 0.0), 1.0)
+    s, gx, gy, gz = way_to_segment(rx, ry, rz, ux, uy, uz, vx, vy, vz)
     px, py, pz = line[0, 0] + s * ux, line[0, 1] + s * uy, line[0, 2] + s * uz
-    gx, gy, gz = px - other[0, 0] - t * vx, py - other[0, 1] - t * vy, pz - other[0, 2] - t * vz
     size = np.sqrt(gx * gx + gy * gy + gz * gz)
     if size <= TINY:
         return 0.0, px, py, pz, 0.0, 0.0, 0.0
@@ -364,6 +361,32 @@ def _leave_box(
             deepest, place = depth, inside
             normal[axis], normal[j], normal[k] = 0.0, nj, nk
     return deepest, place
+
+
+@subkernel
+def _tree_contact(line: Array2, pairs: Pairs, obstacle: int, inside: bool, below: float) -> Contact:
+    """Contact of a line with a piece of a tree, or with a closed surface that it is inside of."""
+    frame, center, trees = pairs.frames[obstacle], pairs.centers[obstacle], pairs.trees
+    piece = trees.boxes[trees.pieces[obstacle, 0] + trees.pieces[obstacle, 1]]
+    x, y, z = line[0, 0] - center[0], line[0, 1] - center[1], line[0, 2] - center[2]
+    ax = frame[0, 0] * x + frame[1, 0] * y + frame[2, 0] * z + 0.5 * (piece[0, 0] + piece[1, 0])
+    ay = frame[0, 1] * x + frame[1, 1] * y + frame[2, 1] * z + 0.5 * (piece[0, 1] + piece[1, 1])
+    az = frame[0, 2] * x + frame[1, 2] * y + frame[2, 2] * z + 0.5 * (piece[0, 2] + piece[1, 2])
+    x, y, z = line[1, 0] - line[0, 0], line[1, 1] - line[0, 1], line[1, 2] - line[0, 2]
+    bx = ax + frame[0, 0] * x + frame[1, 0] * y + frame[2, 0] * z
+    by = ay + frame[0, 1] * x + frame[1, 1] * y + frame[2, 1] * z
+    bz = az + frame[0, 2] * x + frame[1, 2] * y + frame[2, 2] * z
+    if inside:
+        if not is_inside(ax, ay, az, trees, obstacle):
+            return np.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        distance, t, nx, ny, nz = nearest_in_tree(ax, ay, az, bx, by, bz, trees, obstacle, np.inf)
+        if distance <= 0.0:  # it crosses the surface, and so is in contact with pieces of it
+            return np.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        distance, nx, ny, nz = -distance, -nx, -ny, -nz
+    else:
+        distance, t, nx, ny, nz = nearest_in_tree(ax, ay, az, bx, by, bz, trees, obstacle, below)
+    wx, wy, wz = _turned(frame, nx, ny, nz)
+    return distance, line[0, 0] + t * x, line[0, 1] + t * y, line[0, 2] + t * z, wx, wy, wz
 
 
 @subkernel
@@ -588,7 +611,7 @@ def near_pairs(
         for pair in range(pairs.starts[group], pairs.starts[group + 1]):
             if _pair_bound(ends, pairs, pair) >= max(within, best):
                 continue
-            distance, px, py, pz, nx, ny, nz = pair_contact(ends, pairs, pair)
+            distance, px, py, pz, nx, ny, nz = pair_contact(ends, pairs, pair, max(within, best))
             if not pairs.exact[pair]:
                 if distance < max(within, best):
                     open_pairs[opened], bounds[opened] = pair, distance
@@ -632,7 +655,7 @@ def smallest_distance(
             for pair in range(pairs.starts[group], pairs.starts[group + 1]):
                 if _pair_bound(ends[at], pairs, pair) >= min(below, best):
                     continue
-                distance = pair_contact(ends[at], pairs, pair)[0]
+                distance = pair_contact(ends[at], pairs, pair, min(below, best))[0]
                 if not pairs.exact[pair]:
                     if distance < min(below, best):
                         open_pairs[opened, 0], open_pairs[opened, 1], bounds[opened] = at, pair, distance
@@ -677,7 +700,9 @@ def keeps_distance(
             if _group_bound(blocks, pairs, group) >= least:
                 continue
             for pair in range(pairs.starts[group], pairs.starts[group + 1]):
-                if _pair_bound(ends, pairs, pair) >= least or pair_contact(ends, pairs, pair)[0] >= least:
+                if _pair_bound(ends, pairs, pair) >= least:
+                    continue
+                if pair_contact(ends, pairs, pair, least)[0] >= least:
                     continue
                 if pairs.exact[pair]:
                     return False

@@ -204,7 +204,7 @@ def make_scene(document: Document, where: Place, spec: SceneSpec) -> Scene | Non
 
 
 def make_obstacle(document: Document, where: Place, spec: dict[str, Any]) -> Obstacle:
-    """Make an obstacle of the scene; the path of a mesh is relative to the file."""
+    """Make an obstacle of the scene; the path of a mesh or a scan is relative to the file."""
     folder = document.path.parent
     with document.blaming(where):
         obstacle = obstacle_from_dict(spec, str(folder))

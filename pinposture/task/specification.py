@@ -176,9 +176,9 @@ def _in_si(table: Mapping[str, Any], kinds: Mapping[str, str]) -> dict[str, Any]
 _CURVE_UNITS = dict.fromkeys(("radius", "pitch", "smoothing", "a", "b", "center"), "length") | {
     "phase": "angle"
 }
-_OBSTACLE_UNITS = dict.fromkeys(("radius", "center", "size", "start", "end", "point"), "length") | {
-    "rotation": "angle"
-}
+_OBSTACLE_UNITS = dict.fromkeys(
+    ("radius", "point_radius", "center", "size", "start", "end", "point"), "length"
+) | {"rotation": "angle"}
 
 
 def _curve(value: object) -> object:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm, ArmSpec
 from pinposture.arm.specification import roll_pitch_yaw
 from pinposture.arm.urdf_reader import load_text
-from pinposture.collision import Mesh, Scene
+from pinposture.collision import Mesh, Scan, Scene
 from pinposture.collision.obstacles import Obstacle
 from pinposture.control import CONTROLLERS, Controller, EndEffector, Geodesic, Limits
 from pinposture.curve import Curve
@@ -276,12 +276,15 @@ def write_scene(scene: Scene, descriptions: Descriptions) -> dict[str, Any]:
 
 
 def write_obstacle(obstacle: Obstacle) -> dict[str, Any]:
-    """Describe an obstacle without a rotation or a centre that is zero."""
-    table = obstacle.to_dict()
+    """Describe an obstacle without a rotation, a centre or a scale that changes nothing."""
+    table = obstacle.to_dict(embed=False)
     if table.get("rotation") == np.eye(3).tolist():
         del table["rotation"]
-    if isinstance(obstacle, Mesh) and not any(obstacle.center):
+    if isinstance(obstacle, Mesh | Scan) and not any(obstacle.center):
         del table["center"]
+    if "path" in table:
+        table["path"] = Path(table["path"])
+        table = {key: value for key, value in table.items() if (key, value) != ("scale", 1.0)}
     return table
 
 

@@ -26,6 +26,7 @@ from pinposture.viz.mesh import (
     cut_by_plane,
     disc,
     hull_surface,
+    is_hollow,
     merge,
     surface,
     tube,
@@ -286,11 +287,13 @@ class ShownObstacle(NamedTuple):
         surface: its whole surface, world frame [m]; for a half-space a plate that fits the picture.
         near: corners of the part in the picture, (k, 3) [m], world frame; none if it is far away.
         cut: whether that is only a part.
+        hollow: whether the part is only what `near` has points of, rather than their convex hull.
     """
 
     surface: TriangleMesh
     near: Array
     cut: bool
+    hollow: bool = False
 
 
 def shown_obstacles(scene: Scene | None, points: Array) -> list[ShownObstacle]:
@@ -317,6 +320,10 @@ def shown_obstacles(scene: Scene | None, points: Array) -> list[ShownObstacle]:
         else:
             whole = surface(obstacle)
             corners = whole.vertices
+            if is_hollow(obstacle):
+                inside = np.all((corners >= region[0]) & (corners <= region[1]), axis=1)
+                shown[name] = ShownObstacle(whole, corners[inside], not inside.all(), hollow=True)
+                continue
             part = clip_to_box(corners, *region)
             if part is not corners and len(part):
                 least = np.minimum(low, part.max(axis=0)) - SHOWN_PART * size

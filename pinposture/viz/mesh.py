@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cache
 from itertools import product
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from pinposture.collision import Box, Capsule, Cylinder, Mesh, Sphere
+from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Mesh, Obstacle, Scan, Sphere
+from pinposture.collision.scan import between_cubes, representatives
 
 Array = NDArray[np.float64]
 
@@ -209,13 +210,25 @@ def _is_flat(points: Array) -> bool:
 
 # Surfaces of obstacles.
 
-Solid: TypeAlias = "Sphere | Capsule | Cylinder | Box | Mesh"
-
 CYLINDER_SIDES = 48  # of the polygon that stands for the section of an obstacle, which may be large
 
 
-def surface(obstacle: Solid) -> TriangleMesh:
-    """Return the surface of an obstacle other than a half-space, which is unbounded, world frame [m]."""
+MAX_SHOWN = 20_000  # points of a mesh or a scan that are drawn
+DOT_SIZE = 2e-3  # smallest radius of a point of a cloud, relative to the width of the cloud
+
+
+def is_hollow(obstacle: Obstacle) -> bool:
+    """Return whether an obstacle is a scan, or a mesh that may have hollows."""
+    return isinstance(obstacle, Scan) or (isinstance(obstacle, Mesh) and not obstacle.convex)
+
+
+def surface(obstacle: Obstacle) -> TriangleMesh:
+    """Return the surface of an obstacle other than a half-space, which is unbounded, world frame [m].
+
+    Large scans and meshes are thinned; a point of a cloud is an octahedron.
+    """
+    if isinstance(obstacle, HalfSpace):
+        raise ValueError("a half-space is unbounded")
     if isinstance(obstacle, Sphere):
         center = np.array(obstacle.center)
         return _revolved(center, np.array([0.0, 0.0, 1.0]), _arc(obstacle.radius, -1.0, 1.0))
@@ -228,12 +241,31 @@ def surface(obstacle: Solid) -> TriangleMesh:
             profile = np.array([[0.0, 0.0], [radius, 0.0], [radius, 0.0], [radius, length]])
             profile = np.vstack([profile, [[radius, length], [0.0, length]]])
         return _revolved(start, np.subtract(obstacle.end, start) / length, profile)
+    if not isinstance(obstacle, Box) and is_hollow(obstacle):
+        own = _thinned(obstacle)
+        return TriangleMesh(own.vertices @ np.array(obstacle.rotation).T + obstacle.center, own.faces)
     if isinstance(obstacle, Box):
         half = np.array(obstacle.size) / 2.0
         corners = box_corners(-half, half)
     else:
-        corners = np.array(obstacle.vertices)
+        corners = obstacle.content[0]
     return hull_surface(corners @ np.array(obstacle.rotation).T + obstacle.center)
+
+
+def _thinned(obstacle: Mesh | Scan) -> TriangleMesh:
+    """Return the surface of a mesh or a scan in its own frame, with at most `MAX_SHOWN` points."""
+    points: Array = obstacle.content[0]
+    faces: NDArray[np.integer] | None = obstacle.content[1]
+    if len(points) > MAX_SHOWN:
+        kept, cubes = representatives(points, MAX_SHOWN)
+        points, faces = points[kept], None if faces is None else between_cubes(faces, cubes)
+    if faces is not None:
+        return TriangleMesh(points, np.asarray(faces, dtype=np.intp))
+    radius = DOT_SIZE * float(np.ptp(obstacle.bounds, axis=0).max())
+    radius = max(radius, obstacle.point_radius) if isinstance(obstacle, Scan) else radius
+    dot = hull_surface(radius * np.vstack([np.eye(3), -np.eye(3)]))
+    corners = points[:, None] + dot.vertices
+    return TriangleMesh(corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3))
 
 
 def _arc(radius: float, first: float, last: float) -> Array:

@@ -195,6 +195,7 @@ def box_extent(ax: Any) -> Array:
 
 VEIL_SHARE = 0.6  # share of the colour of an obstacle in that of a line behind it
 VEIL_SEGMENTS = 400  # a line is split into pieces of the picture size over this to find its hidden parts
+MAX_DOTS = 4000  # points that are drawn of a scan or a hollow mesh
 EDGE_COLOR = palette.mixed(palette.OBSTACLE, palette.INK, 0.35)  # colour of outlines
 
 
@@ -207,7 +208,10 @@ def _draw_obstacles(panel: PosturePanel, shown: Sequence[ShownObstacle]) -> None
     if not shown:
         return
     near = [each for each in shown if len(each.near)]
-    solids = [each.near for each in near]
+    solids = [each.near for each in near if not each.hollow]
+    for each in near:
+        if each.hollow:
+            _draw_dots(panel, each.near)
     if panel.spatial:
         _draw_solids(panel, solids)
         _dim_hidden_lines(panel, solids)
@@ -218,6 +222,13 @@ def _draw_obstacles(panel: PosturePanel, shown: Sequence[ShownObstacle]) -> None
     label += f", {len(shown) - len(near)} far off" if len(near) < len(shown) else ""
     square: dict[str, Any] = {"ls": "none", "marker": "s", "ms": 9.0, "mec": EDGE_COLOR, "mew": 0.7}
     panel.ax.plot([], [], mfc=(*palette.rgb(palette.OBSTACLE), palette.SEE_THROUGH), label=label, **square)
+
+
+def _draw_dots(panel: PosturePanel, points: Array) -> None:
+    """Draw points of a scan or a hollow mesh."""
+    shown = points[:: 1 + len(points) // MAX_DOTS]
+    style: dict[str, Any] = {"ls": "none", "marker": ".", "ms": 2.0, "mew": 0.0, "zorder": 0.55}
+    panel.ax.plot(*panel.coordinates(shown), color=palette.OBSTACLE, alpha=palette.SEE_THROUGH, **style)
 
 
 def _draw_solids(panel: PosturePanel, solids: Sequence[Array]) -> None:

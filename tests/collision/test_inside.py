@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from sampling import examples
 
 from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Scene, Sphere
-from pinposture.collision.obstacles import Mesh
 from pinposture.collision.scene import obstacles_around
+from pinposture.collision.shapes import Mesh
 
 TURN = np.array([[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1]])
 CUBE = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]

@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import trimesh
 
 import pinposture as pp
 from pinposture import viz
+from pinposture.collision.obstacles import OBSTACLE_TYPES
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = ("index.md", "quickstart.md", "concepts.md", "controllers.md", "urdf.md", "scenes.md", "streaming.md")
@@ -54,14 +56,21 @@ def test_the_snippets_of_a_page_run(page: str, capsys: pytest.CaptureFixture) ->
 
 
 def test_the_scene_file_is_one_with_every_kind_of_obstacle(tmp_path: Path) -> None:
-    (text,) = fenced(DOCS / "scenes.md", "toml")
+    text, surfaces = fenced(DOCS / "scenes.md", "toml")
     (tmp_path / "scene.toml").write_text(text)
     example = DOCS.parent / "examples/scene.toml"
     assert example.read_text().split("\n", 2)[2] == text  # after what it is for
     scene = pp.Scene.load(example)
     assert (scene.margin, scene.self_collision) == (0.01, True)
     kinds = {each.type for each in scene.obstacles.values()}
-    assert kinds == {"cylinder", "sphere", "capsule", "box", "half_space"}  # and a mesh needs a file
+    assert kinds == {"cylinder", "sphere", "capsule", "box", "half_space"}
+    box = trimesh.creation.box((0.1, 0.2, 0.3))
+    trimesh.PointCloud(1000.0 * box.vertices).export(tmp_path / "machine.ply")
+    box.export(tmp_path / "housing.stl")
+    (tmp_path / "surfaces.toml").write_text(surfaces)
+    others = pp.Scene.load(tmp_path / "surfaces.toml").obstacles
+    assert kinds | {each.type for each in others.values()} == set(OBSTACLE_TYPES)
+    assert others["machine"].bounds == pytest.approx(others["housing"].bounds)
     (radius,) = re.findall(r"^# (arm_radius = \S+)", text, re.MULTILINE)
     (tmp_path / "scene.toml").write_text(f"{radius}\n{text}")
     assert pp.Scene.load(tmp_path / "scene.toml").arm_radius == 0.012

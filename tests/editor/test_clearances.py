@@ -65,7 +65,6 @@ def test_without_anything_around_there_is_no_clearance():
 def test_a_scan_that_is_nearer_counts_but_has_no_margin():
     cloud = Scan(np.array([[0.5 * L, 0.0, -0.04], [5.0, 5.0, 5.0]]))
     found = nearest(asked(beside(0.2), {"room.ply": cloud}))
-    assert found.scanned
     assert (found.other, found.margin, found.level) == ("room.ply", 0.0, "clear")
     assert found.distance == pytest.approx(0.04 - THICK, abs=1e-6)
     np.testing.assert_allclose(found.on_other, [0.5 * L, 0, -0.04], atol=1e-6)

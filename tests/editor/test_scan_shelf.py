@@ -90,7 +90,7 @@ def test_what_cannot_be_read_is_told_and_changes_nothing(desk, tmp_path, content
 
 def test_what_is_sent_is_kept_beside_the_task(desk, cloud):
     folder = desk.session.path.parent
-    desk.shelf.upload("../../room.xyz", cloud.read_bytes(), folder, 1.0, convex=False)
+    desk.shelf.upload("../../room.xyz", cloud.read_bytes(), folder, 1.0, avoided=False)
     kept = folder / "room.xyz"
     assert desk.until(lambda: desk.session.task.scans == (kept,))
     assert kept.read_bytes() == cloud.read_bytes()
@@ -100,7 +100,7 @@ def test_what_is_sent_replaces_no_other_file(desk, cloud):
     folder = desk.session.path.parent
     (folder / "room.xyz").write_text("something of mine")
     for _ in range(2):  # the second time it is there already, under the other name
-        desk.shelf.upload("room.xyz", cloud.read_bytes(), folder, 1.0, convex=False)
+        desk.shelf.upload("room.xyz", cloud.read_bytes(), folder, 1.0, avoided=False)
     assert desk.said("there already")
     assert (folder / "room.xyz").read_text() == "something of mine"
     assert desk.session.task.scans == (folder / "room_2.xyz",)
@@ -110,14 +110,14 @@ def test_what_is_sent_replaces_no_other_file(desk, cloud):
 def test_what_is_sent_is_not_written_through_a_link(desk, cloud, tmp_path):
     folder, prey = desk.session.path.parent, tmp_path / "prey.xyz"
     (folder / "room.xyz").symlink_to(prey)
-    desk.shelf.upload("room.xyz", cloud.read_bytes(), folder, 1.0, convex=False)
+    desk.shelf.upload("room.xyz", cloud.read_bytes(), folder, 1.0, avoided=False)
     assert desk.until(lambda: desk.session.task.scans == (folder / "room_2.xyz",))
     assert not prey.exists()
 
 
 def test_broken_things_that_are_sent_leave_no_file(desk):
     folder = desk.session.path.parent
-    desk.shelf.upload("room.ply", b"ply of nothing", folder, 1.0, convex=False)
+    desk.shelf.upload("room.ply", b"ply of nothing", folder, 1.0, avoided=False)
     assert desk.said("room.ply")
     assert desk.session.notice.kind == "error"
     assert list(folder.iterdir()) == []
@@ -126,7 +126,7 @@ def test_broken_things_that_are_sent_leave_no_file(desk):
 
 def test_without_a_task_file_there_is_nowhere_to_keep_them(cloud):
     desk = Desk(None)
-    desk.shelf.upload("room.xyz", cloud.read_bytes(), None, 1.0, convex=False)
+    desk.shelf.upload("room.xyz", cloud.read_bytes(), None, 1.0, avoided=False)
     assert desk.said("save the task first")
     assert desk.session.task.scans == ()
     desk.shelf.close()
@@ -137,14 +137,24 @@ def test_a_mesh_becomes_an_obstacle(desk, tmp_path):
 
     path = tmp_path / "part.stl"
     trimesh.creation.box((100.0, 200.0, 300.0)).apply_translation((900.0, 900.0, 900.0)).export(path)
-    desk.shelf.add_mesh(path, 0.001)
+    desk.shelf.add_obstacle(path, 0.001)
     assert desk.until(lambda: desk.session.task.scene is not None)
     mesh = desk.session.task.scene.obstacles["part"]
     assert isinstance(mesh, pp.Mesh)
     np.testing.assert_allclose(np.ptp(np.array(mesh.vertices), axis=0), (0.1, 0.2, 0.3), atol=1e-6)
     assert desk.session.obstacle == "part"
-    desk.shelf.upload("part.stl", path.read_bytes(), None, 0.001, convex=True)
+    desk.shelf.upload("part.stl", path.read_bytes(), None, 0.001, avoided=True)
+    assert desk.said("save the task first")
+    desk.shelf.upload("part.stl", path.read_bytes(), tmp_path / "task", 0.001, avoided=True)
     assert desk.until(lambda: len(desk.session.task.scene.obstacles) == 2)
+    assert desk.session.task.scene.obstacles["part_1"].path == tmp_path / "task" / "part.stl"
+
+
+def test_a_cloud_of_points_becomes_an_obstacle_as_it_is(desk, cloud):
+    desk.shelf.add_obstacle(cloud, 1.0)
+    assert desk.until(lambda: desk.session.task.scene is not None)
+    (scan,) = desk.session.task.scene.obstacles.values()
+    assert scan == pp.Scan.load(cloud) and scan.path == cloud
 
 
 def test_a_mesh_around_the_base_is_refused(desk, tmp_path):
@@ -153,7 +163,7 @@ def test_a_mesh_around_the_base_is_refused(desk, tmp_path):
     path = tmp_path / "room.stl"
     trimesh.creation.box((3.0, 3.0, 3.0)).export(path)
     before = desk.session.task
-    desk.shelf.add_mesh(path, 1.0)
+    desk.shelf.add_obstacle(path, 1.0)
     assert desk.said("base of the arm")
     assert desk.session.task is before
 

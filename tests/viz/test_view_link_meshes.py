@@ -17,7 +17,7 @@ from sampling import seeds
 from scipy.spatial import cKDTree
 
 from pinposture import Arm, Target, save_html, track
-from pinposture.collision.obstacles import find_mesh, read_mesh
+from pinposture.collision.mesh_files import find_mesh, read_mesh
 from pinposture.errors import FileError, PostureWarning
 from pinposture.viz.body import body_meshes, body_poses
 

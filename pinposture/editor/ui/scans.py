@@ -24,7 +24,7 @@ SCAN_OPACITY = 0.6  # of such a surface, which may stand in front of the arm
 LOAD_KINDS = ("scan", "obstacle")
 EXPLANATION = (
     "A **scan** (surface or points) is shown, and the clearance from it is told, but the arm does **not** "
-    "avoid it. As an **obstacle**, the convex hull of a mesh is avoided: hollows count as filled."
+    "avoid it. As an **obstacle**, it is avoided as it is, hollows and all."
 )
 
 
@@ -81,9 +81,7 @@ class ScanControls:
         self._shelf, self._post, gui = shelf, post, server.gui
         self._folder: Path | None = None
         gui.add_markdown(EXPLANATION)
-        self._kind = gui.add_dropdown(
-            "Take as", LOAD_KINDS, hint="Scan: .ply .xyz .npy .stl .obj; obstacle: a mesh"
-        )
+        self._kind = gui.add_dropdown("Take as", LOAD_KINDS, hint="Files: .ply .xyz .npy .stl .obj")
         self._scale = gui.add_number(
             "scale",
             1.0,
@@ -123,12 +121,12 @@ class ScanControls:
         if not text:
             self._post(lambda session: session.say("no file is named: type the name of one", "warning"))
             return
-        convex, scale = self._kind.value == "obstacle", float(self._scale.value)
+        avoided, scale = self._kind.value == "obstacle", float(self._scale.value)
 
         def request(session: Session) -> None:
             path = within(session.folder, text, None if session.path is None else session.path.parent)
-            if convex:
-                self._shelf.add_mesh(path, scale)
+            if avoided:
+                self._shelf.add_obstacle(path, scale)
             else:
                 self._shelf.add_scan(path)
 
@@ -136,8 +134,8 @@ class ScanControls:
 
     async def _upload(self, event: Any) -> None:
         file = event.target.value
-        convex = self._kind.value == "obstacle"
-        self._shelf.upload(file.name, file.content, self._folder, float(self._scale.value), convex)
+        avoided = self._kind.value == "obstacle"
+        self._shelf.upload(file.name, file.content, self._folder, float(self._scale.value), avoided)
 
     def _remove_chosen(self, _: str) -> None:
         path = self._paths.get(self._listed.value)

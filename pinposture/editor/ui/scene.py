@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm
-from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Mesh, Obstacle, Scene, Sphere
+from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Mesh, Obstacle, Scan, Scene, Sphere
 from pinposture.editor import obstacles
 from pinposture.editor.clearances import NearestObstacle
 from pinposture.editor.edits import with_scene
@@ -37,7 +37,7 @@ from pinposture.editor.ui.scans import ScanControls
 from pinposture.viz import palette
 from pinposture.viz.drawing import MANY_OBSTACLES, link_radius
 from pinposture.viz.mesh import TriangleMesh as Surface
-from pinposture.viz.mesh import surface
+from pinposture.viz.mesh import is_hollow, surface
 
 Array = NDArray[np.float64]
 
@@ -162,6 +162,7 @@ class Obstacles:
             opacity=opacity,
             cast_shadow=False,
             receive_shadow=False,
+            side="double" if is_hollow(obstacle) else "front",
         )
         handle.on_click(partial(self._on_click, name))
         if not isinstance(obstacle, HalfSpace):  # a floor is large: the mouse turns the view there
@@ -237,8 +238,8 @@ def _look(obstacle: Obstacle) -> tuple[object, ...]:
         return obstacle.type, obstacle.radius
     if isinstance(obstacle, Box):
         return obstacle.type, obstacle.size
-    if isinstance(obstacle, Mesh):
-        return obstacle.type, obstacle.vertices
+    if isinstance(obstacle, Mesh | Scan):
+        return obstacle.type, obstacle.placed((0.0, 0.0, 0.0))
     if isinstance(obstacle, HalfSpace):
         return (obstacle.type,)
     length = float(np.linalg.norm(np.subtract(obstacle.end, obstacle.start)))

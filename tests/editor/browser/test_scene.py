@@ -15,7 +15,7 @@ from editor.browser.desk import arrived, wait_until
 from editor.browser.window import Window
 
 import pinposture as pp
-from pinposture.collision import Scan, ScanClearance
+from pinposture.collision import CollisionModel, Scan, Scene
 from pinposture.editor import Editor
 from pinposture.editor.obstacles import ArmScale, obstacles_of, size_handles
 
@@ -109,7 +109,8 @@ def test_a_scan_is_shown_and_told_of(edit: Edit, look: Look, file: Path) -> None
     window.says("added the scan floor.xyz")
     wait_until(lambda: session.nearest is not None, "the clearance is known")
     q = editor.live.state.q
-    gap = ScanClearance(session.arm, Scan.load(file.with_name("floor.xyz"))).minimum(q).distance
+    floor = Scene({"floor": Scan.load(file.with_name("floor.xyz"))}, margin=0.01)
+    gap = CollisionModel(session.arm, floor).minimum(q).distance
     wait_until(lambda: abs(millimetres(window) - 1000.0 * gap) < 1.0, "the page tells how near it is")
     assert "floor.xyz" in window.page.locator("#clearance").inner_text()
     window.picture("14-scan")

@@ -1,0 +1,453 @@
+"""Shapes of obstacles and of the bodies of an arm, in metres."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from pinposture._validation import (
+    LARGEST_LENGTH,
+    SMALLEST_LENGTH,
+    Matrix,
+    Vector,
+    direction,
+    known_keys,
+    length,
+    point,
+    rotation,
+)
+from pinposture.collision.mesh_files import Triangles, merge_corners, read_mesh, scale_factor
+from pinposture.collision.pieces import Tree, is_closed
+from pinposture.errors import InvalidValue
+
+Array = NDArray[np.float64]
+Own = TypeVar("Own", bound="Surface")
+
+UNTURNED: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+CONVEX = 1.0 - 1e-6  # volume of a closed mesh, relative to its hull, from which on it counts as convex
+
+
+def set_fields(frozen: object, **values: object) -> None:
+    """Set attributes of a frozen dataclass while it is made."""
+    for name, value in values.items():
+        object.__setattr__(frozen, name, value)
+
+
+def _check_apart(start: Vector, end: Vector, instead: str) -> None:
+    if np.linalg.norm(np.subtract(end, start)) < SMALLEST_LENGTH:
+        raise InvalidValue("end", end, f"another point than start; {instead}")
+
+
+@dataclass(frozen=True)
+class Described:
+    """What has a description that `obstacle_from_dict` reads.
+
+    Attributes:
+        type: name of its class in scene files.
+    """
+
+    type: ClassVar[str]
+
+    def to_dict(self, embed: bool = True) -> dict[str, Any]:
+        """Return the shape as data that JSON can hold; see `obstacle_from_dict`.
+
+        Args:
+            embed: whether to include the points of a mesh or a scan that was loaded from a file, rather than
+                the path of that file.
+        """
+        described: dict[str, Any] = {"type": self.type}
+        for each in fields(self):
+            value = getattr(self, each.name)
+            described[each.name] = np.array(value).tolist() if isinstance(value, tuple) else value
+        return described
+
+
+@dataclass(frozen=True)
+class Sphere(Described):
+    """A ball.
+
+    Attributes:
+        center: its centre, (3,) [m].
+        radius: its radius [m].
+    """
+
+    type: ClassVar[str] = "sphere"
+    center: Vector
+    radius: float
+
+    def __post_init__(self) -> None:
+        set_fields(self, center=point("center", self.center), radius=length("radius", self.radius))
+
+
+@dataclass(frozen=True)
+class Capsule(Described):
+    """All points within a radius of a line: a cylinder with round ends.
+
+    Attributes:
+        start: one end of the line, (3,) [m].
+        end: its other end, (3,) [m].
+        radius: the radius [m].
+    """
+
+    type: ClassVar[str] = "capsule"
+    start: Vector
+    end: Vector
+    radius: float
+
+    def __post_init__(self) -> None:
+        set_fields(self, start=point("start", self.start), end=point("end", self.end))
+        set_fields(self, radius=length("radius", self.radius))
+        _check_apart(self.start, self.end, "a capsule without length is a Sphere")
+
+
+@dataclass(frozen=True)
+class Cylinder(Described):
+    """A cylinder with flat ends.
+
+    Attributes:
+        start: centre of one end, (3,) [m].
+        end: centre of the other, (3,) [m].
+        radius: its radius [m].
+    """
+
+    type: ClassVar[str] = "cylinder"
+    start: Vector
+    end: Vector
+    radius: float
+
+    def __post_init__(self) -> None:
+        set_fields(self, start=point("start", self.start), end=point("end", self.end))
+        set_fields(self, radius=length("radius", self.radius))
+        _check_apart(self.start, self.end, "a cylinder has a length")
+
+
+@dataclass(frozen=True)
+class Box(Described):
+    """A box.
+
+    Attributes:
+        center: its centre, (3,) [m].
+        size: lengths of its edges along its own axes, (3,) [m].
+        rotation: from its axes to the world's, (3, 3); given as such, or as roll, pitch, yaw [rad]; the
+            identity if None.
+    """
+
+    type: ClassVar[str] = "box"
+    center: Vector
+    size: Vector
+    rotation: Matrix = UNTURNED
+
+    def __post_init__(self) -> None:
+        set_fields(self, center=point("center", self.center), size=point("size", self.size))
+        for axis, edge in enumerate(self.size):
+            length(f"size[{axis}]", edge)
+        set_fields(self, rotation=rotation("rotation", self.rotation))
+
+
+@dataclass(frozen=True)
+class HalfSpace(Described):
+    """Everything on one side of a plane: a floor, a wall, a ceiling.
+
+    Attributes:
+        point: a point of the plane, (3,) [m].
+        normal: unit vector to the free side, (3,); normalised if it is not.
+    """
+
+    type: ClassVar[str] = "half_space"
+    point: Vector
+    normal: Vector
+
+    def __post_init__(self) -> None:
+        set_fields(self, point=point("point", self.point), normal=direction("normal", self.normal))
+
+
+class Surface(Described):
+    """Points, or triangles between them, at a pose; compared by these alone.
+
+    Attributes:
+        center: position of the origin of their frame in the world, (3,) [m].
+        rotation: from the axes of that frame to the world's, (3, 3).
+        path: the file that they were loaded from, if any.
+        scale: factor of the coordinates in that file.
+    """
+
+    center: Vector
+    rotation: Matrix
+    path: Path | None
+    scale: float
+
+    @property
+    def content(self) -> tuple[Array, NDArray[np.int32] | None]:
+        """The points (n, 3) [m], in their own frame, and the triangles between them, (k, 3); None without."""
+        raise NotImplementedError
+
+    @property
+    def corners(self) -> Array:
+        """The points, (n, 1, 3), or the corners of the triangles, (k, 3, 3) [m], in their own frame."""
+        points, faces = self.content
+        return points[:, None] if faces is None else np.asarray(points[faces])
+
+    @cached_property
+    def tree(self) -> Tree:
+        """The points or triangles, prepared for distances; made on first use."""
+        return Tree(self.corners)
+
+    @cached_property
+    def bounds(self) -> Array:
+        """Lowest and highest coordinates in their own frame, (2, 3) [m]."""
+        points, _ = self.content
+        return np.stack([points.min(axis=0), points.max(axis=0)])
+
+    @cached_property
+    def _digest(self) -> int:
+        points, faces = self.content
+        return zlib.crc32(points.data) if faces is None else zlib.crc32(faces.data, zlib.crc32(points.data))
+
+    def to_dict(self, embed: bool = True) -> dict[str, Any]:
+        """Return it as data that JSON can hold; see `obstacle_from_dict`.
+
+        Args:
+            embed: whether to include the points if they were loaded from a file, rather than its path.
+        """
+        if self.path is None or embed:
+            data = self._data()
+        else:
+            data = {"path": str(self.path.absolute()), "scale": self.scale}
+        pose = {"center": list(self.center), "rotation": [list(row) for row in self.rotation]}
+        return {"type": self.type, **data, **pose}
+
+    def _data(self) -> dict[str, Any]:
+        """Return points and triangles as plain data."""
+        raise NotImplementedError
+
+    def placed(self: Own, center: ArrayLike, turn: Any = None) -> Own:
+        """Return the same at another pose, without preparing it again.
+
+        Args:
+            center: position of the origin, (3,) [m].
+            turn: the rotation: a matrix (3, 3), or roll, pitch, yaw [rad]; the identity if None.
+
+        Raises:
+            InvalidValue: no position, or no rotation.
+        """
+        other = object.__new__(type(self))
+        other.__dict__.update(self.__dict__)  # with what is cached there
+        set_fields(other, center=point("center", center), rotation=rotation("rotation", turn))
+        return other
+
+    def __eq__(self, other: object) -> bool:
+        if self is other:
+            return True
+        if type(self) is not type(other) or not isinstance(other, Surface):
+            return NotImplemented
+        if self._key() != other._key():
+            return False
+        (points, faces), (others, theirs) = self.content, other.content
+        if faces is None or theirs is None:
+            return faces is theirs and np.array_equal(points, others)
+        return np.array_equal(points, others) and np.array_equal(faces, theirs)
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+    def _key(self) -> tuple[Any, ...]:
+        return self._digest, self.center, self.rotation
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {each.name: self.__dict__[each.name] for each in fields(self)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for value in state.values():
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
+        self.__dict__.update(state)
+
+
+def check_faces(values: ArrayLike, count: int) -> NDArray[np.int32]:
+    """Return a new array of triangles, (k, 3), as indices of `count` points.
+
+    Raises:
+        InvalidValue: values that are no triangles, or indices of no points.
+    """
+    try:
+        faces = np.array(values)
+    except (TypeError, ValueError):
+        faces = np.zeros(0)
+    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu" or not faces.size:
+        raise InvalidValue("faces", values, "triangles, (k, 3), as whole numbers of points")
+    if faces.min() < 0 or faces.max() >= count:
+        wrong = int(faces.min() if faces.min() < 0 else faces.max())
+        raise InvalidValue("faces", wrong, f"numbers of points, 0 to {count - 1}")
+    return faces.astype(np.int32)
+
+
+def _no_faces() -> NDArray[np.int32]:
+    return np.zeros((0, 3), dtype=np.int32)
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh(Surface):
+    """A mesh, hollows and all, or the convex hull of points.
+
+    A mesh that is closed is solid: what is inside of it is in the way. Others are surfaces without an inside.
+
+    Attributes:
+        vertices: the corners, (n, 3) [m], in the frame of the mesh, each once, sorted; read-only. Without
+            `faces` any points may be given, and those inside their hull are dropped.
+        center: position of the origin of the mesh in the world, (3,) [m].
+        rotation: from the axes of the mesh to the world's, (3, 3); given as such, or as roll, pitch, yaw
+            [rad]; the identity if None.
+        faces: triangles as indices of corners, (t, 3); read-only. If there are none, those of the hull,
+            counterclockwise from outside.
+        path: the file that it was loaded from, if any.
+        scale: factor of the coordinates in that file.
+        convex: whether it is its convex hull.
+    """
+
+    type: ClassVar[str] = "mesh"
+    vertices: Array = field(repr=False)
+    center: Vector = (0.0, 0.0, 0.0)
+    rotation: Matrix = UNTURNED
+    faces: NDArray[np.int32] = field(default_factory=_no_faces, repr=False)
+    path: Path | None = None
+    scale: float = 1.0
+    convex: bool = field(init=False, default=True)
+
+    def __post_init__(self) -> None:
+        vertices = _finite_points(self.vertices)
+        hull = np.size(self.faces) == 0
+        if not hull:
+            vertices, faces = merge_corners(
+                Triangles(vertices, check_faces(self.faces, len(vertices)).astype(np.intp))
+            )
+            hull = _is_convex(vertices, faces)
+        if hull:
+            vertices = _hull_vertices(vertices)
+            faces = _hull_faces(vertices)
+        faces = faces.astype(np.int32)
+        for array in (vertices, faces):
+            array.flags.writeable = False
+        set_fields(self, vertices=vertices, faces=faces, convex=hull, center=point("center", self.center))
+        set_fields(self, rotation=rotation("rotation", self.rotation))
+
+    @classmethod
+    def load(
+        cls, path: str | Path, scale: float = 1.0, center: ArrayLike = (0, 0, 0), rotation: Any = None
+    ) -> Mesh:
+        """Read the mesh in a file (.stl, .obj, .ply, .dae).
+
+        Args:
+            path: the file.
+            scale: factor of its coordinates, such as 0.001 for a file in millimetres.
+            center: as in `Mesh`.
+            rotation: as in `Mesh`.
+
+        Raises:
+            FileError: missing, of another format, or without triangles.
+            InvalidValue: a value as described in `Mesh`.
+        """
+        factor = scale_factor(path, scale)
+        vertices, faces = read_mesh(Path(path))
+        mesh = cls(vertices * factor, faces=faces.astype(np.int32), path=Path(path), scale=factor)
+        return mesh.placed(center, rotation)
+
+    @classmethod
+    def from_dict(cls, described: Mapping[str, Any], folder: str = ".") -> Mesh:
+        """Make the mesh that `to_dict` described, or read one from a file; see `obstacle_from_dict`."""
+        known_keys("a mesh", described, ("vertices", "faces", "path", "scale", "center", "rotation"))
+        mesh: Mesh = from_points_or_path(cls, described, "vertices", folder)
+        return mesh
+
+    @property
+    def content(self) -> tuple[Array, NDArray[np.int32]]:
+        """The corners (n, 3) [m], in their own frame, and the triangles between them, (t, 3)."""
+        return self.vertices, self.faces
+
+    def _data(self) -> dict[str, Any]:
+        faces = {} if self.convex else {"faces": self.faces.tolist()}
+        return {"vertices": self.vertices.tolist(), **faces}
+
+    @cached_property
+    def closed(self) -> bool:
+        """Whether it encloses something."""
+        return is_closed(self.faces)
+
+
+def from_points_or_path(kind: Any, described: Mapping[str, Any], key: str, folder: str) -> Any:
+    """Make a surface of a description that has either its points, under a key, or the path of its file."""
+    values = dict(described)
+    if ("path" in values) == (key in values):
+        given = "both" if "path" in values else None
+        raise InvalidValue(f"path or {key}", given, "one of the two: a file, or points (n, 3) [m]")
+    if "path" in values:
+        path = values.pop("path")
+        if not isinstance(path, str):
+            raise InvalidValue("path", path, "the name of a file")
+        if "faces" in values:
+            raise InvalidValue("faces", values["faces"], "nothing: those of the file are taken")
+        return kind.load(Path(folder) / path, **values)
+    if "scale" in values:
+        raise InvalidValue("scale", values["scale"], f"nothing: {key} are in metres")
+    return kind(**values)
+
+
+def _finite_points(values: ArrayLike) -> Array:
+    allowed = "points (n, 3) [m] that span a volume"
+    try:
+        points = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InvalidValue("vertices", values, allowed) from None
+    if points.ndim != 2 or points.shape[1:] != (3,) or not np.all(np.isfinite(points)):
+        raise InvalidValue("vertices", values, allowed)
+    if points.size and np.abs(points).max() > LARGEST_LENGTH:
+        raise InvalidValue("vertices (largest)", float(np.abs(points).max()), f"at most {LARGEST_LENGTH:g} m")
+    return points
+
+
+def _hull_vertices(points: Array) -> Array:
+    """Return the corners of the convex hull of points, sorted."""
+    allowed = "points (n, 3) [m] that span a volume"
+    points, count = np.unique(points, axis=0), 0
+    # Corners that are almost in a face may be dropped one by one: repeat until none is.
+    while len(points) != count:
+        count = len(points)
+        try:
+            hull = ConvexHull(points)
+        except (QhullError, ValueError):
+            raise InvalidValue("vertices", f"{count} points", f"{allowed}; these are flat") from None
+        points = points[np.sort(hull.vertices)]
+    if hull.volume < SMALLEST_LENGTH**3:
+        raise InvalidValue("vertices (volume)", float(hull.volume), allowed)
+    return np.asarray(points)
+
+
+def _hull_faces(corners: Array) -> NDArray[np.intp]:
+    """Return the triangles of the hull of its corners, counterclockwise from outside, (t, 3)."""
+    hull = ConvexHull(corners)
+    faces = np.array(hull.simplices, dtype=np.intp)
+    a, b, c = (hull.points[faces[:, k]] for k in range(3))
+    inward = np.einsum("ti,ti->t", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
+    faces[inward] = faces[inward][:, ::-1]
+    return faces
+
+
+def _is_convex(vertices: Array, faces: NDArray[np.intp]) -> bool:
+    """Return whether a mesh is closed and fills its convex hull."""
+    if not is_closed(faces):
+        return False
+    try:
+        whole = float(ConvexHull(vertices).volume)
+    except (QhullError, ValueError):
+        return False
+    a, b, c = (vertices[faces[:, k]] - vertices[0] for k in range(3))
+    volume = abs(float(np.einsum("ti,ti->", np.cross(a, b), c))) / 6.0
+    return whole >= SMALLEST_LENGTH**3 and volume >= CONVEX * whole

@@ -1,0 +1,317 @@
+"""Trees of boxes around points and triangles, and the distance of a line from those in a part of a tree.
+
+A tree is complete: node 1 is the root, and node i has the children 2 i and 2 i + 1. Its n points or triangles
+are sorted so that node 2**level + k holds those from k n >> level up to (k + 1) n >> level. So a search needs
+no stack: bits tell at which nodes above the other child is still to be visited.
+
+The distance of a line from a triangle that it crosses is the negative length of the shorter translation along
+the normal of the triangle that separates them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pinposture.kernels.arrays import Array1, Array2, Array3, Ints1, Trees
+from pinposture.kernels.compiled import compiled, subkernel
+
+TINY = 1e-300
+
+PARALLEL = 1e-14
+"""Square of the sine of the angle below which lines count as parallel, and a triangle as a line."""
+
+ON_EDGE = 1e-12
+"""Distance beyond an edge at which a place still counts as inside, relative to the height of a triangle."""
+
+Nearest = tuple[float, float, float, float, float]
+"""Distance of a line, nearest place on it, from 0 to 1, and unit normal towards it: 0 where there is none."""
+
+
+@compiled
+def build_tree(corners: Array3, order: Ints1, boxes: Array3) -> None:
+    """Sort points or triangles into a tree, each node halved where it is longest.
+
+    Args:
+        corners: corners of the triangles, or the points, (n, 3 or 1, 3).
+        order: the numbers from 0 to n - 1, which are sorted, (n,).
+        boxes: filled with the lowest and the highest corner of the box around each node,
+            (2**levels, 2, 3), with at most n nodes in the last level; the first stays.
+    """
+    n = len(corners)
+    middles = np.zeros((n, 3))
+    for k in range(n):
+        for corner in range(corners.shape[1]):
+            for i in range(3):
+                middles[k, i] += corners[k, corner, i] / corners.shape[1]
+    level, first = 0, 1
+    for node in range(1, len(boxes)):
+        if node == 2 * first:
+            level, first = level + 1, node
+        begin, end = (node - first) * n >> level, (node - first + 1) * n >> level
+        low, high = boxes[node, 0], boxes[node, 1]
+        low[:], high[:] = np.inf, -np.inf
+        for at in range(begin, end):
+            for corner in range(corners.shape[1]):
+                for i in range(3):
+                    value = corners[order[at], corner, i]
+                    low[i], high[i] = min(low[i], value), max(high[i], value)
+        if 2 * node < len(boxes):
+            axis = int(np.argmax(high - low))
+            _split(order, middles, axis, begin, (2 * (node - first) + 1) * n >> (level + 1), end)
+
+
+@subkernel
+def _split(order: Ints1, middles: Array2, axis: int, begin: int, middle: int, end: int) -> None:
+    """Sort a part of the order so far that none after `middle` comes before one of those in front of it."""
+    end -= 1
+    while begin < end:
+        pivot = middles[order[(begin + end) // 2], axis]
+        left, right = begin, end
+        while left <= right:
+            while middles[order[left], axis] < pivot:
+                left += 1
+            while middles[order[right], axis] > pivot:
+                right -= 1
+            if left <= right:
+                order[left], order[right] = order[right], order[left]
+                left, right = left + 1, right - 1
+        if middle <= right:
+            end = right
+        elif middle >= left:
+            begin = left
+        else:
+            return
+
+
+@subkernel
+def nearest_in_tree(
+    ax: float,
+    ay: float,
+    az: float,
+    bx: float,
+    by: float,
+    bz: float,
+    trees: Trees,
+    obstacle: int,
+    below: float,
+) -> Nearest:
+    """Find what is nearest to a line from a to b in a piece of a tree, in the frame of the tree.
+
+    Of lines that cross triangles, the one that is deepest counts. The distance is infinite where it is not
+    smaller than `below`.
+    """
+    boxes, root, levels, items, count = _piece(trees, obstacle)
+    is_cloud = trees.pieces[obstacle, 5] == 1
+    ux, uy, uz = bx - ax, by - ay, bz - az
+    squares = ux * ux + uy * uy + uz * uz
+    line = (ax, ay, az, ux, uy, uz, squares)
+    best, place, nx, ny, nz = below, 0.0, 0.0, 0.0, 0.0
+    found = False
+    node, depth, top = root, 0, 0
+    while root >> (top + 1) > 0:
+        top += 1
+    pending = 0
+    while True:
+        if top + depth < levels - 1:
+            one = _box_bound(line, trees.boxes, boxes + 2 * node)
+            other = _box_bound(line, trees.boxes, boxes + 2 * node + 1)
+            if min(one, other) < best:
+                node = 2 * node + (1 if other < one else 0)
+                pending = 2 * pending + (1 if max(one, other) < best else 0)
+                depth += 1
+                continue
+        else:
+            level = top + depth
+            begin, end = (node - (1 << level)) * count >> level, (node - (1 << level) + 1) * count >> level
+            for at in range(items + begin, items + end):
+                if is_cloud:
+                    near = _point_contact(line, trees.points, at, best)
+                else:
+                    near = _triangle_contact(line, trees.triangles, at, best)
+                if near[0] < best:
+                    best, place, nx, ny, nz = near
+                    found = True
+        advanced = False
+        while pending > 0 and not advanced:
+            while pending & 1 == 0:
+                node, pending, depth = node >> 1, pending >> 1, depth - 1
+            node, pending = node ^ 1, pending ^ 1
+            advanced = _box_bound(line, trees.boxes, boxes + node) < best
+        if not advanced:
+            break
+    return best if found else np.inf, place, nx, ny, nz
+
+
+@subkernel
+def _piece(trees: Trees, obstacle: int) -> tuple[int, int, int, int, int]:
+    """Where the boxes of a piece's tree begin, its node, number of levels, first item and number of items."""
+    piece = trees.pieces[obstacle]
+    return piece[0], piece[1], piece[2], piece[3], piece[4]
+
+
+Line = tuple[float, float, float, float, float, float, float]
+"""Start of a line, the way to its end, and the square of its length."""
+
+
+@subkernel
+def _box_bound(line: Line, boxes: Array3, box: int) -> float:
+    """A lower bound of the distance of a line from what is in a box."""
+    ax, ay, az, ux, uy, uz, squares = line
+    low, high = boxes[box, 0], boxes[box, 1]
+    gx = max(low[0] - max(ax, ax + ux), min(ax, ax + ux) - high[0], 0.0)
+    gy = max(low[1] - max(ay, ay + uy), min(ay, ay + uy) - high[1], 0.0)
+    gz = max(low[2] - max(az, az + uz), min(az, az + uz) - high[2], 0.0)
+    hx, hy, hz = 0.5 * (high[0] - low[0]), 0.5 * (high[1] - low[1]), 0.5 * (high[2] - low[2])
+    # The middle of the box from the line, less half its diagonal: that tells where the line is slanted.
+    x, y, z = low[0] + hx - ax, low[1] + hy - ay, low[2] + hz - az
+    t = min(max((x * ux + y * uy + z * uz) / max(squares, TINY), 0.0), 1.0)
+    x, y, z = x - t * ux, y - t * uy, z - t * uz
+    across = np.sqrt(x * x + y * y + z * z) - np.sqrt(hx * hx + hy * hy + hz * hz)
+    bound = max(np.sqrt(gx * gx + gy * gy + gz * gz), across)
+    return bound if bound > 0.0 else -np.sqrt(squares)
+
+
+@subkernel
+def _point_contact(line: Line, points: Array2, at: int, below: float) -> Nearest:
+    ax, ay, az, ux, uy, uz, squares = line
+    x, y, z = ax - points[at, 0], ay - points[at, 1], az - points[at, 2]
+    t = min(max(-(x * ux + y * uy + z * uz) / max(squares, TINY), 0.0), 1.0)
+    x, y, z = x + t * ux, y + t * uy, z + t * uz
+    apart = x * x + y * y + z * z
+    if below <= 0.0 or apart >= below * below:
+        return np.inf, 0.0, 0.0, 0.0, 0.0
+    size = np.sqrt(apart)
+    if size <= TINY:
+        return 0.0, t, 0.0, 0.0, 0.0
+    return size, t, x / size, y / size, z / size
+
+
+@subkernel
+def _triangle_contact(line: Line, triangles: Array3, at: int, below: float) -> Nearest:
+    ax, ay, az, ux, uy, uz, _ = line
+    a, b, c = triangles[at, 0], triangles[at, 1], triangles[at, 2]
+    ex, ey, ez = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    fx, fy, fz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    nx, ny, nz = ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx
+    ee, ff, ef = ex * ex + ey * ey + ez * ez, fx * fx + fy * fy + fz * fz, ex * fx + ey * fy + ez * fz
+    area = nx * nx + ny * ny + nz * nz
+    x, y, z = ax - a[0], ay - a[1], az - a[2]
+    best, place, sx, sy, sz = below, 0.0, 0.0, 0.0, 0.0
+    found, flat = False, area <= PARALLEL * ee * ff
+    if not flat:
+        size = np.sqrt(area)
+        nx, ny, nz = nx / size, ny / size, nz / size
+        start, rise = nx * x + ny * y + nz * z, nx * ux + ny * uy + nz * uz
+        end = start + rise
+        if (start > 0.0) == (end > 0.0) and min(abs(start), abs(end)) >= below:
+            return np.inf, 0.0, 0.0, 0.0, 0.0
+        # A place of the line over the triangle: where it crosses the plane, or one of its ends.
+        crosses = rise != 0.0 and min(start, end) <= 0.0 <= max(start, end)
+        for number in range(3):
+            t = 0.0 if number == 0 else 1.0
+            height = start if number == 0 else end
+            if number == 2:
+                if not crosses:
+                    continue
+                t = min(max(-start / rise, 0.0), 1.0)
+            px, py, pz = x + t * ux, y + t * uy, z + t * uz
+            pe, pf = px * ex + py * ey + pz * ez, px * fx + py * fy + pz * fz
+            v, w = ff * pe - ef * pf, ee * pf - ef * pe
+            if min(v, w) < -ON_EDGE * area or v + w > (1.0 + ON_EDGE) * area:
+                continue
+            if number == 2:
+                # Up, until its lower end is in the plane, or down.
+                up, down = -min(start, end), max(start, end)
+                sign = 1.0 if up <= down else -1.0
+                deepest = start < end if sign > 0.0 else start > end
+                return -min(up, down), 0.0 if deepest else 1.0, sign * nx, sign * ny, sign * nz
+            if abs(height) < best:
+                sign = 1.0 if height >= 0.0 else -1.0
+                best, place, sx, sy, sz = abs(height), t, sign * nx, sign * ny, sign * nz
+                found = True
+    for edge in range(3):
+        if edge == 0:
+            t, gx, gy, gz = way_to_segment(x, y, z, ux, uy, uz, ex, ey, ez)
+        elif edge == 1:
+            t, gx, gy, gz = way_to_segment(x, y, z, ux, uy, uz, fx, fy, fz)
+        else:
+            t, gx, gy, gz = way_to_segment(x - ex, y - ey, z - ez, ux, uy, uz, fx - ex, fy - ey, fz - ez)
+        apart = gx * gx + gy * gy + gz * gz
+        if best > 0.0 and apart < best * best:
+            best, place, found = np.sqrt(apart), t, True
+            if best > TINY:
+                sx, sy, sz = gx / best, gy / best, gz / best
+            elif flat:
+                sx, sy, sz = 0.0, 0.0, 0.0
+            else:
+                sx, sy, sz = nx, ny, nz
+    return best if found else np.inf, place, sx, sy, sz
+
+
+@subkernel
+def way_to_segment(
+    rx: float, ry: float, rz: float, ux: float, uy: float, uz: float, vx: float, vy: float, vz: float
+) -> tuple[float, float, float, float]:
+    """The place on a line, from 0 to 1, that is nearest to another line, and the way from that to it.
+
+    The first begins at r from the start of the other, and u leads to its end; v to the end of the other.
+    """
+    uu, vv, uv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, ux * vx + uy * vy + uz * vz
+    ur, vr = ux * rx + uy * ry + uz * rz, vx * rx + vy * ry + vz * rz
+    across = uu * vv - uv * uv
+    # On the line without ends, then on the other within its ends, then on the first again within its own.
+    # That is exact: the admissible pairs of places form a rectangle, and the distance is convex on it.
+    s = 0.0
+    if across > PARALLEL * uu * vv:
+        s = min(max((uv * vr - vv * ur) / across, 0.0), 1.0)
+    t = min(max((uv * s + vr) / max(vv, TINY), 0.0), 1.0)
+    s = min(max((uv * t - ur) / max(uu, TINY), 0.0), 1.0)
+    return s, rx + s * ux - t * vx, ry + s * uy - t * vy, rz + s * uz - t * vz
+
+
+@subkernel
+def is_inside(x: float, y: float, z: float, trees: Trees, obstacle: int) -> bool:
+    """Whether a point is inside a closed surface: whether an odd number of triangles is above it along z."""
+    boxes, _, levels, items, count = _piece(trees, obstacle)
+    inside, node, level, pending = False, 1, 0, 1
+    while pending > 0:
+        low, high = trees.boxes[boxes + node, 0], trees.boxes[boxes + node, 1]
+        if low[0] <= x <= high[0] and low[1] <= y <= high[1] and z <= high[2]:
+            if level < levels - 1:
+                node, level, pending = 2 * node, level + 1, 2 * pending + 1
+                continue
+            begin, end = (node - (1 << level)) * count >> level, (node - (1 << level) + 1) * count >> level
+            for at in range(items + begin, items + end):
+                inside ^= _is_below(x, y, z, trees.triangles[at])
+        # Bits of `pending`: the other child is to be visited, below a highest one for the root.
+        while pending & 1 == 0:
+            node, level, pending = node >> 1, level - 1, pending >> 1
+        node, pending = node ^ 1, pending ^ 1
+    return inside
+
+
+@subkernel
+def _is_below(x: float, y: float, z: float, corners: Array2) -> bool:
+    """Whether a triangle is above a point, for each point above one of triangles that share an edge."""
+    a, b, c = corners[0], corners[1], corners[2]
+    left = _is_left(a, b, x, y)
+    if _is_left(b, c, x, y) != left or _is_left(c, a, x, y) != left:
+        return False
+    ex, ey, ez = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    fx, fy, fz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    area = ex * fy - ey * fx
+    if area == 0.0:
+        return False
+    u, v = ((x - a[0]) * fy - (y - a[1]) * fx) / area, (ex * (y - a[1]) - ey * (x - a[0])) / area
+    return a[2] + u * ez + v * fz > z
+
+
+@subkernel
+def _is_left(start: Array1, end: Array1, x: float, y: float) -> bool:
+    """Whether a point is left of a line seen from above; the same for a line and the opposite one.
+
+    What is on a line counts as left of the direction in which x, or else y, grows.
+    """
+    if start[0] < end[0] or (start[0] == end[0] and start[1] < end[1]):
+        return (end[0] - start[0]) * (y - start[1]) >= (end[1] - start[1]) * (x - start[0])
+    return (start[0] - end[0]) * (y - end[1]) < (start[1] - end[1]) * (x - end[0])
