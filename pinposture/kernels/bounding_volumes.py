@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from pinposture.kernels.arrays import Array1, Array2, Array3, Ints1, Trees
-from pinposture.kernels.compiled import compiled, subkernel
+from pinposture.kernels.compiled import compiled, inlined, subkernel
 
 TINY = 1e-300
 
@@ -113,8 +113,8 @@ def nearest_in_tree(
     pending = 0
     while True:
         if top + depth < levels - 1:
-            one = _box_bound(line, trees.boxes, boxes + 2 * node)
-            other = _box_bound(line, trees.boxes, boxes + 2 * node + 1)
+            one = _box_bound(line, trees.boxes, boxes + 2 * node, best)
+            other = _box_bound(line, trees.boxes, boxes + 2 * node + 1, best)
             if min(one, other) < best:
                 node = 2 * node + (1 if other < one else 0)
                 pending = 2 * pending + (1 if max(one, other) < best else 0)
@@ -136,13 +136,13 @@ def nearest_in_tree(
             while pending & 1 == 0:
                 node, pending, depth = node >> 1, pending >> 1, depth - 1
             node, pending = node ^ 1, pending ^ 1
-            advanced = _box_bound(line, trees.boxes, boxes + node) < best
+            advanced = _box_bound(line, trees.boxes, boxes + node, best) < best
         if not advanced:
             break
     return best if found else np.inf, place, nx, ny, nz
 
 
-@subkernel
+@inlined
 def _piece(trees: Trees, obstacle: int) -> tuple[int, int, int, int, int]:
     """Where the boxes of a piece's tree begin, its node, number of levels, first item and number of items."""
     piece = trees.pieces[obstacle]
@@ -153,25 +153,30 @@ Line = tuple[float, float, float, float, float, float, float]
 """Start of a line, the way to its end, and the square of its length."""
 
 
-@subkernel
-def _box_bound(line: Line, boxes: Array3, box: int) -> float:
-    """A lower bound of the distance of a line from what is in a box."""
+@inlined
+def _box_bound(line: Line, boxes: Array3, box: int, below: float) -> float:
+    """A lower bound of the distance of a line from what is in a box; `below` if that is smaller."""
     ax, ay, az, ux, uy, uz, squares = line
-    low, high = boxes[box, 0], boxes[box, 1]
-    gx = max(low[0] - max(ax, ax + ux), min(ax, ax + ux) - high[0], 0.0)
-    gy = max(low[1] - max(ay, ay + uy), min(ay, ay + uy) - high[1], 0.0)
-    gz = max(low[2] - max(az, az + uz), min(az, az + uz) - high[2], 0.0)
-    hx, hy, hz = 0.5 * (high[0] - low[0]), 0.5 * (high[1] - low[1]), 0.5 * (high[2] - low[2])
+    # Numbers are read one by one: a slice of an array takes as long as all of the rest.
+    low_x, low_y, low_z = boxes[box, 0, 0], boxes[box, 0, 1], boxes[box, 0, 2]
+    high_x, high_y, high_z = boxes[box, 1, 0], boxes[box, 1, 1], boxes[box, 1, 2]
+    gx = max(low_x - max(ax, ax + ux), min(ax, ax + ux) - high_x, 0.0)
+    gy = max(low_y - max(ay, ay + uy), min(ay, ay + uy) - high_y, 0.0)
+    gz = max(low_z - max(az, az + uz), min(az, az + uz) - high_z, 0.0)
+    gap = gx * gx + gy * gy + gz * gz
+    if below > 0.0 and gap >= below * below:
+        return below
+    hx, hy, hz = 0.5 * (high_x - low_x), 0.5 * (high_y - low_y), 0.5 * (high_z - low_z)
     # The middle of the box from the line, less half its diagonal: that tells where the line is slanted.
-    x, y, z = low[0] + hx - ax, low[1] + hy - ay, low[2] + hz - az
+    x, y, z = low_x + hx - ax, low_y + hy - ay, low_z + hz - az
     t = min(max((x * ux + y * uy + z * uz) / max(squares, TINY), 0.0), 1.0)
     x, y, z = x - t * ux, y - t * uy, z - t * uz
     across = np.sqrt(x * x + y * y + z * z) - np.sqrt(hx * hx + hy * hy + hz * hz)
-    bound = max(np.sqrt(gx * gx + gy * gy + gz * gz), across)
+    bound = max(np.sqrt(gap), across)
     return bound if bound > 0.0 else -np.sqrt(squares)
 
 
-@subkernel
+@inlined
 def _point_contact(line: Line, points: Array2, at: int, below: float) -> Nearest:
     ax, ay, az, ux, uy, uz, squares = line
     x, y, z = ax - points[at, 0], ay - points[at, 1], az - points[at, 2]
@@ -186,16 +191,16 @@ def _point_contact(line: Line, points: Array2, at: int, below: float) -> Nearest
     return size, t, x / size, y / size, z / size
 
 
-@subkernel
+@inlined
 def _triangle_contact(line: Line, triangles: Array3, at: int, below: float) -> Nearest:
     ax, ay, az, ux, uy, uz, _ = line
-    a, b, c = triangles[at, 0], triangles[at, 1], triangles[at, 2]
-    ex, ey, ez = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    fx, fy, fz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    px, py, pz = triangles[at, 0, 0], triangles[at, 0, 1], triangles[at, 0, 2]
+    ex, ey, ez = triangles[at, 1, 0] - px, triangles[at, 1, 1] - py, triangles[at, 1, 2] - pz
+    fx, fy, fz = triangles[at, 2, 0] - px, triangles[at, 2, 1] - py, triangles[at, 2, 2] - pz
+    x, y, z = ax - px, ay - py, az - pz
     nx, ny, nz = ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx
     ee, ff, ef = ex * ex + ey * ey + ez * ez, fx * fx + fy * fy + fz * fz, ex * fx + ey * fy + ez * fz
     area = nx * nx + ny * ny + nz * nz
-    x, y, z = ax - a[0], ay - a[1], az - a[2]
     best, place, sx, sy, sz = below, 0.0, 0.0, 0.0, 0.0
     found, flat = False, area <= PARALLEL * ee * ff
     if not flat:
@@ -248,7 +253,7 @@ def _triangle_contact(line: Line, triangles: Array3, at: int, below: float) -> N
     return best if found else np.inf, place, sx, sy, sz
 
 
-@subkernel
+@inlined
 def way_to_segment(
     rx: float, ry: float, rz: float, ux: float, uy: float, uz: float, vx: float, vy: float, vz: float
 ) -> tuple[float, float, float, float]:

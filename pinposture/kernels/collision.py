@@ -33,7 +33,7 @@ from pinposture.kernels.arrays import (
     Pairs,
 )
 from pinposture.kernels.bounding_volumes import TINY, is_inside, nearest_in_tree, way_to_segment
-from pinposture.kernels.compiled import compiled, subkernel
+from pinposture.kernels.compiled import compiled, inlined, subkernel
 
 FLAT = 1e-13
 """Slope that counts as none, relative to the numbers that it is computed from."""
@@ -189,7 +189,7 @@ def differentiate_distances(
 # One pair: distance of the surfaces, place on the axis of the first solid, normal from the second.
 
 
-@subkernel
+@inlined
 def pair_contact(ends: Array3, pairs: Pairs, pair: int, below: float) -> Contact:
     """Distance, point of the first axis and normal of a pair; the normal is 0 where there is none.
 
@@ -363,7 +363,7 @@ def _leave_box(
     return deepest, place
 
 
-@subkernel
+@inlined
 def _tree_contact(line: Array2, pairs: Pairs, obstacle: int, inside: bool, below: float) -> Contact:
     """Contact of a line with a piece of a tree, or with a closed surface that it is inside of."""
     frame, center, trees = pairs.frames[obstacle], pairs.centers[obstacle], pairs.trees
@@ -500,14 +500,17 @@ def _bound_blocks(ends: Array3, pairs: Pairs, blocks: Array2) -> None:
         blocks[block, 3] = radius
 
 
-@subkernel
+@inlined
 def _point_distance(pairs: Pairs, obstacle: int, x: float, y: float, z: float) -> float:
     """A lower bound of the distance of a point; less its radius, one for a ball around the point."""
-    kind, frame, center = pairs.shapes[obstacle], pairs.frames[obstacle], pairs.centers[obstacle]
+    # Numbers are read one by one here and below: a slice of an array takes as long as all of the rest.
+    kind = pairs.shapes[obstacle]
     if kind == SEGMENT:
-        line = pairs.lines[obstacle]
-        ux, uy, uz = line[1, 0] - line[0, 0], line[1, 1] - line[0, 1], line[1, 2] - line[0, 2]
-        gx, gy, gz = x - line[0, 0], y - line[0, 1], z - line[0, 2]
+        lines = pairs.lines
+        ux = lines[obstacle, 1, 0] - lines[obstacle, 0, 0]
+        uy = lines[obstacle, 1, 1] - lines[obstacle, 0, 1]
+        uz = lines[obstacle, 1, 2] - lines[obstacle, 0, 2]
+        gx, gy, gz = x - lines[obstacle, 0, 0], y - lines[obstacle, 0, 1], z - lines[obstacle, 0, 2]
         t = (gx * ux + gy * uy + gz * uz) / max(ux * ux + uy * uy + uz * uz, TINY)
         t = min(max(t, 0.0), 1.0)
         gx, gy, gz = gx - t * ux, gy - t * uy, gz - t * uz
@@ -515,54 +518,49 @@ def _point_distance(pairs: Pairs, obstacle: int, x: float, y: float, z: float) -
             np.sqrt(gx * gx + gy * gy + gz * gz)
             - pairs.radii[len(pairs.radii) - len(pairs.shapes) + obstacle]
         )
-    x, y, z = x - center[0], y - center[1], z - center[2]
+    frames, centers = pairs.frames, pairs.centers
+    x, y, z = x - centers[obstacle, 0], y - centers[obstacle, 1], z - centers[obstacle, 2]
     if kind == PLANE:
-        return frame[0, 2] * x + frame[1, 2] * y + frame[2, 2] * z
+        return frames[obstacle, 0, 2] * x + frames[obstacle, 1, 2] * y + frames[obstacle, 2, 2] * z
     squares, inside = 0.0, -np.inf
     for axis in range(3):
-        beyond = (
-            abs(frame[0, axis] * x + frame[1, axis] * y + frame[2, axis] * z) - pairs.halves[obstacle, axis]
-        )
+        along = frames[obstacle, 0, axis] * x + frames[obstacle, 1, axis] * y + frames[obstacle, 2, axis] * z
+        beyond = abs(along) - pairs.halves[obstacle, axis]
         inside = max(inside, beyond)
         squares += max(beyond, 0.0) ** 2
     return np.sqrt(squares) if inside > 0.0 else inside
 
 
-@subkernel
+@inlined
 def _group_bound(blocks: Array2, pairs: Pairs, group: int) -> float:
     """A lower bound of the distances in a group."""
-    block, other = blocks[pairs.groups[group, 0]], pairs.groups[group, 1] - len(blocks)
+    block, other = pairs.groups[group, 0], pairs.groups[group, 1] - len(blocks)
+    x, y, z = blocks[block, 0], blocks[block, 1], blocks[block, 2]
     if other >= 0:
-        return _point_distance(pairs, other, block[0], block[1], block[2]) - block[3]
-    sphere, squares = blocks[other + len(blocks)], 0.0
-    for i in range(3):
-        squares += (block[i] - sphere[i]) ** 2
-    return np.sqrt(squares) - block[3] - sphere[3]
+        return _point_distance(pairs, other, x, y, z) - blocks[block, 3]
+    other += len(blocks)
+    x, y, z = x - blocks[other, 0], y - blocks[other, 1], z - blocks[other, 2]
+    return np.sqrt(x * x + y * y + z * z) - blocks[block, 3] - blocks[other, 3]
 
 
-@subkernel
+@inlined
+def _body_sphere(ends: Array3, radii: Array1, body: int) -> tuple[float, float, float, float]:
+    """Middle and radius of a sphere around the capsule of a body."""
+    ux, uy = 0.5 * (ends[body, 1, 0] - ends[body, 0, 0]), 0.5 * (ends[body, 1, 1] - ends[body, 0, 1])
+    uz = 0.5 * (ends[body, 1, 2] - ends[body, 0, 2])
+    reach = np.sqrt(ux * ux + uy * uy + uz * uz) + radii[body]
+    return ends[body, 0, 0] + ux, ends[body, 0, 1] + uy, ends[body, 0, 2] + uz, reach
+
+
+@inlined
 def _pair_bound(ends: Array3, pairs: Pairs, pair: int) -> float:
     """A lower bound of a distance, by spheres around bodies."""
-    body, other = pairs.first[pair], pairs.second[pair] - len(ends)
-    line = ends[body]
-    x, y, z = (
-        0.5 * (line[0, 0] + line[1, 0]),
-        0.5 * (line[0, 1] + line[1, 1]),
-        0.5 * (line[0, 2] + line[1, 2]),
-    )
-    squares = (x - line[0, 0]) ** 2 + (y - line[0, 1]) ** 2 + (z - line[0, 2]) ** 2
-    reach = np.sqrt(squares) + pairs.radii[body]
+    other = pairs.second[pair] - len(ends)
+    x, y, z, reach = _body_sphere(ends, pairs.radii, pairs.first[pair])
     if other >= 0:
         return _point_distance(pairs, other, x, y, z) - reach
-    second = ends[other + len(ends)]
-    gx, gy, gz = (
-        0.5 * (second[0, 0] + second[1, 0]),
-        0.5 * (second[0, 1] + second[1, 1]),
-        0.5 * (second[0, 2] + second[1, 2]),
-    )
-    squares = (gx - second[0, 0]) ** 2 + (gy - second[0, 1]) ** 2 + (gz - second[0, 2]) ** 2
-    apart = np.sqrt((gx - x) ** 2 + (gy - y) ** 2 + (gz - z) ** 2)
-    return apart - reach - np.sqrt(squares) - pairs.radii[other + len(ends)]
+    gx, gy, gz, further = _body_sphere(ends, pairs.radii, other + len(ends))
+    return np.sqrt((gx - x) ** 2 + (gy - y) ** 2 + (gz - z) ** 2) - reach - further
 
 
 @compiled

@@ -59,6 +59,11 @@ def subkernel(function: Function) -> Function:
     return _compile(function, {"no_cpython_wrapper": True})
 
 
+def inlined(function: Function) -> Function:
+    """Compile a short function into the kernels that call it: to pass many arrays would take longer."""
+    return _compile(function, {"no_cpython_wrapper": True, "forceinline": True})
+
+
 def _compile(function: Function, options: dict[str, Any]) -> Function:
     kernel: Any = numba.njit(**OPTIONS, **options)(function)
     try:
