@@ -114,6 +114,7 @@ def measure(arm: pp.Arm, scene: pp.Scene, start: np.ndarray, goal: np.ndarray) -
 
 
 def main() -> None:
+    """Measure, and print a table."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -140,6 +140,12 @@ def _world_axes(
     return np.einsum("nij,nj->ni", rotations, axes), revolute
 
 
+def without_repeats(line: Array, tolerance: float = 1e-9) -> Array:
+    """Return the points of a line (n, 3) that are farther than a tolerance from the one before [m]."""
+    legs = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    return np.asarray(line[np.concatenate([[True], legs > tolerance])])
+
+
 def _polyline_length(stations: Array) -> float:
     return float(np.linalg.norm(np.diff(stations, axis=0), axis=1).sum())
 

@@ -13,6 +13,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
+from pinposture.arm.chain import neutral_placements, without_repeats
 from pinposture.arm.urdf_reader import parse_xml
 from pinposture.collision.mesh_files import find_mesh, read_mesh
 from pinposture.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere
@@ -214,10 +215,7 @@ def _stand_ins(arm: Arm, radius: float) -> Mapping[int, tuple[Body, ...]]:
 
     The capsule of a sliding joint reaches back as far as the joint can slide out, so that no gap opens.
     """
-    model, chain = arm.model, arm.chain
-    frames = [pin.SE3.Identity()]  # of the joints at the neutral configuration
-    for joint in range(1, model.njoints):
-        frames.append(frames[model.parents[joint]] * model.jointPlacements[joint])
+    model, chain, frames = arm.model, arm.chain, neutral_placements(arm.model)
     ends = {joints.stop - 1: k for k, joints in enumerate(chain.module_slices)}
     capsules: dict[int, tuple[Body, ...]] = {}
     for u, origin in enumerate(chain.origins):
@@ -231,17 +229,8 @@ def _stand_ins(arm: Arm, radius: float) -> Mapping[int, tuple[Body, ...]]:
             nodes.append(chain.origins[u + 1])
         name, joint = chain.joints[u], model.getJointId(chain.joints[u])
         to_joint = frames[joint].inverse()
-        local = [to_joint.act(node) for node in _distinct(nodes, 1e-6 * arm.length)]
+        local = [to_joint.act(node) for node in without_repeats(np.array(nodes), 1e-6 * arm.length)]
         capsules[joint] = tuple(
             Body(name, joint, Capsule(tuple(a), tuple(b), radius)) for a, b in pairwise(local)
         )
     return capsules
-
-
-def _distinct(nodes: list[Array], min_distance: float) -> list[Array]:
-    """Return the nodes without those that repeat the one before."""
-    kept = [nodes[0]]
-    for node in nodes[1:]:
-        if np.linalg.norm(node - kept[-1]) > min_distance:
-            kept.append(node)
-    return kept

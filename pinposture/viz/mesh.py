@@ -38,12 +38,6 @@ def merge(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
     return TriangleMesh(np.vstack([mesh.vertices for mesh in meshes]), np.vstack(faces))
 
 
-def without_repeats(line: Array, tolerance: float = 1e-9) -> Array:
-    """Return the points of a line (n, 3) that are farther than a tolerance from the one before [m]."""
-    legs = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    return np.asarray(line[np.concatenate([[True], legs > tolerance])])
-
-
 @cache
 def _unit_ball(subdivisions: int) -> TriangleMesh:
     from trimesh.creation import icosphere  # imported here, because most figures need none

@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm, ControlPoints
+from pinposture.arm.chain import without_repeats
 from pinposture.arm.manipulability import chosen_points
 from pinposture.collision import Scene
 from pinposture.errors import InvalidValue, UnknownName, ViewerError
@@ -41,7 +42,7 @@ from pinposture.viz.ellipsoids import (
     ellipsoid_tracks,
     round_down,
 )
-from pinposture.viz.mesh import TriangleMesh, ball, merge, tube, without_repeats
+from pinposture.viz.mesh import TriangleMesh, ball, merge, tube
 
 logger = logging.getLogger(__name__)
 

@@ -170,7 +170,7 @@ def test_numbers_that_are_none_warn_once_and_the_body_keeps_its_stand_in(robot, 
 
 def test_collada_without_its_reader_says_what_to_install(tmp_path, monkeypatch):
     (tmp_path / "a.dae").write_text("<COLLADA/>")
-    monkeypatch.setattr("pinposture.collision.obstacles.find_spec", lambda name: None)
+    monkeypatch.setattr("pinposture.collision.mesh_files.find_spec", lambda name: None)
     with pytest.raises(FileError, match="pycollada"):
         read_mesh(tmp_path / "a.dae")
 
