@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from pinposture.collision import Box, HalfSpace, Mesh, Scene, Sphere
+from pinposture.collision import Box, HalfSpace, Mesh, Scan, Scene, Sphere
 from pinposture.errors import FileError
 
 TOML = """
@@ -33,6 +33,13 @@ path = "parts/part.stl"
 scale = 0.001
 center = [1, 2, 3]
 rotation = [0, 0, 1.5]
+
+[obstacles.machine]
+type = "scan"
+path = "parts/cloud.xyz"
+scale = 0.01
+center = [0, 0, 1]
+point_radius = 0.002
 """
 
 
@@ -42,6 +49,7 @@ def folder(tmp_path):
 
     (tmp_path / "parts").mkdir()
     trimesh.creation.box((100, 200, 300)).export(tmp_path / "parts" / "part.stl")
+    np.savetxt(tmp_path / "parts" / "cloud.xyz", np.arange(12).reshape(4, 3))
     return tmp_path
 
 
@@ -50,11 +58,17 @@ def test_a_toml_file_and_the_json_file_of_the_same_scene(folder, monkeypatch):
     monkeypatch.chdir("/")
     scene = Scene.load(folder / "scene.toml")
     assert (scene.margin, scene.self_collision, scene.arm_radius) == (0.01, True, 0.012)
-    assert list(scene.obstacles) == ["post", "a wall", "part"]
+    assert list(scene.obstacles) == ["post", "a wall", "part", "machine"]
     assert scene.obstacles["a wall"] == HalfSpace((0, 0.5, 0), (0, -1, 0))
     part = scene.obstacles["part"]
     np.testing.assert_allclose(np.ptp(part.vertices, axis=0), (0.1, 0.2, 0.3), rtol=1e-6)
+    points = np.arange(12).reshape(4, 3) / 100
+    assert scene.obstacles["machine"] == Scan(points, center=(0, 0, 1), point_radius=0.002)
     saved = scene.save(folder / "new" / "scene.json")
+    said = json.loads(saved.read_text())["obstacles"]
+    assert said["part"]["path"] == "../parts/part.stl" and said["machine"]["path"] == "../parts/cloud.xyz"
+    assert "points" in scene.to_dict()["obstacles"]["machine"]  # what is kept elsewhere needs no file
+    assert Scene.from_dict(json.loads(json.dumps(scene.to_dict()))) == scene
     assert Scene.load(saved) == scene == Scene.load(str(saved))
     assert [path.name for path in saved.parent.iterdir()] == ["scene.json"]
 
@@ -100,6 +114,8 @@ def test_a_scene_without_stand_in_radius_survives_too(tmp_path):
             "obstacle 'post': key of a sphere is 'radus'; allowed: center, radius (did you mean 'radius'?)",
         ),
         ("[obstacles.m]\ntype = 'mesh'\npath = 'no.stl'", "no.stl: no such file; the mesh of obstacle 'm'"),
+        ("[obstacles.m]\ntype = 'scan'\npath = 'no.ply'", "no.ply: no such file; the scan of obstacle 'm'"),
+        ("[obstacles.m]\ntype = 'scan'\npath = 'a.toml'", "the name ends in '.toml'; allowed: .ply"),
         ("[obstacles.m]\ntype = 'mesh'\npath = 'a.toml'", "is of an unknown format; allowed: .stl"),
         ("[obstacles.m]\ntype = 'mesh'\npath = 'bad.stl'", "bad.stl: "),
     ],

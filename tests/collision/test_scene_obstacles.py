@@ -13,7 +13,17 @@ from hypothesis import strategies as st
 from sampling import examples
 
 import pinposture as pp
-from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Mesh, Scene, Sphere, obstacle_from_dict
+from pinposture.collision import (
+    Box,
+    Capsule,
+    Cylinder,
+    HalfSpace,
+    Mesh,
+    Scan,
+    Scene,
+    Sphere,
+    obstacle_from_dict,
+)
 from pinposture.errors import InvalidValue, PostureError, UnknownName
 
 TETRA = ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1))
@@ -24,6 +34,11 @@ KINDS = {
     "box": Box((0, 0, 1), (1, 2, 3), (0.1, 0.2, 0.3)),
     "half_space": HalfSpace((0, 0, -1), (0, 1, 2)),
     "mesh": Mesh(TETRA, (1, 2, 3), (0.1, 0.2, 0.3)),
+    "scan": Scan(TETRA, center=(1, 2, 3), rotation=(0.1, 0.2, 0.3), point_radius=0.1),
+}
+OPEN = {  # surfaces that are not their hulls
+    "mesh": Mesh(TETRA, faces=[(0, 1, 2), (0, 2, 3)]),
+    "scan": Scan(TETRA, [(0, 1, 2), (0, 2, 3)]),
 }
 
 
@@ -34,6 +49,16 @@ def test_an_obstacle_survives_being_written_down(name):
     assert obstacle_from_dict(described) == KINDS[name]
     assert hash(obstacle_from_dict(described)) == hash(KINDS[name])
     assert pickle.loads(pickle.dumps(KINDS[name])) == KINDS[name]
+
+
+@pytest.mark.parametrize("name", OPEN)
+def test_a_surface_survives_with_its_triangles(name):
+    surface = OPEN[name]
+    again = obstacle_from_dict(json.loads(json.dumps(surface.to_dict())))
+    assert again == surface and hash(again) == hash(surface) and again != KINDS[name]
+    assert len(again.faces) == 2
+    assert surface != surface.placed((0, 0, 1)) and surface == surface.placed((0, 0, 1)).placed((0, 0, 0))
+    assert surface != {"mesh": Mesh, "scan": Scan}[name](TETRA, faces=[(0, 1, 2), (0, 3, 2)])
 
 
 @pytest.mark.parametrize(
@@ -86,6 +111,19 @@ def test_an_obstacle_survives_being_written_down(name):
         (lambda: obstacle_from_dict({"type": "mesh", "vertices": TETRA, "path": "a"}), "is 'both'"),
         (lambda: obstacle_from_dict({"type": "mesh", "vertices": TETRA, "scale": 2}), "scale is 2"),
         (lambda: obstacle_from_dict({"type": "mesh", "verts": TETRA}), "did you mean 'vertices'"),
+        (lambda: Mesh(TETRA, faces=[(0, 1, 4)]), "faces is 4; allowed: numbers of points, 0 to 3"),
+        (lambda: Mesh(TETRA, faces=[(0.0, 1.0, 2.0)]), "faces is"),
+        (
+            lambda: obstacle_from_dict({"type": "mesh", "path": "a.stl", "faces": [(0, 1, 2)]}),
+            "allowed: nothing: those of the file are taken",
+        ),
+        (lambda: obstacle_from_dict({"type": "scan"}), "path or points is None; allowed: one of the two"),
+        (lambda: obstacle_from_dict({"type": "scan", "points": TETRA, "scale": 2}), "scale is 2"),
+        (lambda: obstacle_from_dict({"type": "scan", "point": TETRA}), "did you mean 'points'"),
+        (lambda: Scan(TETRA, point_radius=-1), "point_radius is -1"),
+        (lambda: Scan(TETRA, [(0, 1, 2)], point_radius=0.1), "point_radius is 0.1; allowed: 0 for a surface"),
+        (lambda: Scan(TETRA, center=(0, 0)), "center is (0, 0)"),
+        (lambda: Scan(TETRA, rotation=(1, 2)), "rotation is (1, 2)"),
     ],
 )
 def test_what_makes_no_obstacle_is_refused_by_name(make, words):

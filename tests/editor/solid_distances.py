@@ -22,6 +22,9 @@ def signed_distance(obstacle: Obstacle, points: np.ndarray) -> np.ndarray:
         planes = ConvexHull(np.array(obstacle.vertices)).equations
         local = (points - obstacle.center) @ np.array(obstacle.rotation)
         return (local @ planes[:, :3].T + planes[:, 3]).max(axis=1)
+    if isinstance(obstacle, pp.Scan):
+        there = obstacle.points @ np.array(obstacle.rotation).T + obstacle.center
+        return np.linalg.norm(points[:, None] - there, axis=2).min(axis=1)
     start, way = np.array(obstacle.start), np.subtract(obstacle.end, obstacle.start)
     length = np.linalg.norm(way)
     along = (points - start) @ way / length

@@ -37,13 +37,16 @@ turns = st.integers(0, 2**32 - 1).map(lambda seed: Rotation.random(random_state=
 @st.composite
 def obstacles(draw: st.DrawFn) -> Obstacle:
     center, turn = np.array(draw(vectors)), draw(turns)
-    kind = draw(st.sampled_from(["sphere", "box", "cylinder", "capsule", "half_space", "mesh"]))
+    kind = draw(st.sampled_from(["sphere", "box", "cylinder", "capsule", "half_space", "mesh", "scan"]))
     if kind == "sphere":
         return pp.Sphere(center, draw(sizes))
     if kind == "box":
         return pp.Box(center, (draw(sizes), draw(sizes), draw(sizes)), turn)
     if kind == "half_space":
         return pp.HalfSpace(center, turn[:, 2])
+    if kind == "scan":
+        points = np.random.default_rng(draw(st.integers(0, 9))).uniform(-1, 1, (20, 3)) * draw(sizes) + 0.3
+        return pp.Scan(points, None, center=center, rotation=turn)
     if kind == "mesh":
         corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0.9, 0.9, 0.9]]) * draw(sizes) + 0.3
         return pp.Mesh(corners, center, turn)

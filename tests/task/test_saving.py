@@ -240,7 +240,9 @@ def test_scenes_by_file_and_by_obstacle(tmp_path: Path) -> None:
     rock += 'rotation = ["90 deg", 0, 0]\nscale = 2\n\n'
     (tmp_path / "rock.toml").write_text(VALID.replace("[[keyframes]]", rock + "[[keyframes]]", 1))
     task = pp.Task.load(tmp_path / "rock.toml")
-    boxed = {**task.scene.obstacles, "a box": pp.Box((1, 1, 1), (0.1, 0.1, 0.1))}
+    np.savetxt(tmp_path / "parts" / "cloud.xyz", np.arange(12).reshape(4, 3))
+    cloud = pp.Scan.load(tmp_path / "parts" / "cloud.xyz", 0.5, point_radius=0.01)
+    boxed = {**task.scene.obstacles, "a box": pp.Box((1, 1, 1), (0.1, 0.1, 0.1)), "cloud": cloud}
     edited = task.edited(scene=pp.Scene(boxed, self_collision=True), layout=None)
     said = written(edited, tmp_path / "other" / "task.toml")["scene"]
     assert said["self_collision"] is True
@@ -254,7 +256,9 @@ def test_scenes_by_file_and_by_obstacle(tmp_path: Path) -> None:
             "scale": 2,
         },
         "a box": {"type": "box", "center": [1, 1, 1], "size": [0.1, 0.1, 0.1]},
+        "cloud": {"type": "scan", "path": "../parts/cloud.xyz", "scale": 0.5, "point_radius": 0.01},
     }
+    assert pp.Task.load(tmp_path / "other" / "task.toml").scene == edited.scene
     begin, end = VALID.index("[scene]"), VALID.index("[[keyframes]]")
     (tmp_path / "file.toml").write_text(f'{VALID[:begin]}[scene]\nfile = "parts/scene.toml"\n{VALID[end:]}')
     task = pp.Task.load(tmp_path / "file.toml")

@@ -18,13 +18,14 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from sampling import examples
 from viz.commands import server_commands
-from viz.obstacle_scenes import SOLIDS
+from viz.obstacle_scenes import QUARTER, SOLIDS
 
 import pinposture as pp
 from pinposture.viz import palette, plot_postures
 from pinposture.viz.drawing import shown_obstacles
 from pinposture.viz.mesh import (
     CYLINDER_SIDES,
+    MAX_SHOWN,
     box_corners,
     clip_to_box,
     cut_by_plane,
@@ -170,6 +171,52 @@ def test_a_planar_arm_sees_the_section_of_an_obstacle_and_the_outline_of_one_asi
     np.testing.assert_allclose(reach, np.sqrt(0.05**2 - 0.03**2), rtol=0.02)
     np.testing.assert_allclose(np.linalg.norm(aside - (0.3, -0.2), axis=1), 0.05, rtol=0.01)
     assert [patch.get_fill() for patch in ax.patches] == [True, False]
+
+
+CUBE = np.array(list(np.ndindex(2, 2, 2))) * 0.1
+HOLLOWS = {  # a cube without its sides: two triangles, at its bottom and top
+    "mesh": pp.Mesh(CUBE, (0.3, 0.1, 0.0), QUARTER, faces=[(0, 2, 4), (1, 5, 3)]),
+    "surface": pp.Scan(CUBE, [(0, 2, 4), (1, 5, 3)], center=(0.3, 0.1, 0.0), rotation=QUARTER),
+    "cloud": pp.Scan(CUBE, center=(0.3, 0.1, 0.0), rotation=QUARTER, point_radius=0.004),
+}
+
+
+@pytest.mark.parametrize("name", HOLLOWS)
+def test_scans_and_hollow_meshes_are_drawn_as_they_are(name, arm, tmp_path):
+    obstacle, thick = HOLLOWS[name], 0.004 if name == "cloud" else 0.0
+    (vertices, _), *more = drawn_in(
+        page_commands(pp.save_html(arm, still(arm, pp.Scene({name: obstacle})), tmp_path / "run.html"))
+    )
+    assert not more
+    np.testing.assert_allclose(vertices.min(axis=0), np.array([0.2, 0.1, 0.0]) - thick, atol=1e-6)
+    np.testing.assert_allclose(vertices.max(axis=0), np.array([0.3, 0.2, 0.1]) + thick, atol=1e-6)
+    mesh = surface(obstacle)
+    heights = mesh.vertices[mesh.faces].mean(axis=1)[:, 2]
+    assert np.all(np.minimum(heights, 0.1 - heights) < 0.005)  # no triangles at the sides
+    for ax, of in (
+        (Figure().add_subplot(projection="3d"), arm),
+        (Figure().add_subplot(), template_arm("Rz", 5)),
+    ):
+        plot_postures(still(of, pp.Scene({name: obstacle})), ax)
+        ax.figure.savefig(io.BytesIO(), dpi=20)
+        (dots,) = (line for line in ax.lines if line.get_marker() == ".")
+        x, y = dots.get_data_3d()[:2] if of is arm else dots.get_data()
+        np.testing.assert_allclose([min(x), max(x)], (0.2 - thick, 0.3 + thick), atol=1e-6)
+        np.testing.assert_allclose([min(y), max(y)], (0.1 - thick, 0.2 + thick), atol=1e-6)
+        assert "obstacle" in [text.get_text() for text in ax.get_legend().get_texts()]
+
+
+def test_large_scans_are_thinned_before_they_are_drawn():
+    points = np.random.default_rng(0).uniform(size=(3 * MAX_SHOWN, 3))
+    assert len(surface(pp.Scan(points)).vertices) <= 24 * MAX_SHOWN
+    grid = np.linspace(0, 1, 200)
+    wave = np.array([(x, y, 0.1 * np.sin(9 * x)) for x in grid for y in grid])
+    at = np.arange(200 * 200).reshape(200, 200)
+    faces = np.stack([at[:-1, :-1], at[1:, :-1], at[:-1, 1:]], axis=-1).reshape(-1, 3)
+    for large in (pp.Scan(wave, faces), pp.Mesh(wave, faces=faces)):
+        shown = surface(large)
+        assert len(shown.faces) > 100 and len(shown.vertices) <= MAX_SHOWN
+        np.testing.assert_allclose(np.ptp(shown.vertices, axis=0), (1, 1, 0.2), atol=0.03)
 
 
 def test_a_half_space_is_a_patch_under_its_plane_that_fits_the_picture():
