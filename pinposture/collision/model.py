@@ -69,7 +69,7 @@ class ExcludedPair(NamedTuple):
 
     Attributes:
         first: name of the body.
-        second: name of the other body, or of the obstacle.
+        second: name of the other body, or of the obstacle; of a scan or a mesh it may be a part alone.
         reason: why.
     """
 
@@ -264,8 +264,11 @@ class CollisionModel:
     missing or cannot be used are named in a `PostureWarning`, once for each arm and scene.
 
     Distances of balls and capsules, from each other and from boxes, half-spaces and cylinders, are compiled
-    closed forms; coal computes all others. They are exact, except where the axis of a capsule is inside of a
-    cylinder: the depth may be too large then, never too small. Bounds decide which pairs are computed.
+    closed forms, and those from scans and meshes compiled searches; coal computes all others. They are exact,
+    except where the axis of a capsule is inside of a cylinder or a mesh, or crosses a triangle: the depth may
+    differ from the shortest way out then. Bounds decide which pairs are computed.
+
+    A scan, or a mesh that is not convex, makes pairs of each body with its pieces, all under one name.
 
     Attributes:
         scene: the scene.

@@ -20,6 +20,9 @@ TINY = 1e-300
 PARALLEL = 1e-14
 """Square of the sine of the angle below which lines count as parallel, and a triangle as a line."""
 
+LONG = 64.0
+"""Square of the length of a line from which on the box around it is too wide, in half diagonals of a box."""
+
 ON_EDGE = 1e-12
 """Distance beyond an edge at which a place still counts as inside, relative to the height of a triangle."""
 
@@ -166,13 +169,15 @@ def _box_bound(line: Line, boxes: Array3, box: int, below: float) -> float:
     gap = gx * gx + gy * gy + gz * gz
     if below > 0.0 and gap >= below * below:
         return below
+    bound = np.sqrt(gap)
     hx, hy, hz = 0.5 * (high_x - low_x), 0.5 * (high_y - low_y), 0.5 * (high_z - low_z)
-    # The middle of the box from the line, less half its diagonal: that tells where the line is slanted.
-    x, y, z = low_x + hx - ax, low_y + hy - ay, low_z + hz - az
-    t = min(max((x * ux + y * uy + z * uz) / max(squares, TINY), 0.0), 1.0)
-    x, y, z = x - t * ux, y - t * uy, z - t * uz
-    across = np.sqrt(x * x + y * y + z * z) - np.sqrt(hx * hx + hy * hy + hz * hz)
-    bound = max(np.sqrt(gap), across)
+    half = hx * hx + hy * hy + hz * hz
+    if squares > LONG * half:
+        # The line may be slanted: the distance of the middle of the box from it, less half the diagonal.
+        x, y, z = low_x + hx - ax, low_y + hy - ay, low_z + hz - az
+        t = min(max((x * ux + y * uy + z * uz) / squares, 0.0), 1.0)
+        x, y, z = x - t * ux, y - t * uy, z - t * uz
+        bound = max(bound, np.sqrt(x * x + y * y + z * z) - np.sqrt(half))
     return bound if bound > 0.0 else -np.sqrt(squares)
 
 
@@ -191,7 +196,7 @@ def _point_contact(line: Line, points: Array2, at: int, below: float) -> Nearest
     return size, t, x / size, y / size, z / size
 
 
-@inlined
+@subkernel
 def _triangle_contact(line: Line, triangles: Array3, at: int, below: float) -> Nearest:
     ax, ay, az, ux, uy, uz, _ = line
     px, py, pz = triangles[at, 0, 0], triangles[at, 0, 1], triangles[at, 0, 2]
@@ -204,19 +209,19 @@ def _triangle_contact(line: Line, triangles: Array3, at: int, below: float) -> N
     best, place, sx, sy, sz = below, 0.0, 0.0, 0.0, 0.0
     found, flat = False, area <= PARALLEL * ee * ff
     if not flat:
-        size = np.sqrt(area)
-        nx, ny, nz = nx / size, ny / size, nz / size
         start, rise = nx * x + ny * y + nz * z, nx * ux + ny * uy + nz * uz
         end = start + rise
-        if (start > 0.0) == (end > 0.0) and min(abs(start), abs(end)) >= below:
+        if start * end > 0.0 and below > 0.0 and min(start * start, end * end) >= below * below * area:
             return np.inf, 0.0, 0.0, 0.0, 0.0
-        # A place of the line over the triangle: where it crosses the plane, or one of its ends.
-        crosses = rise != 0.0 and min(start, end) <= 0.0 <= max(start, end)
+        size = np.sqrt(area)
+        nx, ny, nz = nx / size, ny / size, nz / size
+        start, rise, end = start / size, rise / size, end / size
+        first = 0.0 if abs(start) <= abs(end) else 1.0
+        # A place of the line over the triangle: where it crosses the plane, its nearer end, or the other.
         for number in range(3):
-            t = 0.0 if number == 0 else 1.0
-            height = start if number == 0 else end
-            if number == 2:
-                if not crosses:
+            t = first if number == 1 else 1.0 - first
+            if number == 0:
+                if rise == 0.0 or min(start, end) > 0.0 or max(start, end) < 0.0:
                     continue
                 t = min(max(-start / rise, 0.0), 1.0)
             px, py, pz = x + t * ux, y + t * uy, z + t * uz
@@ -224,14 +229,17 @@ def _triangle_contact(line: Line, triangles: Array3, at: int, below: float) -> N
             v, w = ff * pe - ef * pf, ee * pf - ef * pe
             if min(v, w) < -ON_EDGE * area or v + w > (1.0 + ON_EDGE) * area:
                 continue
-            if number == 2:
+            if number == 0:
                 # Up, until its lower end is in the plane, or down.
                 up, down = -min(start, end), max(start, end)
                 sign = 1.0 if up <= down else -1.0
                 deepest = start < end if sign > 0.0 else start > end
                 return -min(up, down), 0.0 if deepest else 1.0, sign * nx, sign * ny, sign * nz
+            height = start if t == 0.0 else end
+            sign = 1.0 if height >= 0.0 else -1.0
+            if number == 1 and start * end > 0.0:  # nothing of the line is nearer to the plane
+                return abs(height), t, sign * nx, sign * ny, sign * nz
             if abs(height) < best:
-                sign = 1.0 if height >= 0.0 else -1.0
                 best, place, sx, sy, sz = abs(height), t, sign * nx, sign * ny, sign * nz
                 found = True
     for edge in range(3):

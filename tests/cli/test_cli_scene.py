@@ -76,6 +76,29 @@ def test_the_arm_keeps_clear_of_what_it_would_hit(track, scene_file, passed):
     assert summary["path_length_ratio"] > free["path_length_ratio"]
 
 
+def test_a_scan_beside_the_file_is_kept_clear_of_and_stays_with_the_run(
+    track, command, arm_file, tmp_path
+):
+    rng = np.random.default_rng(0)
+    ways = rng.normal(size=(4000, 3))
+    points = BALL.center + BALL.radius * ways / np.linalg.norm(ways, axis=1)[:, None]
+    np.savetxt(tmp_path / "ball.xyz", 1000.0 * points)
+    scene = tmp_path / "scene.toml"
+    scene.write_text(
+        f"margin = {MARGIN}\narm_radius = {RADIUS}\n[obstacles]\n"
+        'seen = { type = "scan", path = "ball.xyz", scale = 0.001 }\n'
+    )
+    shown = json.loads(command("inspect", arm_file, "--scene", scene, "--json").out)["scene"]
+    assert [each["path"] for each in shown["obstacles"]] == [str(tmp_path / "ball.xyz")]
+    about, run = track("--scene", scene)
+    assert about["status"] == "converged"
+    clearances = [to_ball(state).min() for state in run.points]
+    assert MARGIN - 1e-3 < min(clearances) < 0.05
+    (tmp_path / "ball.xyz").unlink()
+    again = pp.load(tmp_path / "run.npz", pp.Trajectory)
+    np.testing.assert_allclose(again.scene.obstacles["seen"].points, points, atol=1e-9)
+
+
 def test_paths_and_escapes_are_those_of_the_run(passed):
     summary, run = passed
     paths = sum(np.linalg.norm(np.diff(run.points[:, k], axis=0), axis=1).sum() for k in range(6))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 import threading
 
+import coal
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -247,6 +248,31 @@ def test_the_normal_is_the_derivative_of_the_distance(seed, ball, surface):
         slope, expected = (ahead - behind) / (2.0 * small), here.normals[0] @ direction
         bend = abs(ahead + behind - 2.0 * here.minimum) / small
         assert slope == pytest.approx(expected, abs=1e-4 + bend)
+
+
+@examples(40)
+@given(st.integers(0, 2**31), st.integers(1, 300), st.floats(0.001, 1.0))
+def test_capsules_are_as_far_from_surfaces_as_coal_says(seed, count, size):
+    """Of capsules of any length, among triangles of any size; the whole surface is one object for coal."""
+    rng = np.random.default_rng(seed)
+    corners = rng.normal(size=(count, 1, 3)) + size * rng.normal(size=(count, 3, 3))
+    surface, nowhere = coal.BVHModelOBBRSS(), coal.Transform3s(np.eye(3), np.zeros(3))
+    surface.beginModel(count, 3 * count)
+    surface.addVertices(corners.reshape(-1, 3))
+    surface.addTriangles(np.arange(3 * count).reshape(-1, 3))
+    surface.endModel()
+    scan = Scan(corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
+    for length in (0.01, 0.3, 3.0):
+        start = rng.normal(size=3)
+        body = solid(Capsule(start, start + length * rng.normal(size=3), 0.01))
+        pose, request = coal.Transform3s(body.rotation, body.position), coal.DistanceRequest()
+        request.gjk_tolerance = 1e-9
+        expected = coal.distance(body.geometry, pose, surface, nowhere, request, coal.DistanceResult())
+        found = contact(Capsule(body.start, body.end, 0.01), scan).minimum
+        if expected > 0.0:
+            assert found == pytest.approx(expected, abs=1e-6)
+        else:
+            assert found <= 1e-6
 
 
 def test_the_derivatives_are_those_of_the_distances(arm):
