@@ -33,7 +33,7 @@ Own = TypeVar("Own", bound="Surface")
 
 UNTURNED: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
-CONVEX = 1.0 - 1e-6  # volume of a closed mesh, relative to its hull, from which on it counts as convex
+CONVEX = 1.0 - 1e-7  # volume of a closed mesh, relative to its hull, from which on it counts as convex
 
 
 def set_fields(frozen: object, **values: object) -> None:

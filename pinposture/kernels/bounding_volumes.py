@@ -27,7 +27,7 @@ ON_EDGE = 1e-12
 """Distance beyond an edge at which a place still counts as inside, relative to the height of a triangle."""
 
 Nearest = tuple[float, float, float, float, float]
-"""Distance of a line, nearest place on it, from 0 to 1, and unit normal towards it: 0 where there is none."""
+"""Distance of a line, nearest place on it, from 0 to 1, and unit vector to that; 0 where there is none."""
 
 
 @compiled

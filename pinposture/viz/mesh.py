@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Mesh, Obstacle, Scan, Sphere
+from pinposture.collision import Box, Capsule, Cylinder, Mesh, Obstacle, Scan, Sphere
 from pinposture.collision.scan import between_cubes, representatives
 
 Array = NDArray[np.float64]
@@ -216,13 +216,11 @@ def is_hollow(obstacle: Obstacle) -> bool:
     return isinstance(obstacle, Scan) or (isinstance(obstacle, Mesh) and not obstacle.convex)
 
 
-def surface(obstacle: Obstacle) -> TriangleMesh:
+def surface(obstacle: Sphere | Capsule | Cylinder | Box | Mesh | Scan) -> TriangleMesh:
     """Return the surface of an obstacle other than a half-space, which is unbounded, world frame [m].
 
     Large scans and meshes are thinned; a point of a cloud is an octahedron.
     """
-    if isinstance(obstacle, HalfSpace):
-        raise ValueError("a half-space is unbounded")
     if isinstance(obstacle, Sphere):
         center = np.array(obstacle.center)
         return _revolved(center, np.array([0.0, 0.0, 1.0]), _arc(obstacle.radius, -1.0, 1.0))
