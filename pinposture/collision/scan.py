@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pinposture import _validation
 from pinposture._validation import (
     LARGEST_LENGTH,
     Matrix,
@@ -19,7 +20,6 @@ from pinposture._validation import (
     known_keys,
     length,
     point,
-    rotation,
 )
 from pinposture.collision.mesh_files import scale_factor
 from pinposture.collision.scan_files import read_scan
@@ -196,7 +196,11 @@ class Scan(Surface):
             if array is not None:
                 array.flags.writeable = False
         set_fields(self, points=points, faces=faces, colors=colors, dropped=dropped, point_radius=radius)
-        set_fields(self, center=point("center", self.center), rotation=rotation("rotation", self.rotation))
+        set_fields(
+            self,
+            center=point("center", self.center),
+            rotation=_validation.rotation("rotation", self.rotation),
+        )
 
     @classmethod
     def load(
@@ -226,15 +230,15 @@ class Scan(Surface):
             InvalidValue: not a factor, or a value as described in `Scan`.
         """
         factor, path = scale_factor(path, scale), Path(path)
+        pose = point("center", center), _validation.rotation("rotation", rotation)
+        radius = length("point_radius", point_radius, zero=True)
         read = read_scan(path)
         with np.errstate(over="ignore"):
             points = read.points * factor
         try:
-            scan = cls(points, read.faces, read.colors, path.name, path, factor)
+            return cls(points, read.faces, read.colors, path.name, path, factor, *pose, radius)
         except InvalidValue as error:
             raise FileError(path, str(error)) from error
-        placed = scan.placed(center, rotation)
-        return placed if point_radius == 0.0 else replace(placed, point_radius=point_radius)
 
     @classmethod
     def from_dict(cls, described: Mapping[str, Any], folder: str = ".") -> Scan:

@@ -19,7 +19,14 @@ from editor.edited_tasks import six_modules, task
 
 import pinposture as pp
 from pinposture.editor.clearances import NearestObstacle
-from pinposture.editor.obstacles import insert_obstacle, obstacles_of, select_obstacle
+from pinposture.editor.obstacles import (
+    Pose,
+    at_pose,
+    change_obstacle,
+    insert_obstacle,
+    obstacles_of,
+    select_obstacle,
+)
 from pinposture.editor.session import Session
 from pinposture.editor.surroundings import ScanShelf
 from pinposture.editor.ui import parts
@@ -320,10 +327,21 @@ def test_without_joint_states_nothing_is_shown(arm, live, server, desk):
     assert not [name for name in server.scene._handle_from_node_name if name.startswith("/measured")]
 
 
-def test_a_mesh_is_drawn_where_its_corners_are(arm, live, server, desk):
+CORNERS = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]) + 0.5
+POSE = {"center": (0.1, 0.0, 0.0), "rotation": (0.3, 0.0, 0.0)}
+
+
+@pytest.mark.parametrize(
+    "mesh",
+    [
+        pp.Mesh(CORNERS, **POSE),
+        pp.Mesh(CORNERS, **POSE, faces=[(0, 1, 2), (0, 2, 3)]),
+        pp.Scan(CORNERS, [(0, 1, 2), (0, 2, 3)], **POSE),
+        pp.Scan(CORNERS, **POSE, point_radius=1e-6),
+    ],
+)
+def test_a_mesh_or_a_scan_is_drawn_where_its_corners_are(arm, live, server, desk, mesh):
     session, post = desk
-    corners = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]) + 0.5
-    mesh = pp.Mesh(corners, (0.1, 0.0, 0.0), (0.3, 0.0, 0.0))
     insert_obstacle("part", mesh, session)
     drawing = Obstacles(server, arm, post)
     drawing.show(session, live)
@@ -332,7 +350,13 @@ def test_a_mesh_is_drawn_where_its_corners_are(arm, live, server, desk):
     turn = pp.Box((0, 0, 0), (1, 1, 1), (0.3, 0, 0)).rotation
     assert (w, x, y, z) == pytest.approx((np.cos(0.15), np.sin(0.15), 0.0, 0.0))
     drawn = handle.vertices @ np.array(turn).T + handle.position
-    expected = np.array(mesh.vertices) @ np.array(turn).T + mesh.center
+    expected = CORNERS @ np.array(turn).T + mesh.center
     gaps = np.linalg.norm(drawn[:, None] - expected[None], axis=2)
-    assert gaps.min(axis=1).max() < 1e-5
-    assert gaps.min(axis=0).max() < 1e-5
+    dot = 2.1e-4 if isinstance(mesh, pp.Scan) and mesh.faces is None else 1e-5  # 0.002 of their width
+    assert gaps.min(axis=1).max() < dot
+    assert gaps.min(axis=0).max() < dot
+    moved_there = at_pose(mesh, Pose(np.array((1.0, 0.0, 0.0)), np.eye(3)))
+    change_obstacle("part", lambda _: moved_there, "moved", True, session)
+    drawing.show(session, live)
+    assert drawing._drawn["part"].handle is handle  # moved, not sent again
+    np.testing.assert_allclose(handle.position, (1.0, 0.0, 0.0), atol=1e-6)
