@@ -18,7 +18,7 @@ from sampling import examples
 from scipy.optimize import minimize
 
 import pinposture as pp
-from pinposture.collision import Capsule, CollisionModel, Mesh, Scan, Scene, Sphere
+from pinposture.collision import Box, Capsule, CollisionModel, Mesh, Scan, Scene, Sphere
 from pinposture.collision.distances import PairDistances, Placements
 from pinposture.collision.obstacles import solid, solids
 from pinposture.collision.scene import obstacles_around
@@ -172,6 +172,8 @@ def test_points_all_around_a_hull_that_are_almost_equally_far(tmp_path):
         points = starts + ways * distance * rng.uniform(1.0, 1.02, (200, 1))
         least = min(point_distance(place.actInv(point), body.shape) for point in points)
         assert model_of(arm, Scan(points)).minimum(arm.neutral()).distance == pytest.approx(least, abs=1e-8)
+        thick = model_of(arm, Scan(points, point_radius=0.3 * distance)).minimum(arm.neutral()).distance
+        assert thick == pytest.approx(least - 0.3 * distance, abs=1e-8)
         corners_of = points[:, None] + rng.normal(size=(200, 3, 3)) * 0.3 * distance
         least = min(hull_distance(each, corners + [0.2, 0, 0]) for each in corners_of)
         triangles = model_of(arm, Scan(corners_of.reshape(-1, 3), np.arange(600).reshape(-1, 3)))
@@ -343,6 +345,7 @@ def test_a_body_inside_of_a_closed_mesh_is_never_clear_of_it():
             assert near.distances[0] == pytest.approx(-depth - 1e-3, abs=1e-6)
             out = start + np.linspace(0, 1, 999)[:, None] * (end - start) + (depth + 1e-4) * near.normals[0]
             assert not all(in_ring(each) for each in out)
+            assert contact(Box(0.5 * (start + end), (1e-3, 2e-3, 1e-3)), mesh).distances[0] < -1e-3
             found += 1
     assert found > 20
     assert contact(Capsule((0, 0, -1), (0, 0, 1), 0.05), mesh).minimum == pytest.approx(
@@ -453,6 +456,28 @@ def test_what_the_arm_stands_on_is_left_out_where_it_stands():
     assert [(each.first, each.second) for each in model.excluded_pairs] == [("m01_l1", "table")]
     bent = arm.configuration([0.0, 0.0, -1.2, 0.0, 0.0, 0.0, 0.0, 0.0])  # up, and so clear of the table
     assert model.minimum(bent).distance > -0.02
+
+
+def test_several_surfaces_are_as_near_as_the_nearest():
+    arm, rng = spatial(6), np.random.default_rng(9)
+    points, faces = ring()
+    parts = {
+        "cloud": cloud(arm, rng, 3000, 1.0),
+        "dots": Scan(cloud(arm, rng, 10).points, point_radius=0.02),
+        "shards": shards(arm, rng),
+        "ring": Mesh(0.4 * points, arm.chain.base + [0.3, 0.1, 0.0], (0.3, 0.2, 0.1), faces),
+        "again": Mesh(0.4 * points, arm.chain.base + [0.2, 0.4, 0.1], (0.0, 0.2, 0.1), faces),
+    }
+    together = CollisionModel(arm, Scene(parts, margin=0.0))
+    alone, nearest = {name: model_of(arm, each) for name, each in parts.items()}, set()
+    for _ in range(40):
+        q = arm.random(rng)
+        each = {name: model.minimum(q).distance for name, model in alone.items()}
+        distance, pair = together.minimum(q)
+        assert distance == pytest.approx(min(each.values()), abs=1e-12)
+        assert each[pair[1]] == pytest.approx(distance, abs=1e-12)
+        nearest.add(pair[1])
+    assert len(nearest) >= 3
 
 
 def test_threads_may_share_one_and_processes_make_their_own():
