@@ -97,7 +97,19 @@ def _joined(arrays: Sequence[Array], shape: tuple[int, ...]) -> Array:
 
 def is_closed(faces: NDArray[np.integer]) -> bool:
     """Return whether triangles, (t, 3) as indices of corners, enclose something: no edge is free."""
-    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1).astype(np.int64)
-    edges = edges[edges[:, 0] != edges[:, 1]]
-    _, counts = np.unique(edges[:, 0] << 32 | edges[:, 1], return_counts=True)
+    _, counts = np.unique(_edges(faces)[0], return_counts=True)
     return bool(np.all(counts % 2 == 0))
+
+
+def is_oriented(faces: NDArray[np.integer]) -> bool:
+    """Return whether closed triangles, (t, 3), all face outwards, or all inwards: edges go to and fro."""
+    edges, forward = _edges(faces)
+    return np.array_equal(np.sort(edges[forward]), np.sort(edges[~forward]))
+
+
+def _edges(faces: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return each edge of each triangle as one number, and whether it leads to the corner of larger index."""
+    starts = faces.astype(np.int64).ravel()
+    ends = faces[:, [1, 2, 0]].astype(np.int64).ravel()
+    edges = np.minimum(starts, ends) << 32 | np.maximum(starts, ends)
+    return edges[starts != ends], (starts < ends)[starts != ends]

@@ -25,7 +25,7 @@ from pinposture._validation import (
     rotation,
 )
 from pinposture.collision.mesh_files import Triangles, merge_corners, read_mesh, scale_factor
-from pinposture.collision.pieces import Tree, is_closed
+from pinposture.collision.pieces import Tree, is_closed, is_oriented
 from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
@@ -33,7 +33,7 @@ Own = TypeVar("Own", bound="Surface")
 
 UNTURNED: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
-CONVEX = 1.0 - 1e-7  # volume of a closed mesh, relative to its hull, from which on it counts as convex
+CONVEX = 1e-7  # difference of the volumes of a convex mesh and its hull, relative to them
 
 
 def set_fields(frozen: object, **values: object) -> None:
@@ -441,8 +441,8 @@ def _hull_faces(corners: Array) -> NDArray[np.intp]:
 
 
 def _is_convex(vertices: Array, faces: NDArray[np.intp]) -> bool:
-    """Return whether a mesh is closed and fills its convex hull."""
-    if not is_closed(faces):
+    """Return whether a mesh is closed and fills its hull, and its triangles all face outwards or inwards."""
+    if not is_closed(faces) or not is_oriented(faces):
         return False
     try:
         whole = float(ConvexHull(vertices).volume)
@@ -450,4 +450,4 @@ def _is_convex(vertices: Array, faces: NDArray[np.intp]) -> bool:
         return False
     a, b, c = (vertices[faces[:, k]] - vertices[0] for k in range(3))
     volume = abs(float(np.einsum("ti,ti->", np.cross(a, b), c))) / 6.0
-    return whole >= SMALLEST_LENGTH**3 and volume >= CONVEX * whole
+    return whole >= SMALLEST_LENGTH**3 and abs(volume - whole) <= CONVEX * whole

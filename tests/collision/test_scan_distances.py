@@ -333,6 +333,46 @@ def test_a_closed_mesh_is_solid_and_keeps_its_hollow(point):
     assert (near.minimum < -1e-3) == in_ring(point)
 
 
+def cubes(filled, rng):
+    """The faces between unit cubes that are filled and empty ones, as triangles that face either way."""
+    points, faces = [], []
+    for cube in np.argwhere(filled):
+        for axis, side in np.ndindex(3, 2):
+            beyond = cube + (2 * side - 1) * np.eye(3, dtype=int)[axis]
+            if filled[tuple(beyond)]:
+                continue
+            square = np.tile(cube.astype(float), (4, 1))
+            square[:, axis] += side
+            square[:, [(axis + 1) % 3, (axis + 2) % 3]] += [(0, 0), (1, 0), (1, 1), (0, 1)]
+            faces += [rng.permutation(three) + len(points) for three in (DIAGONALS[rng.integers(2)])]
+            points += [*square]
+    return np.array(points), np.array(faces)
+
+
+DIAGONALS = ((0, 1, 2), (0, 2, 3)), ((0, 1, 3), (1, 2, 3))
+
+
+@examples(30)
+@given(st.integers(0, 2**31))
+def test_what_is_inside_is_told_also_above_edges_and_corners(seed):
+    """Points whose vertical lines meet corners, edges and diagonals of triangles, or run within walls."""
+    rng = np.random.default_rng(seed)
+    filled = np.zeros((6, 6, 6), dtype=bool)
+    filled[1:5, 1:5, 1:5] = rng.random((4, 4, 4)) < rng.uniform(0.2, 1.0)
+    filled[2, 2, 2] = True
+    points, faces = cubes(filled, rng)
+    mesh = Mesh(points, faces=faces)
+    assert mesh.closed
+    for place in np.column_stack([rng.integers(2, 11, (60, 2)) / 2, rng.integers(1, 5, 60) + 0.25]):
+        around = [
+            filled[x, y, int(place[2])]
+            for x in {int(place[0]), int(np.ceil(place[0])) - 1}
+            for y in {int(place[1]), int(np.ceil(place[1])) - 1}
+        ]
+        if len(set(around)) == 1:  # else it is on the surface
+            assert bool(obstacles_around(Scene({"it": mesh}), place)) == around[0]
+
+
 def test_a_body_inside_of_a_closed_mesh_is_never_clear_of_it():
     points, faces = ring()
     mesh, rng, found = Mesh(points, faces=faces), np.random.default_rng(0), 0
@@ -357,6 +397,9 @@ def test_meshes_that_are_convex_are_told_from_others():
     box = trimesh.creation.box((1, 2, 3))
     assert Mesh(box.vertices, faces=box.faces).convex
     assert Mesh(box.vertices, faces=box.faces) == Mesh(box.vertices)
+    mixed = box.faces.copy()
+    mixed[::2] = mixed[::2, ::-1]
+    assert Mesh(box.vertices, faces=mixed).closed and not Mesh(box.vertices, faces=mixed).convex
     assert not Mesh(box.vertices, faces=box.faces[1:]).convex  # open
     assert not Mesh(box.vertices, faces=box.faces[1:]).closed
     points, faces = ring()
