@@ -132,6 +132,12 @@ class Kinematics:
         kernels.placements(self.constants, positions, *arrays)
         return ForwardKinematics(*arrays, positions)
 
+    def points(self, positions: Array) -> Array:
+        """Compute the control points, (s, m, 3) [m], at several joint positions, (s, nv) [rad or m]."""
+        points = np.empty((len(positions), len(self.ends), 3))
+        kernels.trace_points(self.constants, positions, points)
+        return points
+
     def jacobians(self, forward: ForwardKinematics) -> Array:
         """Compute the position Jacobians of the control points, (m, 3, nv) [m/rad], world axes."""
         jacobians = np.zeros((len(self.ends), 3, len(self.endless)))

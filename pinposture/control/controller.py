@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm import ArmState
 from pinposture.control.limits import Limits
+from pinposture.errors import InvalidValue
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
@@ -147,6 +148,16 @@ class Controller(Protocol):
             memory: `memory` of the previous step; None at the first. Without it a controller that plans plans
                 anew, one that takes turns forgets whose it is, and the arm is taken to be at rest.
         """
+
+
+def require_step_arguments(state: object, target: object, memory: object = None) -> None:
+    """Raise InvalidValue for arguments of a step that are of a wrong type."""
+    if not isinstance(state, ArmState):
+        raise InvalidValue("state", state, "an ArmState, as `arm.at(q)` returns it")
+    if not isinstance(target, Target):
+        raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
+    if not (memory is None or isinstance(memory, Memory)):
+        raise InvalidValue("memory", memory, "`step.memory` of the step before, or None")
 
 
 def task_errors(state: ArmState, target: Target) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 
 from pinposture.arm import ArmState
 from pinposture.control.controller import Diagnostics, Memory, Step
-from pinposture.control.limits import Limits
+from pinposture.control.limits import Limits, require_limits
 from pinposture.errors import InvalidValue
 from pinposture.placement import Target
 
@@ -34,7 +34,7 @@ class JointInterpolation:
         if target.q is None:
             allowed = "a target with a known configuration, as `resolve_targets` returns it"
             raise InvalidValue("target.q", None, allowed)
-        limits = Limits() if limits is None else limits
+        limits = require_limits(limits)
         way = state.arm.difference(state.q, state.arm.nearest_turns(target.q, state.q))
         previous = memory.dq if memory is not None else None
         # Joints off the chain stay.

@@ -407,6 +407,17 @@ class Limits:
         return bounds
 
 
+def require_limits(limits: Limits | None) -> Limits:
+    """Return limits; `Limits()` for None.
+
+    Raises:
+        InvalidValue: something else.
+    """
+    if not (limits is None or isinstance(limits, Limits)):
+        raise InvalidValue("limits", limits, "Limits(...), or None")
+    return Limits() if limits is None else limits
+
+
 def cycle_of(limits: object) -> float:
     """Return the duration of a control cycle that limits are for [s].
 

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from pinposture.kernels.kinematics import joints_along as joints_along
     from pinposture.kernels.kinematics import motions_along as motions_along
     from pinposture.kernels.kinematics import placements as placements
+    from pinposture.kernels.kinematics import trace_points as trace_points
     from pinposture.kernels.manipulability import all_indices as all_indices
     from pinposture.kernels.manipulability import base_indices as base_indices
     from pinposture.kernels.manipulability import best_branch as best_branch
@@ -77,7 +78,7 @@ _KERNELS = {
     "collision": (
         "differentiate_distances keeps_distance near_pairs place_axes place_joints smallest_distance"
     ),
-    "kinematics": "carry_screws jacobians joints_along motions_along placements",
+    "kinematics": "carry_screws jacobians joints_along motions_along placements trace_points",
     "manipulability": (
         "all_indices base_indices best_branch best_path module_spaces stride_indices weakest_index"
     ),

@@ -114,6 +114,21 @@ def placements(
 
 
 @compiled
+def trace_points(chain: ChainArrays, positions: Array2, points: Array3) -> None:
+    """Compute the control points at several configurations.
+
+    Args:
+        chain: the chain.
+        positions: joint positions, (s, nv).
+        points: filled with the control points, (s, m, 3).
+    """
+    n, m = len(chain.slides), len(chain.ends)
+    axes, origins, rotations = np.empty((n, 3)), np.empty((n, 3)), np.empty((m, 3, 3))
+    for i in range(len(positions)):
+        placements(chain, positions[i], axes, origins, points[i], rotations)
+
+
+@compiled
 def jacobians(
     chain: ChainArrays, joint_axes: Array2, joint_origins: Array2, points: Array2, filled: Array3
 ) -> None:

@@ -15,6 +15,7 @@ from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Controller, Diagnostics, Geodesic, Limits, Step, controller_named
 from pinposture.control.controller import Memory, SingularValues, next_step
+from pinposture.control.limits import require_limits
 from pinposture.errors import InvalidValue, PostureWarning
 from pinposture.motion.trajectory import Trajectory
 from pinposture.placement import Target
@@ -343,9 +344,7 @@ def track(
         UnknownName: no controller has that name.
     """
     controller, scene = in_scene(controller_named(controller), scene)
-    limits = Limits() if limits is None else limits
-    if not isinstance(limits, Limits):
-        raise InvalidValue("limits", limits, "Limits(...), or None")
+    limits = require_limits(limits)
     if not isinstance(target, Target):
         raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
     target.check(arm)

@@ -15,6 +15,7 @@ from pinposture._validation import is_number, require_positive, require_whole
 from pinposture.arm import Arm
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import Controller, Limits, controller_named
+from pinposture.control.limits import require_limits
 from pinposture.errors import InvalidValue, PostureError, PostureWarning
 from pinposture.motion.batch import FAILED, Batch, concatenate_runs, run_arrays
 from pinposture.motion.track import RunRecord, in_scene, track
@@ -110,9 +111,7 @@ def track_many(
     from pinposture.motion.processes import Shared, adaptively_in_order, check_jobs
 
     chosen, scene = in_scene(controller_named(controller), scene)
-    limits = Limits() if limits is None else limits
-    if not isinstance(limits, Limits):
-        raise InvalidValue("limits", limits, "Limits(...), or None")
+    limits = require_limits(limits)
     require_whole("max_steps", max_steps, 1)
     tolerance = 1e-6 * arm.length if tolerance is None else tolerance
     require_positive("tolerance", tolerance)

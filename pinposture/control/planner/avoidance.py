@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ArmState
-from pinposture.collision import CollisionModel, Distances
+from pinposture.collision import CollisionModel, Distances, Scene
 from pinposture.control.limits import JointBounds, stopping_steps
 from pinposture.control.planner.objective import LinearRows, Objective
 
@@ -162,7 +162,7 @@ def sample_motion(arm: Arm, positions: Array, path: Array) -> Array:
         positions: joint positions that displacements are counted from, (nv,) [rad or m].
         path: displacements between which the motions are, (N + 1, nv); the first one is not sampled.
     """
-    points = np.array([arm.kinematics.forward(positions + offset).points for offset in path])
+    points = arm.kinematics.points(positions + path)
     changes = np.diff(path, axis=0)
     moved = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=2).max(axis=1))
     turned = np.abs(changes / arm.joint_units).max(axis=1, initial=0.0)
@@ -234,6 +234,15 @@ class Avoidance:
         # The way to stop, this step included, is half as many steps long as braking takes, of the longest.
         steps = 0.0 if brake is None else float(np.max(np.abs(self._previous) / brake)) + 2.0
         self._approach = 2.0 / max(steps, 2.0 / MAX_CLEARANCE_LOSS)
+
+    @classmethod
+    def of(
+        cls, scene: Scene | None, objective: Objective, bounds: JointBounds, previous: Array | None = None
+    ) -> Avoidance | None:
+        """Return what keeps an arm clear of a scene; None if there is no scene."""
+        if scene is None:
+            return None
+        return cls(CollisionModel(objective.arm, scene), objective, bounds, previous)
 
     def for_objective(self, objective: Objective) -> Avoidance:
         """Return the same around an arm at rest, for another objective."""

@@ -11,9 +11,15 @@ from numpy.typing import NDArray
 
 from pinposture import kernels
 from pinposture.arm import ArmState
-from pinposture.collision import CollisionModel
-from pinposture.control.controller import Diagnostics, Memory, Step
-from pinposture.control.limits import LIMIT_ROUNDING, JointBounds, Limits, StepBox, farthest
+from pinposture.control.controller import Diagnostics, Memory, Step, require_step_arguments
+from pinposture.control.limits import (
+    LIMIT_ROUNDING,
+    JointBounds,
+    Limits,
+    StepBox,
+    farthest,
+    require_limits,
+)
 from pinposture.control.planner.avoidance import Avoidance, Solution
 from pinposture.control.planner.damped_least_squares import (
     CONVERGED,
@@ -30,7 +36,6 @@ from pinposture.control.planner.damped_least_squares import (
 from pinposture.control.planner.objective import ChainSolver, Objective
 from pinposture.control.planner.path import MAX_STEP, JointPath, TimedPath, retime
 from pinposture.errors import InvalidValue
-from pinposture.placement import Target
 from pinposture.placement.points import TAKEN
 
 Array = NDArray[np.float64]
@@ -182,34 +187,17 @@ def follow(
     """
     if not isinstance(path, TimedPath):
         raise InvalidValue("path", path, "a TimedPath, as `retime` returns it")
-    check_step_input(state, path.path.objective.target, memory)
+    require_step_arguments(state, path.path.objective.target, memory)
     if state.arm is not path.path.arm:
         raise InvalidValue("state", state.arm, "a state of the arm that the path was planned for")
-    limits, state = path.limits if limits is None else limits, state.compiled
+    limits, state = path.limits if limits is None else require_limits(limits), state.compiled
     known = memory.progress if isinstance(memory, GeodesicMemory) else None
     previous = None if memory is None else memory.dq
     progress = known if known is not None and known.timed is path else PathProgress.begin(path, previous)
-    bounds, avoidance = limits.for_arm(state.arm), avoidance_for(progress.path, limits, previous)
+    bounds = limits.for_arm(state.arm)
+    avoidance = Avoidance.of(progress.path.scene, progress.objective, bounds, previous)
     step = fast_step(progress, state, bounds) if avoidance is None else None
     return advance(progress, state, limits, limits.box(state, previous), avoidance) if step is None else step
-
-
-def check_step_input(state: object, target: object, memory: object) -> None:
-    """Raise InvalidValue for something of a wrong type."""
-    if not isinstance(state, ArmState):
-        raise InvalidValue("state", state, "an ArmState, as `arm.at(q)` returns it")
-    if not isinstance(target, Target):
-        raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
-    if not (memory is None or isinstance(memory, Memory)):
-        raise InvalidValue("memory", memory, "`step.memory` of the step before, or None")
-
-
-def avoidance_for(path: JointPath, limits: Limits, previous: Array | None = None) -> Avoidance | None:
-    """Return what keeps the arm clear of the scene of a path; None if there is no scene."""
-    if path.scene is None:
-        return None
-    model = CollisionModel(path.arm, path.scene)
-    return Avoidance(model, path.objective, limits.for_arm(path.arm), previous)
 
 
 def fast_step(progress: PathProgress, state: ArmState, bounds: JointBounds) -> Step | None:

@@ -9,17 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ArmState
-from pinposture.collision import CollisionModel, Scene
-from pinposture.control.controller import Diagnostics, Memory, Step
-from pinposture.control.limits import JointBounds, Limits, StepBox
+from pinposture.collision import Scene
+from pinposture.control.controller import Diagnostics, Memory, Step, require_step_arguments
+from pinposture.control.limits import Limits, StepBox, require_limits
 from pinposture.control.planner.avoidance import Avoidance, solve
 from pinposture.control.planner.damped_least_squares import StepBounds
 from pinposture.control.planner.follow import (
     GeodesicMemory,
     PathProgress,
     advance,
-    avoidance_for,
-    check_step_input,
     fast_step,
 )
 from pinposture.control.planner.objective import Objective, check_objective
@@ -96,8 +94,8 @@ class Geodesic:
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
     ) -> Step:
         """Compute one step; see `Controller.step`. The first one for a target takes longer: it plans."""
-        limits = Limits() if limits is None else limits
-        check_step_input(state, target, memory)
+        limits = require_limits(limits)
+        require_step_arguments(state, target, memory)
         state = state.compiled
         bounds = limits.for_arm(state.arm)
         before = memory.progress if isinstance(memory, GeodesicMemory) else None
@@ -116,7 +114,7 @@ class Geodesic:
         progress = self._update(state, target, limits, before)
         if before is None or progress.path.start is not before.path.start:
             progress = PathProgress.begin(progress.timed, previous)
-        avoidance = avoidance_for(progress.path, limits, previous)
+        avoidance = Avoidance.of(self.scene, progress.objective, bounds, previous)
         if avoidance is None and progress is not before:
             step = fast_step(progress, state, bounds)
             if step is not None:
@@ -174,7 +172,7 @@ class Geodesic:
         attempt, bounds = progress.path.attempt + 1, limits.for_arm(state.arm)
         if attempt >= MAX_PATH_ATTEMPTS or progress.place >= progress.path.end:
             return progress._replace(arrived=True)
-        avoidance = avoidance_for(progress.path, limits)
+        avoidance = Avoidance.of(self.scene, progress.objective, bounds)
         return PathProgress(retime(find_path(progress.objective, state, bounds, avoidance, attempt), limits))
 
     def _plan(
@@ -184,7 +182,7 @@ class Geodesic:
         bounds = limits.for_arm(state.arm)
         target.check(state.arm)
         objective = self._objective(state, target, progress)
-        avoidance = self._avoidance(objective, bounds)
+        avoidance = Avoidance.of(self.scene, objective, bounds)
         if (
             progress is None
             or objective.has_tasks
@@ -210,13 +208,6 @@ class Geodesic:
                 return known.with_target(target)
         return self.objective(state.arm, target)
 
-    def _avoidance(
-        self, objective: Objective, bounds: JointBounds, previous: Array | None = None
-    ) -> Avoidance | None:
-        if self.scene is None:
-            return None
-        return Avoidance(CollisionModel(objective.arm, self.scene), objective, bounds, previous)
-
     def _return(
         self, state: ArmState, target: Target, box: StepBox, limits: Limits, previous: Array | None
     ) -> Step:
@@ -225,7 +216,7 @@ class Geodesic:
         target.check(arm)
         dq, violated = np.zeros(arm.nv), box.violated_constraints
         dq[arm.columns] = np.clip(dq, box.lower, box.upper)[arm.columns]
-        avoidance = self._avoidance(self.objective(arm, target), limits.for_arm(arm), previous)
+        avoidance = Avoidance.of(self.scene, self.objective(arm, target), limits.for_arm(arm), previous)
         share, stopping = 1.0, None
         if avoidance is not None:
             dq, share, stopping, relaxed = avoidance.clear_step(state, dq)
@@ -247,7 +238,7 @@ class Geodesic:
         """
         target.check(state.arm)
         objective = self.objective(state.arm, target)
-        avoidance = self._avoidance(objective, limits.for_arm(state.arm), previous)
+        avoidance = Avoidance.of(self.scene, objective, limits.for_arm(state.arm), previous)
         if avoidance is None or avoidance.near(state).minimum >= 0.0:
             return None
         bounds, n = StepBounds.of(objective, state, box, avoidance), len(objective.columns)

@@ -227,14 +227,28 @@ class Objective:
         every = self._every
         return kernels.sum_point_errors(self.chain.goals, other.chain.goals, every) / len(every)
 
+    def measure_pieces(self, positions: Array, offsets: Array) -> Array:
+        """Return the lengths of straight motions in the metric of the planner, (N,) [m].
+
+        The metric adds the motion of control points and that of joints times `mu`.
+
+        Args:
+            positions: joint positions that displacements are counted from, (nv,) [rad or m].
+            offsets: displacements between which the motions are, (N + 1, nv) [rad or m].
+        """
+        points = self.arm.kinematics.points(positions + offsets)
+        joints = np.diff(offsets[:, self.columns], axis=0) / self.units
+        squares = (np.diff(points, axis=0) ** 2).sum(axis=(1, 2))
+        return np.asarray(np.sqrt(squares + self.mu**2 * (joints**2).sum(axis=1)))
+
     def state_after(self, state: ArmState, x: Array) -> ArmState:
         """Return the state after a step x, (n,)."""
         return self.arm.at(self.arm.integrate(state.q, self.displacement(x))).compiled
 
     def displacement(self, x: Array) -> Array:
-        """Return the joint displacement (nv,) [rad or m] of a step x, (n,); other joints stand still."""
-        dq = np.zeros(self.arm.nv)
-        dq[self.columns] = x * self.units
+        """Return joint displacements (..., nv) [rad or m] of steps x, (..., n); other joints stand still."""
+        dq = np.zeros((*x.shape[:-1], self.arm.nv))
+        dq[..., self.columns] = x * self.units
         return dq
 
     def normalize(self, dq: Array) -> Array:

@@ -14,7 +14,7 @@ from pinposture import kernels
 from pinposture._validation import require_positive
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import Scene
-from pinposture.control.limits import JointBounds, Limits
+from pinposture.control.limits import JointBounds, Limits, require_limits
 from pinposture.control.planner.objective import Objective
 from pinposture.errors import InvalidValue
 
@@ -92,13 +92,8 @@ class JointPath:
 
     @cached_property
     def length(self) -> float:
-        """Length in the metric of the planner [m]: motion of control points, and of joints times `mu`."""
-        objective = self.objective
-        chain = self.arm.kinematics
-        points = np.array([chain.forward(self.positions + offset).points for offset in self.offsets])
-        joints = np.diff(self.offsets[:, objective.columns], axis=0) / objective.units
-        squares = (np.diff(points, axis=0) ** 2).sum(axis=(1, 2)) + objective.mu**2 * (joints**2).sum(axis=1)
-        return float(np.sqrt(squares).sum())
+        """Length in the metric of the planner [m]; see `Objective.measure_pieces`."""
+        return float(self.objective.measure_pieces(self.positions, self.offsets).sum())
 
     @cached_property
     def configurations(self) -> Array:
@@ -307,9 +302,7 @@ def retime(
     """
     if not isinstance(path, JointPath):
         raise InvalidValue("path", path, "a JointPath, as `plan` returns it")
-    limits = Limits() if limits is None else limits
-    if not isinstance(limits, Limits):
-        raise InvalidValue("limits", limits, "Limits(...), or None")
+    limits = require_limits(limits)
     if max_rate != inf:
         require_positive("max_rate", max_rate)
     require_positive("initial_speed", initial_speed, zero=True)

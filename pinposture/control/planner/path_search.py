@@ -79,6 +79,9 @@ class PathSearch:
         least: the distance that must be kept on the path [m].
         seed: other seeds may lead to other paths.
         until: time of `perf_counter` at which the search is given up.
+
+    Attributes:
+        arm, edges, avoidance: as above.
     """
 
     def __init__(
@@ -92,12 +95,12 @@ class PathSearch:
         seed: int = 0,
         until: float = inf,
     ) -> None:
-        self._objective, self._start, self._goal = objective, start, goal
-        self._arm, self._edges, self._avoidance, self._least = objective.arm, edges, avoidance, least
+        self.arm, self.edges, self.avoidance = objective.arm, edges, avoidance
+        self._objective, self._start, self._goal, self._least = objective, start, goal, least
         self._rng, self._until = np.random.default_rng(seed), until
-        self._positions = self._arm.positions(start.q)
+        self._positions = self.arm.positions(start.q)
         lowest, highest = edges - self._positions
-        farthest = MAX_TURN * self._arm.joint_units * self._arm.moved
+        farthest = MAX_TURN * self.arm.joint_units * self.arm.moved
         self._sides = (
             np.maximum(np.minimum(lowest, 0.0), -farthest),
             np.minimum(np.maximum(highest, 0.0), farthest),
@@ -105,29 +108,26 @@ class PathSearch:
 
     def find(self) -> FoundPath | None:
         """Return a clear path, shortened; None if none was found."""
-        end = np.asarray(self._arm.difference(self._start.q, self._goal.q))
-        joined = self._connect(np.zeros(self._arm.nv), end, JOIN_NODES)
+        end = np.asarray(self.arm.difference(self._start.q, self._goal.q))
+        joined = self._connect(np.zeros(self.arm.nv), end, JOIN_NODES)
         found_by = "tree search"
         if joined is None:
             joined, found_by = self._join_withdrawn(end), "withdrawal"
         if joined is None:
-            joined, found_by = self._connect(np.zeros(self._arm.nv), end, SEARCH_NODES), "tree search"
+            joined, found_by = self._connect(np.zeros(self.arm.nv), end, SEARCH_NODES), "tree search"
         return None if joined is None else FoundPath(self._shorten(joined), found_by)
 
     def is_clear(self, path: Array) -> bool:
         """Whether the straight motions between offsets, (N + 1, nv), keep clear, if the first one does."""
-        offsets = sample_motion(self._arm, self._positions, path)
-        return self._avoidance.clearance.keeps(self._start.q, offsets, self._least)
-
-    def _points(self, offset: Array) -> Array:
-        return self._arm.kinematics.forward(self._positions + offset).points
+        offsets = sample_motion(self.arm, self._positions, path)
+        return self.avoidance.clearance.keeps(self._start.q, offsets, self._least)
 
     # Withdrawal.
 
     def _join_withdrawn(self, end: Array) -> Array | None:
         """Withdraw both ends step by step until they can be joined."""
-        ends = [_Withdrawal(self, np.zeros(self._arm.nv)), _Withdrawal(self, end)]
-        while perf_counter() < self._until and any(each.go_on(JOIN_EVERY) for each in ends):
+        ends = [_Withdrawal(self, np.zeros(self.arm.nv)), _Withdrawal(self, end)]
+        while perf_counter() < self._until and any([each.go_on(JOIN_EVERY) for each in ends]):
             joined = self._connect(ends[0].offsets[-1], ends[1].offsets[-1], JOIN_NODES)
             if joined is not None:
                 return np.concatenate([ends[0].offsets, joined[1:-1], ends[1].offsets[::-1]])
@@ -135,14 +135,14 @@ class PathSearch:
 
     def state_at(self, offset: Array) -> ArmState:
         """Return the state at an offset, (nv,)."""
-        return self._arm.at(self._arm.integrate(self._start.q, offset)).compiled
+        return self.arm.at(self.arm.integrate(self._start.q, offset)).compiled
 
     # Tree search.
 
     def _connect(self, one: Array, other: Array, nodes: int) -> Array | None:
         """Return offsets from one to the other, (N + 1, nv), by RRT-Connect; None if none were found."""
         trees = _Tree(one), _Tree(other)
-        units = self._arm.joint_units
+        units = self.arm.joint_units
         for turn in range(nodes):
             if perf_counter() >= self._until:
                 break
@@ -160,7 +160,7 @@ class PathSearch:
                 parts = [from_.branch(at), to.branch(reached)]
                 first, second = parts if turn % 2 == 0 else parts[::-1]
                 return np.concatenate([first, second[::-1][1:]])
-            if len(trees[0].offsets) + len(trees[1].offsets) > nodes:
+            if trees[0].count + trees[1].count > nodes:
                 break
         return None
 
@@ -175,8 +175,8 @@ class PathSearch:
         return tree.add(reached, near) if self.is_clear(np.array([tree.offsets[near], reached])) else None
 
     def _sample(self, one: Array, other: Array) -> Array:
-        """Return a random offset: of a smooth posture, or near the line between two."""
-        arm, rng = self._arm, self._rng
+        """Return a random offset: uniform, of a smooth posture, or near the line between two offsets."""
+        arm, rng = self.arm, self._rng
         kind = rng.random()
         if kind < UNIFORM_SHARE:
             return np.asarray(rng.uniform(*self._sides))
@@ -214,36 +214,37 @@ class PathSearch:
         """Return a path with long pieces divided."""
         parts = [path[:1]]
         for start, end in pairwise(path):
-            size = float(np.abs((end - start) / self._arm.joint_units).max())
+            size = float(np.abs((end - start) / self.arm.joint_units).max())
             count = max(int(np.ceil(size / PIECE_TURN)), 1)
             parts.append(start + (np.arange(1, count + 1)[:, None] / count) * (end - start))
         return np.concatenate(parts)
 
     def _length(self, path: Array) -> float:
-        """Return the length of a path in the metric of the planner [m]."""
-        points = np.array([self._points(each) for each in path])
-        joints = np.diff(path, axis=0)[:, self._objective.columns] / self._objective.units
-        squares = (np.diff(points, axis=0) ** 2).sum(axis=(1, 2))
-        return float(np.sqrt(squares + self._objective.mu**2 * (joints**2).sum(axis=1)).sum())
+        return float(self._objective.measure_pieces(self._positions, path).sum())
 
 
 class _Tree:
-    """Nodes of a tree of offsets, and where each comes from."""
+    """Nodes of a tree of offsets, and where each comes from.
+
+    Attributes:
+        offsets: the nodes, the first `count` rows, (capacity, nv).
+        count: number of nodes.
+    """
 
     def __init__(self, root: Array) -> None:
-        self.offsets, self._parents, self._count = np.array([root] * 64), [-1], 1
+        self.offsets, self._parents, self.count = np.array([root] * 64), [-1], 1
 
     def nearest(self, offset: Array, units: Array) -> int:
-        apart = (self.offsets[: self._count] - offset) / units
+        apart = (self.offsets[: self.count] - offset) / units
         return int(np.einsum("ij,ij->i", apart, apart).argmin())
 
     def add(self, offset: Array, parent: int) -> int:
-        if self._count == len(self.offsets):
+        if self.count == len(self.offsets):
             self.offsets = np.concatenate([self.offsets, np.empty_like(self.offsets)])
-        self.offsets[self._count] = offset
+        self.offsets[self.count] = offset
         self._parents.append(parent)
-        self._count += 1
-        return self._count - 1
+        self.count += 1
+        return self.count - 1
 
     def branch(self, node: int) -> Array:
         """Return the offsets from the root to a node."""
@@ -264,10 +265,7 @@ class _Withdrawal:
     def __init__(self, search: PathSearch, offset: Array) -> None:
         self._search, self.offsets = search, [offset]
         self._state = search.state_at(offset)
-        objective = search._objective
-        self._arm, self._limit = objective.arm, objective.arm.length
-        base = self._arm.chain.base
-        self._curve = np.vstack([base, self._state.forward.points])
+        self._curve = np.vstack([search.arm.chain.base, self._state.forward.points])
         lengths = np.linalg.norm(np.diff(self._curve, axis=0), axis=1)
         self._places = np.concatenate([[0.0], np.cumsum(lengths)])
         self._near = NEAR_SHARE * self._places[-1]
@@ -287,16 +285,16 @@ class _Withdrawal:
 
     def _withdraw_to(self, depth: float) -> bool:
         """Move the far part along the curve, as far as it stays clear of the near part."""
-        search, arm = self._search, self._arm
+        search, arm = self._search, self._search.arm
         places = self._places[1:] - depth
         weights = (places >= self._near).astype(np.float64)
         if not weights.any():
             self._over = True
             return False
         points = np.column_stack([np.interp(places, self._places, axis) for axis in self._curve.T])
-        objective = Objective(arm, Target.from_points(arm, points, weights), (), 1.0, 0.2)
-        avoidance, good = search._avoidance.for_objective(objective), WITHDRAWAL_ERROR * arm.length
-        found = minimize(objective, self._state, search._edges, avoidance, good)
+        objective = Objective(arm, Target.from_points(arm, points, weights))
+        avoidance, good = search.avoidance.for_objective(objective), WITHDRAWAL_ERROR * arm.length
+        found = minimize(objective, self._state, search.edges, avoidance, good)
         if found.mean_error > good:
             return False
         change = np.asarray(arm.difference(self._state.q, found.state.q))

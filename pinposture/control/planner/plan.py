@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from pinposture import kernels
 from pinposture._validation import require_positive
 from pinposture.arm import ArmState
-from pinposture.collision import Closest, CollisionModel, Scene
-from pinposture.control.limits import JointBounds, Limits
+from pinposture.collision import Closest, Scene
+from pinposture.control.controller import require_step_arguments
+from pinposture.control.limits import JointBounds, Limits, require_limits
 from pinposture.control.planner.avoidance import Avoidance, sample_motion
 from pinposture.control.planner.damped_least_squares import LeastSquaresResult, minimize
 from pinposture.control.planner.objective import PRIORITY_WEIGHT, LinearRows, Objective, check_objective
@@ -100,10 +101,7 @@ def plan(
     Raises:
         InvalidValue: something of another type, or that does not fit the arm.
     """
-    if not isinstance(state, ArmState):
-        raise InvalidValue("state", state, "an ArmState, as `arm.at(q)` returns it")
-    if not isinstance(target, Target):
-        raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
+    require_step_arguments(state, target)
     if not (scene is None or isinstance(scene, Scene)):
         raise InvalidValue("scene", scene, "a Scene(...), or None")
     check_objective(joint_weight, relative_position_weight, tasks)
@@ -111,9 +109,8 @@ def plan(
     if budget != inf:
         require_positive("budget", budget)
     objective = Objective(state.arm, target, tuple(tasks), relative_position_weight, joint_weight)
-    bounds, avoidance = (Limits() if limits is None else limits).for_arm(state.arm), None
-    if scene is not None:
-        avoidance = Avoidance(CollisionModel(state.arm, scene), objective, bounds)
+    bounds = require_limits(limits).for_arm(state.arm)
+    avoidance = Avoidance.of(scene, objective, bounds)
     return find_path(objective, state.compiled, bounds, avoidance, until=perf_counter() + budget)
 
 
@@ -298,7 +295,7 @@ def _clearest_path(
         closest = _closest_on(path, avoidance, possible)
         if closest.distance >= possible:
             clear.append(path)
-            if path.length <= short:
+            if objective.tasks or path.length <= short:  # a searched path would disregard the tasks
                 return path
         else:
             pair = " to ".join(closest.pair or ())

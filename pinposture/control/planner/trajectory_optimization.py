@@ -106,9 +106,7 @@ def direct_path(
             if shortest <= GOOD_RATIO:
                 break
     smooth = waypoints.refine(found, REFINEMENT * (len(found) - 1)) if len(found) > 2 else found
-    offsets = np.zeros((len(smooth), arm.nv))
-    offsets[:, objective.columns] = smooth * objective.units
-    return JointPath(objective, start, offsets)
+    return JointPath(objective, start, objective.displacement(smooth))
 
 
 def relax_path(
@@ -125,13 +123,10 @@ def relax_path(
         pieces: number of pieces of the path, before it is refined.
     """
     waypoints = _Waypoints(objective, start, edges)
-    x = offsets[:, objective.columns] / objective.units
-    x = waypoints.space(x, pieces)
+    x = waypoints.space(offsets, pieces)
     found = optimize_with_penalties(objective, start, waypoints.within, x, penalty)
     smooth = waypoints.refine(found, REFINEMENT * pieces)
-    relaxed = np.zeros((len(smooth), objective.arm.nv))
-    relaxed[:, objective.columns] = smooth * objective.units
-    return JointPath(objective, start, relaxed)
+    return JointPath(objective, start, objective.displacement(smooth))
 
 
 class _Waypoints:
@@ -165,20 +160,12 @@ class _Waypoints:
         spline = CubicSpline(np.linspace(0.0, 1.0, len(x)), x, bc_type="natural")
         return self._clip(spline(np.linspace(0.0, 1.0, pieces + 1)))
 
-    def space(self, x: Array, pieces: int) -> Array:
-        """Return waypoints on the same path at equal distances, in the metric that is minimised."""
-        points = np.array([self._points(each) for each in x])
-        squares = (np.diff(points, axis=0) ** 2).sum(axis=(1, 2)) + self._weight * (
-            np.diff(x, axis=0) ** 2
-        ).sum(axis=1)
-        places = np.concatenate([[0.0], np.cumsum(np.sqrt(squares))])
-        wanted = np.linspace(0.0, places[-1], pieces + 1)
+    def space(self, offsets: Array, pieces: int) -> Array:
+        """Return waypoints on a path, (N + 1, nv), at equal distances in the metric that is minimised."""
+        objective = self._objective
+        places = np.concatenate([[0.0], np.cumsum(objective.measure_pieces(self._start, offsets))])
+        wanted, x = np.linspace(0.0, places[-1], pieces + 1), offsets[:, objective.columns] / objective.units
         return self._clip(np.column_stack([np.interp(wanted, places, joint) for joint in x.T]))
-
-    def _points(self, x: Array) -> Array:
-        positions = self._start.copy()
-        positions[self._objective.columns] += x * self._objective.units
-        return self._objective.arm.kinematics.forward(positions).points
 
     def relax(self, change: Array, bend: Array) -> Iterator[Array]:
         """Yield waypoints at a minimum, found with increasing effort."""

@@ -13,7 +13,7 @@ from pinposture._validation import require_positive, require_share
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.kinematics import constants_of, screws_of
 from pinposture.control.controller import Diagnostics, Memory, Step
-from pinposture.control.limits import Limits
+from pinposture.control.limits import Limits, require_limits
 from pinposture.control.thesis.posture_matrix import PostureMatrix, aligned_errors, descent
 from pinposture.errors import UnknownName
 from pinposture.kernels.arrays import FULL, LOCAL, RELATIVE, Rows, Screws
@@ -99,7 +99,7 @@ class Projection:
         limits: Limits | None,
         memory: Memory | None,
     ) -> Step:
-        limits = Limits() if limits is None else limits
+        limits = require_limits(limits)
         previous = memory.dq if memory is not None else None
         placed, arm = target.has_target, state.arm
         rows, smallest = self._rows(arm, screws, placed)

@@ -14,7 +14,7 @@ from pinposture._validation import require_positive, require_share
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.kinematics import constants_of, screws_of
 from pinposture.control.controller import Diagnostics, Memory, Step
-from pinposture.control.limits import Limits
+from pinposture.control.limits import Limits, require_limits
 from pinposture.control.thesis.posture_matrix import PostureMatrix, aligned_errors, descent
 from pinposture.control.thesis.sections import SectionScore, best_branch, checked_strides, section_edges
 from pinposture.errors import InvalidValue, UnknownName
@@ -186,7 +186,7 @@ class Selection:
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
     ) -> Step:
         """Compute one step; see `Controller.step`. Without a candidate set it stands still and says so."""
-        limits = Limits() if limits is None else limits
+        limits = require_limits(limits)
         previous = memory.dq if memory is not None else None
         arm, screws, placed = state.arm, screws_of(state), target.has_target
         errors = aligned_errors(state, target, placed)

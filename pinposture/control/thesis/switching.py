@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pinposture._validation import require_positive, require_share
 from pinposture.arm import ArmState
 from pinposture.control.controller import Diagnostics, Memory, Step, task_errors
-from pinposture.control.limits import Limits
+from pinposture.control.limits import Limits, require_limits
 from pinposture.control.thesis.projection import Projection
 from pinposture.control.thesis.selection import Selection
 from pinposture.errors import InvalidValue
@@ -100,7 +100,7 @@ class Switching:
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
     ) -> Step:
         """Compute one step; see `Controller.step`. The diagnostics say which method made it, and why."""
-        limits = Limits() if limits is None else limits
+        limits = require_limits(limits)
         error = float(np.linalg.norm(task_errors(state, target), axis=1).sum())
         travel = limits.travel(state)
         phase = memory.phase if isinstance(memory, SwitchingMemory) else INITIAL_PHASE
