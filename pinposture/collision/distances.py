@@ -193,6 +193,8 @@ class Narrow(threading.local):
 
 NO_PAIR = -1
 
+CONTACTS_PER_SAMPLE = 32  # number of near pairs for which there is room at first
+
 
 class NearPairs(NamedTuple):
     """The pairs nearer than a distance, nearest first, and the nearest of all.
@@ -212,6 +214,22 @@ class NearPairs(NamedTuple):
     normals: Array
     minimum: float
     nearest: int
+
+
+class Contacts(NamedTuple):
+    """Pairs nearer than a distance at s configurations.
+
+    Attributes:
+        samples: the configuration of each contact, by its number, (k,); increasing.
+        distances: between their surfaces, negative where they overlap, (k,) [m].
+        jacobian: derivatives of the distances by the joint displacement, (k, nv) [m/rad or m/m].
+        minima: the smallest distance at each configuration, or the one given if none is smaller, (s,) [m].
+    """
+
+    samples: Indices
+    distances: Array
+    jacobian: Array
+    minima: Array
 
 
 class PairDistances:
@@ -367,6 +385,29 @@ class PairDistances:
             return False
         rest = offsets[open_places]
         return not len(rest) or self.minimum(kinematics.place(q, rest), least)[0] >= least
+
+    def contacts(self, kinematics: TreeKinematics, q: Array, offsets: Array, within: float) -> Contacts:
+        """Find the pairs nearer than a distance at several configurations; for gradients, not for checks.
+
+        Pairs without a closed form count by the capsules, balls and boxes around them. The derivatives leave
+        out joints that do not just turn or slide.
+
+        Args:
+            kinematics: of the model that carries the bodies.
+            q: as for `TreeKinematics.place`.
+            offsets: likewise.
+            within: how near [m].
+        """
+        positions, others = kinematics.positions(q, offsets)
+        given = kinematics.tree, self._carriers, self._local, self._arrays, positions, others, within
+        minima, count, room = np.empty(len(positions)), 0, CONTACTS_PER_SAMPLE * len(positions)
+        while True:
+            samples, distances = np.empty(room, dtype=np.int64), np.empty(room)
+            jacobian = np.zeros((room, positions.shape[1]))
+            count = kernels.contacts_along(*given, samples, distances, jacobian, minima)
+            if count <= room:
+                return Contacts(samples[:count], distances[:count], jacobian[:count], minima)
+            room = count
 
     def axes(self, pair: int, placements: Placements, place: Array) -> tuple[Array, Array]:
         """Return the ends of the axes of the capsules around both solids of a pair, (2, 3) each [m].

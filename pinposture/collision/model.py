@@ -14,7 +14,13 @@ from pinposture._validation import SMALLEST_LENGTH, finite_vector, is_count
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.configurations import ConfigurationSpace
 from pinposture.collision.bodies import Body, bodies_of
-from pinposture.collision.distances import NearPairs, PairDistances, Placements, TreeKinematics
+from pinposture.collision.distances import (
+    Contacts,
+    NearPairs,
+    PairDistances,
+    Placements,
+    TreeKinematics,
+)
 from pinposture.collision.obstacles import Solid, solid, solids
 from pinposture.collision.scene import Scene
 from pinposture.collision.shapes import Sphere
@@ -359,6 +365,18 @@ class CollisionModel:
             minimum=best.distance,
             pair=best.pair,
         )
+
+    def contacts_along(self, q0: Array, offsets: Array, within: float) -> Contacts:
+        """Return the pairs nearer than a distance at several configurations, with approximate gradients.
+
+        Pairs without a closed form count by simple shapes around them, so distances may be too small.
+
+        Args:
+            q0: a configuration, (nq,) [rad or m], as `Arm.checked` returns it.
+            offsets: displacements from it, (s, nv) [rad or m].
+            within: the distance [m].
+        """
+        return self._distances.contacts(self._kinematics, q0, offsets, within)
 
     def minimum(self, q: ArrayLike) -> Closest:
         """Return the smallest of the distances of all pairs at a configuration.

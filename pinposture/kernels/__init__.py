@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from pinposture.kernels.chain_solver import minimise_in_box as minimise_in_box
     from pinposture.kernels.chain_solver import move_points as move_points
     from pinposture.kernels.chain_solver import stiffness as stiffness
+    from pinposture.kernels.collision import contacts_along as contacts_along
     from pinposture.kernels.collision import differentiate_distances as differentiate_distances
     from pinposture.kernels.collision import keeps_distance as keeps_distance
     from pinposture.kernels.collision import near_pairs as near_pairs
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
     from pinposture.kernels.modules import torus_faces as torus_faces
     from pinposture.kernels.modules import torus_forward as torus_forward
     from pinposture.kernels.modules import torus_inverse as torus_inverse
+    from pinposture.kernels.path import add_path_rows as add_path_rows
     from pinposture.kernels.path import advance as advance
     from pinposture.kernels.path import joint_distance as joint_distance
     from pinposture.kernels.path import look_ahead as look_ahead
@@ -76,7 +78,8 @@ _KERNELS = {
     "branch_search": "search_branches",
     "chain_solver": "find_screws measure_point_errors minimise_in_box move_points stiffness",
     "collision": (
-        "differentiate_distances keeps_distance near_pairs place_axes place_joints smallest_distance"
+        "contacts_along differentiate_distances keeps_distance near_pairs place_axes place_joints "
+        "smallest_distance"
     ),
     "kinematics": "carry_screws jacobians joints_along motions_along placements trace_points",
     "manipulability": (
@@ -87,8 +90,8 @@ _KERNELS = {
         "torus_faces torus_forward torus_inverse"
     ),
     "path": (
-        "advance joint_distance look_ahead measure_path_lengths position_excess relax_waypoints "
-        "solve_tridiagonal step_along sum_point_errors"
+        "add_path_rows advance joint_distance look_ahead measure_path_lengths position_excess "
+        "relax_waypoints solve_tridiagonal step_along sum_point_errors"
     ),
     "posture_matrix": "eliminated extreme_value inverse_norm least_change",
     "spline": (

@@ -626,6 +626,74 @@ def near_pairs(
 
 
 @compiled
+def contacts_along(
+    tree: JointTree,
+    carriers: Ints1,
+    local: Array3,
+    pairs: Pairs,
+    positions: Array2,
+    others: Array3,
+    within: float,
+    samples: Ints1,
+    distances: Array1,
+    jacobian: Array2,
+    minima: Array1,
+) -> int:
+    """Find the pairs nearer than a distance at several configurations, and derivatives of their distances.
+
+    Pairs that are not exact count by the shapes around them.
+
+    Args:
+        tree: the joints.
+        carriers: the joint that carries each body, (b,).
+        local: ends of the axes of the bodies in the frames of these joints, (b, 2, 3).
+        pairs: the pairs.
+        positions: joint positions, (s, nv).
+        others: as for `place_joints`.
+        within: the distance.
+        samples: filled with the configuration of each contact, (k,); increasing.
+        distances: filled with the distances, (k,).
+        jacobian: zeros, filled with their derivatives by the joint positions, (k, nv).
+        minima: filled with the smallest distance at each configuration, `within` if none is smaller, (s,).
+
+    Returns:
+        How many contacts there are; those beyond k were not stored.
+    """
+    count, bodies, room = len(tree.parents), len(carriers), len(samples)
+    rotations, origins, ends = np.empty((count, 3, 3)), np.empty((count, 3)), np.empty(local.shape)
+    blocks = np.empty(((bodies + BLOCK - 1) // BLOCK, 4))
+    first, second = np.empty(1, dtype=np.int64), np.empty(1, dtype=np.int64)
+    point, normal, found = np.empty((1, 3)), np.empty((1, 3)), 0
+    for at in range(len(positions)):
+        minima[at] = within
+        _place_joints(tree, positions[at], others[at], rotations, origins)
+        _place_axes(carriers, local, rotations, origins, ends)
+        _bound_blocks(ends, pairs, blocks)
+        for group in range(len(pairs.groups)):
+            if _group_bound(blocks, pairs, group) >= within:
+                continue
+            for pair in range(pairs.starts[group], pairs.starts[group + 1]):
+                if _pair_bound(ends, pairs, pair) >= within:
+                    continue
+                contact = pair_contact(ends, pairs, pair, within)
+                if contact[0] >= within:
+                    continue
+                minima[at] = min(minima[at], contact[0])
+                if found < room:
+                    samples[found], distances[found] = at, contact[0]
+                    other = pairs.second[pair]
+                    first[0], second[0] = carriers[pairs.first[pair]], 0
+                    if other < bodies:
+                        second[0] = carriers[other]
+                    for i in range(3):
+                        point[0, i], normal[0, i] = contact[1 + i], contact[4 + i]
+                    row = jacobian[found : found + 1]
+                    differentiate_distances(tree, rotations, origins, first, second, point, normal, row)
+                found += 1
+    return found
+
+
+@compiled
 def smallest_distance(
     ends: Array4, pairs: Pairs, below: float, open_pairs: Ints2, bounds: Array1
 ) -> tuple[float, int, int]:

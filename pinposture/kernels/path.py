@@ -390,6 +390,53 @@ def _sum_distances(one: Array2, other: Array2) -> float:
 
 
 @compiled
+def add_path_rows(
+    rows: Array2,
+    errors: Array1,
+    pieces: Ints1,
+    shares: Array1,
+    active: Flags1,
+    diagonal: Array3,
+    above: Array3,
+    gradient: Array2,
+) -> None:
+    """Add squares of rows to the normal equations of a path: |row (1 - s) x_i + row s x_{i+1} - error|^2.
+
+    Args:
+        rows: the rows, (k, n).
+        errors: their errors, (k,).
+        pieces: the piece i of the path that each belongs to, from 0, (k,).
+        shares: its place s on the piece, in [0, 1), (k,).
+        active: which rows count, (k,).
+        diagonal: blocks of the N - 1 waypoints between the ends, (N - 1, n, n); added to.
+        above: blocks that couple each with the next, (N - 2, n, n); added to.
+        gradient: of half the sum of squares, (N - 1, n); added to.
+    """
+    count, n = len(diagonal), rows.shape[1]
+    for k in range(len(rows)):
+        if not active[k]:
+            continue
+        i, s = pieces[k], shares[k]
+        for side in range(2):
+            waypoint, share = (i - 1, 1.0 - s) if side == 0 else (i, s)
+            if share == 0.0 or waypoint < 0 or waypoint >= count:
+                continue
+            block = diagonal[waypoint]
+            for u in range(n):
+                gradient[waypoint, u] -= share * errors[k] * rows[k, u]
+                scaled = share * share * rows[k, u]
+                if scaled != 0.0:
+                    for v in range(n):
+                        block[u, v] += scaled * rows[k, v]
+        if s > 0.0 and i > 0 and i < count:
+            for u in range(n):
+                scaled = s * (1.0 - s) * rows[k, u]
+                if scaled != 0.0:
+                    for v in range(n):
+                        above[i - 1, u, v] += scaled * rows[k, v]
+
+
+@compiled
 def solve_tridiagonal(diagonal: Array3, above: Array3, right: Array2, x: Array2) -> bool:
     """Solve a symmetric positive definite block tridiagonal system by block Cholesky, in O(N n^3).
 

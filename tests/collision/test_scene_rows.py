@@ -112,3 +112,38 @@ def test_normals_point_from_the_obstacle_to_the_body():
             np.testing.assert_allclose(normal, away / np.linalg.norm(away), atol=1e-6)
         else:
             assert normal @ (point - np.array(around_it["b"].center)) > 0.0
+
+
+def test_contacts_along_a_path_are_the_nearest_pairs_at_each_place():
+    rng, arm, within = np.random.default_rng(4), spatial(), 0.2
+    obstacles = {
+        "ball": Sphere((0.3, 0.2, 0.1), 0.05),
+        "rod": Capsule((0.1, -0.3, 0.0), (0.4, -0.2, 0.2), 0.03),
+        "box": Box((0.0, 0.3, -0.3), (0.1, 0.2, 0.1)),
+    }
+    clearance = CollisionModel(arm, Scene(obstacles, self_collision=True, arm_radius=0.01))
+    q, offsets, compared = arm.random(rng), 0.3 * rng.normal(size=(20, arm.nv)), 0
+    found = clearance.contacts_along(q, offsets, within)
+    for k, offset in enumerate(offsets):
+        near = clearance.nearest(arm.at(arm.integrate(q, offset)), within)
+        own = np.flatnonzero(found.samples == k)
+        own = own[np.argsort(found.distances[own], kind="stable")]
+        np.testing.assert_allclose(found.distances[own], near.distances, atol=1e-12)
+        assert found.minima[k] == pytest.approx(min(near.minimum, within), abs=1e-12)
+        apart = near.distances > 0.0  # of pairs that overlap, only `nearest` finds a way out everywhere
+        np.testing.assert_allclose(found.jacobian[own][apart], near.jacobian[apart], atol=1e-9)
+        compared += int(apart.sum())
+    assert compared > 100
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_contacts_along_a_path_miss_no_pair(name):
+    rng, arm, within = np.random.default_rng(6), ARMS[name](), 0.3
+    clearance = CollisionModel(arm, Scene(around(arm, rng), self_collision=True))
+    q, offsets = arm.random(rng), 0.3 * rng.normal(size=(10, arm.nv))
+    found = clearance.contacts_along(q, offsets, within)
+    for k, offset in enumerate(offsets):
+        near = clearance.nearest(arm.at(arm.integrate(q, offset)), within)
+        own = np.sort(found.distances[found.samples == k])
+        assert len(own) >= len(near.distances)
+        assert np.all(own[: len(near.distances)] <= near.distances + 1e-9)

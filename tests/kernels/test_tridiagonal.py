@@ -1,4 +1,4 @@
-"""The block tridiagonal solver against a dense one."""
+"""The block tridiagonal system of a path against a dense one."""
 
 from __future__ import annotations
 
@@ -66,3 +66,23 @@ def test_it_says_none_exactly_where_the_smallest_eigenvalue_is_negative() -> Non
     for share, definite in ((0.99, True), (1.01, False)):
         shifted = diagonal - share * smallest * np.eye(4)
         assert (solve_tridiagonal(shifted, above, right) is not None) == definite
+
+
+@given(seed=st.integers(0, 2**32 - 1), pieces=st.integers(2, 6), n=st.integers(1, 5))
+@examples(30)
+def test_rows_of_a_path_are_added_as_in_dense_normal_equations(seed: int, pieces: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    count, k = pieces - 1, 12
+    rows, errors, active = rng.normal(size=(k, n)), rng.normal(size=k), rng.random(k) < 0.7
+    where = rng.integers(0, pieces, k)
+    shares = np.where(rng.random(k) < 0.3, 0.0, rng.random(k))
+    diagonal, above, gradient = np.zeros((count, n, n)), np.zeros((count - 1, n, n)), np.zeros((count, n))
+    kernels.add_path_rows(rows, errors, where, shares, active, diagonal, above, gradient)
+    whole = np.zeros((k, (pieces + 1) * n))
+    for row in range(k):
+        i = where[row]
+        whole[row, i * n : (i + 1) * n] = (1.0 - shares[row]) * rows[row]
+        whole[row, (i + 1) * n : (i + 2) * n] = shares[row] * rows[row]
+    inner = whole[active][:, n:-n]
+    np.testing.assert_allclose(dense(diagonal, above), inner.T @ inner, atol=1e-12)
+    np.testing.assert_allclose(gradient.ravel(), -inner.T @ errors[active], atol=1e-12)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Distances, Scene
 from pinposture.control.limits import JointBounds, stopping_steps
-from pinposture.control.planner.objective import LinearRows, Objective
+from pinposture.control.planner.objective import Objective
 
 Array = NDArray[np.float64]
 
@@ -137,8 +137,9 @@ MAX_CLEARANCE_LOSS = 0.5
 STEP_CLEARANCE = 0.002
 """Clearance that steps keep beyond the margin, in arm lengths, for the curvature within a step."""
 
-PATH_CLEARANCE = 0.01
-"""Clearance that a planned path keeps beyond the margin where it can, in arm lengths."""
+PATH_CLEARANCE, PATH_SIGHT = 0.01, 0.05
+"""Clearance that a planned path keeps beyond the margin where it can, and distance beyond that at which pairs
+are seen while a path is relaxed, in arm lengths."""
 
 GAIN_SHARE = 0.5
 """Share of the largest gain of clearance in a step that is demanded of a pair that is too close."""
@@ -182,6 +183,23 @@ def by_halves(count: int) -> Array:
             order.append(middle)
             gaps += [(low, middle), (middle, high)]
     return np.array(order) / count
+
+
+class ClearanceRows(NamedTuple):
+    """How much closer pairs are than they should be: matrix @ x >= errors brings them apart.
+
+    Attributes:
+        matrix: (r, n) [m per `Arm.joint_units`], columns as in `Objective.columns`.
+        errors: negative for pairs that are far enough, (r,) [m].
+        samples: the configuration that each belongs to, by its number, (r,).
+        minima: the smallest distance at each configuration; those that are far enough count as infinite
+            or as some larger number, (s,) [m].
+    """
+
+    matrix: Array
+    errors: Array
+    samples: NDArray[np.int64]
+    minima: Array
 
 
 class ClearStep(NamedTuple):
@@ -280,13 +298,28 @@ class Avoidance:
         """Return by how much the nearest pair is closer than the margin [m]; 0 if all keep it."""
         return max(0.0, self.margin - self.near(state).minimum)
 
-    def intrusions(self, state: ArmState) -> LinearRows:
-        """Return by how much pairs are closer than a planned path should come, as rows to be zeroed."""
+    def clearance_rows(self, q: Array, offsets: Array) -> ClearanceRows:
+        """Return how much closer pairs are than a planned path should come, at several configurations.
+
+        Args:
+            q: a configuration, (nq,).
+            offsets: displacements from it, (s, nv) [rad or m].
+        """
         wanted = self.margin + PATH_CLEARANCE * self._length
-        near = self.clearance.nearest(state, wanted)
-        return LinearRows(
-            near.jacobian[:, self._objective.columns] * self._objective.units, wanted - near.distances
-        )
+        found = self.clearance.contacts_along(q, offsets, wanted + PATH_SIGHT * self._length)
+        matrix = found.jacobian[:, self._objective.columns] * self._objective.units
+        return ClearanceRows(matrix, wanted - found.distances, found.samples, found.minima)
+
+    def keeps(self, q: Array, path: Array, least: float) -> bool:
+        """Whether straight motions keep a distance, if they begin so far away.
+
+        Args:
+            q: a configuration, (nq,).
+            path: displacements from it between which the motions are, (N + 1, nv) [rad or m].
+            least: the distance [m].
+        """
+        arm = self._objective.arm
+        return self.clearance.keeps(q, sample_motion(arm, arm.positions(q), path), least)
 
     def stops_clear(self, state: ArmState, dq: Array) -> bool:
         """Whether the arm keeps its margin on a step and while it then stops."""

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import ArmState, smooth_configuration
-from pinposture.control.planner.avoidance import Avoidance, sample_motion
+from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.damped_least_squares import minimize
 from pinposture.control.planner.objective import Objective
 from pinposture.placement import Target
@@ -34,11 +34,11 @@ WITHDRAWAL_ERROR = 0.002
 MAX_FAILURES = 3
 """How many steps in a row may fail before a withdrawal ends."""
 
-JOIN_EVERY = 0.1
+JOIN_EVERY = 0.2
 """Depth of withdrawal after which a join is tried again, in arm lengths."""
 
-JOIN_NODES, SEARCH_NODES = 500, 2000
-"""Largest number of tree nodes of a join, and of the search between start and goal."""
+JOIN_NODES, SEARCH_NODES = 150, 2000
+"""Largest number of tree nodes of a join, and of the last one."""
 
 TREE_STEP, PIECE_TURN = 0.3, 0.1
 """Largest joint motion of an edge of the trees, and of a piece of the path when it is shortened, in
@@ -51,7 +51,7 @@ of smooth random configurations, and the noise about the line from one end to th
 MAX_TURN = np.pi
 """Largest motion of a joint from the start in a sample, in `Arm.joint_units`."""
 
-SHORTCUTS = 150
+SHORTCUTS = 60
 """Number of shortcuts that are tried."""
 
 
@@ -113,22 +113,24 @@ class PathSearch:
         found_by = "tree search"
         if joined is None:
             joined, found_by = self._join_withdrawn(end), "withdrawal"
-        if joined is None:
-            joined, found_by = self._connect(np.zeros(self.arm.nv), end, SEARCH_NODES), "tree search"
         return None if joined is None else FoundPath(self._shorten(joined), found_by)
 
     def is_clear(self, path: Array) -> bool:
         """Whether the straight motions between offsets, (N + 1, nv), keep clear, if the first one does."""
-        offsets = sample_motion(self.arm, self._positions, path)
-        return self.avoidance.clearance.keeps(self._start.q, offsets, self._least)
+        return self.avoidance.keeps(self._start.q, path, self._least)
 
     # Withdrawal.
 
     def _join_withdrawn(self, end: Array) -> Array | None:
         """Withdraw both ends step by step until they can be joined."""
         ends = [_Withdrawal(self, np.zeros(self.arm.nv)), _Withdrawal(self, end)]
-        while perf_counter() < self._until and any([each.go_on(JOIN_EVERY) for each in ends]):
-            joined = self._connect(ends[0].offsets[-1], ends[1].offsets[-1], JOIN_NODES)
+        nodes = JOIN_NODES
+        while perf_counter() < self._until:
+            if not any([each.go_on(JOIN_EVERY) for each in ends]):
+                if nodes == SEARCH_NODES:
+                    break
+                nodes = SEARCH_NODES  # nothing is left but to search longer
+            joined = self._connect(ends[0].offsets[-1], ends[1].offsets[-1], nodes)
             if joined is not None:
                 return np.concatenate([ends[0].offsets, joined[1:-1], ends[1].offsets[::-1]])
         return None

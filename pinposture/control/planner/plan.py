@@ -22,7 +22,7 @@ from pinposture.control.planner.damped_least_squares import LeastSquaresResult, 
 from pinposture.control.planner.objective import PRIORITY_WEIGHT, LinearRows, Objective, check_objective
 from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.path_search import PathSearch
-from pinposture.control.planner.trajectory_optimization import Penalty, direct_path, relax_path
+from pinposture.control.planner.trajectory_optimization import Penalties, TaskRows, direct_path, relax_path
 from pinposture.control.tasks import ControlTask
 from pinposture.errors import InvalidValue
 from pinposture.placement import Target
@@ -67,8 +67,8 @@ MAX_PATHS = 12
 MAX_DETOUR = 2.0
 """Length of a clear path, relative to the most direct of all, above which a shorter one is searched."""
 
-SEARCHED_PIECES = 24, 64
-"""Smallest and largest number of pieces of a path that was searched, when it is relaxed."""
+SEARCHED_ROOT = 30.0
+"""Root of the weight of clearance on paths that were searched."""
 
 
 def plan(
@@ -270,11 +270,13 @@ def _clearest_path(
 
     def relaxed(variant: int) -> JointPath:
         root = CLEARANCE_ROOTS[variant % len(CLEARANCE_ROOTS)]
-        penalty = _penalty(objective, state, goal, avoidance, root)
-        return direct_path(objective, start, goal.q, bounds.edges, penalty, variant)
+        penalties = Penalties(tasks, avoidance, root, possible, until)
+        return direct_path(objective, start, goal.q, bounds.edges, penalties, variant)
 
+    tasks = _task_rows(objective, state, goal)
     if avoidance is None:
-        return relaxed(attempt)
+        penalties = None if tasks is None else Penalties(tasks)
+        return direct_path(objective, start, goal.q, bounds.edges, penalties, attempt)
     # A path cannot be clearer than its ends.
     ends = (avoidance.clearance.minimum(at.q).distance for at in (state, goal))
     possible = min(avoidance.margin, *ends) - 1e-9 * objective.arm.length
@@ -287,9 +289,9 @@ def _clearest_path(
         first = 2 * attempt
         if attempt == 0 and not objective.tasks:
             yield most_direct
-        yield from (relaxed(first + k) for k in range(2) if not clear)
+        yield from (relaxed(first + k) for k in range(1) if not clear)
         yield from _searched(objective, state, goal, bounds, avoidance, possible, attempt, until)
-        yield from (relaxed(first + k) for k in range(2, MAX_PATHS // (1 + attempt)) if not clear)
+        yield from (relaxed(first + k) for k in range(1, MAX_PATHS // (1 + attempt)) if not clear)
 
     for path in candidates():
         closest = _closest_on(path, avoidance, possible)
@@ -323,24 +325,20 @@ def _searched(
     found = search.find()
     if found is None:
         return
-    penalty = _penalty(objective, state, goal, avoidance, CLEARANCE_ROOTS[0])
-    if penalty is not None:
-        pieces = int(np.clip(len(found.offsets), *SEARCHED_PIECES))
-        path = relax_path(objective, state.q, found.offsets, bounds.edges, penalty, pieces)
+    penalties = Penalties(_task_rows(objective, state, goal), avoidance, SEARCHED_ROOT, least, until)
+    relaxed = relax_path(objective, state.q, found.offsets, bounds.edges, penalties)
+    for path in (*relaxed, JointPath(objective, state.q, found.offsets)):
         yield replace(path, found_by=found.found_by)
-    yield JointPath(objective, state.q, found.offsets, found_by=found.found_by)
 
 
-def _penalty(
-    objective: Objective, state: ArmState, goal: ArmState, avoidance: Avoidance | None, clearance_root: float
-) -> Penalty | None:
-    """Return what else counts on the path: tasks, and clearance; None if there is neither."""
-    if not objective.tasks and avoidance is None:
+def _task_rows(objective: Objective, state: ArmState, goal: ArmState) -> TaskRows | None:
+    """Return the rows of tasks on the path; None if there are no tasks."""
+    if not objective.tasks:
         return None
     kinds = [(TASK_ROOT, False), (TASK_ROOT * float(np.sqrt(PRIORITY_WEIGHT)), True)]
     ends = [[objective.task_rows(at, priority) for at in (state, goal)] for _, priority in kinds]
 
-    def penalty(at: ArmState, share: float) -> LinearRows:
+    def rows(at: ArmState, share: float) -> LinearRows:
         parts = []
         for (root, priority), (first, last) in zip(kinds, ends, strict=True):
             tasks = objective.task_rows(at, priority)
@@ -349,13 +347,10 @@ def _penalty(
             # The errors should change steadily from those at the start to those at the goal.
             left = tasks.errors - (1.0 - share) * first.errors - share * last.errors
             parts.append(LinearRows(root * tasks.matrix, root * left))
-        if avoidance is not None:
-            near = avoidance.intrusions(at)
-            parts.append(LinearRows(clearance_root * near.matrix, clearance_root * near.errors))
         matrices, errors = zip(*parts, strict=True)
         return LinearRows(np.concatenate(matrices), np.concatenate(errors))
 
-    return penalty
+    return rows
 
 
 def _closest_on(path: JointPath, avoidance: Avoidance, below: float) -> Closest:

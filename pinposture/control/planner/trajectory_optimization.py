@@ -13,12 +13,15 @@ configuration means. Waypoints stay within the position limits.
 
 Without penalties one waypoint after the other is relaxed (`kernels.path`), first few and then more, in time
 linear in the number of joints. With penalties, for obstacles or tasks, all waypoints move together: damped
-Gauss-Newton steps that couple neighbours only, as block tridiagonal systems.
+Gauss-Newton steps that couple neighbours only, as block tridiagonal systems. Clearance counts between
+waypoints too, and pairs count that a step would bring too close. A path that is clear stays clear.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from math import inf, sqrt
+from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
@@ -27,17 +30,40 @@ from scipy.interpolate import CubicSpline
 
 from pinposture import kernels
 from pinposture.arm import ArmState
+from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.objective import LinearRows, Objective
 from pinposture.control.planner.path import JointPath
 
 Array = NDArray[np.float64]
 
-Penalty = Callable[[ArmState, float], LinearRows]
+TaskRows = Callable[[ArmState, float], LinearRows]
 """Rows whose squares are added to the energy, for a state and its place on the path as a share."""
+
+
+class Penalties(NamedTuple):
+    """What counts on a path besides its length.
+
+    Attributes:
+        tasks: rows of tasks, whose errors should vanish at each waypoint; None: there are none.
+        avoidance: what to keep clear of; None: nothing.
+        clearance_root: root of the weight of clearance that is missing, against the motion of points.
+        least: the distance that a clear path keeps [m].
+        until: time of `perf_counter` at which to end.
+    """
+
+    tasks: TaskRows | None = None
+    avoidance: Avoidance | None = None
+    clearance_root: float = 0.0
+    least: float = 0.0
+    until: float = inf
+
 
 COARSE_TO_FINE, MANY_PIECES = (6, 12, 24), (24, 48, 96)
 """Numbers of straight pieces of a path: first few and then more, which is quick; many from the beginning
 where that made a long detour, because long turns need them."""
+
+GIVEN_PATH_PIECES = (32, 64, 128)
+"""Numbers of pieces into which a given path is divided; more where fewer cut corners that are not clear."""
 
 KEPT_RATIO, GOOD_RATIO, MAX_RATIO = 1.01, 1.1, 2.0
 """Path length ratios of the control points: up to the first, joint interpolation is kept; above the second,
@@ -60,12 +86,31 @@ SMALL_BEND, LARGE_BEND = 0.05, 0.4
 """How far the first guess is bent to one side, relative to the largest change of a joint, which breaks
 symmetries; more for the variants."""
 
-MAX_PATH_ITERATIONS, NEWTON_CONVERGED = 40, 1e-4
+MAX_PATH_ITERATIONS, NEWTON_CONVERGED = 60, 1e-3
 """Largest number of Gauss-Newton steps, and the relative fall of the energy at which they end."""
 
-FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-3, 1e-9, 1e6
+MAX_HINDERED_ITERATIONS = 30
+"""Number of Gauss-Newton steps after which a path that is still not clear is given up."""
+
+MAX_WAYPOINT_STEP = 0.3
+"""Largest joint motion of a waypoint in one Gauss-Newton step, in `Arm.joint_units`."""
+
+FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-2, 1e-9, 1e6
 """Damping of Gauss-Newton steps at first, at least, and where the search gives up, relative to the mean
 diagonal of J^T J."""
+
+DAMPING_DECREASE, DAMPING_INCREASE = 1.0 / 3.0, 2.0
+"""Factors of the damping after a step that lowered the energy, and after one that did not; the latter is
+squared from one failure to the next."""
+
+CLEARANCE_SAMPLES = 3
+"""Number of places on each piece at which clearance counts."""
+
+MAX_SET_CHANGES = 3
+"""How often the set of pairs that a step would bring too close is corrected."""
+
+MAX_HELD_BACK = 8
+"""How often waypoints of a step are held back, so that a clear path stays clear, before it is given up."""
 
 
 def direct_path(
@@ -73,7 +118,7 @@ def direct_path(
     start: Array,
     goal: Array,
     edges: Array,
-    penalty: Penalty | None = None,
+    penalties: Penalties | None = None,
     variant: int = 0,
 ) -> JointPath:
     """Find the most direct path between two configurations.
@@ -83,20 +128,20 @@ def direct_path(
         start: configuration to start from, (nq,).
         goal: configuration to go to, (nq,).
         edges: joint positions to stay between, (2, nv) [rad or m].
-        penalty: rows whose errors should vanish at each waypoint between the ends; None: there are none.
+        penalties: what else counts on the path; None: nothing.
         variant: how the first guess is bent, from 0; other numbers may lead to another path.
     """
     arm = objective.arm
     change = objective.normalize(arm.difference(start, goal))
     largest = float(np.abs(change).max(initial=0.0))
-    if penalty is None and largest <= SHORT_MOTION:
+    if penalties is None and largest <= SHORT_MOTION:
         return JointPath(objective, start, np.array([np.zeros(arm.nv), objective.displacement(change)]))
     waypoints = _Waypoints(objective, start, edges)
     found = np.vstack([np.zeros(len(change)), change])
     bend = _bend(objective, variant) * largest
-    if penalty is not None:
+    if penalties is not None:
         guess = waypoints.interpolate(change, bend, MANY_PIECES[0])
-        found = optimize_with_penalties(objective, start, waypoints.within, guess, penalty)
+        found = _PathRelaxation(objective, start, waypoints.within, penalties).run(guess)
     else:
         shortest = waypoints.length_ratio(found)
         for other in waypoints.relax(change, bend) if shortest > KEPT_RATIO else ():
@@ -110,8 +155,8 @@ def direct_path(
 
 
 def relax_path(
-    objective: Objective, start: Array, offsets: Array, edges: Array, penalty: Penalty, pieces: int
-) -> JointPath:
+    objective: Objective, start: Array, offsets: Array, edges: Array, penalties: Penalties
+) -> tuple[JointPath, JointPath]:
     """Find the most direct path near a given one.
 
     Args:
@@ -119,14 +164,21 @@ def relax_path(
         start: configuration to start from, (nq,).
         offsets: waypoints of the given path as displacements from there, (N + 1, nv) [rad or m].
         edges: joint positions to stay between, (2, nv) [rad or m].
-        penalty: rows whose errors should vanish at each waypoint between the ends.
-        pieces: number of pieces of the path, before it is refined.
+        penalties: what else counts on the path.
+
+    Returns:
+        The path on a smooth curve through its waypoints, and with straight lines between them.
     """
     waypoints = _Waypoints(objective, start, edges)
-    x = waypoints.space(offsets, pieces)
-    found = optimize_with_penalties(objective, start, waypoints.within, x, penalty)
-    smooth = waypoints.refine(found, REFINEMENT * pieces)
-    return JointPath(objective, start, objective.displacement(smooth))
+    relaxation = _PathRelaxation(objective, start, waypoints.within, penalties)
+    for pieces in GIVEN_PATH_PIECES:
+        x = waypoints.space(offsets, pieces)
+        if relaxation.is_clear(x):
+            break
+    found = relaxation.run(x)
+    smooth = waypoints.refine(found, REFINEMENT * (len(found) - 1))
+    first, second = (JointPath(objective, start, objective.displacement(x)) for x in (smooth, found))
+    return first, second
 
 
 class _Waypoints:
@@ -203,28 +255,56 @@ def _bend(objective: Objective, variant: int) -> Array:
 # With penalties: all waypoints move together.
 
 
+class _Rows(NamedTuple):
+    """Rows of penalties, each on a piece i of the path at a share s: row ((1 - s) x_i + s x_{i+1}) = error.
+
+    Attributes:
+        matrix: (k, n).
+        errors: (k,) [m].
+        pieces: the pieces, (k,).
+        shares: the shares, (k,).
+        one_sided: which of them count only while their error is positive, (k,).
+    """
+
+    matrix: Array
+    errors: Array
+    pieces: NDArray[np.int64]
+    shares: Array
+    one_sided: NDArray[np.bool_]
+
+    @property
+    def active(self) -> NDArray[np.bool_]:
+        """Which of them count, (k,)."""
+        return ~self.one_sided | (self.errors > 0.0)
+
+    def after(self, steps: Array) -> _Rows:
+        """Return the rows as they would be after steps of all waypoints, (N + 1, n), if they were linear."""
+        steps = (1.0 - self.shares)[:, None] * steps[self.pieces] + self.shares[:, None] * steps[
+            self.pieces + 1
+        ]
+        return self._replace(errors=self.errors - np.einsum("ij,ij->i", self.matrix, steps))
+
+
 class _Iterate(NamedTuple):
     """Waypoints with all that belongs to them.
 
     Attributes:
         x: displacements from the start, (N + 1, n), in `Arm.joint_units`.
         points: control points, (N + 1, r) [m].
-        jacobians: of the points, (N + 1, r, n).
-        penalties: rows of the penalties of the waypoints between the ends.
+        rows: the rows of the penalties.
+        clear: which pieces keep the least distance, (N,).
         energy: the sum that is minimised [m^2].
     """
 
     x: Array
     points: Array
-    jacobians: Array
-    penalties: list[LinearRows]
+    rows: _Rows
+    clear: NDArray[np.bool_]
     energy: float
 
 
-def optimize_with_penalties(
-    objective: Objective, start: Array, within: tuple[Array, Array], x: Array, penalty: Penalty
-) -> Array:
-    """Return waypoints at a minimum of the energy and the penalties, (N + 1, n), in `Arm.joint_units`.
+class _PathRelaxation:
+    """Minimises the energy of a path and its penalties, by damped Gauss-Newton steps.
 
     Joints at a limit that the descent would push past it are held there.
 
@@ -232,76 +312,158 @@ def optimize_with_penalties(
         objective: the arm, its joints, and their weight.
         start: configuration that waypoints are displacements from, (nq,).
         within: smallest and largest displacement, 2 x (n,).
-        x: a first guess, (N + 1, n), within them.
-        penalty: rows of the penalties.
+        penalties: what else counts.
     """
-    search = _GaussNewton(objective, start, within, penalty)
-    now, damping = search.evaluate(x), FIRST_DAMPING
-    for _ in range(MAX_PATH_ITERATIONS):
-        step = search.step(now, damping)
-        if step is not None:
-            moved = now.x.copy()
-            moved[1:-1] = np.minimum(np.maximum(moved[1:-1] + step, within[0]), within[1])
-            tried = search.evaluate(moved)
-            if tried.energy < now.energy:
-                converged = tried.energy > (1.0 - NEWTON_CONVERGED) * now.energy
-                now, damping = tried, max(damping / 5.0, MIN_DAMPING)
-                if converged:
-                    break
-                continue
-        damping *= 8.0
-        if damping > MAX_DAMPING:
-            break
-    return now.x
-
-
-class _GaussNewton:
-    """Gauss-Newton steps on the waypoints of one path."""
 
     def __init__(
-        self, objective: Objective, start: Array, within: tuple[Array, Array], penalty: Penalty
+        self, objective: Objective, start: Array, within: tuple[Array, Array], penalties: Penalties
     ) -> None:
-        self._objective, self._start, self._weight, self._penalty = objective, start, objective.mu**2, penalty
+        self._objective, self._start, self._penalties = objective, start, penalties
+        self._positions, self._weight = objective.arm.positions(start), objective.mu**2
         self._lower, self._upper = within
 
-    def evaluate(self, x: Array) -> _Iterate:
+    def is_clear(self, x: Array) -> bool:
+        """Return whether straight motions between waypoints, (N + 1, n), keep the least distance."""
+        avoidance, path = self._penalties.avoidance, self._objective.displacement(x)
+        return avoidance is None or avoidance.keeps(self._start, path, self._penalties.least)
+
+    def run(self, x: Array) -> Array:
+        """Return waypoints at a minimum, (N + 1, n), from a first guess within the limits."""
+        now, damping, increase = self._evaluate(x), FIRST_DAMPING, DAMPING_INCREASE
+        for number in range(MAX_PATH_ITERATIONS):
+            hopeless = number >= MAX_HINDERED_ITERATIONS and not now.clear.all()
+            if hopeless or damping > MAX_DAMPING or perf_counter() >= self._penalties.until:
+                break
+            step = self._step(now, damping)
+            tried = None if step is None else self._move(now, step)
+            if tried is None or tried.energy >= now.energy:
+                damping, increase = damping * increase, increase**2
+                continue
+            converged = tried.energy > (1.0 - NEWTON_CONVERGED) * now.energy
+            now, damping = tried, max(damping * DAMPING_DECREASE, MIN_DAMPING)
+            increase = DAMPING_INCREASE
+            if converged:
+                break
+        return now.x
+
+    def _move(self, now: _Iterate, step: Array) -> _Iterate | None:
+        """Return the path after a step of the waypoints between the ends, (N - 1, n).
+
+        Of a clear path, waypoints beside a piece that would no longer be clear stay where they are. None if
+        that does not help.
+        """
+        moved = now.x.copy()
+        moved[1:-1] = np.minimum(np.maximum(moved[1:-1] + step, self._lower), self._upper)
+        for _ in range(MAX_HELD_BACK):
+            tried = self._evaluate(moved)
+            if tried.clear.all() or not now.clear.all():
+                return tried
+            beside = np.zeros(len(moved), dtype=np.bool_)
+            beside[:-1] |= ~tried.clear
+            beside[1:] |= ~tried.clear
+            moved[beside] = now.x[beside]
+        return None
+
+    def _evaluate(self, x: Array) -> _Iterate:
         objective = self._objective
-        columns, plane = objective.columns, objective.arm.plane
-        states = [self._state(each) for each in x]
-        points = np.array([(state.points @ plane.T).ravel() for state in states])
-        rows = points.shape[1]
-        jacobians = np.array([state.task_jacobians.reshape(rows, -1)[:, columns] for state in states])
+        arm, offsets = objective.arm, objective.displacement(x)
+        points = (arm.kinematics.points(self._positions + offsets) @ arm.plane.T).reshape(len(x), -1)
         energy = float((np.diff(points, axis=0) ** 2).sum() + self._weight * (np.diff(x, axis=0) ** 2).sum())
-        penalties = [self._penalty(states[i], i / (len(x) - 1)) for i in range(1, len(x) - 1)]
-        energy += sum(float(each.errors @ each.errors) for each in penalties)
-        return _Iterate(x, points, jacobians, penalties, energy)
+        parts = [self._task_rows(offsets)]
+        clear = np.ones(len(x) - 1, dtype=np.bool_)
+        if self._penalties.avoidance is not None:
+            rows, clear = self._clearance_rows(self._penalties.avoidance, offsets)
+            parts.append(rows)
+        rows = _Rows(*(np.ascontiguousarray(np.concatenate(each)) for each in zip(*parts, strict=True)))
+        energy += float((rows.errors[rows.active] ** 2).sum())
+        return _Iterate(x, points, rows, clear, energy)
 
-    def _state(self, x: Array) -> ArmState:
-        objective = self._objective
-        return objective.arm.at(objective.arm.integrate(self._start, objective.displacement(x))).compiled
+    def _task_rows(self, offsets: Array) -> _Rows:
+        """Return the rows of tasks at the waypoints between the ends."""
+        arm, tasks, last = self._objective.arm, self._penalties.tasks, len(offsets) - 1
+        found = (
+            []
+            if tasks is None
+            else [
+                tasks(arm.at(arm.integrate(self._start, offsets[i])).compiled, i / last)
+                for i in range(1, last)
+            ]
+        )
+        counts = [len(each.errors) for each in found]
+        n = len(self._objective.columns)
+        return _Rows(
+            matrix=np.concatenate([each.matrix for each in found] or [np.zeros((0, n))]),
+            errors=np.concatenate([each.errors for each in found] or [np.zeros(0)]),
+            pieces=np.repeat(np.arange(1, len(found) + 1), counts),
+            shares=np.zeros(sum(counts)),
+            one_sided=np.zeros(sum(counts), dtype=np.bool_),
+        )
 
-    def step(self, now: _Iterate, damping: float) -> Array | None:
+    def _clearance_rows(self, avoidance: Avoidance, offsets: Array) -> tuple[_Rows, NDArray[np.bool_]]:
+        """Return the rows of clearance at places between the ends, and which pieces are clear."""
+        pieces, count = len(offsets) - 1, CLEARANCE_SAMPLES
+        places = np.arange(1, pieces * count)
+        piece, share = places // count, (places % count) / count
+        sampled = (1.0 - share)[:, None] * offsets[piece] + share[:, None] * offsets[piece + 1]
+        found, root = avoidance.clearance_rows(self._start, sampled), self._penalties.clearance_root
+        rows = _Rows(
+            matrix=root / sqrt(count) * found.matrix,
+            errors=root / sqrt(count) * found.errors,
+            pieces=piece[found.samples],
+            shares=share[found.samples],
+            one_sided=np.ones(len(found.errors), dtype=np.bool_),
+        )
+        least, minima = self._penalties.least, np.concatenate([[inf], found.minima, [inf]])
+        lowest = np.minimum.reduceat(minima[:-1], np.arange(0, pieces * count, count))
+        lowest = np.minimum(lowest, minima[count::count])
+        clear = lowest >= least
+        if clear.all():  # a piece on which all is farther away than the arm moves between samples is clear
+            sampled = np.concatenate([offsets[:1], sampled, offsets[-1:]])
+            points = self._objective.arm.kinematics.points(self._positions + sampled)
+            moved = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1)
+            moved = moved.reshape(pieces, count).max(axis=1)
+            for i in np.flatnonzero(lowest - least < moved):
+                clear[i] = avoidance.keeps(self._start, offsets[i : i + 2], least)
+        return rows, clear
+
+    def _jacobians(self, x: Array) -> Array:
+        """Return the Jacobians of the control points of waypoints, (k, r, n)."""
+        arm, columns, units = self._objective.arm, self._objective.columns, self._objective.units
+        kinematics, plane = arm.kinematics, arm.plane
+        found = np.empty((len(x), arm.n_modules * len(plane), len(columns)))
+        for i, positions in enumerate(self._positions + self._objective.displacement(x)):
+            jacobians = kinematics.jacobians(kinematics.forward(positions))[:, :, columns] * units
+            found[i] = (plane @ jacobians).reshape(found.shape[1:])
+        return found
+
+    def _step(self, now: _Iterate, damping: float) -> Array | None:
         """Return the damped step of all waypoints between the ends, (N - 1, n); None if it fails."""
-        x, inner = now.x, now.jacobians[1:-1]
+        x, inner = now.x, self._jacobians(now.x[1:-1])
         n, transposed = x.shape[1], inner.transpose(0, 2, 1)
         point_changes, joint_changes = np.diff(now.points, axis=0), np.diff(x, axis=0)
         pull = point_changes[:-1] - point_changes[1:]
-        gradient = (transposed @ pull[:, :, None])[:, :, 0]
-        gradient = gradient + self._weight * (joint_changes[:-1] - joint_changes[1:])
+        slope = (transposed @ pull[:, :, None])[:, :, 0]
+        slope = slope + self._weight * (joint_changes[:-1] - joint_changes[1:])
         own = transposed @ inner
         typical = float(np.trace(own.sum(axis=0))) / (n * len(own))
-        diagonal = 2.0 * own + (2.0 * self._weight + damping * typical) * np.eye(n)
-        above = -(transposed[:-1] @ inner[1:]) - self._weight * np.eye(n)
-        for i, rows in enumerate(now.penalties):
-            diagonal[i] += rows.matrix.T @ rows.matrix
-            gradient[i] -= rows.matrix.T @ rows.errors
-        free = ~(
-            ((x[1:-1] >= self._upper) & (gradient < 0.0)) | ((x[1:-1] <= self._lower) & (gradient > 0.0))
-        )
-        if not free.all():
-            diagonal *= free[:, :, None] & free[:, None, :]
-            diagonal[:, np.arange(n), np.arange(n)] += ~free
-            above *= free[:-1, :, None] & free[1:, None, :]
-            gradient = gradient * free
-        found = np.empty_like(gradient)
-        return found if kernels.solve_tridiagonal(diagonal, above, -gradient, found) else None
+        own = 2.0 * own + (2.0 * self._weight + damping * typical) * np.eye(n)
+        coupling = -(transposed[:-1] @ inner[1:]) - self._weight * np.eye(n)
+        active, steps = now.rows.active, np.zeros_like(x)
+        for _ in range(MAX_SET_CHANGES):
+            diagonal, above, gradient = own.copy(), coupling.copy(), slope.copy()
+            kernels.add_path_rows(*now.rows[:4], active, diagonal, above, gradient)
+            free = ~(
+                ((x[1:-1] >= self._upper) & (gradient < 0.0)) | ((x[1:-1] <= self._lower) & (gradient > 0.0))
+            )
+            if not free.all():
+                diagonal *= free[:, :, None] & free[:, None, :]
+                diagonal[:, np.arange(n), np.arange(n)] += ~free
+                above *= free[:-1, :, None] & free[1:, None, :]
+                gradient = gradient * free
+            if not kernels.solve_tridiagonal(diagonal, above, -gradient, steps[1:-1]):
+                return None
+            before, active = active, now.rows.after(steps).active
+            if np.array_equal(active, before):
+                break
+        largest = float(np.abs(steps).max())
+        return steps[1:-1] * min(1.0, MAX_WAYPOINT_STEP / max(largest, 1e-300))

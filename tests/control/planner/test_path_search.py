@@ -14,7 +14,9 @@ import pinposture as pp
 from pinposture.collision import CollisionModel
 from pinposture.control.planner.avoidance import Avoidance, by_halves, sample_motion
 from pinposture.control.planner.objective import Objective
+from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.path_search import PathSearch
+from pinposture.control.planner.trajectory_optimization import Penalties, relax_path
 
 MARGIN = 0.005
 
@@ -104,16 +106,35 @@ def test_the_search_is_the_same_for_the_same_seed(seed: int) -> None:
     np.testing.assert_array_equal(first.offsets, second.offsets)
 
 
-def test_where_there_is_no_way_the_plan_says_what_is_in_it() -> None:
-    scene, start, goal = through_a_hole(1)
-    closed = pp.Scene({**scene.obstacles, "lid": pp.Box((0.45, 0.0, 0.0), (0.02, 1.0, 1.0))}, margin=MARGIN)
-    target = pp.Target.from_configuration(arm(), goal)
-    # The goal lies in the lid; the arm stays in front of it.
-    path = pp.plan(arm().at(start), target, closed)
-    reached = arm().at(path.configurations[-1]).points
-    assert np.linalg.norm(reached - target.points, axis=1).max() > 0.01
-    model = CollisionModel(arm(), closed)
-    assert model.minimum(path.configurations[-1]).distance > 0.0 or path.hindrance
+def test_where_there_is_no_path_the_plan_says_what_is_in_the_way() -> None:
+    """Two walls from near the base to beyond its reach part the plane of a planar arm."""
+    planar = template_arm("Rz", 5)
+    reach = planar.length
+    walls = {
+        name: pp.Box((side * (0.6 * reach + 0.06), 0.0, 0.0), (1.2 * reach, 0.02, 0.2))
+        for name, side in (("east wall", 1.0), ("west wall", -1.0))
+    }
+    scene = pp.Scene(walls, margin=MARGIN, arm_radius=0.01)
+    start, goal = np.array([0.5 * np.pi, 0.2, 0.1, 0.1, 0.1]), np.array([-0.5 * np.pi, 0.2, 0.1, 0.1, 0.1])
+    model = CollisionModel(planar, scene)
+    assert min(model.minimum(q).distance for q in (start, goal)) > MARGIN
+    path = pp.plan(planar.at(start), pp.Target.from_configuration(planar, goal), scene)
+    assert "wall" in path.hindrance
+    np.testing.assert_allclose(path.configurations[-1], goal, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", cases(range(6), 2))
+def test_a_path_that_was_found_becomes_direct_and_stays_clear(seed: int) -> None:
+    scene, start, goal = through_a_hole(seed)
+    found = search(scene, start, goal, seed).find()
+    assert found is not None
+    bounds, state = pp.Limits().for_arm(arm()), arm().at(start).compiled
+    objective = Objective(arm(), pp.Target.from_configuration(arm(), goal))
+    avoidance = Avoidance(CollisionModel(arm(), scene), objective, bounds)
+    penalties = Penalties(None, avoidance, 30.0, MARGIN)
+    _, relaxed = relax_path(objective, state.q, found.offsets, bounds.edges, penalties)
+    assert relaxed.length < 0.8 * JointPath(objective, start, found.offsets).length
+    assert smallest_distance(scene, relaxed.configurations) > MARGIN - 1e-3
 
 
 def test_in_the_open_it_is_one_straight_motion() -> None:

@@ -12,9 +12,10 @@ from scipy.integrate import solve_bvp
 from scipy.optimize import minimize
 
 import pinposture as pp
-from pinposture.control.planner.objective import LinearRows, Objective
+from pinposture.control.planner.avoidance import Avoidance
+from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import JointPath
-from pinposture.control.planner.trajectory_optimization import KEPT_RATIO, RELAXED, direct_path
+from pinposture.control.planner.trajectory_optimization import KEPT_RATIO, RELAXED, Penalties, direct_path
 
 LINKS = np.array([0.6, 0.4])
 MU = 0.1
@@ -174,35 +175,22 @@ def test_a_turn_of_more_than_half_a_circle_is_taken_the_way_that_the_goal_means(
     assert np.all(np.abs(start + path.offsets) <= np.pi + 1e-12)
 
 
-def disc(center: np.ndarray, radius: float, weight: float) -> object:
-    """Rows that ask of every control point to be outside a disc."""
-
-    def penalty(state: pp.ArmState, _: float) -> LinearRows:
-        matrix, errors = [], []
-        for point, jacobian in zip(state.points, state.jacobians, strict=True):
-            apart = point - center
-            distance = float(np.linalg.norm(apart))
-            if distance < radius:
-                matrix.append(weight * (apart / distance) @ jacobian)
-                errors.append(weight * (radius - distance))
-        return LinearRows(np.array(matrix).reshape(-1, state.arm.nv), np.array(errors))
-
-    return penalty
-
-
-def test_penalties_bend_the_way_around_an_obstacle(two: pp.Arm) -> None:
+def test_penalties_bend_the_path_around_an_obstacle(two: pp.Arm) -> None:
     start, goal = np.array([-0.8, 0.3]), np.array([0.8, -0.3])
     free = way(two, start, goal)
-    middle = two.at(start + free.offsets[len(free.offsets) // 2]).points[1]
-    radius = 0.12
-    path = way(two, start, goal, penalty=disc(middle * 1.05, radius, 100.0), variant=2)
+    middle = two.at(start + free.offsets[len(free.offsets) // 2]).points[1] * 1.05
+    radius, thin, margin = 0.12, 1e-3, 0.005
+    post = pp.Cylinder((*middle[:2], -1.0), (*middle[:2], 1.0), radius)
+    scene = pp.Scene({"post": post}, margin=margin, arm_radius=thin)
+    avoidance = Avoidance.of(scene, free.objective, pp.Limits().for_arm(two))
+    path = way(two, start, goal, penalties=Penalties(None, avoidance, 100.0, margin), variant=2)
 
     def nearest(offsets: np.ndarray) -> float:
         points = np.array([two.at(start + offset).points for offset in offsets[1:-1]])
-        return float(np.linalg.norm(points - middle * 1.05, axis=2).min())
+        return float(np.linalg.norm((points - middle)[:, :, :2], axis=2).min())
 
     assert nearest(free.offsets) < 0.7 * radius
-    assert nearest(path.offsets) > 0.95 * radius
+    assert nearest(path.offsets) > radius + thin + margin - 1e-3
 
 
 def test_joints_that_cannot_move_and_slides_take_part_as_they_should() -> None:
