@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from typing import NamedTuple, TypeAlias
 
@@ -307,6 +307,21 @@ class PairDistances:
             starts=np.append(begins, len(listed)).astype(np.int64),
         )
         self._open = int(np.count_nonzero(~exact))
+
+    def with_obstacles(self, changes: Mapping[int, Solid]) -> PairDistances:
+        """Return the distances with some obstacles, by their number, in place of others of the same kind."""
+        other, bodies = copy(self), len(self._joints)
+        other._solids, other._fixed = list(self._solids), list(self._fixed)
+        arrays = self._arrays._replace(
+            **{name: getattr(self._arrays, name).copy() for name in ("lines", "centers", "frames")}
+        )
+        for k, each in changes.items():
+            other._solids[bodies + k] = each
+            other._fixed[k] = coal.Transform3s(each.rotation, each.position)
+            arrays.lines[k], arrays.centers[k] = (each.start, each.end), each.center
+            arrays.frames[k] = each.rotation
+        other._arrays = arrays
+        return other
 
     def near(self, placements: Placements, within: float) -> NearPairs:
         """Find the pairs nearer than a distance, and the nearest of all.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -21,7 +21,7 @@ from pinposture.collision.distances import (
     Placements,
     TreeKinematics,
 )
-from pinposture.collision.obstacles import Solid, solid, solids
+from pinposture.collision.obstacles import Obstacle, Solid, displaced, solid, solids
 from pinposture.collision.scene import Scene
 from pinposture.collision.shapes import Sphere
 from pinposture.errors import InvalidValue, PostureWarning
@@ -102,6 +102,7 @@ def _choose_pairs(
     solids: Sequence[Solid],
     fixed: Sequence[Solid],
     scene: Scene,
+    free: Collection[int],
 ) -> tuple[list[IndexPair], dict[IndexPair, str]]:
     """Choose the pairs to check; return them and those left out with a reason.
 
@@ -114,6 +115,8 @@ def _choose_pairs(
       or short links, telescoping tubes, and overlapping meshes: the arm could not even stand straight;
     * pairs within the margin in every posture that is tried, such as an obstacle beside the base. If the last
       body is among them, the arm is inside an obstacle, and they are kept.
+
+    Of obstacles that move, whose numbers are in `free`, no pair is left out.
     """
     count = len(bodies)
     mounted = _mounted_pairs(arm, kinematics, bodies, solids, fixed, scene.margin)
@@ -128,8 +131,10 @@ def _choose_pairs(
         found = near.near(kinematics.place(q), limit).pairs
         touching |= {(int(near.first[k]), int(near.second[k])) for k in found}
     excluded |= dict.fromkeys(sorted(touching), "near each other where the arm is straight or neutral")
+    excluded = {pair: why for pair, why in excluded.items() if pair[1] not in free}
     left = [pair for pair in (*against, *own) if pair not in excluded]
     close = _always_close(arm, kinematics, bodies, solids, fixed, left, scene.margin)
+    close = [pair for pair in close if pair[1] not in free]
     return [pair for pair in left if pair not in close], excluded | dict.fromkeys(close, ALWAYS_CLOSE)
 
 
@@ -247,6 +252,7 @@ class Distances(NamedTuple):
             may have several rows with one name.
         points: point of the body nearest to the other, (k, 3) [m], world frame.
         normals: unit vector in which the body moves straight away, (k, 3), world axes.
+        rates: how fast the distances change because obstacles move, (k,) [m/s].
         minimum: the smallest of the distances of all pairs, near or not, exactly [m]; infinite without pairs.
         pair: the pair that has it; None if there is no pair.
     """
@@ -256,6 +262,7 @@ class Distances(NamedTuple):
     pairs: tuple[Pair, ...]
     points: Array
     normals: Array
+    rates: Array
     minimum: float
     pair: Pair | None
 
@@ -284,6 +291,11 @@ class CollisionModel:
             touch where the arm is straight; bodies next to each other are not listed.
     """
 
+    _distances: PairDistances
+    _moment: CollisionModel | None  # the model of the last moment in which obstacles were elsewhere
+    _numbers: dict[str, list[int]]  # which solids each obstacle consists of
+    _velocities: Array
+
     def __new__(cls, arm: Arm, scene: Scene) -> CollisionModel:
         """Return the model of an arm and a scene, made on first use.
 
@@ -298,26 +310,78 @@ class CollisionModel:
             raise InvalidValue("arm", arm, "an Arm")
         if not isinstance(scene, Scene):
             raise InvalidValue("scene", scene, "a Scene")
-        models: dict[Scene, CollisionModel] = arm.cache.setdefault(cls, {})
-        if scene not in models:
+        models: dict[tuple[Scene, frozenset[str]], CollisionModel] = arm.cache.setdefault(cls, {})
+        key = scene.first, scene.moving
+        if key not in models:
             made = super().__new__(cls)
-            made._prepare(arm, scene)
+            made._prepare(arm, scene.first, scene.moving)
             if len(models) >= MAX_MODELS:
                 models.clear()
-            models[scene] = made
-        return models[scene]
+            models[key] = made
+        return models[key]._in_moment(scene)
 
-    def _prepare(self, arm: Arm, scene: Scene) -> None:
-        self.scene = scene
+    def _in_moment(self, scene: Scene) -> CollisionModel:
+        """Return the model of the same scene at another moment; the last one is kept."""
+        if scene is self.scene:
+            return self
+        if self._moment is None or self._moment.scene is not scene:
+            other = self._copy()
+            other.scene = scene
+            other._distances = self._elsewhere({name: scene.obstacles[name] for name in scene.moving})
+            other._velocities = self._velocities_in(scene)
+            self._moment = other
+        return self._moment
+
+    def _copy(self) -> CollisionModel:
+        other = object.__new__(CollisionModel)
+        other.__dict__.update(self.__dict__)
+        return other
+
+    def ahead(self, time: float) -> CollisionModel:
+        """Return the model as it will be after some time [s], if obstacles keep their velocities."""
+        obstacles, velocities = self.scene.obstacles, self.scene.velocities
+        if not velocities:
+            return self
+        shifts = {name: pin.SE3(np.eye(3), time * np.array(each)) for name, each in velocities.items()}
+        other = self._copy()
+        other._distances = self._elsewhere(
+            {name: displaced(obstacles[name], shift) for name, shift in shifts.items()}
+        )
+        return other
+
+    def _elsewhere(self, moved: Mapping[str, Obstacle]) -> PairDistances:
+        """Return the distances with some obstacles elsewhere."""
+        changes = {
+            number: each
+            for name, obstacle in moved.items()
+            for number, each in zip(self._numbers[name], solids(obstacle), strict=True)
+        }
+        return self._distances.with_obstacles(changes)
+
+    def _velocities_in(self, scene: Scene) -> Array:
+        """Return the velocities of all solids of obstacles, (o, 3) [m/s], with one more row for none."""
+        velocities = np.zeros((1 + sum(map(len, self._numbers.values())), 3))
+        for name, velocity in scene.velocities.items():
+            velocities[self._numbers[name]] = velocity
+        return velocities
+
+    def _prepare(self, arm: Arm, scene: Scene, moving: frozenset[str]) -> None:
+        self.scene, self._moment = scene, None
         self._model, self._plane = arm.model, np.array(arm.plane)
         self._space, self._kinematics = ConfigurationSpace(arm.model), TreeKinematics(arm.model)
         bodies = bodies_of(arm, scene.arm_radius)
         self._solids = [solid(body.shape) for body in bodies]
         named = [(name, each) for name, obstacle in scene.obstacles.items() for each in solids(obstacle)]
         fixed = [each for _, each in named]
+        listed = [name for name, _ in named]
+        self._numbers = {
+            name: [k for k, each in enumerate(listed) if each == name] for name in scene.obstacles
+        }
+        self._velocities = self._velocities_in(scene)
         self.bodies = tuple(body.name for body in bodies)
         names = (*self.bodies, *(name for name, _ in named))
-        chosen, excluded = _choose_pairs(arm, self._kinematics, bodies, self._solids, fixed, scene)
+        free = {len(bodies) + k for k, (name, _) in enumerate(named) if name in moving}
+        chosen, excluded = _choose_pairs(arm, self._kinematics, bodies, self._solids, fixed, scene, free)
         left_out = (ExcludedPair(names[a], names[b], why) for (a, b), why in excluded.items())
         self.excluded_pairs = tuple(dict.fromkeys(left_out))
         close = [
@@ -356,12 +420,15 @@ class CollisionModel:
         second = self._carriers[self._distances.second[near.pairs]]
         jacobian = self._kinematics.differentiate(placements, first, second, near.points, normals)
         best = self._closest(near.minimum, near.nearest)
+        obstacles = self._distances.second[near.pairs] - len(self.bodies)
+        moved = np.where((obstacles >= 0)[:, None], self._velocities[obstacles], 0.0)
         return Distances(
             distances=near.distances,
             jacobian=jacobian,
             pairs=tuple(self.pairs[k] for k in near.pairs),
             points=near.points,
             normals=normals,
+            rates=-np.einsum("ij,ij->i", normals, moved),
             minimum=best.distance,
             pair=best.pair,
         )

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from types import MappingProxyType
 from typing import Any, NamedTuple, TypeAlias
 
 import coal
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture._validation import known_keys
@@ -58,6 +59,22 @@ def obstacle_from_dict(described: Mapping[str, Any], folder: str = ".") -> Obsta
         if key not in values and key != "rotation":
             raise InvalidValue(key, None, f"a value; a {name} has {', '.join(allowed)}")
     return kind(**values)
+
+
+def displaced(obstacle: Obstacle, motion: pin.SE3) -> Obstacle:
+    """Return an obstacle after a rigid motion."""
+    if isinstance(obstacle, (Mesh, Scan)):
+        center, turn = np.array(obstacle.center), np.array(obstacle.rotation)
+        return obstacle.placed(motion.act(center), motion.rotation @ turn)
+    changes: dict[str, Any] = {}
+    for name in ("center", "start", "end", "point"):
+        if hasattr(obstacle, name):
+            changes[name] = motion.act(np.array(getattr(obstacle, name)))
+    if isinstance(obstacle, Box):
+        changes["rotation"] = motion.rotation @ np.array(obstacle.rotation)
+    if isinstance(obstacle, HalfSpace):
+        changes["normal"] = motion.rotation @ np.array(obstacle.normal)
+    return replace(obstacle, **changes)
 
 
 class Solid(NamedTuple):

@@ -4,18 +4,27 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import ItemsView, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from pinposture._validation import known_keys, length
+from pinposture._validation import Vector, known_keys, length, point
 from pinposture.collision.distances import PairDistances, Placements
-from pinposture.collision.obstacles import OBSTACLE_TYPES, Obstacle, obstacle_from_dict, solid, solids
+from pinposture.collision.obstacles import (
+    OBSTACLE_TYPES,
+    Obstacle,
+    displaced,
+    obstacle_from_dict,
+    solid,
+    solids,
+)
 from pinposture.collision.shapes import Sphere
 from pinposture.errors import FileError, InvalidValue, PostureError, UnknownName
 from pinposture.storage import read_text, relative, write_text
@@ -29,17 +38,19 @@ VERSION = 1
 MAX_LISTED_OBSTACLES = 8  # number of obstacles up to which `repr` names them all
 PROBE_RADIUS = 1e-6  # radius of the ball that stands for a point [m]
 
-_KEYS = ("version", "obstacles", "self_collision", "margin", "arm_radius")
+_KEYS = ("version", "obstacles", "self_collision", "margin", "arm_radius", "velocities")
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Fixed obstacles, and how an arm must keep clear of them and of itself.
+    """Obstacles, and how an arm must keep clear of them and of itself.
 
     A scene is immutable, can be compared and pickled, and belongs to no arm; `CollisionModel` takes both:
 
         scene = pp.Scene({"post": pp.Cylinder([0.3, 0.1, -1], [0.3, 0.1, 1], 0.02)}, self_collision=True)
         scene = pp.Scene.load("scene.toml")
+
+    Where obstacles move, the scene of each moment is another one (`moved`).
 
     Attributes:
         obstacles: the obstacles by name.
@@ -48,12 +59,15 @@ class Scene:
         arm_radius: radius of stand-in capsules along the links [m], in place of the collision geometry in
             the arm's description. If None, that geometry, or where there is none capsules with a radius of a
             tenth of the mean module length (`pinposture.collision.bodies`).
+        velocities: velocities of the obstacles that move, by name, (3,) [m/s]; others stand still.
     """
 
     obstacles: Mapping[str, Obstacle] = field(default_factory=dict)
     self_collision: bool = False
     margin: float = 0.005
     arm_radius: float | None = None
+    velocities: Mapping[str, Vector] = field(default_factory=dict)
+    _first: Scene | None = field(init=False, repr=False, default=None)
     _hash: int = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -71,8 +85,65 @@ class Scene:
         object.__setattr__(self, "margin", length("margin", self.margin, zero=True))
         if self.arm_radius is not None:
             object.__setattr__(self, "arm_radius", length("arm_radius", self.arm_radius))
+        velocities = {name: point(f"velocities[{name!r}]", v) for name, v in self._known(self.velocities)}
+        object.__setattr__(self, "velocities", MappingProxyType(velocities))
         # Every control step may look up the collision model of a scene.
         object.__setattr__(self, "_hash", hash(self._key()))
+
+    def _known(self, values: Mapping[str, Any]) -> ItemsView[str, Any]:
+        """Return values for obstacles; raise UnknownName for a name that no obstacle has."""
+        if not isinstance(values, Mapping):
+            raise InvalidValue("values", values, "a mapping from names of obstacles")
+        for name in values:
+            if name not in self.obstacles:
+                raise UnknownName("obstacle", name, tuple(self.obstacles))
+        return values.items()
+
+    @property
+    def first(self) -> Scene:
+        """The scene that this one was made of by `moved`; itself if it was not."""
+        return self if self._first is None else self._first
+
+    @cached_property
+    def moving(self) -> frozenset[str]:
+        """Names of the obstacles that have moved or have a velocity."""
+        before = self.first.obstacles
+        return frozenset(name for name, each in self.obstacles.items() if before[name] is not each) | {
+            *self.velocities
+        }
+
+    def moved(
+        self,
+        placements: Mapping[str, pin.SE3 | ArrayLike],
+        velocities: Mapping[str, Vector] | None = None,
+    ) -> Scene:
+        """Return the scene with some obstacles elsewhere.
+
+            scene = scene.moved({"person": (0.5, y, 0.0)}, velocities={"person": (0.0, 0.2, 0.0)})
+
+        Args:
+            placements: motion of obstacles from where they were in the first scene, by name: a `pin.SE3`, or
+                a translation, (3,) [m]. Where an obstacle was described in a frame of its own, this is where
+                that frame is.
+            velocities: as the attribute; obstacles without one stand still.
+
+        Returns:
+            A scene in which obstacles that are not named stay where they are in this one.
+
+        Raises:
+            UnknownName: no obstacle has that name.
+            InvalidValue: not a placement, or not a velocity.
+        """
+        first, obstacles = self.first, dict(self.obstacles)
+        for name, placement in self._known(placements):
+            if isinstance(placement, pin.SE3):
+                motion = placement
+            else:
+                motion = pin.SE3(np.eye(3), np.array(point(f"placements[{name!r}]", placement)))
+            obstacles[name] = displaced(first.obstacles[name], motion)
+        other = replace(self, obstacles=obstacles, velocities={} if velocities is None else velocities)
+        object.__setattr__(other, "_first", first)
+        return other
 
     def to_dict(self, embed: bool = True) -> dict[str, Any]:
         """Return the scene as data that JSON can hold.
@@ -81,11 +152,13 @@ class Scene:
             embed: whether to include the points of meshes and scans from files, rather than their paths.
         """
         radius = {} if self.arm_radius is None else {"arm_radius": self.arm_radius}
+        velocities = {name: list(velocity) for name, velocity in self.velocities.items()}
         return {
             "version": VERSION,
             "self_collision": self.self_collision,
             "margin": self.margin,
             **radius,
+            **({"velocities": velocities} if velocities else {}),
             "obstacles": {name: each.to_dict(embed) for name, each in self.obstacles.items()},
         }
 
@@ -174,10 +247,12 @@ class Scene:
         return self._hash
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Scene, (dict(self.obstacles), self.self_collision, self.margin, self.arm_radius)
+        given = dict(self.obstacles), self.self_collision, self.margin, self.arm_radius, dict(self.velocities)
+        return Scene, given
 
     def _key(self) -> tuple[Any, ...]:
-        return frozenset(self.obstacles.items()), self.self_collision, self.margin, self.arm_radius
+        obstacles, velocities = frozenset(self.obstacles.items()), frozenset(self.velocities.items())
+        return obstacles, velocities, self.self_collision, self.margin, self.arm_radius
 
 
 def _obstacle(name: str, described: Any, folder: str) -> Obstacle:

@@ -34,6 +34,7 @@ class JointBounds(NamedTuple):
         brake: largest change of dq from one step to the next, (nv,) [rad or m]; None: any.
         units: the motion of each joint of the chain that counts as one, (n,) [rad or m].
         leaning: how far outside its limits each may be before it is brought back, (n,) [rad or m].
+        dt: duration of a step [s]; None: steps have none.
 
     Kernels take the arrays. Do not write to them.
     """
@@ -44,6 +45,7 @@ class JointBounds(NamedTuple):
     brake: Array | None
     units: Array
     leaning: Array
+    dt: float | None
 
 
 def joint_bounds(
@@ -71,7 +73,7 @@ def joint_bounds(
     edges = _edges(arm, position_margin)
     travel = min(USUAL_STEP, float(np.median((bound / arm.joint_units)[arm.columns])))
     units = arm.joint_units[arm.columns]
-    return JointBounds(bound, travel, edges, brake, units, POSITION_SLACK * units)
+    return JointBounds(bound, travel, edges, brake, units, POSITION_SLACK * units, dt)
 
 
 def _edges(arm: Arm, margin: float) -> Array:

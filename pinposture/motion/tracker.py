@@ -16,7 +16,7 @@ from pinposture import kernels
 from pinposture._validation import finite_vector, float_array, require_positive
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import Scene
-from pinposture.control import Controller, Limits, Step, controller_named
+from pinposture.control import Controller, Geodesic, Limits, Step, controller_named
 from pinposture.control.controller import Memory, next_step
 from pinposture.control.limits import cycle_of
 from pinposture.errors import InvalidValue, PostureError, UnknownName
@@ -212,10 +212,13 @@ class AsyncStep:
     Args:
         controller: the controller.
         deadline: how long to wait for a step [s]; infinite: it is computed in this thread.
+
+    Attributes:
+        controller: the controller; another one counts from the next step on.
     """
 
     def __init__(self, controller: Controller, deadline: float) -> None:
-        self._controller, self._deadline = controller, deadline
+        self.controller, self._deadline = controller, deadline
         self._pending: Future[Step] | None = None
 
     def compute(
@@ -230,7 +233,7 @@ class AsyncStep:
             The step, or None after the deadline; and the memory to pass on in the next cycle.
         """
         if self._deadline == inf:
-            return next_step(self._controller, state, target, limits, memory), memory
+            return next_step(self.controller, state, target, limits, memory), memory
         if self._pending is not None:
             late = self._wait()
             if late is None:
@@ -243,10 +246,11 @@ class AsyncStep:
     def _start(self, *arguments: Any) -> Future[Step]:
         """Start a computation in a thread that does not keep a program from ending."""
         future: Future[Step] = Future()
+        controller = self.controller
 
         def work() -> None:
             try:
-                future.set_result(next_step(self._controller, *arguments))
+                future.set_result(next_step(controller, *arguments))
             except BaseException as error:  # `_wait` raises it
                 future.set_exception(error)
 
@@ -326,6 +330,7 @@ class Tracker:
         arm: the arm.
         limits: what a step may not exceed; `dt` is the usual duration of a cycle.
         report: what happened in the last cycle.
+        scene: the obstacles, as they are known.
 
     Args:
         arm: the arm.
@@ -378,7 +383,8 @@ class Tracker:
             _positive(name, value)
         self.arm, self.limits = arm, limits
         limits.for_arm(arm)  # says now what does not fit
-        self._async_step = AsyncStep(in_scene(controller_named(controller), scene)[0], deadline)
+        controller, self.scene = in_scene(controller_named(controller), scene)
+        self._async_step = AsyncStep(controller, deadline)
         self._feedback = Feedback(
             arm, feedback_time_constant if interface == "position" else 0.0, max_tracking_error, resync_time
         )
@@ -434,7 +440,11 @@ class Tracker:
         self._memory, self._dt = None if moved is None else Memory(moved), self._period
 
     def step(
-        self, q_measured: ArrayLike | None, dt: float | None = None, points: ArrayLike | None = None
+        self,
+        q_measured: ArrayLike | None,
+        dt: float | None = None,
+        points: ArrayLike | None = None,
+        scene: Scene | None = None,
     ) -> Array:
         """Take the step of a control cycle.
 
@@ -444,15 +454,19 @@ class Tracker:
                 for nothing; one that is short moves less.
             points: measured positions of the control points, (m, 3) [m], world frame, which then count in
                 place of those that follow from the joint positions. Rows that are not finite: not seen.
+            scene: the obstacles as they are now, from `Scene.moved`; None: as before. It counts until there
+                is another.
 
         Returns:
             The joint displacement of this cycle, (nv,) [rad or m], within all limits. Divide by the duration
             of the cycle for a speed.
 
         Raises:
-            InvalidValue: arrays of a wrong shape, or a duration that is not positive: faults of the program,
-                not of a sensor.
+            InvalidValue: arrays of a wrong shape, a duration that is not positive, or no scene: faults of the
+                program, not of a sensor.
         """
+        if scene is not None and scene is not self.scene:
+            self._async_step.controller, self.scene = in_scene(self._async_step.controller, scene)
         passed = self._period if dt is None else _duration(dt)
         dt = min(max(passed, MIN_CYCLE * self._period), self._period)
         limits = self.limits if dt == self._period else replace(self.limits, dt=dt)
@@ -470,8 +484,7 @@ class Tracker:
             if step is not None and not isfinite(step.dq @ step.dq):
                 step, reason = None, "the step of the controller is not finite"
         if step is None or reason:
-            memory = Memory(np.zeros(self.arm.nv)) if memory is None else memory
-            memory = memory.braked(limits, self._neutral_state)
+            memory = self._hold(feedback.state, limits, memory)
             memory = memory if step is None else step.memory.with_motion_of(memory)
         else:
             memory = step.memory
@@ -479,6 +492,15 @@ class Tracker:
         self._feedback.apply_step(dq)
         self.report = self._make_report(feedback, step, reason, compensated, dq)
         return np.array(dq)
+
+    def _hold(self, state: ArmState | None, limits: Limits, memory: Memory | None) -> Memory:
+        """Brake and stand still, but make way for obstacles that approach."""
+        controller, target = self._async_step.controller, self._target
+        moving = self.scene is not None and self.scene.velocities
+        if moving and state is not None and target is not None and isinstance(controller, Geodesic):
+            return controller.keep_clear(state, target, limits, memory)
+        memory = Memory(np.zeros(self.arm.nv)) if memory is None else memory
+        return memory.braked(limits, self._neutral_state)
 
     def _rescaled_memory(self, dt: float) -> Memory | None:
         """The memory of the controller, its last step scaled to the duration of this cycle."""

@@ -14,6 +14,7 @@ from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Distances, Scene
 from pinposture.control.limits import JointBounds, stopping_steps
 from pinposture.control.planner.objective import Objective
+from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
 
@@ -141,8 +142,12 @@ PATH_CLEARANCE, PATH_SIGHT = 0.01, 0.05
 """Clearance that a planned path keeps beyond the margin where it can, and distance beyond that at which pairs
 are seen while a path is relaxed, in arm lengths."""
 
-GAIN_SHARE = 0.5
-"""Share of the largest gain of clearance in a step that is demanded of a pair that is too close."""
+GAIN_SHARE, RETREAT_GAIN_SHARE = 0.5, 0.9
+"""Share of the largest gain of clearance in a step that is demanded of a pair that is too close, and of a
+pair of which the obstacle moves."""
+
+RETREAT_SHARE = 0.2
+"""Share of what all joints together can accelerate a body away from an obstacle that a retreat counts on."""
 
 MAX_NAMED_PAIRS = 3
 """Largest number of pairs that are listed."""
@@ -234,6 +239,8 @@ class Avoidance:
     Attributes:
         clearance: the distances.
         margin: the distance to keep [m].
+        objective: what the arm is to achieve.
+        moving: whether obstacles move.
     """
 
     def __init__(
@@ -244,7 +251,7 @@ class Avoidance:
         previous: Array | None = None,
     ) -> None:
         self.clearance, self.margin = clearance, clearance.scene.margin
-        self._objective, self._length, self._bounds = objective, objective.arm.length, bounds
+        self.objective, self._length, self._bounds = objective, objective.arm.length, bounds
         self._previous = np.zeros(objective.arm.nv) if previous is None else previous
         self._seen: tuple[ArmState, Distances] | None = None
         self._approved: tuple[Array, Array] | None = None
@@ -252,6 +259,11 @@ class Avoidance:
         # The way to stop, this step included, is half as many steps long as braking takes, of the longest.
         steps = 0.0 if brake is None else float(np.max(np.abs(self._previous) / brake)) + 2.0
         self._approach = 2.0 / max(steps, 2.0 / MAX_CLEARANCE_LOSS)
+        self._dt = 0.0 if bounds.dt is None else bounds.dt
+        self.moving = bool(clearance.scene.velocities)
+        if self.moving and bounds.dt is None:
+            allowed = "Limits(dt=...), with the duration of a step: obstacles in the scene have velocities"
+            raise InvalidValue("limits", "Limits() without dt", allowed)
 
     @classmethod
     def of(
@@ -266,6 +278,10 @@ class Avoidance:
         """Return the same around an arm at rest, for another objective."""
         return Avoidance(self.clearance, objective, self._bounds)
 
+    def in_moment(self, number: int) -> CollisionModel:
+        """Return the distances as they will be after so many steps, if obstacles keep their velocities."""
+        return self.clearance.ahead(number * self._dt)
+
     def near(self, state: ArmState) -> Distances:
         """Return the pairs in sight; the last answer is kept, because a step needs it more than once."""
         if self._seen is None or self._seen[0] is not state:
@@ -279,7 +295,8 @@ class Avoidance:
         """Return the velocity damper: no pair may lose more than a share of its clearance in one step.
 
         The share leaves room to brake, straight on and from the present speed. A pair that is too close has
-        to gain clearance, as far as the bounds of the step allow.
+        to gain clearance, as far as the bounds of the step allow. From an obstacle that approaches, the arm
+        retreats early enough to gain its speed within the limits of acceleration.
 
         Args:
             state: where the arm is.
@@ -289,10 +306,19 @@ class Avoidance:
         near = self.near(state)
         if not len(near.distances):
             return None
-        matrix = near.jacobian[:, self._objective.columns] * self._objective.units
-        least = -self._approach * (near.distances - self.margin - STEP_CLEARANCE * self._length)
+        matrix = near.jacobian[:, self.objective.columns] * self.objective.units
+        room = near.distances - self.margin - STEP_CLEARANCE * self._length
         most = np.maximum(matrix * lower, matrix * upper).sum(axis=1)
-        return ConstraintRows(matrix, np.minimum(least, GAIN_SHARE * most))
+        if not self.moving:
+            return ConstraintRows(matrix, np.minimum(-self._approach * room, GAIN_SHARE * most))
+        # Retreating at c - a r, with c the speed of the obstacle, takes an acceleration of a c at most.
+        closing, approach = -self._dt * near.rates, np.full(len(room), self._approach)
+        if self._bounds.brake is not None:
+            brake = self._bounds.brake[self.objective.columns] / self.objective.units
+            able = RETREAT_SHARE * (np.abs(matrix) @ np.minimum(brake, 1e9))
+            approach = np.minimum(approach, able / np.maximum(closing, 1e-12))
+        share = np.where(near.rates == 0.0, GAIN_SHARE, RETREAT_GAIN_SHARE)
+        return ConstraintRows(matrix, np.minimum(closing - approach * room, share * most))
 
     def intrusion(self, state: ArmState) -> float:
         """Return by how much the nearest pair is closer than the margin [m]; 0 if all keep it."""
@@ -307,7 +333,7 @@ class Avoidance:
         """
         wanted = self.margin + PATH_CLEARANCE * self._length
         found = self.clearance.contacts_along(q, offsets, wanted + PATH_SIGHT * self._length)
-        matrix = found.jacobian[:, self._objective.columns] * self._objective.units
+        matrix = found.jacobian[:, self.objective.columns] * self.objective.units
         return ClearanceRows(matrix, wanted - found.distances, found.samples, found.minima)
 
     def keeps(self, q: Array, path: Array, least: float) -> bool:
@@ -318,7 +344,7 @@ class Avoidance:
             path: displacements from it between which the motions are, (N + 1, nv) [rad or m].
             least: the distance [m].
         """
-        arm = self._objective.arm
+        arm = self.objective.arm
         return self.clearance.keeps(q, sample_motion(arm, arm.positions(q), path), least)
 
     def stops_clear(self, state: ArmState, dq: Array) -> bool:
@@ -381,8 +407,17 @@ class Avoidance:
     def _lowest(self, state: ArmState, steps: Array, below: float) -> float:
         """Return the smallest distance during steps (k, nv) [m], exact if it is smaller than `below`."""
         path = np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
-        offsets = sample_motion(self._objective.arm, state.forward.positions, path)
-        return self.clearance.minimum_along(state.q, offsets, below).distance
+        arm, positions = self.objective.arm, state.forward.positions
+        if not self.moving:
+            offsets = sample_motion(arm, positions, path)
+            return self.clearance.minimum_along(state.q, offsets, below).distance
+        lowest = np.inf
+        for number in range(len(steps)):
+            offsets = sample_motion(arm, positions, path[number : number + 2])
+            moment = self.in_moment(number + 1)
+            lowest = min(lowest, moment.minimum_along(state.q, offsets, min(below, lowest)).distance)
+            below = min(below, lowest)
+        return lowest
 
     @property
     def _rounding(self) -> float:

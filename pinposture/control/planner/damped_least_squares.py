@@ -45,12 +45,14 @@ class StepBounds(NamedTuple):
         lower: smallest step, (n,), in `Arm.joint_units`.
         upper: largest step, (n,).
         rows: further constraints; None: none.
+        retreating: whether the arm may not stand still, because an obstacle approaches.
     """
 
     state: ArmState
     lower: Array
     upper: Array
     rows: ConstraintRows | None
+    retreating: bool = False
 
     @classmethod
     def of(
@@ -58,8 +60,11 @@ class StepBounds(NamedTuple):
     ) -> StepBounds:
         """Return what limits and obstacles leave of a step."""
         lower, upper = (np.clip(objective.normalize(side), -MAX_STEP, MAX_STEP) for side in box.sides)
-        rows = None if avoidance is None else avoidance.rows(state, lower, upper)
-        return cls(state, lower, upper, rows)
+        if avoidance is None:
+            return cls(state, lower, upper, None)
+        rows = avoidance.rows(state, lower, upper)
+        retreating = avoidance.moving and rows is not None and bool(np.any(rows.least > 0.0))
+        return cls(state, lower, upper, rows, retreating)
 
 
 class LeastSquaresResult(NamedTuple):

@@ -410,11 +410,10 @@ def _admissible_share(onward: Array, lag: Array, bound: Array) -> float:
 
 def _keeps_clear(bounds: StepBounds, x: Array, dq: Array, avoidance: Avoidance | None) -> bool:
     """Whether a step keeps clear: by the rows of its bounds, which are cautious, or by distances."""
-    if bounds.rows is None or avoidance is None:
+    if bounds.rows is None or avoidance is None or np.all(bounds.rows.matrix @ x >= bounds.rows.least):
         return True
-    return bool(np.all(bounds.rows.matrix @ x >= bounds.rows.least)) or avoidance.stops_clear(
-        bounds.state, dq
-    )
+    # Where obstacles move, it is not enough to stop clear of them.
+    return not avoidance.moving and avoidance.stops_clear(bounds.state, dq)
 
 
 def reduce_remaining(progress: PathProgress, bounds: StepBounds) -> CandidateStep:
@@ -422,6 +421,10 @@ def reduce_remaining(progress: PathProgress, bounds: StepBounds) -> CandidateSte
     objective, damping, found = progress.objective, progress.damping, None
     state = bounds.state
     cost = objective.cost(state)
+    if bounds.retreating:
+        found = reduce_errors(objective, bounds, damping)
+        if found.x is not None:
+            return CandidateStep(objective.displacement(found.x), progress, found)
     for _ in range(MAX_ATTEMPTS if cost > (NEGLIGIBLE_ERROR * objective.arm.length) ** 2 else 0):
         found = reduce_errors(objective, bounds, damping)
         x = None if found.x is None else correct_curvature(objective, bounds, found.x)

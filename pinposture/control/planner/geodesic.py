@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm, ArmState
-from pinposture.collision import Scene
+from pinposture.collision import CollisionModel, Scene
 from pinposture.control.controller import Diagnostics, Memory, Step, require_step_arguments
 from pinposture.control.limits import Limits, StepBox, require_limits
-from pinposture.control.planner.avoidance import Avoidance, solve
+from pinposture.control.planner.avoidance import Avoidance, ClearStep, solve
 from pinposture.control.planner.damped_least_squares import StepBounds
 from pinposture.control.planner.follow import (
     GeodesicMemory,
@@ -170,6 +170,8 @@ class Geodesic:
         if progress.idle_travel < MAX_IDLE_TRAVEL or progress.arrived:
             return _within(progress, limits)
         attempt, bounds = progress.path.attempt + 1, limits.for_arm(state.arm)
+        if self.scene is not None and self.scene.moving:  # another moment, another attempt
+            attempt = 0
         if attempt >= MAX_PATH_ATTEMPTS or progress.place >= progress.path.end:
             return progress._replace(arrived=True)
         avoidance = Avoidance.of(self.scene, progress.objective, bounds)
@@ -241,17 +243,54 @@ class Geodesic:
         avoidance = Avoidance.of(self.scene, objective, limits.for_arm(state.arm), previous)
         if avoidance is None or avoidance.near(state).minimum >= 0.0:
             return None
-        bounds, n = StepBounds.of(objective, state, box, avoidance), len(objective.columns)
-        found = solve(np.eye(n), np.zeros(n), bounds.lower, bounds.upper, bounds.rows).x
-        if found is None:
-            return None
-        dq, share, stopping, relaxed = avoidance.clear_step(state, objective.displacement(found))
-        after = state.arm.at(state.arm.integrate(state.q, dq)).compiled
+        cleared = _smallest_step(avoidance, StepBounds.of(objective, state, box, avoidance))
+        after = state.arm.at(state.arm.integrate(state.q, cleared.dq)).compiled
         gained = avoidance.clearance.minimum(after.q).distance - avoidance.near(state).minimum
         if gained < MIN_CLEARANCE_GAIN * state.arm.length:
             return None
-        violated = box.violated_constraints + relaxed + avoidance.describe_violations(state)
-        return _step_before_planning(state, target, dq, share, violated, "", stopping)
+        violated = (
+            box.violated_constraints + cleared.violated_constraints + avoidance.describe_violations(state)
+        )
+        return _step_before_planning(state, target, cleared.dq, cleared.share, violated, "", cleared.stopping)
+
+    def keep_clear(
+        self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
+    ) -> Memory:
+        """Take the smallest step that keeps the arm clear, wherever the target is, while a path is planned.
+
+        Without obstacles that move, the arm brakes and stands still.
+
+        Args:
+            state: where the arm is.
+            target: where its control points should be.
+            limits: what the step may not exceed; `Limits()` if None.
+            memory: `memory` of the step before; None: the arm is at rest.
+
+        Returns:
+            The memory after the step, which is its `dq`. What is known of a path stays.
+
+        Raises:
+            InvalidValue: arguments of a wrong type.
+        """
+        limits = require_limits(limits)
+        require_step_arguments(state, target, memory)
+        memory = Memory(np.zeros(state.arm.nv)) if memory is None else memory
+        if self.scene is None or not self.scene.velocities:
+            return memory.braked(limits, state)
+        state, objective = state.compiled, self.objective(state.arm, target)
+        model = CollisionModel(state.arm, self.scene)
+        avoidance = Avoidance(model, objective, limits.for_arm(state.arm), memory.dq)
+        box = limits.box(state, memory.dq)
+        cleared = _smallest_step(avoidance, StepBounds.of(objective, state, box, avoidance))
+        return replace(memory, dq=cleared.dq, stopping=cleared.stopping)
+
+
+def _smallest_step(avoidance: Avoidance, bounds: StepBounds) -> ClearStep:
+    """Return the smallest step within bounds that keeps or becomes clear."""
+    n = len(bounds.lower)
+    found = solve(np.eye(n), np.zeros(n), bounds.lower, bounds.upper, bounds.rows).x
+    x = np.clip(np.zeros(n), bounds.lower, bounds.upper) if found is None else found
+    return avoidance.clear_step(bounds.state, avoidance.objective.displacement(x))
 
 
 def _within(progress: PathProgress, limits: Limits) -> PathProgress:

@@ -1,0 +1,174 @@
+"""Obstacles that move: margins judged by Pinocchio's kinematics and distances of segments in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from arms import template_arm
+from sampling import cases
+
+import pinposture as pp
+from pinposture.collision import CollisionModel
+from pinposture.collision.obstacles import displaced
+from pinposture.errors import InvalidValue, UnknownName
+
+MARGIN, THIN, BALL, DT = 0.005, 0.01, 0.06, 0.01
+LIMITS = pp.Limits(step=None, velocity=1.0, acceleration=5.0, dt=DT)
+
+
+def arm() -> pp.Arm:
+    return template_arm("RyRz", 20)
+
+
+def gap(q: np.ndarray, center: np.ndarray) -> float:
+    """Distance of a ball from the links of the arm, which are capsules from joint to joint to the tip."""
+    model = arm().model
+    data = model.createData()
+    pin.forwardKinematics(model, data, q)
+    nodes = np.array([data.oMi[joint].translation for joint in range(1, model.njoints)])
+    nodes = np.vstack([nodes, arm().at(q).points[-1]])
+    ends = np.diff(nodes, axis=0)
+    squares = np.maximum((ends**2).sum(axis=1), 1e-30)
+    shares = np.clip(((center - nodes[:-1]) * ends).sum(axis=1) / squares, 0.0, 1.0)
+    return float(np.linalg.norm(nodes[:-1] + shares[:, None] * ends - center, axis=1).min()) - BALL - THIN
+
+
+def crossing(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Start and goal, and a ball that flies at 0.2 m/s through one of them, but not through the base."""
+    rng = np.random.default_rng(seed)
+    while True:
+        start, goal = (pp.arm.smooth_configuration(arm(), rng, 0.8) for _ in range(2))
+        aim = arm().at(start if rng.random() < 0.5 else goal).points[rng.integers(8, 20)]
+        direction = rng.normal(size=3)
+        velocity = 0.2 * direction / np.linalg.norm(direction)
+        origin = aim - velocity * rng.uniform(1.5, 4.0)
+        places = origin + np.arange(0.0, 8.0, 0.05)[:, None] * velocity
+        if np.linalg.norm(places, axis=1).min() > 0.16 and gap(start, origin) > 0.02:
+            return start, goal, origin, velocity
+
+
+def ball_scene() -> pp.Scene:
+    return pp.Scene({"ball": pp.Sphere((0, 0, 0), BALL)}, margin=MARGIN, arm_radius=THIN)
+
+
+@pytest.mark.parametrize("seed", cases(range(12), 3))
+@pytest.mark.parametrize("deadline", [np.inf, 1e-9])
+def test_the_margin_to_a_ball_that_flies_by_is_kept(seed: int, deadline: float) -> None:
+    q, goal, origin, velocity = crossing(seed)
+    scene = ball_scene()
+    tracker = pp.Tracker(arm(), limits=LIMITS, scene=scene, deadline=deadline)
+    # With a deadline that no step meets, the arm stays where it is, and still makes way.
+    tracker.update(pp.Target.from_configuration(arm(), goal if deadline == np.inf else q))
+    lowest, before = np.inf, np.zeros(arm().nv)
+    for cycle in range(800):
+        center = origin + cycle * DT * velocity
+        moment = scene.moved({"ball": center}, velocities={"ball": velocity})
+        dq = tracker.step(q, scene=moment)
+        if not tracker.report.violated_constraints:
+            assert np.abs(dq).max() <= LIMITS.velocity * DT + 1e-9
+            assert np.abs(dq - before).max() <= LIMITS.acceleration * DT**2 + 1e-9
+        halfway, after = q + 0.5 * dq, q + dq
+        lowest = min(lowest, gap(halfway, center + 0.5 * DT * velocity), gap(after, center + DT * velocity))
+        q, before = after, dq
+    assert lowest >= MARGIN - 2e-4
+    if deadline == np.inf:
+        assert tracker.report.status == "converged"
+
+
+def test_an_arm_that_nothing_comes_near_stays_where_it_is() -> None:
+    scene, q = ball_scene(), np.full(40, 0.05)
+    tracker = pp.Tracker(arm(), limits=LIMITS, scene=scene)
+    tracker.update(pp.Target.from_configuration(arm(), q))
+    for cycle in range(20):
+        moment = scene.moved({"ball": (0.0, 2.0, 0.01 * cycle)}, velocities={"ball": (0.0, 0.0, 1.0)})
+        assert not np.any(tracker.step(q, scene=moment))
+
+
+def test_velocities_need_the_duration_of_a_step() -> None:
+    scene = ball_scene().moved({"ball": (0.5, 0.5, 0.0)}, velocities={"ball": (0.0, -0.1, 0.0)})
+    controller = pp.Geodesic(scene=scene)
+    target = pp.Target.from_configuration(arm(), np.full(40, 0.1))
+    with pytest.raises(InvalidValue, match="dt"):
+        controller.step(arm().at(np.zeros(40)), target)
+
+
+def test_obstacles_move_from_where_they_were_first() -> None:
+    box = pp.Box((0.1, 0.0, 0.0), (0.2, 0.1, 0.1), (0.0, 0.0, 0.3))
+    rod = pp.Capsule((0.0, 0.0, 0.0), (0.0, 0.2, 0.0), 0.02)
+    floor = pp.HalfSpace((0.0, 0.0, -1.0), (0.0, 0.0, 1.0))
+    scene = pp.Scene({"box": box, "rod": rod, "floor": floor})
+    motion = pin.SE3(pin.rpy.rpyToMatrix(0.1, -0.4, 0.7), np.array([0.3, -0.2, 0.4]))
+    once = scene.moved({"box": motion, "rod": motion, "floor": motion})
+    twice = scene.moved({"box": (1.0, 1.0, 1.0), "rod": motion}).moved({"box": motion, "floor": motion})
+    assert once == twice
+    corner = np.array([0.1, 0.05, -0.05])
+    moved, placed = once.obstacles["box"], motion.act(np.array(box.center) + np.array(box.rotation) @ corner)
+    np.testing.assert_allclose(np.array(moved.center) + np.array(moved.rotation) @ corner, placed, atol=1e-12)
+    np.testing.assert_allclose(once.obstacles["rod"].end, motion.act(np.array(rod.end)), atol=1e-12)
+    np.testing.assert_allclose(once.obstacles["floor"].normal, motion.rotation[:, 2], atol=1e-12)
+    assert scene.moved({}) == scene
+
+
+@pytest.mark.parametrize("seed", cases(range(4), 2))
+def test_distances_in_a_moved_scene_are_those_of_one_made_there(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    first = pp.Scene(
+        {
+            "box": pp.Box((0.0, 0.0, 0.0), (0.2, 0.1, 0.3)),
+            "ball": pp.Sphere((0.0, 0.0, 0.0), 0.05),
+            "can": pp.Cylinder((0.0, 0.0, -0.1), (0.0, 0.0, 0.1), 0.04),
+            "post": pp.Cylinder((0.6, 0.5, -1.0), (0.6, 0.5, 1.0), 0.03),
+        },
+        arm_radius=THIN,
+    )
+    motions = {
+        name: pin.SE3(pin.rpy.rpyToMatrix(*rng.uniform(-3.0, 3.0, 3)), rng.uniform(0.2, 0.4, 3))
+        for name in ("box", "ball", "can")
+    }
+    moved = {name: displaced(first.obstacles[name], motion) for name, motion in motions.items()}
+    there = pp.Scene({**first.obstacles, **moved}, arm_radius=THIN)
+    q = pp.arm.smooth_configuration(arm(), rng, 0.4)
+    one, other = (CollisionModel(arm(), scene) for scene in (first.moved(motions), there))
+    near = [model.nearest(arm().at(q), 0.5) for model in (one, other)]
+    first_found, second_found = (dict(zip(n.pairs, n.distances, strict=True)) for n in near)
+    shared = first_found.keys() & second_found.keys()
+    assert len(shared) > 10
+    for pair in shared:
+        assert first_found[pair] == pytest.approx(second_found[pair], abs=1e-9)
+
+
+def test_an_obstacle_that_stood_beside_the_base_counts_everywhere() -> None:
+    """Beside the base a pair may be one that no motion parts, and is left out; not if the obstacle moves."""
+    scene = pp.Scene({"ball": pp.Sphere((0.02, 0.0, 0.03), 0.02)}, arm_radius=THIN)
+    q = np.zeros(40)
+    moved = scene.moved({"ball": (0.5, 0.0, -0.03)})
+    assert CollisionModel(arm(), moved).minimum(q).distance == pytest.approx(-0.03, abs=1e-6)
+
+
+def test_rates_are_how_fast_distances_change() -> None:
+    rng, h = np.random.default_rng(0), 1e-5
+    velocity = rng.normal(size=3)
+    scene = ball_scene().moved({"ball": (0.4, 0.3, 0.2)}, velocities={"ball": velocity})
+    model, q = CollisionModel(arm(), scene), pp.arm.smooth_configuration(arm(), rng, 0.8)
+    near = model.nearest(arm().at(q), 0.5)
+    ahead, behind = (
+        dict(zip(n.pairs, n.distances, strict=True))
+        for n in (model.ahead(time).nearest(arm().at(q), 1.0) for time in (h, -h))
+    )
+    for pair, rate in zip(near.pairs, near.rates, strict=True):
+        assert rate == pytest.approx((ahead[pair] - behind[pair]) / (2.0 * h), abs=1e-4)
+
+
+def test_what_does_not_fit_is_named() -> None:
+    scene = ball_scene()
+    with pytest.raises(UnknownName, match="bal1"):
+        scene.moved({"bal1": (0.0, 0.0, 0.0)})
+    with pytest.raises(UnknownName, match="bal1"):
+        scene.moved({"ball": (0.0, 0.0, 0.0)}, velocities={"bal1": (0.0, 0.0, 0.0)})
+    with pytest.raises(InvalidValue, match="placements"):
+        scene.moved({"ball": (0.0, np.nan, 0.0)})
+    with pytest.raises(InvalidValue, match="velocities"):
+        scene.moved({}, velocities={"ball": 0.2})
+    moving = scene.moved({"ball": (0.1, 0.2, 0.3)}, velocities={"ball": (0.0, 0.1, 0.0)})
+    assert pp.Scene.from_dict(moving.to_dict()) == moving
