@@ -26,7 +26,7 @@ from pinposture.study.scenes import situation_arm
 
 MARGIN, THIN, BALL, DT = 0.005, 0.01, 0.06, 0.01
 LIMITS = pp.Limits(step=None, velocity=1.0, acceleration=5.0, dt=DT)
-CYCLES, CLEAR_OF_BASE = 900, 0.16
+CYCLES, CLEAR_OF_BASE = 1500, 0.16
 
 
 class Judge:

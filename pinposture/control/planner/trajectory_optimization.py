@@ -89,8 +89,9 @@ symmetries; more for the variants."""
 MAX_PATH_ITERATIONS, NEWTON_CONVERGED = 60, 1e-3
 """Largest number of Gauss-Newton steps, and the relative fall of the energy at which they end."""
 
-MAX_HINDERED_ITERATIONS = 30
-"""Number of Gauss-Newton steps after which a path that is still not clear is given up."""
+MAX_HINDERED_ITERATIONS, PATIENT_ITERATIONS, SLOW_SHARE = 30, 6, 0.4
+"""Number of Gauss-Newton steps after which a path that is still not clear is given up; and number of those
+after which it is given up if the energy is still above a share of the first."""
 
 MAX_WAYPOINT_STEP = 0.3
 """Largest joint motion of a waypoint in one Gauss-Newton step, in `Arm.joint_units`."""
@@ -330,8 +331,10 @@ class _PathRelaxation:
     def run(self, x: Array) -> Array:
         """Return waypoints at a minimum, (N + 1, n), from a first guess within the limits."""
         now, damping, increase = self._evaluate(x), FIRST_DAMPING, DAMPING_INCREASE
+        first = now.energy
         for number in range(MAX_PATH_ITERATIONS):
-            hopeless = number >= MAX_HINDERED_ITERATIONS and not now.clear.all()
+            slow = number >= PATIENT_ITERATIONS and now.energy > SLOW_SHARE * first
+            hopeless = (slow or number >= MAX_HINDERED_ITERATIONS) and not now.clear.all()
             if hopeless or damping > MAX_DAMPING or perf_counter() >= self._penalties.until:
                 break
             step = self._step(now, damping)
