@@ -61,7 +61,7 @@ class Motion:
             posture. The last row if it did not get so far.
         planned: how long the plan takes if nothing slows it [s].
         waypoints: the named places, in order.
-        deviations: where the arm left the way of the plan, or fell behind, in words.
+        deviations: where the arm left the planned path, or fell behind, in words.
     """
 
     run: Trajectory

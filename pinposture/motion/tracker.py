@@ -104,13 +104,14 @@ class Feedback:
         measured, reason = self._checked_configuration(q)
         if measured is None:
             return FeedbackState(self._state(), reason, None)
-        if self.command is None:
+        command = self.command
+        if command is None:
             try:
-                self.restart(arm.checked_start(measured, "q_measured"))
+                command = arm.checked_start(measured, "q_measured")
             except InvalidValue as error:
-                return FeedbackState(self._state(), str(error), None)
-        assert self.command is not None
-        difference = arm.difference(self.command, measured)
+                return FeedbackState(None, str(error), None)
+            self.restart(command)
+        difference = arm.difference(command, measured)
         apart = np.abs(difference) / arm.joint_units
         joint = int(apart.argmax())
         largest = float(apart[joint])
@@ -235,13 +236,12 @@ class AsyncStep:
         if self._deadline == inf:
             return next_step(self.controller, state, target, limits, memory), memory
         if self._pending is not None:
-            late = self._wait()
+            late = self._wait(self._pending)
             if late is None:
                 return None, memory
             # The arm has braked since, and is at rest or nearly.
             memory = late.memory if memory is None else late.memory.with_motion_of(memory)
-        self._pending = self._start(state, target, limits, memory)
-        return self._wait(), memory
+        return self._wait(self._start(state, target, limits, memory)), memory
 
     def _start(self, *arguments: Any) -> Future[Step]:
         """Start a computation in a thread that does not keep a program from ending."""
@@ -257,13 +257,10 @@ class AsyncStep:
         Thread(target=work, name="pinposture-controller", daemon=True).start()
         return future
 
-    def _wait(self) -> Step | None:
-        """Return the pending step, or None after the deadline."""
-        assert self._pending is not None
-        if not wait([self._pending], self._deadline).done:
-            return None
-        pending, self._pending = self._pending, None
-        return pending.result()
+    def _wait(self, pending: Future[Step]) -> Step | None:
+        """Return the step that is computed, or None after the deadline; it then stays pending."""
+        self._pending = None if wait([pending], self._deadline).done else pending
+        return pending.result() if self._pending is None else None
 
 
 # The streaming controller: one step in each control cycle.

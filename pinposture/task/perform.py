@@ -352,9 +352,9 @@ class _Performance:
             due = loop.record.steps + ceil((mark.row - self._place) / guide.most)
             status, reason = self._go_to(float(mark.row), due)
             if status != "converged":
-                self._note(left, f"the arm left the way, and did not come to {mark.name} by another")
+                self._note(left, f"the arm left the path, and did not come to {mark.name} by another")
                 return status, f"on the way to {mark.name}: {reason}"
-            self._note(left, f"the arm left the way, and came to {mark.name} by another")
+            self._note(left, f"the arm left the path, and came to {mark.name} by another")
         return None
 
     def _lead(self) -> tuple[str, str] | None:

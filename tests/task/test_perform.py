@@ -224,7 +224,7 @@ def test_an_obstacle_in_the_way_is_gone_round() -> None:
     assert motion.run.clearance.min() > 0.0 and motion.run.scene is scene
     check_motion(motion, SWING)
     assert motion.converged and len(motion.deviations) == 1
-    assert "left the way" in motion.deviations[0] and "stop 1" in motion.deviations[0]
+    assert "left the path" in motion.deviations[0] and "stop 1" in motion.deviations[0]
     assert motion.mean_error[motion.waypoints[1].row] < 1e-6 and motion.mean_error[-1] < 1e-6
     # The rest goes as planned, from when it was there.
     reached = [place.reached for place in motion.waypoints]
