@@ -322,7 +322,7 @@ class CollisionModel:
 
     def _in_moment(self, scene: Scene) -> CollisionModel:
         """Return the model of the same scene at another moment; the last one is kept."""
-        if scene is self.scene:
+        if scene == self.scene:
             return self
         if self._moment is None or self._moment.scene is not scene:
             other = self._copy()
@@ -373,10 +373,9 @@ class CollisionModel:
         self._solids = [solid(body.shape) for body in bodies]
         named = [(name, each) for name, obstacle in scene.obstacles.items() for each in solids(obstacle)]
         fixed = [each for _, each in named]
-        listed = [name for name, _ in named]
-        self._numbers = {
-            name: [k for k, each in enumerate(listed) if each == name] for name in scene.obstacles
-        }
+        self._numbers = {name: [] for name in scene.obstacles}
+        for number, (name, _) in enumerate(named):
+            self._numbers[name].append(number)
         self._velocities = self._velocities_in(scene)
         self.bodies = tuple(body.name for body in bodies)
         names = (*self.bodies, *(name for name, _ in named))
@@ -421,7 +420,7 @@ class CollisionModel:
         jacobian = self._kinematics.differentiate(placements, first, second, near.points, normals)
         best = self._closest(near.minimum, near.nearest)
         obstacles = self._distances.second[near.pairs] - len(self.bodies)
-        moved = np.where((obstacles >= 0)[:, None], self._velocities[obstacles], 0.0)
+        moved = self._velocities[np.maximum(obstacles, -1)]
         return Distances(
             distances=near.distances,
             jacobian=jacobian,

@@ -241,7 +241,9 @@ class Scene:
         return f"Scene({named}{itself}, margin={self.margin:g})"
 
     def __eq__(self, other: object) -> bool:
-        return self._key() == other._key() if isinstance(other, Scene) else NotImplemented
+        if not isinstance(other, Scene):
+            return NotImplemented
+        return self is other or (self._hash == other._hash and self._key() == other._key())
 
     def __hash__(self) -> int:
         return self._hash
