@@ -280,13 +280,13 @@ class PairDistances:
         )
         self._choose(pairs)
 
-    def among(self, pairs: Sequence[tuple[int, int]]) -> PairDistances:
+    def among(self, pairs: Sequence[tuple[int, int]] | Indices) -> PairDistances:
         """Return the distances of other pairs of the same bodies and obstacles."""
         other = copy(self)
         other._choose(pairs)
         return other
 
-    def _choose(self, pairs: Sequence[tuple[int, int]]) -> None:
+    def _choose(self, pairs: Sequence[tuple[int, int]] | Indices) -> None:
         """Sort the pairs into groups."""
         count, blocks = len(self._joints), (len(self._joints) + BLOCK - 1) // BLOCK
         listed = np.array(pairs, dtype=np.int64).reshape(-1, 2)
@@ -383,6 +383,11 @@ class PairDistances:
             if distance < best:
                 best, pair = distance, candidate
         return best, pair
+
+    def reach(self, placements: Placements) -> float:
+        """Return the largest distance of any body from its first place, at several configurations [m]."""
+        ends = self._ends(placements)
+        return float(np.sqrt(((ends - ends[0]) ** 2).sum(axis=-1).max(initial=0.0)))
 
     def keep(self, kinematics: TreeKinematics, q: Array, offsets: Array, least: float) -> bool:
         """Whether all distances are at least so large at several configurations.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from functools import cached_property
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -21,7 +22,7 @@ from pinposture.collision.distances import (
     Placements,
     TreeKinematics,
 )
-from pinposture.collision.obstacles import Obstacle, Solid, displaced, solid, solids
+from pinposture.collision.obstacles import Obstacle, Solid, solid, solids
 from pinposture.collision.scene import Scene
 from pinposture.collision.shapes import Sphere
 from pinposture.errors import InvalidValue, PostureWarning
@@ -250,6 +251,7 @@ class Distances(NamedTuple):
             normal that separates the pair.
         pairs: names of the body and of the obstacle or the other body, k of them. A body of several solids
             may have several rows with one name.
+        numbers: indices of these pairs in `CollisionModel.pairs`, (k,).
         points: point of the body nearest to the other, (k, 3) [m], world frame.
         normals: unit vector in which the body moves straight away, (k, 3), world axes.
         rates: how fast the distances change because obstacles move, (k,) [m/s].
@@ -260,6 +262,7 @@ class Distances(NamedTuple):
     distances: Array
     jacobian: Array
     pairs: tuple[Pair, ...]
+    numbers: NDArray[np.int64]
     points: Array
     normals: Array
     rates: Array
@@ -335,18 +338,7 @@ class CollisionModel:
     def _copy(self) -> CollisionModel:
         other = object.__new__(CollisionModel)
         other.__dict__.update(self.__dict__)
-        return other
-
-    def ahead(self, time: float) -> CollisionModel:
-        """Return the model as it will be after some time [s], if obstacles keep their velocities."""
-        obstacles, velocities = self.scene.obstacles, self.scene.velocities
-        if not velocities:
-            return self
-        shifts = {name: pin.SE3(np.eye(3), time * np.array(each)) for name, each in velocities.items()}
-        other = self._copy()
-        other._distances = self._elsewhere(
-            {name: displaced(obstacles[name], shift) for name, shift in shifts.items()}
-        )
+        other.__dict__.pop("_by_velocity", None)
         return other
 
     def _elsewhere(self, moved: Mapping[str, Obstacle]) -> PairDistances:
@@ -425,6 +417,7 @@ class CollisionModel:
             distances=near.distances,
             jacobian=jacobian,
             pairs=tuple(self.pairs[k] for k in near.pairs),
+            numbers=near.pairs,
             points=near.points,
             normals=normals,
             rates=-np.einsum("ij,ij->i", normals, moved),
@@ -472,16 +465,66 @@ class CollisionModel:
         start, displacement = self._space.checked(q0, "q0"), finite_vector("dq", dq, self._model.nv)
         return self.minimum_along(start, displacement * (np.arange(1, samples + 1)[:, None] / samples))
 
-    def minimum_along(self, q0: Array, offsets: Array, below: float = np.inf) -> Closest:
+    def minimum_along(
+        self,
+        q0: Array,
+        offsets: Array,
+        below: float = np.inf,
+        numbers: NDArray[np.int64] | None = None,
+    ) -> Closest:
         """Return the smallest distance at several configurations.
 
         Args:
             q0: a configuration, (nq,) [rad or m], as `Arm.checked` returns it.
             offsets: displacements from it, (s, nv) [rad or m], s > 0.
             below: if no distance is smaller than this [m], any larger one, or none, is returned faster.
+            numbers: the pairs that count, as indices of `pairs`; all if None.
+        """
+        placements, distances = self._kinematics.place(q0, offsets), self._distances
+        if numbers is None:
+            return self._closest(*distances.minimum(placements, below))
+        some = distances.among(np.column_stack([distances.first[numbers], distances.second[numbers]]))
+        return Closest(some.minimum(placements, below)[0], None)
+
+    def reach(self, q0: Array, offsets: Array) -> float:
+        """Return how far any body gets from where it is at a configuration, at several others [m].
+
+        Args:
+            q0: a configuration, (nq,) [rad or m], as `Arm.checked` returns it.
+            offsets: displacements from it, (s, nv) [rad or m]; the first is zero.
+        """
+        return self._distances.reach(self._kinematics.place(q0, offsets))
+
+    def minimum_in_time(self, q0: Array, offsets: Array, times: Array, below: float = np.inf) -> float:
+        """Return the smallest distance at several configurations and times [m]; infinite without pairs.
+
+        Obstacles are taken to keep their velocities. An obstacle that has moved is as far from the arm as it
+        is now from an arm that has moved the other way.
+
+        Args:
+            q0: as for `minimum_along`.
+            offsets: likewise.
+            times: time from now of each configuration, (s,) [s].
+            below: likewise.
         """
         placements = self._kinematics.place(q0, offsets)
-        return self._closest(*self._distances.minimum(placements, below))
+        lowest = np.inf
+        for velocity, distances in self._by_velocity:
+            shifted = placements._replace(origins=placements.origins - times[:, None, None] * velocity)
+            lowest = min(lowest, distances.minimum(shifted, min(below, lowest))[0])
+        return lowest
+
+    @cached_property
+    def _by_velocity(self) -> list[tuple[Array, PairDistances]]:
+        """The distances, apart for each velocity of the second body or obstacle."""
+        first, second = self._distances.first, self._distances.second
+        numbers = np.maximum(second - len(self.bodies), -1)
+        velocities, groups = np.unique(self._velocities[numbers], axis=0, return_inverse=True)
+        pairs, groups = np.column_stack([first, second]), groups.ravel()
+        return [
+            (np.ascontiguousarray(velocity), self._distances.among(pairs[groups == k]))
+            for k, velocity in enumerate(velocities)
+        ]
 
     def keeps(self, q0: Array, offsets: Array, least: float) -> bool:
         """Whether all distances are at least so large at several configurations.

@@ -138,6 +138,19 @@ def test_distances_in_a_moved_scene_are_those_of_one_made_there(seed: int) -> No
         assert first_found[pair] == pytest.approx(second_found[pair], abs=1e-9)
 
 
+def test_a_scan_moves_without_being_prepared_again() -> None:
+    rng = np.random.default_rng(1)
+    cloud = pp.Scan(rng.normal(size=(500, 3)) * 0.05)
+    first = pp.Scene({"scan": cloud}, margin=MARGIN, arm_radius=THIN)
+    motion = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.0, 2.0), np.array([0.5, 0.2, 0.1]))
+    CollisionModel(arm(), first)
+    moved, q = first.moved({"scan": motion}), pp.arm.smooth_configuration(arm(), rng, 0.3)
+    assert moved.obstacles["scan"].tree is cloud.tree
+    centers = (motion.rotation @ np.asarray(cloud.points).T).T + motion.translation
+    nearest = min(gap(q, center) for center in centers) + BALL
+    assert CollisionModel(arm(), moved).minimum(q).distance == pytest.approx(nearest, abs=1e-6)
+
+
 def test_an_obstacle_that_stood_beside_the_base_counts_everywhere() -> None:
     """Beside the base a pair may be one that no motion parts, and is left out; not if the obstacle moves."""
     scene = pp.Scene({"ball": pp.Sphere((0.02, 0.0, 0.03), 0.02)}, arm_radius=THIN)
@@ -146,18 +159,25 @@ def test_an_obstacle_that_stood_beside_the_base_counts_everywhere() -> None:
     assert CollisionModel(arm(), moved).minimum(q).distance == pytest.approx(-0.03, abs=1e-6)
 
 
-def test_rates_are_how_fast_distances_change() -> None:
+def test_rates_and_distances_in_time_are_those_of_later_moments() -> None:
     rng, h = np.random.default_rng(0), 1e-5
-    velocity = rng.normal(size=3)
-    scene = ball_scene().moved({"ball": (0.4, 0.3, 0.2)}, velocities={"ball": velocity})
-    model, q = CollisionModel(arm(), scene), pp.arm.smooth_configuration(arm(), rng, 0.8)
-    near = model.nearest(arm().at(q), 0.5)
-    ahead, behind = (
-        dict(zip(n.pairs, n.distances, strict=True))
-        for n in (model.ahead(time).nearest(arm().at(q), 1.0) for time in (h, -h))
-    )
+    place, velocity = np.array([0.4, 0.3, 0.2]), rng.normal(size=3)
+    post = {"post": pp.Cylinder((0.6, 0.5, -1.0), (0.6, 0.5, 1.0), 0.03)}
+    scene = pp.Scene({**ball_scene().obstacles, **post}, margin=MARGIN, arm_radius=THIN, self_collision=True)
+
+    def model_at(time: float) -> CollisionModel:
+        moment = scene.moved({"ball": place + time * velocity}, velocities={"ball": velocity})
+        return CollisionModel(arm(), moment)
+
+    q = pp.arm.smooth_configuration(arm(), rng, 0.8)
+    near = model_at(0.0).nearest(arm().at(q), 0.5)
+    later = [model_at(time).nearest(arm().at(q), 1.0) for time in (h, -h)]
+    ahead, behind = (dict(zip(n.pairs, n.distances, strict=True)) for n in later)
     for pair, rate in zip(near.pairs, near.rates, strict=True):
         assert rate == pytest.approx((ahead[pair] - behind[pair]) / (2.0 * h), abs=1e-4)
+    offsets, times = 0.1 * rng.normal(size=(30, 40)), rng.uniform(0.0, 1.0, 30)
+    lowest = min(model_at(t).minimum(q + dq).distance for t, dq in zip(times, offsets, strict=True))
+    assert model_at(0.0).minimum_in_time(q, offsets, times) == pytest.approx(lowest, abs=1e-9)
 
 
 def test_what_does_not_fit_is_named() -> None:

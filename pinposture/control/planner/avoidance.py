@@ -160,8 +160,20 @@ MAX_HALVINGS = 6
 """How often a step after which the arm cannot stop clear is moved halfway to braking, before it brakes."""
 
 
-def sample_motion(arm: Arm, positions: Array, path: Array) -> Array:
-    """Return displacements on straight motions at which distances are to be sampled, (s, nv) [rad or m].
+class Samples(NamedTuple):
+    """Places on straight motions at which distances are to be sampled.
+
+    Attributes:
+        offsets: displacements, (s, nv) [rad or m].
+        places: where they are, as the number of the motion and a share of it, (s,).
+    """
+
+    offsets: Array
+    places: Array
+
+
+def sample_motion(arm: Arm, positions: Array, path: Array) -> Samples:
+    """Return places on straight motions at which distances are to be sampled.
 
     Args:
         arm: the arm.
@@ -173,9 +185,10 @@ def sample_motion(arm: Arm, positions: Array, path: Array) -> Array:
     moved = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=2).max(axis=1))
     turned = np.abs(changes / arm.joint_units).max(axis=1, initial=0.0)
     counts = np.maximum(moved / (SAMPLE_MOTION * arm.length), turned / SAMPLE_TURN)
-    pieces = zip(path[:-1], changes, counts, strict=True)
-    found = [start + by_halves(max(ceil(n), 1))[:, None] * change for start, change, n in pieces]
-    return np.concatenate(found)
+    shares = [by_halves(max(ceil(count), 1)) for count in counts]
+    pieces = zip(path[:-1], changes, shares, strict=True)
+    offsets = [start + share[:, None] * change for start, change, share in pieces]
+    return Samples(np.concatenate(offsets), np.concatenate([i + share for i, share in enumerate(shares)]))
 
 
 @lru_cache(maxsize=256)
@@ -278,10 +291,6 @@ class Avoidance:
         """Return the same around an arm at rest, for another objective."""
         return Avoidance(self.clearance, objective, self._bounds)
 
-    def in_moment(self, number: int) -> CollisionModel:
-        """Return the distances as they will be after so many steps, if obstacles keep their velocities."""
-        return self.clearance.ahead(number * self._dt)
-
     def near(self, state: ArmState) -> Distances:
         """Return the pairs in sight; the last answer is kept, because a step needs it more than once."""
         if self._seen is None or self._seen[0] is not state:
@@ -345,7 +354,7 @@ class Avoidance:
             least: the distance [m].
         """
         arm = self.objective.arm
-        return self.clearance.keeps(q, sample_motion(arm, arm.positions(q), path), least)
+        return self.clearance.keeps(q, sample_motion(arm, arm.positions(q), path).offsets, least)
 
     def stops_clear(self, state: ArmState, dq: Array) -> bool:
         """Whether the arm keeps its margin on a step and while it then stops."""
@@ -407,17 +416,19 @@ class Avoidance:
     def _lowest(self, state: ArmState, steps: Array, below: float) -> float:
         """Return the smallest distance during steps (k, nv) [m], exact if it is smaller than `below`."""
         path = np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
-        arm, positions = self.objective.arm, state.forward.positions
+        near, numbers = self.near(state), None
         if not self.moving:
-            offsets = sample_motion(arm, positions, path)
-            return self.clearance.minimum_along(state.q, offsets, below).distance
-        lowest = np.inf
-        for number in range(len(steps)):
-            offsets = sample_motion(arm, positions, path[number : number + 2])
-            moment = self.in_moment(number + 1)
-            lowest = min(lowest, moment.minimum_along(state.q, offsets, min(below, lowest)).distance)
-            below = min(below, lowest)
-        return lowest
+            # Pairs farther away than bodies get need no samples.
+            reach = self.clearance.reach(state.q, path) + SAMPLE_MOTION * self._length
+            if near.minimum - reach >= below:
+                return near.minimum - reach
+            if below + reach <= self.margin + CONSTRAINED_DISTANCE * self._length:
+                numbers = near.numbers[near.distances - reach < below]
+        samples = sample_motion(self.objective.arm, state.forward.positions, path)
+        if self.moving:
+            times = self._dt * samples.places
+            return self.clearance.minimum_in_time(state.q, samples.offsets, times, below)
+        return self.clearance.minimum_along(state.q, samples.offsets, below, numbers).distance
 
     @property
     def _rounding(self) -> float:

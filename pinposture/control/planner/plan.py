@@ -355,7 +355,8 @@ def _task_rows(objective: Objective, state: ArmState, goal: ArmState) -> TaskRow
 
 def _closest_on(path: JointPath, avoidance: Avoidance, below: float) -> Closest:
     """Return the pair that comes closest on a path, its ends included; any if none is nearer than `below`."""
-    offsets = np.concatenate([path.offsets[:1], sample_motion(path.arm, path.positions, path.offsets)])
+    sampled = sample_motion(path.arm, path.positions, path.offsets).offsets
+    offsets = np.concatenate([path.offsets[:1], sampled])
     return avoidance.clearance.minimum_along(path.start, offsets, below)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from arms import template_arm
 from sampling import cases, seeds
+from scipy.interpolate import interp1d
 
 import pinposture as pp
 from pinposture.collision import CollisionModel
@@ -155,7 +156,8 @@ def test_places_by_halves_are_all_places() -> None:
 def test_samples_are_as_dense_as_the_arm_moves() -> None:
     rng = np.random.default_rng(0)
     path = np.cumsum(0.2 * rng.normal(size=(5, 40)), axis=0)
-    offsets = sample_motion(arm(), np.zeros(40), path)
+    offsets, places = sample_motion(arm(), np.zeros(40), path)
+    np.testing.assert_allclose(offsets, interp1d(np.arange(5), path, axis=0)(places), atol=1e-12)
     assert all(np.any(np.all(np.isclose(offsets, each, atol=1e-15), axis=1)) for each in path[1:])
     along = np.array([(each - path[0]) @ (path[1] - path[0]) for each in offsets])
     first = offsets[: np.flatnonzero(np.all(np.isclose(offsets, path[2]), axis=1))[0]]
