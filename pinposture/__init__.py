@@ -45,6 +45,7 @@ if TYPE_CHECKING:
         plan,
         retime,
     )
+    from pinposture.control.reach import ReachedPosture, reach
     from pinposture.curve import Curve
     from pinposture.errors import PostureError, PostureWarning
     from pinposture.motion import Batch, JointTrajectory, Motion, Tracker, Trajectory, load, save
@@ -89,6 +90,7 @@ __all__ = [
     "PostureError",
     "PostureWarning",
     "Projection",
+    "ReachedPosture",
     "Scan",
     "Scene",
     "Selection",
@@ -113,6 +115,7 @@ __all__ = [
     "plot",
     "plot_arm",
     "plot_comparison",
+    "reach",
     "resolve_targets",
     "retime",
     "save",
@@ -143,6 +146,7 @@ _PACKAGES = {
         "JointPosture",
         "Limits",
         "Projection",
+        "ReachedPosture",
         "Selection",
         "Step",
         "Switching",
@@ -150,6 +154,7 @@ _PACKAGES = {
         "TimedPath",
         "follow",
         "plan",
+        "reach",
         "retime",
     ),
     "curve": ("Curve",),

@@ -149,6 +149,24 @@ class CurveOutOfReach(TargetError):
     """The curve lies where the slides of the arm do not get to within their limits."""
 
 
+class ReachError(PostureError):
+    """A place for the tip that no clear posture was found for.
+
+    Attributes:
+        place: where the tip should be, three coordinates [m], world frame.
+        reason: why, and how near the search came.
+    """
+
+    def __init__(self, place: Iterable[float], reason: str) -> None:
+        self.place, self.reason = tuple(float(each) for each in place), reason
+        listed = ", ".join(f"{each:.4g}" for each in self.place)
+        super().__init__(f"the tip cannot be brought to ({listed}) m: {reason}")
+
+
+class OutOfReach(ReachError):
+    """A place that is farther away than the arm is long, or off the plane of a planar arm."""
+
+
 class TaskError(PostureError, ValueError):
     """A task in time that contradicts itself, or that the arm cannot do.
 

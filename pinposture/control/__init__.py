@@ -8,6 +8,7 @@ from pinposture.control.planner.geodesic import Geodesic
 from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import JointPath, TimedPath, retime
 from pinposture.control.planner.plan import plan
+from pinposture.control.reach import ReachedPosture, reach
 from pinposture.control.registry import CONTROLLERS, controller_named
 from pinposture.control.tasks import ControlTask, EndEffector, JointPosture, Tangents, TaskRows
 from pinposture.control.thesis.projection import Projection
@@ -31,6 +32,7 @@ __all__ = [
     "Objective",
     "PathProgress",
     "Projection",
+    "ReachedPosture",
     "SectionSet",
     "SectionTree",
     "Selection",
@@ -46,6 +48,7 @@ __all__ = [
     "controller_named",
     "follow",
     "plan",
+    "reach",
     "retime",
     "section_indices",
 ]

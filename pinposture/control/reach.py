@@ -1,0 +1,464 @@
+"""Where the tip should be is given: find clear postures that bring it there, and the way to them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from math import inf
+from time import perf_counter
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from pinposture._validation import as_vector, require_positive, require_whole
+from pinposture._validation import direction as unit_vector
+from pinposture.arm import Arm, ArmState, smooth_configuration
+from pinposture.collision import CollisionModel, Scene
+from pinposture.collision.scene import obstacles_around
+from pinposture.control.limits import Limits
+from pinposture.control.orientation import link_axes
+from pinposture.control.planner.path import JointPath
+from pinposture.control.planner.plan import plan
+from pinposture.control.tasks import EndEffector
+from pinposture.errors import InvalidValue, OutOfReach, ReachError
+from pinposture.placement import Target
+
+Array = NDArray[np.float64]
+
+TOLERANCE = 1e-6
+"""How near its goal the tip is unless told otherwise, in arm lengths."""
+
+DISTINCT = 0.05
+"""Largest distance between points of two postures from which on they are different, in arm lengths."""
+
+SEEDS, CHOSEN, MAX_WAVES, MAX_IDLE_WAVES = 24, 6, 40, 3
+"""Postures to begin with in each wave, how many of them are brought clear, the largest number of waves, and
+how many in a row may find nothing new after the first find."""
+
+SPARE = 3
+"""How many more postures than asked for are looked for, to choose from."""
+
+AMPLITUDES = 0.15, 1.3
+"""Smallest and largest joint position of smooth postures to begin with, in `Arm.joint_units`."""
+
+FEW_JOINTS = 8
+"""Number of joints up to which postures to begin with are uniformly random."""
+
+MAX_STEP = 0.3
+"""Largest joint motion of one iteration, in `Arm.joint_units`."""
+
+TIP_ITERATIONS, CLEAR_ITERATIONS, POLISH_ITERATIONS = 40, 80, 12
+"""Iterations that bring the tip to its goal, that bring the arm clear, and that improve a posture."""
+
+BUFFER = 1e-4
+"""By how much more than the margin clearance is asked for, in arm lengths: it is then kept exactly."""
+
+AMPLE = 0.05
+"""Clearance that needs no more, in arm lengths."""
+
+NEAR_LIMIT = 0.7
+"""Share of the way from the middle of its range to its limit from which on a joint is drawn back."""
+
+MANIPULABILITY_GAIN = 2e-3
+"""Joint motion of one iteration along the gradient of the logarithm of the manipulability measure."""
+
+DECREASE, INCREASE, MAX_DAMPING = 0.2, 5.0, 1e6
+"""How the damping changes after a step that helped or did not, and where the search ends."""
+
+
+@dataclass(frozen=True, eq=False)
+class ReachedPosture:
+    """A clear posture that brings the tip where it should be.
+
+    Attributes:
+        q: the configuration, (nq,) [rad or m].
+        target: the posture as a target, for `plan`, `track` and the rest of the library.
+        path: the way to it from the start; None if no start was given. Its `hindrance` says what it comes
+            too close to, if no clear way was found.
+        error: distance of the tip from its goal [m].
+        clearance: smallest distance from obstacles, and of the arm from itself if the scene says so [m];
+            infinite without a scene.
+        limit_distance: how far the joint nearest its limit is from it, in halves of its range, in [0, 1];
+            1 if no joint has limits.
+        manipulability: index of the tip (see `Ellipsoid.index`), in [0, 1]; 0 in a singular posture.
+        path_ratio: length of the path in joint space over that of the straight line; None without a path.
+        score: mean of the shares by which postures are ranked, in [0, 1]: clearance (1 from a twentieth of
+            the arm's length on), limit distance, manipulability, and the inverse of the path ratio if there
+            is a path. Postures with a clear path come before those without.
+    """
+
+    q: Array
+    target: Target
+    path: JointPath | None
+    error: float
+    clearance: float
+    limit_distance: float
+    manipulability: float
+    path_ratio: float | None
+    score: float
+
+
+def reach(
+    arm: Arm,
+    goal: Any,
+    *,
+    direction: ArrayLike | None = None,
+    scene: Scene | None = None,
+    start: ArrayLike | None = None,
+    count: int = 1,
+    seed: int = 0,
+    budget: float = 5.0,
+    tolerance: float | None = None,
+    limits: Limits | None = None,
+) -> tuple[ReachedPosture, ...]:
+    """Find clear postures that bring the tip to a position or a pose, and the ways to them.
+
+    Many postures, that of the start among them, are brought to the goal by damped least squares, first
+    without obstacles; those that intrude least are pushed clear, and then use the freedom that is left for
+    clearance, distance from limits and manipulability. It is a search: that it finds nothing is no proof.
+
+    Args:
+        arm: the arm.
+        goal: where the tip should be: a position (3,) [m], or a pose as a `pin.SE3` or a rigid transform
+            (4, 4), world frame.
+        direction: where the last link should point, (3,), world frame, for a position.
+        scene: what to keep clear of, by its margin; None: nothing.
+        start: where the arm is, (nq,); paths begin there. None: no paths.
+        count: how many different postures are wanted. Fewer are returned where no more are found.
+        seed: what the search is drawn from.
+        budget: time for everything [s]. Where it ends the search, the result depends on the machine; else it
+            is the same for a given seed.
+        tolerance: largest distance of the tip from its goal [m]; a turn counts as the arc at a lever of
+            `Arm.characteristic_length`. A millionth of the arm's length if None.
+        limits: the margin to position limits, for the paths as well; `Limits()` if None.
+
+    Returns:
+        At most `count` postures, the best first, at least one. In any two of them, some points of the arm are
+        at least a twentieth of its length apart.
+
+    Raises:
+        InvalidValue: something of another type, or that does not fit the arm.
+        OutOfReach: the goal is farther away than the arm is long, or off the plane of a planar arm.
+        ReachError: no clear posture was found; says how near the search came.
+    """
+    began = perf_counter()
+    if not isinstance(arm, Arm):
+        raise InvalidValue("arm", arm, "an Arm")
+    if not (scene is None or isinstance(scene, Scene)):
+        raise InvalidValue("scene", scene, "a Scene(...), or None")
+    if not (limits is None or isinstance(limits, Limits)):
+        raise InvalidValue("limits", limits, "a Limits(...), or None")
+    require_whole("count", count, 1)
+    require_whole("seed", seed, 0)
+    require_positive("budget", budget)
+    allowed_error = TOLERANCE * arm.length if tolerance is None else tolerance
+    require_positive("tolerance", allowed_error)
+    task, limits = _tip_task(arm, goal, direction), Limits() if limits is None else limits
+    first = None if start is None else arm.checked_start(start, "start")
+    _check_in_reach(arm, _place_of(task), allowed_error, scene)
+    until = began + (budget if first is None else 0.5 * budget)
+    search = _Search(arm, task, scene, limits, allowed_error)
+    wanted = count if first is None and count == 1 else count + SPARE
+    postures = search.find(first, wanted, np.random.default_rng(seed), until)
+    if first is None:
+        return tuple(postures[:count])
+    reached: list[ReachedPosture] = []
+    for posture in postures:
+        clear = sum(not each.path.hindrance for each in reached if each.path)
+        left = began + budget - perf_counter()
+        if clear >= count or (reached and left <= 0.0):
+            break
+        share = max(left, 0.05 * budget) / max(count - clear, 1)
+        reached.append(_with_path(arm, posture, first, scene, limits, share))
+    reached.sort(key=lambda each: (bool(each.path and each.path.hindrance), -each.score))
+    return tuple(reached[:count])
+
+
+def _tip_task(arm: Arm, goal: Any, direction: ArrayLike | None) -> EndEffector:
+    """Return the task of bringing the tip to the goal."""
+    if isinstance(goal, pin.SE3) or np.shape(goal) == (4, 4):
+        if direction is not None:
+            raise InvalidValue("direction", direction, "None where the goal is a pose")
+        return EndEffector(pose=goal)
+    place = as_vector("goal", goal)
+    if direction is None:
+        return EndEffector(position=place)
+    link = link_axes(arm).links[-1]
+    turn = pin.Quaternion.FromTwoVectors(link, np.array(unit_vector("direction", direction))).matrix()
+    return EndEffector(pose=pin.SE3(turn, place), direction_only=True)
+
+
+def _place_of(task: EndEffector) -> Array:
+    return np.asarray(task.position if task.pose is None else task.pose[:3, 3])
+
+
+def _check_in_reach(arm: Arm, place: Array, tolerance: float, scene: Scene | None) -> None:
+    """Refuse goals that no posture can take."""
+    slides = arm.columns[~arm.chain.revolute]
+    travel = np.maximum(np.abs(arm.limits.lower[slides]), np.abs(arm.limits.upper[slides])).sum()
+    away, most = float(np.linalg.norm(place - arm.chain.base)), arm.length + float(travel)
+    if away > most + tolerance:
+        raise OutOfReach(place, f"it is {away:.4g} m from the base, and the arm reaches {most:.4g} m")
+    offset = place - arm.chain.points[-1]
+    across = float(np.linalg.norm(offset - arm.plane.T @ (arm.plane @ offset)))
+    if across > tolerance:
+        raise OutOfReach(place, f"it is {across:.4g} m off the plane in which the arm moves")
+    inside = () if scene is None else obstacles_around(scene, place)
+    if inside:
+        raise ReachError(place, f"it is inside {', '.join(inside)}")
+
+
+def _with_path(
+    arm: Arm, posture: ReachedPosture, start: Array, scene: Scene | None, limits: Limits, budget: float
+) -> ReachedPosture:
+    """Return the posture with the way to it, and the ratio of its length and the score that follow."""
+    path = plan(arm.at(start), posture.target, scene, limits, budget=budget)
+    units = arm.joint_units
+    direct = float(np.linalg.norm(path.offsets[-1] / units))
+    length = float(np.linalg.norm(np.diff(path.offsets / units, axis=0), axis=1).sum())
+    ratio = max(length / direct, 1.0) if direct > 1e-9 else 1.0
+    return replace(posture, path=path, path_ratio=ratio, score=(3.0 * posture.score + 1.0 / ratio) / 4.0)
+
+
+# The search for postures.
+
+
+class _Rows(NamedTuple):
+    """What a step x should do: matrix @ x = errors, the rows of the tip first.
+
+    Attributes:
+        matrix: (r, n) [m per `Arm.joint_units`].
+        errors: (r,) [m].
+        tip: number of rows of the tip.
+    """
+
+    matrix: Array
+    errors: Array
+    tip: int
+
+    @property
+    def cost(self) -> float:
+        return float(self.errors @ self.errors)
+
+    @property
+    def tip_error(self) -> float:
+        return float(np.linalg.norm(self.errors[: self.tip]))
+
+    @property
+    def intrusion(self) -> float:
+        return float(np.linalg.norm(self.errors[self.tip :]))
+
+
+class _Search:
+    """The search for postures with the tip at its goal."""
+
+    def __init__(
+        self, arm: Arm, task: EndEffector, scene: Scene | None, limits: Limits, tolerance: float
+    ) -> None:
+        self.arm, self.task, self.tolerance = arm, task, tolerance
+        self.model = None if scene is None else CollisionModel(arm, scene)
+        self.margin = 0.0 if scene is None else scene.margin
+        self.edges = limits.for_arm(arm).edges
+        columns = arm.columns
+        self.columns = columns[self.edges[1, columns] > self.edges[0, columns]]
+        self.units = arm.joint_units[self.columns]
+        self.target = Target.from_configuration(arm, arm.straight())  # tasks of the tip do not read it
+
+    def find(
+        self, start: Array | None, wanted: int, rng: np.random.Generator, until: float
+    ) -> list[ReachedPosture]:
+        """Return different clear postures, the best first; raise ReachError if there is none."""
+        found: list[ReachedPosture] = []
+        shapes: list[Array] = []
+        idle, nearest, intruding = 0, inf, 0
+        for wave in range(MAX_WAVES):
+            before = len(found)
+            settled: list[tuple[float, int, ArmState]] = []
+            for q in self._seeds(start if wave == 0 else None, rng):
+                state = self._settle(self.arm.at(q).compiled, None, TIP_ITERATIONS)
+                error = self._rows(state, None).tip_error
+                nearest = min(nearest, error)
+                if error <= self.tolerance or (self.model is not None and error <= AMPLE * self.arm.length):
+                    intrusion = self._rows(state, self.margin).intrusion
+                    settled.append((intrusion, len(settled), state))
+                if perf_counter() >= until:
+                    break
+            for _, _, begin in sorted(settled, key=lambda each: each[:2])[:CHOSEN]:
+                state = self._settle(begin, self.margin + BUFFER * self.arm.length, CLEAR_ITERATIONS)
+                posture = self._judge(state)
+                if posture is None:
+                    intruding += 1
+                elif self._is_new(state.links, shapes):
+                    better, improved = self._polish(posture, state)
+                    if self._is_new(improved.links, shapes):
+                        found.append(better)
+                        shapes.append(improved.links)
+                if len(found) >= wanted or perf_counter() >= until:
+                    break
+            idle = idle + 1 if len(found) == before else 0
+            if len(found) >= wanted or perf_counter() >= until or (found and idle >= MAX_IDLE_WAVES):
+                break
+        if not found:
+            raise ReachError(_place_of(self.task), self._why_none(nearest, intruding))
+        return sorted(found, key=lambda each: -each.score)
+
+    def _why_none(self, nearest: float, intruding: int) -> str:
+        if nearest > self.tolerance:
+            return f"no posture was found that brings the tip nearer than {nearest:.3g} m"
+        return (
+            f"no clear posture was found: all of the {intruding} that were tried come too near something, "
+            "or lose the goal where they do not; a larger budget tries more"
+        )
+
+    def _seeds(self, start: Array | None, rng: np.random.Generator) -> Iterator[Array]:
+        """Yield the postures that a wave begins with."""
+        arm, few = self.arm, len(self.columns) <= FEW_JOINTS
+        if start is not None:
+            yield start
+        for _ in range(SEEDS):
+            amplitude = rng.uniform(*AMPLITUDES)
+            q = arm.random(rng) if few else smooth_configuration(arm, rng, amplitude)
+            yield arm.configuration(np.clip(arm.positions(q), *self.edges))
+
+    def _rows(self, state: ArmState, clearance: float | None) -> _Rows:
+        """Return the rows of the tip, and of the distances below a clearance [m]; None: no distances."""
+        tip = self.task.rows(state, self.target)
+        matrix, errors = tip.jacobian, tip.error
+        if clearance is not None and self.model is not None:
+            near = self.model.nearest(state, clearance)
+            matrix = np.concatenate([matrix, near.jacobian])
+            errors = np.concatenate([errors, clearance - near.distances])
+        return _Rows(matrix[:, self.columns] * self.units, errors, len(tip.error))
+
+    def _settle(self, state: ArmState, clearance: float | None, iterations: int) -> ArmState:
+        """Bring the tip to its goal and all distances to a clearance by damped least squares."""
+        rows, damping = self._rows(state, clearance), 1e-2
+        good = 0.1 * self.tolerance
+        clear = BUFFER * self.arm.length * 0.5
+        for _ in range(iterations):
+            if rows.tip_error <= good and rows.intrusion <= clear:
+                break
+            tried = self._moved(state, self._step(state, rows, damping))
+            after = self._rows(tried, clearance)
+            if after.cost < rows.cost:
+                state, rows, damping = tried, after, max(damping * DECREASE, 1e-9)
+            else:
+                damping *= INCREASE
+                if damping > MAX_DAMPING:
+                    break
+        return state
+
+    def _step(self, state: ArmState, rows: _Rows, damping: float) -> Array:
+        """Return the damped step, (n,), with joints at their limits held that would leave them."""
+        lower, upper = self._room(state)
+        free = np.ones(len(self.columns), dtype=np.bool_)
+        x = np.zeros(len(free))
+        weight = damping * (float((rows.matrix**2).sum()) / len(free) + 1e-12 * self.arm.length**2)
+        weight *= min(1.0, rows.cost / self.arm.length**2 * 1e2 + 1e-6)
+        for _ in range(3):
+            matrix = rows.matrix[:, free]
+            if len(matrix) < matrix.shape[1]:
+                gram = matrix @ matrix.T
+                gram[np.diag_indices(len(gram))] += weight + 1e-14
+                x[free] = matrix.T @ np.linalg.solve(gram, rows.errors)
+            else:
+                gram = matrix.T @ matrix
+                gram[np.diag_indices(len(gram))] += weight + 1e-14
+                x[free] = np.linalg.solve(gram, matrix.T @ rows.errors)
+            held = free & (((x < 0.0) & (lower >= 0.0)) | ((x > 0.0) & (upper <= 0.0)))
+            if not held.any():
+                break
+            free &= ~held
+            x[held] = 0.0
+            if not free.any():
+                break
+        return self._limited(x, lower, upper)
+
+    def _limited(self, x: Array, lower: Array, upper: Array) -> Array:
+        """Return a step shortened to `MAX_STEP`, and within what the limits leave."""
+        scale = min(1.0, MAX_STEP / max(float(np.abs(x).max(initial=0.0)), 1e-300))
+        return np.asarray(np.clip(scale * x, lower, upper))
+
+    def _room(self, state: ArmState) -> tuple[Array, Array]:
+        lower, upper = ((edge[self.columns] - state.positions[self.columns]) for edge in self.edges)
+        return np.minimum(lower, 0.0) / self.units, np.maximum(upper, 0.0) / self.units
+
+    def _moved(self, state: ArmState, x: Array) -> ArmState:
+        dq = np.zeros(self.arm.nv)
+        dq[self.columns] = x * self.units
+        return self.arm.at(self.arm.integrate(state.q, dq)).compiled
+
+    def _polish(self, posture: ReachedPosture, state: ArmState) -> tuple[ReachedPosture, ArmState]:
+        """Use the freedom that the tip leaves for clearance, distance from limits and manipulability."""
+        wanted, moved = self.margin + AMPLE * self.arm.length, state
+        for _ in range(POLISH_ITERATIONS):
+            rows = self._rows(moved, wanted)
+            first, left = rows.matrix[: rows.tip], rows.errors[: rows.tip]
+            inverse = np.linalg.pinv(first, rcond=1e-4)
+            null = np.eye(len(self.columns)) - inverse @ first
+            pull, errors = self._limit_rows(moved)
+            matrix = np.concatenate([rows.matrix[rows.tip :], pull]) @ null
+            errors = np.concatenate([rows.errors[rows.tip :], errors])
+            gram = matrix.T @ matrix + 1e-2 * self.arm.length**2 * np.eye(len(null))
+            x = np.linalg.solve(gram, matrix.T @ errors) + MANIPULABILITY_GAIN * self._manipulability(moved)
+            x = inverse @ left + null @ x
+            if float(np.abs(x).max(initial=0.0)) < 1e-4:
+                break
+            moved = self._moved(moved, self._limited(x, *self._room(moved)))
+        moved = self._settle(moved, self.margin + BUFFER * self.arm.length, CLEAR_ITERATIONS // 2)
+        better = self._judge(moved)
+        return (posture, state) if better is None or better.score < posture.score else (better, moved)
+
+    def _limit_rows(self, state: ArmState) -> tuple[Array, Array]:
+        """Return the rows that draw joints back from their limits, (n, n), and their errors, (n,) [m]."""
+        middle, half = self._ranges
+        share = (state.positions[self.columns] - middle) / half
+        excess = np.sign(share) * np.maximum(np.abs(share) - NEAR_LIMIT, 0.0)
+        root = 0.1 * self.arm.length
+        return root * np.diag((excess != 0.0).astype(np.float64)), -root * excess * half / self.units
+
+    @property
+    def _ranges(self) -> tuple[Array, Array]:
+        """Middle and half of the range of each joint, (n,); infinite without limits."""
+        lower, upper = self.arm.limits.lower[self.columns], self.arm.limits.upper[self.columns]
+        endless = self.arm.unlimited[self.columns]
+        middle = np.where(endless, 0.0, 0.5 * (lower + upper))
+        return middle, np.where(endless, 1e9, 0.5 * (upper - lower))
+
+    def _manipulability(self, state: ArmState) -> Array:
+        """Return the gradient of the logarithm of the manipulability measure of the tip, (n,).
+
+        A joint moves the column of another joint by a x J: a the axis of the one nearer to the base, J the
+        column of the other.
+        """
+        plane, columns = self.arm.plane, self.columns
+        jacobian, axes = state.jacobians[-1][:, columns].T, state.axes[:, columns].T
+        inverse = np.linalg.pinv(plane @ (jacobian * self.units[:, None]).T, rcond=1e-6)  # (n, d)
+        numbers = np.arange(len(columns))
+        low, high = (each(numbers[:, None], numbers) for each in (np.minimum, np.maximum))
+        changes = np.cross(axes[low], jacobian[high]) @ plane.T  # of column i by joint j, (n, n, d)
+        return np.asarray(np.einsum("ijd,id,i->j", changes, inverse, self.units) * self.units)
+
+    def _judge(self, state: ArmState) -> ReachedPosture | None:
+        """Return the posture with what it is ranked by; None if it is not clear or not at the goal."""
+        arm, q = self.arm, np.array(state.q)
+        at = arm.at(q)
+        error = float(np.linalg.norm(self.task.rows(at, self.target).error))
+        clearance = inf if self.model is None else self.model.minimum(q).distance
+        if error > self.tolerance or clearance < self.margin or not arm.within_limits(q):
+            return None
+        middle, half = self._ranges
+        shares = np.abs(at.positions[self.columns] - middle) / half
+        limit_distance = float(np.clip(1.0 - shares.max(initial=0.0), 0.0, 1.0))
+        index = at.ellipsoids(-1)[0].index
+        score = (min(max(clearance, 0.0) / (AMPLE * arm.length), 1.0) + limit_distance + index) / 3.0
+        distance = float(np.linalg.norm(at.points[-1] - _place_of(self.task)))
+        q.flags.writeable = False
+        target = Target(at.points, np.ones(arm.n_modules), q=q)
+        return ReachedPosture(q, target, None, distance, clearance, limit_distance, index, None, score)
+
+    def _is_new(self, links: Array, shapes: list[Array]) -> bool:
+        least = DISTINCT * self.arm.length
+        return all(float(np.linalg.norm(links - each, axis=1).max()) >= least for each in shapes)

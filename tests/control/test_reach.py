@@ -1,0 +1,214 @@
+"""Postures that bring the tip somewhere, judged by Pinocchio, by closed forms and by sampled links."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import pinposture as pp
+
+MARGIN, RADIUS = 0.01, 0.008
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return pp.Arm.from_template("RyRz", modules=12)
+
+
+@pytest.fixture(scope="module")
+def clutter(arm):
+    """Balls and where they are, off the first part of the straight arm."""
+    rng = np.random.default_rng(7)
+    places = [place for place in rng.uniform(-0.6, 0.6, (40, 3)) if np.linalg.norm(place) > 0.2]
+    balls = {f"ball{k}": pp.Sphere(place.tolist(), 0.05) for k, place in enumerate(places)}
+    return pp.Scene(balls, margin=MARGIN, arm_radius=RADIUS), np.array(places)
+
+
+def placed(arm, q):
+    """The frame of the tip by Pinocchio alone."""
+    data = arm.model.createData()
+    pin.framesForwardKinematics(arm.model, data, np.array(q))
+    return data.oMf[arm.model.getFrameId(arm.control_points[-1])]
+
+
+def sampled_clearance(arm, q, centres, radius):
+    """Distance of densely sampled points of the links from balls [m], by Pinocchio's joint placements."""
+    data = arm.model.createData()
+    pin.framesForwardKinematics(arm.model, data, np.array(q))
+    stations = [data.oMi[j].translation for j in range(1, arm.model.njoints)] + [placed(arm, q).translation]
+    shares = np.linspace(0.0, 1.0, 60)[:, None]
+    points = np.vstack([a + shares * (b - a) for a, b in pairwise(stations)])
+    return float(np.linalg.norm(points[:, None] - centres, axis=2).min()) - radius - RADIUS
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_tip_is_there_and_the_arm_is_clear_and_within_limits(arm, clutter, seed):
+    scene, centres = clutter
+    goal = np.random.default_rng(seed).uniform(-0.3, 0.3, 3) + (0.1, 0.0, 0.0)
+    if np.linalg.norm(centres - goal, axis=1).min() < 0.05 + RADIUS + 2 * MARGIN:
+        goal = centres[seed] * (1.0 + 0.09 / np.linalg.norm(centres[seed]))
+    found = pp.reach(arm, goal, scene=scene, count=3, seed=seed)
+    assert found
+    for each in found:
+        assert np.linalg.norm(placed(arm, each.q).translation - goal) <= 1e-6 * arm.length
+        measured = sampled_clearance(arm, each.q, centres, 0.05)
+        assert measured >= MARGIN - 1e-6
+        assert measured == pytest.approx(each.clearance, abs=1e-3)
+        positions = arm.positions(each.q)
+        assert np.all((arm.limits.lower <= positions) & (positions <= arm.limits.upper))
+        shares = np.minimum(positions - arm.limits.lower, arm.limits.upper - positions)
+        half = (arm.limits.upper - arm.limits.lower) / 2
+        assert each.limit_distance == pytest.approx((shares / half).min())
+        sigma = np.linalg.svd(arm.at(each.q).jacobians[-1], compute_uv=False)
+        assert each.manipulability == pytest.approx(np.prod(sigma / sigma[0]))
+        assert each.path is None
+        np.testing.assert_array_equal(each.target.q, each.q)
+    scores = [each.score for each in found]
+    assert scores == sorted(scores, reverse=True)
+
+
+def test_several_postures_differ(arm, clutter):
+    found = pp.reach(arm, (0.3, 0.1, 0.2), scene=clutter[0], count=4)
+    assert len(found) == 4
+    for k, one in enumerate(found):
+        for other in found[:k]:
+            apart = np.linalg.norm(arm.at(one.q).links - arm.at(other.q).links, axis=1).max()
+            assert apart >= 0.05 * arm.length
+
+
+@given(st.floats(0.15, 0.95), st.floats(-3.0, 3.0))
+@settings(max_examples=25, deadline=None)
+def test_two_hinges_have_exactly_the_two_postures_of_the_closed_form(share, angle):
+    arm = pp.Arm.from_template("Rz", modules=2)
+    a, b = arm.chain.module_lengths
+    away = share * (a + b)
+    goal = away * np.array([np.cos(angle), np.sin(angle), 0.0])
+    elbow = np.arccos((away**2 - a**2 - b**2) / (2 * a * b))
+    expected = []
+    for bend in (elbow, -elbow):
+        first = angle - np.arctan2(b * np.sin(bend), a + b * np.cos(bend))
+        expected.append((np.arctan2(np.sin(first), np.cos(first)), bend))
+    limit = arm.limits.upper
+    expected = [q for q in expected if np.all(np.abs(q) <= limit)]
+    found = pp.reach(arm, goal, count=5, budget=20.0)
+    assert len(found) == len(expected)
+    for q in expected:
+        assert min(np.abs(each.q - q).max() for each in found) < 1e-4
+
+
+@pytest.mark.parametrize("direction", [(1, 0, 0), (0, 0, -2), (0.3, -1, 0.2)])
+def test_the_last_link_points_in_the_direction_asked_for(arm, clutter, direction):
+    scene, centres = clutter
+    (found,) = pp.reach(arm, (0.3, 0.1, 0.2), direction=direction, scene=scene)
+    frame = placed(arm, found.q)
+    wanted = np.array(direction) / np.linalg.norm(direction)
+    assert np.linalg.norm(frame.translation - (0.3, 0.1, 0.2)) <= 1e-6 * arm.length
+    np.testing.assert_allclose(frame.rotation[:, 0], wanted, atol=1e-4)
+    assert sampled_clearance(arm, found.q, centres, 0.05) >= MARGIN - 1e-6
+
+
+@pytest.mark.parametrize("as_matrix", [False, True])
+def test_a_pose_is_taken_as_a_whole(arm, as_matrix):
+    pose = pin.SE3(pin.rpy.rpyToMatrix(0.4, -0.7, 1.1), np.array([0.25, -0.1, 0.2]))
+    (found,) = pp.reach(arm, pose.homogeneous if as_matrix else pose)
+    frame = placed(arm, found.q)
+    assert np.linalg.norm(frame.translation - pose.translation) <= 1e-6 * arm.length
+    assert np.linalg.norm(pin.log3(pose.rotation.T @ frame.rotation)) < 1e-4
+    assert found.clearance == np.inf
+
+
+def test_the_path_leads_from_the_start_to_the_posture_clear_of_everything(arm, clutter):
+    scene, centres = clutter
+    start = arm.straight()
+    clear = sampled_clearance(arm, start, centres, 0.05)
+    if clear < MARGIN:
+        (begin,) = pp.reach(arm, (0.3, -0.2, 0.1), scene=scene)
+        start = begin.q
+    for each in pp.reach(arm, (0.3, 0.1, 0.2), scene=scene, start=start, count=2, budget=30.0):
+        assert each.path is not None
+        assert each.path.hindrance == ""
+        np.testing.assert_allclose(each.path.configurations[0], start, atol=1e-12)
+        np.testing.assert_allclose(
+            placed(arm, each.path.configurations[-1]).translation, (0.3, 0.1, 0.2), atol=1e-5
+        )
+        for place in np.linspace(0.0, each.path.end, 200):
+            assert sampled_clearance(arm, each.path.configuration(place), centres, 0.05) >= MARGIN - 2e-3
+        steps = np.diff(each.path.offsets, axis=0)
+        length = np.linalg.norm(steps, axis=1).sum() / np.linalg.norm(each.path.offsets[-1])
+        assert each.path_ratio == pytest.approx(length)
+
+
+def test_a_seed_gives_the_same_postures_again(arm, clutter):
+    first, again, other = (
+        pp.reach(arm, (0.3, 0.1, 0.2), scene=clutter[0], count=2, seed=seed, budget=60.0)
+        for seed in (5, 5, 6)
+    )
+    for one, same in zip(first, again, strict=True):
+        np.testing.assert_array_equal(one.q, same.q)
+    assert not np.array_equal(first[0].q, other[0].q)
+
+
+def test_what_is_too_far_or_off_the_plane_is_out_of_reach(arm):
+    with pytest.raises(pp.PostureError, match=r"0\.6 m") as caught:
+        pp.reach(arm, (0.7, 0.0, 0.0))
+    assert type(caught.value).__name__ == "OutOfReach"
+    with pytest.raises(pp.PostureError, match=r"0.02 m off the plane"):
+        pp.reach(pp.Arm.from_template("Rz", modules=5), (0.3, 0.1, 0.02))
+
+
+def test_what_no_posture_reaches_is_told_with_how_near_it_came():
+    """The tip of links of 0.2 m and 0.1 m stays 0.1 m away from the base."""
+    arm = pp.Arm.from_modules([pp.template("Rz").with_lengths([length]) for length in (0.2, 0.1)])
+    with pytest.raises(pp.PostureError, match="no posture was found that brings the tip nearer") as caught:
+        pp.reach(arm, (0.05, 0, 0))
+    assert float(str(caught.value).split()[-2]) == pytest.approx(0.05, rel=1e-2)
+
+
+def test_a_goal_inside_an_obstacle_or_behind_a_wall_has_no_clear_posture(arm):
+    ball = pp.Scene({"ball": pp.Sphere((0.3, 0.0, 0.2), 0.05)})
+    with pytest.raises(pp.PostureError, match="inside ball"):
+        pp.reach(arm, (0.3, 0.0, 0.21), scene=ball)
+    wall = pp.Scene({"wall": pp.Box((0.3, 0.0, 0.0), (0.02, 4.0, 4.0))})
+    with pytest.raises(pp.PostureError, match="no clear posture"):
+        pp.reach(arm, (0.4, 0.0, 0.0), scene=wall, budget=1.0)
+
+
+def test_a_posture_that_no_path_leads_to_says_so():
+    """A wall runs out from beside the base; the other way round, the first joint is at its limit."""
+    arm = pp.Arm.from_template("Rz", modules=2)
+    wall = pp.Scene({"wall": pp.Box((0.2, 0.0, 0.0), (0.36, 0.002, 1.0))}, margin=0.001, arm_radius=0.004)
+    start = arm.configuration([1.2, 0.3])
+    found = pp.reach(arm, (0.15, -0.15, 0.0), scene=wall, start=start, budget=3.0)
+    assert found
+    for each in found:
+        assert each.path is not None
+        assert "wall" in each.path.hindrance
+
+
+@pytest.mark.parametrize(
+    ("changed", "named"),
+    [
+        ({"count": 0}, "count"),
+        ({"seed": -1}, "seed"),
+        ({"budget": 0.0}, "budget"),
+        ({"tolerance": np.nan}, "tolerance"),
+        ({"direction": (0, 0, 0)}, "direction"),
+        ({"start": np.zeros(3)}, "start"),
+        ({"scene": "scene"}, "scene"),
+        ({"limits": "limits"}, "limits"),
+        ({"goal": (0.1, np.nan, 0.0)}, "goal"),
+        ({"goal": "there"}, "goal"),
+        ({"goal": np.eye(4) * 2}, "pose"),
+        ({"goal": np.eye(4), "direction": (1, 0, 0)}, "direction"),
+        ({"arm": "arm"}, "arm"),
+    ],
+)
+def test_bad_input_is_named(arm, changed, named):
+    given = {"arm": arm, "goal": (0.3, 0.1, 0.1), **changed}
+    with pytest.raises(pp.PostureError, match=f"^{named}"):
+        pp.reach(given.pop("arm"), given.pop("goal"), **given)
