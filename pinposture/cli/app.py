@@ -16,6 +16,7 @@ from pinposture.cli import (
     export,
     generate,
     inspect,
+    reach,
     reproduce,
     run,
     simulate,
@@ -126,7 +127,7 @@ def _add(name: str, run: Callable[..., None], examples: tuple[str, ...], group: 
     group.command(name, cls=verb_with_examples(examples), help=_paragraphs(run.__doc__ or ""))(run)
 
 
-for module in (generate, inspect, track, batch, run, edit, view, export, simulate, reproduce, compile):
+for module in (generate, inspect, track, reach, batch, run, edit, view, export, simulate, reproduce, compile):
     _add(module.__name__.rpartition(".")[2], module.run, module.EXAMPLES, app)
 for name, (verb, examples) in studies.VERBS.items():
     _add(name, verb, examples, study)

@@ -15,7 +15,19 @@ from pinposture.curve.presets import CURVES
 from pinposture.editor.session import Session
 from pinposture.placement.resolve import METHODS, PLACEMENTS
 
-QUICK = ("generate", "inspect", "track", "batch", "run", "edit", "view", "export", "study arms", "compile")
+QUICK = (
+    "generate",
+    "inspect",
+    "track",
+    "reach",
+    "batch",
+    "run",
+    "edit",
+    "view",
+    "export",
+    "study arms",
+    "compile",
+)
 STUDIES = ("methods", "postures", "headings", "scenes", "cycles")  # these take minutes, as does reproduce
 VERBS = (*QUICK, *(f"study {name}" for name in STUDIES), "reproduce")
 

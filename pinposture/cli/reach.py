@@ -1,0 +1,219 @@
+"""`pinposture reach`: find postures that bring the tip to a place."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pinposture.cli.inputs import (
+    MOTION,
+    OUTPUT,
+    TARGET,
+    BaseOption,
+    DegreesOption,
+    JsonOption,
+    LockedOption,
+    ModulesOption,
+    PackageDirOption,
+    TipOption,
+    UrdfArgument,
+    read_arm,
+    read_numbers,
+    read_start,
+)
+from pinposture.cli.output import end_with, print_json, print_note, print_table
+from pinposture.cli.results import FILES, keep, write_picture
+from pinposture.cli.targets import SceneOption, SelfCollisionOption, read_scene
+from pinposture.errors import InvalidValue
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from pinposture.arm import Arm
+    from pinposture.collision import Scene
+    from pinposture.control.reach import ReachedPosture
+
+EXAMPLES = (
+    "pinposture reach arm.urdf --to 0.4,0.1,0.5",
+    "pinposture reach arm.urdf --to 0.4,0.1,0.5 --direction 1,0,0",
+    "pinposture reach arm.urdf --to 0.4,0.1,0.5 --scene scene.toml --count 3",
+    "pinposture reach arm.urdf --to 0.4,0.1,0.5 --start straight -o out",
+    "pinposture reach arm.urdf --to 0.4,0.1,0.5 --seed 2 --budget 20 --json",
+)
+
+PICTURE = "postures.png"
+"""Name of the picture of all postures in a directory of results."""
+
+
+def run(
+    *,
+    urdf: UrdfArgument,
+    base: BaseOption = None,
+    tip: TipOption = None,
+    modules: ModulesOption = None,
+    locked: LockedOption = None,
+    package_dir: PackageDirOption = None,
+    to: Annotated[
+        str,
+        typer.Option(
+            "--to", metavar="X,Y,Z", help="Where the tip should be, in metres.", rich_help_panel=TARGET
+        ),
+    ],
+    direction: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,Z", help="Where the last link should point.", rich_help_panel=TARGET),
+    ] = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            help="How far off the tip may be, in metres; else 1e-6 of the arm's length.",
+            rich_help_panel=TARGET,
+        ),
+    ] = None,
+    scene: SceneOption = None,
+    self_collision: SelfCollisionOption = False,
+    start: Annotated[
+        str | None,
+        typer.Option(
+            metavar="START",
+            help="Where paths begin: straight, smooth or random, a .npy, .csv or .json file of joint "
+            "positions, or 0.1,0.2,...; else no paths are looked for.",
+            rich_help_panel=MOTION,
+        ),
+    ] = None,
+    degrees: DegreesOption = False,
+    count: Annotated[
+        int, typer.Option(help="How many different postures are wanted.", rich_help_panel=TARGET)
+    ] = 1,
+    seed: Annotated[
+        int,
+        typer.Option(
+            help="What the search, and a smooth or random start, is drawn from.", rich_help_panel=MOTION
+        ),
+    ] = 0,
+    budget: Annotated[
+        float, typer.Option(help="Time for the search and the paths, in seconds.", rich_help_panel=MOTION)
+    ] = 5.0,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="DIR",
+            help="Leave postures.png and a posture_1.json for each posture here; with --start the run to "
+            "the best, too: run.npz, run.png and run.html.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Find postures that bring the tip to a place, clear of the scene, and the ways to them.
+
+    They are listed the best first. The score is the mean of four shares: the clearance (1 from a twentieth of
+    the arm's length on), how far the joint nearest its limit is from it in halves of its range, how far the
+    tip is from a singular posture, and with --start how direct the path is. Postures with a clear path come
+    before those without. What a scene file holds is in the help of track.
+
+    It is a search: that it finds nothing is no proof that there is nothing. The exit code is 0 if the best
+    posture is clear and so is the path to it, 1 if no clear path was found, 2 if there is no posture.
+    """
+    from pinposture.control.reach import reach
+    from pinposture.motion import track
+    from pinposture.storage import check_writable, write_text
+
+    if degrees and start is None:
+        raise InvalidValue("--degrees", degrees, "only with --start")
+    surroundings = read_scene(scene, self_collision)
+    arm = read_arm(urdf, base, tip, modules, locked, package_dir)
+    place = read_numbers("--to", to)
+    pointing = None if direction is None else read_numbers("--direction", direction)
+    first = None if start is None else read_start(arm, start, seed, degrees)
+    if output is not None:
+        check_writable(output)
+    found = reach(
+        arm,
+        place,
+        direction=pointing,
+        scene=surroundings,
+        start=first,
+        count=count,
+        seed=seed,
+        budget=budget,
+        tolerance=tolerance,
+    )
+    hindrance = found[0].path.hindrance if found[0].path else ""
+    files = []
+    if output is not None:
+        for number, each in enumerate(found, start=1):
+            files.append(output / f"posture_{number}.json")
+            write_text(files[-1], json.dumps(each.q.tolist()) + "\n")
+        files.append(output / PICTURE)
+        write_picture(_draw(arm, found, surroundings), files[-1])
+        if first is not None and not hindrance:
+            keep(track(arm, found[0].target, first, scene=surroundings), output)
+            files += [output / name for name in FILES.values()]
+    if as_json:
+        asked = {"urdf": urdf, "to": place, "direction": pointing, "start": start, "seed": seed}
+        file, postures = None if scene is None else str(scene), [_described(each) for each in found]
+        print_json({**asked, "scene": file, "postures": postures, "files": [str(each) for each in files]})
+    else:
+        _print_postures(found)
+    for written in files:
+        print_note(f"wrote {written}")
+    end_with([hindrance] if hindrance else [])
+
+
+def _described(posture: ReachedPosture) -> dict[str, Any]:
+    """A posture as data that JSON can hold; lengths in metres, angles in radians."""
+    path = posture.path
+    return {
+        "q": posture.q.tolist(),
+        "error": posture.error,
+        "clearance": posture.clearance,
+        "limit_distance": posture.limit_distance,
+        "manipulability": posture.manipulability,
+        "path_ratio": posture.path_ratio,
+        "score": posture.score,
+        "path": None if path is None else path.configurations.tolist(),
+        "hindrance": None if path is None else path.hindrance,
+    }
+
+
+def _print_postures(found: Sequence[ReachedPosture]) -> None:
+    headings = ("rank", "clearance [m]", "from limits", "manipulability", "path ratio", "score", "path")
+    rows = [
+        (
+            str(number),
+            each.clearance,
+            each.limit_distance,
+            each.manipulability,
+            each.path_ratio,
+            each.score,
+            "-" if each.path is None else each.path.hindrance or "clear",
+        )
+        for number, each in enumerate(found, start=1)
+    ]
+    print_table(headings, rows)
+
+
+def _draw(arm: Arm, found: Sequence[ReachedPosture], scene: Scene | None) -> Figure:
+    """Draw all postures, the best on top, and the scene."""
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    from pinposture.viz.postures import PosturePanel
+
+    figure = Figure(figsize=(9.0, 8.0))
+    planar = arm.dimension == 2
+    ax = figure.add_subplot(**({} if planar else {"projection": "3d", "computed_zorder": False}))
+    panel, colors = PosturePanel(arm, ax), mpl.colormaps["viridis"]
+    for rank in reversed(range(len(found))):
+        color = mpl.colors.to_hex(colors(0.85 * rank / max(len(found) - 1, 1)))
+        panel.posture(found[rank].q, color, f"posture {rank + 1}", width=3.0 if rank == 0 else 1.6)
+    panel.finish(scene)
+    ax.legend(loc="upper left", fontsize=9, frameon=False)
+    return figure
