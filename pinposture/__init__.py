@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from pinposture.motion.track_many import track_many
     from pinposture.placement import Target, fit_points, resolve_targets
     from pinposture.task.deviation import path_deviation
+    from pinposture.task.find_path import find_path
     from pinposture.task.follow_leader import follow_leader
     from pinposture.task.keyframe import Keyframe
     from pinposture.task.keyframes import keyframe_reference
@@ -103,6 +104,7 @@ __all__ = [
     "TimedPath",
     "Tracker",
     "Trajectory",
+    "find_path",
     "fit_points",
     "follow",
     "follow_leader",
@@ -185,6 +187,7 @@ _PACKAGES = {
     "task": (
         "Keyframe",
         "Task",
+        "find_path",
         "follow_leader",
         "keyframe_reference",
         "move_through",

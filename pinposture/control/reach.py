@@ -27,26 +27,26 @@ from pinposture.placement import Target
 
 Array = NDArray[np.float64]
 
-TOLERANCE = 1e-6
+TIP_TOLERANCE = 1e-6
 """How near its goal the tip is unless told otherwise, in arm lengths."""
 
 DISTINCT = 0.05
 """Largest distance between points of two postures from which on they are different, in arm lengths."""
 
-SEEDS, CHOSEN, MAX_WAVES, MAX_IDLE_WAVES = 24, 6, 40, 3
+SEEDS_PER_WAVE, CHOSEN, MAX_WAVES, MAX_IDLE_WAVES = 24, 6, 40, 3
 """Postures to begin with in each wave, how many of them are brought clear, the largest number of waves, and
 how many in a row may find nothing new after the first find."""
 
 SPARE = 3
 """How many more postures than asked for are looked for, to choose from."""
 
-AMPLITUDES = 0.15, 1.3
+SEED_AMPLITUDES = 0.15, 1.3
 """Smallest and largest joint position of smooth postures to begin with, in `Arm.joint_units`."""
 
 FEW_JOINTS = 8
 """Number of joints up to which postures to begin with are uniformly random."""
 
-MAX_STEP = 0.3
+MAX_JOINT_MOTION = 0.3
 """Largest joint motion of one iteration, in `Arm.joint_units`."""
 
 TIP_ITERATIONS, CLEAR_ITERATIONS, POLISH_ITERATIONS = 40, 80, 12
@@ -58,7 +58,7 @@ BUFFER = 1e-4
 AMPLE = 0.05
 """Clearance that needs no more, in arm lengths."""
 
-NEAR_LIMIT = 0.7
+NEAR_LIMIT_SHARE = 0.7
 """Share of the way from the middle of its range to its limit from which on a joint is drawn back."""
 
 MANIPULABILITY_GAIN = 2e-3
@@ -153,7 +153,7 @@ def reach(
     require_whole("count", count, 1)
     require_whole("seed", seed, 0)
     require_positive("budget", budget)
-    allowed_error = TOLERANCE * arm.length if tolerance is None else tolerance
+    allowed_error = TIP_TOLERANCE * arm.length if tolerance is None else tolerance
     require_positive("tolerance", allowed_error)
     task, limits = _tip_task(arm, goal, direction), Limits() if limits is None else limits
     first = None if start is None else arm.checked_start(start, "start")
@@ -317,8 +317,8 @@ class _Search:
         arm, few = self.arm, len(self.columns) <= FEW_JOINTS
         if start is not None:
             yield start
-        for _ in range(SEEDS):
-            amplitude = rng.uniform(*AMPLITUDES)
+        for _ in range(SEEDS_PER_WAVE):
+            amplitude = rng.uniform(*SEED_AMPLITUDES)
             q = arm.random(rng) if few else smooth_configuration(arm, rng, amplitude)
             yield arm.configuration(np.clip(arm.positions(q), *self.edges))
 
@@ -377,8 +377,8 @@ class _Search:
         return self._limited(x, lower, upper)
 
     def _limited(self, x: Array, lower: Array, upper: Array) -> Array:
-        """Return a step shortened to `MAX_STEP`, and within what the limits leave."""
-        scale = min(1.0, MAX_STEP / max(float(np.abs(x).max(initial=0.0)), 1e-300))
+        """Return a step shortened to `MAX_JOINT_MOTION`, and within what the limits leave."""
+        scale = min(1.0, MAX_JOINT_MOTION / max(float(np.abs(x).max(initial=0.0)), 1e-300))
         return np.asarray(np.clip(scale * x, lower, upper))
 
     def _room(self, state: ArmState) -> tuple[Array, Array]:
@@ -415,7 +415,7 @@ class _Search:
         """Return the rows that draw joints back from their limits, (n, n), and their errors, (n,) [m]."""
         middle, half = self._ranges
         share = (state.positions[self.columns] - middle) / half
-        excess = np.sign(share) * np.maximum(np.abs(share) - NEAR_LIMIT, 0.0)
+        excess = np.sign(share) * np.maximum(np.abs(share) - NEAR_LIMIT_SHARE, 0.0)
         root = 0.1 * self.arm.length
         return root * np.diag((excess != 0.0).astype(np.float64)), -root * excess * half / self.units
 

@@ -1,6 +1,7 @@
 """Motions in time: postures one after the other, and the leader's path followed."""
 
 from pinposture.task.deviation import Deviation, path_deviation
+from pinposture.task.find_path import find_path
 from pinposture.task.follow_leader import follow_leader
 from pinposture.task.keyframe import Keyframe
 from pinposture.task.keyframes import keyframe_reference
@@ -14,6 +15,7 @@ __all__ = [
     "Mark",
     "Reference",
     "Task",
+    "find_path",
     "follow_leader",
     "keyframe_reference",
     "move_through",

@@ -1,0 +1,401 @@
+"""Find a smooth curve for the tip through free space, which the arm can follow behind it."""
+
+from __future__ import annotations
+
+from math import inf
+from time import perf_counter
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from pinposture._validation import as_vector, require_positive, require_whole
+from pinposture._validation import direction as unit_vector
+from pinposture.arm import Arm
+from pinposture.collision import Scene, Sphere
+from pinposture.collision.bodies import bodies_of
+from pinposture.collision.distances import PairDistances, TreeKinematics
+from pinposture.collision.obstacles import solid
+from pinposture.curve import Curve
+from pinposture.errors import InvalidValue, OutOfReach, ReachError
+from pinposture.placement.curve_placement import arm_axis
+from pinposture.task.follow_leader import FedArm
+
+Array = NDArray[np.float64]
+
+BEND_SHARES = 0.7, 0.5, 0.35
+"""Curvature of the arcs that are joined, relative to the largest that the modules can follow; each tree draws
+one. The spline through them bends more where they meet."""
+
+ENOUGH_PATHS, MAX_NODES, MAX_SHORTENINGS = 3, 3000, 200
+"""Number of paths after which the shortest is taken, size of a tree, and attempts to shorten a path."""
+
+GOAL_SHARE = 0.15
+"""Share of the growth that is towards the goal."""
+
+ROOM = 0.6
+"""How far around start and goal the path may go, relative to their distance or half the arm, if that is
+more."""
+
+MAX_ARC = 1.4
+"""Largest angle between the direction at the beginning of an arc and its chord [rad]."""
+
+POINTS_PER_RADIUS, POINTS_PER_PATH = 6.0, 12
+"""Control points of the spline for each smallest radius of a bend, and at least for the whole."""
+
+SAME_PLACE = 1e-9
+"""Distance from the plane of a planar arm that is rounding, and between two places that are one, in arm
+lengths."""
+
+ROUNDING = 1e-6
+"""By how much an arc may bend more than asked for, relative to that: it is computed again from its ends."""
+
+CHECKED_PLACES = 1000
+"""Smallest number of places at which clearance and curvature of a path are judged."""
+
+
+def find_path(
+    scene: Scene,
+    start: ArrayLike | None,
+    goal: ArrayLike,
+    arm: Arm,
+    *,
+    direction: ArrayLike | None = None,
+    seed: int = 0,
+    budget: float = 5.0,
+) -> Curve:
+    """Find a smooth curve to a place through free space, which the arm can follow with its tip ahead.
+
+    A tree of arcs grows from the start in its direction; a way to the goal in it is shortened and replaced by
+    a spline, which is judged as a whole. The curve is farther from all obstacles than the scene's margin, the
+    radius of the arm and the height of the arcs over its links together, and bends no more than all modules
+    can (`Arm.can_follow`), wherever on it they are. It is a search: that it finds nothing is no proof, and
+    the curve is not the shortest. The direction at the goal is free. Behind the start the way of the arm is
+    not looked at, nor whether the arm comes too near itself.
+
+    Args:
+        scene: what to keep clear of.
+        start: where the curve begins, (3,) [m], world frame; None: at the tip of an arm on a feed that is
+            pulled back (see `follow_leader`), at the base of any other.
+        goal: where it ends, (3,) [m], world frame.
+        arm: the arm that is to follow it.
+        direction: its direction at the start, (3,), world frame; that of the straight arm if None.
+        seed: what the search is drawn from.
+        budget: time [s]. Where it ends the search, the curve depends on the machine; else it is the same for
+            a given seed.
+
+    Returns:
+        The curve, in the world: `follow_leader(arm, curve, ..., placement="as_is")` follows it.
+
+    Raises:
+        InvalidValue: something of another type, or that does not fit the arm.
+        OutOfReach: start or goal are off the plane of a planar arm, or farther apart than the arm is long or
+            its feed can push.
+        ReachError: no curve was found; says why.
+    """
+    until = perf_counter() + budget if isinstance(budget, int | float) else inf
+    if not isinstance(arm, Arm):
+        raise InvalidValue("arm", arm, "an Arm")
+    if not isinstance(scene, Scene):
+        raise InvalidValue("scene", scene, "a Scene(...)")
+    require_positive("budget", budget)
+    require_whole("seed", seed, 0)
+    follower = _follower(arm)
+    body, plane = follower.body, follower.body.plane
+    begin = follower.entry if start is None else as_vector("start", start)
+    end = as_vector("goal", goal)
+    ahead = follower.axis if direction is None else np.array(unit_vector("direction", direction))
+    _check_ends(follower, begin, end, ahead)
+    sharpest = body.can_follow(Curve.line(begin, end)).max_curvature
+    if sharpest <= 0.0:
+        raise InvalidValue("arm", arm, "an arm all of whose modules bend")
+    link = float(np.linalg.norm(np.diff(body.at(body.straight()).links, axis=0), axis=1).max())
+    thickness = max((solid(each.shape).radius for each in bodies_of(arm, scene.arm_radius)), default=0.0)
+    space = _FreeSpace(scene, scene.margin + thickness + sharpest * link**2 / 8.0)
+    for name, place in (("start", begin), ("goal", end)):
+        if not space.is_free(place[None]):
+            raise ReachError(end, f"the {name} is nearer than {space.radius:.4g} m to an obstacle")
+    rng = np.random.default_rng(seed)
+    found: list[Curve] = []
+    why = "the tree did not get there within the budget"
+    while len(found) < ENOUGH_PATHS:
+        bend = sharpest * BEND_SHARES[rng.integers(len(BEND_SHARES))]
+        tree = _ArcTree(begin, ahead, end, bend, plane, arm.length, space)
+        places = tree.grow(rng, until)
+        if places is not None:
+            curve = tree.spline(tree.shorten(places, rng, until))
+            fault = _fault(curve, body, space, sharpest, follower.longest)
+            if not fault:
+                found.append(curve)
+            why = fault or why
+        if perf_counter() >= until:
+            break
+    if not found:
+        raise ReachError(end, f"no path was found: {why}")
+    return min(found, key=lambda curve: curve.length)
+
+
+class _Follower(NamedTuple):
+    """What follows a curve.
+
+    Attributes:
+        body: the arm, without its feed if it is on one.
+        entry: where curves begin unless told otherwise, (3,) [m].
+        axis: their direction there, unit vector (3,).
+        longest: how long a curve it can follow, whatever its shape [m]: the feed goes straight, and its end
+            must not come to where the curve bends.
+    """
+
+    body: Arm
+    entry: Array
+    axis: Array
+    longest: float
+
+
+def _follower(arm: Arm) -> _Follower:
+    """Return how an arm follows: from its feed, or from its base."""
+    if len(arm.chain.joints) > 1 and not arm.chain.revolute[0] and arm.chain.revolute[1]:
+        fed = FedArm(arm)
+        return _Follower(fed.body, fed.tip, fed.axis, min(fed.travel, fed.length))
+    return _Follower(arm, arm.chain.base, arm_axis(arm), arm.length)
+
+
+def _check_ends(follower: _Follower, begin: Array, end: Array, ahead: Array) -> None:
+    """Refuse ends between which no curve can be followed."""
+    body, plane = follower.body, follower.body.plane
+    for name, vector in (
+        ("goal", end - follower.entry),
+        ("start", begin - follower.entry),
+        ("direction", ahead),
+    ):
+        across = float(np.linalg.norm(vector - plane.T @ (plane @ vector)))
+        if across > SAME_PLACE * max(body.length, 1.0):
+            raise OutOfReach(end, f"the {name} is {across:.4g} off the plane in which the arm moves")
+    apart = float(np.linalg.norm(end - begin))
+    if apart <= SAME_PLACE * body.length:
+        raise InvalidValue("goal", end.tolist(), "a place away from the start")
+    if apart > follower.longest:
+        reason = f"it is {apart:.4g} m from the start, and the arm follows for {follower.longest:.4g} m"
+        raise OutOfReach(end, reason)
+
+
+def _fault(curve: Curve, body: Arm, space: _FreeSpace, sharpest: float, longest: float) -> str:
+    """Return why an arm cannot follow a curve, in words; empty if it can."""
+    count = max(CHECKED_PLACES, int(np.ceil(curve.length / (0.1 * space.radius))))
+    s = np.linspace(0.0, curve.length, count)
+    if curve.length > longest:
+        return f"the best is {curve.length:.4g} m long, and the arm follows for {longest:.4g} m"
+    if not space.is_free(curve.at(s)):
+        return "the smooth curve comes too near an obstacle"
+    bend = float(np.asarray(curve.curvature(s)).max())
+    if bend > sharpest:
+        return f"the best bends by {bend:.4g} /m, and the modules by {sharpest:.4g} /m"
+    # Feasibility looks no farther than the arm is long.
+    stretch = body.length
+    for first in np.arange(0.0, curve.length, stretch):
+        last = min(first + 1.5 * stretch, curve.length)
+        if last - first > 1e-3 * stretch:
+            excesses = body.can_follow(curve.trimmed(float(first), float(last))).excesses
+            if excesses:
+                return f"the modules cannot follow: {excesses[0]}"
+    return ""
+
+
+class _FreeSpace:
+    """The space in which a ball is clear of all obstacles of a scene.
+
+    Args:
+        scene: the obstacles.
+        radius: radius of the ball [m].
+    """
+
+    def __init__(self, scene: Scene, radius: float) -> None:
+        self.radius = radius
+        model = pin.Model()
+        joint = 0
+        for number, kind in enumerate((pin.JointModelPX(), pin.JointModelPY(), pin.JointModelPZ())):
+            joint = model.addJoint(joint, kind, pin.SE3.Identity(), f"slide_{number}")
+        self._kinematics = TreeKinematics(model)
+        fixed = [solid(each) for each in scene.obstacles.values()]
+        ball = solid(Sphere((0.0, 0.0, 0.0), radius))
+        self._distances = PairDistances([ball], [joint], fixed, [(0, 1 + k) for k in range(len(fixed))])
+        self._empty = not fixed
+
+    def is_free(self, points: Array) -> bool:
+        """Whether the ball is clear at all of several points, (s, 3) [m]."""
+        if self._empty:
+            return True
+        return self._distances.keep(self._kinematics, np.zeros(3), np.ascontiguousarray(points), 0.0)
+
+
+class _Arc(NamedTuple):
+    """An arc, or a straight line.
+
+    Attributes:
+        begin: where it begins, (3,) [m].
+        tangent: its direction there, unit vector (3,).
+        side: where it bends to, unit vector (3,) across it.
+        curvature: how much [1/m].
+        length: its length [m].
+    """
+
+    begin: Array
+    tangent: Array
+    side: Array
+    curvature: float
+    length: float
+
+    def at(self, s: Array) -> Array:
+        """Return the places at some arc lengths, (n, 3) [m]."""
+        turn = self.curvature * s[:, None]
+        ahead = s[:, None] * np.sinc(turn / np.pi)
+        aside = 0.5 * s[:, None] * turn * np.sinc(0.5 * turn / np.pi) ** 2
+        return np.asarray(self.begin + ahead * self.tangent + aside * self.side)
+
+    @property
+    def end(self) -> Array:
+        return np.asarray(self.at(np.array([self.length]))[0])
+
+    @property
+    def end_tangent(self) -> Array:
+        turn = self.curvature * self.length
+        return np.asarray(np.cos(turn) * self.tangent + np.sin(turn) * self.side)
+
+
+class _ArcTree:
+    """A tree of arcs that bend by at most so much, each in the direction in which the one before ended."""
+
+    def __init__(
+        self,
+        start: Array,
+        direction: Array,
+        goal: Array,
+        bend: float,
+        plane: Array,
+        arm_length: float,
+        space: _FreeSpace,
+    ) -> None:
+        self._start, self._direction, self._goal = start, direction, goal
+        self._bend, self._plane, self._space = bend, plane, space
+        distance = float(np.linalg.norm(goal - start))
+        self._stride = min(max(1.0 / bend, arm_length / 25.0), 0.5 * distance)
+        self._spacing = min(1.0 / (POINTS_PER_RADIUS * bend), distance / POINTS_PER_PATH)
+        room = ROOM * max(distance, 0.5 * arm_length)
+        self._low, self._high = np.minimum(start, goal) - room, np.maximum(start, goal) + room
+
+    def grow(self, rng: np.random.Generator, until: float) -> list[Array] | None:
+        """Return places of arcs that lead from the start to the goal; None if none were found."""
+        first = self._line()
+        if not self._is_free(first):
+            return None
+        places, tangents, parents = np.empty((MAX_NODES, 3)), np.empty((MAX_NODES, 3)), [-1]
+        places[0], tangents[0], count = first.end, first.end_tangent, 1
+        for _ in range(4 * MAX_NODES):
+            if count >= MAX_NODES or perf_counter() >= until:
+                break
+            to_goal = rng.random() < GOAL_SHARE
+            aim = self._goal if to_goal else rng.uniform(self._low, self._high)
+            aim = self._start + self._plane.T @ (self._plane @ (aim - self._start))
+            ways = aim - places[:count]
+            far = np.maximum((ways**2).sum(axis=1), 1e-18)
+            along = np.einsum("ij,ij->i", ways, tangents[:count])
+            bends = 2.0 * np.sqrt(np.maximum(far - along**2, 0.0)) / far
+            behind = np.where(along < 0.0, 2.0, 0.0)
+            node = int(np.argmin(np.sqrt(far) * (1.0 + np.maximum(bends / self._bend - 1.0, 0.0) + behind)))
+            arc = self._towards(places[node], tangents[node], aim)
+            if not self._is_free(arc):
+                continue
+            places[count], tangents[count] = arc.end, arc.end_tangent
+            parents.append(node)
+            count += 1
+            last = _arc_to(arc.end, arc.end_tangent, self._goal, self._bend)
+            if last is not None and self._is_free(last):
+                way, at = [self._goal], count - 1
+                while at >= 0:
+                    way.append(places[at])
+                    at = parents[at]
+                if self._arcs(way[::-1]) is not None:  # else lost to rounding, right beside an obstacle
+                    return way[::-1]
+        return None
+
+    def shorten(self, places: list[Array], rng: np.random.Generator, until: float) -> list[Array]:
+        """Leave out places, and move others, as long as that makes the way shorter."""
+        best, length = places, self._length(self._arcs(places))
+        for _ in range(MAX_SHORTENINGS):
+            if len(best) < 3 or perf_counter() >= until:
+                break
+            k = int(rng.integers(1, len(best) - 1))
+            tried = [*best]
+            if rng.random() < 0.5:
+                del tried[k : k + int(rng.integers(1, 4))]
+                if not np.array_equal(tried[-1], self._goal):
+                    tried.append(self._goal)
+            else:
+                middle = 0.5 * (best[k - 1] + best[k + 1])
+                tried[k] = best[k] + rng.uniform(0.1, 0.8) * (middle - best[k])
+            found = self._length(self._arcs(tried))
+            if found < length:
+                best, length = tried, found
+        return best
+
+    def spline(self, places: list[Array]) -> Curve:
+        """Return the spline whose control points lie at equal distances on the arcs through some places."""
+        arcs = self._arcs(places) or []
+        points = [self._start[None]]
+        for arc in arcs:
+            count = max(int(np.ceil(arc.length / self._spacing)), 2)
+            points.append(arc.at(arc.length * np.arange(1, count + 1) / count))
+        return Curve.spline(np.concatenate(points))
+
+    def _line(self) -> _Arc:
+        """Return the line with which every path begins: the spline then has the direction exactly."""
+        return _Arc(self._start, self._direction, np.zeros(3), 0.0, 2.0 * self._spacing)
+
+    def _arcs(self, places: list[Array]) -> list[_Arc] | None:
+        """Return the arcs through some places, the first at the end of the line; None if some cannot be."""
+        arcs = [self._line()]
+        for place in places[1:]:
+            arc = _arc_to(arcs[-1].end, arcs[-1].end_tangent, place, self._bend)
+            if arc is None or not self._is_free(arc):
+                return None
+            arcs.append(arc)
+        return arcs
+
+    def _length(self, arcs: list[_Arc] | None) -> float:
+        return inf if arcs is None else sum(arc.length for arc in arcs)
+
+    def _towards(self, place: Array, tangent: Array, aim: Array) -> _Arc:
+        """Return an arc of at most a stride that comes as near an aim as the bend allows."""
+        direct = _arc_to(place, tangent, aim, self._bend)
+        if direct is not None:
+            return direct._replace(length=min(direct.length, self._stride))
+        way = aim - place
+        side = way - tangent * (tangent @ way)
+        size = float(np.linalg.norm(side))
+        if size < 1e-12:  # straight behind: any side will do
+            across = self._plane - np.outer(self._plane @ tangent, tangent)
+            side = across[int(np.argmax((across**2).sum(axis=1)))]
+            size = float(np.linalg.norm(side))
+        return _Arc(place, tangent, side / size, self._bend, self._stride)
+
+    def _is_free(self, arc: _Arc) -> bool:
+        count = max(int(np.ceil(arc.length / (0.5 * self._space.radius))), 2)
+        return self._space.is_free(arc.at(arc.length * np.arange(1, count + 1) / count))
+
+
+def _arc_to(place: Array, tangent: Array, aim: Array, bend: float) -> _Arc | None:
+    """Return the arc from a place in a direction to an aim; None if it bends or turns too much."""
+    way = aim - place
+    distance = float(np.linalg.norm(way))
+    if distance < 1e-9:
+        return None
+    ahead = float(tangent @ way)
+    side = way - ahead * tangent
+    aside = float(np.linalg.norm(side))
+    angle = float(np.arctan2(aside, ahead))
+    curvature = 2.0 * aside / distance**2
+    if angle > MAX_ARC or curvature > bend * (1.0 + ROUNDING):
+        return None
+    length = distance / float(np.sinc(angle / np.pi))
+    return _Arc(place, tangent, side / max(aside, 1e-300), curvature, length)
