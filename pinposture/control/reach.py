@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import inf
 from time import perf_counter
 from typing import Any, NamedTuple
@@ -158,10 +159,10 @@ def reach(
     task, limits = _tip_task(arm, goal, direction), Limits() if limits is None else limits
     first = None if start is None else arm.checked_start(start, "start")
     _check_in_reach(arm, _place_of(task), allowed_error, scene)
+    _check_orientation(arm, task, allowed_error)
     until = began + (budget if first is None else 0.5 * budget)
     search = _Search(arm, task, scene, limits, allowed_error)
-    wanted = count if first is None and count == 1 else count + SPARE
-    postures = search.find(first, wanted, np.random.default_rng(seed), until)
+    postures = search.find(first, count + SPARE, np.random.default_rng(seed), until)
     if first is None:
         return tuple(postures[:count])
     reached: list[ReachedPosture] = []
@@ -208,6 +209,24 @@ def _check_in_reach(arm: Arm, place: Array, tolerance: float, scene: Scene | Non
     inside = () if scene is None else obstacles_around(scene, place)
     if inside:
         raise ReachError(place, f"it is inside {', '.join(inside)}")
+
+
+def _check_orientation(arm: Arm, task: EndEffector, tolerance: float) -> None:
+    """Refuse orientations that the tip never has, because it turns about one axis or not at all."""
+    known = link_axes(arm)
+    if task.pose is None or known.turns[-1] > 1:
+        return
+    wanted, now = task.pose[:3, :3], arm.at(arm.neutral()).rotations[-1]
+    axis, turns = known.axes[-1], bool(known.turns[-1])
+    if task.direction_only:
+        change = (wanted - now) @ known.links[-1]
+        off = abs(float(axis @ change)) if turns else float(np.linalg.norm(change))
+    else:
+        change = wanted @ now.T - np.eye(3)
+        off = float(np.linalg.norm(change @ axis if turns else change))
+    if off * arm.characteristic_length > tolerance:
+        how = "turns about one axis" if turns else "does not turn"
+        raise OutOfReach(_place_of(task), f"the tip {how}, and never points there")
 
 
 def _with_path(
@@ -276,13 +295,14 @@ class _Search:
         for wave in range(MAX_WAVES):
             before = len(found)
             settled: list[tuple[float, int, ArmState]] = []
-            for q in self._seeds(start if wave == 0 else None, rng):
+            for number, q in enumerate(self._seeds(start, wave == 0, rng)):
                 state = self._settle(self.arm.at(q).compiled, None, TIP_ITERATIONS)
                 error = self._rows(state, None).tip_error
                 nearest = min(nearest, error)
                 if error <= self.tolerance or (self.model is not None and error <= AMPLE * self.arm.length):
-                    intrusion = self._rows(state, self.margin).intrusion
-                    settled.append((intrusion, len(settled), state))
+                    near = start is not None and wave == number == 0  # comes first, whatever it meets
+                    intrusion = 0.0 if near else self._rows(state, self.margin).intrusion
+                    settled.append((intrusion, number, state))
                 if perf_counter() >= until:
                     break
             for _, _, begin in sorted(settled, key=lambda each: each[:2])[:CHOSEN]:
@@ -312,15 +332,17 @@ class _Search:
             "or lose the goal where they do not; a larger budget tries more"
         )
 
-    def _seeds(self, start: Array | None, rng: np.random.Generator) -> Iterator[Array]:
-        """Yield the postures that a wave begins with."""
+    def _seeds(self, start: Array | None, first: bool, rng: np.random.Generator) -> Iterator[Array]:
+        """Yield the postures that a wave begins with, that of the start in the first."""
         arm, few = self.arm, len(self.columns) <= FEW_JOINTS
-        if start is not None:
-            yield start
+        here = arm.positions(arm.neutral() if start is None else start)
+        if first and start is not None:
+            yield arm.configuration(np.where(arm.moved > 0.0, np.clip(here, *self.edges), here))
         for _ in range(SEEDS_PER_WAVE):
             amplitude = rng.uniform(*SEED_AMPLITUDES)
             q = arm.random(rng) if few else smooth_configuration(arm, rng, amplitude)
-            yield arm.configuration(np.clip(arm.positions(q), *self.edges))
+            drawn = np.clip(arm.positions(q), *self.edges)
+            yield arm.configuration(np.where(arm.moved > 0.0, drawn, here))
 
     def _rows(self, state: ArmState, clearance: float | None) -> _Rows:
         """Return the rows of the tip, and of the distances below a clearance [m]; None: no distances."""
@@ -417,15 +439,16 @@ class _Search:
         share = (state.positions[self.columns] - middle) / half
         excess = np.sign(share) * np.maximum(np.abs(share) - NEAR_LIMIT_SHARE, 0.0)
         root = 0.1 * self.arm.length
-        return root * np.diag((excess != 0.0).astype(np.float64)), -root * excess * half / self.units
+        change = np.where(excess == 0.0, 0.0, excess) * np.where(np.isfinite(half), half, 0.0) / self.units
+        return root * np.diag((excess != 0.0).astype(np.float64)), -root * change
 
-    @property
+    @cached_property
     def _ranges(self) -> tuple[Array, Array]:
-        """Middle and half of the range of each joint, (n,); infinite without limits."""
+        """Middle and half of the range of each joint, (n,) [rad or m]; half is infinite without limits."""
         lower, upper = self.arm.limits.lower[self.columns], self.arm.limits.upper[self.columns]
         endless = self.arm.unlimited[self.columns]
-        middle = np.where(endless, 0.0, 0.5 * (lower + upper))
-        return middle, np.where(endless, 1e9, 0.5 * (upper - lower))
+        lower, upper = np.where(endless, 0.0, lower), np.where(endless, 0.0, upper)
+        return 0.5 * (lower + upper), np.where(endless, inf, 0.5 * (upper - lower))
 
     def _manipulability(self, state: ArmState) -> Array:
         """Return the gradient of the logarithm of the manipulability measure of the tip, (n,).

@@ -28,8 +28,8 @@ BEND_SHARES = 0.7, 0.5, 0.35
 """Curvature of the arcs that are joined, relative to the largest that the modules can follow; each tree draws
 one. The spline through them bends more where they meet."""
 
-ENOUGH_PATHS, MAX_NODES, MAX_SHORTENINGS = 3, 3000, 200
-"""Number of paths after which the shortest is taken, size of a tree, and attempts to shorten a path."""
+ENOUGH_PATHS, MAX_TRIES, MAX_SHORTENINGS = 3, 2000, 200
+"""Number of paths after which the shortest is taken, and attempts to grow a tree and to shorten a path."""
 
 GOAL_SHARE = 0.15
 """Share of the growth that is towards the goal."""
@@ -289,10 +289,10 @@ class _ArcTree:
         first = self._line()
         if not self._is_free(first):
             return None
-        places, tangents, parents = np.empty((MAX_NODES, 3)), np.empty((MAX_NODES, 3)), [-1]
+        places, tangents, parents = np.empty((MAX_TRIES + 1, 3)), np.empty((MAX_TRIES + 1, 3)), [-1]
         places[0], tangents[0], count = first.end, first.end_tangent, 1
-        for _ in range(4 * MAX_NODES):
-            if count >= MAX_NODES or perf_counter() >= until:
+        for _ in range(MAX_TRIES):
+            if perf_counter() >= until:
                 break
             to_goal = rng.random() < GOAL_SHARE
             aim = self._goal if to_goal else rng.uniform(self._low, self._high)

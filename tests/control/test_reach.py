@@ -7,8 +7,9 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from sampling import examples
 
 import pinposture as pp
 
@@ -82,7 +83,7 @@ def test_several_postures_differ(arm, clutter):
 
 
 @given(st.floats(0.15, 0.95), st.floats(-3.0, 3.0))
-@settings(max_examples=25, deadline=None)
+@examples(60)
 def test_two_hinges_have_exactly_the_two_postures_of_the_closed_form(share, angle):
     arm = pp.Arm.from_template("Rz", modules=2)
     a, b = arm.chain.module_lengths
@@ -165,8 +166,50 @@ def test_what_no_posture_reaches_is_told_with_how_near_it_came():
     """The tip of links of 0.2 m and 0.1 m stays 0.1 m away from the base."""
     arm = pp.Arm.from_modules([pp.template("Rz").with_lengths([length]) for length in (0.2, 0.1)])
     with pytest.raises(pp.PostureError, match="no posture was found that brings the tip nearer") as caught:
-        pp.reach(arm, (0.05, 0, 0))
+        pp.reach(arm, (0.05, 0, 0), budget=1.0)
     assert float(str(caught.value).split()[-2]) == pytest.approx(0.05, rel=1e-2)
+
+
+def test_a_planar_arm_points_only_within_its_plane():
+    arm = pp.Arm.from_template("Rz", modules=8)
+    (found,) = pp.reach(arm, (0.5, 0.3, 0.0), direction=(1, 2, 0))
+    frame = placed(arm, found.q)
+    np.testing.assert_allclose(frame.translation, (0.5, 0.3, 0.0), atol=1e-5)
+    np.testing.assert_allclose(frame.rotation[:, 0], np.array([1, 2, 0]) / np.sqrt(5), atol=1e-4)
+    tilted = pin.SE3(pin.rpy.rpyToMatrix(0.3, 0.0, 0.0), np.array([0.5, 0.3, 0.0]))
+    for goal, direction in (((0.5, 0.3, 0.0), (1, 2, 0.1)), (tilted, None)):
+        with pytest.raises(pp.PostureError, match="never points there"):
+            pp.reach(arm, goal, direction=direction)
+
+
+def test_the_position_margin_of_the_limits_is_kept(arm):
+    limits = pp.Limits(position_margin=2.9)
+    (found,) = pp.reach(arm, (0.4, 0.1, 0.2), limits=limits)
+    assert np.abs(arm.positions(found.q)).max() <= arm.limits.upper.max() - 2.9 + 1e-12
+
+
+def test_slides_and_joints_without_limits_are_used():
+    """A crane of two links on a rail, with joints that turn endlessly."""
+    between = '<parent link="{}"/><child link="{}"/><origin xyz="{}"/><axis xyz="{}"/>{}'
+    joint = f'<joint name="{{}}" type="{{}}">{between}</joint>'
+    slide = '<limit lower="-0.5" upper="0.5" velocity="1" effort="1"/>'
+    joints = (
+        ("slide", "prismatic", "base", "cart", "0 0 0", "1 0 0", slide),
+        ("turn", "continuous", "cart", "boom", "0 0 0", "0 0 1", ""),
+        ("lift", "continuous", "boom", "jib", "0.2 0 0", "0 0 1", ""),
+        ("end", "fixed", "jib", "tip", "0.1 0 0", "0 0 1", ""),
+    )
+    links = "".join(f'<link name="{name}"/>' for name in ("base", "cart", "boom", "jib", "tip"))
+    text = f'<robot name="crane">{links}{"".join(joint.format(*each) for each in joints)}</robot>'
+    arm = pp.Arm.from_urdf(text)
+    goal = (0.6, 0.15, 0.0)
+    found = pp.reach(arm, goal, count=3)
+    assert len(found) == 3
+    for each in found:
+        np.testing.assert_allclose(placed(arm, each.q).translation, goal, atol=1e-5)
+        at = arm.positions(each.q)[0]
+        assert abs(at) <= 0.5
+        assert each.limit_distance == pytest.approx(1.0 - abs(at) / 0.5)
 
 
 def test_a_goal_inside_an_obstacle_or_behind_a_wall_has_no_clear_posture(arm):

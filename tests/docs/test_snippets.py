@@ -15,7 +15,10 @@ from pinposture import viz
 from pinposture.collision.obstacles import OBSTACLE_TYPES
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGES = ("index.md", "quickstart.md", "concepts.md", "controllers.md", "urdf.md", "scenes.md", "streaming.md")
+PAGES = (
+    *("index.md", "quickstart.md", "concepts.md", "controllers.md", "urdf.md", "scenes.md", "reach.md"),
+    "streaming.md",
+)
 ELSEWHERE = {"tasks.md", "follow_leader.md", "trajectories.md", "physics.md"}  # in tests/test_docs.py
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
