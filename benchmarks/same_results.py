@@ -35,8 +35,10 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 import pinposture as pp
-import pinposture.study.baselines  # adds the baselines to the controllers that have a name
 from pinposture.collision import pipe, pipe_axis
+from pinposture.study import register_baselines
+
+register_baselines()
 
 Array = NDArray[np.float64]
 Found = dict[str, NDArray[Any]]

@@ -15,7 +15,9 @@ from scenarios import DT, LINK, Problem
 import pinposture as pp
 from peers.method import Method
 from pinposture.control import controller_named
-from pinposture.study import baselines  # noqa: F401  # so that they have names
+from pinposture.study import register_baselines
+
+register_baselines()
 
 Array = NDArray[np.float64]
 

@@ -455,9 +455,10 @@ def check_controller(name: str, only_geodesic: Mapping[str, object]) -> None:
         UnknownName: there is no such controller.
         InvalidValue: it is not geodesic, and one of the options is given.
     """
-    import pinposture.study.baselines  # noqa: F401  # so that they have names
     from pinposture.control import controller_named
+    from pinposture.study import register_baselines
 
+    register_baselines()
     controller_named(name)
     given = [option for option, value in only_geodesic.items() if value is not None and value is not False]
     if given and name != "geodesic":
@@ -471,9 +472,10 @@ def build_controller(name: str, joint_weight: float | None, task: ControlTask | 
         UnknownName: there is no such controller.
         InvalidValue: a joint_weight that is not a positive number.
     """
-    import pinposture.study.baselines  # noqa: F401  # so that they have names
     from pinposture.control import Geodesic, controller_named
+    from pinposture.study import register_baselines
 
+    register_baselines()
     chosen = controller_named(name)
     if not isinstance(chosen, Geodesic):
         return chosen

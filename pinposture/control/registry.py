@@ -21,7 +21,7 @@ CONTROLLERS: dict[str, Callable[[], Controller]] = {
 }
 """Every controller with its default parameters, by the name that `track` and the command line take.
 
-`pinposture.study.baselines` adds those that exist to be compared with, once it is imported."""
+`pinposture.study.register_baselines` adds those that exist to be compared with."""
 
 
 def controller_named(controller: str | Controller) -> Controller:

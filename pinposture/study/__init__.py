@@ -11,7 +11,7 @@ from pinposture.study.arms import (
     loaded_subject,
     survey_arms,
 )
-from pinposture.study.baselines import BASELINES
+from pinposture.study.baselines import BASELINES, register_baselines
 from pinposture.study.clutter import ClutterRow, ClutterRun, by_kind, study_clutter
 from pinposture.study.cycles import cycle_drift, study_cycles
 from pinposture.study.leader import Following, study_leader
@@ -79,6 +79,7 @@ __all__ = [
     "outcome",
     "read_records",
     "record_run",
+    "register_baselines",
     "study",
     "study_clutter",
     "study_cycles",

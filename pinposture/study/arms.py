@@ -120,9 +120,8 @@ def awkward_arms() -> dict[str, str]:
         for name, (joints, lengths) in chains.items()
     }
     robot = ET.fromstring(texts["tip_out_of_plane8"].encode())
-    tip = robot.find("joint[@name='tip_joint']/origin")
-    assert tip is not None  # as `modules_to_urdf` writes it
-    tip.set("xyz", "0.1 0.0 0.05")
+    for tip in robot.iterfind("joint[@name='tip_joint']/origin"):
+        tip.set("xyz", "0.1 0.0 0.05")
     texts["tip_out_of_plane8"] = ET.tostring(robot, encoding="unicode")
     return texts
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -22,9 +22,8 @@ from pinposture.control.controller import (
     task_errors,
 )
 from pinposture.control.limits import Limits
-from pinposture.control.registry import CONTROLLERS
-from pinposture.control.thesis.posture_matrix import Decomposition, decompose, pseudo_inverse_step
-from pinposture.errors import UnknownName
+from pinposture.control.registry import CONTROLLERS, controller_named
+from pinposture.errors import InvalidValue, UnknownName
 from pinposture.placement import Target
 from pinposture.study.baseline_objectives import (
     RANK,
@@ -73,6 +72,40 @@ def end_effector_task(state: ArmState, target: Target) -> BaselineTask:
 def all_points_task(state: ArmState, target: Target) -> BaselineTask:
     """The task of all control points that have a target, stacked (2.15)."""
     return task_of(state, target, np.flatnonzero(target.has_target))
+
+
+class Decomposition(NamedTuple):
+    """Singular value decomposition of a Jacobian J = left diag(sigma) right.
+
+    Attributes:
+        left: left singular vectors as columns, (r, k) with k = min(r, nv).
+        sigma: singular values, descending, (k,) [m/rad].
+        right: right singular vectors as rows, (k, nv).
+    """
+
+    left: Array
+    sigma: Array
+    right: Array
+
+
+def decompose(matrix: Array) -> Decomposition:
+    """Decompose a Jacobian (r, nv)."""
+    return Decomposition(*np.linalg.svd(matrix, full_matrices=False))
+
+
+def pseudo_inverse_step(matrix: Decomposition, velocity: Array, gradient: Array) -> Array:
+    """Return J^+ dr + (I - J^+ J) g: follow the velocities exactly, and g as far as they allow (2.6).
+
+    Args:
+        matrix: decomposition of J; its smallest singular value is positive.
+        velocity: desired velocities of the rows, (r,) [m].
+        gradient: desired joint displacement, (nv,), in the units of the columns of J.
+
+    Returns:
+        Joint displacement (nv,) in the same units.
+    """
+    along = matrix.right @ gradient
+    return np.asarray(gradient + matrix.right.T @ ((matrix.left.T @ velocity) / matrix.sigma - along))
 
 
 def regular_part(matrix: Decomposition) -> Decomposition:
@@ -459,6 +492,22 @@ BASELINES: dict[str, Callable[[], Controller]] = {
     "dls": DampedLeastSquares,
     "lm": LevenbergMarquardt,
 }
-"""The baselines with their default parameters, by name; `controller_named` knows them as well from now on."""
+"""The baselines with their default parameters, by name."""
 
-CONTROLLERS.update(BASELINES)
+
+def register_baselines() -> None:
+    """Add the baselines to the controllers that `track` and `controller_named` know by name."""
+    CONTROLLERS.update(BASELINES)
+
+
+def named_controllers(controllers: Sequence[str | Controller]) -> list[Controller]:
+    """Return the controllers of these names, baselines included.
+
+    Raises:
+        InvalidValue: no controller at all.
+        UnknownName: no controller has that name.
+    """
+    if len(controllers) == 0:
+        raise InvalidValue("controllers", list(controllers), "at least one")
+    register_baselines()
+    return [controller_named(controller) for controller in controllers]

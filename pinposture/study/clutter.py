@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from math import ceil
@@ -21,10 +22,9 @@ from pinposture.control import Limits, plan
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, PostureError, PostureWarning, UnknownName
 from pinposture.motion import track
-from pinposture.motion.processes import in_order
 from pinposture.motion.trajectory import path_length_ratio
 from pinposture.placement import Target, resolve_targets
-from pinposture.study.postures import Progress
+from pinposture.study.progress import Progress, collect_results
 from pinposture.study.scenes import situation_arm
 
 Array = NDArray[np.float64]
@@ -327,13 +327,12 @@ def study_clutter(
         if kind not in KINDS_OF_CLUTTER:
             raise UnknownName("kind of clutter", kind, KINDS_OF_CLUTTER)
     arm = situation_arm()
-    todo = [(kind, seed) for kind in kinds for seed in range(first_seed, first_seed + seeds)]
-    runs: list[ClutterRun] = []
-    for run in in_order((delayed(solve_problem)(arm, *each) for each in todo), jobs):
-        runs.append(run)
-        if progress is not None:
-            progress(len(runs), len(todo))
-    return runs
+    tasks = [
+        delayed(solve_problem)(arm, kind, seed)
+        for kind in kinds
+        for seed in range(first_seed, first_seed + seeds)
+    ]
+    return collect_results(tasks, jobs, progress)
 
 
 def by_kind(runs: Sequence[ClutterRun]) -> list[ClutterRow]:
@@ -352,11 +351,7 @@ def by_kind(runs: Sequence[ClutterRun]) -> list[ClutterRow]:
                 clearance=min((run.run_clearance - run.margin for run in there), default=np.inf),
                 plan_time=(float(np.median(times)), float(np.percentile(times, 90))),
                 path_length_ratio=(float(np.median(ratios)), float(np.percentile(ratios, 90))),
-                found_by={name: sum(run.found_by == name for run in own) for name in _found_by(own)},
+                found_by=dict(Counter(run.found_by for run in own)),
             )
         )
     return rows
-
-
-def _found_by(runs: Sequence[ClutterRun]) -> list[str]:
-    return list(dict.fromkeys(run.found_by for run in runs))

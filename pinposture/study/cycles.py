@@ -15,10 +15,10 @@ from pinposture.arm import Arm
 from pinposture.control import Controller, Limits, controller_named
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.motion import track
-from pinposture.motion.processes import in_order
 from pinposture.placement import Target
 from pinposture.study.arms import Subject
-from pinposture.study.postures import Progress
+from pinposture.study.baselines import register_baselines
+from pinposture.study.progress import Progress, collect_results
 from pinposture.study.record import MAX_STEPS, STEP
 from pinposture.study.scenarios import arbitrary_configuration
 
@@ -145,16 +145,16 @@ def study_cycles(
     for known in knowledge:
         if known not in CYCLE_KNOWLEDGE:
             raise UnknownName("knowledge of the target", known, CYCLE_KNOWLEDGE)
+    register_baselines()
     chosen = controller_named(controller)
     seeds = range(first_seed, first_seed + cycles)
-    todo = [(subject, known, seed) for subject in subjects for known in knowledge for seed in seeds]
-    tasks = (delayed(_one)(*each, rounds, chosen) for each in todo)
-    found: list[PostureCycle] = []
-    for cycle in in_order(tasks, jobs):
-        found.append(cycle)
-        if progress is not None:
-            progress(len(found), len(todo))
-    return found
+    tasks = [
+        delayed(_one)(subject, known, seed, rounds, chosen)
+        for subject in subjects
+        for known in knowledge
+        for seed in seeds
+    ]
+    return collect_results(tasks, jobs, progress)
 
 
 def _one(subject: Subject, known: str, seed: int, rounds: int, controller: Controller) -> PostureCycle:

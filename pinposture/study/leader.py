@@ -13,8 +13,7 @@ from pinposture._validation import is_number
 from pinposture.arm import Arm, JointSpec, ModuleTemplate, template
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, TargetError, UnknownName
-from pinposture.motion.processes import in_order
-from pinposture.study.postures import Progress
+from pinposture.study.progress import Progress, collect_results
 from pinposture.task.deviation import path_deviation
 from pinposture.task.follow_leader import PATH_METHODS, Method, follow_leader
 
@@ -136,20 +135,15 @@ def study_leader(
     for method in methods:
         if method not in PATH_METHODS:
             raise UnknownName("method", method, PATH_METHODS)
-    todo = [
-        (name, shape, method, float(bending))
+    tasks = [
+        delayed(_one)(name, shape, method, float(bending))
         for name in arms
         for shape in (SHAPES if fed_arm(name).dimension == 3 else SHAPES[:1])
         for method in methods
         if method == "closest" or name != "universal"
         for bending in bendings
     ]
-    found: list[Following] = []
-    for result in in_order((delayed(_one)(*each) for each in todo), jobs):
-        found.append(result)
-        if progress is not None:
-            progress(len(found), len(todo))
-    return found
+    return collect_results(tasks, jobs, progress)
 
 
 def _one(name: str, shape: str, method: Method, bending: float) -> Following:

@@ -11,11 +11,12 @@ from joblib import delayed
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm, smooth_configuration
-from pinposture.control import Controller, Limits, controller_named
+from pinposture.control import Controller, Limits
 from pinposture.errors import InvalidValue
 from pinposture.motion import track
 from pinposture.motion.processes import in_order
 from pinposture.placement import Target
+from pinposture.study.baselines import named_controllers
 
 Array = NDArray[np.float64]
 
@@ -91,10 +92,9 @@ def compare_methods(
         InvalidValue: no controller or no seed.
         UnknownName: no controller has that name.
     """
-    for name, values in (("controllers", controllers), ("seeds", seeds)):
-        if len(values) == 0:
-            raise InvalidValue(name, values, "at least one")
-    listed = [controller_named(controller) for controller in controllers]
+    listed = named_controllers(controllers)
+    if len(seeds) == 0:
+        raise InvalidValue("seeds", seeds, "at least one")
     tasks = (delayed(_one)(arm, controller, seed, max_steps) for controller in listed for seed in seeds)
     arriving = in_order(tasks, jobs)
     results = []

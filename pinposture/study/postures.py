@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, Literal, NamedTuple
+from collections.abc import Iterator, Sequence
+from itertools import chain
+from typing import Literal, NamedTuple
 
 import numpy as np
 from joblib import delayed
@@ -11,11 +12,12 @@ from numpy.typing import NDArray
 
 from pinposture._validation import require_whole
 from pinposture.arm import Arm, smooth_configuration
-from pinposture.control import Controller, controller_named
+from pinposture.control import Controller
 from pinposture.errors import InvalidValue, UnknownName
-from pinposture.motion.processes import in_order
 from pinposture.placement import Target, resolve_targets
 from pinposture.study.arms import Family, Subject, draw_case
+from pinposture.study.baselines import named_controllers
+from pinposture.study.progress import Progress, collect_results
 from pinposture.study.record import Case, Record, Spread, distinct, run_case, spread
 from pinposture.study.scenarios import bent_configuration, curve_along
 
@@ -26,8 +28,6 @@ COMPARED = ("geodesic", "selection", "projection", "switching", "lm", "joint")
 
 CASES_OF_A_KIND = 1000
 """Number of cases for each arm unless told otherwise."""
-
-Progress = Callable[[int, int], object]
 
 
 def study_postures(
@@ -66,35 +66,12 @@ def study_postures(
     listed = named_controllers(controllers)
     if len(subjects) == 0:
         raise InvalidValue("subjects", list(subjects), "at least one arm")
-    dealt = [(subject, *deal) for subject in subjects for deal in _deal(subject, cases, first_seed)]
-    tasks = (delayed(_run_one)(*each, listed) for each in dealt)
-    return gather_records(tasks, len(dealt), jobs, progress)
-
-
-def named_controllers(controllers: Sequence[str | Controller]) -> list[Controller]:
-    """The controllers of these names; raises InvalidValue if there is none at all."""
-    if len(controllers) == 0:
-        raise InvalidValue("controllers", list(controllers), "at least one")
-    return [controller_named(controller) for controller in controllers]
-
-
-def gather_records(
-    tasks: Iterable[Any], total: int, jobs: int, progress: Progress | None = None
-) -> list[Record]:
-    """All records of delayed calls that return those of one case each, in the order of the calls.
-
-    Args:
-        tasks: calls made with `joblib.delayed`.
-        total: number of calls.
-        jobs: number of processes.
-        progress: called with the number of cases finished so far, and that of all.
-    """
-    records: list[Record] = []
-    for done, found in enumerate(in_order(tasks, jobs), 1):
-        records += found
-        if progress is not None:
-            progress(done, total)
-    return records
+    tasks = [
+        delayed(_run_one)(subject, *deal, listed)
+        for subject in subjects
+        for deal in _deal(subject, cases, first_seed)
+    ]
+    return list(chain.from_iterable(collect_results(tasks, jobs, progress)))
 
 
 def _deal(subject: Subject, cases: int, first_seed: int) -> Iterator[tuple[Family, int]]:
@@ -201,9 +178,9 @@ def study_headings(
     listed = named_controllers(controllers)
     if len(subjects) == 0:
         raise InvalidValue("subjects", list(subjects), "at least one arm")
-    todo = [(subject, seed) for subject in subjects for seed in range(first_seed, first_seed + pairs)]
-    tasks = (delayed(_run_pair)(*each, known, listed) for each in todo)
-    return gather_records(tasks, len(todo), jobs, progress)
+    seeds = range(first_seed, first_seed + pairs)
+    tasks = [delayed(_run_pair)(subject, seed, known, listed) for subject in subjects for seed in seeds]
+    return list(chain.from_iterable(collect_results(tasks, jobs, progress)))
 
 
 def knowledge_named(name: str) -> Knowledge:

@@ -21,6 +21,7 @@ from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory, track
 from pinposture.motion.processes import in_order
 from pinposture.placement import Target, resolve_targets
+from pinposture.study.baselines import register_baselines
 
 # The tracking scenarios of chapter 6, and the families that they belong to, as data.
 
@@ -335,6 +336,7 @@ def study(
         The outcomes, in the order of scenarios, then controllers, then seeds. They depend on the
         arguments alone, not on `jobs`.
     """
+    register_baselines()
     listed = [controller_named(controller) for controller in controllers]
     todo = [(scenario, controller, seed) for scenario in scenarios for controller in listed for seed in seeds]
     outcomes = []

@@ -18,10 +18,9 @@ from pinposture.collision import Box, Capsule, CollisionModel, Cylinder, HalfSpa
 from pinposture.control import Limits
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.motion import Trajectory, track
-from pinposture.motion.processes import in_order
 from pinposture.placement import Target
 from pinposture.study.arms import built_subject
-from pinposture.study.postures import Progress
+from pinposture.study.progress import Progress, collect_results
 from pinposture.study.record import MAX_STEPS, RISE, STEP, TOLERANCE, Spread, distinct
 from pinposture.study.reproduce.runs import displacements
 
@@ -394,14 +393,12 @@ def study_scenes(
     if len(scenes) == 0:
         raise InvalidValue("scenes", list(scenes), "at least one")
     arm, chosen = situation_arm(), [situation_named(name) for name in scenes]
-    todo = [(each, seed) for each in chosen for seed in range(first_seed, first_seed + seeds)]
-    tasks = (delayed(_one)(arm, each.name, seed) for each, seed in todo)
-    runs: list[SceneRun] = []
-    for run in in_order(tasks, jobs):
-        runs.append(run)
-        if progress is not None:
-            progress(len(runs), len(todo))
-    return runs
+    tasks = [
+        delayed(_one)(arm, each.name, seed)
+        for each in chosen
+        for seed in range(first_seed, first_seed + seeds)
+    ]
+    return collect_results(tasks, jobs, progress)
 
 
 def _one(arm: Arm, name: str, seed: int) -> SceneRun:

@@ -84,7 +84,12 @@ def test_joint_interpolation_gets_everywhere_within_the_limits(records):
 def test_the_default_is_a_thousand_cases_with_the_controllers_of_interest(monkeypatch):
     asked = []
     monkeypatch.setattr("pinposture.study.postures.named_controllers", list)
-    monkeypatch.setattr("pinposture.study.postures.gather_records", lambda *given: asked.append(given[1]))
+
+    def count_tasks(tasks, jobs, progress):
+        asked.append(len(tasks))
+        return []
+
+    monkeypatch.setattr("pinposture.study.postures.collect_results", count_tasks)
     study_postures([built_subject("planar45")])
     assert asked == [1000]
     assert COMPARED == ("geodesic", "selection", "projection", "switching", "lm", "joint")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,43 +102,6 @@ class PostureMatrix:
         vector = np.zeros((len(self._rows.ranks), 3))
         given = self._screws.points, self._rows, self._factors
         return float(kernels.extreme_value(*given, smallest, tolerance, vector)), vector
-
-
-# The step that a posture control matrix of full row rank allows (4.7).
-
-
-class Decomposition(NamedTuple):
-    """Singular value decomposition of a posture control matrix J = left diag(sigma) right.
-
-    Attributes:
-        left: left singular vectors as columns, (r, r).
-        sigma: singular values, descending, (r,) [m/rad].
-        right: right singular vectors as rows, (r, nv).
-    """
-
-    left: Array
-    sigma: Array
-    right: Array
-
-
-def decompose(matrix: Array) -> Decomposition:
-    """Decompose a posture control matrix (r, nv) with r <= nv."""
-    return Decomposition(*np.linalg.svd(matrix, full_matrices=False))
-
-
-def pseudo_inverse_step(matrix: Decomposition, velocity: Array, gradient: Array) -> Array:
-    """J^+ dr + (I - J^+ J) g: follow the velocities exactly, and g as far as they leave room (4.7).
-
-    Args:
-        matrix: decomposition of J; its smallest singular value is positive.
-        velocity: desired velocities of the rows, (r,) [m].
-        gradient: desired joint displacement, (nv,), in the units of the columns of J.
-
-    Returns:
-        Joint displacement (nv,) in the same units.
-    """
-    along = matrix.right @ gradient
-    return np.asarray(gradient + matrix.right.T @ ((matrix.left.T @ velocity) / matrix.sigma - along))
 
 
 # The null-space term of (4.7), with its sign, sum and scale put right.

@@ -17,6 +17,7 @@ from pinposture.motion import Trajectory
 from pinposture.motion.processes import check_jobs, in_order
 from pinposture.storage import check_writable, write_bytes, write_text
 from pinposture.study.claims import FIGURES, ThesisFigure
+from pinposture.study.progress import Progress
 from pinposture.study.reproduce.claims import RULES, Finding, Share, Verdict
 from pinposture.study.reproduce.evaluate import BATCHES, Evidence, JudgedClaim, gather, judge_claims
 from pinposture.study.reproduce.runs import (
@@ -344,8 +345,6 @@ NAMES = (*FIGURES, "claims", "all")
 """What can be reproduced, by name."""
 
 RESULTS, CLAIMS_TABLE = "results.json", "claims.md"
-
-Progress = Callable[[int, int], object]
 
 
 class Reproduction(NamedTuple):
