@@ -105,8 +105,7 @@ TRACKING = (
         "5; 7 (1)",
         "Selection cannot start in the vicinity of a singular posture either.",
         "runs from postures whose joints are within 1e-3 rad of straight that find no control point for "
-        "their "
-        "first step",
+        "their first step",
         "usually",
         ("selection",),
     ),
@@ -130,9 +129,8 @@ TRACKING = (
         "selection-cannot-pass",
         "6.3 (3); 7 (2)",
         "Selection cannot traverse a singular posture or pass near one.",
-        "runs to the posture with all joints reversed, on the other side of the straight one, that do "
-        "not end "
-        "with a mean point error of at most 1 % of the arm length",
+        "runs to the posture with all joints reversed, on the other side of the straight one, that do not "
+        "end with a mean point error of at most 1 % of the arm length",
         "usually",
         ("selection",),
     ),
@@ -140,17 +138,16 @@ TRACKING = (
         "projection-passes",
         "6.3 (3)",
         "Projection can traverse a singular posture.",
-        "runs to the posture with all joints reversed, on the other side of the straight one, that end "
-        "with a "
-        "mean point error of at most 1 % of the arm length",
+        "runs to the posture with all joints reversed, on the other side of the straight one, that end with "
+        "a mean point error of at most 1 % of the arm length",
         "usually",
         ("projection",),
     ),
     Claim(
         "targets-on-curve",
         "4.1; 4.2; 4.6",
-        "An adequate segmentation, one joint per module in the plane and two in space, puts the end of every "
-        "module on the target curve.",
+        "An adequate segmentation, one joint per module in the plane and two in space, puts the end of "
+        "every module on the target curve.",
         "cases with all control point targets within 1e-5 of the arm length of the curve, which is sampled",
         "always",
     ),
@@ -206,8 +203,7 @@ MOVING = (
         "6.3 (5); 7",
         "The intermediate postures of Selection are predictable.",
         "runs whose control points move at most 1.5 times the direct distances, and from which a start "
-        "nudged by "
-        "1e-6 rad leads at most 0.1 % of the arm length away",
+        "nudged by 1e-6 rad leads at most 0.1 % of the arm length away",
         "usually",
         ("selection",),
     ),
@@ -216,8 +212,7 @@ MOVING = (
         "6.2.1; 6.3 (4); 7",
         "The intermediate postures of Projection are unpredictable.",
         "runs whose control points move more than 1.5 times the direct distances, or from which a start "
-        "nudged "
-        "by 1e-6 rad leads more than 0.1 % of the arm length away",
+        "nudged by 1e-6 rad leads more than 0.1 % of the arm length away",
         "usually",
         ("projection",),
     ),
@@ -225,9 +220,8 @@ MOVING = (
         "selection-more-predictable",
         "6.3 (4, 5); 7",
         "The intermediate postures of Selection are more predictable than those of Projection.",
-        "seeds on which the control points take a shorter way under Selection; and seeds on which a "
-        "nudge of the "
-        "start leads less far away under Selection",
+        "seeds on which the control points take a shorter way under Selection; and seeds on which a nudge "
+        "of the start leads less far away under Selection",
         "rather",
         ("selection", "projection"),
     ),
@@ -235,9 +229,8 @@ MOVING = (
         "stable-near-singular",
         "Abstract; 1.2; 3; 6.1.3",
         "Near singular postures no unacceptably large joint velocities are asked for.",
-        "steps near a singular posture (smallest singular value of the tip's Jacobian at most 0.03 of "
-        "the arm "
-        "length per rad) that ask no joint for more than half a turn",
+        "steps near a singular posture (smallest singular value of the tip's Jacobian at most 0.03 of the "
+        "arm length per rad) that ask no joint for more than half a turn",
         "always",
         ("selection", "projection"),
     ),
@@ -246,8 +239,7 @@ MOVING = (
         "Abstract; 1.2; 3.4",
         "Operation is stable in the vicinity of singular postures.",
         "runs to singular targets that come near a singular posture and whose posture error never again "
-        "exceeds "
-        "twice what it was there",
+        "exceeds twice what it was there",
         "usually",
         ("selection", "projection"),
     ),
@@ -255,9 +247,8 @@ MOVING = (
         "smooth-near-singular",
         "1.2",
         "Operation is smooth in and around singular postures.",
-        "steps near a singular posture whose joint displacement differs from the one before by at most "
-        "half of "
-        "the larger of the two",
+        "steps near a singular posture whose joint displacement differs from the one before by at most half "
+        "of the larger of the two",
         "usually",
         ("selection", "projection"),
     ),
@@ -265,8 +256,8 @@ MOVING = (
         "stable-without-step-limit",
         "4.5; 4.7; 5",
         "The methods need no step limit to approach a singular posture safely; (4.7) has none.",
-        "runs without a step limit, at gains of 1, that end with a mean point error of at most 1 % of "
-        "the arm length",
+        "runs without a step limit, at gains of 1, that end with a mean point error of at most 1 % of the "
+        "arm length",
         "usually",
     ),
 )
@@ -356,9 +347,8 @@ SWITCHING = (
         "switching-predictable",
         "6.3 (5)",
         "Switching keeps the predictable nature of Selection.",
-        "seeds on which the control points take a way at most 1.2 times that under Selection; and seeds "
-        "on which a "
-        "nudge of the start leads at most 10 times as far away, or at most 0.1 % of the arm length",
+        "seeds on which the control points take a way at most 1.2 times that under Selection; and seeds on "
+        "which a nudge of the start leads at most 10 times as far away, or at most 0.1 % of the arm length",
         "rather",
         ("switching",),
     ),
@@ -406,17 +396,16 @@ POSTURES = (
         "conditions-keep-away",
         "4.3; 4.4",
         "The posture control matrix of a set that clears both conditions is far from singular.",
-        "random candidate control sets whose matrix has no singular value below 1e-4 of the arm length "
-        "per rad",
+        "random candidate control sets whose matrix has no singular value below 1e-4 of the arm length per "
+        "rad",
         "always",
     ),
     Claim(
         "singular-section",
         "Appendix A",
         "If the section between two neighbours of a set is singular, so is the posture control matrix.",
-        "random postures at which the Jacobians of two control points with a singular section between "
-        "them stack "
-        "to a matrix of less than full row rank",
+        "random postures at which the Jacobians of two control points with a singular section between them "
+        "stack to a matrix of less than full row rank",
         "always",
     ),
 )

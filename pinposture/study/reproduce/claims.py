@@ -470,8 +470,8 @@ def _monotone(method: str, expected: bool) -> Callable[[Reading], Finding]:
             },
             {f"median share of rising steps: {name}": value for name, value in rising.items()}
             | {f"runs without a visible rise: {name}": each.value for name, each in to_the_eye.items()},
-            "Median share of the steps of a run on which the posture error rises, and share of the runs "
-            "in which "
+            "Median share of the steps of a run on which the posture error rises, and share of the runs in "
+            "which "
             f"it never rises by more than 1 % of what it was at first: {told}.",
         )
 
@@ -511,8 +511,8 @@ def _active_points(reading: Reading) -> Finding:
         {name: Share(count[0] - count[1], count[0]) for name, count in counted.items()},
         {f"steps with a joint at its limit: {k}": c[5] / max(c[4], 1) for k, c in counted.items()},
         f"Where no joint is stopped at its limit, {uphill} of {free} active control points would move "
-        "away from "
-        "their targets if the step were short: errors rise because steps are long and joints have limits.",
+        "away from their targets if the step were short: errors rise because steps are long and joints have "
+        "limits.",
     )
 
 

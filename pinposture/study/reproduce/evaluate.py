@@ -211,8 +211,8 @@ def _away(counted: list[Counted]) -> Finding:
         {f"smallest of all, per arm length [1/rad]: {name}": value for name, value in lowest.items()},
         "Full rank is not yet good conditioning: the smallest singular value of all sets is "
         f"{min(lowest.values()):.1g} "
-        "of the arm length per rad. Selection here drops points until the matrix itself is far enough "
-        "from singular.",
+        "of the arm length per rad. Selection here drops points until the matrix itself is far enough from "
+        "singular.",
     )
 
 
@@ -221,9 +221,9 @@ def _section(counted: list[Counted]) -> Finding:
     return Finding(
         {name: share(each.section_deficient for each in listed) for name, listed in groups.items()},
         {},
-        "The proof is for planar arms, and holds for them. In space a section of one module has an index "
-        "of 0, "
-        "and its ends can be moved independently all the same: the condition is sufficient, not necessary.",
+        "The proof is for planar arms, and holds for them. In space a section of one module has an index of "
+        "0, and its ends can be moved independently all the same: the condition is sufficient, not "
+        "necessary.",
     )
 
 
