@@ -289,13 +289,14 @@ def run_methods(
     rad from the straight arm: what grows without bound is not stable near singular postures.
     """
     from pinposture.control import CONTROLLERS
-    from pinposture.study import compare_methods
+    from pinposture.study import compare_methods, register_baselines
     from pinposture.study.methods import DISTANCES
     from pinposture.study.thesis_arms import SPATIAL
 
     for option, value in (("--seeds", seeds), ("--steps", steps)):
         if value < 1:
             raise InvalidValue(option, value, "a whole number of at least 1")
+    register_baselines()
     names = list(CONTROLLERS) if controllers is None else [name.strip() for name in controllers.split(",")]
     if urdf is None:
         from pinposture.arm import Arm

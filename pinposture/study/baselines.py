@@ -496,8 +496,12 @@ BASELINES: dict[str, Callable[[], Controller]] = {
 
 
 def register_baselines() -> None:
-    """Add the baselines to the controllers that `track` and `controller_named` know by name."""
-    CONTROLLERS.update(BASELINES)
+    """Add the baselines to the controllers that `track` and `controller_named` know by name.
+
+    A name that is already taken keeps its controller.
+    """
+    for name, make in BASELINES.items():
+        CONTROLLERS.setdefault(name, make)
 
 
 def named_controllers(controllers: Sequence[str | Controller]) -> list[Controller]:
