@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import require_whole
 from pinposture.arm import Arm
-from pinposture.control import Controller, Limits, controller_named
+from pinposture.control import Controller, Limits
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.motion import track
 from pinposture.placement import Target
 from pinposture.study.arms import Subject
-from pinposture.study.baselines import register_baselines
+from pinposture.study.baselines import named_controllers
 from pinposture.study.progress import Progress, collect_results
 from pinposture.study.record import MAX_STEPS, STEP
 from pinposture.study.scenarios import arbitrary_configuration
@@ -94,7 +94,7 @@ def cycle_drift(
     require_whole("rounds", rounds, 1)
     if len(targets) == 0:
         raise InvalidValue("targets", list(targets), "at least one")
-    chosen = controller_named(controller)
+    chosen = named_controllers([controller])[0]
     first = q = arm.checked(q0, "q0")
     drift, errors, steps = [], [], 0
     for _ in range(rounds):
@@ -145,8 +145,7 @@ def study_cycles(
     for known in knowledge:
         if known not in CYCLE_KNOWLEDGE:
             raise UnknownName("knowledge of the target", known, CYCLE_KNOWLEDGE)
-    register_baselines()
-    chosen = controller_named(controller)
+    chosen = named_controllers([controller])[0]
     seeds = range(first_seed, first_seed + cycles)
     tasks = [
         delayed(_one)(subject, known, seed, rounds, chosen)

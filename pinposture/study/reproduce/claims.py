@@ -155,9 +155,28 @@ def lower(run: MeasuredRun, others: Sequence[MeasuredRun]) -> bool:
 
 def errors_of(groups: Mapping[str, Sequence[MeasuredRun]]) -> dict[str, float]:
     """Median final errors, by what was tried."""
-    return {
-        f"median final error per arm length: {k}": median([final(r) for r in v]) for k, v in groups.items()
-    }
+    return _prefixed("median final error per arm length", _medians(groups, final))
+
+
+def _medians(
+    groups: Mapping[str, Sequence[MeasuredRun]], measure: Callable[[MeasuredRun], float]
+) -> dict[str, float]:
+    """Median of a measure over the runs of each group."""
+    return {name: median([measure(run) for run in runs]) for name, runs in groups.items()}
+
+
+def _prefixed(quantity: str, values: Mapping[str, float]) -> dict[str, float]:
+    """The values of groups, named after the quantity and the group."""
+    return {f"{quantity}: {name}": value for name, value in values.items()}
+
+
+def _values(shares: Mapping[str, Share]) -> dict[str, float]:
+    return {name: each.value for name, each in shares.items()}
+
+
+def _in_words(values: Mapping[str, float], form: str = ".0%") -> str:
+    """The values of groups in one line, in a format."""
+    return "; ".join(f"{name}: {value:{form}}" for name, value in values.items())
 
 
 def _shares(
@@ -166,19 +185,14 @@ def _shares(
     return {name: share(true(run) for run in runs) for name, runs in groups.items()}
 
 
-def _in_words(shares: Mapping[str, Share]) -> str:
-    return "; ".join(f"{name}: {each.value:.0%}" for name, each in shares.items())
-
-
 def _arrives(scenarios: Sequence[str], methods: Sequence[str]) -> Callable[[Reading], Finding]:
     def find(reading: Reading) -> Finding:
         groups = reading.each(scenarios, methods)
-        close = _shares(groups, lambda run: arrived(run, CLOSE))
-        halved = _shares(groups, lambda run: run.outcome.ratio <= 0.5)
-        figures = errors_of(groups) | {f"within 0.1 %: {name}": each.value for name, each in close.items()}
-        return Finding(
-            _shares(groups, arrived), figures, f"The posture error is at least halved in {_in_words(halved)}."
-        )
+        close = _values(_shares(groups, lambda run: arrived(run, CLOSE)))
+        halved = _values(_shares(groups, lambda run: run.outcome.ratio <= 0.5))
+        figures = errors_of(groups) | _prefixed("within 0.1 %", close)
+        text = f"The posture error is at least halved in {_in_words(halved)}."
+        return Finding(_shares(groups, arrived), figures, text)
 
     return find
 
@@ -193,11 +207,11 @@ def _similar(reading: Reading) -> Finding:
         name: median([np.log10(max(final(b), EXACT) / max(final(a), EXACT)) for a, b in runs])
         for name, runs in pairs.items()
     }
-    told = "; ".join(f"{name}: {10.0**value:.2g}" for name, value in factors.items())
+    ratios = _in_words({name: 10.0**value for name, value in factors.items()}, ".2g")
     return Finding(
         {name: share(alike(a, b) for a, b in runs) for name, runs in pairs.items()},
-        {f"median of log10(Projection / Selection): {name}": value for name, value in factors.items()},
-        f"Final error of Projection relative to that of Selection, the median: {told}.",
+        _prefixed("median of log10(Projection / Selection)", factors),
+        f"Final error of Projection relative to that of Selection, the median: {ratios}.",
     )
 
 
@@ -218,7 +232,7 @@ def _projection_lower(scenarios: Sequence[str]) -> Callable[[Reading], Finding]:
 
 def _converges(reading: Reading) -> Finding:
     groups = reading.each((*NON_SINGULAR, *SINGULAR), ("projection",))
-    there = _shares(groups, arrived)
+    there = _values(_shares(groups, arrived))
     return Finding(
         _shares(groups, lambda run: arrived(run, CLOSE)),
         errors_of(groups),
@@ -245,8 +259,8 @@ def _few_steps(reading: Reading) -> Finding:
 def _cannot_start(scenarios: Sequence[str]) -> Callable[[Reading], Finding]:
     def find(reading: Reading) -> Finding:
         groups = reading.each(scenarios, ("selection",))
-        there = _shares(groups, arrived)
-        figures = {f"end within 1 %: {name}": each.value for name, each in there.items()}
+        there = _values(_shares(groups, arrived))
+        figures = _prefixed("end within 1 %", there)
         text = f"Of all runs, these end within 1 % of the arm length: {_in_words(there)}."
         return Finding(_shares(groups, lambda run: run.outcome.steps == 0), figures, text)
 
@@ -255,27 +269,27 @@ def _cannot_start(scenarios: Sequence[str]) -> Callable[[Reading], Finding]:
 
 def _departs(reading: Reading) -> Finding:
     groups = reading.each(FROM_STRAIGHT, ("projection",))
-    ratios = {name: median([run.outcome.ratio for run in runs]) for name, runs in groups.items()}
-    told = "; ".join(f"{name}: {value:.2g}" for name, value in ratios.items())
+    ratios = _medians(groups, lambda run: run.outcome.ratio)
     return Finding(
         _shares(groups, lambda run: run.outcome.ratio <= 0.5),
-        {f"median ratio of final to first posture error: {name}": value for name, value in ratios.items()},
-        f"Median ratio of the final posture error to the first: {told}.",
+        _prefixed("median ratio of final to first posture error", ratios),
+        f"Median ratio of the final posture error to the first: {_in_words(ratios, '.2g')}.",
     )
+
+
+def _is_stranded(run: MeasuredRun) -> bool:
+    return run.outcome.status == "no_control_points"
 
 
 def _cannot_pass(reading: Reading) -> Finding:
     groups = reading.each(ACROSS, ("selection",))
-    there = _shares(groups, arrived)
-    nearest = {
-        name: median([run.steps.nearness.min(initial=1.0) for run in runs]) for name, runs in groups.items()
-    }
-    stranded = _shares(groups, lambda run: run.outcome.status == "no_control_points")
-    figures = {f"median of the smallest nearness on the way [1/rad]: {k}": v for k, v in nearest.items()}
-    figures |= {f"out of control points: {name}": each.value for name, each in stranded.items()}
+    there = _values(_shares(groups, arrived))
+    nearest = _medians(groups, lambda run: run.steps.nearness.min(initial=1.0))
+    stranded = _values(_shares(groups, _is_stranded))
     return Finding(
         _shares(groups, lambda run: not arrived(run)),
-        figures,
+        _prefixed("median of the smallest nearness on the way [1/rad]", nearest)
+        | _prefixed("out of control points", stranded),
         f"It gets there in {_in_words(there)}, and ends for want of control points in {_in_words(stranded)}.",
     )
 
@@ -289,11 +303,10 @@ def _on_curve(reading: Reading) -> Finding:
         name: [run.off_curve for run in runs if run.off_curve is not None] for name, runs in groups.items()
     }
     farthest = {name: max(values, default=0.0) for name, values in off.items()}
-    told = "; ".join(f"{name}: {value:.2g}" for name, value in farthest.items())
     return Finding(
         {name: share(value <= ON_CURVE for value in values) for name, values in off.items()},
-        {f"farthest off, per arm length: {name}": value for name, value in farthest.items()},
-        f"The farthest that a target is off the curve, per arm length: {told}.",
+        _prefixed("farthest off, per arm length", farthest),
+        f"The farthest that a target is off the curve, per arm length: {_in_words(farthest, '.2g')}.",
     )
 
 
@@ -356,14 +369,11 @@ def _by_nearness(groups: Mapping[str, Sequence[MeasuredRun]], name: str, quantit
 def _asked(reading: Reading) -> Finding:
     groups = reading.each(SINGULAR, BOTH)
     largest = {name: float(_near(runs, "asked").max(initial=0.0)) for name, runs in groups.items()}
-    told = "; ".join(f"{name}: {value:.3g} rad" for name, value in largest.items())
+    in_words = "; ".join(f"{name}: {value:.3g} rad" for name, value in largest.items())
     return Finding(
         {name: share(_near(runs, "asked") <= HALF_TURN) for name, runs in groups.items()},
-        {
-            f"largest |dq| asked for near a singular posture [rad]: {name}": most
-            for name, most in largest.items()
-        },
-        f"The most that was asked of a joint in one step near a singular posture: {told}. "
+        _prefixed("largest |dq| asked for near a singular posture [rad]", largest),
+        f"The most that was asked of a joint in one step near a singular posture: {in_words}. "
         "A step limit takes care of it.",
         _by_nearness(groups, "asked", "largest motion of a joint asked for [rad]"),
     )
@@ -382,12 +392,12 @@ def _no_blow_up(reading: Reading) -> Finding:
     growth = {
         name: [value for run in runs if (value := worst(run)) is not None] for name, runs in groups.items()
     }
+    near = {name: float(len(values)) for name, values in growth.items()}
     return Finding(
         {name: share(value <= 2.0 for value in values) for name, values in growth.items()},
-        {f"largest growth: {name}": max(values, default=1.0) for name, values in growth.items()}
-        | {f"runs that come near: {name}": float(len(values)) for name, values in growth.items()},
-        f"Runs that come near a singular posture at all: "
-        f"{'; '.join(f'{name}: {len(values)}' for name, values in growth.items())}.",
+        _prefixed("largest growth", {name: max(values, default=1.0) for name, values in growth.items()})
+        | _prefixed("runs that come near", near),
+        f"Runs that come near a singular posture at all: {_in_words(near, '.0f')}.",
     )
 
 
@@ -398,7 +408,7 @@ def _smooth(reading: Reading) -> Finding:
     told = "; ".join(f"{name}: {near[name]:.2f} near, {far[name]:.2f} elsewhere" for name in groups)
     return Finding(
         {name: share(_near(runs, "turn") <= ABRUPT) for name, runs in groups.items()},
-        {f"median change of dq per size, near: {name}": change for name, change in near.items()},
+        _prefixed("median change of dq per size, near", near),
         f"Median change of the joint displacement from step to step, per size: {told}.",
         _by_nearness(groups, "turn", "change of dq from step to step, per size")
         + _by_nearness(groups, "change", "share of the active set exchanged from step to step"),
@@ -413,9 +423,9 @@ def _any_step(reading: Reading) -> Finding:
         for method in BOTH
         if (runs := reading.pool.get((scenario, f"{method}, any step"), ()))
     }
-    shares = {name: share(arrived(run) for run in runs) for name, runs in groups.items()}
-    told = "; ".join(f"{name}: {each.value:.0%}" for name, each in shares.items())
-    return Finding(shares, errors_of(groups), f"Of runs without a step limit these arrive: {told}.")
+    shares = _shares(groups, arrived)
+    text = f"Of runs without a step limit these arrive: {_in_words(_values(shares))}."
+    return Finding(shares, errors_of(groups), text)
 
 
 SINGULAR_MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
@@ -455,21 +465,13 @@ def _largest_rise(run: MeasuredRun) -> float:
 def _monotone(method: str, expected: bool) -> Callable[[Reading], Finding]:
     def find(reading: Reading) -> Finding:
         groups = reading.each((*NON_SINGULAR, *SINGULAR), (method,))
-        rising = {
-            name: median([run.descent.rose / max(run.descent.steps, 1) for run in runs])
-            for name, runs in groups.items()
-        }
-        to_the_eye = {
-            name: share(_largest_rise(run) <= VISIBLE for run in runs) for name, runs in groups.items()
-        }
-        told = "; ".join(f"{name}: {rising[name]:.0%}, {to_the_eye[name].value:.0%}" for name in groups)
+        rising = _medians(groups, lambda run: run.descent.rose / max(run.descent.steps, 1))
+        smooth = _values(_shares(groups, lambda run: _largest_rise(run) <= VISIBLE))
+        told = "; ".join(f"{name}: {rising[name]:.0%}, {smooth[name]:.0%}" for name in groups)
         return Finding(
-            {
-                name: share((run.descent.rose == 0) is expected for run in runs)
-                for name, runs in groups.items()
-            },
-            {f"median share of rising steps: {name}": value for name, value in rising.items()}
-            | {f"runs without a visible rise: {name}": each.value for name, each in to_the_eye.items()},
+            _shares(groups, lambda run: (run.descent.rose == 0) is expected),
+            _prefixed("median share of rising steps", rising)
+            | _prefixed("runs without a visible rise", smooth),
             "Median share of the steps of a run on which the posture error rises, and share of the runs in "
             "which "
             f"it never rises by more than 1 % of what it was at first: {told}.",
@@ -484,15 +486,15 @@ def _null_space(reading: Reading) -> Finding:
     uphill = {
         name: sum(run.descent.uphill for run in runs) / max(steps[name], 1) for name, runs in groups.items()
     }
-    told = "; ".join(f"{name}: {value:.1%}" for name, value in uphill.items())
     return Finding(
         {
             name: Share(steps[name] - sum(run.descent.rose for run in runs), steps[name])
             for name, runs in groups.items()
         },
-        {f"steps uphill however short: {name}": value for name, value in uphill.items()},
+        _prefixed("steps uphill however short", uphill),
         "The sum runs over all control points and its sign is that of descent, without which it would not "
-        f"lower the posture error at all. Steps that would raise it however short they were made: {told}.",
+        f"lower the posture error at all. Steps that would raise it however short they were made: "
+        f"{_in_words(uphill, '.1%')}.",
     )
 
 
@@ -518,9 +520,7 @@ def _active_points(reading: Reading) -> Finding:
 
 def _points_rise(reading: Reading) -> Finding:
     groups = reading.each((*NON_SINGULAR, *SINGULAR), ("selection",))
-    return Finding(
-        {name: share(run.descent.points_rose > 0 for run in runs) for name, runs in groups.items()}, {}, ""
-    )
+    return Finding(_shares(groups, lambda run: run.descent.points_rose > 0), {}, "")
 
 
 def _predictability(groups: Mapping[str, Sequence[MeasuredRun]]) -> dict[str, float]:
@@ -543,7 +543,7 @@ def _predictable(method: str, expected: bool) -> Callable[[Reading], Finding]:
             f"insensitive to the nudge in {share((run.separation or 0.0) <= CALM for run in runs).value:.0%}"
             for name, runs in groups.items()
         )
-        shares = {name: share(predictable(run) is expected for run in runs) for name, runs in groups.items()}
+        shares = _shares(groups, lambda run: predictable(run) is expected)
         return Finding(shares, _predictability(groups), f"{told[:1].upper()}{told[1:]}.")
 
     return find
@@ -559,8 +559,8 @@ def _more_predictable(reading: Reading) -> Finding:
         both = [(a.separation, b.separation) for a, b in runs]
         shares[f"{name}: nudge"] = share(a < b for a, b in both if a is not None and b is not None)
     figures = _predictability(reading.each(TWINS, BOTH))
-    told = "; ".join(f"{name}: {each.value:.0%}" for name, each in shares.items())
-    return Finding(shares, figures, f"Seeds on which Selection is the better: {told}.")
+    text = f"Seeds on which Selection is the better: {_in_words(_values(shares))}."
+    return Finding(shares, figures, text)
 
 
 MOVING_MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
@@ -592,12 +592,10 @@ def _steps_with(runs: Sequence[MeasuredRun], part: float) -> Share:
 
 
 def _mean_points(groups: Mapping[str, Sequence[MeasuredRun]]) -> dict[str, float]:
-    return {
-        f"median of the mean number of active points: {name}": median(
-            [float(run.points.mean()) for run in runs if len(run.points)]
-        )
-        for name, runs in groups.items()
-    }
+    moved = {name: [run for run in runs if len(run.points)] for name, runs in groups.items()}
+    return _prefixed(
+        "median of the mean number of active points", _medians(moved, lambda run: float(run.points.mean()))
+    )
 
 
 def _many(reading: Reading) -> Finding:
@@ -606,11 +604,10 @@ def _many(reading: Reading) -> Finding:
         name: min((int(run.points.min()) for run in runs if len(run.points)), default=0)
         for name, runs in groups.items()
     }
-    told = "; ".join(f"{name}: {count}" for name, count in fewest.items())
     return Finding(
         {name: _steps_with(runs, MANY) for name, runs in groups.items()},
         _mean_points(groups),
-        f"The fewest points in any step: {told}.",
+        f"The fewest points in any step: {_in_words(fewest, 'd')}.",
     )
 
 
@@ -620,16 +617,12 @@ def _runs_out(reading: Reading) -> Finding:
     for name, runs in groups.items():
         figures[f"median points at first: {name}"] = median([run.outcome.first_points for run in runs])
         figures[f"median points at last: {name}"] = median([run.outcome.last_points for run in runs])
-    told = "; ".join(f"{name}: {value:g}" for name, value in figures.items())
+    told = _in_words(figures, "g")
     return Finding(
-        {
-            name: share(
-                run.outcome.status == "no_control_points"
-                or run.outcome.last_points <= run.outcome.first_points / 2
-                for run in runs
-            )
-            for name, runs in groups.items()
-        },
+        _shares(
+            groups,
+            lambda run: _is_stranded(run) or run.outcome.last_points <= run.outcome.first_points / 2,
+        ),
         figures,
         f"{told[:1].upper()}{told[1:]}.",
     )
@@ -637,25 +630,17 @@ def _runs_out(reading: Reading) -> Finding:
 
 def _stranded(reading: Reading) -> Finding:
     groups = reading.each(SINGULAR, ("selection",))
-    return Finding(
-        {
-            name: share(run.outcome.status == "no_control_points" for run in runs)
-            for name, runs in groups.items()
-        },
-        errors_of(groups),
-        "Median final errors per arm length: "
-        + "; ".join(f"{name}: {median([final(run) for run in runs]):.2g}" for name, runs in groups.items())
-        + ".",
-    )
+    return Finding(_shares(groups, _is_stranded), errors_of(groups), _final_errors(groups))
+
+
+def _final_errors(groups: Mapping[str, Sequence[MeasuredRun]]) -> str:
+    return f"Median final errors per arm length: {_in_words(_medians(groups, final), '.2g')}."
 
 
 def _keeps(reading: Reading) -> Finding:
     groups = reading.each(SINGULAR, ("projection",))
     return Finding(
-        {
-            name: share(run.points.min(initial=run.modules) >= 0.5 * run.modules for run in runs)
-            for name, runs in groups.items()
-        },
+        _shares(groups, lambda run: bool(run.points.min(initial=run.modules) >= 0.5 * run.modules)),
         _mean_points(groups),
         "",
     )
@@ -699,8 +684,7 @@ def _switching_lower(reading: Reading) -> Finding:
         if all(runs):
             shares[label(scenario)] = share(lower(ours, parts) for ours, *parts in zip(*runs, strict=True))
     groups = reading.each(SWITCHED, (*BOTH, "switching"))
-    told = "; ".join(f"{name}: {median([final(run) for run in runs]):.2g}" for name, runs in groups.items())
-    return Finding(shares, errors_of(groups), f"Median final errors per arm length: {told}.")
+    return Finding(shares, errors_of(groups), _final_errors(groups))
 
 
 def _switching_predictable(reading: Reading) -> Finding:
@@ -726,12 +710,11 @@ def _switching_predictable(reading: Reading) -> Finding:
 
 def _mostly_selection(reading: Reading) -> Finding:
     groups = reading.each(SWITCHED, ("switching",))
-    parts = {name: median([run.by_projection for run in runs]) for name, runs in groups.items()}
-    told = "; ".join(f"{name}: {value:.0%}" for name, value in parts.items())
+    parts = _medians(groups, lambda run: run.by_projection)
     return Finding(
-        {name: share(run.by_projection <= 0.5 for run in runs) for name, runs in groups.items()},
-        {f"median share of steps by Projection: {name}": value for name, value in parts.items()},
-        f"Steps that Projection makes, the median: {told}.",
+        _shares(groups, lambda run: run.by_projection <= 0.5),
+        _prefixed("median share of steps by Projection", parts),
+        f"Steps that Projection makes, the median: {_in_words(parts)}.",
     )
 
 
