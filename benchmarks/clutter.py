@@ -23,7 +23,13 @@ from pinposture.collision import CollisionModel
 from pinposture.control import plan
 from pinposture.motion.trajectory import path_length_ratio
 from pinposture.placement import Target
-from pinposture.study.clutter import KINDS_OF_CLUTTER, LIMITS, ClutterProblem, dense_clearance, draw_problem
+from pinposture.study.clutter import (
+    KINDS_OF_CLUTTER,
+    RUN_LIMITS,
+    ClutterProblem,
+    dense_clearance,
+    draw_problem,
+)
 from pinposture.study.scenes import situation_arm
 
 SIMPLIFY, RANGE, RESOLUTION = 2.0, 1.0, 0.05
@@ -40,7 +46,7 @@ def by_pinposture(arm: Arm, problem: ClutterProblem) -> tuple[float, np.ndarray 
     """Time to plan [s] and the path, (N, nq); None if it is not clear."""
     target = Target.from_configuration(arm, problem.goal)
     began = perf_counter()
-    path = plan(arm.at(problem.start), target, problem.scene, LIMITS)
+    path = plan(arm.at(problem.start), target, problem.scene, RUN_LIMITS)
     return perf_counter() - began, None if path.hindrance else path.configurations
 
 

@@ -25,6 +25,7 @@ from pinposture.motion import track
 from pinposture.motion.trajectory import path_length_ratio
 from pinposture.placement import Target, resolve_targets
 from pinposture.study.progress import Progress, collect_results
+from pinposture.study.record import Spread, distinct, one_line
 from pinposture.study.scenes import situation_arm
 
 Array = NDArray[np.float64]
@@ -44,7 +45,7 @@ DENSE_TURN = 0.01
 MAX_DRAWS, MAX_RUN_STEPS = 5000, 6000
 """Largest number of draws of a problem, and of steps of a run."""
 
-LIMITS = Limits(step=None, velocity=1.0, acceleration=5.0, dt=0.02)
+RUN_LIMITS = Limits(step=None, velocity=1.0, acceleration=5.0, dt=0.02)
 
 
 class ClutterProblem(NamedTuple):
@@ -255,9 +256,9 @@ def solve_problem(arm: Arm, kind: str, seed: int) -> ClutterRun:
     target = Target.from_configuration(arm, problem.goal)
     state = arm.at(problem.start)
     began = perf_counter()
-    path = plan(state, target, problem.scene, LIMITS)
+    path = plan(state, target, problem.scene, RUN_LIMITS)
     took = perf_counter() - began
-    run = track(arm, target, problem.start, limits=LIMITS, scene=problem.scene, max_steps=MAX_RUN_STEPS)
+    run = track(arm, target, problem.start, limits=RUN_LIMITS, scene=problem.scene, max_steps=MAX_RUN_STEPS)
     points = np.array([arm.at(q).compiled.points for q in path.configurations])
     return ClutterRun(
         kind=kind,
@@ -269,7 +270,7 @@ def solve_problem(arm: Arm, kind: str, seed: int) -> ClutterRun:
         path_length_ratio=path_length_ratio(points),
         plan_clearance=dense_clearance(arm, problem.scene, path.configurations),
         reached=run.converged and run.excess is None,
-        reason=" ".join(run.reason.split()),
+        reason=one_line(run.reason),
         run_clearance=dense_clearance(arm, problem.scene, run.q),
         margin=problem.scene.margin,
     )
@@ -294,8 +295,8 @@ class ClutterRow(NamedTuple):
     planned: int
     reached: int
     clearance: float
-    plan_time: tuple[float, float]
-    path_length_ratio: tuple[float, float]
+    plan_time: Spread
+    path_length_ratio: Spread
     found_by: dict[str, int]
 
 
@@ -338,10 +339,9 @@ def study_clutter(
 def by_kind(runs: Sequence[ClutterRun]) -> list[ClutterRow]:
     """Summarise runs by kind, in the order in which these first appear."""
     rows = []
-    for kind in dict.fromkeys(run.kind for run in runs):
+    for kind in distinct(run.kind for run in runs):
         own = [run for run in runs if run.kind == kind]
         there = [run for run in own if run.reached]
-        times, ratios = ([getattr(run, name) for run in own] for name in ("plan_time", "path_length_ratio"))
         rows.append(
             ClutterRow(
                 kind=kind,
@@ -349,8 +349,8 @@ def by_kind(runs: Sequence[ClutterRun]) -> list[ClutterRow]:
                 planned=sum(run.planned for run in own),
                 reached=len(there),
                 clearance=min((run.run_clearance - run.margin for run in there), default=np.inf),
-                plan_time=(float(np.median(times)), float(np.percentile(times, 90))),
-                path_length_ratio=(float(np.median(ratios)), float(np.percentile(ratios, 90))),
+                plan_time=Spread.of([run.plan_time for run in own]),
+                path_length_ratio=Spread.of([run.path_length_ratio for run in own]),
                 found_by=dict(Counter(run.found_by for run in own)),
             )
         )

@@ -19,7 +19,7 @@ from pinposture.placement import Target
 from pinposture.study.arms import Subject
 from pinposture.study.baselines import named_controllers
 from pinposture.study.progress import Progress, collect_results
-from pinposture.study.record import MAX_STEPS, STEP
+from pinposture.study.record import MAX_STEPS, STEP, final_error
 from pinposture.study.scenarios import arbitrary_configuration
 
 Array = NDArray[np.float64]
@@ -102,7 +102,7 @@ def cycle_drift(
             limits, close = Limits(step=STEP), CLOSE * arm.length
             run = track(arm, target, q, chosen, limits, max_steps=MAX_STEPS, tolerance=close)
             q, steps = run.q[-1], steps + run.steps
-            errors.append(float(run.posture_error[-1]) / int(target.has_target.sum()) / arm.length)
+            errors.append(final_error(run))
         apart = np.abs(pin.difference(arm.model, first, q)) / arm.joint_units
         drift.append(float(apart.max()))
     return Rounds(tuple(drift), max(errors), steps)

@@ -217,8 +217,8 @@ def _title(figure: Figure, text: str) -> None:
 
 # The study of following the leader as a picture: deviation against curvature.
 
-LEADER_WIDTH, HEIGHT = 12.0, 4.6
-"""Size of a figure [inch]."""
+LEADER_HEIGHT = 4.6
+"""Height of a figure [inch]."""
 
 TICKS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
 """Ticks of the axis of deviations [%]."""
@@ -238,13 +238,9 @@ def draw_leader(found: Sequence[Following]) -> Figure:
     Raises:
         InvalidValue: no result.
     """
-    # Here, because matplotlib takes longer to import than everything else together.
-    from matplotlib.figure import Figure
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-
     if not found:
         raise InvalidValue("found", list(found), "at least one result")
-    figure = Figure(figsize=(LEADER_WIDTH, HEIGHT), layout=ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.09))
+    figure = _figure(LEADER_HEIGHT)
     shapes = [shape for shape in SHAPES if any(each.shape == shape for each in found)]
     panels = figure.subplots(1, len(shapes), sharey=True, squeeze=False)[0]
     for ax, shape in zip(panels, shapes, strict=True):

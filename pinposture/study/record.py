@@ -132,9 +132,9 @@ def record_run(run: Trajectory, case: Case, controller: str, seconds: float = 0.
         *case,
         controller=controller,
         status=run.status,
-        reason=_one_line(run.reason),
+        reason=one_line(run.reason),
         steps=steps,
-        error=float(errors[-1]) / int(run.target.has_target.sum()) / run.arm.length,
+        error=final_error(run),
         rising=float(rises.mean()) if steps else 0.0,
         escaping=float((rises & run.error_increasing).mean()) if steps else 0.0,
         peak=float(errors.max() / errors[0]) if errors[0] > 0.0 else 1.0,
@@ -146,7 +146,13 @@ def record_run(run: Trajectory, case: Case, controller: str, seconds: float = 0.
     )
 
 
-def _one_line(text: str) -> str:
+def final_error(run: Trajectory) -> float:
+    """Return the mean point error at the end of a run, relative to the arm length."""
+    return float(run.posture_error[-1]) / int(run.target.has_target.sum()) / run.arm.length
+
+
+def one_line(text: str) -> str:
+    """Return a text without line breaks and repeated blanks."""
     return " ".join(text.split())
 
 
@@ -207,7 +213,7 @@ def _refused(
         *case,
         controller=controller,
         status="refused",
-        reason=_one_line(reason),
+        reason=one_line(reason),
         steps=0,
         error=float(errors.mean()) / arm.length,
         rising=0.0,
@@ -236,6 +242,11 @@ class Spread(NamedTuple):
 
     median: float
     high: float
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Spread:
+        """Return the spread of at least one value."""
+        return cls(float(np.median(values)), float(np.percentile(values, 90)))
 
 
 class SummaryRow(NamedTuple):
@@ -335,9 +346,7 @@ def telling(records: Iterable[Record]) -> list[Record]:
 def spread(records: Iterable[Record], measure: Callable[[Record], float]) -> Spread | None:
     """Median and 90th percentile of a measure over the runs that moved and came near; None if none did."""
     values = [measure(record) for record in telling(records)]
-    if not values:
-        return None
-    return Spread(float(np.median(values)), float(np.percentile(values, 90)))
+    return Spread.of(values) if values else None
 
 
 def _row(arm: str, group: str, controller: str, runs: list[Record]) -> SummaryRow:

@@ -28,8 +28,7 @@ from pinposture.study.baselines import register_baselines
 StartKind = Literal["smooth", "near-straight", "straight"]
 TargetKind = Literal["helix", "line", "near-line", "random", "opposite"]
 
-STARTS: tuple[StartKind, ...] = get_args(StartKind)
-TARGETS: tuple[TargetKind, ...] = get_args(TargetKind)
+SCENARIO_STARTS: tuple[StartKind, ...] = get_args(StartKind)
 
 
 @dataclass(frozen=True)
@@ -98,7 +97,7 @@ _CHOICES: tuple[tuple[str, tuple[TargetKind, ...]], ...] = (
 FAMILIES = tuple(
     family(arm, start, target)
     for arm, targets in _CHOICES
-    for start in STARTS
+    for start in SCENARIO_STARTS
     for target in targets
     if (start, target) != ("straight", "line")  # there is nothing to do
 )
@@ -164,7 +163,7 @@ def _module_turns(arm: Arm, start: Array, goal: Array) -> Array:
 
 # Many starts and targets at once: what a controller does over a hundred seeds, not in one picture.
 
-AMPLITUDES = (0.2, 1.0)
+POSTURE_AMPLITUDES = (0.2, 1.0)
 """Range of the largest joint position of an arbitrary posture of a spatial arm [rad or m]."""
 
 HEADINGS = (0.5, 1.5)
@@ -263,7 +262,7 @@ def arbitrary_configuration(arm: Arm, rng: np.random.Generator) -> Array:
     """An arbitrary non-singular configuration, as the starts of scenarios are drawn; see `case`."""
     if arm.dimension == 2:
         return bent_configuration(arm, rng, rng.uniform(*HEADINGS))
-    return smooth_configuration(arm, rng, rng.uniform(*AMPLITUDES))
+    return smooth_configuration(arm, rng, rng.uniform(*POSTURE_AMPLITUDES))
 
 
 def _target(arm: Arm, scenario: Scenario, start: Array, roll: float, rng: np.random.Generator) -> Target:

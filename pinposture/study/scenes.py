@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from time import perf_counter
 from types import MappingProxyType
 from typing import NamedTuple
@@ -21,7 +21,7 @@ from pinposture.motion import Trajectory, track
 from pinposture.placement import Target
 from pinposture.study.arms import built_subject
 from pinposture.study.progress import Progress, collect_results
-from pinposture.study.record import MAX_STEPS, RISE, STEP, TOLERANCE, Spread, distinct
+from pinposture.study.record import MAX_STEPS, RISE, STEP, TOLERANCE, Spread, distinct, final_error, one_line
 from pinposture.study.reproduce.runs import displacements
 
 # Arms among obstacles: what is in the way, where the arm starts, and what it should become.
@@ -301,10 +301,10 @@ def record_scene_run(
         refused=refused,
         reachable=situation.goal_clear,
         status=run.status,
-        reason=" ".join(run.reason.split()),
+        reason=one_line(run.reason),
         blamed=", ".join(blamed(run.reason, situation.scene, around.bodies)),
         steps=run.steps,
-        error=float(run.posture_error[-1]) / int(run.target.has_target.sum()) / run.arm.length,
+        error=final_error(run),
         margin=margin,
         start=float(at[0]),
         closest=float(min(at[0], between.min(initial=np.inf))),
@@ -434,15 +434,10 @@ def by_scene(runs: Sequence[SceneRun]) -> list[SceneRow]:
                 unexplained=sum(not run.explained for run in own),
                 room=min(run.closest - run.margin for run in own),
                 loss=max(run.loss for run in own),
-                steps=_spread(own, lambda run: run.steps),
-                path=_spread(own, lambda run: run.path),
-                escaping=_spread(own, lambda run: run.escaping),
-                seconds=_spread(own, lambda run: run.seconds),
+                steps=Spread.of([run.steps for run in own]),
+                path=Spread.of([run.path for run in own]),
+                escaping=Spread.of([run.escaping for run in own]),
+                seconds=Spread.of([run.seconds for run in own]),
             )
         )
     return rows
-
-
-def _spread(runs: Sequence[SceneRun], measure: Callable[[SceneRun], float]) -> Spread:
-    values = [measure(run) for run in runs]
-    return Spread(float(np.median(values)), float(np.percentile(values, 90)))

@@ -17,10 +17,10 @@ from pinposture.study.scenarios import (
     FAMILIES,
     HEADINGS,
     NEARLY,
+    SCENARIO_STARTS,
     SCENARIOS,
     SLIGHT_HEADINGS,
     SPATIAL_SCENARIOS,
-    STARTS,
     bent_configuration,
     family,
 )
@@ -109,7 +109,7 @@ def test_the_starts_of_the_first_scenarios_are_those_on_record():
 
 def test_families_pair_every_start_with_every_target_but_nothing_with_nothing():
     assert len({each.name for each in FAMILIES}) == len(FAMILIES) == 3 * 3 + 3 * 2 - 2
-    assert {each.start for each in FAMILIES} == set(STARTS)
+    assert {each.start for each in FAMILIES} == set(SCENARIO_STARTS)
     assert {each.arm for each in FAMILIES} == {"ryrz20", "planar45"} <= set(ARMS)
     assert family("ryrz20", "smooth", "helix") in FAMILIES
     assert not [each for each in FAMILIES if (each.start, each.target) == ("straight", "line")]

@@ -15,7 +15,6 @@ from pinposture.study.claims import CLAIMS, Claim
 from pinposture.study.reproduce import claims
 from pinposture.study.reproduce.claims import RULES, Finding, Share, Verdict, judge, share
 from pinposture.study.reproduce.runs import (
-    BUNDLE,
     DEFAULT,
     READINGS,
     THESIS_STEPS,
@@ -23,6 +22,7 @@ from pinposture.study.reproduce.runs import (
     Reading,
     RunSet,
     make_pool,
+    seed_bundles,
     thesis_arm,
 )
 from pinposture.study.scenarios import arbitrary_configuration
@@ -74,13 +74,8 @@ class Counted(NamedTuple):
 
 def count_postures(seeds: int, jobs: int = 1) -> list[Counted]:
     """Count over random postures of both arms; the result depends on the number of seeds alone."""
-    bundles = [
-        (name, range(first, min(first + BUNDLE, seeds)))
-        for name in ARM_NAMES
-        for first in range(0, seeds, BUNDLE)
-    ]
-    found = in_order((delayed(_count)(name, bundle) for name, bundle in bundles), jobs)
-    return [each for listed in found for each in listed]
+    tasks = (delayed(_count)(name, bundle) for name in ARM_NAMES for bundle in seed_bundles(seeds))
+    return [each for listed in in_order(tasks, jobs) for each in listed]
 
 
 def _count(name: str, seeds: Iterable[int]) -> list[Counted]:
@@ -239,12 +234,12 @@ POSTURES_MEASURES: Mapping[str, Callable[[list[Counted]], Finding]] = {
 
 # Every claim of the thesis, measured and judged.
 
-MEASURES: Mapping[str, Callable[[Reading], Finding]] = (
-    dict(claims.TRACKING_MEASURES)
-    | dict(claims.MOVING_MEASURES)
-    | dict(claims.SINGULAR_MEASURES)
-    | dict(claims.CHOOSING_MEASURES)
-)
+MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
+    **claims.TRACKING_MEASURES,
+    **claims.MOVING_MEASURES,
+    **claims.SINGULAR_MEASURES,
+    **claims.CHOOSING_MEASURES,
+}
 """How each claim is measured on runs; those on postures are in `POSTURES_MEASURES`."""
 
 _FOUR = ("selection", "projection", "projection, local", "switching")

@@ -404,8 +404,7 @@ def make_pool(
         The runs; they depend on batches, seeds and steps alone, not on `jobs`.
     """
     listed = list(batches)
-    bundles = [range(first, min(first + BUNDLE, seeds)) for first in range(0, seeds, BUNDLE)]
-    todo = [(batch, bundle) for batch in listed for bundle in bundles]
+    todo = [(batch, bundle) for batch in listed for bundle in seed_bundles(seeds)]
     pool: dict[tuple[str, str], list[MeasuredRun]] = {(b.scenario, b.variant): [] for b in listed}
     tasks = (delayed(_work_off)(batch, bundle, max_steps) for batch, bundle in todo)
     results = in_order(tasks, jobs)
@@ -414,6 +413,11 @@ def make_pool(
         if progress is not None:
             progress(len(bundle))
     return pool
+
+
+def seed_bundles(seeds: int) -> list[range]:
+    """Return the seeds 0, 1, ... in the bundles that a process works off at a time."""
+    return [range(first, min(first + BUNDLE, seeds)) for first in range(0, seeds, BUNDLE)]
 
 
 def _work_off(batch: RunSet, seeds: Sequence[int], max_steps: int) -> list[MeasuredRun]:
