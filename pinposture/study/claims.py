@@ -423,6 +423,9 @@ CLAIMS: Mapping[str, Claim] = MappingProxyType(
 # Figures 6.3 to 6.12 of the thesis, as data: which runs each shows, and how.
 
 
+Layout = Literal["postures", "errors", "planar"]
+
+
 @dataclass(frozen=True)
 class ThesisFigure:
     """One figure.
@@ -442,7 +445,7 @@ class ThesisFigure:
     number: str
     title: str
     section: str
-    layout: Literal["postures", "errors", "planar"]
+    layout: Layout
     scenario: str
     controllers: tuple[str, ...]
     compared: tuple[str, ...] = ()
@@ -456,52 +459,27 @@ SPATIAL_SEED = 17
 PLANAR_SEED = 84
 """Seeds whose runs end near the medians over 100 seeds."""
 
-_LISTED = (
+SPATIAL_LAYOUTS: tuple[Layout, ...] = ("postures", "errors")
+"""Layouts of the two figures of each experiment with the spatial arm."""
+
+_LISTED = tuple(
+    ThesisFigure(number, f"Spatial arm, {case}", section, layout, scenario, controllers, seed=SPATIAL_SEED)
+    for numbers, case, section, scenario, controllers in (
+        (("6.3", "6.4"), "non-singular target", "6.1.2", "helix", BOTH),
+        (("6.5", "6.6"), "singular target", "6.1.3", "line", BOTH),
+        (("6.7", "6.8"), "singular start", "6.1.4", "from-straight", ALONE),
+    )
+    for number, layout in zip(numbers, SPATIAL_LAYOUTS, strict=True)
+) + tuple(
     ThesisFigure(
-        "6.3", "Spatial arm, non-singular target", "6.1.2", "postures", "helix", BOTH, seed=SPATIAL_SEED
-    ),
-    ThesisFigure(
-        "6.4", "Spatial arm, non-singular target", "6.1.2", "errors", "helix", BOTH, seed=SPATIAL_SEED
-    ),
-    ThesisFigure("6.5", "Spatial arm, singular target", "6.1.3", "postures", "line", BOTH, seed=SPATIAL_SEED),
-    ThesisFigure("6.6", "Spatial arm, singular target", "6.1.3", "errors", "line", BOTH, seed=SPATIAL_SEED),
-    ThesisFigure(
-        "6.7", "Spatial arm, singular start", "6.1.4", "postures", "from-straight", ALONE, seed=SPATIAL_SEED
-    ),
-    ThesisFigure(
-        "6.8", "Spatial arm, singular start", "6.1.4", "errors", "from-straight", ALONE, seed=SPATIAL_SEED
-    ),
-    ThesisFigure(
-        "6.9", "Planar arm, non-singular target", "6.2.1", "planar", "planar-random", BOTH, seed=PLANAR_SEED
-    ),
-    ThesisFigure(
-        "6.10",
-        "Planar arm, nearly singular target",
-        "6.2.2",
-        "planar",
-        "planar-near-line",
-        BOTH,
-        seed=PLANAR_SEED,
-    ),
-    ThesisFigure(
-        "6.11",
-        "Planar arm, singular start",
-        "6.2.3",
-        "planar",
-        "planar-from-straight",
-        ALONE,
-        seed=PLANAR_SEED,
-    ),
-    ThesisFigure(
-        "6.12",
-        "Planar arm, nearly singular target, switching",
-        "6.2.4",
-        "planar",
-        "planar-near-line",
-        ("switching",),
-        BOTH,
-        PLANAR_SEED,
-    ),
+        number, f"Planar arm, {case}", section, "planar", scenario, controllers, compared, PLANAR_SEED
+    )
+    for number, case, section, scenario, controllers, compared in (
+        ("6.9", "non-singular target", "6.2.1", "planar-random", BOTH, ()),
+        ("6.10", "nearly singular target", "6.2.2", "planar-near-line", BOTH, ()),
+        ("6.11", "singular start", "6.2.3", "planar-from-straight", ALONE, ()),
+        ("6.12", "nearly singular target, switching", "6.2.4", "planar-near-line", ("switching",), BOTH),
+    )
 )
 
 FIGURES: Mapping[str, ThesisFigure] = MappingProxyType({figure.number: figure for figure in _LISTED})
