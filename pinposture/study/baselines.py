@@ -228,9 +228,6 @@ class NullSpaceMethod(Baseline):
         return finished(state, task.points, len(task.errors), matrix.sigma, asked, limits, previous)
 
 
-# The pseudo-inverse of the end-effector Jacobian, with an objective function in its null space.
-
-
 @dataclass(frozen=True)
 class PseudoInverse(NullSpaceMethod):
     """Moves the end-effector alone: dq = J^+ dp + (I - J^+J) k grad h, (2.6) and (2.7).
@@ -244,9 +241,6 @@ class PseudoInverse(NullSpaceMethod):
 
     def _task(self, state: ArmState, target: Target) -> BaselineTask:
         return end_effector_task(state, target)
-
-
-# All control points at once by plain pseudo-inverse: what Section 4.3 warns of.
 
 
 @dataclass(frozen=True)
@@ -263,9 +257,6 @@ class AugmentedJacobian(NullSpaceMethod):
 
     def _task(self, state: ArmState, target: Target) -> BaselineTask:
         return all_points_task(state, target)
-
-
-# All control points at once, with constant damping.
 
 
 @dataclass(frozen=True)
@@ -296,9 +287,6 @@ class DampedLeastSquares(Baseline):
         return finished(state, task.points, len(task.errors), matrix.sigma, asked, limits, previous)
 
 
-# All control points at once, damped the more the farther they are from their targets.
-
-
 @dataclass(frozen=True)
 class LevenbergMarquardt(Baseline):
     """Moves all control points that have a target, with the damping of Sugihara (2011).
@@ -326,9 +314,6 @@ class LevenbergMarquardt(Baseline):
         damping = 0.5 * float(errors @ errors) + self.bias * length**2
         asked = damped_step(matrix, errors, damping)
         return finished(state, task.points, len(task.errors), matrix.sigma, asked, limits, previous)
-
-
-# The end-effector first, other control points in what room it leaves.
 
 
 @dataclass(frozen=True)
@@ -386,9 +371,6 @@ class TaskConstraints(Baseline):
         count = min(len(others), room, len(others) if self.constraints is None else self.constraints)
         spread = np.linspace(0, len(others), count + 2)[1:-1].astype(np.intp)
         return task_of(state, target, others[spread])
-
-
-# The extended Jacobian: an end-effector task and the conditions of an extremum, as one square matrix.
 
 
 @dataclass(frozen=True)
@@ -479,9 +461,6 @@ class ExtendedJacobian(Baseline):
         multipliers = left @ ((right[:rank] @ gradient) / sigma)
         reduced = null @ (hessian - derivatives.second() @ multipliers)
         return columns, np.vstack([jacobian, length * reduced]), length * (null @ gradient)
-
-
-# What others would use, in the same protocol.
 
 
 BASELINES: dict[str, Callable[[], Controller]] = {

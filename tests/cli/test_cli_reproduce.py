@@ -72,7 +72,7 @@ def test_json_is_the_file(command, done, tmp_path):
 
 
 def test_verdicts_are_a_table(command, monkeypatch, tmp_path):
-    from pinposture.study.reproduce.claims import Finding, Share
+    from pinposture.study.reproduce.measures import Finding, Share
 
     claim = CLAIMS["tracks-singular"]
     finding = Finding({"a": Share(1, 4), "b": Share(4, 4)}, {}, "")

@@ -12,7 +12,7 @@ from study.handmade import one
 
 from pinposture.study.claims import CLAIMS
 from pinposture.study.reproduce import evaluate
-from pinposture.study.reproduce.claims import RULES, Share, judge, share
+from pinposture.study.reproduce.measures import RULES, Share, judge, share
 from pinposture.study.reproduce.runs import DEFAULT, READINGS, VARIANTS, Descent, Reading
 
 USUALLY = RULES["usually"]

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm, ArmState
 from pinposture.motion.processes import in_order
 from pinposture.study.claims import CLAIMS, Claim
-from pinposture.study.reproduce import claims
-from pinposture.study.reproduce.claims import RULES, Finding, Share, Verdict, judge, share
+from pinposture.study.reproduce import measures
+from pinposture.study.reproduce.measures import RULES, Finding, Share, Verdict, judge, share
 from pinposture.study.reproduce.runs import (
     DEFAULT,
     READINGS,
@@ -235,10 +235,10 @@ POSTURES_MEASURES: Mapping[str, Callable[[list[Counted]], Finding]] = {
 # Every claim of the thesis, measured and judged.
 
 MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
-    **claims.TRACKING_MEASURES,
-    **claims.MOVING_MEASURES,
-    **claims.SINGULAR_MEASURES,
-    **claims.CHOOSING_MEASURES,
+    **measures.TRACKING_MEASURES,
+    **measures.MOVING_MEASURES,
+    **measures.SINGULAR_MEASURES,
+    **measures.CHOOSING_MEASURES,
 }
 """How each claim is measured on runs; those on postures are in `POSTURES_MEASURES`."""
 
@@ -246,15 +246,15 @@ _FOUR = ("selection", "projection", "projection, local", "switching")
 _FREE = ("selection, free joints", "projection, free joints")
 
 BATCHES: tuple[RunSet, ...] = (
-    *(RunSet(s, v, twins=True) for s in claims.TWINS for v in _FOUR),
+    *(RunSet(s, v, twins=True) for s in measures.TWINS for v in _FOUR),
     *(RunSet(s, v) for s in ("random", "line", "planar-near-line") for v in _FOUR),
-    *(RunSet(s, "switching, no waypoints", twins=s in claims.TWINS) for s in claims.SWITCHED),
-    *(RunSet(s, v) for s in claims.FROM_STRAIGHT for v in _FOUR[:3]),
-    *(RunSet(s, v) for s in claims.ACROSS for v in claims.BOTH),
-    *(RunSet(s, "selection") for s in claims.FROM_NEAR_STRAIGHT),
+    *(RunSet(s, "switching, no waypoints", twins=s in measures.TWINS) for s in measures.SWITCHED),
+    *(RunSet(s, v) for s in measures.FROM_STRAIGHT for v in _FOUR[:3]),
+    *(RunSet(s, v) for s in measures.ACROSS for v in measures.BOTH),
+    *(RunSet(s, "selection") for s in measures.FROM_NEAR_STRAIGHT),
     *(RunSet(s, "selection, (4.8)") for s in ("planar-random", "planar-near-line")),
     *(RunSet(s, v) for s in ("helix", "line") for v in _FREE),
-    *(RunSet(s, f"{method}, any step") for s in claims.SINGULAR for method in claims.BOTH),
+    *(RunSet(s, f"{method}, any step") for s in measures.SINGULAR for method in measures.BOTH),
 )
 """The runs that the claims are judged by."""
 

@@ -573,7 +573,7 @@ MOVING_MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
     "projection-unpredictable": _predictable("projection", False),
     "selection-more-predictable": _more_predictable,
 }
-"""How claims of `pinposture.study.claims.MOVING` are measured; others are in `singular.MEASURES`."""
+"""How claims of `pinposture.study.claims.MOVING` are measured; others are in `SINGULAR_MEASURES`."""
 
 
 # Claims on which control points are used, and on switching between the methods.
