@@ -129,7 +129,7 @@ def damped_step(matrix: Decomposition, velocity: Array, damping: float) -> Array
     return np.asarray(matrix.right.T @ (share * (matrix.left.T @ velocity)))
 
 
-def finished(
+def limit_step(
     state: ArmState,
     points: tuple[int, ...],
     rows: int,
@@ -166,7 +166,7 @@ def finished(
     return Step(limited.dq, points, diagnostics, Memory(limited.dq))
 
 
-def held(state: ArmState, reason: str, limits: Limits, previous: Array | None) -> Step:
+def hold_step(state: ArmState, reason: str, limits: Limits, previous: Array | None) -> Step:
     """A step that only brakes, if there is anything to brake, and why."""
     still = limits.hold(state, previous)
     none = Diagnostics(still.clipped, reason, scale=still.scale)
@@ -186,7 +186,7 @@ class Baseline(ABC):
         limits = Limits() if limits is None else limits
         previous = memory.dq if memory is not None else None
         if not np.any(target.has_target):
-            return held(state, "no control point has a target", limits, previous)
+            return hold_step(state, "no control point has a target", limits, previous)
         return self._step(state, target, limits, previous)
 
     @abstractmethod
@@ -225,7 +225,7 @@ class NullSpaceMethod(Baseline):
         if self.objective is not None:
             kappa = self.null_gain * objective_gradient(self.objective, state, task.end_effector)
         asked = pseudo_inverse_step(regular_part(matrix), self.gain * task.errors, kappa)
-        return finished(state, task.points, len(task.errors), matrix.sigma, asked, limits, previous)
+        return limit_step(state, task.points, len(task.errors), matrix.sigma, asked, limits, previous)
 
 
 @dataclass(frozen=True)
@@ -284,7 +284,7 @@ class DampedLeastSquares(Baseline):
         matrix = decompose(task.jacobian)
         damping = (self.damping * state.arm.length) ** 2
         asked = damped_step(matrix, self.gain * task.errors, damping)
-        return finished(state, task.points, len(task.errors), matrix.sigma, asked, limits, previous)
+        return limit_step(state, task.points, len(task.errors), matrix.sigma, asked, limits, previous)
 
 
 @dataclass(frozen=True)
@@ -313,7 +313,7 @@ class LevenbergMarquardt(Baseline):
         errors, length = weights * task.errors, state.arm.length
         damping = 0.5 * float(errors @ errors) + self.bias * length**2
         asked = damped_step(matrix, errors, damping)
-        return finished(state, task.points, len(task.errors), matrix.sigma, asked, limits, previous)
+        return limit_step(state, task.points, len(task.errors), matrix.sigma, asked, limits, previous)
 
 
 @dataclass(frozen=True)
@@ -353,7 +353,7 @@ class TaskConstraints(Baseline):
         asked = matrix.right.T @ ((matrix.left.T @ (self.gain * primary.errors)) / matrix.sigma)
         secondary = self._constraints(state, target, primary, rank)
         if not secondary.points:
-            return finished(state, primary.points, len(primary.errors), every, asked, limits, previous)
+            return limit_step(state, primary.points, len(primary.errors), every, asked, limits, previous)
         # J_c (I - J^+J) has the singular values of J_c V with V the basis, and needs no projection after.
         projected = decompose(secondary.jacobian @ null.T)
         inverted = regular_part(projected)
@@ -361,7 +361,7 @@ class TaskConstraints(Baseline):
         asked = asked + null.T @ (inverted.right.T @ ((inverted.left.T @ missing) / inverted.sigma))
         rows = len(primary.errors) + len(secondary.errors)
         sigma = np.concatenate([every, projected.sigma])
-        return finished(state, secondary.points + primary.points, rows, sigma, asked, limits, previous)
+        return limit_step(state, secondary.points + primary.points, rows, sigma, asked, limits, previous)
 
     def _constraints(self, state: ArmState, target: Target, primary: BaselineTask, rank: int) -> BaselineTask:
         """The other control points that (2.9) has room for."""
@@ -421,7 +421,7 @@ class ExtendedJacobian(Baseline):
         task = end_effector_task(state, target)
         columns, extended, constraint = self.system(state, task)
         if len(extended) < len(columns):
-            return held(
+            return hold_step(
                 state,
                 "the Jacobian of the end-effector is singular: there is no extended Jacobian",
                 limits,
@@ -429,7 +429,7 @@ class ExtendedJacobian(Baseline):
             )
         matrix = decompose(extended)
         if matrix.sigma[-1] <= RANK * matrix.sigma[0]:
-            return held(
+            return hold_step(
                 state,
                 f"the extended Jacobian is singular: {self.objective} has no single extremum",
                 limits,
@@ -438,7 +438,7 @@ class ExtendedJacobian(Baseline):
         velocity = np.concatenate([self.gain * task.errors, -self.restore * constraint])
         asked = np.zeros(state.arm.nv)
         asked[columns] = pseudo_inverse_step(matrix, velocity, np.zeros(len(columns)))
-        return finished(state, task.points, len(extended), matrix.sigma, asked, limits, previous)
+        return limit_step(state, task.points, len(extended), matrix.sigma, asked, limits, previous)
 
     def system(self, state: ArmState, task: BaselineTask) -> tuple[NDArray[np.intp], Array, Array]:
         """The extended Jacobian J_e and the constraint f_c.

@@ -179,7 +179,7 @@ def _in_words(values: Mapping[str, float], form: str = ".0%") -> str:
     return "; ".join(f"{name}: {value:{form}}" for name, value in values.items())
 
 
-def _shares(
+def _count_runs(
     groups: Mapping[str, Sequence[MeasuredRun]], true: Callable[[MeasuredRun], bool]
 ) -> dict[str, Share]:
     return {name: share(true(run) for run in runs) for name, runs in groups.items()}
@@ -188,11 +188,11 @@ def _shares(
 def _arrives(scenarios: Sequence[str], methods: Sequence[str]) -> Callable[[Reading], Finding]:
     def find(reading: Reading) -> Finding:
         groups = reading.each(scenarios, methods)
-        close = _values(_shares(groups, lambda run: arrived(run, CLOSE)))
-        halved = _values(_shares(groups, lambda run: run.outcome.ratio <= 0.5))
+        close = _values(_count_runs(groups, lambda run: arrived(run, CLOSE)))
+        halved = _values(_count_runs(groups, lambda run: run.outcome.ratio <= 0.5))
         figures = errors_of(groups) | _prefixed("within 0.1 %", close)
         text = f"The posture error is at least halved in {_in_words(halved)}."
-        return Finding(_shares(groups, arrived), figures, text)
+        return Finding(_count_runs(groups, arrived), figures, text)
 
     return find
 
@@ -232,9 +232,9 @@ def _projection_lower(scenarios: Sequence[str]) -> Callable[[Reading], Finding]:
 
 def _converges(reading: Reading) -> Finding:
     groups = reading.each((*NON_SINGULAR, *SINGULAR), ("projection",))
-    there = _values(_shares(groups, arrived))
+    there = _values(_count_runs(groups, arrived))
     return Finding(
-        _shares(groups, lambda run: arrived(run, CLOSE)),
+        _count_runs(groups, lambda run: arrived(run, CLOSE)),
         errors_of(groups),
         f"A mean point error of at most 1 % of the arm length is reached in {_in_words(there)}.",
     )
@@ -250,7 +250,7 @@ def _few_steps(reading: Reading) -> Finding:
     needed = [steps(run) for runs in groups.values() for run in runs]
     reached = [count for count in needed if np.isfinite(count)]
     return Finding(
-        _shares(groups, lambda run: steps(run) <= FEW and arrived(run)),
+        _count_runs(groups, lambda run: steps(run) <= FEW and arrived(run)),
         {"median steps to 1 %, of runs that come there": median(reached)} | errors_of(groups),
         f"{len(reached)} of {len(needed)} runs come within 1 %, in {median(reached):.0f} steps (median).",
     )
@@ -259,10 +259,10 @@ def _few_steps(reading: Reading) -> Finding:
 def _cannot_start(scenarios: Sequence[str]) -> Callable[[Reading], Finding]:
     def find(reading: Reading) -> Finding:
         groups = reading.each(scenarios, ("selection",))
-        there = _values(_shares(groups, arrived))
+        there = _values(_count_runs(groups, arrived))
         figures = _prefixed("end within 1 %", there)
         text = f"Of all runs, these end within 1 % of the arm length: {_in_words(there)}."
-        return Finding(_shares(groups, lambda run: run.outcome.steps == 0), figures, text)
+        return Finding(_count_runs(groups, lambda run: run.outcome.steps == 0), figures, text)
 
     return find
 
@@ -271,7 +271,7 @@ def _departs(reading: Reading) -> Finding:
     groups = reading.each(FROM_STRAIGHT, ("projection",))
     ratios = _medians(groups, lambda run: run.outcome.ratio)
     return Finding(
-        _shares(groups, lambda run: run.outcome.ratio <= 0.5),
+        _count_runs(groups, lambda run: run.outcome.ratio <= 0.5),
         _prefixed("median ratio of final to first posture error", ratios),
         f"Median ratio of the final posture error to the first: {_in_words(ratios, '.2g')}.",
     )
@@ -283,11 +283,11 @@ def _is_stranded(run: MeasuredRun) -> bool:
 
 def _cannot_pass(reading: Reading) -> Finding:
     groups = reading.each(ACROSS, ("selection",))
-    there = _values(_shares(groups, arrived))
+    there = _values(_count_runs(groups, arrived))
     nearest = _medians(groups, lambda run: run.steps.nearness.min(initial=1.0))
-    stranded = _values(_shares(groups, _is_stranded))
+    stranded = _values(_count_runs(groups, _is_stranded))
     return Finding(
-        _shares(groups, lambda run: not arrived(run)),
+        _count_runs(groups, lambda run: not arrived(run)),
         _prefixed("median of the smallest nearness on the way [1/rad]", nearest)
         | _prefixed("out of control points", stranded),
         f"It gets there in {_in_words(there)}, and ends for want of control points in {_in_words(stranded)}.",
@@ -366,7 +366,7 @@ def _by_nearness(groups: Mapping[str, Sequence[MeasuredRun]], name: str, quantit
     return classes
 
 
-def _asked(reading: Reading) -> Finding:
+def _bounded_steps(reading: Reading) -> Finding:
     groups = reading.each(SINGULAR, BOTH)
     largest = {name: float(_near(runs, "asked").max(initial=0.0)) for name, runs in groups.items()}
     in_words = "; ".join(f"{name}: {value:.3g} rad" for name, value in largest.items())
@@ -405,11 +405,11 @@ def _smooth(reading: Reading) -> Finding:
     groups = reading.each(SINGULAR, BOTH)
     far = {name: median(_near(runs, "turn", NEAR, np.inf)) for name, runs in groups.items()}
     near = {name: median(_near(runs, "turn")) for name, runs in groups.items()}
-    told = "; ".join(f"{name}: {near[name]:.2f} near, {far[name]:.2f} elsewhere" for name in groups)
+    summary = "; ".join(f"{name}: {near[name]:.2f} near, {far[name]:.2f} elsewhere" for name in groups)
     return Finding(
         {name: share(_near(runs, "turn") <= ABRUPT) for name, runs in groups.items()},
         _prefixed("median change of dq per size, near", near),
-        f"Median change of the joint displacement from step to step, per size: {told}.",
+        f"Median change of the joint displacement from step to step, per size: {summary}.",
         _by_nearness(groups, "turn", "change of dq from step to step, per size")
         + _by_nearness(groups, "change", "share of the active set exchanged from step to step"),
     )
@@ -423,13 +423,13 @@ def _any_step(reading: Reading) -> Finding:
         for method in BOTH
         if (runs := reading.pool.get((scenario, f"{method}, any step"), ()))
     }
-    shares = _shares(groups, arrived)
+    shares = _count_runs(groups, arrived)
     text = f"Of runs without a step limit these arrive: {_in_words(_values(shares))}."
     return Finding(shares, errors_of(groups), text)
 
 
 SINGULAR_MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
-    "stable-near-singular": _asked,
+    "stable-near-singular": _bounded_steps,
     "no-blow-up": _no_blow_up,
     "smooth-near-singular": _smooth,
     "stable-without-step-limit": _any_step,
@@ -466,15 +466,15 @@ def _monotone(method: str, expected: bool) -> Callable[[Reading], Finding]:
     def find(reading: Reading) -> Finding:
         groups = reading.each((*NON_SINGULAR, *SINGULAR), (method,))
         rising = _medians(groups, lambda run: run.descent.rose / max(run.descent.steps, 1))
-        smooth = _values(_shares(groups, lambda run: _largest_rise(run) <= VISIBLE))
-        told = "; ".join(f"{name}: {rising[name]:.0%}, {smooth[name]:.0%}" for name in groups)
+        smooth = _values(_count_runs(groups, lambda run: _largest_rise(run) <= VISIBLE))
+        summary = "; ".join(f"{name}: {rising[name]:.0%}, {smooth[name]:.0%}" for name in groups)
         return Finding(
-            _shares(groups, lambda run: (run.descent.rose == 0) is expected),
+            _count_runs(groups, lambda run: (run.descent.rose == 0) is expected),
             _prefixed("median share of rising steps", rising)
             | _prefixed("runs without a visible rise", smooth),
             "Median share of the steps of a run on which the posture error rises, and share of the runs in "
             "which "
-            f"it never rises by more than 1 % of what it was at first: {told}.",
+            f"it never rises by more than 1 % of what it was at first: {summary}.",
         )
 
     return find
@@ -520,7 +520,7 @@ def _active_points(reading: Reading) -> Finding:
 
 def _points_rise(reading: Reading) -> Finding:
     groups = reading.each((*NON_SINGULAR, *SINGULAR), ("selection",))
-    return Finding(_shares(groups, lambda run: run.descent.points_rose > 0), {}, "")
+    return Finding(_count_runs(groups, lambda run: run.descent.points_rose > 0), {}, "")
 
 
 def _predictability(groups: Mapping[str, Sequence[MeasuredRun]]) -> dict[str, float]:
@@ -538,13 +538,13 @@ def _predictable(method: str, expected: bool) -> Callable[[Reading], Finding]:
             name: [run for run in runs if run.separation is not None]
             for name, runs in reading.each(TWINS, (method,)).items()
         }
-        told = "; ".join(
+        summary = "; ".join(
             f"{name}: direct in {share(run.path_length_ratio <= DIRECT for run in runs).value:.0%}, "
             f"insensitive to the nudge in {share((run.separation or 0.0) <= CALM for run in runs).value:.0%}"
             for name, runs in groups.items()
         )
-        shares = _shares(groups, lambda run: predictable(run) is expected)
-        return Finding(shares, _predictability(groups), f"{told[:1].upper()}{told[1:]}.")
+        shares = _count_runs(groups, lambda run: predictable(run) is expected)
+        return Finding(shares, _predictability(groups), f"{summary[:1].upper()}{summary[1:]}.")
 
     return find
 
@@ -617,20 +617,20 @@ def _runs_out(reading: Reading) -> Finding:
     for name, runs in groups.items():
         figures[f"median points at first: {name}"] = median([run.outcome.first_points for run in runs])
         figures[f"median points at last: {name}"] = median([run.outcome.last_points for run in runs])
-    told = _in_words(figures, "g")
+    summary = _in_words(figures, "g")
     return Finding(
-        _shares(
+        _count_runs(
             groups,
             lambda run: _is_stranded(run) or run.outcome.last_points <= run.outcome.first_points / 2,
         ),
         figures,
-        f"{told[:1].upper()}{told[1:]}.",
+        f"{summary[:1].upper()}{summary[1:]}.",
     )
 
 
 def _stranded(reading: Reading) -> Finding:
     groups = reading.each(SINGULAR, ("selection",))
-    return Finding(_shares(groups, _is_stranded), errors_of(groups), _final_errors(groups))
+    return Finding(_count_runs(groups, _is_stranded), errors_of(groups), _final_errors(groups))
 
 
 def _final_errors(groups: Mapping[str, Sequence[MeasuredRun]]) -> str:
@@ -640,7 +640,7 @@ def _final_errors(groups: Mapping[str, Sequence[MeasuredRun]]) -> str:
 def _keeps(reading: Reading) -> Finding:
     groups = reading.each(SINGULAR, ("projection",))
     return Finding(
-        _shares(groups, lambda run: bool(run.points.min(initial=run.modules) >= 0.5 * run.modules)),
+        _count_runs(groups, lambda run: bool(run.points.min(initial=run.modules) >= 0.5 * run.modules)),
         _mean_points(groups),
         "",
     )
@@ -698,13 +698,13 @@ def _switching_predictable(reading: Reading) -> Finding:
         shares[f"{name}: nudge"] = share(
             a <= max(10.0 * b, CALM) for a, b in both if a is not None and b is not None
         )
-    told = "; ".join(
+    summary = "; ".join(
         f"{name}: {median([a.path_length_ratio for a, _ in runs]):.2f} against "
         f"{median([b.path_length_ratio for _, b in runs]):.2f}"
         for name, runs in pairs.items()
     )
     return Finding(
-        shares, {}, f"Path per direct distance by switching against Selection, the medians: {told}."
+        shares, {}, f"Path per direct distance by switching against Selection, the medians: {summary}."
     )
 
 
@@ -712,7 +712,7 @@ def _mostly_selection(reading: Reading) -> Finding:
     groups = reading.each(SWITCHED, ("switching",))
     parts = _medians(groups, lambda run: run.by_projection)
     return Finding(
-        _shares(groups, lambda run: run.by_projection <= 0.5),
+        _count_runs(groups, lambda run: run.by_projection <= 0.5),
         _prefixed("median share of steps by Projection", parts),
         f"Steps that Projection makes, the median: {_in_words(parts)}.",
     )

@@ -388,7 +388,7 @@ def reproduce(
         InvalidValue: nothing to reproduce, or a number of seeds, steps or processes that makes no sense.
         FileError: a file cannot be written.
     """
-    numbers, with_claims = _asked(names)
+    numbers, with_claims = _select_experiments(names)
     for name, value in (("seeds", seeds), ("max_steps", max_steps)):
         require_whole(name, value, 1)
     check_jobs(jobs)
@@ -411,7 +411,7 @@ def reproduce(
     return Reproduction(figures, judged, results, files)
 
 
-def _asked(names: Sequence[str]) -> tuple[list[str], bool]:
+def _select_experiments(names: Sequence[str]) -> tuple[list[str], bool]:
     """Numbers of the figures asked for, and whether claims are."""
     if not names:
         raise InvalidValue("names", list(names), f"at least one of {', '.join(NAMES)}")
