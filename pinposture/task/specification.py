@@ -387,7 +387,7 @@ def _for_all(value: object, arm: Arm, allowed: str, turning: str, sliding: str) 
 class ControllerSpec(TableSpec):
     """The controller, by name, with the parameters of "geodesic"."""
 
-    name: Annotated[str, _one_of(*CONTROLLERS)] = "geodesic"
+    name: Annotated[str, BeforeValidator(lambda value: _read_word(value, CONTROLLERS))] = "geodesic"
     joint_weight: Number | None = None
     relative_position_weight: Number | None = None
 
