@@ -24,7 +24,7 @@ from pinposture.cli import (
     track,
     view,
 )
-from pinposture.cli.output import print_error, warnings_as_notes
+from pinposture.cli.output import print_error, verb_examples, warnings_as_notes
 from pinposture.errors import PostureError
 
 INTERRUPTED = 130
@@ -123,14 +123,14 @@ def _study(ctx: typer.Context) -> None:
         typer.echo(ctx.get_help())
 
 
-def _add(name: str, run: Callable[..., None], examples: tuple[str, ...], group: typer.Typer) -> None:
-    group.command(name, cls=verb_with_examples(examples), help=_paragraphs(run.__doc__ or ""))(run)
+def _add(name: str, run: Callable[..., None], group: typer.Typer) -> None:
+    group.command(name, cls=verb_with_examples(verb_examples[run]), help=_paragraphs(run.__doc__ or ""))(run)
 
 
 for module in (generate, inspect, track, reach, batch, run, edit, view, export, simulate, reproduce, compile):
-    _add(module.__name__.rpartition(".")[2], module.run, module.EXAMPLES, app)
-for name, (verb, examples) in studies.VERBS.items():
-    _add(name, verb, examples, study)
+    _add(module.__name__.rpartition(".")[2], module.run, app)
+for name, verb in studies.VERBS.items():
+    _add(name, verb, study)
 app.add_typer(study, name="study")
 
 

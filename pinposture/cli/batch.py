@@ -26,6 +26,7 @@ from pinposture.cli.inputs import (
     PositionMarginOption,
     StepLimitOption,
     TipOption,
+    ToleranceOption,
     UrdfArgument,
     VelocityOption,
     as_configuration,
@@ -35,7 +36,7 @@ from pinposture.cli.inputs import (
     read_limits,
     read_start,
 )
-from pinposture.cli.output import count_progress, end_with, print_facts, print_json, print_note
+from pinposture.cli.output import count_progress, end_with, examples, print_facts, print_json, print_note
 from pinposture.cli.results import BATCH
 from pinposture.cli.targets import (
     MethodOption,
@@ -57,14 +58,12 @@ if TYPE_CHECKING:
     from pinposture.arm import Arm
 
 
-EXAMPLES = (
+@examples(
     "pinposture batch arm.urdf --curve helix --count 5",
     "pinposture batch arm.urdf --curve helix --starts random --count 5 --json",
     "pinposture batch arm.urdf --curve helix --curve line --count 1 -o out/2",
     "pinposture batch arm.urdf --curve line --jobs 2 --ends-only -o out/ends",
 )
-
-
 def run(
     *,
     urdf: UrdfArgument,
@@ -112,13 +111,7 @@ def run(
     steps: Annotated[
         int, typer.Option(help="Number of steps after which a run stops.", rich_help_panel=MOTION)
     ] = 300,
-    tolerance: Annotated[
-        float | None,
-        typer.Option(
-            help="Mean point error at which the arm is there, in metres; else 1e-6 of its length.",
-            rich_help_panel=MOTION,
-        ),
-    ] = None,
+    tolerance: ToleranceOption = None,
     step_limit: StepLimitOption = 0.1,
     velocity: VelocityOption = None,
     acceleration: AccelerationOption = None,

@@ -11,11 +11,10 @@ from typing import Annotated, Any
 
 import typer
 
-from pinposture.cli.output import count_progress, print_facts, print_json, print_warning
-
-EXAMPLES = ("pinposture compile", "pinposture compile --json")
+from pinposture.cli.output import count_progress, examples, print_facts, print_json, print_warning
 
 
+@examples("pinposture compile", "pinposture compile --json")
 def run(
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:

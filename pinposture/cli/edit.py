@@ -14,25 +14,18 @@ from pinposture.cli.inputs import (
     BaseOption,
     LockedOption,
     ModulesOption,
+    NoBrowserOption,
     PackageDirOption,
     TipOption,
     read_arm,
     refuse_given,
 )
-from pinposture.cli.output import print_note
+from pinposture.cli.output import examples, print_note
 from pinposture.errors import FileError, InvalidValue, UnknownName
 
 if TYPE_CHECKING:
     from pinposture.arm import Arm
     from pinposture.task import Task
-
-EXAMPLES = (
-    "pinposture edit",
-    "pinposture edit examples/tasks/keyframes.toml",
-    "pinposture edit RyRz --modules 40 --save-as snake.toml",
-    "pinposture edit arm.urdf --modules 2 --save-as dance.toml",
-    "pinposture edit dance.toml --joint-states measured.jsonl --port 8090",
-)
 
 BLAS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 """How many threads libraries of linear algebra start: one, if nothing else is said. Matrices are small here,
@@ -48,6 +41,13 @@ MODULES = 20
 """Modules of an arm that is made of a template, if nothing else is said."""
 
 
+@examples(
+    "pinposture edit",
+    "pinposture edit examples/tasks/keyframes.toml",
+    "pinposture edit RyRz --modules 40 --save-as snake.toml",
+    "pinposture edit arm.urdf --modules 2 --save-as dance.toml",
+    "pinposture edit dance.toml --joint-states measured.jsonl --port 8090",
+)
 def run(
     *,
     source: Annotated[
@@ -86,9 +86,7 @@ def run(
     port: Annotated[
         int, typer.Option(help="Port to listen at; the next one that is free if it is taken.")
     ] = 8080,
-    no_browser: Annotated[
-        bool, typer.Option("--no-browser", help="Print the address, but open no browser.")
-    ] = False,
+    no_browser: NoBrowserOption = False,
 ) -> None:
     """Edit the postures of an arm in the browser: drag the curve, watch the arm.
 

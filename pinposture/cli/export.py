@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pinposture.cli.inputs import JsonOption
-from pinposture.cli.output import print_facts, print_json, print_note, print_warning
+from pinposture.cli.output import examples, print_facts, print_json, print_note, print_warning
 from pinposture.cli.results import MOTION, RUN, find_kept, load_kept
 from pinposture.errors import FileError
 
@@ -16,13 +16,12 @@ if TYPE_CHECKING:
     from pinposture.motion import Motion, Trajectory
     from pinposture.motion.joint_trajectory import JointTrajectory
 
-EXAMPLES = (
+
+@examples(
     "pinposture export out --dt 0.02 -o out/joints.json",
     "pinposture export out/run.npz --dt 0.02 -o out/joints.csv",
     "pinposture export out --dt 0.02 -o out/joints.npz --json",
 )
-
-
 def run(
     *,
     path: Annotated[

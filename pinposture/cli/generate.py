@@ -8,15 +8,8 @@ from typing import Annotated
 import typer
 
 from pinposture.cli.inputs import ARM, OUTPUT, JsonOption, read_numbers
-from pinposture.cli.output import print_json, print_note, print_table
+from pinposture.cli.output import examples, print_json, print_note, print_table
 from pinposture.errors import InvalidValue
-
-EXAMPLES = (
-    "pinposture generate --list",
-    "pinposture generate RyRz --modules 20 -o arm.urdf",
-    "pinposture generate RyRz --modules 12 --link-lengths 0.03,0.02 -o long.urdf",
-    "pinposture generate Rz --modules 30 | pinposture inspect -",
-)
 
 MOST_MODULES = 10_000
 
@@ -39,6 +32,12 @@ def _print_templates(wanted: bool) -> None:
     raise typer.Exit
 
 
+@examples(
+    "pinposture generate --list",
+    "pinposture generate RyRz --modules 20 -o arm.urdf",
+    "pinposture generate RyRz --modules 12 --link-lengths 0.03,0.02 -o long.urdf",
+    "pinposture generate Rz --modules 30 | pinposture inspect -",
+)
 def run(
     *,
     template: Annotated[

@@ -87,6 +87,16 @@ DegreesOption = Annotated[
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print one JSON object on stdout instead.", rich_help_panel=OUTPUT)
 ]
+NoBrowserOption = Annotated[
+    bool, typer.Option("--no-browser", help="Print the address, but open no browser.")
+]
+ToleranceOption = Annotated[
+    float | None,
+    typer.Option(
+        help="Mean point error at which the arm is there, in metres; else 1e-6 of its length.",
+        rich_help_panel=MOTION,
+    ),
+]
 JobsOption = Annotated[
     int,
     typer.Option(metavar="N", help="Number of processes; -1 for all there can be.", rich_help_panel=MOTION),
@@ -444,6 +454,15 @@ HasteOption = Annotated[
 ]
 
 
+def _controller_named(name: str) -> Controller:
+    """The controller of that name, which may be one of those to compare with."""
+    from pinposture.control import controller_named
+    from pinposture.study import register_baselines
+
+    register_baselines()
+    return controller_named(name)
+
+
 def check_controller(name: str, only_geodesic: Mapping[str, object]) -> None:
     """Refuse a controller that does not exist, or that does not know what is asked of it.
 
@@ -455,11 +474,7 @@ def check_controller(name: str, only_geodesic: Mapping[str, object]) -> None:
         UnknownName: there is no such controller.
         InvalidValue: it is not geodesic, and one of the options is given.
     """
-    from pinposture.control import controller_named
-    from pinposture.study import register_baselines
-
-    register_baselines()
-    controller_named(name)
+    _controller_named(name)
     given = [option for option, value in only_geodesic.items() if value is not None and value is not False]
     if given and name != "geodesic":
         raise InvalidValue("--controller", name, f"'geodesic', which alone knows {', '.join(given)}")
@@ -472,11 +487,9 @@ def build_controller(name: str, joint_weight: float | None, task: ControlTask | 
         UnknownName: there is no such controller.
         InvalidValue: a joint_weight that is not a positive number.
     """
-    from pinposture.control import Geodesic, controller_named
-    from pinposture.study import register_baselines
+    from pinposture.control import Geodesic
 
-    register_baselines()
-    chosen = controller_named(name)
+    chosen = _controller_named(name)
     if not isinstance(chosen, Geodesic):
         return chosen
     tasks = () if task is None else (task,)

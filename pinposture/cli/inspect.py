@@ -22,7 +22,7 @@ from pinposture.cli.inputs import (
     read_curve,
     read_points,
 )
-from pinposture.cli.output import print_facts, print_json, print_note, print_table
+from pinposture.cli.output import examples, print_facts, print_json, print_note, print_table
 from pinposture.cli.results import write_picture
 from pinposture.cli.targets import SceneOption, SelfCollisionOption, describe_scene, print_scene, read_scene
 from pinposture.errors import InvalidValue, UnsupportedModule
@@ -30,7 +30,8 @@ from pinposture.errors import InvalidValue, UnsupportedModule
 if TYPE_CHECKING:
     from pinposture.arm import Arm
 
-EXAMPLES = (
+
+@examples(
     "pinposture inspect arm.urdf",
     "pinposture inspect arm.urdf --plot arm.png",
     "pinposture inspect arm.urdf --plot arm.png --ellipsoids 5,10,20",
@@ -40,8 +41,6 @@ EXAMPLES = (
     "pinposture inspect arm.urdf --self-collision --json",
     "pinposture inspect arm.urdf --curve helix",
 )
-
-
 def run(
     *,
     urdf: UrdfArgument,
@@ -222,7 +221,8 @@ def _describe_following(arm: Arm, curve: str) -> dict[str, Any]:
     from pinposture.placement import resolve_targets
 
     target = resolve_targets(arm, read_curve(curve), incomplete="partial")
-    assert target.curve is not None and target.residual is not None  # it is resolved
+    if target.curve is None or target.residual is None:
+        raise InvalidValue("--curve", curve, "one on which the control points can be placed")
     return {
         "name": curve,
         "placed_by": target.method,

@@ -23,6 +23,20 @@ if TYPE_CHECKING:
 
 # What is printed, and where: data on stdout, everything else on stderr.
 
+verb_examples: dict[Callable[..., None], tuple[str, ...]] = {}
+"""Command lines that the help of each verb shows."""
+
+
+def examples(*lines: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Give a verb command lines that its help shows as examples."""
+
+    def register(run: Callable[..., None]) -> Callable[..., None]:
+        verb_examples[run] = lines
+        return run
+
+    return register
+
+
 UNLIMITED = 10_000
 """Columns of a file or a pipe: enough for any table, none of which must be cut short there."""
 

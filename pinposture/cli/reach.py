@@ -25,7 +25,7 @@ from pinposture.cli.inputs import (
     read_numbers,
     read_start,
 )
-from pinposture.cli.output import end_with, print_json, print_note, print_table
+from pinposture.cli.output import end_with, examples, print_json, print_note, print_table
 from pinposture.cli.results import FILES, keep, write_picture
 from pinposture.cli.targets import SceneOption, SelfCollisionOption, read_scene
 from pinposture.errors import InvalidValue
@@ -37,18 +37,17 @@ if TYPE_CHECKING:
     from pinposture.collision import Scene
     from pinposture.control.reach import ReachedPosture
 
-EXAMPLES = (
+PICTURE = "postures.png"
+"""Name of the picture of all postures in a directory of results."""
+
+
+@examples(
     "pinposture reach arm.urdf --to 0.4,0.1,0.5",
     "pinposture reach arm.urdf --to 0.4,0.1,0.5 --direction 1,0,0",
     "pinposture reach arm.urdf --to 0.4,0.1,0.5 --scene scene.toml --count 3",
     "pinposture reach arm.urdf --to 0.4,0.1,0.5 --start straight -o out",
     "pinposture reach arm.urdf --to 0.4,0.1,0.5 --seed 2 --budget 20 --json",
 )
-
-PICTURE = "postures.png"
-"""Name of the picture of all postures in a directory of results."""
-
-
 def run(
     *,
     urdf: UrdfArgument,

@@ -8,19 +8,18 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pinposture.cli.inputs import MOTION, OUTPUT, JobsOption, JsonOption
-from pinposture.cli.output import count_progress, print_json, print_note, print_table
+from pinposture.cli.output import count_progress, examples, print_json, print_note, print_table
 
 if TYPE_CHECKING:
     from pinposture.study.reproduce import Reproduction
 
-EXAMPLES = (
+
+@examples(
     "pinposture reproduce",
     "pinposture reproduce 6.3 6.4",
     "pinposture reproduce claims --seeds 10",
     "pinposture reproduce all -o out/thesis",
 )
-
-
 def run(
     *,
     figures: Annotated[

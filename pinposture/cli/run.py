@@ -14,7 +14,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pinposture.cli.inputs import OUTPUT, JsonOption
-from pinposture.cli.output import count_progress, end_with, print_facts, print_json, print_note, print_table
+from pinposture.cli.output import (
+    count_progress,
+    end_with,
+    examples,
+    print_facts,
+    print_json,
+    print_note,
+    print_table,
+)
 from pinposture.cli.results import keep_motion, motion_in_words, summarize_motion
 from pinposture.cli.view import show
 from pinposture.errors import PostureError
@@ -136,14 +144,12 @@ def _now() -> str:
     return datetime.now(timezone.utc).astimezone().isoformat(timespec="seconds")
 
 
-EXAMPLES = (
+@examples(
     "pinposture run examples/tasks/keyframes.toml -o out/keyframes",
     "pinposture run examples/tasks/around.toml --json",
     "pinposture run examples/tasks/pipe.toml --check",
     "pinposture run examples/tasks/keyframes.toml -o out/keyframes --view",
 )
-
-
 def run(
     *,
     file: Annotated[Path, typer.Argument(metavar="TASK", help="A task file, .toml or .json.")],

@@ -24,6 +24,7 @@ from pinposture.cli.output import (
     closest_in_words,
     count_progress,
     end_with,
+    examples,
     print_facts,
     print_json,
     print_note,
@@ -40,16 +41,15 @@ if TYPE_CHECKING:
     from pinposture.motion import JointTrajectory, Motion, Trajectory
     from pinposture.sim import Servos, Simulation
 
-EXAMPLES = (
-    "pinposture simulate out --dt 0.02 -o sim",
-    "pinposture simulate out --dt 0.02 --closed --frequency 5 -o sim",
-    "pinposture simulate joints.csv --urdf arm.urdf --no-gravity --json",
-)
-
 SIMULATION, PICTURE = "simulation.npz", "simulation.png"
 SIMULATION_FILES = {"simulation": SIMULATION, "plot": PICTURE}
 
 
+@examples(
+    "pinposture simulate out --dt 0.02 -o sim",
+    "pinposture simulate out --dt 0.02 --closed --frequency 5 -o sim",
+    "pinposture simulate joints.csv --urdf arm.urdf --no-gravity --json",
+)
 def run(
     *,
     path: Annotated[

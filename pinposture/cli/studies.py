@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -25,10 +25,12 @@ from pinposture.cli.inputs import (
     read_numbers,
     refuse_given,
 )
-from pinposture.cli.output import count_progress, print_json, print_note, print_table, print_warning
+from pinposture.cli.output import count_progress, examples, print_json, print_note, print_table, print_warning
 from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from pinposture.study import ArmSurvey, Bin, MethodResult, Record, SceneRow, Spread, Subject, SummaryRow
     from pinposture.study.clutter import ClutterRow
     from pinposture.study.cycles import PostureCycle
@@ -89,6 +91,22 @@ def check_output(directory: Path | None) -> None:
         check_writable(directory)
 
 
+def _keep(
+    directory: Path | None,
+    runs: Sequence[Any],
+    summary: Mapping[str, Any],
+    pictures: Mapping[str, Callable[[Any], Figure]],
+    *columns: tuple[str, ...],
+) -> None:
+    """Write the runs, the summary and the pictures drawn of them into a directory, if one is given."""
+    from pinposture.study.record import keep_study
+
+    if directory is not None:
+        figures = {name: draw(runs) for name, draw in pictures.items()}
+        for file in keep_study(directory, runs, summary, figures, *columns):
+            print_note(f"wrote {file}")
+
+
 def described(row: SummaryRow | Bin | SceneRow) -> dict[str, Any]:
     """A row of a table as data that JSON can hold."""
     return {
@@ -107,13 +125,6 @@ def report_refusals(records: list[Record]) -> None:
 
 
 # `pinposture study arms`: try every arm of a directory, or those of awkward shapes.
-
-ARMS_EXAMPLES = (
-    "pinposture study arms urdf",
-    "pinposture study arms urdf --least-joints 8 --seed 1 --jobs 4",
-    "pinposture study arms urdf --json",
-    "pinposture study arms",
-)
 
 AS_CLOSE = 1.05
 """How much farther from the curve than the reference a placement may be to count as good."""
@@ -138,6 +149,12 @@ _ARMS_COLUMNS = (
 )
 
 
+@examples(
+    "pinposture study arms urdf",
+    "pinposture study arms urdf --least-joints 8 --seed 1 --jobs 4",
+    "pinposture study arms urdf --json",
+    "pinposture study arms",
+)
 def run_arms(
     *,
     directory: Annotated[
@@ -251,13 +268,12 @@ def compressed(sizes: tuple[int, ...]) -> str:
 
 # `pinposture study methods`: the methods side by side, as in Table 1.1 of the thesis, but measured.
 
-METHODS_EXAMPLES = (
+
+@examples(
     "pinposture study methods --seeds 5",
     "pinposture study methods arm.urdf --controllers switching,lm,dls --jobs 2",
     "pinposture study methods --seeds 5 --json",
 )
-
-
 def run_methods(
     *,
     urdf: Annotated[
@@ -329,13 +345,6 @@ def _methods_row(result: MethodResult) -> tuple[Any, ...]:
 
 # `pinposture study postures`: many starts, targets and controllers.
 
-POSTURES_EXAMPLES = (
-    "pinposture study postures --cases 38 --arms ryrz20",
-    "pinposture study postures --controllers switching,lm --families --jobs 2",
-    "pinposture study postures --urdf arm.urdf --cases 20 --json",
-    "pinposture study postures --jobs -1 -o out/postures",
-)
-
 POSTURES_PICTURE = "postures.png"
 
 _POSTURES_COLUMNS = (
@@ -351,6 +360,12 @@ _POSTURES_COLUMNS = (
 )
 
 
+@examples(
+    "pinposture study postures --cases 38 --arms ryrz20",
+    "pinposture study postures --controllers switching,lm --families --jobs 2",
+    "pinposture study postures --urdf arm.urdf --cases 20 --json",
+    "pinposture study postures --jobs -1 -o out/postures",
+)
 def run_postures(
     *,
     arms: ArmsOption = None,
@@ -389,7 +404,7 @@ def run_postures(
     control points relative to the straight ways. A thousand cases with six controllers take some five minutes
     on two processes for each arm.
     """
-    from pinposture.study import keep_study, loaded_subject, study_postures, summarise
+    from pinposture.study import loaded_subject, study_postures, summarise
     from pinposture.study.pictures import draw_postures
     from pinposture.study.postures import COMPARED
 
@@ -415,9 +430,7 @@ def run_postures(
             own = [row for row in rows if row.arm == subject.name]
             print_table((subject.name, "runs", *_POSTURES_COLUMNS), _table(own))
     report_refusals(records)
-    if output is not None:
-        for file in keep_study(output, records, found, {POSTURES_PICTURE: draw_postures(records)}):
-            print_note(f"wrote {file}")
+    _keep(output, records, found, {POSTURES_PICTURE: draw_postures})
 
 
 def _table(rows: list[SummaryRow]) -> list[tuple[str | float | None, ...]]:
@@ -456,16 +469,15 @@ def _spread_cell(spread: Spread | None, form: str) -> str | None:
 
 # `pinposture study headings`: how far some part of the arm must turn, and who can.
 
-HEADINGS_EXAMPLES = (
+HEADINGS_PICTURE = "headings.png"
+
+
+@examples(
     "pinposture study headings --pairs 50 --arms planar45",
     "pinposture study headings --controllers switching,lm --target curve",
     "pinposture study headings --pairs 20 --json",
     "pinposture study headings --jobs -1 -o out/headings",
 )
-
-HEADINGS_PICTURE = "headings.png"
-
-
 def run_headings(
     *,
     arms: ArmsOption = None,
@@ -495,7 +507,7 @@ def run_headings(
     the limits, of all; behind them is the median length of the paths of the control points relative to the
     straight ways, of those that moved and came near. At most 0.1 rad per step and joint, and 400 steps.
     """
-    from pinposture.study import by_heading, keep_study, study_headings
+    from pinposture.study import by_heading, study_headings
     from pinposture.study.pictures import draw_headings
     from pinposture.study.postures import BINS, COMPARED
 
@@ -524,9 +536,7 @@ def run_headings(
             ]
             print_table((subject.name, *(f"{name} rad" for name in BINS)), lines)
     report_refusals(records)
-    if output is not None:
-        for file in keep_study(output, records, found, {HEADINGS_PICTURE: draw_headings(records)}):
-            print_note(f"wrote {file}")
+    _keep(output, records, found, {HEADINGS_PICTURE: draw_headings})
 
 
 def _headings_cell(each: Bin) -> str:
@@ -535,12 +545,6 @@ def _headings_cell(each: Bin) -> str:
 
 
 # `pinposture study scenes`: an arm among obstacles, many times.
-
-SCENES_EXAMPLES = (
-    "pinposture study scenes --scenes post,wall,inside",
-    "pinposture study scenes --seeds 2 --json",
-    "pinposture study scenes --jobs -1 -o out/scenes",
-)
 
 _SCENES_COLUMNS = (
     "scene",
@@ -555,6 +559,11 @@ _SCENES_COLUMNS = (
 )
 
 
+@examples(
+    "pinposture study scenes --scenes post,wall,inside",
+    "pinposture study scenes --seeds 2 --json",
+    "pinposture study scenes --jobs -1 -o out/scenes",
+)
 def run_scenes(
     *,
     scenes: Annotated[
@@ -597,7 +606,6 @@ def run_scenes(
     of steps flagged as an escape, and of the time of a run. Runs that did not do as they should are named
     one by one. All of it takes some ten minutes on two processes.
     """
-    from pinposture.study.record import keep_study
     from pinposture.study.scenes import SITUATIONS, SceneRun, by_scene, study_scenes
 
     check_output(output)
@@ -617,9 +625,7 @@ def run_scenes(
     for each in runs:
         if not each.as_it_should:
             print_warning(f"{each.scene}, seed {each.seed}: {_fault(each)}")
-    if output is not None:
-        for file in keep_study(output, runs, found, {}, SceneRun._fields):
-            print_note(f"wrote {file}")
+    _keep(output, runs, found, {}, SceneRun._fields)
 
 
 def _scenes_line(row: SceneRow) -> tuple[str | float | None, ...]:
@@ -629,16 +635,11 @@ def _scenes_line(row: SceneRow) -> tuple[str | float | None, ...]:
         f"{row.reached} of {row.reachable}",
         f"{row.kept} of {row.runs}",
         f"{1e3 * row.room:.2f}",
-        _spread(row.steps, ".0f"),
-        _spread(row.path, ".2f"),
-        _spread(row.escaping, ".0%"),
-        _spread(row.seconds, ".1f"),
+        _spread_cell(row.steps, ".0f"),
+        _spread_cell(row.path, ".2f"),
+        _spread_cell(row.escaping, ".0%"),
+        _spread_cell(row.seconds, ".1f"),
     )
-
-
-def _spread(spread: Spread, form: str) -> str:
-    """Median (90th percentile)."""
-    return f"{spread.median:{form}} ({spread.high:{form}})"
 
 
 def _fault(run: SceneRun) -> str:
@@ -657,14 +658,13 @@ def _fault(run: SceneRun) -> str:
 
 # `pinposture study clutter`: finding a path among obstacles.
 
-CLUTTER_EXAMPLES = (
-    "pinposture study clutter --kinds hole,shelf --seeds 3",
-    "pinposture study clutter --seeds 50 --jobs -1 -o out/clutter",
-)
-
 _CLUTTER_COLUMNS = ("kind", "planned", "reached", "room [mm]", "planning [s]", "path", "found by")
 
 
+@examples(
+    "pinposture study clutter --kinds hole,shelf --seeds 3",
+    "pinposture study clutter --seeds 50 --jobs -1 -o out/clutter",
+)
 def run_clutter(
     *,
     kinds: Annotated[
@@ -702,7 +702,6 @@ def run_clutter(
     and path length ratio of the plans are median (90th percentile). Problems that were not solved are named.
     """
     from pinposture.study.clutter import KINDS_OF_CLUTTER, ClutterRun, by_kind, study_clutter
-    from pinposture.study.record import keep_study
 
     check_output(output)
     names = list(KINDS_OF_CLUTTER) if kinds is None else split_names("--kinds", kinds)
@@ -718,9 +717,7 @@ def run_clutter(
     for each in runs:
         if not each.reached:
             print_warning(f"{each.kind}, seed {each.seed}: {each.hindrance or each.reason}")
-    if output is not None:
-        for file in keep_study(output, runs, found, {}, ClutterRun._fields):
-            print_note(f"wrote {file}")
+    _keep(output, runs, found, {}, ClutterRun._fields)
 
 
 def _clutter_line(row: ClutterRow) -> tuple[str | float | None, ...]:
@@ -737,13 +734,12 @@ def _clutter_line(row: ClutterRow) -> tuple[str | float | None, ...]:
 
 # `pinposture study cycles`: closed cycles of postures, gone round again and again.
 
-CYCLES_EXAMPLES = (
+
+@examples(
     "pinposture study cycles --arms ryrz20 --cycles 3",
     "pinposture study cycles --rounds 10 --jobs 2",
     "pinposture study cycles --cycles 2 --json",
 )
-
-
 def run_cycles(
     *,
     arms: ArmsOption = None,
@@ -804,15 +800,14 @@ def _cycles_line(cycles: list[PostureCycle]) -> tuple[str | float | None, ...]:
 
 # `pinposture study leader`: how far an arm is from the path of its tip.
 
-LEADER_EXAMPLES = (
+LEADER_PICTURE = "leader.png"
+
+
+@examples(
     "pinposture study leader --arms ryrz --bendings 0.1,0.2,0.5",
     "pinposture study leader --json",
     "pinposture study leader --jobs -1 -o out/leader",
 )
-
-LEADER_PICTURE = "leader.png"
-
-
 def run_leader(
     *,
     arms: Annotated[
@@ -841,7 +836,6 @@ def run_leader(
     """
     from pinposture.study.leader import ARMS, BENDINGS, Following, study_leader
     from pinposture.study.pictures import draw_leader
-    from pinposture.study.record import keep_study
 
     check_output(output)
     names = list(ARMS) if arms is None else split_names("--arms", arms)
@@ -863,25 +857,21 @@ def run_leader(
     for each in found:
         if each.refused:
             print_warning(f"{each.arm}, {each.shape}, {each.method}, {each.bending:g} rad: {each.refused}")
-    if output is not None:
-        for file in keep_study(
-            output, found, summary, {LEADER_PICTURE: draw_leader(found)}, Following._fields
-        ):
-            print_note(f"wrote {file}")
+    _keep(output, found, summary, {LEADER_PICTURE: draw_leader}, Following._fields)
 
 
 def _leader_cell(each: Following) -> str:
     return "-" if each.body is None else f"{each.body:.3f}, points {each.points:.3f}"
 
 
-VERBS: dict[str, tuple[Callable[..., None], tuple[str, ...]]] = {
-    "arms": (run_arms, ARMS_EXAMPLES),
-    "methods": (run_methods, METHODS_EXAMPLES),
-    "postures": (run_postures, POSTURES_EXAMPLES),
-    "headings": (run_headings, HEADINGS_EXAMPLES),
-    "scenes": (run_scenes, SCENES_EXAMPLES),
-    "clutter": (run_clutter, CLUTTER_EXAMPLES),
-    "cycles": (run_cycles, CYCLES_EXAMPLES),
-    "leader": (run_leader, LEADER_EXAMPLES),
+VERBS: dict[str, Callable[..., None]] = {
+    "arms": run_arms,
+    "methods": run_methods,
+    "postures": run_postures,
+    "headings": run_headings,
+    "scenes": run_scenes,
+    "clutter": run_clutter,
+    "cycles": run_cycles,
+    "leader": run_leader,
 }
-"""The verbs by name, in the order of the help, each with examples of its use."""
+"""The verbs by name, in the order of the help."""

@@ -23,6 +23,7 @@ from pinposture.cli.inputs import (
     PositionMarginOption,
     StepLimitOption,
     TipOption,
+    ToleranceOption,
     UrdfArgument,
     VelocityOption,
     build_controller,
@@ -31,7 +32,7 @@ from pinposture.cli.inputs import (
     read_limits,
     read_start,
 )
-from pinposture.cli.output import end_with, print_facts, print_json, print_note, step_progress
+from pinposture.cli.output import end_with, examples, print_facts, print_json, print_note, step_progress
 from pinposture.cli.results import FILES, in_words, keep, summarize
 from pinposture.cli.targets import (
     CurveOption,
@@ -54,7 +55,8 @@ from pinposture.cli.targets import (
 )
 from pinposture.cli.view import show
 
-EXAMPLES = (
+
+@examples(
     "pinposture track arm.urdf --curve helix -o out",
     "pinposture track arm.urdf --curve helix --seed 3 --steps 500 -o out",
     "pinposture track arm.urdf --curve line --controller switching --json",
@@ -67,8 +69,6 @@ EXAMPLES = (
     "pinposture track arm.urdf --curve line --region 1-9 --hold-tip pose",
     "pinposture track arm.urdf --curve curve.csv --partial -o out --view",
 )
-
-
 def run(
     *,
     urdf: UrdfArgument,
@@ -100,13 +100,7 @@ def run(
     steps: Annotated[
         int, typer.Option(help="Number of steps after which to stop.", rich_help_panel=MOTION)
     ] = 300,
-    tolerance: Annotated[
-        float | None,
-        typer.Option(
-            help="Mean point error at which the arm is there, in metres; else 1e-6 of its length.",
-            rich_help_panel=MOTION,
-        ),
-    ] = None,
+    tolerance: ToleranceOption = None,
     step_limit: StepLimitOption = 0.1,
     velocity: VelocityOption = None,
     acceleration: AccelerationOption = None,

@@ -9,22 +9,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pinposture.cli.inputs import read_points
-from pinposture.cli.output import print_note
+from pinposture.cli.inputs import NoBrowserOption, read_points
+from pinposture.cli.output import examples, print_note
 from pinposture.cli.results import MOTION, RUN, find_kept, load_kept, write_animation, write_plot
 from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:
     from pinposture.motion import Motion, Trajectory
 
-EXAMPLES = (
+
+@examples(
     "pinposture view out",
     "pinposture view out/run.npz --no-browser",
     "pinposture view out --ellipsoids 5,10,20",
     "pinposture view out --html motion.html --png motion.png",
 )
-
-
 def run(
     *,
     path: Annotated[
@@ -40,9 +39,7 @@ def run(
     png: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the plot here, and show nothing.")
     ] = None,
-    no_browser: Annotated[
-        bool, typer.Option("--no-browser", help="Print the address, but open no browser.")
-    ] = False,
+    no_browser: NoBrowserOption = False,
     ellipsoids: Annotated[
         str | None,
         typer.Option(

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from pinposture.cli.reproduce import EXAMPLES
+from pinposture.cli.output import verb_examples
+from pinposture.cli.reproduce import run as reproduce_verb
 from pinposture.study import reproduce as package
 from pinposture.study.claims import CLAIMS, FIGURES
 from pinposture.study.reproduce import NAMES
@@ -123,7 +124,7 @@ def test_a_directory_that_is_a_file_is_refused_before_anything_runs(command, tmp
 
 def test_the_examples_are_what_can_be_asked_for(command, asked, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for example in EXAMPLES:
+    for example in verb_examples[reproduce_verb]:
         program, *arguments = shlex.split(example)
         assert program == "pinposture"
         assert command(*arguments).code == 0
