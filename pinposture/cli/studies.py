@@ -49,15 +49,21 @@ ControllersOption = Annotated[
     typer.Option(metavar="NAME,...", help="Controllers to compare.", rich_help_panel=MOTION),
 ]
 SeedOption = Annotated[int, typer.Option("--seed0", metavar="N", help="First seed.", rich_help_panel=MOTION)]
+
+
+def _output_option(help: str) -> Any:
+    return typer.Option("--output", "-o", metavar="DIR", help=help, rich_help_panel=OUTPUT)
+
+
+_ROWS = "Leave a row for each {} (cases.csv)"
 OutputOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--output",
-        "-o",
-        metavar="DIR",
-        help="Leave a row for each run (cases.csv), the summary (summary.json) and a picture here.",
-        rich_help_panel=OUTPUT,
-    ),
+    Path | None, _output_option(f"{_ROWS.format('run')}, the summary (summary.json) and a picture here.")
+]
+RunRowsOption = Annotated[
+    Path | None, _output_option(f"{_ROWS.format('run')} and the summary (summary.json) here.")
+]
+ProblemRowsOption = Annotated[
+    Path | None, _output_option(f"{_ROWS.format('problem')} and the summary (summary.json) here.")
 ]
 
 
@@ -579,16 +585,7 @@ def run_scenes(
     ] = 10,
     seed0: SeedOption = 0,
     jobs: JobsOption = 1,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="DIR",
-            help="Leave a row for each run (cases.csv) and the summary (summary.json) here.",
-            rich_help_panel=OUTPUT,
-        ),
-    ] = None,
+    output: RunRowsOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Drive 20 RyRz modules, 1 m, among obstacles, and say who keeps clear, who gets there, and how.
@@ -680,16 +677,7 @@ def run_clutter(
     ] = 10,
     seed0: SeedOption = 0,
     jobs: JobsOption = 1,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="DIR",
-            help="Leave a row for each problem (cases.csv) and the summary (summary.json) here.",
-            rich_help_panel=OUTPUT,
-        ),
-    ] = None,
+    output: ProblemRowsOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Plan and run with 20 RyRz modules, 1 m, among obstacles that have to be got past.
