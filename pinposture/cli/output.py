@@ -190,20 +190,30 @@ def count_progress(noun: str) -> Iterator[Callable[[int, int], object]]:
     Yields:
         What is to be called with the number of those that are done, and that of all.
     """
+    with _progress_bar("running", f"{noun} {{task.completed}} of {{task.total}}", remaining=True) as update:
+        yield update
+
+
+@contextmanager
+def time_progress() -> Iterator[Callable[[float, float], object]]:
+    """Show on stderr how far a motion is; nothing at all if that is not a terminal."""
+    with _progress_bar("moving", "{task.completed:.1f} s of {task.total:.1f} s") as update:
+        yield update
+
+
+@contextmanager
+def _progress_bar(label: str, text: str, remaining: bool = False) -> Iterator[Callable[..., object]]:
+    """A bar on stderr that appears with its first update, a function of what is done and of all."""
     if not sys.stderr.isatty():
         yield lambda *_: None
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (
-        TextColumn("running"),
-        BarColumn(bar_width=20),
-        TextColumn(f"{noun} {{task.completed}} of {{task.total}}"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("", total=None, visible=False)
+    columns = [TextColumn(label), BarColumn(bar_width=20), TextColumn(text)]
+    more = [TimeRemainingColumn()] if remaining else []
+    with Progress(*columns, *more, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("", total=1.0, visible=False)
         yield lambda done, total: progress.update(task, completed=done, total=total, visible=True)
 
 

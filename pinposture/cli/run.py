@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from datetime import datetime, timezone
 from pathlib import Path
@@ -22,6 +21,7 @@ from pinposture.cli.output import (
     print_json,
     print_note,
     print_table,
+    time_progress,
 )
 from pinposture.cli.results import keep_motion, motion_in_words, summarize_motion
 from pinposture.cli.view import show
@@ -198,7 +198,7 @@ def run(
     with nullcontext() if folder is None else _kept_in(folder):
         with count_progress("posture") as placing:
             reference = task.reference(placing)
-        with _time_progress() as moving:
+        with time_progress() as moving:
             motion = task.perform(reference, moving)
         files = {} if output is None else keep_motion(motion, output, task.formats)
         if folder is not None:
@@ -253,22 +253,3 @@ def _kept_in(folder: Folder) -> Iterator[None]:
     except PostureError as error:
         folder.fail(str(error))
         raise
-
-
-@contextmanager
-def _time_progress() -> Iterator[Callable[[float, float], object]]:
-    """Show on stderr how far a motion is; nothing at all if that is not a terminal."""
-    if not sys.stderr.isatty():
-        yield lambda *_: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn
-
-    columns = (
-        TextColumn("moving"),
-        BarColumn(bar_width=20),
-        TextColumn("{task.completed:.1f} s of {task.total:.1f} s"),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        bar = progress.add_task("", total=1.0, visible=False)
-        yield lambda done, total: progress.update(bar, completed=done, total=total, visible=True)
