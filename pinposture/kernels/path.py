@@ -10,7 +10,7 @@ from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.kinematics import placements
 from pinposture.kernels.time_parameterization import step_box
 
-LIMIT_ROUNDING = 1e-12  # rounding error of a step, in units of each joint
+STEP_ROUNDING = 1e-12  # rounding error of a step, in units of each joint
 MAX_RELAXATION = 1.85  # largest over-relaxation of a waypoint; 1 moves it to its own minimum
 
 WAYPOINT_DAMPING_DOWN, WAYPOINT_DAMPING_UP = 0.1, 30.0
@@ -109,7 +109,7 @@ def step_along(
             break
     inside = True
     for k in range(n):
-        u, slack = columns[k], LIMIT_ROUNDING * units[k]
+        u, slack = columns[k], STEP_ROUNDING * units[k]
         dq[u] = begin[k]
         fits = limits[0, u] - slack <= begin[k] <= limits[1, u] + slack
         inside = inside and fits and abs(begin[k]) <= max_motion * units[k]
@@ -156,7 +156,7 @@ def look_ahead(
         u = columns[k]
         dq[u] = min(max(dq[u], limits[0, u]), limits[1, u])
         reached[u] = positions[u] + dq[u]
-        slack = LIMIT_ROUNDING * units[k]
+        slack = STEP_ROUNDING * units[k]
         at_limit[u] = min(abs(edges[0, u] - reached[u]), abs(edges[1, u] - reached[u])) <= slack
     joint_axes, joint_origins = np.empty((n, 3)), np.empty((n, 3))
     trial, rotations = np.empty((m, 3)), np.empty((m, 3, 3))

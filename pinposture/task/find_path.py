@@ -16,7 +16,7 @@ from pinposture.arm import Arm
 from pinposture.collision import Scene, Sphere
 from pinposture.collision.bodies import bodies_of
 from pinposture.collision.distances import PairDistances, TreeKinematics
-from pinposture.collision.obstacles import solid
+from pinposture.collision.obstacles import solid, solids
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, OutOfReach, ReachError
 from pinposture.placement.curve_placement import arm_axis
@@ -217,7 +217,7 @@ class _FreeSpace:
         for number, kind in enumerate((pin.JointModelPX(), pin.JointModelPY(), pin.JointModelPZ())):
             joint = model.addJoint(joint, kind, pin.SE3.Identity(), f"slide_{number}")
         self._kinematics = TreeKinematics(model)
-        fixed = [solid(each) for each in scene.obstacles.values()]
+        fixed = [piece for each in scene.obstacles.values() for piece in solids(each)]
         ball = solid(Sphere((0.0, 0.0, 0.0), radius))
         self._distances = PairDistances([ball], [joint], fixed, [(0, 1 + k) for k in range(len(fixed))])
         self._empty = not fixed

@@ -160,7 +160,7 @@ MAX_HALVINGS = 6
 """How often a step after which the arm cannot stop clear is moved halfway to braking, before it brakes."""
 
 
-class Samples(NamedTuple):
+class MotionSamples(NamedTuple):
     """Places on straight motions at which distances are to be sampled.
 
     Attributes:
@@ -172,7 +172,7 @@ class Samples(NamedTuple):
     places: Array
 
 
-def sample_motion(arm: Arm, positions: Array, path: Array) -> Samples:
+def sample_motion(arm: Arm, positions: Array, path: Array) -> MotionSamples:
     """Return places on straight motions at which distances are to be sampled.
 
     Args:
@@ -188,7 +188,9 @@ def sample_motion(arm: Arm, positions: Array, path: Array) -> Samples:
     shares = [by_halves(max(ceil(count), 1)) for count in counts]
     pieces = zip(path[:-1], changes, shares, strict=True)
     offsets = [start + share[:, None] * change for start, change, share in pieces]
-    return Samples(np.concatenate(offsets), np.concatenate([i + share for i, share in enumerate(shares)]))
+    return MotionSamples(
+        np.concatenate(offsets), np.concatenate([i + share for i, share in enumerate(shares)])
+    )
 
 
 @lru_cache(maxsize=256)

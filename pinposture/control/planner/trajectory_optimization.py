@@ -256,7 +256,7 @@ def _bend(objective: Objective, variant: int) -> Array:
 # With penalties: all waypoints move together.
 
 
-class _Rows(NamedTuple):
+class _PenaltyRows(NamedTuple):
     """Rows of penalties, each on a piece i of the path at a share s: row ((1 - s) x_i + s x_{i+1}) = error.
 
     Attributes:
@@ -278,7 +278,7 @@ class _Rows(NamedTuple):
         """Which of them count, (k,)."""
         return ~self.one_sided | (self.errors > 0.0)
 
-    def after(self, steps: Array) -> _Rows:
+    def after(self, steps: Array) -> _PenaltyRows:
         """Return the rows as they would be after steps of all waypoints, (N + 1, n), if they were linear."""
         steps = (1.0 - self.shares)[:, None] * steps[self.pieces] + self.shares[:, None] * steps[
             self.pieces + 1
@@ -299,7 +299,7 @@ class _Iterate(NamedTuple):
 
     x: Array
     points: Array
-    rows: _Rows
+    rows: _PenaltyRows
     clear: NDArray[np.bool_]
     energy: float
 
@@ -377,11 +377,13 @@ class _PathRelaxation:
         if self._penalties.avoidance is not None:
             rows, clear = self._clearance_rows(self._penalties.avoidance, offsets)
             parts.append(rows)
-        rows = _Rows(*(np.ascontiguousarray(np.concatenate(each)) for each in zip(*parts, strict=True)))
+        rows = _PenaltyRows(
+            *(np.ascontiguousarray(np.concatenate(each)) for each in zip(*parts, strict=True))
+        )
         energy += float((rows.errors[rows.active] ** 2).sum())
         return _Iterate(x, points, rows, clear, energy)
 
-    def _task_rows(self, offsets: Array) -> _Rows:
+    def _task_rows(self, offsets: Array) -> _PenaltyRows:
         """Return the rows of tasks at the waypoints between the ends."""
         arm, tasks, last = self._objective.arm, self._penalties.tasks, len(offsets) - 1
         found = (
@@ -394,7 +396,7 @@ class _PathRelaxation:
         )
         counts = [len(each.errors) for each in found]
         n = len(self._objective.columns)
-        return _Rows(
+        return _PenaltyRows(
             matrix=np.concatenate([each.matrix for each in found] or [np.zeros((0, n))]),
             errors=np.concatenate([each.errors for each in found] or [np.zeros(0)]),
             pieces=np.repeat(np.arange(1, len(found) + 1), counts),
@@ -402,14 +404,14 @@ class _PathRelaxation:
             one_sided=np.zeros(sum(counts), dtype=np.bool_),
         )
 
-    def _clearance_rows(self, avoidance: Avoidance, offsets: Array) -> tuple[_Rows, NDArray[np.bool_]]:
+    def _clearance_rows(self, avoidance: Avoidance, offsets: Array) -> tuple[_PenaltyRows, NDArray[np.bool_]]:
         """Return the rows of clearance at places between the ends, and which pieces are clear."""
         pieces, count = len(offsets) - 1, CLEARANCE_SAMPLES
         places = np.arange(1, pieces * count)
         piece, share = places // count, (places % count) / count
         sampled = (1.0 - share)[:, None] * offsets[piece] + share[:, None] * offsets[piece + 1]
         found, root = avoidance.clearance_rows(self._start, sampled), self._penalties.clearance_root
-        rows = _Rows(
+        rows = _PenaltyRows(
             matrix=root / sqrt(count) * found.matrix,
             errors=root / sqrt(count) * found.errors,
             pieces=piece[found.samples],
