@@ -27,6 +27,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import pinposture as pp
+from pinposture.study.clutter import KINDS_OF_CLUTTER, run_problem
+from pinposture.study.pictures import draw_clutter
+from pinposture.study.scenes import situation_arm
 from pinposture.task.reference import Reference
 from pinposture.viz import palette
 from pinposture.viz.axes import format_time_axes
@@ -210,6 +213,14 @@ def scene() -> Figure:
     return figure
 
 
+def clutter() -> Figure:
+    """A problem of each kind of `pinposture study clutter`, and the run that solves it."""
+    arm = situation_arm()
+    figure = draw_clutter({kind: run_problem(arm, kind, 0) for kind in KINDS_OF_CLUTTER})
+    figure.set_size_inches(9.0, 9.4)
+    return figure
+
+
 def between() -> Figure:
     """What lies between two keyframes: the curve bends, and keeps its length."""
     line = pp.Curve.line((0, 0, 0), (1, 0, 0))
@@ -230,7 +241,7 @@ def between() -> Figure:
 
 CONCEPTS: dict[str, Callable[[], Figure]] = {
     drawing.__name__: drawing
-    for drawing in (modules, target, ellipsoids, active, direct, limits, scene, between)
+    for drawing in (modules, target, ellipsoids, active, direct, limits, scene, clutter, between)
 }
 """The pictures that are drawn here."""
 

@@ -63,7 +63,11 @@ RunRowsOption = Annotated[
     Path | None, _output_option(f"{_ROWS.format('run')} and the summary (summary.json) here.")
 ]
 ProblemRowsOption = Annotated[
-    Path | None, _output_option(f"{_ROWS.format('problem')} and the summary (summary.json) here.")
+    Path | None,
+    _output_option(
+        f"{_ROWS.format('problem')}, the summary (summary.json), a picture and animations of the first "
+        "problems here."
+    ),
 ]
 
 
@@ -668,7 +672,7 @@ def run_clutter(
         str | None,
         typer.Option(
             metavar="NAME,...",
-            help="Some of: balls,posts,hole,two-walls,shelf,corner; else all.",
+            help="Some of: balls,posts,hole,two-walls,shelf,corner,pipe,machine,coil; else all.",
             rich_help_panel=MOTION,
         ),
     ] = None,
@@ -683,13 +687,17 @@ def run_clutter(
     """Plan and run with 20 RyRz modules, 1 m, among obstacles that have to be got past.
 
     40 balls; 30 posts; a hole of 15 cm in a wall; two walls with offset holes; a shelf with 16 bays; a narrow
-    corner. Start and goal are drawn until they are clear, by code that plans nothing. A third of the starts
-    are inside of the hole.
+    corner; a pipe with two bends; a scanned machine with a hole in front; the arm itself, coiled. Start and
+    goal are drawn until they are clear, by code that plans nothing. A third of the starts are inside of the
+    hole, the pipe or the machine.
 
     Room is the smallest distance in the runs that got there, every 0.01 rad, minus the margin. Planning time
     and path length ratio of the plans are median (90th percentile). Problems that were not solved are named.
     """
-    from pinposture.study.clutter import KINDS_OF_CLUTTER, ClutterRun, by_kind, study_clutter
+    from pinposture.study.clutter import KINDS_OF_CLUTTER, ClutterRun, by_kind, run_problem, study_clutter
+    from pinposture.study.pictures import draw_clutter
+    from pinposture.study.scenes import situation_arm
+    from pinposture.viz import save_html
 
     check_output(output)
     names = list(KINDS_OF_CLUTTER) if kinds is None else split_names("--kinds", kinds)
@@ -705,7 +713,15 @@ def run_clutter(
     for each in runs:
         if not each.reached:
             print_warning(f"{each.kind}, seed {each.seed}: {each.hindrance or each.reason}")
-    _keep(output, runs, found, {}, ClutterRun._fields)
+    if output is not None:
+        arm = situation_arm()
+        shown = {name: run_problem(arm, name, seed0) for name in names}
+        _keep(output, runs, found, {CLUTTER_PICTURE: lambda _: draw_clutter(shown)}, ClutterRun._fields)
+        for name, run in shown.items():
+            print_note(f"wrote {save_html(arm, run, output / f'{name}.html')}")
+
+
+CLUTTER_PICTURE = "clutter.png"
 
 
 def _clutter_line(row: ClutterRow) -> tuple[str | float | None, ...]:

@@ -1,4 +1,4 @@
-"""Finding a path among obstacles: problems of six kinds, drawn at random, and how they are solved."""
+"""Finding a path among obstacles: problems of nine kinds, drawn at random, and how they are solved."""
 
 from __future__ import annotations
 
@@ -15,18 +15,19 @@ import numpy as np
 from joblib import delayed
 from numpy.typing import NDArray
 
-from pinposture._validation import require_whole
+from pinposture._validation import Vector, require_whole
 from pinposture.arm import Arm, smooth_configuration
-from pinposture.collision import Box, Capsule, CollisionModel, Obstacle, Scene, Sphere
+from pinposture.collision import Box, Capsule, CollisionModel, Obstacle, Scan, Scene, Sphere
+from pinposture.collision.pipe import Bend, pipe_axis, pipe_walls
 from pinposture.control import Limits, plan
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, PostureError, PostureWarning, UnknownName
-from pinposture.motion import track
+from pinposture.motion import Trajectory, track
 from pinposture.motion.trajectory import path_length_ratio
 from pinposture.placement import Target, resolve_targets
 from pinposture.study.progress import Progress, collect_results
 from pinposture.study.record import Spread, distinct, one_line
-from pinposture.study.scenes import situation_arm
+from pinposture.study.scenes import coiled, situation_arm
 
 Array = NDArray[np.float64]
 
@@ -39,11 +40,17 @@ SPARE_CLEARANCE = 0.003
 HOLE = 0.15
 """Width of the holes [m]; the arm is 1 m long and 20 mm thick."""
 
+PIPE_BEGINS, PIPE_RADIUS = 0.3, 0.05
+"""Where the pipe begins along x, and its radius [m]."""
+
+POINT_RADIUS = 0.006
+"""Radius of the points of the scanned machine [m]."""
+
 DENSE_TURN = 0.01
 """Joint motion between two places at which a path is judged, in radians."""
 
-MAX_DRAWS, MAX_RUN_STEPS = 5000, 6000
-"""Largest number of draws of a problem, and of steps of a run."""
+MAX_DRAWS, MAX_REACHES, MAX_RUN_STEPS = 5000, 200, 6000
+"""Largest number of draws of a problem, of places in one machine, and of steps of a run."""
 
 RUN_LIMITS = Limits(step=None, velocity=1.0, acceleration=5.0, dt=0.02)
 
@@ -121,6 +128,64 @@ def _corner(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle], Ar
     return walls, smooth_configuration(arm, rng, 1.2), _posture_on(arm, [(0.33, 0.1, 0.0), *beyond])
 
 
+def _pipe(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle], Array | None, Array | None]:
+    """A pipe with two bends, which begins in front of the arm and ends before its tip."""
+    bends = [Bend(0.15, rng.uniform(0.5, 1.1), rng.uniform(0.0, 2.0 * np.pi)) for _ in range(2)]
+    axis = pipe_axis((PIPE_BEGINS + 0.05, 0.08, 1.0), bends)
+    ends = PIPE_BEGINS + 0.13 + 0.15 * sum(bend.angle for bend in bends) + 0.1
+    walls: dict[str, Obstacle] = {**pipe_walls(axis.trimmed(PIPE_BEGINS, ends), PIPE_RADIUS)}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PostureWarning)
+        try:
+            inside = resolve_targets(arm, axis, placement="as_is").q
+        except PostureError:
+            inside = None
+    return walls, *_either_way(rng, smooth_configuration(arm, rng, 1.2), inside)
+
+
+def _machine(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle], Array | None, Array | None]:
+    """A scanned housing with a hole in front and parts inside: a cloud of points on their surfaces."""
+    y, z = rng.uniform(-0.1, 0.1, 2)
+    walls = {
+        "behind": Box((1.0, 0.0, 0.0), (0.02, 0.7, 0.7)),
+        "left": Box((0.7, 0.35, 0.0), (0.6, 0.02, 0.7)),
+        "right": Box((0.7, -0.35, 0.0), (0.6, 0.02, 0.7)),
+        "above": Box((0.7, 0.0, 0.35), (0.6, 0.7, 0.02)),
+        "below": Box((0.7, 0.0, -0.35), (0.6, 0.7, 0.02)),
+        "front left": Box((0.4, 0.5 * (y + 0.5 * HOLE + 0.35), 0.0), (0.02, 0.35 - y - 0.5 * HOLE, 0.7)),
+        "front right": Box((0.4, 0.5 * (y - 0.5 * HOLE - 0.35), 0.0), (0.02, 0.35 + y - 0.5 * HOLE, 0.7)),
+        "front above": Box((0.4, y, 0.5 * (z + 0.5 * HOLE + 0.35)), (0.02, HOLE, 0.35 - z - 0.5 * HOLE)),
+        "front below": Box((0.4, y, 0.5 * (z - 0.5 * HOLE - 0.35)), (0.02, HOLE, 0.35 + z - 0.5 * HOLE)),
+    }
+    parts = {
+        f"part {k}": Box(_triple(rng, (0.5, -0.3, -0.3), (0.9, 0.3, 0.3)), _triple(rng, 0.04, 0.16))
+        for k in range(8)
+    }
+    inside = None
+    scene = Scene(walls | parts, margin=CLUTTER_MARGIN + SPARE_CLEARANCE + POINT_RADIUS)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PostureWarning)
+        model = CollisionModel(arm, scene)
+    for _ in range(MAX_REACHES):
+        towards = _triple(rng, (0.7, -0.25, -0.25), (0.9, 0.25, 0.25))
+        inside = _posture_on(arm, [(0.3, 0.8 * y, 0.8 * z), (0.4, y, z), towards])
+        if inside is not None and model.minimum(inside).distance >= scene.margin:
+            break
+        inside = None
+    points = np.concatenate([_on_surface(box) for box in scene.obstacles.values() if isinstance(box, Box)])
+    scan: dict[str, Obstacle] = {"machine": Scan(points, point_radius=POINT_RADIUS)}
+    return scan, *_either_way(rng, smooth_configuration(arm, rng, 1.2), inside)
+
+
+def _coil(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle], Array, Array]:
+    """Nothing but the arm itself: a helix of more than a turn that is to become another one."""
+    starts, goals = (
+        arm.configuration(coiled(rng.uniform(7.0, 9.0), sign * rng.uniform(1.5, 2.5)))
+        for sign in (1.0, rng.choice([-1.0, 1.0]))
+    )
+    return {}, starts, goals
+
+
 KINDS_OF_CLUTTER: Mapping[str, Draw] = MappingProxyType(
     {
         "balls": _balls,
@@ -129,6 +194,9 @@ KINDS_OF_CLUTTER: Mapping[str, Draw] = MappingProxyType(
         "two-walls": _two_walls,
         "shelf": _shelf,
         "corner": _corner,
+        "pipe": _pipe,
+        "machine": _machine,
+        "coil": _coil,
     }
 )
 """How to draw a problem of each kind: obstacles, start and goal; None where the arm cannot take a curve."""
@@ -153,7 +221,7 @@ def draw_problem(arm: Arm, kind: str, seed: int) -> ClutterProblem:
         obstacles, start, goal = KINDS_OF_CLUTTER[kind](arm, rng)
         if start is None or goal is None:
             continue
-        scene = Scene(obstacles, margin=CLUTTER_MARGIN)
+        scene = Scene(obstacles, self_collision=not obstacles, margin=CLUTTER_MARGIN)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PostureWarning)
             model = CollisionModel(arm, scene)
@@ -180,6 +248,25 @@ def _wall(name: str, x: float, y: float, z: float) -> dict[str, Obstacle]:
         f"{name} below": Box((x, y, z - side - 0.5 * wide), (0.02, HOLE, wide)),
         f"{name} above": Box((x, y, z + side + 0.5 * wide), (0.02, HOLE, wide)),
     }
+
+
+def _triple(rng: np.random.Generator, low: float | Vector, high: float | Vector) -> Vector:
+    x, y, z = rng.uniform(low, high, 3).tolist()
+    return x, y, z
+
+
+def _on_surface(box: Box) -> Array:
+    """Return points on the surface of a box, (n, 3), no farther apart than their balls are wide."""
+    half, found = 0.5 * np.array(box.size), []
+    for axis in range(3):
+        others = [k for k in range(3) if k != axis]
+        along = [np.linspace(-half[k], half[k], 2 + int(half[k] / (0.7 * POINT_RADIUS))) for k in others]
+        first, second = (each.ravel() for each in np.meshgrid(*along))
+        for side in (-half[axis], half[axis]):
+            face = np.empty((len(first), 3))
+            face[:, axis], face[:, others[0]], face[:, others[1]] = side, first, second
+            found.append(face)
+    return np.asarray(np.concatenate(found) @ np.array(box.rotation).T + np.array(box.center))
 
 
 def _in_bay(column: int, row: int) -> list[tuple[float, float, float]]:
@@ -250,6 +337,13 @@ def dense_clearance(arm: Arm, scene: Scene, q: Array) -> float:
     return float(least)
 
 
+def run_problem(arm: Arm, kind: str, seed: int) -> Trajectory:
+    """Return the run of a problem."""
+    problem = draw_problem(arm, kind, seed)
+    target = Target.from_configuration(arm, problem.goal)
+    return track(arm, target, problem.start, limits=RUN_LIMITS, scene=problem.scene, max_steps=MAX_RUN_STEPS)
+
+
 def solve_problem(arm: Arm, kind: str, seed: int) -> ClutterRun:
     """Plan for a problem, run it, and judge both."""
     problem = draw_problem(arm, kind, seed)
@@ -258,7 +352,7 @@ def solve_problem(arm: Arm, kind: str, seed: int) -> ClutterRun:
     began = perf_counter()
     path = plan(state, target, problem.scene, RUN_LIMITS)
     took = perf_counter() - began
-    run = track(arm, target, problem.start, limits=RUN_LIMITS, scene=problem.scene, max_steps=MAX_RUN_STEPS)
+    run = run_problem(arm, kind, seed)
     points = np.array([arm.at(q).compiled.points for q in path.configurations])
     return ClutterRun(
         kind=kind,

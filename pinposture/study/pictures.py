@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from pinposture.motion import Trajectory
+
 
 # Studies as pictures: who gets there, and how directly.
 
@@ -274,3 +276,29 @@ def _draw(ax: Axes, found: Sequence[Following], shape: str) -> None:
     ax.spines[["top", "right"]].set_visible(False)
     ax.grid(color=palette.FAINT, lw=0.6)
     ax.legend(fontsize=7, frameon=False, loc="upper left")
+
+
+def draw_clutter(runs: Mapping[str, Trajectory]) -> Figure:
+    """Draw a run among obstacles of each kind, by its name: start, goal and postures between them."""
+    from matplotlib.figure import Figure
+
+    from pinposture.viz.postures import plot_postures
+
+    columns = min(3, len(runs))
+    rows = -(-len(runs) // columns)
+    figure = Figure(figsize=(4.5 * columns, 4.2 * rows + 0.8))
+    figure.subplots_adjust(0.0, 0.8 / (4.2 * rows + 0.8), 0.98, 0.97, 0.0, 0.08)
+    entries: dict[str, Any] = {}
+    for number, (kind, run) in enumerate(runs.items()):
+        ax = figure.add_subplot(rows, columns, number + 1, projection="3d")
+        plot_postures(run, ax)
+        handles, labels = ax.get_legend_handles_labels()
+        entries |= {
+            label: each
+            for label, each in zip(labels, handles, strict=True)
+            if not label.startswith("obstacle")
+        }
+        ax.get_legend().remove()
+        ax.set_title(kind, y=0.98)
+    figure.legend(entries.values(), entries.keys(), loc="lower center", ncols=len(entries), frameon=False)
+    return figure

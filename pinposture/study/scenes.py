@@ -134,7 +134,7 @@ def _bent(y: ArrayLike, z: ArrayLike) -> Array:
     return (positions / MODULES).ravel()
 
 
-def _coil(bend: float, twist: float) -> Array:
+def coiled(bend: float, twist: float) -> Array:
     """A helix, by its bend and the turn of the direction of bending, both per arm length, (40,) [rad]."""
     along = np.linspace(-0.5, 0.5, MODULES)
     return _bent(bend * np.sin(twist * along), bend * np.cos(twist * along))
@@ -178,7 +178,7 @@ def _listed() -> list[Situation]:
             _bent(0.0, 0.7),
             goal_clear=False,
         ),
-        Situation("coil", Scene(self_collision=True, margin=OWN_MARGIN), _coil(8.0, 2.0), _coil(8.0, -2.0)),
+        Situation("coil", Scene(self_collision=True, margin=OWN_MARGIN), coiled(8.0, 2.0), coiled(8.0, -2.0)),
         Situation(
             "out",
             Scene({"ball": Sphere((0.5, 0.06, 0.0), 0.07)}, margin=MARGIN),

@@ -91,7 +91,7 @@ def test_a_scan_beside_the_file_is_kept_clear_of_and_stays_with_the_run(track, c
     about, run = track("--scene", scene)
     assert about["status"] == "converged"
     clearances = [to_ball(state).min() for state in run.points]
-    assert MARGIN - 1e-3 < min(clearances) < 0.05
+    assert MARGIN - 2e-3 < min(clearances) < 0.05
     (tmp_path / "ball.xyz").unlink()
     again = pp.load(tmp_path / "run.npz", pp.Trajectory)
     np.testing.assert_allclose(again.scene.obstacles["seen"].points, points, atol=1e-9)

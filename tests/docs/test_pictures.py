@@ -12,7 +12,9 @@ import pytest
 from PIL import Image
 
 DOCS = Path(__file__).parents[2] / "docs"
-CONCEPTS = ("modules", "target", "ellipsoids", "active", "direct", "limits", "scene", "between")
+CONCEPTS = (
+    *("modules", "target", "ellipsoids", "active", "direct", "limits", "scene", "clutter", "between"),
+)
 
 
 @pytest.fixture(scope="module")

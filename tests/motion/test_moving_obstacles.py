@@ -61,7 +61,7 @@ def test_the_margin_to_a_ball_that_flies_by_is_kept(seed: int, deadline: float) 
     # With a deadline that no step meets, the arm stays where it is, and still makes way.
     tracker.update(pp.Target.from_configuration(arm(), goal if deadline == np.inf else q))
     lowest, before = np.inf, np.zeros(arm().nv)
-    for cycle in range(800):
+    for cycle in range(2500):
         center = origin + cycle * DT * velocity
         moment = scene.moved({"ball": center}, velocities={"ball": velocity})
         dq = tracker.step(q, scene=moment)
@@ -71,6 +71,9 @@ def test_the_margin_to_a_ball_that_flies_by_is_kept(seed: int, deadline: float) 
         halfway, after = q + 0.5 * dq, q + dq
         lowest = min(lowest, gap(halfway, center + 0.5 * DT * velocity), gap(after, center + DT * velocity))
         q, before = after, dq
+        passed = cycle > 800 and np.linalg.norm(center) > 1.2
+        if passed and (deadline < np.inf or tracker.report.status == "converged"):
+            break
     assert lowest >= MARGIN - 2e-4
     if deadline == np.inf:
         assert tracker.report.status == "converged"
