@@ -216,9 +216,7 @@ def scene() -> Figure:
 def clutter() -> Figure:
     """A problem of each kind of `pinposture study clutter`, and the run that solves it."""
     arm = situation_arm()
-    figure = draw_clutter({kind: run_problem(arm, kind, 0) for kind in KINDS_OF_CLUTTER})
-    figure.set_size_inches(9.0, 9.4)
-    return figure
+    return draw_clutter({kind: run_problem(arm, kind, 0) for kind in KINDS_OF_CLUTTER})
 
 
 def between() -> Figure:

@@ -286,8 +286,9 @@ def draw_clutter(runs: Mapping[str, Trajectory]) -> Figure:
 
     columns = min(3, len(runs))
     rows = -(-len(runs) // columns)
-    figure = Figure(figsize=(4.5 * columns, 4.2 * rows + 0.8))
-    figure.subplots_adjust(0.0, 0.8 / (4.2 * rows + 0.8), 0.98, 0.97, 0.0, 0.08)
+    height = 2.7 * rows + 0.7
+    figure = Figure(figsize=(2.9 * columns, height))
+    figure.subplots_adjust(0.0, 0.7 / height, 1.0, 0.97, 0.0, 0.05)
     entries: dict[str, Any] = {}
     for number, (kind, run) in enumerate(runs.items()):
         ax = figure.add_subplot(rows, columns, number + 1, projection="3d")
@@ -299,6 +300,7 @@ def draw_clutter(runs: Mapping[str, Trajectory]) -> Figure:
             if not label.startswith("obstacle")
         }
         ax.get_legend().remove()
-        ax.set_title(kind, y=0.98)
-    figure.legend(entries.values(), entries.keys(), loc="lower center", ncols=len(entries), frameon=False)
+        ax.set_axis_off()
+        ax.set_title(kind, y=0.95)
+    figure.legend(entries.values(), entries.keys(), loc="lower center", ncols=3, frameon=False)
     return figure
