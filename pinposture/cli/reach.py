@@ -110,7 +110,7 @@ def run(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Find postures that bring the tip to a place, clear of the scene, and the ways to them.
+    """Find postures that bring the tip to a place, clear of the scene, and the paths to them.
 
     They are listed the best first. The score is the mean of four shares: the clearance (1 from a twentieth of
     the arm's length on), how far the joint nearest its limit is from it in halves of its range, how far the

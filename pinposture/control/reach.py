@@ -1,4 +1,4 @@
-"""Where the tip should be is given: find clear postures that bring it there, and the way to them."""
+"""Find clear postures that bring the tip to a given place, and the paths to them."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ AMPLE = 0.05
 """Clearance that needs no more, in arm lengths."""
 
 NEAR_LIMIT_SHARE = 0.7
-"""Share of the way from the middle of its range to its limit from which on a joint is drawn back."""
+"""Share of half its range, from the middle, from which on a joint is drawn back."""
 
 MANIPULABILITY_GAIN = 2e-3
 """Joint motion of one iteration along the gradient of the logarithm of the manipulability measure."""
@@ -76,8 +76,8 @@ class ReachedPosture:
     Attributes:
         q: the configuration, (nq,) [rad or m].
         target: the posture as a target, for `plan`, `track` and the rest of the library.
-        path: the way to it from the start; None if no start was given. Its `hindrance` says what it comes
-            too close to, if no clear way was found.
+        path: the path to it from the start; None if no start was given. Its `hindrance` says what it comes
+            too close to, if no clear path was found.
         error: distance of the tip from its goal [m].
         clearance: smallest distance from obstacles, and of the arm from itself if the scene says so [m];
             infinite without a scene.
@@ -114,7 +114,7 @@ def reach(
     tolerance: float | None = None,
     limits: Limits | None = None,
 ) -> tuple[ReachedPosture, ...]:
-    """Find clear postures that bring the tip to a position or a pose, and the ways to them.
+    """Find clear postures that bring the tip to a position or a pose, and the paths to them.
 
     Many postures, that of the start among them, are brought to the goal by damped least squares, first
     without obstacles; those that intrude least are pushed clear, and then use the freedom that is left for
@@ -232,7 +232,7 @@ def _check_orientation(arm: Arm, task: EndEffector, tolerance: float) -> None:
 def _with_path(
     arm: Arm, posture: ReachedPosture, start: Array, scene: Scene | None, limits: Limits, budget: float
 ) -> ReachedPosture:
-    """Return the posture with the way to it, and the ratio of its length and the score that follow."""
+    """Return the posture with the path to it, and the ratio of its length and the score that follow."""
     path = plan(arm.at(start), posture.target, scene, limits, budget=budget)
     units = arm.joint_units
     direct = float(np.linalg.norm(path.offsets[-1] / units))

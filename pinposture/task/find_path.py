@@ -67,11 +67,11 @@ def find_path(
 ) -> Curve:
     """Find a smooth curve to a place through free space, which the arm can follow with its tip ahead.
 
-    A tree of arcs grows from the start in its direction; a way to the goal in it is shortened and replaced by
-    a spline, which is judged as a whole. The curve is farther from all obstacles than the scene's margin, the
+    A tree of arcs grows from the start in its direction. A path to the goal in it is shortened and replaced
+    by a spline, which is judged as a whole. The curve is farther from all obstacles than the scene's margin, the
     radius of the arm and the height of the arcs over its links together, and bends no more than all modules
     can (`Arm.can_follow`), wherever on it they are. It is a search: that it finds nothing is no proof, and
-    the curve is not the shortest. The direction at the goal is free. Behind the start the way of the arm is
+    the curve is not the shortest. The direction at the goal is free. Behind the start the path of the arm is
     not looked at, nor whether the arm comes too near itself.
 
     Args:
@@ -297,9 +297,9 @@ class _ArcTree:
             to_goal = rng.random() < GOAL_SHARE
             aim = self._goal if to_goal else rng.uniform(self._low, self._high)
             aim = self._start + self._plane.T @ (self._plane @ (aim - self._start))
-            ways = aim - places[:count]
-            far = np.maximum((ways**2).sum(axis=1), 1e-18)
-            along = np.einsum("ij,ij->i", ways, tangents[:count])
+            offsets = aim - places[:count]
+            far = np.maximum((offsets**2).sum(axis=1), 1e-18)
+            along = np.einsum("ij,ij->i", offsets, tangents[:count])
             bends = 2.0 * np.sqrt(np.maximum(far - along**2, 0.0)) / far
             behind = np.where(along < 0.0, 2.0, 0.0)
             node = int(np.argmin(np.sqrt(far) * (1.0 + np.maximum(bends / self._bend - 1.0, 0.0) + behind)))
@@ -311,16 +311,16 @@ class _ArcTree:
             count += 1
             last = _arc_to(arc.end, arc.end_tangent, self._goal, self._bend)
             if last is not None and self._is_free(last):
-                way, at = [self._goal], count - 1
+                path, at = [self._goal], count - 1
                 while at >= 0:
-                    way.append(places[at])
+                    path.append(places[at])
                     at = parents[at]
-                if self._arcs(way[::-1]) is not None:  # else lost to rounding, right beside an obstacle
-                    return way[::-1]
+                if self._arcs(path[::-1]) is not None:  # else lost to rounding, right beside an obstacle
+                    return path[::-1]
         return None
 
     def shorten(self, places: list[Array], rng: np.random.Generator, until: float) -> list[Array]:
-        """Leave out places, and move others, as long as that makes the way shorter."""
+        """Leave out places, and move others, as long as that makes the path shorter."""
         best, length = places, self._length(self._arcs(places))
         for _ in range(MAX_SHORTENINGS):
             if len(best) < 3 or perf_counter() >= until:
@@ -370,8 +370,8 @@ class _ArcTree:
         direct = _arc_to(place, tangent, aim, self._bend)
         if direct is not None:
             return direct._replace(length=min(direct.length, self._stride))
-        way = aim - place
-        side = way - tangent * (tangent @ way)
+        offset = aim - place
+        side = offset - tangent * (tangent @ offset)
         size = float(np.linalg.norm(side))
         if size < 1e-12:  # straight behind: any side will do
             across = self._plane - np.outer(self._plane @ tangent, tangent)
@@ -386,12 +386,12 @@ class _ArcTree:
 
 def _arc_to(place: Array, tangent: Array, aim: Array, bend: float) -> _Arc | None:
     """Return the arc from a place in a direction to an aim; None if it bends or turns too much."""
-    way = aim - place
-    distance = float(np.linalg.norm(way))
+    offset = aim - place
+    distance = float(np.linalg.norm(offset))
     if distance < 1e-9:
         return None
-    ahead = float(tangent @ way)
-    side = way - ahead * tangent
+    ahead = float(tangent @ offset)
+    side = offset - ahead * tangent
     aside = float(np.linalg.norm(side))
     angle = float(np.arctan2(aside, ahead))
     curvature = 2.0 * aside / distance**2
