@@ -68,11 +68,11 @@ def find_path(
     """Find a smooth curve to a place through free space, which the arm can follow with its tip ahead.
 
     A tree of arcs grows from the start in its direction. A path to the goal in it is shortened and replaced
-    by a spline, which is judged as a whole. The curve is farther from all obstacles than the scene's margin, the
-    radius of the arm and the height of the arcs over its links together, and bends no more than all modules
-    can (`Arm.can_follow`), wherever on it they are. It is a search: that it finds nothing is no proof, and
-    the curve is not the shortest. The direction at the goal is free. Behind the start the path of the arm is
-    not looked at, nor whether the arm comes too near itself.
+    by a spline, which is judged as a whole. The curve is farther from all obstacles than the scene's margin,
+    the radius of the arm and the height of the arcs over its links together. It bends no more than all
+    modules can (`Arm.can_follow`), wherever on it they are. It is a search: that it finds nothing is no
+    proof, and the curve is not the shortest. The direction at the goal is free. Behind the start the path of
+    the arm is not looked at, nor whether the arm comes too near itself.
 
     Args:
         scene: what to keep clear of.
