@@ -28,10 +28,16 @@ LARGEST = 250_000
 """More than a picture may have [bytes]."""
 
 WATCH = """
-const look = (event) => setTimeout(() => { window.taken = event.defaultPrevented; });
+const look = (event) => {
+    if (!["Shift", "Control", "Alt", "Meta"].includes(event.key))
+        setTimeout(() => { window.taken = event.defaultPrevented; });
+};
 window.addEventListener("keydown", look, true);
 """
-"""Keeps whether the page took the last key, so that the browser did nothing of its own with it."""
+"""Keeps whether the page took the last key, so that the browser did nothing of its own with it.
+
+A modifier held with the key sends an event of its own, which the page never takes.
+"""
 
 
 class Window:
