@@ -78,6 +78,15 @@ class TreeKinematics:
         kernels.place_joints(self.tree, positions, others, *found)
         return found
 
+    def count_movers(self, columns: NDArray[np.intp]) -> Indices:
+        """Return how many of some joints move what each joint of the model carries; see `CollisionModel`."""
+        tree = self.tree
+        own = np.isin(tree.columns, columns) & (tree.kinds < 2)
+        counts = np.zeros(len(tree.parents), dtype=np.int64)
+        for joint in range(1, len(counts)):
+            counts[joint] = counts[tree.parents[joint]] + own[joint]
+        return counts
+
     def positions(self, q: Array, offsets: Array | None) -> tuple[Array, Array]:
         """Return joint positions, (s, nv), and placements of other joints, for kernels; see `place`."""
         offsets = np.zeros((1, self._model.nv)) if offsets is None else offsets
@@ -223,12 +232,18 @@ class Contacts(NamedTuple):
         samples: the configuration of each contact, by its number, (k,); increasing.
         distances: between their surfaces, negative where they overlap, (k,) [m].
         jacobian: derivatives of the distances by the joint displacement, (k, nv) [m/rad or m/m].
+        carrying: the joints that carry both solids, 0 for an obstacle, (k, 2).
+        points: the contacts, (k, 3) [m], world frame.
+        normals: unit vectors from the second solid to the first, (k, 3), world frame.
         minima: the smallest distance at each configuration, or the one given if none is smaller, (s,) [m].
     """
 
     samples: Indices
     distances: Array
     jacobian: Array
+    carrying: Indices
+    points: Array
+    normals: Array
     minima: Array
 
 
@@ -422,11 +437,18 @@ class PairDistances:
         given = kinematics.tree, self._carriers, self._local, self._arrays, positions, others, within
         minima, count, room = np.empty(len(positions)), 0, CONTACTS_PER_SAMPLE * len(positions)
         while True:
-            samples, distances = np.empty(room, dtype=np.int64), np.empty(room)
-            jacobian = np.zeros((room, positions.shape[1]))
-            count = kernels.contacts_along(*given, samples, distances, jacobian, minima)
+            found = Contacts(
+                samples=np.empty(room, dtype=np.int64),
+                distances=np.empty(room),
+                jacobian=np.zeros((room, positions.shape[1])),
+                carrying=np.empty((room, 2), dtype=np.int64),
+                points=np.empty((room, 3)),
+                normals=np.empty((room, 3)),
+                minima=minima,
+            )
+            count = kernels.contacts_along(*given, *found)
             if count <= room:
-                return Contacts(samples[:count], distances[:count], jacobian[:count], minima)
+                return Contacts._make([*(each[:count] for each in found[:-1]), minima])
             room = count
 
     def axes(self, pair: int, placements: Placements, place: Array) -> tuple[Array, Array]:

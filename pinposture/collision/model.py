@@ -437,6 +437,14 @@ class CollisionModel:
         """
         return self._distances.contacts(self._kinematics, q0, offsets, within)
 
+    def count_movers(self, columns: NDArray[np.intp]) -> NDArray[np.int64]:
+        """Return how many of some joints move what each joint of the model carries, (njoints,).
+
+        Args:
+            columns: the joints, by their columns of the Jacobians.
+        """
+        return self._kinematics.count_movers(columns)
+
     def minimum(self, q: ArrayLike) -> Closest:
         """Return the smallest of the distances of all pairs at a configuration.
 

@@ -46,16 +46,15 @@ if TYPE_CHECKING:
     from pinposture.kernels.modules import torus_faces as torus_faces
     from pinposture.kernels.modules import torus_forward as torus_forward
     from pinposture.kernels.modules import torus_inverse as torus_inverse
-    from pinposture.kernels.path import add_path_rows as add_path_rows
     from pinposture.kernels.path import advance as advance
     from pinposture.kernels.path import joint_distance as joint_distance
     from pinposture.kernels.path import look_ahead as look_ahead
-    from pinposture.kernels.path import measure_path_lengths as measure_path_lengths
     from pinposture.kernels.path import position_excess as position_excess
-    from pinposture.kernels.path import relax_waypoints as relax_waypoints
-    from pinposture.kernels.path import solve_tridiagonal as solve_tridiagonal
     from pinposture.kernels.path import step_along as step_along
     from pinposture.kernels.path import sum_point_errors as sum_point_errors
+    from pinposture.kernels.path_relaxation import measure_path_lengths as measure_path_lengths
+    from pinposture.kernels.path_relaxation import relax_waypoints as relax_waypoints
+    from pinposture.kernels.path_relaxation import step_waypoints as step_waypoints
     from pinposture.kernels.posture_matrix import eliminated as eliminated
     from pinposture.kernels.posture_matrix import extreme_value as extreme_value
     from pinposture.kernels.posture_matrix import inverse_norm as inverse_norm
@@ -89,10 +88,8 @@ _KERNELS = {
         "circle_crossings circle_forward circle_inverse neighbours place_modules torus_crossings "
         "torus_faces torus_forward torus_inverse"
     ),
-    "path": (
-        "add_path_rows advance joint_distance look_ahead measure_path_lengths position_excess "
-        "relax_waypoints solve_tridiagonal step_along sum_point_errors"
-    ),
+    "path": "advance joint_distance look_ahead position_excess step_along sum_point_errors",
+    "path_relaxation": "measure_path_lengths relax_waypoints step_waypoints",
     "posture_matrix": "eliminated extreme_value inverse_norm least_change",
     "spline": (
         "expand_spans find_stationary_point measure_length nearest_places parameters_at "

@@ -82,6 +82,52 @@ class Screws(NamedTuple):
     points: Array2
 
 
+class PathProblem(NamedTuple):
+    """The joints that a path is sought for. Displacements are from its start, in units of each joint.
+
+    Attributes:
+        chain: the chain.
+        which: joints that may move, by their index along the chain, (n,).
+        ends: number of those that carry each control point, (m,).
+        units: unit of motion of each of them, (n,).
+        start: joint positions at the start, (nv,).
+        lower: smallest displacement, (n,).
+        upper: largest displacement, (n,).
+        weight: mu^2, of the motion of joints against that of control points [m^2].
+    """
+
+    chain: ChainArrays
+    which: Ints1
+    ends: Ints1
+    units: Array1
+    start: Array1
+    lower: Array1
+    upper: Array1
+    weight: float
+
+
+class PathRows(NamedTuple):
+    """Rows on a path, each of one waypoint: row x_i = error. Those that are contacts say where they are.
+
+    Attributes:
+        matrix: (k, n).
+        errors: (k,) [m].
+        waypoints: the waypoint i, not one of the ends, (k,).
+        one_sided: which of them count only while their error is positive, (k,).
+        carried: number of moving joints of the chain that carry both bodies of a contact, (k, 2); 0: none.
+        points: the contact, (k, 3) [m].
+        directions: its normal, times the root of its weight, (k, 3).
+    """
+
+    matrix: Array2
+    errors: Array1
+    waypoints: Ints1
+    one_sided: Flags1
+    carried: Ints2
+    points: Array2
+    directions: Array2
+
+
 class ScrewChain(NamedTuple):
     """A chain as screws in its neutral posture, each joint assigned to the first point that it can move.
 

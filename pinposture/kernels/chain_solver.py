@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array1, Array2, Bytes1, Flags1, Ints1, PointObjective
+from pinposture.kernels.arrays import Array1, Array2, Array3, Bytes1, Flags1, Ints1, PointObjective
 from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.kinematics import difference
 
@@ -30,13 +30,15 @@ STEP_TO_BOUNDARY = 0.995  # share of the distance to the boundary that one itera
 
 
 @subkernel
-def factor(objective: PointObjective, damping: Array1, held: Flags1, gains: Array2) -> None:
+def factor(objective: PointObjective, damping: Array1, held: Flags1, bodies: Array3, gains: Array2) -> None:
     """Run the pass from the tip to the base, without right-hand sides.
 
     Args:
         objective: points and chords.
         damping: D, (n,), positive.
         held: which joints are held, (n,).
+        bodies: cost of the motion of the body that each joint carries, (n, 6, 6): of the velocity of the
+            first point that it carries, and of its angular velocity. Empty if there is none.
         gains: filled with the gains for `solve_factored`, (n, 11).
     """
     b, ends, points, weights, chords = objective
@@ -59,6 +61,8 @@ def factor(objective: PointObjective, damping: Array1, held: Flags1, gains: Arra
                 P[6 + j, 3 + i] = P[i, 6 + j]
             P[3 + i, 3 + i] += chords[k]
         for u in range(ends[k] - 1, first - 1, -1):
+            if len(bodies):
+                _add_body(P, bodies[u])
             b0, b1, b2, b3, b4, b5 = b[u, 0], b[u, 1], b[u, 2], b[u, 3], b[u, 4], b[u, 5]
             g = gains[u]
             for i in range(3, 9):
@@ -98,6 +102,21 @@ def factor(objective: PointObjective, damping: Array1, held: Flags1, gains: Arra
                     P[i, j] = P[3 + i, 3 + j]
         if k:
             _shift_to_previous(P, turned, points[k], points[k - 1])
+
+
+@subkernel
+def _add_body(P: Array2, body: Array2) -> None:
+    """Add the cost of (v + displacement, w)."""
+    for i in range(6):
+        for j in range(6):
+            P[3 + i, 3 + j] += body[i, j]
+    for i in range(3):
+        for j in range(3):
+            P[i, j] += body[i, j]
+            P[i, 3 + j] += body[i, j]
+            P[3 + i, j] += body[i, j]
+            P[i, 6 + j] += body[i, 3 + j]
+            P[6 + i, j] += body[3 + i, j]
 
 
 @subkernel
@@ -304,6 +323,20 @@ def move_points(b: Array2, ends: Ints1, points: Array2, x: Array1, filled: Array
         filled[k, 0], filled[k, 1], filled[k, 2] = v0, v1, v2
 
 
+@subkernel
+def pull_points(b: Array2, ends: Ints1, points: Array2, forces: Array2, filled: Array1) -> None:
+    """Add the efforts of the joints, (n,), that forces at the points, (m, 3), cause."""
+    f0, f1, f2, t0, t1, t2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(len(ends) - 1, -1, -1):
+        f0, f1, f2 = f0 + forces[k, 0], f1 + forces[k, 1], f2 + forces[k, 2]
+        for u in range(ends[k - 1] if k else 0, ends[k]):
+            linear = b[u, 0] * f0 + b[u, 1] * f1 + b[u, 2] * f2
+            filled[u] += linear + b[u, 3] * t0 + b[u, 4] * t1 + b[u, 5] * t2
+        if k:  # moments about the point before
+            r0, r1, r2 = difference(points, k, k - 1)
+            t0, t1, t2 = t0 + r1 * f2 - r2 * f1, t1 + r2 * f0 - r0 * f2, t2 + r0 * f1 - r1 * f0
+
+
 @compiled
 def measure_point_errors(
     points: Array2, targets: Array2, weights: Array1, chords: Array1, normal: Array1, errors: Array2
@@ -408,6 +441,7 @@ def minimise_in_box(
     """
     n, m = len(objective.screws), len(objective.ends)
     gains, slope, missed = np.empty((n, 11)), np.empty(n), np.empty((m, 6))
+    no_bodies = np.empty((0, 6, 6))
     held, interior = np.empty(n, dtype=np.bool_), np.empty(n)
     solved = 0
     for attempt in range(2):
@@ -418,7 +452,7 @@ def minimise_in_box(
                 any_held = any_held or held[u]
                 if held[u]:
                     x[u] = upper[u] if sides[u] > 0 else lower[u]
-            factor(objective, damping, held, gains)
+            factor(objective, damping, held, no_bodies, gains)
             solve_factored(objective, errors, damping, centre, held, gains, x)
             solved += 1
             if any_held:
@@ -485,6 +519,7 @@ def _interior_point(
     """Fill x with a point near the minimum, by an interior point method, and `sides` with an active set."""
     n, m = len(objective.screws), len(objective.ends)
     slope, missed, held = np.empty(n), np.empty((m, 6)), np.zeros(n, dtype=np.bool_)
+    no_bodies = np.empty((0, 6, 6))
     low, high = np.zeros(n), np.zeros(n)  # multipliers of the sides
     stiff, pulled, trial = np.empty(n), np.empty(n), np.empty(n)
     moves, downs, ups = np.zeros(n), np.zeros(n), np.zeros(n)
@@ -539,7 +574,7 @@ def _interior_point(
                 stiff[u] = damping[u] + p + r
                 pulled[u] = (damping[u] * centre[u] + (p + r) * x[u] + push) / stiff[u]
             if not corrector:
-                factor(objective, stiff, held, gains)
+                factor(objective, stiff, held, no_bodies, gains)
             solve_factored(objective, errors, stiff, pulled, held, gains, trial)
             # The longest step that keeps x within the bounds and the multipliers positive.
             reach = 1.0

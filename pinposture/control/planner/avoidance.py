@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from math import ceil
 from typing import NamedTuple
 
@@ -212,6 +212,9 @@ class ClearanceRows(NamedTuple):
         matrix: (r, n) [m per `Arm.joint_units`], columns as in `Objective.columns`.
         errors: negative for pairs that are far enough, (r,) [m].
         samples: the configuration that each belongs to, by its number, (r,).
+        carried: number of columns that move each of both bodies, (r, 2); 0 for an obstacle.
+        points: where they are closest, (r, 3) [m], world frame.
+        normals: unit vectors from the second to the first, (r, 3), world frame.
         minima: the smallest distance at each configuration; those that are far enough count as infinite
             or as some larger number, (s,) [m].
     """
@@ -219,6 +222,9 @@ class ClearanceRows(NamedTuple):
     matrix: Array
     errors: Array
     samples: NDArray[np.int64]
+    carried: NDArray[np.int64]
+    points: Array
+    normals: Array
     minima: Array
 
 
@@ -344,8 +350,20 @@ class Avoidance:
         """
         wanted = self.margin + PATH_CLEARANCE * self._length
         found = self.clearance.contacts_along(q, offsets, wanted + PATH_SIGHT * self._length)
-        matrix = found.jacobian[:, self.objective.columns] * self.objective.units
-        return ClearanceRows(matrix, wanted - found.distances, found.samples, found.minima)
+        return ClearanceRows(
+            matrix=found.jacobian[:, self.objective.columns] * self.objective.units,
+            errors=wanted - found.distances,
+            samples=found.samples,
+            carried=self._carried[found.carrying],
+            points=found.points,
+            normals=found.normals,
+            minima=found.minima,
+        )
+
+    @cached_property
+    def _carried(self) -> NDArray[np.int64]:
+        """How many columns move what each joint of the model carries, (njoints,)."""
+        return self.clearance.count_movers(self.objective.columns)
 
     def keeps(self, q: Array, path: Array, least: float) -> bool:
         """Whether straight motions keep a distance, if they begin so far away.

@@ -45,7 +45,7 @@ GOAL_TOLERANCE = 1e-8
 """Mean distance of the control points from their targets at which a configuration takes the posture, in arm
 lengths: a run converges at 1e-6 unless told otherwise."""
 
-TASK_ROOT, CLEARANCE_ROOTS = 0.4, (100.0, 30.0)
+TASK_ROOT, CLEARANCE_ROOTS = 0.4, (33.0, 10.0)
 """Roots of the weights of tasks and of clearances on the path, against the motion of control points. Paths
 are searched with a large and a small one in turn: the one pushes out, the other leads round."""
 
@@ -67,7 +67,7 @@ MAX_PATHS = 12
 MAX_DETOUR = 2.0
 """Length of a clear path, relative to the most direct of all, above which a shorter one is searched."""
 
-SEARCHED_ROOT = 30.0
+SEARCHED_ROOT = 10.0
 """Root of the weight of clearance on paths that were searched."""
 
 

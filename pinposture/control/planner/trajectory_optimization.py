@@ -11,16 +11,16 @@ term makes the points go straight, the second keeps joints from turning far for 
 Both ends are fixed. The search begins with joint interpolation, so that joints turn the way that the goal
 configuration means. Waypoints stay within the position limits.
 
-Without penalties one waypoint after the other is relaxed (`kernels.path`), first few and then more, in time
-linear in the number of joints. With penalties, for obstacles or tasks, all waypoints move together: damped
-Gauss-Newton steps that couple neighbours only, as block tridiagonal systems. Clearance counts between
-waypoints too, and pairs count that a step would bring too close. A path that is clear stays clear.
+Without penalties one waypoint after the other is relaxed, first few and then more. With penalties, for
+obstacles or tasks, all waypoints move together, by damped Gauss-Newton steps. Both take time linear in the
+number of joints (`kernels.path_relaxation`). Clearance counts between waypoints too, and pairs count that a
+step would bring too close. A path that is clear stays clear.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from math import inf, sqrt
+from math import inf
 from time import perf_counter
 from typing import NamedTuple
 
@@ -33,6 +33,7 @@ from pinposture.arm import ArmState
 from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.objective import LinearRows, Objective
 from pinposture.control.planner.path import JointPath
+from pinposture.kernels.arrays import PathProblem, PathRows
 
 Array = NDArray[np.float64]
 
@@ -62,8 +63,9 @@ COARSE_TO_FINE, MANY_PIECES = (6, 12, 24), (24, 48, 96)
 """Numbers of straight pieces of a path: first few and then more, which is quick; many from the beginning
 where that made a long detour, because long turns need them."""
 
-GIVEN_PATH_PIECES = (32, 64, 128)
-"""Numbers of pieces into which a given path is divided; more where fewer cut corners that are not clear."""
+PENALIZED_PIECES, GIVEN_PATH_PIECES = 48, (64, 128, 256)
+"""Number of pieces of a path with penalties; and numbers into which a given path is divided, more where fewer
+cut corners that are not clear."""
 
 KEPT_RATIO, GOOD_RATIO, MAX_RATIO = 1.01, 1.1, 2.0
 """Path length ratios of the control points: up to the first, joint interpolation is kept; above the second,
@@ -96,19 +98,13 @@ after which it is given up if the energy is still above a share of the first."""
 MAX_WAYPOINT_STEP = 0.3
 """Largest joint motion of a waypoint in one Gauss-Newton step, in `Arm.joint_units`."""
 
-FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-2, 1e-9, 1e6
+FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-3, 1e-9, 1e6
 """Damping of Gauss-Newton steps at first, at least, and where the search gives up, relative to the mean
 diagonal of J^T J."""
 
 DAMPING_DECREASE, DAMPING_INCREASE = 1.0 / 3.0, 2.0
 """Factors of the damping after a step that lowered the energy, and after one that did not; the latter is
 squared from one failure to the next."""
-
-CLEARANCE_SAMPLES = 3
-"""Number of places on each piece at which clearance counts."""
-
-MAX_SET_CHANGES = 3
-"""How often the set of pairs that a step would bring too close is corrected."""
 
 MAX_HELD_BACK = 8
 """How often waypoints of a step are held back, so that a clear path stays clear, before it is given up."""
@@ -141,8 +137,8 @@ def direct_path(
     found = np.vstack([np.zeros(len(change)), change])
     bend = _bend(objective, variant) * largest
     if penalties is not None:
-        guess = waypoints.interpolate(change, bend, MANY_PIECES[0])
-        found = _PathRelaxation(objective, start, waypoints.within, penalties).run(guess)
+        guess = waypoints.interpolate(change, bend, PENALIZED_PIECES)
+        found = _PathRelaxation(waypoints, penalties).run(guess)
     else:
         shortest = waypoints.length_ratio(found)
         for other in waypoints.relax(change, bend) if shortest > KEPT_RATIO else ():
@@ -171,7 +167,7 @@ def relax_path(
         The path on a smooth curve through its waypoints, and with straight lines between them.
     """
     waypoints = _Waypoints(objective, start, edges)
-    relaxation = _PathRelaxation(objective, start, waypoints.within, penalties)
+    relaxation = _PathRelaxation(waypoints, penalties)
     for pieces in GIVEN_PATH_PIECES:
         x = waypoints.space(offsets, pieces)
         if relaxation.is_clear(x):
@@ -186,20 +182,23 @@ class _Waypoints:
     """Operations on waypoints as displacements from the start, (N + 1, n), in `Arm.joint_units`.
 
     Attributes:
+        objective: the arm, its joints, and their weight.
+        start: configuration that waypoints are displacements from, (nq,).
+        positions: joint positions there, (nv,) [rad or m].
+        weight: mu^2 [m^2].
         within: smallest and largest displacement, 2 x (n,).
     """
 
     def __init__(self, objective: Objective, start: Array, edges: Array) -> None:
-        arm, chain, self._weight = objective.arm, objective.chain, objective.mu**2
-        self._objective = objective
-        self._start = arm.positions(start)
-        lower, upper = ((edge - self._start)[objective.columns] / objective.units for edge in edges)
+        arm, chain, self.weight = objective.arm, objective.chain, objective.mu**2
+        self.objective, self.start, self.positions = objective, start, arm.positions(start)
+        lower, upper = ((edge - self.positions)[objective.columns] / objective.units for edge in edges)
         # From a start outside its limits, the waypoints come back along the path.
         self.within = np.minimum(lower, 0.0), np.maximum(upper, 0.0)
         constants = arm.kinematics.constants
         ends = np.searchsorted(chain.joints, arm.kinematics.ends).astype(np.int64)
-        self._relax_given = (constants, chain.joints, ends, chain.units, self._start, *self.within)
-        self._length_given = (constants, chain.joints, chain.units, self._start)
+        given = constants, chain.joints, ends, chain.units, self.positions, *self.within, self.weight
+        self._problem = PathProblem(*given)
 
     def interpolate(self, change: Array, bend: Array, pieces: int) -> Array:
         """Return joint interpolation, bent to one side."""
@@ -215,8 +214,8 @@ class _Waypoints:
 
     def space(self, offsets: Array, pieces: int) -> Array:
         """Return waypoints on a path, (N + 1, nv), at equal distances in the metric that is minimised."""
-        objective = self._objective
-        places = np.concatenate([[0.0], np.cumsum(objective.measure_pieces(self._start, offsets))])
+        objective = self.objective
+        places = np.concatenate([[0.0], np.cumsum(objective.measure_pieces(self.positions, offsets))])
         wanted, x = np.linspace(0.0, places[-1], pieces + 1), offsets[:, objective.columns] / objective.units
         return self._clip(np.column_stack([np.interp(wanted, places, joint) for joint in x.T]))
 
@@ -226,7 +225,7 @@ class _Waypoints:
         for pieces in COARSE_TO_FINE:
             x = self.refine(x, pieces)
             fall = RELAXED if pieces == COARSE_TO_FINE[-1] else NEARLY_RELAXED
-            kernels.relax_waypoints(*self._relax_given, self._weight, MAX_PASSES, fall, x)
+            kernels.relax_waypoints(self._problem, MAX_PASSES, fall, x)
             if self.length_ratio(x) > MAX_RATIO:
                 break
         else:
@@ -234,12 +233,17 @@ class _Waypoints:
         x = self.interpolate(change, bend, MANY_PIECES[0])
         for pieces in MANY_PIECES:
             x = self.refine(x, pieces)
-            kernels.relax_waypoints(*self._relax_given, self._weight, MAX_PASSES, RELAXED, x)
+            kernels.relax_waypoints(self._problem, MAX_PASSES, RELAXED, x)
             yield x
+
+    def step(self, x: Array, damping: float, rows: PathRows) -> Array | None:
+        """Return a damped Gauss-Newton step of all waypoints, (N + 1, n); None if it is not finite."""
+        steps = np.empty_like(x)
+        return steps if kernels.step_waypoints(self._problem, damping, x, rows, steps) >= 0 else None
 
     def length_ratio(self, x: Array) -> float:
         """Return the path length of the control points, relative to straight lines from start to end."""
-        path, direct = kernels.measure_path_lengths(*self._length_given, x, LENGTH_SAMPLES)
+        path, direct = kernels.measure_path_lengths(self._problem, x, LENGTH_SAMPLES)
         return max(path / direct, 1.0) if direct > 1e-12 * path else 1.0
 
     def _clip(self, x: Array) -> Array:
@@ -256,36 +260,6 @@ def _bend(objective: Objective, variant: int) -> Array:
 # With penalties: all waypoints move together.
 
 
-class _PenaltyRows(NamedTuple):
-    """Rows of penalties, each on a piece i of the path at a share s: row ((1 - s) x_i + s x_{i+1}) = error.
-
-    Attributes:
-        matrix: (k, n).
-        errors: (k,) [m].
-        pieces: the pieces, (k,).
-        shares: the shares, (k,).
-        one_sided: which of them count only while their error is positive, (k,).
-    """
-
-    matrix: Array
-    errors: Array
-    pieces: NDArray[np.int64]
-    shares: Array
-    one_sided: NDArray[np.bool_]
-
-    @property
-    def active(self) -> NDArray[np.bool_]:
-        """Which of them count, (k,)."""
-        return ~self.one_sided | (self.errors > 0.0)
-
-    def after(self, steps: Array) -> _PenaltyRows:
-        """Return the rows as they would be after steps of all waypoints, (N + 1, n), if they were linear."""
-        steps = (1.0 - self.shares)[:, None] * steps[self.pieces] + self.shares[:, None] * steps[
-            self.pieces + 1
-        ]
-        return self._replace(errors=self.errors - np.einsum("ij,ij->i", self.matrix, steps))
-
-
 class _Iterate(NamedTuple):
     """Waypoints with all that belongs to them.
 
@@ -299,7 +273,7 @@ class _Iterate(NamedTuple):
 
     x: Array
     points: Array
-    rows: _PenaltyRows
+    rows: PathRows
     clear: NDArray[np.bool_]
     energy: float
 
@@ -310,18 +284,15 @@ class _PathRelaxation:
     Joints at a limit that the descent would push past it are held there.
 
     Args:
-        objective: the arm, its joints, and their weight.
-        start: configuration that waypoints are displacements from, (nq,).
-        within: smallest and largest displacement, 2 x (n,).
+        waypoints: what is known of the waypoints.
         penalties: what else counts.
     """
 
-    def __init__(
-        self, objective: Objective, start: Array, within: tuple[Array, Array], penalties: Penalties
-    ) -> None:
-        self._objective, self._start, self._penalties = objective, start, penalties
-        self._positions, self._weight = objective.arm.positions(start), objective.mu**2
-        self._lower, self._upper = within
+    def __init__(self, waypoints: _Waypoints, penalties: Penalties) -> None:
+        self._waypoints, self._penalties = waypoints, penalties
+        self._objective, self._start = waypoints.objective, waypoints.start
+        self._positions, self._weight = waypoints.positions, waypoints.weight
+        self._lower, self._upper = waypoints.within
 
     def is_clear(self, x: Array) -> bool:
         """Return whether straight motions between waypoints, (N + 1, n), keep the least distance."""
@@ -377,13 +348,11 @@ class _PathRelaxation:
         if self._penalties.avoidance is not None:
             rows, clear = self._clearance_rows(self._penalties.avoidance, offsets)
             parts.append(rows)
-        rows = _PenaltyRows(
-            *(np.ascontiguousarray(np.concatenate(each)) for each in zip(*parts, strict=True))
-        )
-        energy += float((rows.errors[rows.active] ** 2).sum())
+        rows = PathRows(*(np.ascontiguousarray(np.concatenate(each)) for each in zip(*parts, strict=True)))
+        energy += float((rows.errors[~rows.one_sided | (rows.errors > 0.0)] ** 2).sum())
         return _Iterate(x, points, rows, clear, energy)
 
-    def _task_rows(self, offsets: Array) -> _PenaltyRows:
+    def _task_rows(self, offsets: Array) -> PathRows:
         """Return the rows of tasks at the waypoints between the ends."""
         arm, tasks, last = self._objective.arm, self._penalties.tasks, len(offsets) - 1
         found = (
@@ -395,80 +364,44 @@ class _PathRelaxation:
             ]
         )
         counts = [len(each.errors) for each in found]
-        n = len(self._objective.columns)
-        return _PenaltyRows(
+        n, rows = len(self._objective.columns), sum(counts)
+        return PathRows(
             matrix=np.concatenate([each.matrix for each in found] or [np.zeros((0, n))]),
             errors=np.concatenate([each.errors for each in found] or [np.zeros(0)]),
-            pieces=np.repeat(np.arange(1, len(found) + 1), counts),
-            shares=np.zeros(sum(counts)),
-            one_sided=np.zeros(sum(counts), dtype=np.bool_),
+            waypoints=np.repeat(np.arange(1, len(found) + 1), counts),
+            one_sided=np.zeros(rows, dtype=np.bool_),
+            carried=np.zeros((rows, 2), dtype=np.int64),
+            points=np.zeros((rows, 3)),
+            directions=np.zeros((rows, 3)),
         )
 
-    def _clearance_rows(self, avoidance: Avoidance, offsets: Array) -> tuple[_PenaltyRows, NDArray[np.bool_]]:
-        """Return the rows of clearance at places between the ends, and which pieces are clear."""
-        pieces, count = len(offsets) - 1, CLEARANCE_SAMPLES
-        places = np.arange(1, pieces * count)
-        piece, share = places // count, (places % count) / count
-        sampled = (1.0 - share)[:, None] * offsets[piece] + share[:, None] * offsets[piece + 1]
-        found, root = avoidance.clearance_rows(self._start, sampled), self._penalties.clearance_root
-        rows = _PenaltyRows(
-            matrix=root / sqrt(count) * found.matrix,
-            errors=root / sqrt(count) * found.errors,
-            pieces=piece[found.samples],
-            shares=share[found.samples],
+    def _clearance_rows(self, avoidance: Avoidance, offsets: Array) -> tuple[PathRows, NDArray[np.bool_]]:
+        """Return the rows of clearance at the waypoints between the ends, and which pieces are clear."""
+        found = avoidance.clearance_rows(self._start, offsets[1:-1])
+        root, least = self._penalties.clearance_root, self._penalties.least
+        rows = PathRows(
+            matrix=root * found.matrix,
+            errors=root * found.errors,
+            waypoints=found.samples + 1,
             one_sided=np.ones(len(found.errors), dtype=np.bool_),
+            carried=found.carried,
+            points=found.points,
+            directions=root * found.normals,
         )
-        least, minima = self._penalties.least, np.concatenate([[inf], found.minima, [inf]])
-        lowest = np.minimum.reduceat(minima[:-1], np.arange(0, pieces * count, count))
-        lowest = np.minimum(lowest, minima[count::count])
+        minima = np.concatenate([[inf], found.minima, [inf]])
+        lowest = np.minimum(minima[:-1], minima[1:])
         clear = lowest >= least
-        if clear.all():  # a piece on which all is farther away than the arm moves between samples is clear
-            sampled = np.concatenate([offsets[:1], sampled, offsets[-1:]])
-            points = self._objective.arm.kinematics.points(self._positions + sampled)
+        if clear.all():  # a piece on which all is farther away than the arm moves is clear
+            points = self._objective.arm.kinematics.points(self._positions + offsets)
             moved = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1)
-            moved = moved.reshape(pieces, count).max(axis=1)
             for i in np.flatnonzero(lowest - least < moved):
                 clear[i] = avoidance.keeps(self._start, offsets[i : i + 2], least)
         return rows, clear
 
-    def _jacobians(self, x: Array) -> Array:
-        """Return the Jacobians of the control points of waypoints, (k, r, n)."""
-        arm, columns, units = self._objective.arm, self._objective.columns, self._objective.units
-        kinematics, plane = arm.kinematics, arm.plane
-        found = np.empty((len(x), arm.n_modules * len(plane), len(columns)))
-        for i, positions in enumerate(self._positions + self._objective.displacement(x)):
-            jacobians = kinematics.jacobians(kinematics.forward(positions))[:, :, columns] * units
-            found[i] = (plane @ jacobians).reshape(found.shape[1:])
-        return found
-
     def _step(self, now: _Iterate, damping: float) -> Array | None:
         """Return the damped step of all waypoints between the ends, (N - 1, n); None if it fails."""
-        x, inner = now.x, self._jacobians(now.x[1:-1])
-        n, transposed = x.shape[1], inner.transpose(0, 2, 1)
-        point_changes, joint_changes = np.diff(now.points, axis=0), np.diff(x, axis=0)
-        pull = point_changes[:-1] - point_changes[1:]
-        slope = (transposed @ pull[:, :, None])[:, :, 0]
-        slope = slope + self._weight * (joint_changes[:-1] - joint_changes[1:])
-        own = transposed @ inner
-        typical = float(np.trace(own.sum(axis=0))) / (n * len(own))
-        own = 2.0 * own + (2.0 * self._weight + damping * typical) * np.eye(n)
-        coupling = -(transposed[:-1] @ inner[1:]) - self._weight * np.eye(n)
-        active, steps = now.rows.active, np.zeros_like(x)
-        for _ in range(MAX_SET_CHANGES):
-            diagonal, above, gradient = own.copy(), coupling.copy(), slope.copy()
-            kernels.add_path_rows(*now.rows[:4], active, diagonal, above, gradient)
-            free = ~(
-                ((x[1:-1] >= self._upper) & (gradient < 0.0)) | ((x[1:-1] <= self._lower) & (gradient > 0.0))
-            )
-            if not free.all():
-                diagonal *= free[:, :, None] & free[:, None, :]
-                diagonal[:, np.arange(n), np.arange(n)] += ~free
-                above *= free[:-1, :, None] & free[1:, None, :]
-                gradient = gradient * free
-            if not kernels.solve_tridiagonal(diagonal, above, -gradient, steps[1:-1]):
-                return None
-            before, active = active, now.rows.after(steps).active
-            if np.array_equal(active, before):
-                break
+        steps = self._waypoints.step(now.x, damping, now.rows)
+        if steps is None:
+            return None
         largest = float(np.abs(steps).max())
         return steps[1:-1] * min(1.0, MAX_WAYPOINT_STEP / max(largest, 1e-300))

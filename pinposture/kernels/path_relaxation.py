@@ -1,0 +1,451 @@
+"""Relaxation of paths through joint space to the shortest motion of the control points."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pinposture.kernels.arrays import (
+    Array1,
+    Array2,
+    Array3,
+    Flags1,
+    Flags2,
+    Ints1,
+    PathProblem,
+    PathRows,
+    PointObjective,
+)
+from pinposture.kernels.chain_solver import (
+    factor,
+    find_screws,
+    minimise_in_box,
+    move_points,
+    pull_points,
+    solve_factored,
+    stiffness,
+)
+from pinposture.kernels.compiled import compiled, subkernel
+from pinposture.kernels.kinematics import placements
+
+MAX_RELAXATION = 1.85  # largest over-relaxation of a waypoint; 1 moves it to its own minimum
+
+WAYPOINT_DAMPING_DOWN, WAYPOINT_DAMPING_UP = 0.1, 30.0
+"""Factors of a waypoint's damping after a move that lowered the energy, and after one that did not."""
+
+MIN_WAYPOINT_DAMPING = 3e-6
+"""Smallest damping, relative to the mean squared distance of the control points from the base."""
+
+MAX_WAYPOINT_TRIALS = 6  # number of failed moves after which a waypoint waits for the next pass
+
+MAX_SET_CHANGES = 3  # how often the set of rows that count is corrected in a step of all waypoints
+
+MAX_CONJUGATE_STEPS, CONJUGATE_RESIDUAL = 60, 1e-2
+"""Largest number of conjugate gradient iterations for a step of all waypoints, and the relative residual at
+which they end."""
+
+
+# The energy of a path (see `trajectory_optimization`) couples each waypoint with its two neighbours only.
+# With those fixed, it is smallest where the control points come nearest to the middle between the
+# neighbours', and the joints to the middle of theirs, by weight: least squares along the chain. Solving this
+# for one waypoint after the other, each time going somewhat beyond (successive over-relaxation), the energy
+# never rises, and one pass over all waypoints costs one pass along the arm for each.
+
+
+@compiled
+def relax_waypoints(problem: PathProblem, rounds: int, min_decrease: float, x: Array2) -> float:
+    """Relax the waypoints between two ends.
+
+    Args:
+        problem: the joints.
+        rounds: largest number of passes over all waypoints.
+        min_decrease: relative decrease of the energy in one pass at which to end.
+        x: displacements of waypoints, (N + 1, n); all but the ends are moved.
+
+    Returns:
+        The energy [m^2].
+    """
+    chain, which, own_ends, units, start, lower, upper, weight = problem
+    n, m, last = len(which), len(chain.ends), len(x) - 1
+    # Joint axes and origins of all waypoints, and of the trial waypoint, which is the last.
+    lines = (np.empty((last + 2, len(chain.slides), 3)), np.empty((last + 2, len(chain.slides), 3)))
+    points, errors, rotations = np.empty((last + 2, m, 3)), np.empty((m, 3)), np.empty((m, 3, 3))
+    trial = points[last + 1]
+    positions, b, dx = start.copy(), np.empty((n, 6)), np.empty(n)
+    moved, centre, low, high = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    weights, chords, damping = np.ones(m), np.zeros(m), np.empty(n)
+    sides = np.zeros(n, dtype=np.int8)
+    for i in range(last + 1):
+        _set_positions(start, chain.columns, which, units, x[i], positions)
+        placements(chain, positions, lines[0][i], lines[1][i], points[i], rotations)
+    size = weight
+    for k in range(m):
+        for j in range(3):
+            size += (points[0, k, j] - lines[1][0, 0, j]) ** 2 / m
+    least = MIN_WAYPOINT_DAMPING * size
+    extra, energy = np.full(last + 1, least), 0.0
+    for i in range(last):
+        energy += _segment_energy(points[i], points[i + 1], x[i], x[i + 1], weight)
+    relaxation = min(2.0 / (1.0 + np.sin(np.pi / last)), MAX_RELAXATION)  # optimal for a row of equal springs
+    for number in range(rounds):
+        fall = 0.0
+        for place in range(1, last):
+            i = last - place if number % 2 else place
+            find_screws(which, chain.slides, units, lines[0][i], lines[1][i], own_ends, points[i], b)
+            objective = PointObjective(b, own_ends, points[i], weights, chords)
+            before = _segment_energy(points[i - 1], points[i], x[i - 1], x[i], weight)
+            before += _segment_energy(points[i], points[i + 1], x[i], x[i + 1], weight)
+            for k in range(m):
+                for j in range(3):
+                    errors[k, j] = 0.5 * (points[i - 1, k, j] + points[i + 1, k, j]) - points[i, k, j]
+            for _ in range(MAX_WAYPOINT_TRIALS):
+                for u in range(n):
+                    damping[u] = weight + extra[i]
+                    aside = 0.5 * (x[i - 1, u] + x[i + 1, u]) - x[i, u]
+                    centre[u] = weight * aside / damping[u]
+                    low[u], high[u] = lower[u] - x[i, u], upper[u] - x[i, u]
+                    sides[u] = 0
+                minimise_in_box(objective, errors, damping, centre, low, high, sides, dx)
+                gain = 0.0
+                for share in (relaxation, 1.0):
+                    for u in range(n):
+                        moved[u] = min(max(x[i, u] + share * dx[u], lower[u]), upper[u])
+                    _set_positions(start, chain.columns, which, units, moved, positions)
+                    placements(chain, positions, lines[0][last + 1], lines[1][last + 1], trial, rotations)
+                    after = _segment_energy(points[i - 1], trial, x[i - 1], moved, weight)
+                    after += _segment_energy(trial, points[i + 1], moved, x[i + 1], weight)
+                    gain = before - after
+                    if gain > 0.0:
+                        break
+                if gain > 0.0:
+                    x[i], points[i] = moved, trial
+                    lines[0][i], lines[1][i] = lines[0][last + 1], lines[1][last + 1]
+                    fall += gain
+                    extra[i] = max(extra[i] * WAYPOINT_DAMPING_DOWN, least)
+                    break
+                extra[i] *= WAYPOINT_DAMPING_UP
+        energy -= fall
+        if fall <= min_decrease * energy:
+            break
+    return energy
+
+
+@compiled
+def measure_path_lengths(problem: PathProblem, x: Array2, samples: int) -> tuple[float, float]:
+    """Return the length of the paths of all control points, and the distance between their ends.
+
+    The path is sampled at equal distances between the waypoints `x` (N + 1, n), which are joined by straight
+    lines.
+    """
+    chain, which, start, units = problem.chain, problem.which, problem.start, problem.units
+    n, m, last = len(which), len(chain.ends), len(x) - 1
+    frames = (np.empty((len(chain.slides), 3)), np.empty((len(chain.slides), 3)), np.empty((m, 3, 3)))
+    points, positions, here = np.empty((3, m, 3)), start.copy(), np.empty(n)
+    path, direct = 0.0, 0.0
+    for sample in range(samples + 1):
+        place = last * sample / samples
+        i = min(int(place), last - 1)
+        share = place - i
+        for u in range(n):
+            here[u] = (1.0 - share) * x[i, u] + share * x[i + 1, u]
+        _set_positions(start, chain.columns, which, units, here, positions)
+        at = 1 + sample % 2 if sample else 0
+        placements(chain, positions, frames[0], frames[1], points[at], frames[2])
+        if sample:
+            path += _sum_distances(points[at], points[3 - at if sample > 1 else 0])
+        if sample == samples:
+            direct = _sum_distances(points[at], points[0])
+    return path, direct
+
+
+@subkernel
+def _set_positions(
+    start: Array1, columns: Ints1, which: Ints1, units: Array1, x: Array1, positions: Array1
+) -> None:
+    """Write the joint positions after a displacement."""
+    for u in range(len(which)):
+        j = columns[which[u]]
+        positions[j] = start[j] + x[u] * units[u]
+
+
+@subkernel
+def _segment_energy(one: Array2, other: Array2, x: Array1, y: Array1, weight: float) -> float:
+    """Return the energy of the motion between two neighbours."""
+    points, joints = 0.0, 0.0
+    for k in range(len(one)):
+        for j in range(3):
+            points += (other[k, j] - one[k, j]) ** 2
+    for u in range(len(x)):
+        joints += (y[u] - x[u]) ** 2
+    return points + weight * joints
+
+
+@subkernel
+def _sum_distances(one: Array2, other: Array2) -> float:
+    """Return the sum of the distances between points."""
+    total = 0.0
+    for k in range(len(one)):
+        x, y, z = one[k, 0] - other[k, 0], one[k, 1] - other[k, 1], one[k, 2] - other[k, 2]
+        total += np.sqrt(x * x + y * y + z * z)
+    return total
+
+
+# With further rows, all waypoints move together by damped Gauss-Newton steps. Their normal equations couple
+# neighbours only. Conjugate gradients solve them with products by J and J^T, which are passes along the arm.
+# The preconditioner is a block Cholesky factor, which solves for one waypoint after the other and back: for
+# each, it is least squares along the chain, in which a contact is one more cost of the motion of a body. If
+# J did not change along the path and there were no contacts, the blocks on the diagonal of the factor would
+# be multiples of M = J^T J + mu^2 I, and these are taken. Of two bodies in contact, each counts as if the
+# other stood still.
+
+
+@compiled
+def step_waypoints(problem: PathProblem, damping: float, x: Array2, rows: PathRows, steps: Array2) -> int:
+    """Compute a damped Gauss-Newton step of the waypoints between two ends.
+
+    Joints at a limit that the descent would push past it stay there. Rows on one side count where they are
+    missed, before or after the step.
+
+    Args:
+        problem: the joints.
+        damping: relative to the mean diagonal of J^T J.
+        x: displacements of waypoints, (N + 1, n).
+        rows: what else should hold on the path.
+        steps: filled with the step of each waypoint, (N + 1, n); zero at the ends.
+
+    Returns:
+        Number of iterations; -1 if the step is not finite.
+    """
+    chain, which, own_ends, units, start, lower, upper, weight = problem
+    n, m, last = len(which), len(chain.ends), len(x) - 1
+    axes, origins = np.empty((len(chain.slides), 3)), np.empty((len(chain.slides), 3))
+    points, screws = np.empty((last + 1, m, 3)), np.empty((last + 1, n, 6))
+    rotations, positions = np.empty((m, 3, 3)), start.copy()
+    slope, downhill = np.zeros((last + 1, n)), np.empty((last + 1, n))
+    force, no_chords, typical = np.empty((m, 3)), np.zeros(m), 0.0
+    for i in range(last + 1):
+        _set_positions(start, chain.columns, which, units, x[i], positions)
+        placements(chain, positions, axes, origins, points[i], rotations)
+        find_screws(which, chain.slides, units, axes, origins, own_ends, points[i], screws[i])
+    for i in range(1, last):
+        for k in range(m):
+            for j in range(3):
+                force[k, j] = 2.0 * points[i, k, j] - points[i - 1, k, j] - points[i + 1, k, j]
+        pull_points(screws[i], own_ends, points[i], force, slope[i])
+        for u in range(n):
+            slope[i, u] += weight * (2.0 * x[i, u] - x[i - 1, u] - x[i + 1, u])
+        typical += stiffness(PointObjective(screws[i], own_ends, points[i], np.ones(m), no_chords)) / (
+            last - 1
+        )
+    # Blocks of the factor: stiff[i] M + damping, by d_1 = 2 + damping, d_{i+1} = 2 + damping - 1 / d_i.
+    own, stiff, pivot = damping * typical, np.zeros(last + 1), 2.0 + damping
+    for i in range(1, last):
+        stiff[i] = pivot - damping
+        pivot = 2.0 + damping - 1.0 / pivot
+    active, held = np.empty(len(rows.errors), dtype=np.bool_), np.zeros((last + 1, n), dtype=np.bool_)
+    for row in range(len(active)):
+        active[row] = not rows.one_sided[row] or rows.errors[row] > 0.0
+    order = np.argsort(rows.waypoints, kind="mergesort")
+    owners = rows.waypoints[order]
+    gains, bodies = np.empty((last + 1, n, 11)), np.empty((n, 6, 6))
+    total = 0
+    steps[:] = 0.0
+    for _ in range(MAX_SET_CHANGES):
+        downhill[:] = -slope
+        _add_rows(rows, active, rows.errors, downhill)
+        for i in range(1, last):
+            for u in range(n):
+                above = x[i, u] >= upper[u] and downhill[i, u] > 0.0
+                held[i, u] = above or (x[i, u] <= lower[u] and downhill[i, u] < 0.0)
+                if held[i, u]:
+                    downhill[i, u], steps[i, u] = 0.0, 0.0
+            begin, end = np.searchsorted(owners, i), np.searchsorted(owners, i + 1)
+            _collect_contacts(rows, active, order[begin:end], own_ends, points[i], bodies)
+            objective = PointObjective(screws[i], own_ends, points[i], np.full(m, stiff[i]), no_chords)
+            factor(objective, np.full(n, stiff[i] * weight + own), held[i], bodies, gains[i])
+        total += _solve_by_conjugate_gradients(
+            screws, own_ends, points, rows, active, held, own, weight, stiff, gains, downhill, steps
+        )
+        changed = False
+        for row in range(len(active)):
+            if not np.isfinite(rows.errors[row]):
+                return -1
+            if rows.one_sided[row]:
+                counts = rows.errors[row] > _row_motion(rows, row, steps)
+                changed = changed or counts != active[row]
+                active[row] = counts
+        if not changed:
+            break
+    for i in range(1, last):
+        for u in range(n):
+            if not np.isfinite(steps[i, u]):
+                return -1
+    return total
+
+
+@subkernel
+def _row_motion(rows: PathRows, row: int, steps: Array2) -> float:
+    """Return by how much steps (N + 1, n) move one row."""
+    moved, i = 0.0, rows.waypoints[row]
+    for u in range(steps.shape[1]):
+        moved += rows.matrix[row, u] * steps[i, u]
+    return moved
+
+
+@subkernel
+def _add_rows(rows: PathRows, active: Flags1, factors: Array1, filled: Array2) -> None:
+    """Add rows that count, times factors, to what belongs to their waypoints, (N + 1, n)."""
+    for row in range(len(factors)):
+        if active[row]:
+            for u in range(filled.shape[1]):
+                filled[rows.waypoints[row], u] += factors[row] * rows.matrix[row, u]
+
+
+@subkernel
+def _collect_contacts(
+    rows: PathRows, active: Flags1, own: Ints1, ends: Ints1, points: Array2, bodies: Array3
+) -> None:
+    """Fill in what the contacts of a waypoint, rows `own`, cost when bodies move, (n, 6, 6)."""
+    last, moved = ends[len(ends) - 1], np.empty(6)
+    bodies[:] = 0.0
+    for row in own:
+        for side in range(2):
+            carried = min(rows.carried[row, side], last)
+            if carried == 0 or not active[row]:
+                continue
+            k, f = np.searchsorted(ends, carried), rows.directions[row]
+            x = rows.points[row, 0] - points[k, 0]
+            y = rows.points[row, 1] - points[k, 1]
+            z = rows.points[row, 2] - points[k, 2]
+            moved[0], moved[1], moved[2] = f[0], f[1], f[2]
+            moved[3], moved[4], moved[5] = y * f[2] - z * f[1], z * f[0] - x * f[2], x * f[1] - y * f[0]
+            cost = bodies[carried - 1]
+            for i in range(6):
+                for j in range(6):
+                    cost[i, j] += moved[i] * moved[j]
+
+
+@subkernel
+def _solve_by_conjugate_gradients(
+    screws: Array3,
+    ends: Ints1,
+    points: Array3,
+    rows: PathRows,
+    active: Flags1,
+    held: Flags2,
+    own: float,
+    weight: float,
+    stiff: Array1,
+    gains: Array3,
+    right: Array2,
+    steps: Array2,
+) -> int:
+    """Improve the steps of waypoints, (N + 1, n), until they nearly solve H steps = right."""
+    last, n = len(right) - 1, right.shape[1]
+    residual, product, solved = np.zeros((last + 1, n)), np.zeros((last + 1, n)), np.zeros((last + 1, n))
+    motions, factors = np.zeros((last + 1, len(ends), 3)), np.empty(len(active))
+    given = screws, ends, points
+    _precondition(given, held, own, weight, stiff, gains, right, solved)
+    aim = CONJUGATE_RESIDUAL**2 * _inner(right, solved)
+    _multiply(given, rows, active, held, own, weight, steps, motions, factors, product)
+    for i in range(1, last):
+        for u in range(n):
+            residual[i, u] = right[i, u] - product[i, u]
+    _precondition(given, held, own, weight, stiff, gains, residual, solved)
+    direction, size = solved.copy(), _inner(residual, solved)
+    for number in range(MAX_CONJUGATE_STEPS):
+        if not size > aim:
+            return number
+        _multiply(given, rows, active, held, own, weight, direction, motions, factors, product)
+        length = size / _inner(direction, product)
+        for i in range(1, last):
+            for u in range(n):
+                steps[i, u] += length * direction[i, u]
+                residual[i, u] -= length * product[i, u]
+        _precondition(given, held, own, weight, stiff, gains, residual, solved)
+        before, size = size, _inner(residual, solved)
+        for i in range(1, last):
+            for u in range(n):
+                direction[i, u] = solved[i, u] + size / before * direction[i, u]
+    return MAX_CONJUGATE_STEPS
+
+
+@subkernel
+def _inner(one: Array2, other: Array2) -> float:
+    total = 0.0
+    for i in range(1, len(one) - 1):
+        for u in range(one.shape[1]):
+            total += one[i, u] * other[i, u]
+    return total
+
+
+@subkernel
+def _multiply(
+    given: tuple[Array3, Ints1, Array3],
+    rows: PathRows,
+    active: Flags1,
+    held: Flags2,
+    own: float,
+    weight: float,
+    steps: Array2,
+    motions: Array3,
+    factors: Array1,
+    product: Array2,
+) -> None:
+    """Fill in H steps, (N + 1, n); `motions` (N + 1, m, 3), zero at the ends, and `factors` are scratch."""
+    screws, ends, points = given
+    last, n, force = len(steps) - 1, steps.shape[1], np.empty((len(ends), 3))
+    for i in range(1, last):
+        move_points(screws[i], ends, points[i], steps[i], motions[i])
+    for i in range(1, last):
+        for k in range(len(ends)):
+            for j in range(3):
+                force[k, j] = 2.0 * motions[i, k, j] - motions[i - 1, k, j] - motions[i + 1, k, j]
+        product[i] = 0.0
+        pull_points(screws[i], ends, points[i], force, product[i])
+        for u in range(n):
+            beside = steps[i - 1, u] + steps[i + 1, u]
+            product[i, u] += (2.0 * weight + own) * steps[i, u] - weight * beside
+    for row in range(len(factors)):
+        factors[row] = _row_motion(rows, row, steps) if active[row] else 0.0
+    _add_rows(rows, active, factors, product)
+    for i in range(1, last):
+        for u in range(n):
+            if held[i, u]:
+                product[i, u] = 0.0
+
+
+@subkernel
+def _precondition(
+    given: tuple[Array3, Ints1, Array3],
+    held: Flags2,
+    own: float,
+    weight: float,
+    stiff: Array1,
+    gains: Array3,
+    right: Array2,
+    solved: Array2,
+) -> None:
+    """Solve with the factor for each waypoint after those before it, and then after those behind it."""
+    screws, ends, points = given
+    last, n, m = len(right) - 1, right.shape[1], len(ends)
+    moved, errors, chords = np.zeros((m, 3)), np.empty((m, 3)), np.zeros(m)
+    centre, change = np.empty(n), np.empty(n)
+    for turn in range(2):
+        moved[:] = 0.0
+        for place in range(1, last):
+            i = place if turn == 0 else last - place
+            beside = i - 1 if turn == 0 else i + 1
+            damping = np.full(n, stiff[i] * weight + own)
+            objective = PointObjective(screws[i], ends, points[i], np.full(m, stiff[i]), chords)
+            for u in range(n):
+                coupled = weight * solved[beside, u] if place > 1 else 0.0
+                centre[u] = (coupled + (right[i, u] if turn == 0 else 0.0)) / damping[u]
+                change[u] = 0.0
+            for k in range(m):
+                for j in range(3):
+                    errors[k, j] = moved[k, j] / stiff[i]
+            if turn == 0 or place > 1:
+                solve_factored(objective, errors, damping, centre, held[i], gains[i], change)
+            for u in range(n):
+                solved[i, u] = change[u] if turn == 0 else solved[i, u] + change[u]
+            move_points(screws[i], ends, points[i], solved[i], moved)
