@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from pinposture.kernels.collision import place_axes as place_axes
     from pinposture.kernels.collision import place_joints as place_joints
     from pinposture.kernels.collision import smallest_distance as smallest_distance
+    from pinposture.kernels.constrained_step import minimise_with_rows as minimise_with_rows
     from pinposture.kernels.kinematics import carry_screws as carry_screws
     from pinposture.kernels.kinematics import jacobians as jacobians
     from pinposture.kernels.kinematics import joints_along as joints_along
@@ -80,6 +81,7 @@ _KERNELS = {
         "contacts_along differentiate_distances keeps_distance near_pairs place_axes place_joints "
         "smallest_distance"
     ),
+    "constrained_step": "minimise_with_rows",
     "kinematics": "carry_screws jacobians joints_along motions_along placements trace_points",
     "manipulability": (
         "all_indices base_indices best_branch best_path module_spaces stride_indices weakest_index"

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm import ArmState
 from pinposture.control.limits import StepBox
-from pinposture.control.planner.avoidance import Avoidance, ConstraintRows, Solution, solve
+from pinposture.control.planner.avoidance import Avoidance, ConstraintRows, Solution, solve, solve_posture
 from pinposture.control.planner.objective import ChainSolver, LinearRows, Objective
 from pinposture.control.planner.path import MAX_STEP
 
@@ -97,12 +97,11 @@ def reduce_errors(objective: Objective, bounds: StepBounds, damping: float) -> S
         damping: factor of the damping.
     """
     scale = _error_scale(objective, bounds.state)
-    if not objective.has_tasks and bounds.rows is None:
+    if not objective.has_tasks:
         solver, (errors, squares) = ChainSolver(objective, bounds.state), objective.point_errors(bounds.state)
         least = MIN_DAMPING * max(solver.stiffness(), 1e-12 * objective.arm.length**2)
         weight = damping * DAMPING_SHARE * scale**2 * squares + least
-        x = solver.step(scale * errors, weight, np.zeros(len(bounds.lower)), bounds.lower, bounds.upper)
-        return Solution(x, np.zeros(0, dtype=np.bool_), False)
+        return solve_posture(solver, scale * errors, weight, np.zeros(len(bounds.lower)), *bounds[1:4])
     rows = objective.rows(bounds.state)
     errors = scale * rows.errors
     least = MIN_DAMPING * _mean_diagonal(objective, rows.matrix)

@@ -20,7 +20,7 @@ from pinposture.control.limits import (
     farthest,
     require_limits,
 )
-from pinposture.control.planner.avoidance import Avoidance, Solution
+from pinposture.control.planner.avoidance import Avoidance, Solution, solve_posture
 from pinposture.control.planner.damped_least_squares import (
     CONVERGED,
     DECREASE,
@@ -325,13 +325,14 @@ def step_along(
     hindered = _lags_behind(progress, state) if progress.timed.profile is None and here < place else hindered
     progress = progress.moved_to(place, bounds.travel, hindered)
     step_bounds, wanted = StepBounds.of(objective, state, box, avoidance), objective.normalize(dq)
-    if not objective.has_tasks and step_bounds.rows is None:
-        solver = ChainSolver(objective, state)
-        x = solver.step(solver.covered(wanted), objective.mu**2, wanted, step_bounds.lower, step_bounds.upper)
-        return CandidateStep(objective.displacement(x), progress)
     tasks = objective.task_rows(state, priority=True)
     if inside and tasks is None and _keeps_clear(step_bounds, wanted, dq, avoidance):
         return CandidateStep(dq, progress)
+    if not objective.has_tasks:
+        solver = ChainSolver(objective, state)
+        found = solve_posture(solver, solver.covered(wanted), objective.mu**2, wanted, *step_bounds[1:4])
+        x = np.clip(wanted, step_bounds.lower, step_bounds.upper) if found.x is None else found.x
+        return CandidateStep(objective.displacement(x), progress, found)
     hessian, first = damped_hessian(objective.rows(state).matrix, objective.mu**2), None
     if tasks is not None:
         share = place / path.end

@@ -12,7 +12,7 @@ from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control.controller import Diagnostics, Memory, Step, require_step_arguments
 from pinposture.control.limits import Limits, StepBox, require_limits
-from pinposture.control.planner.avoidance import Avoidance, ClearStep, solve
+from pinposture.control.planner.avoidance import Avoidance, ClearStep, solve_posture
 from pinposture.control.planner.damped_least_squares import StepBounds
 from pinposture.control.planner.follow import (
     GeodesicMemory,
@@ -20,7 +20,7 @@ from pinposture.control.planner.follow import (
     advance,
     fast_step,
 )
-from pinposture.control.planner.objective import Objective, check_objective
+from pinposture.control.planner.objective import ChainSolver, Objective, check_objective
 from pinposture.control.planner.path import TimedPath, retime
 from pinposture.control.planner.plan import find_path, is_small_change, replan
 from pinposture.control.tasks import ControlTask
@@ -287,9 +287,9 @@ class Geodesic:
 
 def _smallest_step(avoidance: Avoidance, bounds: StepBounds) -> ClearStep:
     """Return the smallest step within bounds that keeps or becomes clear."""
-    n = len(bounds.lower)
-    found = solve(np.eye(n), np.zeros(n), bounds.lower, bounds.upper, bounds.rows).x
-    x = np.clip(np.zeros(n), bounds.lower, bounds.upper) if found is None else found
+    solver, rest = ChainSolver(avoidance.objective, bounds.state, weight=0.0), np.zeros(len(bounds.lower))
+    found = solve_posture(solver, solver.covered(rest), 1.0, rest, *bounds[1:4]).x
+    x = np.clip(rest, bounds.lower, bounds.upper) if found is None else found
     return avoidance.clear_step(bounds.state, avoidance.objective.displacement(x))
 
 

@@ -169,20 +169,23 @@ class Objective:
 
     def rows(self, state: ArmState) -> LinearRows:
         """Return the rows that are weighed against each other, scaled so that their squares add up."""
-        indices, (points, chords) = self._indices, self._roots
-        errors = task_errors(state, self.target)[indices]
-        jacobians = state.task_jacobians[indices][:, :, self.columns]
-        n = len(self.columns)
-        blocks = [(points[:, :, None] * jacobians).reshape(-1, n)]
-        wanted = [(points * errors).ravel()]
-        if self.relative_position_weight > 0.0:
-            blocks.append((chords[:, :, None] * (jacobians[1:] - jacobians[:-1])).reshape(-1, n))
-            wanted.append((chords * (errors[1:] - errors[:-1])).ravel())
+        points = self.posture_rows(state, task_errors(state, self.target)[self._indices])
         weighed = self.task_rows(state, priority=False)
-        if weighed is not None:
-            blocks.append(weighed.matrix)
-            wanted.append(weighed.errors)
-        return LinearRows(np.concatenate(blocks), np.concatenate(wanted))
+        if weighed is None:
+            return points
+        return LinearRows(*(np.concatenate(both) for both in zip(points, weighed, strict=True)))
+
+    def posture_rows(self, state: ArmState, errors: Array) -> LinearRows:
+        """Return the rows of points and chords alone, for given errors of the points, (p, dimension) [m]."""
+        jacobians = state.task_jacobians[self._indices][:, :, self.columns]
+        return LinearRows(self._weigh(jacobians).reshape(-1, len(self.columns)), self._weigh(errors).ravel())
+
+    def _weigh(self, values: Array) -> Array:
+        """Return what belongs to points, (p, ...), and to chords, times the roots of their weights."""
+        points, chords = (root.reshape(-1, *[1] * (values.ndim - 1)) for root in self._roots)
+        if self.relative_position_weight == 0.0:
+            return np.asarray(points * values)
+        return np.concatenate([points * values, chords * (values[1:] - values[:-1])])
 
     def task_rows(self, state: ArmState, priority: bool) -> LinearRows | None:
         """Return the rows of the tasks with or without priority, times the roots of their weights.
@@ -277,14 +280,27 @@ class ChainSolver:
     """Least squares over points and chords at one state, in time linear in the number of joints.
 
     A dense solver with all rows of `Objective.rows` gives the same step in cubic time.
+
+    Args:
+        objective: points and chords.
+        state: where the arm is.
+        weight: of all points and chords, relative to that of joint motion; 0: only joint motion counts.
     """
 
-    def __init__(self, objective: Objective, state: ArmState) -> None:
+    def __init__(self, objective: Objective, state: ArmState, weight: float = 1.0) -> None:
+        self._objective, self._state, self._weight = objective, state, weight
         chain, forward = objective.chain, state.forward
         screws, points = np.empty((len(chain.joints), 6)), chain.points_of(state)
         given = chain.joints, state.arm.kinematics.slides, chain.units, forward.axes, forward.origins
         kernels.find_screws(*given, chain.ends, points, screws)
-        self._points = PointObjective(screws, chain.ends, points, chain.weights, chain.chords)
+        self._points = PointObjective(
+            screws, chain.ends, points, weight * chain.weights, weight * chain.chords
+        )
+
+    def rows(self, errors: Array) -> LinearRows:
+        """Return dense rows of points and chords, for errors of the points, (p, 3) [m]."""
+        found = self._objective.posture_rows(self._state, errors @ self._objective.arm.plane.T)
+        return LinearRows(*(sqrt(self._weight) * each for each in found))
 
     def stiffness(self) -> float:
         """Return the mean diagonal of A^T A [m^2]."""
@@ -311,3 +327,31 @@ class ChainSolver:
         x, sides = np.empty(n), (center > upper).astype(np.int8) - (center < lower).astype(np.int8)
         kernels.minimise_in_box(self._points, errors, np.full(n, damping), center, lower, upper, sides, x)
         return x
+
+    def constrained_step(
+        self,
+        errors: Array,
+        damping: float,
+        center: Array,
+        lower: Array,
+        upper: Array,
+        rows: LinearRows,
+    ) -> tuple[Array, NDArray[np.bool_]] | None:
+        """Return the x of `step` for which matrix @ x >= errors of rows, and which of these are equal.
+
+        Args:
+            errors: as for `step`.
+            damping: likewise.
+            center: likewise.
+            lower: likewise.
+            upper: likewise.
+            rows: rows of length 1, and their smallest values.
+
+        Returns:
+            None if it was not found, as where rows contradict each other.
+        """
+        n = len(center)
+        x, binding = np.empty(n), np.empty(len(rows.errors), dtype=np.bool_)
+        problem = self._points, errors, np.full(n, damping), center
+        found = kernels.minimise_with_rows(problem, lower, upper, rows.matrix, rows.errors, binding, x)
+        return (x, binding) if found and np.all(np.isfinite(x)) else None

@@ -1,0 +1,220 @@
+"""Least squares along a chain within a box and subject to rows, in time linear in the number of joints."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pinposture.kernels.arrays import Array1, Array2, Bytes1, Flags1, Ints1, PointObjective
+from pinposture.kernels.chain_solver import evaluate_gradient, factor, minimise_in_box, solve_factored
+from pinposture.kernels.compiled import compiled, subkernel
+
+# The rows have multipliers: forces that push as far as it takes. With these given, what is left is a minimum
+# within a box. That minimum is a concave and piecewise quadratic function of the multipliers, and largest at
+# the solution. Newton steps with a line search find it: for each row that counts, the chain is solved once
+# more, and a small dense system, their Schur complement, gives the step.
+
+MAX_STEPS, MAX_HALVINGS = 60, 4  # largest number of Newton steps, and of halvings of each
+
+MIN_SHARE_OF_GAIN = 1e-4  # share of the expected gain with which a step is taken
+
+SOFTNESSES = (1e-11, 1e-4, 1e-2, 1.0, 1e3)
+"""How far rows give way to a unit force beyond what the free joints do, relative to what they would if joints
+moved one by one. More is tried where a step gains too little: where more rows count than joints are free."""
+
+ROW_ROUNDING = 1e-10
+"""Violation of a row of length 1 that counts as rounding, in units of a joint."""
+
+ChainProblem = tuple[PointObjective, Array2, Array1, Array1]
+"""Points and chords, their errors, damping and centre, as for `chain_solver.minimise_in_box`."""
+
+
+@compiled
+def minimise_with_rows(
+    problem: ChainProblem,
+    lower: Array1,
+    upper: Array1,
+    rows: Array2,
+    least: Array1,
+    active: Flags1,
+    x: Array1,
+) -> bool:
+    """Minimise an objective along a chain within a box, with least <= rows x.
+
+    Args:
+        problem: the objective.
+        lower: smallest x, (n,).
+        upper: largest x, (n,).
+        rows: rows of length 1, (r, n).
+        least: smallest value of each, (r,).
+        active: filled with the rows that hold with equality, (r,).
+        x: filled with the minimum, (n,).
+
+    Returns:
+        False if it was not found: the rows may contradict each other or the box.
+    """
+    n, count = len(x), len(rows)
+    sides, box, centre = np.zeros(n, dtype=np.int8), (lower, upper), problem[3]
+    for u in range(n):
+        sides[u] = 1 if centre[u] > upper[u] else (-1 if centre[u] < lower[u] else 0)
+    multipliers, change, tried = np.zeros(count), np.empty(count), np.empty(count)
+    missing, before = np.empty(count), np.empty(count)
+    which, yielding = np.empty(count, dtype=np.int64), np.empty((count, n))
+    active[:] = False
+    value = _minimise_given(problem, box, rows, least, multipliers, sides, x, missing)
+    for _ in range(MAX_STEPS):
+        counting, settled = 0, True
+        for row in range(count):
+            if multipliers[row] > 0.0 or missing[row] > ROW_ROUNDING:
+                which[counting] = row
+                counting += 1
+                settled = settled and abs(missing[row]) <= ROW_ROUNDING
+        if settled:
+            for row in range(count):
+                active[row] = multipliers[row] > 0.0
+            return True
+        schur, alone = _find_schur(problem, box, rows, which[:counting], sides, yielding)
+        better = False
+        before[:] = missing
+        for softness in SOFTNESSES:
+            soft = softness * alone
+            expected = _step_multipliers(schur, soft, which[:counting], before, multipliers, change)
+            share = 1.0
+            for _ in range(MAX_HALVINGS):
+                for row in range(count):
+                    tried[row] = max(multipliers[row] + share * change[row], 0.0)
+                found = _minimise_given(problem, box, rows, least, tried, sides, x, missing)
+                gain = found - value + 1e-14 * abs(value)
+                better = expected >= 0.0 and gain >= MIN_SHARE_OF_GAIN * share * expected
+                if better:
+                    break
+                share *= 0.5
+            if better:
+                break
+        if not better:
+            return False
+        value = found
+        multipliers[:] = tried
+    return False
+
+
+@subkernel
+def _minimise_given(
+    problem: ChainProblem,
+    box: tuple[Array1, Array1],
+    rows: Array2,
+    least: Array1,
+    multipliers: Array1,
+    sides: Bytes1,
+    x: Array1,
+    missing: Array1,
+) -> float:
+    """Minimise with multipliers given; fill in what each row misses, and return the value."""
+    objective, errors, damping, centre = problem
+    pushed, n = centre.copy(), len(centre)
+    for row in range(len(rows)):
+        if multipliers[row] > 0.0:
+            for u in range(n):
+                pushed[u] += multipliers[row] * rows[row, u] / damping[u]
+    minimise_in_box(objective, errors, damping, pushed, box[0], box[1], sides, x)
+    value = evaluate_gradient(objective, errors, damping, centre, x, pushed, np.empty((len(errors), 6)))
+    for row in range(len(rows)):
+        missing[row] = least[row]
+        for u in range(n):
+            missing[row] -= rows[row, u] * x[u]
+        value += multipliers[row] * missing[row]
+    return value
+
+
+@subkernel
+def _find_schur(
+    problem: ChainProblem,
+    box: tuple[Array1, Array1],
+    rows: Array2,
+    which: Ints1,
+    sides: Bytes1,
+    yielding: Array2,
+) -> tuple[Array2, Array1]:
+    """Return how rows give way to each other as forces, (c, c), and to themselves if joints move alone, (c,).
+
+    `yielding`, (r, n), is scratch.
+    """
+    objective, errors, damping, _ = problem
+    n, count = len(damping), len(which)
+    gains, held, no_bodies = np.empty((n, 11)), np.empty(n, dtype=np.bool_), np.empty((0, 6, 6))
+    force, no_errors = np.empty(n), np.zeros_like(errors)
+    schur, alone = np.zeros((count, count)), np.zeros(count)
+    for u in range(n):
+        held[u] = sides[u] != 0 or not box[1][u] > box[0][u]
+    factor(objective, damping, held, no_bodies, gains)
+    for k in range(count):
+        for u in range(n):
+            force[u] = 0.0 if held[u] else rows[which[k], u] / damping[u]
+            yielding[k, u] = 0.0
+            alone[k] += gains[u, 10] * rows[which[k], u] ** 2
+        solve_factored(objective, no_errors, damping, force, held, gains, yielding[k])
+        for i in range(k + 1):
+            for u in range(n):
+                schur[i, k] += rows[which[i], u] * yielding[k, u]
+            schur[k, i] = schur[i, k]
+    return schur, alone
+
+
+@subkernel
+def _step_multipliers(
+    schur: Array2, soft: Array1, which: Ints1, missing: Array1, multipliers: Array1, change: Array1
+) -> float:
+    """Fill in the change of multipliers after which no row misses anything, but none is negative.
+
+    Returns:
+        The expected gain; -1 if it cannot be computed.
+    """
+    count = len(which)
+    factored, right, gain = np.empty((count, count)), np.empty(count), 0.0
+    released = np.zeros(count, dtype=np.bool_)  # rows whose multiplier becomes 0
+    change[:] = 0.0
+    for _ in range(count + 1):
+        for i in range(count):
+            right[i] = -multipliers[which[i]] if released[i] else missing[which[i]]
+            for j in range(count):
+                coupled = not (released[i] or released[j])
+                factored[i, j] = schur[i, j] if coupled else 0.0
+                if released[j] and not released[i]:
+                    right[i] += schur[i, j] * multipliers[which[j]]
+            factored[i, i] = 1.0 if released[i] else schur[i, i] + soft[i]
+        if not _solve_positive(factored, right):
+            return -1.0
+        again = False
+        for i in range(count):
+            if not released[i] and multipliers[which[i]] + right[i] < 0.0:
+                released[i] = again = True
+        if not again:
+            break
+    for i in range(count):
+        change[which[i]] = right[i]
+        gain += right[i] * missing[which[i]]
+    return gain
+
+
+@subkernel
+def _solve_positive(matrix: Array2, right: Array1) -> bool:
+    """Solve by Cholesky, in place; False if the matrix is not positive definite."""
+    count = len(right)
+    for j in range(count):
+        for k in range(j):
+            matrix[j, j] -= matrix[j, k] ** 2
+        if not matrix[j, j] > 0.0:
+            return False
+        matrix[j, j] = np.sqrt(matrix[j, j])
+        for i in range(j + 1, count):
+            for k in range(j):
+                matrix[i, j] -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] /= matrix[j, j]
+    for i in range(count):
+        for k in range(i):
+            right[i] -= matrix[i, k] * right[k]
+        right[i] /= matrix[i, i]
+    for i in range(count - 1, -1, -1):
+        for k in range(i + 1, count):
+            right[i] -= matrix[k, i] * right[k]
+        right[i] /= matrix[i, i]
+    return True
