@@ -203,6 +203,7 @@ class Narrow(threading.local):
 NO_PAIR = -1
 
 CONTACTS_PER_SAMPLE = 32  # number of near pairs for which there is room at first
+OPEN_SAMPLES = 1000  # number of samples of pairs without a closed form for which there is room at first
 
 
 class NearPairs(NamedTuple):
@@ -245,6 +246,22 @@ class Contacts(NamedTuple):
     points: Array
     normals: Array
     minima: Array
+
+
+class MotionSearch(NamedTuple):
+    """What has to be found of the distances on motions.
+
+    Attributes:
+        below: distances that matter [m]: if none is smaller, none may be found.
+        enough: the search ends when it finds a smaller one than this [m].
+        tolerance: by how much the smallest distance may be missed [m].
+        open_motion: motion between two samples of pairs that only coal can measure [m].
+    """
+
+    below: float
+    enough: float
+    tolerance: float
+    open_motion: float
 
 
 class PairDistances:
@@ -399,27 +416,45 @@ class PairDistances:
                 best, pair = distance, candidate
         return best, pair
 
-    def reach(self, placements: Placements) -> float:
-        """Return the largest distance of any body from its first place, at several configurations [m]."""
-        ends = self._ends(placements)
-        return float(np.sqrt(((ends - ends[0]) ** 2).sum(axis=-1).max(initial=0.0)))
-
-    def keep(self, kinematics: TreeKinematics, q: Array, offsets: Array, least: float) -> bool:
-        """Whether all distances are at least so large at several configurations.
+    def minimum_on_motions(
+        self, kinematics: TreeKinematics, q: Array, offsets: Array, drifts: Array, search: MotionSearch
+    ) -> tuple[float, int]:
+        """Return distance and index of the pair that comes nearest on straight joint motions.
 
         Args:
             kinematics: of the model that carries the bodies.
             q: as for `TreeKinematics.place`.
-            offsets: likewise.
-            least: the distance [m].
+            offsets: displacements from it between which the motions are, (N + 1, nv) [rad or m].
+            drifts: how far the arm is displaced besides, (N + 1, 3) [m].
+            search: what has to be found.
+
+        Returns:
+            Infinity and `NO_PAIR` if none comes nearer than `search.below`.
         """
         positions, others = kinematics.positions(q, offsets)
-        open_places = np.zeros(len(positions), dtype=np.bool_)
-        given = kinematics.tree, self._carriers, self._local, self._arrays, positions, others
-        if not kernels.keeps_distance(*given, least, open_places):
-            return False
-        rest = offsets[open_places]
-        return not len(rest) or self.minimum(kinematics.place(q, rest), least)[0] >= least
+        given = kinematics.tree, self._carriers, self._local, self._arrays, positions, others[0], drifts
+        room = OPEN_SAMPLES if self._open else 0
+        while True:
+            samples = np.empty((room, 3))
+            best, pair, count = kernels.smallest_distance_on_motions(*given, *search, samples)
+            if count <= room:
+                break
+            room = count
+        if best < search.enough or not count:
+            return best, pair
+        pieces, shares = samples[:count, 0].astype(np.int64), samples[:count, 1, None]
+        placements = kinematics.place(q, (1.0 - shares) * offsets[pieces] + shares * offsets[pieces + 1])
+        drifted = (1.0 - shares) * drifts[pieces] + shares * drifts[pieces + 1]
+        placements = placements._replace(origins=placements.origins + drifted[:, None])
+        for sample in range(count):
+            candidate = int(samples[sample, 2])
+            distance = self._narrow.distance(self._posed(candidate, placements, sample, {}))
+            distance -= self._point_radius(candidate)
+            # If coal cannot tell, it counts as touching.
+            distance = 0.0 if math.isnan(distance) else distance
+            if distance < min(best, search.below):
+                best, pair = distance, candidate
+        return best, pair
 
     def contacts(self, kinematics: TreeKinematics, q: Array, offsets: Array, within: float) -> Contacts:
         """Find the pairs nearer than a distance at several configurations; for gradients, not for checks.

@@ -11,12 +11,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import SMALLEST_LENGTH, finite_vector, is_count
+from pinposture._validation import SMALLEST_LENGTH, finite_vector
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.configurations import ConfigurationSpace
 from pinposture.collision.bodies import Body, bodies_of
 from pinposture.collision.distances import (
     Contacts,
+    MotionSearch,
     NearPairs,
     PairDistances,
     Placements,
@@ -48,6 +49,10 @@ ALWAYS_CLOSE = "within the margin however the arm bends"
 
 IN_PLANE = 1e-3
 """In-plane share of a normal below which a planar arm gets another escape direction."""
+
+MOTION_TOLERANCE, OPEN_MOTION = 1e-4, 5e-3
+"""By how much the smallest distance on a motion may be missed, and the motion between two samples of pairs
+that only coal can measure, in arm lengths."""
 
 STATIONARY = 1e-9
 """Distance below which a point counts as stationary, in arm lengths."""
@@ -361,6 +366,7 @@ class CollisionModel:
         self.scene, self._moment = scene, None
         self._model, self._plane = arm.model, np.array(arm.plane)
         self._space, self._kinematics = ConfigurationSpace(arm.model), TreeKinematics(arm.model)
+        self._arm_length = arm.length
         bodies = bodies_of(arm, scene.arm_radius)
         self._solids = [solid(body.shape) for body in bodies]
         named = [(name, each) for name, obstacle in scene.obstacles.items() for each in solids(obstacle)]
@@ -457,70 +463,66 @@ class CollisionModel:
         placements = self._kinematics.place(self._space.checked(q))
         return self._closest(*self._distances.minimum(placements))
 
-    def minimum_between(self, q0: ArrayLike, dq: ArrayLike, samples: int = 10) -> Closest:
-        """Return the smallest distance on the path from a configuration along a joint displacement.
+    def minimum_between(self, q0: ArrayLike, dq: ArrayLike) -> Closest:
+        """Return the smallest distance on the straight motion from a configuration along a displacement.
+
+        It is exact to `MOTION_TOLERANCE`; see `minimum_on_motions`.
 
         Args:
-            q0: start of the path, (nq,) [rad or m].
+            q0: start of the motion, (nq,) [rad or m].
             dq: the displacement, (nv,) [rad or m].
-            samples: number of configurations: equally spaced, with the end, without the start.
 
         Raises:
-            InvalidValue: a vector of the wrong size or not finite, or no samples.
+            InvalidValue: a vector of the wrong size or not finite.
         """
-        if not is_count(samples):
-            raise InvalidValue("samples", samples, "a whole number of at least 1")
         start, displacement = self._space.checked(q0, "q0"), finite_vector("dq", dq, self._model.nv)
-        return self.minimum_along(start, displacement * (np.arange(1, samples + 1)[:, None] / samples))
+        return self.minimum_on_motions(start, np.stack([np.zeros_like(displacement), displacement]))
 
-    def minimum_along(
-        self,
-        q0: Array,
-        offsets: Array,
-        below: float = np.inf,
-        numbers: NDArray[np.int64] | None = None,
-    ) -> Closest:
-        """Return the smallest distance at several configurations.
+    def minimum_along(self, q0: Array, offsets: Array, below: float = np.inf) -> Closest:
+        """Return the smallest distance at several configurations, not between them.
 
         Args:
             q0: a configuration, (nq,) [rad or m], as `Arm.checked` returns it.
             offsets: displacements from it, (s, nv) [rad or m], s > 0.
             below: if no distance is smaller than this [m], any larger one, or none, is returned faster.
-            numbers: the pairs that count, as indices of `pairs`; all if None.
         """
-        placements, distances = self._kinematics.place(q0, offsets), self._distances
-        if numbers is None:
-            return self._closest(*distances.minimum(placements, below))
-        some = distances.among(np.column_stack([distances.first[numbers], distances.second[numbers]]))
-        return Closest(some.minimum(placements, below)[0], None)
+        return self._closest(*self._distances.minimum(self._kinematics.place(q0, offsets), below))
 
-    def reach(self, q0: Array, offsets: Array) -> float:
-        """Return how far any body gets from where it is at a configuration, at several others [m].
+    def minimum_on_motions(
+        self,
+        q0: Array,
+        offsets: Array,
+        below: float = np.inf,
+        enough: float = -np.inf,
+        times: Array | None = None,
+    ) -> Closest:
+        """Return the smallest distance on straight joint motions, between configurations as well as at them.
+
+        Bounds of the motion decide where to look (conservative advancement), so nothing is missed by more
+        than `MOTION_TOLERANCE`. Distances of pairs without a closed form are sampled.
 
         Args:
             q0: a configuration, (nq,) [rad or m], as `Arm.checked` returns it.
-            offsets: displacements from it, (s, nv) [rad or m]; the first is zero.
+            offsets: displacements from it between which the motions are, (N + 1, nv) [rad or m].
+            below: distances that matter [m]: of larger ones some is returned, or none, in less time.
+            enough: the search ends when it finds a smaller one than this [m].
+            times: time from now of each displacement, (N + 1,) [s]: obstacles move by their velocities. None:
+                they stand still.
         """
-        return self._distances.reach(self._kinematics.place(q0, offsets))
-
-    def minimum_in_time(self, q0: Array, offsets: Array, times: Array, below: float = np.inf) -> float:
-        """Return the smallest distance at several configurations and times [m]; infinite without pairs.
-
-        Obstacles are taken to keep their velocities. An obstacle that has moved is as far from the arm as it
-        is now from an arm that has moved the other way.
-
-        Args:
-            q0: as for `minimum_along`.
-            offsets: likewise.
-            times: time from now of each configuration, (s,) [s].
-            below: likewise.
-        """
-        placements = self._kinematics.place(q0, offsets)
+        size = self._arm_length
+        search = MotionSearch(below, enough, MOTION_TOLERANCE * size, OPEN_MOTION * size)
+        if times is None:
+            still = np.zeros((len(offsets), 3))
+            return self._closest(
+                *self._distances.minimum_on_motions(self._kinematics, q0, offsets, still, search)
+            )
         lowest = np.inf
         for velocity, distances in self._by_velocity:
-            shifted = placements._replace(origins=placements.origins - times[:, None, None] * velocity)
-            lowest = min(lowest, distances.minimum(shifted, min(below, lowest))[0])
-        return lowest
+            # An obstacle that moved is as far from the arm as it is now from an arm that moved the other way.
+            drifts, wanted = -times[:, None] * velocity, search._replace(below=min(below, lowest))
+            found = distances.minimum_on_motions(self._kinematics, q0, offsets, drifts, wanted)[0]
+            lowest = min(lowest, found)
+        return Closest(lowest, None)
 
     @cached_property
     def _by_velocity(self) -> list[tuple[Array, PairDistances]]:
@@ -533,16 +535,6 @@ class CollisionModel:
             (np.ascontiguousarray(velocity), self._distances.among(pairs[groups == k]))
             for k, velocity in enumerate(velocities)
         ]
-
-    def keeps(self, q0: Array, offsets: Array, least: float) -> bool:
-        """Whether all distances are at least so large at several configurations.
-
-        Args:
-            q0: a configuration, (nq,) [rad or m], as `Arm.checked` returns it.
-            offsets: displacements from it, (s, nv) [rad or m]; those where it may not be come first.
-            least: the distance [m].
-        """
-        return self._distances.keep(self._kinematics, q0, offsets, least)
 
     def _closest(self, distance: float, pair: int) -> Closest:
         return Closest(distance, self.pairs[pair] if pair >= 0 else None)

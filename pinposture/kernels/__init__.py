@@ -19,12 +19,14 @@ if TYPE_CHECKING:
     from pinposture.kernels.chain_solver import stiffness as stiffness
     from pinposture.kernels.collision import contacts_along as contacts_along
     from pinposture.kernels.collision import differentiate_distances as differentiate_distances
-    from pinposture.kernels.collision import keeps_distance as keeps_distance
     from pinposture.kernels.collision import near_pairs as near_pairs
     from pinposture.kernels.collision import place_axes as place_axes
     from pinposture.kernels.collision import place_joints as place_joints
     from pinposture.kernels.collision import smallest_distance as smallest_distance
     from pinposture.kernels.constrained_step import minimise_with_rows as minimise_with_rows
+    from pinposture.kernels.continuous_collision import (
+        smallest_distance_on_motions as smallest_distance_on_motions,
+    )
     from pinposture.kernels.kinematics import carry_screws as carry_screws
     from pinposture.kernels.kinematics import jacobians as jacobians
     from pinposture.kernels.kinematics import joints_along as joints_along
@@ -78,10 +80,10 @@ _KERNELS = {
     "branch_search": "search_branches",
     "chain_solver": "find_screws measure_point_errors minimise_in_box move_points stiffness",
     "collision": (
-        "contacts_along differentiate_distances keeps_distance near_pairs place_axes place_joints "
-        "smallest_distance"
+        "contacts_along differentiate_distances near_pairs place_axes place_joints smallest_distance"
     ),
     "constrained_step": "minimise_with_rows",
+    "continuous_collision": "smallest_distance_on_motions",
     "kinematics": "carry_screws jacobians joints_along motions_along placements trace_points",
     "manipulability": (
         "all_indices base_indices best_branch best_path module_spaces stride_indices weakest_index"

@@ -26,7 +26,6 @@ from pinposture.kernels.arrays import (
     Array2,
     Array3,
     Array4,
-    Flags1,
     Ints1,
     Ints2,
     JointTree,
@@ -59,11 +58,11 @@ def place_joints(
         origins: filled with their origins, (s, njoints, 3).
     """
     for at in range(len(positions)):
-        _place_joints(tree, positions[at], others[at], rotations[at], origins[at])
+        place_joints_once(tree, positions[at], others[at], rotations[at], origins[at])
 
 
 @subkernel
-def _place_joints(
+def place_joints_once(
     tree: JointTree, positions: Array1, others: Array2, rotations: Array3, origins: Array2
 ) -> None:
     """`place_joints` at one configuration."""
@@ -128,11 +127,11 @@ def place_axes(carriers: Ints1, local: Array3, rotations: Array4, origins: Array
         ends: filled with the ends, (s, b, 2, 3), world frame.
     """
     for at in range(len(rotations)):
-        _place_axes(carriers, local, rotations[at], origins[at], ends[at])
+        place_axes_once(carriers, local, rotations[at], origins[at], ends[at])
 
 
 @subkernel
-def _place_axes(carriers: Ints1, local: Array3, rotations: Array3, origins: Array2, ends: Array3) -> None:
+def place_axes_once(carriers: Ints1, local: Array3, rotations: Array3, origins: Array2, ends: Array3) -> None:
     """`place_axes` at one configuration."""
     for body in range(len(carriers)):
         turn, place = rotations[carriers[body]], origins[carriers[body]]
@@ -494,7 +493,7 @@ def _leave_cylinder(
 
 
 @subkernel
-def _bound_blocks(ends: Array3, pairs: Pairs, blocks: Array2) -> None:
+def bound_blocks(ends: Array3, pairs: Pairs, blocks: Array2) -> None:
     """Fill centre and radius of a sphere around each block of bodies, (blocks, 4)."""
     low, high = np.empty(3), np.empty(3)
     for block in range(len(blocks)):
@@ -548,7 +547,7 @@ def _point_distance(pairs: Pairs, obstacle: int, x: float, y: float, z: float) -
 
 
 @inlined
-def _group_bound(blocks: Array2, pairs: Pairs, group: int) -> float:
+def group_bound(blocks: Array2, pairs: Pairs, group: int) -> float:
     """A lower bound of the distances in a group."""
     block, other = pairs.groups[group, 0], pairs.groups[group, 1] - len(blocks)
     x, y, z = blocks[block, 0], blocks[block, 1], blocks[block, 2]
@@ -569,7 +568,7 @@ def _body_sphere(ends: Array3, radii: Array1, body: int) -> tuple[float, float, 
 
 
 @inlined
-def _pair_bound(ends: Array3, pairs: Pairs, pair: int) -> float:
+def pair_bound(ends: Array3, pairs: Pairs, pair: int) -> float:
     """A lower bound of a distance, by spheres around bodies."""
     other = pairs.second[pair] - len(ends)
     x, y, z, reach = _body_sphere(ends, pairs.radii, pairs.first[pair])
@@ -609,11 +608,11 @@ def near_pairs(
         and -1 if there is none.
     """
     blocks = np.empty(((len(ends) + BLOCK - 1) // BLOCK, 4))
-    _bound_blocks(ends, pairs, blocks)
+    bound_blocks(ends, pairs, blocks)
     groups = len(pairs.groups)
     lower, nearest = np.empty(groups), 0
     for group in range(groups):
-        lower[group] = _group_bound(blocks, pairs, group)
+        lower[group] = group_bound(blocks, pairs, group)
         if lower[group] < lower[nearest]:
             nearest = group
     count, opened, best, best_pair = 0, 0, np.inf, -1
@@ -623,7 +622,7 @@ def near_pairs(
         if lower[group] >= max(within, best):
             continue
         for pair in range(pairs.starts[group], pairs.starts[group + 1]):
-            if _pair_bound(ends, pairs, pair) >= max(within, best):
+            if pair_bound(ends, pairs, pair) >= max(within, best):
                 continue
             distance, px, py, pz, nx, ny, nz = pair_contact(ends, pairs, pair, max(within, best))
             if not pairs.exact[pair]:
@@ -687,14 +686,14 @@ def contacts_along(
     found = 0
     for at in range(len(positions)):
         minima[at] = within
-        _place_joints(tree, positions[at], others[at], rotations, origins)
-        _place_axes(carriers, local, rotations, origins, ends)
-        _bound_blocks(ends, pairs, blocks)
+        place_joints_once(tree, positions[at], others[at], rotations, origins)
+        place_axes_once(carriers, local, rotations, origins, ends)
+        bound_blocks(ends, pairs, blocks)
         for group in range(len(pairs.groups)):
-            if _group_bound(blocks, pairs, group) >= within:
+            if group_bound(blocks, pairs, group) >= within:
                 continue
             for pair in range(pairs.starts[group], pairs.starts[group + 1]):
-                if _pair_bound(ends, pairs, pair) >= within:
+                if pair_bound(ends, pairs, pair) >= within:
                     continue
                 contact = pair_contact(ends, pairs, pair, within)
                 if contact[0] >= within:
@@ -741,12 +740,12 @@ def smallest_distance(
     blocks = np.empty(((ends.shape[1] + BLOCK - 1) // BLOCK, 4))
     best, best_pair, opened = np.inf, -1, 0
     for at in range(len(ends)):
-        _bound_blocks(ends[at], pairs, blocks)
+        bound_blocks(ends[at], pairs, blocks)
         for group in range(len(pairs.groups)):
-            if _group_bound(blocks, pairs, group) >= min(below, best):
+            if group_bound(blocks, pairs, group) >= min(below, best):
                 continue
             for pair in range(pairs.starts[group], pairs.starts[group + 1]):
-                if _pair_bound(ends[at], pairs, pair) >= min(below, best):
+                if pair_bound(ends[at], pairs, pair) >= min(below, best):
                     continue
                 distance = pair_contact(ends[at], pairs, pair, min(below, best))[0]
                 if not pairs.exact[pair]:
@@ -756,48 +755,3 @@ def smallest_distance(
                 elif distance < best:
                     best, best_pair = distance, pair
     return best, best_pair, opened
-
-
-@compiled
-def keeps_distance(
-    tree: JointTree,
-    carriers: Ints1,
-    local: Array3,
-    pairs: Pairs,
-    positions: Array2,
-    others: Array3,
-    least: float,
-    open_places: Flags1,
-) -> bool:
-    """Whether all distances are at least so large at several configurations. The first that is not ends it.
-
-    Args:
-        tree: the joints.
-        carriers: the joint that carries each body, (b,).
-        local: ends of the axes of the bodies in the frames of these joints, (b, 2, 3).
-        pairs: the pairs.
-        positions: joint positions, (s, nv).
-        others: as for `place_joints`.
-        least: the distance.
-        open_places: filled with the configurations at which bounds alone do not tell, (s,).
-    """
-    count = len(tree.parents)
-    rotations, origins, ends = np.empty((count, 3, 3)), np.empty((count, 3)), np.empty(local.shape)
-    blocks = np.empty(((len(carriers) + BLOCK - 1) // BLOCK, 4))
-    for at in range(len(positions)):
-        open_places[at] = False
-        _place_joints(tree, positions[at], others[at], rotations, origins)
-        _place_axes(carriers, local, rotations, origins, ends)
-        _bound_blocks(ends, pairs, blocks)
-        for group in range(len(pairs.groups)):
-            if _group_bound(blocks, pairs, group) >= least:
-                continue
-            for pair in range(pairs.starts[group], pairs.starts[group + 1]):
-                if _pair_bound(ends, pairs, pair) >= least:
-                    continue
-                if pair_contact(ends, pairs, pair, least)[0] >= least:
-                    continue
-                if pairs.exact[pair]:
-                    return False
-                open_places[at] = True
-    return True

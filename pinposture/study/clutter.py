@@ -333,7 +333,8 @@ def dense_clearance(arm: Arm, scene: Scene, q: Array) -> float:
     for one, other in pairwise(q):
         change = np.asarray(arm.difference(one, other))
         count = max(ceil(float(np.abs(change).max()) / DENSE_TURN), 1)
-        least = min(least, model.minimum_between(one, change, count).distance)
+        shares = np.arange(1, count + 1)[:, None] / count
+        least = min(least, model.minimum_along(arm.checked(one), shares * change).distance)
     return float(least)
 
 

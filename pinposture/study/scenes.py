@@ -293,7 +293,8 @@ def record_scene_run(
     around, margin = CollisionModel(run.arm, situation.scene), situation.scene.margin
     at = np.array([around.minimum(q).distance for q in run.q])
     ways = zip(run.q[:-1], displacements(run), strict=True)
-    between = np.array([around.minimum_between(q, dq, SAMPLES_OF_A_STEP).distance for q, dq in ways])
+    shares = np.arange(1, SAMPLES_OF_A_STEP + 1)[:, None] / SAMPLES_OF_A_STEP
+    between = np.array([around.minimum_along(run.arm.checked(q), shares * dq).distance for q, dq in ways])
     lost = np.minimum(at[:-1], margin) - between
     return SceneRun(
         scene=situation.name,

@@ -226,7 +226,8 @@ class _FreeSpace:
         """Whether the ball is clear at all of several points, (s, 3) [m]."""
         if self._empty:
             return True
-        return self._distances.keep(self._kinematics, np.zeros(3), np.ascontiguousarray(points), 0.0)
+        placements = self._kinematics.place(np.zeros(3), np.ascontiguousarray(points))
+        return self._distances.minimum(placements, 0.0)[0] >= 0.0
 
 
 class _Arc(NamedTuple):

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from functools import cached_property, lru_cache
-from math import ceil
+from functools import cached_property
 from typing import NamedTuple
 
 import daqp
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture.arm import Arm, ArmState
+from pinposture.arm import ArmState
 from pinposture.collision import CollisionModel, Distances, Scene
 from pinposture.control.limits import JointBounds, stopping_steps
 from pinposture.control.planner.objective import ChainSolver, LinearRows, Objective
@@ -189,57 +188,8 @@ RETREAT_SHARE = 0.2
 MAX_NAMED_PAIRS = 3
 """Largest number of pairs that are listed."""
 
-SAMPLE_MOTION, SAMPLE_TURN = 0.005, 0.1
-"""Largest motion of a control point, in arm lengths, and of a joint, in `Arm.joint_units`, between two places
-at which distances are sampled; the end of a step always is one."""
-
 MAX_HALVINGS = 6
 """How often a step after which the arm cannot stop clear is moved halfway to braking, before it brakes."""
-
-
-class MotionSamples(NamedTuple):
-    """Places on straight motions at which distances are to be sampled.
-
-    Attributes:
-        offsets: displacements, (s, nv) [rad or m].
-        places: where they are, as the number of the motion and a share of it, (s,).
-    """
-
-    offsets: Array
-    places: Array
-
-
-def sample_motion(arm: Arm, positions: Array, path: Array) -> MotionSamples:
-    """Return places on straight motions at which distances are to be sampled.
-
-    Args:
-        arm: the arm.
-        positions: joint positions that displacements are counted from, (nv,) [rad or m].
-        path: displacements between which the motions are, (N + 1, nv); the first one is not sampled.
-    """
-    points = arm.kinematics.points(positions + path)
-    changes = np.diff(path, axis=0)
-    moved = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=2).max(axis=1))
-    turned = np.abs(changes / arm.joint_units).max(axis=1, initial=0.0)
-    counts = np.maximum(moved / (SAMPLE_MOTION * arm.length), turned / SAMPLE_TURN)
-    shares = [by_halves(max(ceil(count), 1)) for count in counts]
-    pieces = zip(path[:-1], changes, shares, strict=True)
-    offsets = [start + share[:, None] * change for start, change, share in pieces]
-    return MotionSamples(
-        np.concatenate(offsets), np.concatenate([i + share for i, share in enumerate(shares)])
-    )
-
-
-@lru_cache(maxsize=256)
-def by_halves(count: int) -> Array:
-    """Return the shares 1/n, ..., 1 in an order that halves the widest gap: collisions are found early."""
-    order, gaps = [count], [(0, count)]
-    for low, high in gaps:
-        middle = (low + high) // 2
-        if low < middle < high:
-            order.append(middle)
-            gaps += [(low, middle), (middle, high)]
-    return np.array(order) / count
 
 
 class ClearanceRows(NamedTuple):
@@ -410,8 +360,7 @@ class Avoidance:
             path: displacements from it between which the motions are, (N + 1, nv) [rad or m].
             least: the distance [m].
         """
-        arm = self.objective.arm
-        return self.clearance.keeps(q, sample_motion(arm, arm.positions(q), path).offsets, least)
+        return self.clearance.minimum_on_motions(q, path, least, least).distance >= least
 
     def stops_clear(self, state: ArmState, dq: Array) -> bool:
         """Whether the arm keeps its margin on a step and while it then stops."""
@@ -473,19 +422,8 @@ class Avoidance:
     def _lowest(self, state: ArmState, steps: Array, below: float) -> float:
         """Return the smallest distance during steps (k, nv) [m], exact if it is smaller than `below`."""
         path = np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
-        near, numbers = self.near(state), None
-        if not self.moving:
-            # Pairs farther away than bodies get need no samples.
-            reach = self.clearance.reach(state.q, path) + SAMPLE_MOTION * self._length
-            if near.minimum - reach >= below:
-                return near.minimum - reach
-            if below + reach <= self.margin + CONSTRAINED_DISTANCE * self._length:
-                numbers = near.numbers[near.distances - reach < below]
-        samples = sample_motion(self.objective.arm, state.forward.positions, path)
-        if self.moving:
-            times = self._dt * samples.places
-            return self.clearance.minimum_in_time(state.q, samples.offsets, times, below)
-        return self.clearance.minimum_along(state.q, samples.offsets, below, numbers).distance
+        times = self._dt * np.arange(float(len(path))) if self.moving else None
+        return self.clearance.minimum_on_motions(state.q, path, below, times=times).distance
 
     @property
     def _rounding(self) -> float:

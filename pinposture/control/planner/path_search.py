@@ -51,6 +51,10 @@ of smooth random configurations, and the noise about the line from one end to th
 MAX_TURN = np.pi
 """Largest motion of a joint from the start in a sample, in `Arm.joint_units`."""
 
+FEW_JOINTS = 40
+"""Number of joints up to which the joint motions above hold; with more, each moves less, in proportion: an arm
+of many joints bends as far as one of few."""
+
 SHORTCUTS = 60
 """Number of shortcuts that are tried."""
 
@@ -98,9 +102,10 @@ class PathSearch:
         self.arm, self.edges, self.avoidance = objective.arm, edges, avoidance
         self._objective, self._start, self._goal, self._least = objective, start, goal, least
         self._rng, self._until = np.random.default_rng(seed), until
+        self._share = min(1.0, FEW_JOINTS / len(objective.columns))
         self._positions = self.arm.positions(start.q)
         lowest, highest = edges - self._positions
-        farthest = MAX_TURN * self.arm.joint_units * self.arm.moved
+        farthest = self._share * MAX_TURN * self.arm.joint_units * self.arm.moved
         self._sides = (
             np.maximum(np.minimum(lowest, 0.0), -farthest),
             np.minimum(np.maximum(highest, 0.0), farthest),
@@ -144,7 +149,7 @@ class PathSearch:
     def _connect(self, one: Array, other: Array, nodes: int) -> Array | None:
         """Return offsets from one to the other, (N + 1, nv), by RRT-Connect; None if none were found."""
         trees = _Tree(one), _Tree(other)
-        units = self.arm.joint_units
+        units = self._share * self.arm.joint_units
         for turn in range(nodes):
             if perf_counter() >= self._until:
                 break
@@ -183,11 +188,11 @@ class PathSearch:
         if kind < UNIFORM_SHARE:
             return np.asarray(rng.uniform(*self._sides))
         if kind < 0.5 * (1.0 + UNIFORM_SHARE):
-            q = smooth_configuration(arm, rng, float(rng.uniform(0.1, MAX_AMPLITUDE)))
+            q = smooth_configuration(arm, rng, self._share * float(rng.uniform(0.1, MAX_AMPLITUDE)))
             offset = np.asarray(arm.difference(self._start.q, q))
         else:
             offset = one + rng.uniform(-0.2, 1.2) * (other - one)
-            offset = offset + NOISE * rng.normal(size=arm.nv) * arm.joint_units * arm.moved
+            offset = offset + self._share * NOISE * rng.normal(size=arm.nv) * arm.joint_units * arm.moved
         return np.asarray(np.clip(offset, *self._sides))
 
     # What comes out is made shorter.
@@ -216,7 +221,7 @@ class PathSearch:
         """Return a path with long pieces divided."""
         parts = [path[:1]]
         for start, end in pairwise(path):
-            size = float(np.abs((end - start) / self.arm.joint_units).max())
+            size = float(np.abs((end - start) / (self._share * self.arm.joint_units)).max())
             count = max(int(np.ceil(size / PIECE_TURN)), 1)
             parts.append(start + (np.arange(1, count + 1)[:, None] / count) * (end - start))
         return np.concatenate(parts)

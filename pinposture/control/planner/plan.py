@@ -17,7 +17,7 @@ from pinposture.arm import ArmState
 from pinposture.collision import Closest, Scene
 from pinposture.control.controller import require_step_arguments
 from pinposture.control.limits import JointBounds, Limits, require_limits
-from pinposture.control.planner.avoidance import Avoidance, sample_motion
+from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.damped_least_squares import LeastSquaresResult, minimize
 from pinposture.control.planner.objective import PRIORITY_WEIGHT, LinearRows, Objective, check_objective
 from pinposture.control.planner.path import JointPath
@@ -355,9 +355,7 @@ def _task_rows(objective: Objective, state: ArmState, goal: ArmState) -> TaskRow
 
 def _closest_on(path: JointPath, avoidance: Avoidance, below: float) -> Closest:
     """Return the pair that comes closest on a path, its ends included; any if none is nearer than `below`."""
-    sampled = sample_motion(path.arm, path.positions, path.offsets).offsets
-    offsets = np.concatenate([path.offsets[:1], sampled])
-    return avoidance.clearance.minimum_along(path.start, offsets, below)
+    return avoidance.clearance.minimum_on_motions(path.start, path.offsets, below)
 
 
 # A target that moves: the path so far is bent where that will do.

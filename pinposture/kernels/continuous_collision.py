@@ -1,0 +1,291 @@
+"""Smallest distances on straight joint motions, between configurations as well as at them.
+
+A motion is looked at in its middle: the distance of a pair there, less what both can move until either end,
+is a bound for the whole motion. Where that does not decide, the halves are looked at, for the pairs that are
+left (conservative advancement by halves).
+
+A body moves by its speed in the middle times half the duration, plus half the square of that times a bound of
+its acceleration. Speeds and accelerations are carried from joint to joint: the link behind joint j turns at w
+= sum of a_i dq_i, which changes no faster than sum of |w_{i-1}| |dq_i|, and a link of length r, turning at w,
+accelerates its far end by at most r (|w'| + |w|^2).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pinposture.kernels.arrays import BLOCK, Array1, Array2, Array3, Ints1, JointTree, Pairs
+from pinposture.kernels.collision import (
+    bound_blocks,
+    group_bound,
+    pair_bound,
+    pair_contact,
+    place_axes_once,
+    place_joints_once,
+)
+from pinposture.kernels.compiled import compiled, inlined, subkernel
+
+MAX_DEPTH = 60  # largest number of halvings of a motion
+
+
+@compiled
+def smallest_distance_on_motions(
+    tree: JointTree,
+    carriers: Ints1,
+    local: Array3,
+    pairs: Pairs,
+    positions: Array2,
+    others: Array2,
+    drifts: Array2,
+    below: float,
+    enough: float,
+    tolerance: float,
+    open_motion: float,
+    open_samples: Array2,
+) -> tuple[float, int, int]:
+    """Find the smallest distance on straight motions from each configuration to the next.
+
+    Args:
+        tree: the joints.
+        carriers: the joint that carries each body, (b,).
+        local: ends of the axes of the bodies in the frames of these joints, (b, 2, 3).
+        pairs: the pairs.
+        positions: joint positions between which the motions are, (N + 1, nv).
+        others: placements of the joints of another kind, which stand still, as for `place_joints`.
+        drifts: how far the arm is displaced besides, (N + 1, 3).
+        below: distances that matter: if none is smaller, none may be found.
+        enough: distance at which the search ends when it finds a smaller one.
+        tolerance: by how much the smallest distance may be missed.
+        open_motion: motion of a pair that is not exact below which its distance is left open.
+        open_samples: filled with where that is: number and share of the motion, and the pair, (k, 3).
+
+    Returns:
+        The smallest distance of the exact pairs that was found, and its pair: inf and -1 if there is none
+        below; and how many samples are open: those beyond k were not stored.
+    """
+    count, bodies = len(tree.parents), len(carriers)
+    frames = np.empty((count, 3, 3)), np.empty((count, 3))
+    ends, blocks = np.empty(local.shape), np.empty(((bodies + BLOCK - 1) // BLOCK, 4))
+    move, drift, at = np.empty(positions.shape[1]), np.empty(3), np.empty(positions.shape[1])
+    bounds = np.empty((count, 9)), np.empty(bodies), np.empty(len(blocks))
+    stack, begins = np.empty(1024, dtype=np.int64), np.zeros(MAX_DEPTH + 2, dtype=np.int64)
+    right = np.zeros(MAX_DEPTH + 1, dtype=np.bool_)
+    best, best_pair, opened, pieces = np.inf, -1, 0, len(positions) - 1
+    stride = _spread(pieces)
+    for turn in range(pieces):
+        piece = turn * stride % pieces
+        for u in range(len(move)):
+            move[u] = positions[piece + 1, u] - positions[piece, u]
+        for i in range(3):
+            drift[i] = drifts[piece + 1, i] - drifts[piece, i]
+        depth, low, width = 0, 0.0, 1.0
+        while True:
+            middle, half = low + 0.5 * width, 0.5 * width
+            for u in range(len(at)):
+                at[u] = positions[piece, u] + middle * move[u]
+            place_joints_once(tree, at, others, frames[0], frames[1])
+            for joint in range(count):
+                for i in range(3):
+                    frames[1][joint, i] += drifts[piece, i] + middle * drift[i]
+            place_axes_once(carriers, local, frames[0], frames[1], ends)
+            _bound_motions(tree, carriers, frames, ends, move, drift, half, bounds)
+            if depth == 0:
+                bound_blocks(ends, pairs, blocks)
+                _bound_block_motions(bounds[1], bounds[2])
+            first, last = begins[depth], begins[depth]
+            groups = len(pairs.groups) if depth == 0 else 1
+            for group in range(groups):
+                if depth == 0:
+                    begin, stop = pairs.starts[group], pairs.starts[group + 1]
+                    reach = bounds[2][pairs.groups[group, 0]]
+                    if pairs.groups[group, 1] < len(blocks):
+                        reach += bounds[2][pairs.groups[group, 1]]
+                    if group_bound(blocks, pairs, group) - reach >= min(below, best) - tolerance:
+                        continue
+                else:
+                    begin, stop = begins[depth - 1], begins[depth]
+                for entry in range(begin, stop):
+                    pair = entry if depth == 0 else stack[entry]
+                    aim = min(below, best) - tolerance
+                    moved = bounds[1][pairs.first[pair]]
+                    other = pairs.second[pair]
+                    if other < bodies:
+                        moved += bounds[1][other]
+                        if pair_bound(ends, pairs, pair) - moved < aim:
+                            near, far = pairs.first[pair], other
+                            if carriers[near] > carriers[far]:
+                                near, far = far, near
+                            apart = _relative_motion(tree, carriers, frames, ends, move, half, far, near)
+                            moved = min(moved, apart)
+                    if pair_bound(ends, pairs, pair) - moved >= aim:
+                        continue
+                    distance = pair_contact(ends, pairs, pair, aim + moved)[0]
+                    if pairs.exact[pair]:
+                        if distance < min(below, best):
+                            best, best_pair = distance, pair
+                            if best < enough:
+                                return best, best_pair, opened
+                            aim = best - tolerance
+                    elif distance - moved < aim and moved <= open_motion:
+                        if opened < len(open_samples):
+                            open_samples[opened, 0] = piece
+                            open_samples[opened, 1], open_samples[opened, 2] = middle, pair
+                        opened += 1
+                        continue
+                    if distance - moved < aim and moved > 0.0:
+                        if last == len(stack):
+                            longer = np.empty(2 * len(stack), dtype=np.int64)
+                            longer[: len(stack)] = stack
+                            stack = longer
+                        stack[last] = pair
+                        last += 1
+            if last > first and depth < MAX_DEPTH:  # the first half, for the pairs that are left
+                depth += 1
+                begins[depth], right[depth], width = last, False, half
+                continue
+            while depth > 0 and right[depth]:  # both halves are done
+                depth -= 1
+                low, width = low - width, 2.0 * width
+            if depth == 0:
+                break
+            right[depth], low = True, low + width
+    return best, best_pair, opened
+
+
+@subkernel
+def _spread(count: int) -> int:
+    """Return a stride at which all of so many places are visited, far apart at first."""
+    stride = max(int(0.618 * count), 1)
+    while True:
+        a, b = count, stride
+        while b:
+            a, b = b, a % b
+        if a == 1:
+            return stride
+        stride += 1
+
+
+Frames = tuple[Array3, Array2]
+"""Orientations of joint frames, and their origins."""
+
+Motions = tuple[Array2, Array1, Array1]
+"""Motion of joints: velocity of the origin, angular velocity, bounds of the acceleration of the origin and of
+angular speed and acceleration; and how far bodies, and blocks of them, can move."""
+
+
+@subkernel
+def _bound_motions(
+    tree: JointTree,
+    carriers: Ints1,
+    frames: Frames,
+    ends: Array3,
+    move: Array1,
+    drift: Array1,
+    half: float,
+    bounds: Motions,
+) -> None:
+    """Fill in how joints move on a motion, and how far bodies do until either end of it."""
+    joints, turned = bounds[0], np.empty(len(tree.parents))  # sums of |dq|
+    for i in range(9):
+        joints[0, i] = drift[i] if i < 3 else 0.0
+    turned[0] = 0.0
+    for joint in range(1, len(tree.parents)):
+        p, own = tree.parents[joint], joints[joint]
+        v, origin, before = joints[p], frames[1][joint], frames[1][p]
+        x, y, z = _difference(origin, before)
+        own[0] = v[0] + v[4] * z - v[5] * y
+        own[1] = v[1] + v[5] * x - v[3] * z
+        own[2] = v[2] + v[3] * y - v[4] * x
+        own[3], own[4], own[5] = v[3], v[4], v[5]
+        length = np.sqrt(x * x + y * y + z * z)
+        spin, speed_up = v[7], v[8]  # bounds of angular speed and acceleration
+        size, slides = 0.0, tree.kinds[joint] == 1
+        if tree.kinds[joint] < 2:
+            dq, turn, axis = move[tree.columns[joint]], frames[0][joint], tree.axes[joint]
+            size = abs(dq)
+            for i in range(3):
+                along = turn[i, 0] * axis[0] + turn[i, 1] * axis[1] + turn[i, 2] * axis[2]
+                own[i if slides else 3 + i] += along * dq
+        own[6] = v[6]
+        if slides:
+            own[6] += (length + half * size) * (speed_up + spin * spin) + 2.0 * spin * size
+            size = 0.0
+        else:
+            own[6] += length * (speed_up + spin * spin)
+        turned[joint] = turned[p] + size
+        own[8] = speed_up + spin * size
+        now = np.sqrt(own[3] ** 2 + own[4] ** 2 + own[5] ** 2)
+        own[7] = min(turned[joint], now + half * min(own[8], 0.5 * turned[joint] ** 2))
+    for body in range(len(carriers)):
+        joint, most = carriers[body], 0.0
+        own, origin = joints[joint], frames[1][joint]
+        for end in range(2):
+            x, y, z = _difference(ends[body, end], origin)
+            vx = own[0] + own[4] * z - own[5] * y
+            vy = own[1] + own[5] * x - own[3] * z
+            vz = own[2] + own[3] * y - own[4] * x
+            acceleration = own[6] + np.sqrt(x * x + y * y + z * z) * (own[8] + own[7] * own[7])
+            speed = np.sqrt(vx * vx + vy * vy + vz * vz)
+            most = max(most, half * speed + 0.5 * half * half * acceleration)
+        bounds[1][body] = most
+
+
+@subkernel
+def _bound_block_motions(bodies: Array1, blocks: Array1) -> None:
+    """Fill in how far the bodies of each block can move."""
+    for block in range(len(blocks)):
+        blocks[block] = 0.0
+        for body in range(block * BLOCK, min(block * BLOCK + BLOCK, len(bodies))):
+            blocks[block] = max(blocks[block], bodies[body])
+
+
+@subkernel
+def _relative_motion(
+    tree: JointTree,
+    carriers: Ints1,
+    frames: Frames,
+    ends: Array3,
+    move: Array1,
+    half: float,
+    one: int,
+    other: int,
+) -> float:
+    """Bound how far a body moves, seen from another one nearer to the base, until either end of a motion.
+
+    Infinite where the other does not carry it, or joints slide between them.
+    """
+    base, joint = carriers[other], carriers[one]
+    far = frames[1][joint]
+    velocity, turned, length = np.zeros((2, 3)), 0.0, 0.0
+    while joint > base:
+        origin = frames[1][joint]
+        length += np.sqrt((far[0] - origin[0]) ** 2 + (far[1] - origin[1]) ** 2 + (far[2] - origin[2]) ** 2)
+        far = origin
+        if tree.kinds[joint] < 2:
+            dq, turn, axis = move[tree.columns[joint]], frames[0][joint], tree.axes[joint]
+            if tree.kinds[joint] == 1 and dq != 0.0:
+                return np.inf
+            turned += abs(dq)
+            wx = dq * (turn[0, 0] * axis[0] + turn[0, 1] * axis[1] + turn[0, 2] * axis[2])
+            wy = dq * (turn[1, 0] * axis[0] + turn[1, 1] * axis[1] + turn[1, 2] * axis[2])
+            wz = dq * (turn[2, 0] * axis[0] + turn[2, 1] * axis[1] + turn[2, 2] * axis[2])
+            for end in range(2):
+                x, y, z = _difference(ends[one, end], origin)
+                velocity[end, 0] += wy * z - wz * y
+                velocity[end, 1] += wz * x - wx * z
+                velocity[end, 2] += wx * y - wy * x
+        joint = tree.parents[joint]
+    if joint != base:
+        return np.inf
+    most, origin = 0.0, frames[1][carriers[one]]
+    for end in range(2):
+        x, y, z = _difference(ends[one, end], origin)
+        acceleration = 1.5 * turned * turned * (length + np.sqrt(x * x + y * y + z * z))
+        speed = np.sqrt(velocity[end, 0] ** 2 + velocity[end, 1] ** 2 + velocity[end, 2] ** 2)
+        most = max(most, half * speed + 0.5 * half * half * acceleration)
+    return most
+
+
+@inlined
+def _difference(one: Array1, other: Array1) -> tuple[float, float, float]:
+    return one[0] - other[0], one[1] - other[1], one[2] - other[2]
