@@ -232,7 +232,6 @@ class Contacts(NamedTuple):
     Attributes:
         samples: the configuration of each contact, by its number, (k,); increasing.
         distances: between their surfaces, negative where they overlap, (k,) [m].
-        jacobian: derivatives of the distances by the joint displacement, (k, nv) [m/rad or m/m].
         carrying: the joints that carry both solids, 0 for an obstacle, (k, 2).
         points: the contacts, (k, 3) [m], world frame.
         normals: unit vectors from the second solid to the first, (k, 3), world frame.
@@ -241,7 +240,6 @@ class Contacts(NamedTuple):
 
     samples: Indices
     distances: Array
-    jacobian: Array
     carrying: Indices
     points: Array
     normals: Array
@@ -459,8 +457,7 @@ class PairDistances:
     def contacts(self, kinematics: TreeKinematics, q: Array, offsets: Array, within: float) -> Contacts:
         """Find the pairs nearer than a distance at several configurations; for gradients, not for checks.
 
-        Pairs without a closed form count by the capsules, balls and boxes around them. The derivatives leave
-        out joints that do not just turn or slide.
+        Pairs without a closed form count by the capsules, balls and boxes around them.
 
         Args:
             kinematics: of the model that carries the bodies.
@@ -475,7 +472,6 @@ class PairDistances:
             found = Contacts(
                 samples=np.empty(room, dtype=np.int64),
                 distances=np.empty(room),
-                jacobian=np.zeros((room, positions.shape[1])),
                 carrying=np.empty((room, 2), dtype=np.int64),
                 points=np.empty((room, 3)),
                 normals=np.empty((room, 3)),

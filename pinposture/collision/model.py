@@ -432,7 +432,7 @@ class CollisionModel:
         )
 
     def contacts_along(self, q0: Array, offsets: Array, within: float) -> Contacts:
-        """Return the pairs nearer than a distance at several configurations, with approximate gradients.
+        """Return the pairs nearer than a distance at several configurations.
 
         Pairs without a closed form count by simple shapes around them, so distances may be too small.
 

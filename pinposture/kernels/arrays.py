@@ -107,25 +107,35 @@ class PathProblem(NamedTuple):
 
 
 class PathRows(NamedTuple):
-    """Rows on a path, each of one waypoint: row x_i = error. Those that are contacts say where they are.
+    """Rows on a path, each of one waypoint: row x_i = error.
 
     Attributes:
         matrix: (k, n).
         errors: (k,) [m].
         waypoints: the waypoint i, not one of the ends, (k,).
-        one_sided: which of them count only while their error is positive, (k,).
-        carried: number of moving joints of the chain that carry both bodies of a contact, (k, 2); 0: none.
-        points: the contact, (k, 3) [m].
-        directions: its normal, times the root of its weight, (k, 3).
     """
 
     matrix: Array2
     errors: Array1
     waypoints: Ints1
-    one_sided: Flags1
+
+
+class PathContacts(NamedTuple):
+    """Contacts on a path: solids that should part by an error where it is positive.
+
+    Attributes:
+        errors: times the root of the weight, (k,) [m].
+        begins: first contact of each waypoint, and how many there are, (N + 2,); the ends have none.
+        carried: number of moving joints of the chain that carry both solids, (k, 2); 0: none.
+        points: where they are closest, (k, 3) [m].
+        normals: from the second to the first, times the root of the weight, (k, 3).
+    """
+
+    errors: Array1
+    begins: Ints1
     carried: Ints2
     points: Array2
-    directions: Array2
+    normals: Array2
 
 
 class ScrewChain(NamedTuple):

@@ -337,6 +337,42 @@ def pull_points(b: Array2, ends: Ints1, points: Array2, forces: Array2, filled: 
             t0, t1, t2 = t0 + r1 * f2 - r2 * f1, t1 + r2 * f0 - r0 * f2, t2 + r0 * f1 - r1 * f0
 
 
+@subkernel
+def move_bodies(b: Array2, ends: Ints1, points: Array2, x: Array1, twists: Array2) -> None:
+    """Fill in how motions of the joints move the body behind each, (n + 1, 6); the first stands still.
+
+    Velocities are those of the first point that the body carries, or of the last point.
+    """
+    k = 0
+    v0, v1, v2, w0, w1, w2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    twists[0] = 0.0
+    for u in range(len(b)):
+        while k < len(ends) - 1 and ends[k] <= u:
+            k += 1
+            r0, r1, r2 = difference(points, k, k - 1)
+            v0, v1, v2 = v0 + w1 * r2 - w2 * r1, v1 + w2 * r0 - w0 * r2, v2 + w0 * r1 - w1 * r0
+        v0, v1, v2 = v0 + b[u, 0] * x[u], v1 + b[u, 1] * x[u], v2 + b[u, 2] * x[u]
+        w0, w1, w2 = w0 + b[u, 3] * x[u], w1 + b[u, 4] * x[u], w2 + b[u, 5] * x[u]
+        t = twists[u + 1]
+        t[0], t[1], t[2], t[3], t[4], t[5] = v0, v1, v2, w0, w1, w2
+
+
+@subkernel
+def pull_bodies(b: Array2, ends: Ints1, points: Array2, wrenches: Array2, filled: Array1) -> None:
+    """Add the efforts of the joints, (n,), that forces and moments on bodies cause; see `move_bodies`."""
+    k = len(ends) - 1
+    f0, f1, f2, t0, t1, t2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for u in range(len(b) - 1, -1, -1):
+        while k > 0 and ends[k - 1] > u:  # moments about the point before
+            r0, r1, r2 = difference(points, k, k - 1)
+            t0, t1, t2 = t0 + r1 * f2 - r2 * f1, t1 + r2 * f0 - r0 * f2, t2 + r0 * f1 - r1 * f0
+            k -= 1
+        g = wrenches[u + 1]
+        f0, f1, f2, t0, t1, t2 = f0 + g[0], f1 + g[1], f2 + g[2], t0 + g[3], t1 + g[4], t2 + g[5]
+        linear = b[u, 0] * f0 + b[u, 1] * f1 + b[u, 2] * f2
+        filled[u] += linear + b[u, 3] * t0 + b[u, 4] * t1 + b[u, 5] * t2
+
+
 @compiled
 def measure_point_errors(
     points: Array2, targets: Array2, weights: Array1, chords: Array1, normal: Array1, errors: Array2

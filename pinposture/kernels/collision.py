@@ -164,41 +164,25 @@ def differentiate_distances(
         normals: unit vectors from the second body to the first, (k, 3).
         jacobian: zeros, filled with the derivatives, (k, nv); columns of joints of another kind stay.
     """
-    joints = np.empty(2, dtype=np.int64)
     for k in range(len(first)):
-        joints[0], joints[1] = first[k], second[k]
-        _differentiate_distance(tree, rotations, origins, joints, points[k], normals[k], jacobian[k])
-
-
-@subkernel
-def _differentiate_distance(
-    tree: JointTree,
-    rotations: Array3,
-    origins: Array2,
-    joints: Ints1,
-    point: Array1,
-    normal: Array1,
-    row: Array1,
-) -> None:
-    """`differentiate_distances` of one contact."""
-    nx, ny, nz = normal[0], normal[1], normal[2]
-    for side in range(2):
-        joint, sign = joints[side], 1.0 - 2.0 * side
-        while joint > 0:
-            if tree.kinds[joint] < 2:
-                turn, axis = rotations[joint], tree.axes[joint]
-                ax = turn[0, 0] * axis[0] + turn[0, 1] * axis[1] + turn[0, 2] * axis[2]
-                ay = turn[1, 0] * axis[0] + turn[1, 1] * axis[1] + turn[1, 2] * axis[2]
-                az = turn[2, 0] * axis[0] + turn[2, 1] * axis[1] + turn[2, 2] * axis[2]
-                if tree.kinds[joint] == 1:
-                    moved = nx * ax + ny * ay + nz * az
-                else:
-                    x = point[0] - origins[joint, 0]
-                    y = point[1] - origins[joint, 1]
-                    z = point[2] - origins[joint, 2]
-                    moved = nx * (ay * z - az * y) + ny * (az * x - ax * z) + nz * (ax * y - ay * x)
-                row[tree.columns[joint]] += sign * moved
-            joint = tree.parents[joint]
+        nx, ny, nz = normals[k, 0], normals[k, 1], normals[k, 2]
+        for side in range(2):
+            joint, sign = (first[k], 1.0) if side == 0 else (second[k], -1.0)
+            while joint > 0:
+                if tree.kinds[joint] < 2:
+                    turn, axis = rotations[joint], tree.axes[joint]
+                    ax = turn[0, 0] * axis[0] + turn[0, 1] * axis[1] + turn[0, 2] * axis[2]
+                    ay = turn[1, 0] * axis[0] + turn[1, 1] * axis[1] + turn[1, 2] * axis[2]
+                    az = turn[2, 0] * axis[0] + turn[2, 1] * axis[1] + turn[2, 2] * axis[2]
+                    if tree.kinds[joint] == 1:
+                        moved = nx * ax + ny * ay + nz * az
+                    else:
+                        x = points[k, 0] - origins[joint, 0]
+                        y = points[k, 1] - origins[joint, 1]
+                        z = points[k, 2] - origins[joint, 2]
+                        moved = nx * (ay * z - az * y) + ny * (az * x - ax * z) + nz * (ax * y - ay * x)
+                    jacobian[k, tree.columns[joint]] += sign * moved
+                joint = tree.parents[joint]
 
 
 # One pair: distance of the surfaces, place on the axis of the first solid, normal from the second.
@@ -651,13 +635,12 @@ def contacts_along(
     within: float,
     samples: Ints1,
     distances: Array1,
-    jacobian: Array2,
     carrying: Ints2,
     points: Array2,
     normals: Array2,
     minima: Array1,
 ) -> int:
-    """Find the pairs nearer than a distance at several configurations, and derivatives of their distances.
+    """Find the pairs nearer than a distance at several configurations.
 
     Pairs that are not exact count by the shapes around them.
 
@@ -671,7 +654,6 @@ def contacts_along(
         within: the distance.
         samples: filled with the configuration of each contact, (k,); increasing.
         distances: filled with the distances, (k,).
-        jacobian: zeros, filled with their derivatives by the joint positions, (k, nv).
         carrying: filled with the joints that carry both solids, 0 for an obstacle, (k, 2).
         points: filled with the contacts, (k, 3).
         normals: filled with unit vectors from the second solid to the first, (k, 3).
@@ -706,15 +688,6 @@ def contacts_along(
                     carrying[found, 1] = carriers[other] if other < bodies else 0
                     for i in range(3):
                         points[found, i], normals[found, i] = contact[1 + i], contact[4 + i]
-                    _differentiate_distance(
-                        tree,
-                        rotations,
-                        origins,
-                        carrying[found],
-                        points[found],
-                        normals[found],
-                        jacobian[found],
-                    )
                 found += 1
     return found
 

@@ -11,6 +11,7 @@ from pinposture.kernels.arrays import (
     Flags1,
     Flags2,
     Ints1,
+    PathContacts,
     PathProblem,
     PathRows,
     PointObjective,
@@ -19,7 +20,9 @@ from pinposture.kernels.chain_solver import (
     factor,
     find_screws,
     minimise_in_box,
+    move_bodies,
     move_points,
+    pull_bodies,
     pull_points,
     solve_factored,
     stiffness,
@@ -199,17 +202,20 @@ def _sum_distances(one: Array2, other: Array2) -> float:
 
 
 @compiled
-def step_waypoints(problem: PathProblem, damping: float, x: Array2, rows: PathRows, steps: Array2) -> int:
+def step_waypoints(
+    problem: PathProblem, damping: float, x: Array2, rows: PathRows, contacts: PathContacts, steps: Array2
+) -> int:
     """Compute a damped Gauss-Newton step of the waypoints between two ends.
 
-    Joints at a limit that the descent would push past it stay there. Rows on one side count where they are
-    missed, before or after the step.
+    Joints at a limit that the descent would push past it stay there. Contacts count where the solids are too
+    close, before or after the step.
 
     Args:
         problem: the joints.
         damping: relative to the mean diagonal of J^T J.
         x: displacements of waypoints, (N + 1, n).
         rows: what else should hold on the path.
+        contacts: what should not touch.
         steps: filled with the step of each waypoint, (N + 1, n); zero at the ends.
 
     Returns:
@@ -241,96 +247,154 @@ def step_waypoints(problem: PathProblem, damping: float, x: Array2, rows: PathRo
     for i in range(1, last):
         stiff[i] = pivot - damping
         pivot = 2.0 + damping - 1.0 / pivot
-    active, held = np.empty(len(rows.errors), dtype=np.bool_), np.zeros((last + 1, n), dtype=np.bool_)
-    for row in range(len(active)):
-        active[row] = not rows.one_sided[row] or rows.errors[row] > 0.0
-    order = np.argsort(rows.waypoints, kind="mergesort")
-    owners = rows.waypoints[order]
+    active, held = contacts.errors > 0.0, np.zeros((last + 1, n), dtype=np.bool_)
+    wrenches, values = np.zeros((len(active), 2, 6)), np.empty(len(active))
+    scratch = np.empty((n + 1, 6))
+    for i in range(1, last):
+        _find_wrenches(contacts, i, own_ends, points[i], wrenches)
     gains, bodies = np.empty((last + 1, n, 11)), np.empty((n, 6, 6))
     total = 0
     steps[:] = 0.0
     for _ in range(MAX_SET_CHANGES):
         downhill[:] = -slope
-        _add_rows(rows, active, rows.errors, downhill)
+        for row in range(len(rows.errors)):
+            for u in range(n):
+                downhill[rows.waypoints[row], u] += rows.errors[row] * rows.matrix[row, u]
         for i in range(1, last):
+            here = screws[i], own_ends, points[i]
+            _pull_contacts(contacts, i, wrenches, active, contacts.errors, here, scratch, downhill[i])
             for u in range(n):
                 above = x[i, u] >= upper[u] and downhill[i, u] > 0.0
                 held[i, u] = above or (x[i, u] <= lower[u] and downhill[i, u] < 0.0)
                 if held[i, u]:
                     downhill[i, u], steps[i, u] = 0.0, 0.0
-            begin, end = np.searchsorted(owners, i), np.searchsorted(owners, i + 1)
-            _collect_contacts(rows, active, order[begin:end], own_ends, points[i], bodies)
+            _collect_contacts(contacts, i, wrenches, active, own_ends, bodies)
             objective = PointObjective(screws[i], own_ends, points[i], np.full(m, stiff[i]), no_chords)
             factor(objective, np.full(n, stiff[i] * weight + own), held[i], bodies, gains[i])
+        parts = rows, contacts, wrenches, active
         total += _solve_by_conjugate_gradients(
-            screws, own_ends, points, rows, active, held, own, weight, stiff, gains, downhill, steps
+            (screws, own_ends, points), parts, held, own, weight, stiff, gains, downhill, steps
         )
         changed = False
-        for row in range(len(active)):
-            if not np.isfinite(rows.errors[row]):
-                return -1
-            if rows.one_sided[row]:
-                counts = rows.errors[row] > _row_motion(rows, row, steps)
+        for i in range(1, last):
+            here = screws[i], own_ends, points[i]
+            _move_contacts(contacts, i, wrenches, here, steps[i], scratch, values)
+            for row in range(contacts.begins[i], contacts.begins[i + 1]):
+                counts = contacts.errors[row] > values[row]
                 changed = changed or counts != active[row]
                 active[row] = counts
+            for u in range(n):
+                if not np.isfinite(steps[i, u]):
+                    return -1
         if not changed:
             break
-    for i in range(1, last):
-        for u in range(n):
-            if not np.isfinite(steps[i, u]):
-                return -1
     return total
 
 
-@subkernel
-def _row_motion(rows: PathRows, row: int, steps: Array2) -> float:
-    """Return by how much steps (N + 1, n) move one row."""
-    moved, i = 0.0, rows.waypoints[row]
-    for u in range(steps.shape[1]):
-        moved += rows.matrix[row, u] * steps[i, u]
-    return moved
+Chain = tuple[Array2, Ints1, Array2]
+"""Screws of a waypoint, number of joints that carry each point, and the points."""
+
+Chains = tuple[Array3, Ints1, Array3]
+"""The same of all waypoints."""
+
+Parts = tuple[PathRows, PathContacts, Array3, Flags1]
+"""Rows, contacts, the wrenches of these, and which of them count."""
 
 
 @subkernel
-def _add_rows(rows: PathRows, active: Flags1, factors: Array1, filled: Array2) -> None:
-    """Add rows that count, times factors, to what belongs to their waypoints, (N + 1, n)."""
-    for row in range(len(factors)):
+def _find_wrenches(contacts: PathContacts, i: int, ends: Ints1, points: Array2, wrenches: Array3) -> None:
+    """Fill in the contacts of a waypoint as forces on both solids, and their moments, (k, 2, 6)."""
+    for row in range(contacts.begins[i], contacts.begins[i + 1]):
+        for side in range(2):
+            carried = contacts.carried[row, side]
+            if carried == 0:
+                continue
+            k = min(np.searchsorted(ends, carried), len(ends) - 1)
+            x = contacts.points[row, 0] - points[k, 0]
+            y = contacts.points[row, 1] - points[k, 1]
+            z = contacts.points[row, 2] - points[k, 2]
+            sign = 1.0 - 2.0 * side
+            f0, f1, f2 = (
+                sign * contacts.normals[row, 0],
+                sign * contacts.normals[row, 1],
+                sign * contacts.normals[row, 2],
+            )
+            own = wrenches[row, side]
+            own[0], own[1], own[2] = f0, f1, f2
+            own[3], own[4], own[5] = y * f2 - z * f1, z * f0 - x * f2, x * f1 - y * f0
+
+
+@subkernel
+def _move_contacts(
+    contacts: PathContacts,
+    i: int,
+    wrenches: Array3,
+    here: Chain,
+    step: Array1,
+    twists: Array2,
+    values: Array1,
+) -> None:
+    """Fill in by how much a step of a waypoint parts its contacts."""
+    begin, end = contacts.begins[i], contacts.begins[i + 1]
+    if begin == end:
+        return
+    move_bodies(here[0], here[1], here[2], step, twists)
+    for row in range(begin, end):
+        values[row] = 0.0
+        for side in range(2):
+            twist, own = twists[contacts.carried[row, side]], wrenches[row, side]
+            for j in range(6):
+                values[row] += own[j] * twist[j]
+
+
+@subkernel
+def _pull_contacts(
+    contacts: PathContacts,
+    i: int,
+    wrenches: Array3,
+    active: Flags1,
+    factors: Array1,
+    here: Chain,
+    forces: Array2,
+    filled: Array1,
+) -> None:
+    """Add the contacts of a waypoint that count, as forces times factors, to what belongs to its joints."""
+    begin, end = contacts.begins[i], contacts.begins[i + 1]
+    any_active = False
+    forces[:] = 0.0
+    for row in range(begin, end):
         if active[row]:
-            for u in range(filled.shape[1]):
-                filled[rows.waypoints[row], u] += factors[row] * rows.matrix[row, u]
+            any_active = True
+            for side in range(2):
+                force, own = forces[contacts.carried[row, side]], wrenches[row, side]
+                for j in range(6):
+                    force[j] += factors[row] * own[j]
+    if any_active:
+        pull_bodies(here[0], here[1], here[2], forces, filled)
 
 
 @subkernel
 def _collect_contacts(
-    rows: PathRows, active: Flags1, own: Ints1, ends: Ints1, points: Array2, bodies: Array3
+    contacts: PathContacts, i: int, wrenches: Array3, active: Flags1, ends: Ints1, bodies: Array3
 ) -> None:
-    """Fill in what the contacts of a waypoint, rows `own`, cost when bodies move, (n, 6, 6)."""
-    last, moved = ends[len(ends) - 1], np.empty(6)
+    """Fill in what the contacts of a waypoint cost when bodies move, (n, 6, 6)."""
+    last = ends[len(ends) - 1]
     bodies[:] = 0.0
-    for row in own:
+    for row in range(contacts.begins[i], contacts.begins[i + 1]):
         for side in range(2):
-            carried = min(rows.carried[row, side], last)
+            carried, own = min(contacts.carried[row, side], last), wrenches[row, side]
             if carried == 0 or not active[row]:
                 continue
-            k, f = np.searchsorted(ends, carried), rows.directions[row]
-            x = rows.points[row, 0] - points[k, 0]
-            y = rows.points[row, 1] - points[k, 1]
-            z = rows.points[row, 2] - points[k, 2]
-            moved[0], moved[1], moved[2] = f[0], f[1], f[2]
-            moved[3], moved[4], moved[5] = y * f[2] - z * f[1], z * f[0] - x * f[2], x * f[1] - y * f[0]
             cost = bodies[carried - 1]
-            for i in range(6):
-                for j in range(6):
-                    cost[i, j] += moved[i] * moved[j]
+            for a in range(6):
+                for b in range(6):
+                    cost[a, b] += own[a] * own[b]
 
 
 @subkernel
 def _solve_by_conjugate_gradients(
-    screws: Array3,
-    ends: Ints1,
-    points: Array3,
-    rows: PathRows,
-    active: Flags1,
+    given: Chains,
+    parts: Parts,
     held: Flags2,
     own: float,
     weight: float,
@@ -342,11 +406,10 @@ def _solve_by_conjugate_gradients(
     """Improve the steps of waypoints, (N + 1, n), until they nearly solve H steps = right."""
     last, n = len(right) - 1, right.shape[1]
     residual, product, solved = np.zeros((last + 1, n)), np.zeros((last + 1, n)), np.zeros((last + 1, n))
-    motions, factors = np.zeros((last + 1, len(ends), 3)), np.empty(len(active))
-    given = screws, ends, points
+    motions, factors = np.zeros((last + 1, len(given[1]), 3)), np.empty(len(parts[3]))
     _precondition(given, held, own, weight, stiff, gains, right, solved)
     aim = CONJUGATE_RESIDUAL**2 * _inner(right, solved)
-    _multiply(given, rows, active, held, own, weight, steps, motions, factors, product)
+    _multiply(given, parts, held, own, weight, steps, motions, factors, product)
     for i in range(1, last):
         for u in range(n):
             residual[i, u] = right[i, u] - product[i, u]
@@ -355,7 +418,7 @@ def _solve_by_conjugate_gradients(
     for number in range(MAX_CONJUGATE_STEPS):
         if not size > aim:
             return number
-        _multiply(given, rows, active, held, own, weight, direction, motions, factors, product)
+        _multiply(given, parts, held, own, weight, direction, motions, factors, product)
         length = size / _inner(direction, product)
         for i in range(1, last):
             for u in range(n):
@@ -380,9 +443,8 @@ def _inner(one: Array2, other: Array2) -> float:
 
 @subkernel
 def _multiply(
-    given: tuple[Array3, Ints1, Array3],
-    rows: PathRows,
-    active: Flags1,
+    given: Chains,
+    parts: Parts,
     held: Flags2,
     own: float,
     weight: float,
@@ -394,6 +456,7 @@ def _multiply(
     """Fill in H steps, (N + 1, n); `motions` (N + 1, m, 3), zero at the ends, and `factors` are scratch."""
     screws, ends, points = given
     last, n, force = len(steps) - 1, steps.shape[1], np.empty((len(ends), 3))
+    scratch = np.empty((n + 1, 6))
     for i in range(1, last):
         move_points(screws[i], ends, points[i], steps[i], motions[i])
     for i in range(1, last):
@@ -405,10 +468,18 @@ def _multiply(
         for u in range(n):
             beside = steps[i - 1, u] + steps[i + 1, u]
             product[i, u] += (2.0 * weight + own) * steps[i, u] - weight * beside
-    for row in range(len(factors)):
-        factors[row] = _row_motion(rows, row, steps) if active[row] else 0.0
-    _add_rows(rows, active, factors, product)
+    rows, contacts, wrenches, active = parts
+    for row in range(len(rows.errors)):
+        i, moved = rows.waypoints[row], 0.0
+        for u in range(n):
+            moved += rows.matrix[row, u] * steps[i, u]
+        for u in range(n):
+            product[i, u] += moved * rows.matrix[row, u]
     for i in range(1, last):
+        here = screws[i], ends, points[i]
+        if contacts.begins[i + 1] > contacts.begins[i]:
+            _move_contacts(contacts, i, wrenches, here, steps[i], scratch, factors)
+            _pull_contacts(contacts, i, wrenches, active, factors, here, scratch, product[i])
         for u in range(n):
             if held[i, u]:
                 product[i, u] = 0.0
@@ -416,7 +487,7 @@ def _multiply(
 
 @subkernel
 def _precondition(
-    given: tuple[Array3, Ints1, Array3],
+    given: Chains,
     held: Flags2,
     own: float,
     weight: float,

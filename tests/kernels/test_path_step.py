@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from sampling import examples
 
 import pinposture as pp
 from pinposture import kernels
-from pinposture.kernels.arrays import PathProblem, PathRows
+from pinposture.kernels.arrays import PathContacts, PathProblem, PathRows
 
 WEIGHT, DAMPING = 3e-4, 1e-3
 
 
 class Problem:
-    """A rough path of an arm, with contacts of its control points and a few dense rows."""
+    """A rough path of an arm, with contacts of its modules and a few dense rows."""
 
     def __init__(self, seed: int, modules: int, pieces: int, stiff: float, contacts: int = 6) -> None:
         rng = np.random.default_rng(seed)
@@ -30,28 +28,32 @@ class Problem:
         self.states = [arm.at(arm.integrate(self.start, each)) for each in self.x]
         self.jacobians = [each.task_jacobians.reshape(-1, arm.nv) for each in self.states]
         self.points = np.array([each.points.ravel() for each in self.states])
-        rows, normals, places, carried, owners = [], [], [], [], []
-        for owner in rng.integers(1, pieces, contacts * pieces):
-            k, normal = int(rng.integers(modules)), stiff * rng.normal(size=3)
-            rows.append(normal @ self.states[owner].task_jacobians[k])
-            normals.append(normal)
-            places.append(self.states[owner].points[k])
-            carried.append([arm.kinematics.ends[k], 0])
-            owners.append(owner)
-        for owner in rng.integers(1, pieces, 3):  # rows of tasks, which the preconditioner does not know
-            rows.append(rng.normal(size=arm.nv))
-            normals.append(np.zeros(3))
-            places.append(np.zeros(3))
-            carried.append([0, 0])
-            owners.append(owner)
-        self.rows = PathRows(
-            matrix=np.array(rows),
-            errors=0.01 * stiff * rng.normal(size=len(rows)),
-            waypoints=np.array(owners, dtype=np.int64),
-            one_sided=np.zeros(len(rows), dtype=np.bool_),
-            carried=np.array(carried, dtype=np.int64),
-            points=np.array(places),
-            directions=np.array(normals),
+        owners = np.sort(rng.integers(1, pieces, contacts * pieces))
+        bodies = rng.integers(-1, modules, (len(owners), 2))  # of modules, at their ends; -1 stands still
+        bodies[:, 0] = np.maximum(bodies[:, 0], 0)
+        normals = stiff * rng.normal(size=(len(owners), 3))
+        places = np.array([self.states[i].points[k] for i, k in zip(owners, bodies[:, 0], strict=True)])
+        # Contacts as rows, by other means: the point moves with both bodies.
+        self.matrix = np.zeros((len(owners), arm.nv))
+        for row, (owner, both) in enumerate(zip(owners, bodies, strict=True)):
+            for k, sign in zip(both, (1.0, -1.0), strict=True):
+                if k >= 0:
+                    state = self.states[owner]
+                    apart = places[row] - state.points[k]
+                    moved = state.jacobians[k] + np.cross(state.angular_jacobians[k].T, apart).T
+                    self.matrix[row] += sign * normals[row] @ moved
+        self.owners = owners
+        self.contacts = PathContacts(
+            errors=0.01 * stiff * np.abs(rng.normal(size=len(owners))),
+            begins=np.searchsorted(owners, np.arange(pieces + 2)).astype(np.int64),
+            carried=np.where(bodies < 0, 0, arm.kinematics.ends[bodies]).astype(np.int64),
+            points=places.reshape(-1, 3),
+            normals=normals,
+        )
+        self.rows = PathRows(  # of tasks, which the preconditioner does not know
+            matrix=rng.normal(size=(3, arm.nv)),
+            errors=0.01 * rng.normal(size=3),
+            waypoints=rng.integers(1, pieces, 3),
         )
 
     def step(self) -> np.ndarray:
@@ -60,13 +62,13 @@ class Problem:
         ends = np.array(self.arm.kinematics.ends, dtype=np.int64)
         given = constants, np.arange(self.n), ends, np.ones(self.n), self.arm.positions(self.start)
         path = PathProblem(*given, *self.bounds, WEIGHT)
-        assert kernels.step_waypoints(path, DAMPING, self.x, self.rows, steps) > 0
+        assert kernels.step_waypoints(path, DAMPING, self.x, self.rows, self.contacts, steps) > 0
         assert not steps[0].any()
         assert not steps[-1].any()
         return steps
 
     def equations(self, active: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Matrix H and right-hand side of the rows that are active, for the waypoints between the ends."""
+        """Matrix H and right-hand side, with the contacts that count, for the waypoints between the ends."""
         n, count = self.n, self.last - 1
         matrix, right = np.zeros((count * n, count * n)), np.zeros(count * n)
         for i in range(self.last):  # the energy of one piece: |J_1 x_1 - J_0 x_0 + gap|^2, and of the joints
@@ -81,16 +83,28 @@ class Problem:
             right -= both.T @ gap
         typical = np.mean([np.trace(each.T @ each) for each in self.jacobians[1:-1]]) / n
         matrix += DAMPING * typical * np.eye(count * n)
-        for row in np.flatnonzero(active):
-            own = slice((self.rows.waypoints[row] - 1) * n, self.rows.waypoints[row] * n)
-            matrix[own, own] += np.outer(self.rows.matrix[row], self.rows.matrix[row])
-            right[own] += self.rows.errors[row] * self.rows.matrix[row]
+        tasks = zip(self.rows.waypoints, self.rows.matrix, self.rows.errors, strict=True)
+        parts = zip(self.owners, self.matrix, self.contacts.errors, strict=True)
+        for owner, row, error in [
+            *tasks,
+            *(each for each, is_on in zip(parts, active, strict=True) if is_on),
+        ]:
+            own = slice((owner - 1) * n, owner * n)
+            matrix[own, own] += np.outer(row, row)
+            right[own] += error * row
         return matrix, right
 
 
 def decrease(matrix: np.ndarray, right: np.ndarray, step: np.ndarray) -> float:
     """By how much a step lowers the quadratic model."""
     return float(right @ step - 0.5 * step @ matrix @ step)
+
+
+def settled(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """A step, and which contacts are too close before it, or after it, if the step is as good as linear."""
+    step = problem.step()
+    moved = np.einsum("ij,ij->i", problem.matrix, step[problem.owners])
+    return step, problem.contacts.errors > moved
 
 
 @given(
@@ -103,16 +117,19 @@ def decrease(matrix: np.ndarray, right: np.ndarray, step: np.ndarray) -> float:
 def test_a_step_lowers_the_model_as_far_as_the_exact_one(
     seed: int, modules: int, pieces: int, stiff: float
 ) -> None:
-    problem = Problem(seed, modules, pieces, stiff)
-    matrix, right = problem.equations(np.ones(len(problem.rows.errors), dtype=np.bool_))
+    problem = Problem(seed, modules, pieces, stiff, contacts=2)
+    problem.contacts = problem.contacts._replace(errors=problem.contacts.errors + 100.0 * stiff)  # all count
+    step, active = settled(problem)
+    assume(bool(np.all(active == (stiff > 0.0))))
+    matrix, right = problem.equations(active)
     best = decrease(matrix, right, np.linalg.solve(matrix, right))
-    assert decrease(matrix, right, problem.step()[1:-1].ravel()) >= 0.999 * best
+    assert decrease(matrix, right, step[1:-1].ravel()) >= 0.999 * best
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_joints_at_a_limit_are_held_and_the_others_are_optimal(seed: int) -> None:
-    problem = Problem(seed, 6, 12, 10.0)
-    matrix, right = problem.equations(np.ones(len(problem.rows.errors), dtype=np.bool_))
+    problem = Problem(seed, 6, 12, 0.0)
+    matrix, right = problem.equations(np.zeros(len(problem.owners), dtype=np.bool_))
     downhill = right.reshape(-1, problem.n)
     upper = problem.x[1:-1].max(axis=0)  # each joint is at its limit at one waypoint
     problem.bounds = np.full(problem.n, -3.0), upper
@@ -127,14 +144,10 @@ def test_joints_at_a_limit_are_held_and_the_others_are_optimal(seed: int) -> Non
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_rows_on_one_side_count_where_the_step_misses_them(seed: int) -> None:
+def test_contacts_count_where_the_step_leaves_them_too_close(seed: int) -> None:
     problem = Problem(seed, 6, 12, 1.0, contacts=1)
-    every: Any = np.ones_like(problem.rows.one_sided)
-    problem.rows = problem.rows._replace(one_sided=every)
-    step = problem.step()
-    moved = np.einsum("ij,ij->i", problem.rows.matrix, step[problem.rows.waypoints])
-    missed = problem.rows.errors > moved
-    assert 0 < missed.sum() < len(missed)
-    matrix, right = problem.equations(missed)
+    step, active = settled(problem)
+    assert 0 < active.sum() < len(active)
+    matrix, right = problem.equations(active)
     best = decrease(matrix, right, np.linalg.solve(matrix, right))
     assert decrease(matrix, right, step[1:-1].ravel()) >= 0.95 * best  # the set is corrected a few times only

@@ -192,21 +192,19 @@ MAX_HALVINGS = 6
 """How often a step after which the arm cannot stop clear is moved halfway to braking, before it brakes."""
 
 
-class ClearanceRows(NamedTuple):
-    """How much closer pairs are than they should be: matrix @ x >= errors brings them apart.
+class PathClearance(NamedTuple):
+    """How much closer pairs are than they should be, at several configurations.
 
     Attributes:
-        matrix: (r, n) [m per `Arm.joint_units`], columns as in `Objective.columns`.
         errors: negative for pairs that are far enough, (r,) [m].
-        samples: the configuration that each belongs to, by its number, (r,).
-        carried: number of columns that move each of both bodies, (r, 2); 0 for an obstacle.
+        samples: the configuration that each belongs to, by its number, (r,); increasing.
+        carried: number of columns of `Objective.columns` that move both bodies, (r, 2); 0 for an obstacle.
         points: where they are closest, (r, 3) [m], world frame.
         normals: unit vectors from the second to the first, (r, 3), world frame.
         minima: the smallest distance at each configuration; those that are far enough count as infinite
             or as some larger number, (s,) [m].
     """
 
-    matrix: Array
     errors: Array
     samples: NDArray[np.int64]
     carried: NDArray[np.int64]
@@ -328,7 +326,7 @@ class Avoidance:
         """Return by how much the nearest pair is closer than the margin [m]; 0 if all keep it."""
         return max(0.0, self.margin - self.near(state).minimum)
 
-    def clearance_rows(self, q: Array, offsets: Array) -> ClearanceRows:
+    def measure_clearance(self, q: Array, offsets: Array) -> PathClearance:
         """Return how much closer pairs are than a planned path should come, at several configurations.
 
         Args:
@@ -337,8 +335,7 @@ class Avoidance:
         """
         wanted = self.margin + PATH_CLEARANCE * self._length
         found = self.clearance.contacts_along(q, offsets, wanted + PATH_SIGHT * self._length)
-        return ClearanceRows(
-            matrix=found.jacobian[:, self.objective.columns] * self.objective.units,
+        return PathClearance(
             errors=wanted - found.distances,
             samples=found.samples,
             carried=self._carried[found.carrying],

@@ -52,8 +52,8 @@ MAX_TURN = np.pi
 """Largest motion of a joint from the start in a sample, in `Arm.joint_units`."""
 
 FEW_JOINTS = 40
-"""Number of joints up to which the joint motions above hold; with more, each moves less, in proportion: an arm
-of many joints bends as far as one of few."""
+"""Number of joints up to which the joint motions above hold; with more, each moves less, in proportion: an
+arm of many joints bends as far as one of few."""
 
 SHORTCUTS = 60
 """Number of shortcuts that are tried."""

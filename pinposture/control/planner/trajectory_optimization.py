@@ -33,7 +33,7 @@ from pinposture.arm import ArmState
 from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.objective import LinearRows, Objective
 from pinposture.control.planner.path import JointPath
-from pinposture.kernels.arrays import PathProblem, PathRows
+from pinposture.kernels.arrays import PathContacts, PathProblem, PathRows
 
 Array = NDArray[np.float64]
 
@@ -236,10 +236,11 @@ class _Waypoints:
             kernels.relax_waypoints(self._problem, MAX_PASSES, RELAXED, x)
             yield x
 
-    def step(self, x: Array, damping: float, rows: PathRows) -> Array | None:
+    def step(self, x: Array, damping: float, rows: PathRows, contacts: PathContacts) -> Array | None:
         """Return a damped Gauss-Newton step of all waypoints, (N + 1, n); None if it is not finite."""
         steps = np.empty_like(x)
-        return steps if kernels.step_waypoints(self._problem, damping, x, rows, steps) >= 0 else None
+        found = kernels.step_waypoints(self._problem, damping, x, rows, contacts, steps)
+        return steps if found >= 0 else None
 
     def length_ratio(self, x: Array) -> float:
         """Return the path length of the control points, relative to straight lines from start to end."""
@@ -266,7 +267,8 @@ class _Iterate(NamedTuple):
     Attributes:
         x: displacements from the start, (N + 1, n), in `Arm.joint_units`.
         points: control points, (N + 1, r) [m].
-        rows: the rows of the penalties.
+        rows: the rows of the tasks.
+        contacts: what is too close, or near.
         clear: which pieces keep the least distance, (N,).
         energy: the sum that is minimised [m^2].
     """
@@ -274,6 +276,7 @@ class _Iterate(NamedTuple):
     x: Array
     points: Array
     rows: PathRows
+    contacts: PathContacts
     clear: NDArray[np.bool_]
     energy: float
 
@@ -343,14 +346,9 @@ class _PathRelaxation:
         arm, offsets = objective.arm, objective.displacement(x)
         points = (arm.kinematics.points(self._positions + offsets) @ arm.plane.T).reshape(len(x), -1)
         energy = float((np.diff(points, axis=0) ** 2).sum() + self._weight * (np.diff(x, axis=0) ** 2).sum())
-        parts = [self._task_rows(offsets)]
-        clear = np.ones(len(x) - 1, dtype=np.bool_)
-        if self._penalties.avoidance is not None:
-            rows, clear = self._clearance_rows(self._penalties.avoidance, offsets)
-            parts.append(rows)
-        rows = PathRows(*(np.ascontiguousarray(np.concatenate(each)) for each in zip(*parts, strict=True)))
-        energy += float((rows.errors[~rows.one_sided | (rows.errors > 0.0)] ** 2).sum())
-        return _Iterate(x, points, rows, clear, energy)
+        rows, (contacts, clear) = self._task_rows(offsets), self._clearance(offsets)
+        energy += float((rows.errors**2).sum()) + float((contacts.errors[contacts.errors > 0.0] ** 2).sum())
+        return _Iterate(x, points, rows, contacts, clear, energy)
 
     def _task_rows(self, offsets: Array) -> PathRows:
         """Return the rows of tasks at the waypoints between the ends."""
@@ -364,29 +362,27 @@ class _PathRelaxation:
             ]
         )
         counts = [len(each.errors) for each in found]
-        n, rows = len(self._objective.columns), sum(counts)
+        n = len(self._objective.columns)
         return PathRows(
             matrix=np.concatenate([each.matrix for each in found] or [np.zeros((0, n))]),
             errors=np.concatenate([each.errors for each in found] or [np.zeros(0)]),
             waypoints=np.repeat(np.arange(1, len(found) + 1), counts),
-            one_sided=np.zeros(rows, dtype=np.bool_),
-            carried=np.zeros((rows, 2), dtype=np.int64),
-            points=np.zeros((rows, 3)),
-            directions=np.zeros((rows, 3)),
         )
 
-    def _clearance_rows(self, avoidance: Avoidance, offsets: Array) -> tuple[PathRows, NDArray[np.bool_]]:
-        """Return the rows of clearance at the waypoints between the ends, and which pieces are clear."""
-        found = avoidance.clearance_rows(self._start, offsets[1:-1])
-        root, least = self._penalties.clearance_root, self._penalties.least
-        rows = PathRows(
-            matrix=root * found.matrix,
+    def _clearance(self, offsets: Array) -> tuple[PathContacts, NDArray[np.bool_]]:
+        """Return the contacts at the waypoints between the ends, and which pieces are clear."""
+        avoidance, root, least = self._penalties[1:4]
+        if avoidance is None:
+            begins, nothing = np.zeros(len(offsets) + 1, dtype=np.int64), np.zeros((0, 2), dtype=np.int64)
+            contacts = PathContacts(np.zeros(0), begins, nothing, np.zeros((0, 3)), np.zeros((0, 3)))
+            return contacts, np.ones(len(offsets) - 1, dtype=np.bool_)
+        found = avoidance.measure_clearance(self._start, offsets[1:-1])
+        contacts = PathContacts(
             errors=root * found.errors,
-            waypoints=found.samples + 1,
-            one_sided=np.ones(len(found.errors), dtype=np.bool_),
+            begins=np.searchsorted(found.samples + 1, np.arange(len(offsets) + 1)).astype(np.int64),
             carried=found.carried,
-            points=found.points,
-            directions=root * found.normals,
+            points=np.ascontiguousarray(found.points),
+            normals=root * found.normals,
         )
         minima = np.concatenate([[inf], found.minima, [inf]])
         lowest = np.minimum(minima[:-1], minima[1:])
@@ -396,11 +392,11 @@ class _PathRelaxation:
             moved = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1)
             for i in np.flatnonzero(lowest - least < moved):
                 clear[i] = avoidance.keeps(self._start, offsets[i : i + 2], least)
-        return rows, clear
+        return contacts, clear
 
     def _step(self, now: _Iterate, damping: float) -> Array | None:
         """Return the damped step of all waypoints between the ends, (N - 1, n); None if it fails."""
-        steps = self._waypoints.step(now.x, damping, now.rows)
+        steps = self._waypoints.step(now.x, damping, now.rows, now.contacts)
         if steps is None:
             return None
         largest = float(np.abs(steps).max())
