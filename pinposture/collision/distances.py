@@ -253,7 +253,7 @@ class MotionSearch(NamedTuple):
         below: distances that matter [m]: if none is smaller, none may be found.
         enough: the search ends when it finds a smaller one than this [m].
         tolerance: by how much the smallest distance may be missed [m].
-        open_motion: motion between two samples of pairs that only coal can measure [m].
+        open_motion: motion between two samples of pairs that only coal can measure, at first [m].
     """
 
     below: float
@@ -431,28 +431,42 @@ class PairDistances:
         """
         positions, others = kinematics.positions(q, offsets)
         given = kinematics.tree, self._carriers, self._local, self._arrays, positions, others[0], drifts
-        room = OPEN_SAMPLES if self._open else 0
+        best, pair, open_motion, room = math.inf, NO_PAIR, search.open_motion, OPEN_SAMPLES * bool(self._open)
         while True:
-            samples = np.empty((room, 3))
-            best, pair, count = kernels.smallest_distance_on_motions(*given, *search, samples)
-            if count <= room:
-                break
-            room = count
-        if best < search.enough or not count:
-            return best, pair
-        pieces, shares = samples[:count, 0].astype(np.int64), samples[:count, 1, None]
+            samples, below = np.empty((room, 4)), min(best, search.below)
+            found, nearest, count = kernels.smallest_distance_on_motions(
+                *given, below, search.enough, search.tolerance, open_motion, samples
+            )
+            if count > room:
+                room = count
+                continue
+            best, pair = (found, nearest) if found < below else (best, pair)
+            left = samples[:count]
+            if best >= search.enough and count:
+                distances = self._open_distances(kinematics, q, offsets, drifts, left)
+                at = int(distances.argmin())
+                if distances[at] < min(best, search.below):
+                    best, pair = float(distances[at]), int(left[at, 2])
+                left = left[distances - left[:, 3] < min(best, search.below) - search.tolerance]
+            if best < search.enough or not len(left) or open_motion <= search.tolerance:
+                return best, pair
+            open_motion = max(0.25 * open_motion, search.tolerance)
+
+    def _open_distances(
+        self, kinematics: TreeKinematics, q: Array, offsets: Array, drifts: Array, samples: Array
+    ) -> Array:
+        """Measure the distances at samples of `smallest_distance_on_motions` by coal, (k,) [m]."""
+        pieces, shares = samples[:, 0].astype(np.int64), samples[:, 1, None]
         placements = kinematics.place(q, (1.0 - shares) * offsets[pieces] + shares * offsets[pieces + 1])
         drifted = (1.0 - shares) * drifts[pieces] + shares * drifts[pieces + 1]
         placements = placements._replace(origins=placements.origins + drifted[:, None])
-        for sample in range(count):
-            candidate = int(samples[sample, 2])
-            distance = self._narrow.distance(self._posed(candidate, placements, sample, {}))
-            distance -= self._point_radius(candidate)
+        found = np.empty(len(samples))
+        places: dict[tuple[int, int], coal.Transform3s] = {}
+        for sample, pair in enumerate(samples[:, 2].astype(int)):
+            distance = self._narrow.distance(self._posed(int(pair), placements, sample, places))
             # If coal cannot tell, it counts as touching.
-            distance = 0.0 if math.isnan(distance) else distance
-            if distance < min(best, search.below):
-                best, pair = distance, candidate
-        return best, pair
+            found[sample] = 0.0 if math.isnan(distance) else distance - self._point_radius(int(pair))
+        return found
 
     def contacts(self, kinematics: TreeKinematics, q: Array, offsets: Array, within: float) -> Contacts:
         """Find the pairs nearer than a distance at several configurations; for gradients, not for checks.

@@ -51,8 +51,8 @@ IN_PLANE = 1e-3
 """In-plane share of a normal below which a planar arm gets another escape direction."""
 
 MOTION_TOLERANCE, OPEN_MOTION = 1e-4, 5e-3
-"""By how much the smallest distance on a motion may be missed, and the motion between two samples of pairs
-that only coal can measure, in arm lengths."""
+"""By how much the smallest distance on a motion may be missed, and the motion between the first samples of
+pairs that only coal can measure, in arm lengths."""
 
 STATIONARY = 1e-9
 """Distance below which a point counts as stationary, in arm lengths."""
@@ -499,7 +499,7 @@ class CollisionModel:
         """Return the smallest distance on straight joint motions, between configurations as well as at them.
 
         Bounds of the motion decide where to look (conservative advancement), so nothing is missed by more
-        than `MOTION_TOLERANCE`. Distances of pairs without a closed form are sampled.
+        than `MOTION_TOLERANCE`.
 
         Args:
             q0: a configuration, (nq,) [rad or m], as `Arm.checked` returns it.

@@ -57,7 +57,8 @@ def smallest_distance_on_motions(
         enough: distance at which the search ends when it finds a smaller one.
         tolerance: by how much the smallest distance may be missed.
         open_motion: motion of a pair that is not exact below which its distance is left open.
-        open_samples: filled with where that is: number and share of the motion, and the pair, (k, 3).
+        open_samples: filled with where that is: number and share of the motion, the pair, and by how much it
+            moves, (k, 4).
 
     Returns:
         The smallest distance of the exact pairs that was found, and its pair: inf and -1 if there is none
@@ -130,6 +131,7 @@ def smallest_distance_on_motions(
                         if opened < len(open_samples):
                             open_samples[opened, 0] = piece
                             open_samples[opened, 1], open_samples[opened, 2] = middle, pair
+                            open_samples[opened, 3] = moved
                         opened += 1
                         continue
                     if distance - moved < aim and moved > 0.0:

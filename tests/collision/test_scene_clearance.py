@@ -18,6 +18,7 @@ from sampling import examples
 import pinposture as pp
 from pinposture.collision import Box, Capsule, Closest, CollisionModel, Cylinder, HalfSpace, Scene, Sphere
 from pinposture.collision.distances import Narrow
+from pinposture.collision.model import MOTION_TOLERANCE
 from pinposture.errors import InvalidValue
 
 
@@ -62,15 +63,32 @@ def test_distances_are_those_of_coal_and_never_larger(seed):
             assert distance == pytest.approx(by_coal, abs=2e-6)
 
 
-def test_the_minimum_between_is_that_of_its_samples():
-    arm, rng = spatial(), np.random.default_rng(0)
+@pytest.mark.parametrize("name", ARMS)
+@given(seed=st.integers(0, 2**32 - 1), size=st.sampled_from([0.01, 0.1, 0.5]))
+@examples(8)
+def test_the_minimum_between_is_that_of_dense_samples(name, seed, size):
+    arm, rng = ARMS[name](), np.random.default_rng(seed)
     clearance = CollisionModel(arm, Scene(around(arm, rng), self_collision=True))
-    for _ in range(10):
-        q, dq = arm.random(rng), rng.uniform(-0.2, 0.2, arm.nv)
-        samples = [clearance.minimum(arm.integrate(q, dq * k / 7)) for k in range(1, 8)]
-        found = clearance.minimum_between(q, dq, samples=7)
-        assert found.distance == pytest.approx(min(samples).distance, abs=1e-12)
-        assert found.pair == min(samples).pair
+    q, dq = arm.checked(arm.random(rng)), size * rng.normal(size=arm.nv) * arm.joint_units
+    dense = clearance.minimum_along(q, np.linspace(0.0, 1.0, 300)[:, None] * dq).distance
+    found = clearance.minimum_between(q, dq)
+    assert found.distance <= dense + MOTION_TOLERANCE * arm.length
+    # It is the distance somewhere on the way: no sample is nearer than the points move between two samples.
+    at = np.linspace(0.0, 1.0, 3001)[:, None] * dq
+    assert found.distance >= clearance.minimum_along(q, at).distance - 2e-3 * arm.length
+    if found.distance < 0.5 * arm.length:
+        below = clearance.minimum_on_motions(q, np.stack([0.0 * dq, dq]), found.distance - 1e-3)
+        assert below.distance >= found.distance - 1e-3
+
+
+def test_the_minimum_between_sees_obstacles_move():
+    arm, speed = spatial(), np.array([0.0, 0.0, -0.5])
+    above = tuple(arm.at(arm.neutral()).points[3] + [0.0, 0.0, 1.0])
+    scene = Scene({"ball": Sphere(above, 0.05)}).moved({"ball": above}, velocities={"ball": speed})
+    model, still = CollisionModel(arm, scene), np.zeros((3, arm.nv))
+    times = np.array([0.0, 1.0, 4.0])  # after two seconds the ball falls through the arm
+    assert model.minimum_on_motions(arm.checked(arm.neutral()), still, times=times).distance < 0.0
+    assert model.minimum_on_motions(arm.checked(arm.neutral()), still, times=0.25 * times).distance > 0.3
 
 
 def test_a_step_over_a_thin_thing_is_seen_between_its_ends():
@@ -241,8 +259,6 @@ def test_results_stay_as_they_are_when_the_arm_moves_on():
         (lambda c, arm: c.minimum_between(np.zeros(2), np.zeros(arm.nv)), "q0 (shape)"),
         (lambda c, arm: c.minimum_between(arm.neutral(), np.zeros(2)), "dq (shape)"),
         (lambda c, arm: c.minimum_between(arm.neutral(), np.full(arm.nv, np.inf)), "dq[0] is inf"),
-        (lambda c, arm: c.minimum_between(arm.neutral(), np.zeros(arm.nv), 0), "samples is 0"),
-        (lambda c, arm: c.minimum_between(arm.neutral(), np.zeros(arm.nv), 1.5), "samples is 1.5"),
         (lambda c, arm: c.nearest(arm.at(arm.neutral()), -1), "within is -1"),
         (lambda c, arm: c.nearest(arm.at(arm.neutral()), np.nan), "within is nan"),
         (lambda c, arm: c.nearest(arm.at(arm.neutral()), "far"), "within is 'far'"),

@@ -178,9 +178,13 @@ def test_rates_and_distances_in_time_are_those_of_later_moments() -> None:
     ahead, behind = (dict(zip(n.pairs, n.distances, strict=True)) for n in later)
     for pair, rate in zip(near.pairs, near.rates, strict=True):
         assert rate == pytest.approx((ahead[pair] - behind[pair]) / (2.0 * h), abs=1e-4)
-    offsets, times = 0.1 * rng.normal(size=(30, 40)), rng.uniform(0.0, 1.0, 30)
-    lowest = min(model_at(t).minimum(q + dq).distance for t, dq in zip(times, offsets, strict=True))
-    assert model_at(0.0).minimum_in_time(q, offsets, times) == pytest.approx(lowest, abs=1e-9)
+    path, times = 0.1 * np.cumsum(rng.normal(size=(3, 40)), axis=0), np.array([0.0, 0.3, 1.0])
+    lowest = np.inf
+    for time in np.linspace(0.0, 1.0, 1000):
+        dq = np.array([np.interp(time, times, joint) for joint in path.T])
+        lowest = min(lowest, model_at(time).minimum(q + dq).distance)
+    found = model_at(0.0).minimum_on_motions(q, path, times=times).distance
+    assert found == pytest.approx(lowest, abs=1.2e-4)
 
 
 def test_what_does_not_fit_is_named() -> None:

@@ -364,7 +364,9 @@ class _PathRelaxation:
         counts = [len(each.errors) for each in found]
         n = len(self._objective.columns)
         return PathRows(
-            matrix=np.concatenate([each.matrix for each in found] or [np.zeros((0, n))]),
+            matrix=np.ascontiguousarray(
+                np.concatenate([each.matrix for each in found] or [np.zeros((0, n))])
+            ),
             errors=np.concatenate([each.errors for each in found] or [np.zeros(0)]),
             waypoints=np.repeat(np.arange(1, len(found) + 1), counts),
         )

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from arms import template_arm
 from sampling import cases, seeds
-from scipy.interpolate import interp1d
 
 import pinposture as pp
 from pinposture.collision import CollisionModel
-from pinposture.control.planner.avoidance import Avoidance, by_halves, sample_motion
+from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.path_search import PathSearch
@@ -144,27 +143,6 @@ def test_in_the_open_it_is_one_straight_motion() -> None:
     assert found is not None and found.found_by == "tree search"
     middle = found.offsets / np.linalg.norm(goal)
     np.testing.assert_allclose(middle, (middle @ middle[-1])[:, None] * middle[-1], atol=1e-12)
-
-
-def test_places_by_halves_are_all_places() -> None:
-    for count in (1, 2, 3, 7, 16, 33):
-        shares = by_halves(count)
-        assert shares[0] == 1.0
-        np.testing.assert_allclose(np.sort(shares), np.arange(1, count + 1) / count)
-
-
-def test_samples_are_as_dense_as_the_arm_moves() -> None:
-    rng = np.random.default_rng(0)
-    path = np.cumsum(0.2 * rng.normal(size=(5, 40)), axis=0)
-    offsets, places = sample_motion(arm(), np.zeros(40), path)
-    np.testing.assert_allclose(offsets, interp1d(np.arange(5), path, axis=0)(places), atol=1e-12)
-    assert all(np.any(np.all(np.isclose(offsets, each, atol=1e-15), axis=1)) for each in path[1:])
-    along = np.array([(each - path[0]) @ (path[1] - path[0]) for each in offsets])
-    first = offsets[: np.flatnonzero(np.all(np.isclose(offsets, path[2]), axis=1))[0]]
-    order = np.argsort(along[: len(first)])
-    points = np.array([arm().at(each).compiled.points for each in [path[0], *first[order]]])
-    # Straight in joint space is nearly straight for points: twice the spacing is not exceeded.
-    assert np.linalg.norm(np.diff(points, axis=0), axis=2).max() <= 2.0 * 0.005
 
 
 def test_a_budget_ends_the_search() -> None:

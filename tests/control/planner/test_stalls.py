@@ -69,7 +69,8 @@ def test_an_obstacle_on_the_target_stops_it_short_and_is_named() -> None:
     assert run.clearance.min() >= 0.004 - 1e-9
     between = CollisionModel(arm, scene)
     for q, dq in zip(run.q[:-1], np.diff(run.q, axis=0), strict=True):
-        assert between.minimum_between(q, dq, 10).distance >= 0.004 - 1e-9
+        shares = np.arange(1, 11)[:, None] / 10
+        assert between.minimum_along(q, shares * dq).distance >= 0.004 - 1e-9
 
 
 def test_an_obstacle_beside_the_target_does_not() -> None:

@@ -65,7 +65,7 @@ def check_run(seed: int, max_steps: int) -> None:
     assert run.clearance.min() >= progress.scene.margin - 1e-9 * length
     around = pp.CollisionModel(progress.arm, progress.scene)
     ways = [(q, run.arm.difference(q, after)) for q, after in pairwise(run.q)]
-    between = [around.minimum_between(q, way, 7).distance for q, way in ways]
+    between = [around.minimum_along(q, np.arange(1, 8)[:, None] / 7 * way).distance for q, way in ways]
     assert min(between) >= progress.scene.margin - 1e-3 * length
 
 
