@@ -84,7 +84,7 @@ def test_the_minimum_between_is_that_of_dense_samples(name, seed, size):
 def test_the_minimum_between_sees_obstacles_move():
     arm, speed = spatial(), np.array([0.0, 0.0, -0.5])
     above = tuple(arm.at(arm.neutral()).points[3] + [0.0, 0.0, 1.0])
-    scene = Scene({"ball": Sphere(above, 0.05)}).moved({"ball": above}, velocities={"ball": speed})
+    scene = Scene({"ball": Sphere(above, 0.05)}).moved({"ball": (0.0, 0.0, 0.0)}, velocities={"ball": speed})
     model, still = CollisionModel(arm, scene), np.zeros((3, arm.nv))
     times = np.array([0.0, 1.0, 4.0])  # after two seconds the ball falls through the arm
     assert model.minimum_on_motions(arm.checked(arm.neutral()), still, times=times).distance < 0.0
