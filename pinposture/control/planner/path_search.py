@@ -9,6 +9,7 @@ relaxation then make it direct.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 from math import inf
 from time import perf_counter
@@ -85,7 +86,8 @@ class PathSearch:
         until: time of `perf_counter` at which the search is given up.
 
     Attributes:
-        arm, edges, avoidance: as above.
+        arm: the arm.
+        objective, start, edges, avoidance, least, until: as above.
     """
 
     def __init__(
@@ -100,8 +102,8 @@ class PathSearch:
         until: float = inf,
     ) -> None:
         self.arm, self.edges, self.avoidance = objective.arm, edges, avoidance
-        self._objective, self._start, self._goal, self._least = objective, start, goal, least
-        self._rng, self._until = np.random.default_rng(seed), until
+        self.objective, self.start, self.least, self.until = objective, start, least, until
+        self._goal, self._rng = goal, np.random.default_rng(seed)
         self._share = min(1.0, FEW_JOINTS / len(objective.columns))
         self._positions = self.arm.positions(start.q)
         lowest, highest = edges - self._positions
@@ -111,30 +113,37 @@ class PathSearch:
             np.minimum(np.maximum(highest, 0.0), farthest),
         )
 
-    def find(self) -> FoundPath | None:
-        """Return a clear path, shortened; None if none was found."""
-        end = np.asarray(self.arm.difference(self._start.q, self._goal.q))
+    def find(self, tell: Callable[[str], None] = lambda _: None) -> FoundPath | None:
+        """Return a clear path, shortened; None if none was found.
+
+        Args:
+            tell: called with what is tried next.
+        """
+        tell("tree search")
+        end = np.asarray(self.arm.difference(self.start.q, self._goal.q))
         joined = self._connect(np.zeros(self.arm.nv), end, JOIN_NODES)
         found_by = "tree search"
         if joined is None:
-            joined, found_by = self._join_withdrawn(end), "withdrawal"
+            joined, found_by = self._join_withdrawn(end, tell), "withdrawal"
         return None if joined is None else FoundPath(self._shorten(joined), found_by)
 
     def is_clear(self, path: Array) -> bool:
         """Whether the straight motions between offsets, (N + 1, nv), keep clear, if the first one does."""
-        return self.avoidance.keeps(self._start.q, path, self._least)
+        return self.avoidance.keeps(self.start.q, path, self.least)
 
     # Withdrawal.
 
-    def _join_withdrawn(self, end: Array) -> Array | None:
+    def _join_withdrawn(self, end: Array, tell: Callable[[str], None]) -> Array | None:
         """Withdraw both ends step by step until they can be joined."""
         ends = [_Withdrawal(self, np.zeros(self.arm.nv)), _Withdrawal(self, end)]
         nodes = JOIN_NODES
-        while perf_counter() < self._until:
+        while perf_counter() < self.until:
             if not any([each.go_on(JOIN_EVERY) for each in ends]):
                 if nodes == SEARCH_NODES:
                     break
                 nodes = SEARCH_NODES  # nothing is left but to search longer
+            depths = " and ".join(f"{100.0 * each.depth:.0f} %" for each in ends)
+            tell(f"tree search after withdrawing start and goal by {depths} of the arm length")
             joined = self._connect(ends[0].offsets[-1], ends[1].offsets[-1], nodes)
             if joined is not None:
                 return np.concatenate([ends[0].offsets, joined[1:-1], ends[1].offsets[::-1]])
@@ -142,7 +151,7 @@ class PathSearch:
 
     def state_at(self, offset: Array) -> ArmState:
         """Return the state at an offset, (nv,)."""
-        return self.arm.at(self.arm.integrate(self._start.q, offset)).compiled
+        return self.arm.at(self.arm.integrate(self.start.q, offset)).compiled
 
     # Tree search.
 
@@ -151,7 +160,7 @@ class PathSearch:
         trees = _Tree(one), _Tree(other)
         units = self._share * self.arm.joint_units
         for turn in range(nodes):
-            if perf_counter() >= self._until:
+            if perf_counter() >= self.until:
                 break
             from_, to = trees if turn % 2 == 0 else trees[::-1]
             wanted = other if turn == 0 else self._sample(one, other)
@@ -189,7 +198,7 @@ class PathSearch:
             return np.asarray(rng.uniform(*self._sides))
         if kind < 0.5 * (1.0 + UNIFORM_SHARE):
             q = smooth_configuration(arm, rng, self._share * float(rng.uniform(0.1, MAX_AMPLITUDE)))
-            offset = np.asarray(arm.difference(self._start.q, q))
+            offset = np.asarray(arm.difference(self.start.q, q))
         else:
             offset = one + rng.uniform(-0.2, 1.2) * (other - one)
             offset = offset + self._share * NOISE * rng.normal(size=arm.nv) * arm.joint_units * arm.moved
@@ -200,7 +209,7 @@ class PathSearch:
     def _shorten(self, offsets: Array) -> Array:
         """Straighten parts of a path, of all joints or of some in a row, where that is clear and shorter."""
         path = self._divide(offsets)
-        columns = self._objective.columns
+        columns = self.objective.columns
         for number in range(SHORTCUTS):
             i, j = np.sort(self._rng.choice(len(path), 2, replace=False))
             if j - i < 2:
@@ -227,7 +236,7 @@ class PathSearch:
         return np.concatenate(parts)
 
     def _length(self, path: Array) -> float:
-        return float(self._objective.measure_pieces(self._positions, path).sum())
+        return float(self.objective.measure_pieces(self._positions, path).sum())
 
 
 class _Tree:
@@ -277,6 +286,11 @@ class _Withdrawal:
         self._places = np.concatenate([[0.0], np.cumsum(lengths)])
         self._near = NEAR_SHARE * self._places[-1]
         self._depth, self._over = 0.0, False
+
+    @property
+    def depth(self) -> float:
+        """How far the arm has withdrawn, in arm lengths."""
+        return float(self._depth / self._places[-1])
 
     def go_on(self, distance: float) -> bool:
         """Withdraw farther, by so many arm lengths if it can; whether it moved."""

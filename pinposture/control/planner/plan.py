@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from math import inf
 from time import perf_counter
@@ -31,6 +31,9 @@ from pinposture.placement.points import initial_guesses
 logger = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
+
+Report = Callable[[str, JointPath | None], None]
+"""Called with what is tried next, and the shortest clear path so far."""
 
 RANDOM_STARTS, RANDOM_SPREAD = 6, 0.5
 """Number of random starts where no configuration is known, and their spread, in `Arm.joint_units`."""
@@ -80,8 +83,11 @@ def plan(
     joint_weight: float = 0.2,
     relative_position_weight: float = 1.0,
     budget: float = inf,
+    progress: Callable[[str, float, JointPath | None], object] | None = None,
 ) -> JointPath:
     """Find the most direct clear path to a target posture: the first stage of `Geodesic`.
+
+    Among obstacles, Ctrl-C ends the search: the best path so far is returned.
 
     Args:
         state: where the arm is.
@@ -93,6 +99,8 @@ def plan(
         relative_position_weight: as for `Geodesic`.
         budget: time after which no further path is tried among obstacles [s]. The result then depends on how
             fast the machine is; without it, it is always the same.
+        progress: called among obstacles with what is tried next, the time so far [s], and the shortest clear
+            path so far, None if there is none. The search ends if it returns True.
 
     Returns:
         The path. `hindrance` says what it comes too close to, if no clear path was found; `found_by` how it
@@ -110,8 +118,13 @@ def plan(
         require_positive("budget", budget)
     objective = Objective(state.arm, target, tuple(tasks), relative_position_weight, joint_weight)
     bounds = require_limits(limits).for_arm(state.arm)
-    avoidance = Avoidance.of(scene, objective, bounds)
-    return find_path(objective, state.compiled, bounds, avoidance, until=perf_counter() + budget)
+    avoidance, began = Avoidance.of(scene, objective, bounds), perf_counter()
+
+    def report(trying: str, best: JointPath | None) -> None:
+        if progress is not None and progress(trying, perf_counter() - began, best) is True:
+            raise KeyboardInterrupt
+
+    return find_path(objective, state.compiled, bounds, avoidance, 0, began + budget, report)
 
 
 def find_path(
@@ -121,6 +134,7 @@ def find_path(
     avoidance: Avoidance | None,
     attempt: int = 0,
     until: float = inf,
+    report: Report | None = None,
 ) -> JointPath:
     """Find where to go, and the most direct clear path there.
 
@@ -131,9 +145,11 @@ def find_path(
         avoidance: what to keep clear of; None: nothing.
         attempt: how many paths were given up before; each attempt tries others.
         until: time of `perf_counter` from which on no further path is tried.
+        report: called with what is tried next, and the shortest clear path so far. If there is one, a
+            `KeyboardInterrupt` ends the search, and the best path so far is returned.
     """
     goal = find_goal(objective, state, bounds.edges, avoidance, GOAL_TOLERANCE * objective.arm.length).state
-    path = _clearest_path(objective, state, goal, bounds, avoidance, attempt, until)
+    path = _clearest_path(objective, state, goal, bounds, avoidance, attempt, until, report)
     logger.debug("a path of %d pieces by %s %s", path.end, path.found_by, path.hindrance)
     scene = None if avoidance is None else avoidance.clearance.scene
     first, last = (objective.task_rows(at, priority=True) for at in (state, goal))
@@ -259,6 +275,7 @@ def _clearest_path(
     avoidance: Avoidance | None,
     attempt: int,
     until: float,
+    report: Report | None,
 ) -> JointPath:
     """Return a direct path that is clear; if there is none, the one that comes least close to something.
 
@@ -285,50 +302,66 @@ def _clearest_path(
     clear: list[JointPath] = []
     hindered: list[tuple[float, JointPath]] = []
 
+    def tell(trying: str) -> None:
+        if report is not None:
+            report(trying, min(clear, key=lambda path: path.length, default=None))
+
     def candidates() -> Iterator[JointPath]:
-        first = 2 * attempt
+        first, more = 2 * attempt, MAX_PATHS // (1 + attempt)
         if attempt == 0 and not objective.tasks:
             yield most_direct
-        yield from (relaxed(first + k) for k in range(1) if not clear)
-        yield from _searched(objective, state, goal, bounds, avoidance, possible, attempt, until)
-        yield from (relaxed(first + k) for k in range(1, MAX_PATHS // (1 + attempt)) if not clear)
+        for k in range(more):
+            if k == 1:
+                search = PathSearch(objective, state, goal, bounds.edges, avoidance, possible, attempt, until)
+                yield from _searched(search, tasks, tell)
+            if not clear:
+                tell(f"relaxation {k + 1} of {more}")
+                yield relaxed(first + k)
 
-    for path in candidates():
-        closest = _closest_on(path, avoidance, possible)
-        if closest.distance >= possible:
-            clear.append(path)
-            if objective.tasks or path.length <= short:  # a searched path would disregard the tasks
-                return path
-        else:
-            pair = " to ".join(closest.pair or ())
-            words = f"no clear path was found, the best has {pair}: {1e3 * closest.distance:.3g} mm apart"
-            hindered.append((closest.distance, replace(path, hindrance=words)))
-        if perf_counter() >= until:
-            break
+    try:
+        for path in candidates():
+            closest = _closest_on(path, avoidance, possible)
+            if closest.distance >= possible:
+                clear.append(path)
+                if objective.tasks or path.length <= short:  # a searched path would disregard the tasks
+                    return path
+            else:
+                hindered.append((closest.distance, _hindered(path, closest)))
+            if perf_counter() >= until:
+                break
+    except KeyboardInterrupt:
+        if report is None:
+            raise
+        logger.warning("planning was ended early; the best path so far is returned")
+        if not clear and not hindered:
+            hindered.append((0.0, _hindered(most_direct, _closest_on(most_direct, avoidance, possible))))
     if clear:
         return min(clear, key=lambda path: path.length)
     return max(hindered, key=lambda each: each[0])[1]
 
 
-def _searched(
-    objective: Objective,
-    state: ArmState,
-    goal: ArmState,
-    bounds: JointBounds,
-    avoidance: Avoidance,
-    least: float,
-    seed: int,
-    until: float,
-) -> Iterator[JointPath]:
+def _hindered(path: JointPath, closest: Closest) -> JointPath:
+    """Return a path that says what it comes too close to."""
+    pair = " to ".join(closest.pair or ())
+    words = f"no clear path was found, the best has {pair}: {1e3 * closest.distance:.3g} mm apart"
+    return replace(path, hindrance=words)
+
+
+def _searched(search: PathSearch, tasks: TaskRows | None, tell: Callable[[str], None]) -> Iterator[JointPath]:
     """Search for a clear path; yield it relaxed, and as it was found."""
-    search = PathSearch(objective, state, goal, bounds.edges, avoidance, least, seed, until)
-    found = search.find()
+    found = search.find(tell)
     if found is None:
         return
-    penalties = Penalties(_task_rows(objective, state, goal), avoidance, SEARCHED_ROOT, least, until)
-    relaxed = relax_path(objective, state.q, found.offsets, bounds.edges, penalties)
-    for path in (*relaxed, JointPath(objective, state.q, found.offsets)):
-        yield replace(path, found_by=found.found_by)
+    raw = replace(JointPath(search.objective, search.start.q, found.offsets), found_by=found.found_by)
+    penalties = Penalties(tasks, search.avoidance, SEARCHED_ROOT, search.least, search.until)
+    tell(f"relaxation of a path found by {found.found_by}")
+    try:
+        relaxed = relax_path(search.objective, search.start.q, found.offsets, search.edges, penalties)
+    except KeyboardInterrupt:
+        yield raw  # it is kept
+        raise
+    yield from (replace(path, found_by=found.found_by) for path in relaxed)
+    yield raw
 
 
 def _task_rows(objective: Objective, state: ArmState, goal: ArmState) -> TaskRows | None:

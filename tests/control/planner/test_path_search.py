@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import warnings
 from itertools import pairwise
 
@@ -152,3 +153,51 @@ def test_a_budget_ends_the_search() -> None:
     assert path.hindrance  # the most direct one alone was tried
     with pytest.raises(pp.PostureError, match="budget"):
         pp.plan(arm().at(start), target, scene, budget=0.0)
+
+
+def test_progress_tells_what_is_tried_and_may_end_the_search() -> None:
+    scene, start, goal = through_a_hole(1)
+    target, told = pp.Target.from_configuration(arm(), goal), []
+
+    def note(trying: str, elapsed: float, best: JointPath | None) -> bool:
+        told.append((trying, elapsed, best))
+        return False
+
+    whole = pp.plan(arm().at(start), target, scene, progress=note)
+    assert not whole.hindrance
+    assert [each for each, *_ in told][:2] == ["relaxation 1 of 12", "tree search"]
+    assert any("withdrawing start and goal by" in each for each, *_ in told)
+    times = [each for _, each, _ in told]
+    assert times == sorted(times)
+
+    early = pp.plan(arm().at(start), target, scene, progress=lambda *_: True)
+    assert early.hindrance
+
+
+def test_an_interrupted_relaxation_keeps_the_path_that_was_found() -> None:
+    scene, start, goal = through_a_hole(1)
+
+    def interrupt(trying: str, *_: object) -> None:
+        if trying.startswith("relaxation of a path found"):
+            signal.setitimer(signal.ITIMER_REAL, 0.02)
+
+    before = signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
+    try:
+        found = pp.plan(arm().at(start), pp.Target.from_configuration(arm(), goal), scene, progress=interrupt)
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    assert not found.hindrance
+    assert found.found_by == "withdrawal"
+    assert smallest_distance(scene, found.configurations) > MARGIN - 1e-3
+
+
+def test_in_a_control_loop_an_interruption_is_passed_on() -> None:
+    scene, start, goal = through_a_hole(1)
+    before = signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
+    signal.setitimer(signal.ITIMER_REAL, 0.05)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            pp.track(arm(), pp.Target.from_configuration(arm(), goal), start, scene=scene)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
