@@ -66,6 +66,10 @@ class StepBounds(NamedTuple):
         retreating = avoidance.moving and rows is not None and bool(np.any(rows.least > 0.0))
         return cls(state, lower, upper, rows, retreating)
 
+    def admit(self, x: Array) -> bool:
+        """Whether a step within the limits, (n,), satisfies the further constraints."""
+        return self.rows is None or bool(np.all(self.rows.matrix @ x >= self.rows.least))
+
 
 class LeastSquaresResult(NamedTuple):
     """Where a search ended.

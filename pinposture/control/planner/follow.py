@@ -324,9 +324,12 @@ def step_along(
         return CandidateStep(dq, progress.moved_to(place, bounds.travel, hindered and place <= here))
     hindered = _lags_behind(progress, state) if progress.timed.profile is None and here < place else hindered
     progress = progress.moved_to(place, bounds.travel, hindered)
-    step_bounds, wanted = StepBounds.of(objective, state, box, avoidance), objective.normalize(dq)
     tasks = objective.task_rows(state, priority=True)
-    if inside and tasks is None and _keeps_clear(step_bounds, wanted, dq, avoidance):
+    may_follow = inside and tasks is None
+    if may_follow and avoidance is not None and not avoidance.moving and avoidance.stops_clear(state, dq):
+        return CandidateStep(dq, progress)  # the rows of constraints need not even be computed
+    step_bounds, wanted = StepBounds.of(objective, state, box, avoidance), objective.normalize(dq)
+    if may_follow and step_bounds.admit(wanted):
         return CandidateStep(dq, progress)
     if not objective.has_tasks:
         solver = ChainSolver(objective, state)
@@ -407,14 +410,6 @@ def _admissible_share(onward: Array, lag: Array, bound: Array) -> float:
     gap = np.where(onward < 0.0, bound + lag, bound - lag)
     share = np.where(np.abs(lag) > bound, 0.0, gap / np.maximum(np.abs(onward), 1e-100))
     return float(min(share.min(initial=1.0), 1.0))
-
-
-def _keeps_clear(bounds: StepBounds, x: Array, dq: Array, avoidance: Avoidance | None) -> bool:
-    """Whether a step keeps clear: by the rows of its bounds, which are cautious, or by distances."""
-    if bounds.rows is None or avoidance is None or np.all(bounds.rows.matrix @ x >= bounds.rows.least):
-        return True
-    # Where obstacles move, it is not enough to stop clear of them.
-    return not avoidance.moving and avoidance.stops_clear(bounds.state, dq)
 
 
 def reduce_remaining(progress: PathProgress, bounds: StepBounds) -> CandidateStep:
