@@ -96,7 +96,7 @@ def run(modules: int, situation: str, rng: np.random.Generator) -> None:
         radii = np.linalg.norm(balls[:, None] - ends, axis=2).min(axis=1) - 0.025
         scene = Scene({str(i): Sphere(balls[i], radii[i]) for i in np.flatnonzero(radii > 0.005)})
     # Points and chords alone are solved by sweeps; a task calls for the program.
-    tasks = () if situation == "obstacles" else (JointPosture(arm.neutral(), weight=1e-4),)
+    tasks = (JointPosture(arm.neutral(), weight=1e-4),)
     pp.track(arm, target, start, Geodesic(tasks=tasks), limits, scene, max_steps=STEPS)
 
 
