@@ -91,7 +91,7 @@ def measure(arm: pp.Arm, scene: pp.Scene, start: np.ndarray, goal: np.ndarray) -
     rng, target = np.random.default_rng(1), pp.Target.from_configuration(arm, goal)
     shares = rng.uniform(size=POSTURES)
     way = [start + share * (goal - start) + rng.normal(size=arm.nq) * 0.03 for share in shares]
-    states, offsets = [arm.at(q) for q in way], np.zeros((1, arm.nv))
+    states, offsets = [arm.at(q) for q in way], np.zeros((2, arm.nv))
     tracker = pp.Tracker(arm, limits=LIMITS, scene=scene)
     tracker.update(target)
     q, cycles, clearance = start, list[float](), np.inf
@@ -106,7 +106,8 @@ def measure(arm: pp.Arm, scene: pp.Scene, start: np.ndarray, goal: np.ndarray) -
         "prepare": 1e3 * prepared,
         "nearest": 1e3 * median_time([lambda s=state: model.nearest(s, MARGIN + REACH) for state in states]),
         "minimum": 1e3 * median_time([lambda q=q: model.minimum(q) for q in way]),
-        "keeps": 1e3 * median_time([lambda q=q: model.keeps(q, offsets, MARGIN) for q in way]),
+        "keeps": 1e3
+        * median_time([lambda q=q: model.minimum_on_motions(q, offsets, MARGIN, MARGIN) for q in way]),
         "first cycle": 1e3 * cycles[0],
         "cycle": 1e3 * statistics.median(cycles[1:]),
         "clearance": 1e3 * clearance,

@@ -203,6 +203,7 @@ class Narrow(threading.local):
 NO_PAIR = -1
 
 CONTACTS_PER_SAMPLE = 32  # number of near pairs for which there is room at first
+MAX_PARTS = 8  # largest number of parts into which a motion is divided at once
 OPEN_SAMPLES = 1000  # number of samples of pairs without a closed form for which there is room at first
 
 
@@ -260,6 +261,31 @@ class MotionSearch(NamedTuple):
     enough: float
     tolerance: float
     open_motion: float
+
+
+def divide_samples(samples: Array, room: Array, tolerance: float, spread: float) -> Array:
+    """Return samples in parts of the motions around others.
+
+    A part of a motion has its share of twice the bound for the whole: the bound for the whole is half the
+    duration times the speed in the middle, plus at least half of what the speed can grow by.
+
+    Args:
+        samples: as `smallest_distance_on_motions` gives them, (k, 5).
+        room: by how much each is farther than it would have to be, (k,) [m].
+        tolerance: motion that need not be divided [m].
+        spread: 2, or 1 if the bounds were doubled before.
+    """
+    moved = spread * samples[:, 4]
+    counts = np.clip(np.ceil(moved / np.maximum(room, tolerance)), 2, MAX_PARTS).astype(np.int64)
+    parts, numbers = (
+        np.repeat(samples, counts, axis=0),
+        np.concatenate([np.arange(0), *(np.arange(k) for k in counts)]),
+    )
+    each = np.repeat(counts, counts)
+    half = parts[:, 2] / each
+    parts[:, 1] += (2.0 * numbers + 1.0 - each) * half
+    parts[:, 2], parts[:, 4] = half, np.repeat(moved, counts) / each
+    return parts
 
 
 class PairDistances:
@@ -431,38 +457,36 @@ class PairDistances:
         """
         positions, others = kinematics.positions(q, offsets)
         given = kinematics.tree, self._carriers, self._local, self._arrays, positions, others[0], drifts
-        best, pair, open_motion, room = math.inf, NO_PAIR, search.open_motion, OPEN_SAMPLES * bool(self._open)
+        room = OPEN_SAMPLES * bool(self._open)
         while True:
-            samples, below = np.empty((room, 4)), min(best, search.below)
-            found, nearest, count = kernels.smallest_distance_on_motions(
-                *given, below, search.enough, search.tolerance, open_motion, samples
-            )
-            if count > room:
-                room = count
-                continue
-            best, pair = (found, nearest) if found < below else (best, pair)
-            left = samples[:count]
-            if best >= search.enough and count:
-                distances = self._open_distances(kinematics, q, offsets, drifts, left)
-                at = int(distances.argmin())
-                if distances[at] < min(best, search.below):
-                    best, pair = float(distances[at]), int(left[at, 2])
-                left = left[distances - left[:, 3] < min(best, search.below) - search.tolerance]
-            if best < search.enough or not len(left) or open_motion <= search.tolerance:
-                return best, pair
-            open_motion = max(0.25 * open_motion, search.tolerance)
+            samples = np.empty((room, 5))
+            best, pair, count = kernels.smallest_distance_on_motions(*given, *search, samples)
+            if count <= room:
+                break
+            room = count
+        samples, spread = samples[:count], 2.0
+        while len(samples) and best >= search.enough:
+            distances = self._open_distances(kinematics, q, offsets, drifts, samples)
+            at = int(distances.argmin())
+            if distances[at] < min(best, search.below):
+                best, pair = float(distances[at]), int(samples[at, 3])
+            aim = min(best, search.below) - search.tolerance
+            left = (distances - samples[:, 4] < aim) & (samples[:, 4] > search.tolerance)
+            samples = divide_samples(samples[left], distances[left] - aim, search.tolerance, spread)
+            spread = 1.0
+        return best, pair
 
     def _open_distances(
         self, kinematics: TreeKinematics, q: Array, offsets: Array, drifts: Array, samples: Array
     ) -> Array:
         """Measure the distances at samples of `smallest_distance_on_motions` by coal, (k,) [m]."""
-        pieces, shares = samples[:, 0].astype(np.int64), samples[:, 1, None]
+        pieces, shares, pairs = samples[:, 0].astype(np.int64), samples[:, 1, None], samples[:, 3]
         placements = kinematics.place(q, (1.0 - shares) * offsets[pieces] + shares * offsets[pieces + 1])
         drifted = (1.0 - shares) * drifts[pieces] + shares * drifts[pieces + 1]
         placements = placements._replace(origins=placements.origins + drifted[:, None])
         found = np.empty(len(samples))
         places: dict[tuple[int, int], coal.Transform3s] = {}
-        for sample, pair in enumerate(samples[:, 2].astype(int)):
+        for sample, pair in enumerate(pairs.astype(int)):
             distance = self._narrow.distance(self._posed(int(pair), placements, sample, places))
             # If coal cannot tell, it counts as touching.
             found[sample] = 0.0 if math.isnan(distance) else distance - self._point_radius(int(pair))

@@ -498,8 +498,8 @@ class CollisionModel:
     ) -> Closest:
         """Return the smallest distance on straight joint motions, between configurations as well as at them.
 
-        Bounds of the motion decide where to look (conservative advancement), so nothing is missed by more
-        than `MOTION_TOLERANCE`.
+        Bounds of the motion decide where to look (conservative advancement): between the configurations,
+        nothing is missed by more than `MOTION_TOLERANCE`.
 
         Args:
             q0: a configuration, (nq,) [rad or m], as `Arm.checked` returns it.

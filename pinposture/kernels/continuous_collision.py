@@ -28,6 +28,10 @@ from pinposture.kernels.compiled import compiled, inlined, subkernel
 MAX_DEPTH = 60  # largest number of halvings of a motion
 
 
+Frames = tuple[Array3, Array2]
+"""Orientations of joint frames, and their origins."""
+
+
 @compiled
 def smallest_distance_on_motions(
     tree: JointTree,
@@ -55,10 +59,10 @@ def smallest_distance_on_motions(
         drifts: how far the arm is displaced besides, (N + 1, 3).
         below: distances that matter: if none is smaller, none may be found.
         enough: distance at which the search ends when it finds a smaller one.
-        tolerance: by how much the smallest distance may be missed.
+        tolerance: by how much the smallest distance may be missed between the configurations.
         open_motion: motion of a pair that is not exact below which its distance is left open.
-        open_samples: filled with where that is: number and share of the motion, the pair, and by how much it
-            moves, (k, 4).
+        open_samples: filled with where that is: number and share of the motion, half the share around it that
+            is open, the pair, and by how much it moves there, (k, 5).
 
     Returns:
         The smallest distance of the exact pairs that was found, and its pair: inf and -1 if there is none
@@ -67,7 +71,8 @@ def smallest_distance_on_motions(
     count, bodies = len(tree.parents), len(carriers)
     frames = np.empty((count, 3, 3)), np.empty((count, 3))
     ends, blocks = np.empty(local.shape), np.empty(((bodies + BLOCK - 1) // BLOCK, 4))
-    move, drift, at = np.empty(positions.shape[1]), np.empty(3), np.empty(positions.shape[1])
+    move, at = np.empty(positions.shape[1]), np.empty(positions.shape[1])
+    drift, here = np.empty(3), np.empty(3)
     bounds = np.empty((count, 9)), np.empty(bodies), np.empty(len(blocks))
     stack, begins = np.empty(1024, dtype=np.int64), np.zeros(MAX_DEPTH + 2, dtype=np.int64)
     right = np.zeros(MAX_DEPTH + 1, dtype=np.bool_)
@@ -84,11 +89,9 @@ def smallest_distance_on_motions(
             middle, half = low + 0.5 * width, 0.5 * width
             for u in range(len(at)):
                 at[u] = positions[piece, u] + middle * move[u]
-            place_joints_once(tree, at, others, frames[0], frames[1])
-            for joint in range(count):
-                for i in range(3):
-                    frames[1][joint, i] += drifts[piece, i] + middle * drift[i]
-            place_axes_once(carriers, local, frames[0], frames[1], ends)
+            for i in range(3):
+                here[i] = drifts[piece, i] + middle * drift[i]
+            _place_bodies(tree, carriers, local, at, others, here, frames, ends)
             _bound_motions(tree, carriers, frames, ends, move, drift, half, bounds)
             if depth == 0:
                 bound_blocks(ends, pairs, blocks)
@@ -130,8 +133,8 @@ def smallest_distance_on_motions(
                     elif distance - moved < aim and moved <= open_motion:
                         if opened < len(open_samples):
                             open_samples[opened, 0] = piece
-                            open_samples[opened, 1], open_samples[opened, 2] = middle, pair
-                            open_samples[opened, 3] = moved
+                            open_samples[opened, 1], open_samples[opened, 2] = middle, half
+                            open_samples[opened, 3], open_samples[opened, 4] = pair, moved
                         opened += 1
                         continue
                     if distance - moved < aim and moved > 0.0:
@@ -141,6 +144,24 @@ def smallest_distance_on_motions(
                             stack = longer
                         stack[last] = pair
                         last += 1
+            if depth == 0 and last > 0:  # at the end nothing may be missed
+                end = positions[piece + 1], drifts[piece + 1]
+                _place_bodies(tree, carriers, local, end[0], others, end[1], frames, ends)
+                for entry in range(last):
+                    pair = stack[entry]
+                    distance = pair_contact(ends, pairs, pair, min(below, best))[0]
+                    if distance >= min(below, best):
+                        continue
+                    if pairs.exact[pair]:
+                        best, best_pair = distance, pair
+                        if best < enough:
+                            return best, best_pair, opened
+                    else:
+                        if opened < len(open_samples):
+                            open_samples[opened, 0], open_samples[opened, 1] = piece, 1.0
+                            open_samples[opened, 2], open_samples[opened, 3] = 0.0, pair
+                            open_samples[opened, 4] = 0.0
+                        opened += 1
             if last > first and depth < MAX_DEPTH:  # the first half, for the pairs that are left
                 depth += 1
                 begins[depth], right[depth], width = last, False, half
@@ -155,6 +176,25 @@ def smallest_distance_on_motions(
 
 
 @subkernel
+def _place_bodies(
+    tree: JointTree,
+    carriers: Ints1,
+    local: Array3,
+    positions: Array1,
+    others: Array2,
+    drift: Array1,
+    frames: Frames,
+    ends: Array3,
+) -> None:
+    """Place joints and bodies at a configuration of an arm that is displaced besides."""
+    place_joints_once(tree, positions, others, frames[0], frames[1])
+    for joint in range(len(tree.parents)):
+        for i in range(3):
+            frames[1][joint, i] += drift[i]
+    place_axes_once(carriers, local, frames[0], frames[1], ends)
+
+
+@subkernel
 def _spread(count: int) -> int:
     """Return a stride at which all of so many places are visited, far apart at first."""
     stride = max(int(0.618 * count), 1)
@@ -166,9 +206,6 @@ def _spread(count: int) -> int:
             return stride
         stride += 1
 
-
-Frames = tuple[Array3, Array2]
-"""Orientations of joint frames, and their origins."""
 
 Motions = tuple[Array2, Array1, Array1]
 """Motion of joints: velocity of the origin, angular velocity, bounds of the acceleration of the origin and of

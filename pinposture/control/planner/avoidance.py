@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm import ArmState
 from pinposture.collision import CollisionModel, Distances, Scene
+from pinposture.collision.model import MOTION_TOLERANCE
 from pinposture.control.limits import JointBounds, stopping_steps
 from pinposture.control.planner.objective import ChainSolver, LinearRows, Objective
 from pinposture.errors import InvalidValue
@@ -389,7 +390,9 @@ class Avoidance:
         lowest = min(now, self._lowest(state, braking, self.margin))
         least = min(self.margin, lowest) - self._rounding
         close = f"margin of {1e3 * self.margin:.3g} mm: braking comes as close as {1e3 * lowest:.3g} mm"
-        relaxed = (close,) if lowest < min(self.margin, now) else ()
+        # What was found clear before may be missed by this much when it is looked at again.
+        missed = MOTION_TOLERANCE * self._length
+        relaxed = (close,) if lowest < min(self.margin, now) - missed else ()
         for number in range(MAX_HALVINGS):
             share = 0.5**number
             step = braking[0] + share * (dq - braking[0])
