@@ -177,6 +177,39 @@ def reach(
     return tuple(reached[:count])
 
 
+def reach_from(
+    arm: Arm,
+    place: ArrayLike,
+    start: ArrayLike,
+    scene: Scene | None = None,
+    limits: Limits | None = None,
+) -> ReachedPosture | None:
+    """Find the clear posture with the tip at a place that one descent from another posture leads to.
+
+    This is one of the many descents of `reach`, quick enough for a place that is dragged.
+
+    Args:
+        arm: the arm.
+        place: where the tip should be, (3,) [m], world frame.
+        start: the posture to begin with, (nq,).
+        scene: what to keep clear of, by its margin; None: nothing.
+        limits: the margin to position limits; `Limits()` if None.
+
+    Returns:
+        The posture, without a path; None if the descent ends elsewhere, or too near something.
+
+    Raises:
+        InvalidValue: something that does not fit the arm.
+        OutOfReach: no posture has its tip there.
+        ReachError: the place is inside an obstacle.
+    """
+    task, tolerance = _tip_task(arm, place, None), TIP_TOLERANCE * arm.length
+    _check_in_reach(arm, _place_of(task), tolerance, scene)
+    search = _Search(arm, task, scene, Limits() if limits is None else limits, tolerance)
+    state = arm.at(arm.checked_start(start, "start")).compiled
+    return search.descend(state)
+
+
 def _tip_task(arm: Arm, goal: Any, direction: ArrayLike | None) -> EndEffector:
     """Return the task of bringing the tip to the goal."""
     if isinstance(goal, pin.SE3) or np.shape(goal) == (4, 4):
@@ -306,7 +339,7 @@ class _Search:
                 if perf_counter() >= until:
                     break
             for _, _, begin in sorted(settled, key=lambda each: each[:2])[:CHOSEN]:
-                state = self._settle(begin, self.margin + BUFFER * self.arm.length, CLEAR_ITERATIONS)
+                state = self._settled_clear(begin)
                 posture = self._judge(state)
                 if posture is None:
                     intruding += 1
@@ -323,6 +356,13 @@ class _Search:
         if not found:
             raise ReachError(_place_of(self.task), self._why_none(nearest, intruding))
         return sorted(found, key=lambda each: -each.score)
+
+    def descend(self, state: ArmState) -> ReachedPosture | None:
+        """Return the clear posture that is found from another; None if there is none."""
+        return self._judge(self._settled_clear(state))
+
+    def _settled_clear(self, state: ArmState) -> ArmState:
+        return self._settle(state, self.margin + BUFFER * self.arm.length, CLEAR_ITERATIONS)
 
     def _why_none(self, nearest: float, intruding: int) -> str:
         if nearest > self.tolerance:

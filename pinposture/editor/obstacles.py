@@ -360,9 +360,10 @@ def select_obstacle(name: str | None, session: Session) -> None:
     """Select an obstacle, instead of a control point of the curve."""
     if name is not None and name not in obstacles_of(session.shown):
         return
-    if session.obstacle != name or (name is not None and session.handle is not None):
+    if session.obstacle != name or (name is not None and (session.handle is not None or session.tip)):
         session.obstacle = name
-        session.handle = None if name is not None else session.handle
+        if name is not None:
+            session.handle, session.tip = None, False
 
 
 def add_obstacle(kind: str, points: Array, session: Session) -> None:

@@ -105,6 +105,7 @@ class Session:
         selected: the keyframe that is edited, 0-based.
         handle: the selected control point of its curve, 0-based; None if there is none.
         obstacle: the name of the selected obstacle; None if there is none.
+        tip: whether the tip of the arm is selected, to be dragged.
         proposal: a change that is not accepted yet; None if there is none.
         nearest: where the arm is nearest to its surroundings; None if there are none.
         marks: whether each keyframe can be taken, "fine", "collides" or "refused"; empty while unknown.
@@ -141,6 +142,7 @@ class Session:
         self.folder = _working_folder(folder, self.path)
         self.handle: int | None = None
         self.obstacle: str | None = None
+        self.tip = False
         self.proposal: Proposal | None = None
         self.nearest: NearestObstacle | None = None
         self.marks: tuple[str, ...] = ()
@@ -295,11 +297,11 @@ class Session:
             self.say(f"{proposal.what}; {proposal.note}")
 
     def take_hold(self, handle: int | None) -> None:
-        """Select a control point, 0-based, instead of an obstacle; an unknown one is ignored."""
+        """Select a control point, 0-based, instead of an obstacle or the tip; an unknown one is ignored."""
         if handle is None:
-            self.handle = None
+            self.handle, self.tip = None, False
         elif 0 <= handle < len(self.shape.points):
-            self.handle, self.obstacle = handle, None
+            self.handle, self.obstacle, self.tip = handle, None, False
 
     def select(self, keyframe: int) -> None:
         """Select another keyframe, 0-based; an unknown one is ignored."""
@@ -323,6 +325,7 @@ class Session:
         self.history = History(task, selected)
         self.path, self.saved = path, task if saved else None
         self.selected, self.handle, self.obstacle, self.proposal = selected, None, None, None
+        self.tip = False
         self.touch()
 
     def take_up(self, task: Task, selected: int) -> None:

@@ -15,6 +15,7 @@ from pinposture.curve import Curve
 from pinposture.editor.session import Session
 from pinposture.editor.shape import keyframes_of, required_length
 from pinposture.editor.solver import Live
+from pinposture.editor.tip import drag_tip
 from pinposture.editor.ui.parts import (
     Post,
     Typed,
@@ -218,6 +219,38 @@ class Handles:
     def _post_move(self, index: int, place: Array, final: bool) -> None:
         request = partial(move_point, index, place, final, keyframe=self._dragged_keyframe)
         self._post(request, "" if final else "move")
+
+
+class TipHandle:
+    """Axes at the tip of the arm, by which it is dragged while it is selected."""
+
+    def __init__(self, server: viser.ViserServer, arm: Arm, post: Post) -> None:
+        self._post, self._start = post, arm.straight()
+        self._keyframe, self._dragged_keyframe, self._dragged = -1, -1, False
+        self._axes = server.scene.add_transform_controls(
+            "/handles/tip",
+            scale=AXES_SIZE * arm.length,
+            disable_rotations=True,
+            depth_test=False,
+            visible=False,
+        )
+        self._axes.on_update(self._on_axes)
+
+    def show(self, session: Session, live: Live) -> None:
+        """Bring them up to date."""
+        self._start, self._keyframe = live.state.q, session.selected
+        if not self._dragged:
+            put_at(self._axes, live.state.points[-1])
+        put(self._axes, visible=session.tip)
+
+    async def _on_axes(self, event: Any) -> None:
+        if not self._dragged:
+            self._dragged_keyframe = self._keyframe
+        final = event.phase == "end"
+        self._dragged = not final
+        place = np.array(self._axes.position)
+        request = partial(drag_tip, place, self._start, final, keyframe=self._dragged_keyframe)
+        self._post(request, "" if final else "tip")
 
 
 class Points:

@@ -18,6 +18,7 @@ from pinposture.editor.measured_arm import JointStates
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
 from pinposture.editor.surroundings import Surroundings
+from pinposture.editor.tip import hold_tip
 from pinposture.editor.ui.arm import ArmDrawing, ArmTab, MeasuredArm
 from pinposture.editor.ui.curve import (
     CurveDrawing,
@@ -25,6 +26,7 @@ from pinposture.editor.ui.curve import (
     OtherCurves,
     Points,
     ShapeTab,
+    TipHandle,
     delete_point,
     insert_point,
     move_point,
@@ -71,6 +73,7 @@ def shortcuts(files: Files) -> tuple[Shortcut, ...]:
         Shortcut("Delete the control point", "delete", None, delete_point),
         Shortcut("Next control point", "N", None, partial(_select_next, 1)),
         Shortcut("Previous control point", "B", None, partial(_select_next, -1)),
+        Shortcut("Take hold of the tip", "T", None, hold_tip),
         Shortcut("Select nothing", "escape", None, lambda session: session.take_hold(None)),
         Shortcut("Move it ahead (+x)", "arrowright", "shift", partial(_nudge, 0, 1.0)),
         Shortcut("Move it back (-x)", "arrowleft", "shift", partial(_nudge, 0, -1.0)),
@@ -198,6 +201,7 @@ class Page:
         self._parts: list[Part] = [
             CurveDrawing(server, arm),
             Handles(server, arm, post),
+            TipHandle(server, arm, post),
             Points(server, arm),
             Obstacles(server, arm, post),
             Scans(server, arm, scans),
