@@ -15,7 +15,7 @@ from pinposture.errors import PostureError, ReachError
 
 Array = NDArray[np.float64]
 
-REACH_BUDGET = 2.0  # of the search when the tip is let go and no clear posture is near [s]
+REACH_BUDGET = 1.0  # of the search when the tip is let go and no clear posture is near [s]
 
 
 def drag_tip(place: Array, start: Array, final: bool, session: Session, keyframe: int | None = None) -> None:
