@@ -127,5 +127,5 @@ def test_a_step_a_task_and_a_drag_can_be_followed_through_their_files() -> None:
     command = [sys.executable, SCRIPT, "--flows", "--list"]
     found = subprocess.run(command, capture_output=True, text=True, check=False)
     assert found.returncode == 0, found.stdout + found.stderr
-    for file in ("motion/track.py", "cli/app.py", "editor/session.py", "kernels/time_parameterization.py"):
+    for file in ("motion/track.py", "cli/app.py", "editor/session.py", "kernels/path_following.py"):
         assert f"\n  {file}\n" in found.stdout

@@ -49,12 +49,17 @@ if TYPE_CHECKING:
     from pinposture.kernels.modules import torus_faces as torus_faces
     from pinposture.kernels.modules import torus_forward as torus_forward
     from pinposture.kernels.modules import torus_inverse as torus_inverse
-    from pinposture.kernels.path import advance as advance
-    from pinposture.kernels.path import joint_distance as joint_distance
-    from pinposture.kernels.path import look_ahead as look_ahead
-    from pinposture.kernels.path import position_excess as position_excess
-    from pinposture.kernels.path import step_along as step_along
-    from pinposture.kernels.path import sum_point_errors as sum_point_errors
+    from pinposture.kernels.path_following import advance as advance
+    from pinposture.kernels.path_following import find_speed_profile as find_speed_profile
+    from pinposture.kernels.path_following import joint_distance as joint_distance
+    from pinposture.kernels.path_following import look_ahead as look_ahead
+    from pinposture.kernels.path_following import next_path_speed as next_path_speed
+    from pinposture.kernels.path_following import position_excess as position_excess
+    from pinposture.kernels.path_following import shorten_step as shorten_step
+    from pinposture.kernels.path_following import step_along as step_along
+    from pinposture.kernels.path_following import step_box as step_box
+    from pinposture.kernels.path_following import stoppable_steps as stoppable_steps
+    from pinposture.kernels.path_following import sum_point_errors as sum_point_errors
     from pinposture.kernels.path_relaxation import measure_path_lengths as measure_path_lengths
     from pinposture.kernels.path_relaxation import relax_waypoints as relax_waypoints
     from pinposture.kernels.path_relaxation import step_waypoints as step_waypoints
@@ -69,11 +74,6 @@ if TYPE_CHECKING:
     from pinposture.kernels.spline import parameters_at as parameters_at
     from pinposture.kernels.spline import spline_coefficients as spline_coefficients
     from pinposture.kernels.spline import spline_values as spline_values
-    from pinposture.kernels.time_parameterization import find_speed_profile as find_speed_profile
-    from pinposture.kernels.time_parameterization import next_path_speed as next_path_speed
-    from pinposture.kernels.time_parameterization import shorten_step as shorten_step
-    from pinposture.kernels.time_parameterization import step_box as step_box
-    from pinposture.kernels.time_parameterization import stoppable_steps as stoppable_steps
 
 _KERNELS = {
     "bounding_volumes": "build_tree",
@@ -92,14 +92,16 @@ _KERNELS = {
         "circle_crossings circle_forward circle_inverse neighbours place_modules torus_crossings "
         "torus_faces torus_forward torus_inverse"
     ),
-    "path": "advance joint_distance look_ahead position_excess step_along sum_point_errors",
+    "path_following": (
+        "advance find_speed_profile joint_distance look_ahead next_path_speed position_excess shorten_step "
+        "step_along step_box stoppable_steps sum_point_errors"
+    ),
     "path_relaxation": "measure_path_lengths relax_waypoints step_waypoints",
     "posture_matrix": "eliminated extreme_value inverse_norm least_change",
     "spline": (
         "expand_spans find_stationary_point measure_length nearest_places parameters_at "
         "spline_coefficients spline_values"
     ),
-    "time_parameterization": ("find_speed_profile next_path_speed shorten_step step_box stoppable_steps"),
 }
 """The kernels that other packages call, by module."""
 
