@@ -112,9 +112,13 @@ def draw_plot(rows: list[dict[str, Any]], path: Path) -> None:
         ):
             axes.plot(joints, [row[low] for row in own], "o-", color=colour, label=f"{boxes} boxes, median")
             axes.plot(joints, [row[high] for row in own], "o:", color=colour, label=f"{boxes} boxes, {name}")
-    both[0].set(title="a cycle on the way", xlabel="joints", ylabel="[ms]", ylim=(0.0, None))
-    both[1].set(title="the plan", xlabel="joints", ylabel="[ms]", yscale="log")
+    both[0].set(title="a cycle on the way")
+    both[1].set(title="the plan")
+    ticks = sorted({row["joints"] for row in rows})
     for axes in both:
+        axes.set(xlabel="joints", ylabel="[ms]", xscale="log", yscale="log")
+        axes.set_xticks(ticks, [str(each) for each in ticks])
+        axes.minorticks_off()
         axes.legend(fontsize=8)
         axes.grid(color="#e4e4e4")
         axes.spines[["top", "right"]].set_visible(False)
