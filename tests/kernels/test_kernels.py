@@ -50,7 +50,7 @@ def test_importing_the_package_starts_no_compiler() -> None:
 
 def test_machine_code_is_kept_until_its_sources_change() -> None:
     kept = kernels.sum_point_errors._cache._cache_file
-    assert kept._source_stamp == compiled.source_stamp(ROOM / "path.py")
+    assert kept._source_stamp == compiled.source_stamp(ROOM / "path_following.py")
     assert compiled.is_ready(kernels.sum_point_errors) or not kernels.sum_point_errors.signatures
 
 
