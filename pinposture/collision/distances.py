@@ -263,14 +263,14 @@ class MotionSearch(NamedTuple):
     open_motion: float
 
 
-def divide_samples(samples: Array, room: Array, tolerance: float, spread: float) -> Array:
+def _divide_samples(samples: Array, room: Array, tolerance: float, spread: float) -> Array:
     """Return samples in parts of the motions around others.
 
     A part of a motion has its share of twice the bound for the whole: the bound for the whole is half the
     duration times the speed in the middle, plus at least half of what the speed can grow by.
 
     Args:
-        samples: as `smallest_distance_on_motions` gives them, (k, 5).
+        samples: as `smallest_distance_on_motions` gives them, (k, 6).
         room: by how much each is farther than it would have to be, (k,) [m].
         tolerance: motion that need not be divided [m].
         spread: 2, or 1 if the bounds were doubled before.
@@ -459,7 +459,7 @@ class PairDistances:
         given = kinematics.tree, self._carriers, self._local, self._arrays, positions, others[0], drifts
         room = OPEN_SAMPLES * bool(self._open)
         while True:
-            samples = np.empty((room, 5))
+            samples = np.empty((room, 6))
             best, pair, count = kernels.smallest_distance_on_motions(*given, *search, samples)
             if count <= room:
                 break
@@ -472,7 +472,7 @@ class PairDistances:
                 best, pair = float(distances[at]), int(samples[at, 3])
             aim = min(best, search.below) - search.tolerance
             left = (distances - samples[:, 4] < aim) & (samples[:, 4] > search.tolerance)
-            samples = divide_samples(samples[left], distances[left] - aim, search.tolerance, spread)
+            samples = _divide_samples(samples[left], distances[left] - aim, search.tolerance, spread)
             spread = 1.0
         return best, pair
 
@@ -488,8 +488,9 @@ class PairDistances:
         places: dict[tuple[int, int], coal.Transform3s] = {}
         for sample, pair in enumerate(pairs.astype(int)):
             distance = self._narrow.distance(self._posed(int(pair), placements, sample, places))
-            # If coal cannot tell, it counts as touching.
-            found[sample] = 0.0 if math.isnan(distance) else distance - self._point_radius(int(pair))
+            # If coal cannot tell, on the safe side.
+            bound = float(samples[sample, 5])
+            found[sample] = bound if math.isnan(distance) else distance - self._point_radius(int(pair))
         return found
 
     def contacts(self, kinematics: TreeKinematics, q: Array, offsets: Array, within: float) -> Contacts:

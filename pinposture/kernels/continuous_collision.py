@@ -27,7 +27,6 @@ from pinposture.kernels.compiled import compiled, inlined, subkernel
 
 MAX_DEPTH = 60  # largest number of halvings of a motion
 
-
 Frames = tuple[Array3, Array2]
 """Orientations of joint frames, and their origins."""
 
@@ -62,7 +61,7 @@ def smallest_distance_on_motions(
         tolerance: by how much the smallest distance may be missed between the configurations.
         open_motion: motion of a pair that is not exact below which its distance is left open.
         open_samples: filled with where that is: number and share of the motion, half the share around it that
-            is open, the pair, and by how much it moves there, (k, 5).
+            is open, the pair, by how much it moves there, and a lower bound of its distance there, (k, 6).
 
     Returns:
         The smallest distance of the exact pairs that was found, and its pair: inf and -1 if there is none
@@ -104,13 +103,14 @@ def smallest_distance_on_motions(
                     reach = bounds[2][pairs.groups[group, 0]]
                     if pairs.groups[group, 1] < len(blocks):
                         reach += bounds[2][pairs.groups[group, 1]]
-                    if group_bound(blocks, pairs, group) - reach >= min(below, best) - tolerance:
+                    if group_bound(blocks, pairs, group) - reach >= min(below, best):
                         continue
                 else:
                     begin, stop = begins[depth - 1], begins[depth]
                 for entry in range(begin, stop):
                     pair = entry if depth == 0 else stack[entry]
-                    aim = min(below, best) - tolerance
+                    # At the ends of a motion nothing may be missed: pairs that are left are measured there.
+                    aim = min(below, best) - (tolerance if depth > 0 else 0.0)
                     moved = bounds[1][pairs.first[pair]]
                     other = pairs.second[pair]
                     if other < bodies:
@@ -129,13 +129,15 @@ def smallest_distance_on_motions(
                             best, best_pair = distance, pair
                             if best < enough:
                                 return best, best_pair, opened
-                            aim = best - tolerance
+                            aim = best - (tolerance if depth > 0 else 0.0)
                     elif distance - moved < aim and moved <= open_motion:
-                        if opened < len(open_samples):
-                            open_samples[opened, 0] = piece
-                            open_samples[opened, 1], open_samples[opened, 2] = middle, half
-                            open_samples[opened, 3], open_samples[opened, 4] = pair, moved
-                        opened += 1
+                        opened = _leave_open(
+                            open_samples, opened, piece, middle, half, pair, moved, distance - moved
+                        )
+                        if depth == 0:
+                            opened = _leave_open(
+                                open_samples, opened, piece, 1.0, 0.0, pair, 0.0, distance - moved
+                            )
                         continue
                     if distance - moved < aim and moved > 0.0:
                         if last == len(stack):
@@ -144,7 +146,7 @@ def smallest_distance_on_motions(
                             stack = longer
                         stack[last] = pair
                         last += 1
-            if depth == 0 and last > 0:  # at the end nothing may be missed
+            if depth == 0 and last > 0:
                 end = positions[piece + 1], drifts[piece + 1]
                 _place_bodies(tree, carriers, local, end[0], others, end[1], frames, ends)
                 for entry in range(last):
@@ -157,11 +159,7 @@ def smallest_distance_on_motions(
                         if best < enough:
                             return best, best_pair, opened
                     else:
-                        if opened < len(open_samples):
-                            open_samples[opened, 0], open_samples[opened, 1] = piece, 1.0
-                            open_samples[opened, 2], open_samples[opened, 3] = 0.0, pair
-                            open_samples[opened, 4] = 0.0
-                        opened += 1
+                        opened = _leave_open(open_samples, opened, piece, 1.0, 0.0, pair, 0.0, distance)
             if last > first and depth < MAX_DEPTH:  # the first half, for the pairs that are left
                 depth += 1
                 begins[depth], right[depth], width = last, False, half
@@ -173,6 +171,24 @@ def smallest_distance_on_motions(
                 break
             right[depth], low = True, low + width
     return best, best_pair, opened
+
+
+@subkernel
+def _leave_open(
+    samples: Array2,
+    count: int,
+    piece: int,
+    share: float,
+    half: float,
+    pair: int,
+    moved: float,
+    bound: float,
+) -> int:
+    """Note a sample, if there is room for it; return how many there are."""
+    if count < len(samples):
+        own = samples[count]
+        own[0], own[1], own[2], own[3], own[4], own[5] = piece, share, half, pair, moved, bound
+    return count + 1
 
 
 @subkernel

@@ -73,6 +73,7 @@ def test_the_minimum_between_is_that_of_dense_samples(name, seed, size):
     dense = clearance.minimum_along(q, np.linspace(0.0, 1.0, 300)[:, None] * dq).distance
     found = clearance.minimum_between(q, dq)
     assert found.distance <= dense + MOTION_TOLERANCE * arm.length
+    assert found.distance <= clearance.minimum_along(q, dq[None]).distance + 1e-12  # nothing less at the end
     # It is the distance somewhere on the way: no sample is nearer than the points move between two samples.
     at = np.linspace(0.0, 1.0, 3001)[:, None] * dq
     assert found.distance >= clearance.minimum_along(q, at).distance - 2e-3 * arm.length

@@ -13,7 +13,7 @@ from pinposture.arm import ArmState
 from pinposture.collision import CollisionModel, Distances, Scene
 from pinposture.collision.model import MOTION_TOLERANCE
 from pinposture.control.limits import JointBounds, stopping_steps
-from pinposture.control.planner.objective import ChainSolver, LinearRows, Objective
+from pinposture.control.planner.objective import Objective
 from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]
@@ -125,43 +125,6 @@ def solve(
     x = np.minimum(np.maximum(x, lower), upper)
     binding[possible] = matrix @ x <= least + 10.0 * TOLERANCE
     return Solution(x, binding, softened)
-
-
-def solve_posture(
-    solver: ChainSolver,
-    errors: Array,
-    damping: float,
-    center: Array,
-    lower: Array,
-    upper: Array,
-    rows: ConstraintRows | None,
-) -> Solution:
-    """Minimise |A x - e|^2 + damping |x - c|^2 over points and chords, within a box and subject to rows.
-
-    It takes time linear in the number of joints, unless rows have to be violated; see `solve`.
-
-    Args:
-        solver: points and chords, A, at a state.
-        errors: e, what the points should cover, (p, 3) [m].
-        damping: above 0 [m^2].
-        center: c, (n,), in `Arm.joint_units`.
-        lower: smallest x, (n,).
-        upper: largest x, (n,).
-        rows: inequalities; none if None.
-    """
-    given = errors, damping, center, lower, upper
-    if rows is None:
-        return Solution(solver.step(*given), np.zeros(0, dtype=np.bool_), False)
-    normal = rows.normal()
-    possible = np.flatnonzero(normal.lowest(lower, upper) < normal.least)
-    found = solver.constrained_step(*given, LinearRows(normal.matrix[possible], normal.least[possible]))
-    if found is None:
-        matrix, wanted = solver.rows(errors)
-        hessian = matrix.T @ matrix + damping * np.eye(len(center))
-        return solve(hessian, -(matrix.T @ wanted + damping * center), lower, upper, rows)
-    binding = np.zeros(len(normal.least), dtype=np.bool_)
-    binding[possible] = found[1]
-    return Solution(found[0], binding, False)
 
 
 # Keeping clear of obstacles and of the arm itself.

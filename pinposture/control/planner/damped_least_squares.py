@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pinposture.arm import ArmState
 from pinposture.control.limits import StepBox
-from pinposture.control.planner.avoidance import Avoidance, ConstraintRows, Solution, solve, solve_posture
+from pinposture.control.planner.avoidance import Avoidance, ConstraintRows, Solution, solve
 from pinposture.control.planner.objective import ChainSolver, LinearRows, Objective
 from pinposture.control.planner.path import MAX_STEP
 
@@ -105,7 +105,7 @@ def reduce_errors(objective: Objective, bounds: StepBounds, damping: float) -> S
         solver, (errors, squares) = ChainSolver(objective, bounds.state), objective.point_errors(bounds.state)
         least = MIN_DAMPING * max(solver.stiffness(), 1e-12 * objective.arm.length**2)
         weight = damping * DAMPING_SHARE * scale**2 * squares + least
-        return solve_posture(solver, scale * errors, weight, np.zeros(len(bounds.lower)), *bounds[1:4])
+        return solve_posture(solver, scale * errors, weight, np.zeros(len(bounds.lower)), bounds)
     rows = objective.rows(bounds.state)
     errors = scale * rows.errors
     least = MIN_DAMPING * _mean_diagonal(objective, rows.matrix)
@@ -113,6 +113,36 @@ def reduce_errors(objective: Objective, bounds: StepBounds, damping: float) -> S
     tasks = objective.task_rows(bounds.state, priority=True)
     first = None if tasks is None else solve_priority(objective, bounds, tasks, scale * tasks.errors)
     return solve_remaining(hessian, -(rows.matrix.T @ errors), bounds, first)
+
+
+def solve_posture(
+    solver: ChainSolver, errors: Array, damping: float, center: Array, bounds: StepBounds
+) -> Solution:
+    """Minimise |A x - e|^2 + damping |x - c|^2 over points and chords, within the bounds of a step.
+
+    It takes time linear in the number of joints, unless constraints have to be violated; see `solve`.
+
+    Args:
+        solver: points and chords, A, at a state.
+        errors: e, what the points should cover, (p, 3) [m].
+        damping: above 0 [m^2].
+        center: c, (n,), in `Arm.joint_units`.
+        bounds: what the step may do.
+    """
+    lower, upper = bounds.lower, bounds.upper
+    given = errors, damping, center, lower, upper
+    if bounds.rows is None:
+        return Solution(solver.step(*given), np.zeros(0, dtype=np.bool_), False)
+    normal = bounds.rows.normal()
+    possible = np.flatnonzero(normal.lowest(lower, upper) < normal.least)
+    found = solver.constrained_step(*given, LinearRows(normal.matrix[possible], normal.least[possible]))
+    if found is None:
+        matrix, wanted = solver.rows(errors)
+        gradient = -(matrix.T @ wanted + damping * center)
+        return solve(damped_hessian(matrix, damping), gradient, lower, upper, bounds.rows)
+    binding = np.zeros(len(normal.least), dtype=np.bool_)
+    binding[possible] = found[1]
+    return Solution(found[0], binding, False)
 
 
 class PriorityStep(NamedTuple):

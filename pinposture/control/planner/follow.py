@@ -20,7 +20,7 @@ from pinposture.control.limits import (
     farthest,
     require_limits,
 )
-from pinposture.control.planner.avoidance import Avoidance, Solution, solve_posture
+from pinposture.control.planner.avoidance import Avoidance, Solution
 from pinposture.control.planner.damped_least_squares import (
     CONVERGED,
     DECREASE,
@@ -30,6 +30,7 @@ from pinposture.control.planner.damped_least_squares import (
     correct_curvature,
     damped_hessian,
     reduce_errors,
+    solve_posture,
     solve_priority,
     solve_remaining,
 )
@@ -333,7 +334,7 @@ def step_along(
         return CandidateStep(dq, progress)
     if not objective.has_tasks:
         solver = ChainSolver(objective, state)
-        found = solve_posture(solver, solver.covered(wanted), objective.mu**2, wanted, *step_bounds[1:4])
+        found = solve_posture(solver, solver.covered(wanted), objective.mu**2, wanted, step_bounds)
         x = np.clip(wanted, step_bounds.lower, step_bounds.upper) if found.x is None else found.x
         return CandidateStep(objective.displacement(x), progress, found)
     hessian, first = damped_hessian(objective.rows(state).matrix, objective.mu**2), None

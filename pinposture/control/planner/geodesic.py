@@ -12,8 +12,8 @@ from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control.controller import Diagnostics, Memory, Step, require_step_arguments
 from pinposture.control.limits import Limits, StepBox, require_limits
-from pinposture.control.planner.avoidance import Avoidance, ClearStep, solve_posture
-from pinposture.control.planner.damped_least_squares import StepBounds
+from pinposture.control.planner.avoidance import Avoidance, ClearStep
+from pinposture.control.planner.damped_least_squares import StepBounds, solve_posture
 from pinposture.control.planner.follow import (
     GeodesicMemory,
     PathProgress,
@@ -288,7 +288,7 @@ class Geodesic:
 def _smallest_step(avoidance: Avoidance, bounds: StepBounds) -> ClearStep:
     """Return the smallest step within bounds that keeps or becomes clear."""
     solver, rest = ChainSolver(avoidance.objective, bounds.state, weight=0.0), np.zeros(len(bounds.lower))
-    found = solve_posture(solver, solver.covered(rest), 1.0, rest, *bounds[1:4]).x
+    found = solve_posture(solver, solver.covered(rest), 1.0, rest, bounds).x
     x = np.clip(rest, bounds.lower, bounds.upper) if found is None else found
     return avoidance.clear_step(bounds.state, avoidance.objective.displacement(x))
 

@@ -87,7 +87,7 @@ def plan(
 ) -> JointPath:
     """Find the most direct clear path to a target posture: the first stage of `Geodesic`.
 
-    Among obstacles, Ctrl-C ends the search: the best path so far is returned.
+    Among obstacles, Ctrl-C ends the search for a clear path: the best so far is returned.
 
     Args:
         state: where the arm is.

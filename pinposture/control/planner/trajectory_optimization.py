@@ -13,8 +13,8 @@ configuration means. Waypoints stay within the position limits.
 
 Without penalties one waypoint after the other is relaxed, first few and then more. With penalties, for
 obstacles or tasks, all waypoints move together, by damped Gauss-Newton steps. Both take time linear in the
-number of joints (`kernels.path_relaxation`). Clearance counts between waypoints too, and pairs count that a
-step would bring too close. A path that is clear stays clear.
+number of joints (`kernels.path_relaxation`). Pairs count that a step would bring too close. A path that is
+clear stays clear, between waypoints too.
 """
 
 from __future__ import annotations
@@ -373,7 +373,8 @@ class _PathRelaxation:
 
     def _clearance(self, offsets: Array) -> tuple[PathContacts, NDArray[np.bool_]]:
         """Return the contacts at the waypoints between the ends, and which pieces are clear."""
-        avoidance, root, least = self._penalties[1:4]
+        avoidance, least = self._penalties.avoidance, self._penalties.least
+        root = self._penalties.clearance_root
         if avoidance is None:
             begins, nothing = np.zeros(len(offsets) + 1, dtype=np.int64), np.zeros((0, 2), dtype=np.int64)
             contacts = PathContacts(np.zeros(0), begins, nothing, np.zeros((0, 3)), np.zeros((0, 3)))

@@ -185,6 +185,7 @@ def test_an_interrupted_relaxation_keeps_the_path_that_was_found() -> None:
     try:
         found = pp.plan(arm().at(start), pp.Target.from_configuration(arm(), goal), scene, progress=interrupt)
     finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
     assert not found.hindrance
     assert found.found_by == "withdrawal"
