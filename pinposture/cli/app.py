@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
+import logging
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import fields, is_dataclass
+from functools import wraps
 from typing import Annotated, Any
 
 import typer
@@ -15,7 +19,6 @@ from pinposture.cli import (
     edit,
     export,
     generate,
-    inspect,
     reach,
     reproduce,
     run,
@@ -24,6 +27,7 @@ from pinposture.cli import (
     track,
     view,
 )
+from pinposture.cli import inspect as inspect_verb
 from pinposture.cli.output import print_error, verb_examples, warnings_as_notes
 from pinposture.errors import PostureError
 
@@ -82,7 +86,6 @@ def verb_with_examples(examples: tuple[str, ...]) -> type[TyperCommand]:
 app = typer.Typer(
     name="pinposture",
     cls=Commands,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -96,9 +99,18 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
+def _log_verbosely(wanted: bool) -> None:
+    if wanted:
+        logging.basicConfig(format="%(name)s: %(message)s")
+        logging.getLogger("pinposture").setLevel(logging.DEBUG)
+
+
 @app.callback(invoke_without_command=True)
 def command(
     ctx: typer.Context,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", callback=_log_verbosely, help="Log what is done to stderr.")
+    ] = False,
     version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
     ] = False,
@@ -124,10 +136,48 @@ def _study(ctx: typer.Context) -> None:
 
 
 def _add(name: str, run: Callable[..., None], group: typer.Typer) -> None:
-    group.command(name, cls=verb_with_examples(verb_examples[run]), help=_paragraphs(run.__doc__ or ""))(run)
+    verb = verb_with_examples(verb_examples[run])
+    group.command(name, cls=verb, help=_paragraphs(run.__doc__ or ""))(_with_single_options(run))
 
 
-for module in (generate, inspect, track, reach, batch, run, edit, view, export, simulate, reproduce, compile):
+def _with_single_options(run: Callable[..., None]) -> Callable[..., None]:
+    """A verb that takes the fields of its dataclasses of options one by one, as Typer reads them."""
+    signature = inspect.signature(run, eval_str=True)
+    groups: dict[str, Any] = {
+        name: each.annotation for name, each in signature.parameters.items() if is_dataclass(each.annotation)
+    }
+    single: list[inspect.Parameter] = []
+    for name, each in signature.parameters.items():
+        own = inspect.signature(groups[name], eval_str=True).parameters.values() if name in groups else [each]
+        single += [option.replace(kind=inspect.Parameter.KEYWORD_ONLY) for option in own]
+
+    @wraps(run)
+    def verb(**given: Any) -> None:
+        taken = {
+            name: group(**{each.name: given.pop(each.name) for each in fields(group)})
+            for name, group in groups.items()
+        }
+        run(**given, **taken)
+
+    verb.__signature__ = signature.replace(parameters=single)  # type: ignore[attr-defined]
+    verb.__annotations__ = {each.name: each.annotation for each in single}
+    return verb
+
+
+for module in (
+    generate,
+    inspect_verb,
+    track,
+    reach,
+    batch,
+    run,
+    edit,
+    view,
+    export,
+    simulate,
+    reproduce,
+    compile,
+):
     _add(module.__name__.rpartition(".")[2], module.run, app)
 for name, verb in studies.VERBS.items():
     _add(name, verb, study)

@@ -13,43 +13,26 @@ from pinposture.cli.inputs import (
     OUTPUT,
     STARTS,
     TARGET,
-    AccelerationOption,
-    BaseOption,
-    ControllerOption,
+    ArmOptions,
+    ControllerOptions,
     DegreesOption,
-    DurationOption,
-    HasteOption,
     JsonOption,
-    LockedOption,
-    ModulesOption,
-    PackageDirOption,
-    PositionMarginOption,
-    StepLimitOption,
-    TipOption,
+    LimitOptions,
     ToleranceOption,
     UrdfArgument,
-    VelocityOption,
     as_configuration,
-    build_controller,
-    check_controller,
-    read_arm,
-    read_limits,
+    numbers_in,
     read_start,
 )
-from pinposture.cli.output import count_progress, end_with, examples, print_facts, print_json, print_note
-from pinposture.cli.results import BATCH
-from pinposture.cli.targets import (
-    MethodOption,
-    PartialOption,
-    PlacementOption,
-    RegionOption,
-    RollOption,
-    SceneOption,
-    SelfCollisionOption,
-    read_scene,
-    read_target,
+from pinposture.cli.output import (
+    count_progress,
+    end_with,
+    examples,
+    print_result,
 )
-from pinposture.errors import FileError, InvalidValue, UnknownName
+from pinposture.cli.results import BATCH
+from pinposture.cli.targets import PlacementOptions, SceneOptions
+from pinposture.errors import InvalidValue, UnknownName
 
 if TYPE_CHECKING:
     import numpy as np
@@ -67,11 +50,7 @@ if TYPE_CHECKING:
 def run(
     *,
     urdf: UrdfArgument,
-    base: BaseOption = None,
-    tip: TipOption = None,
-    modules: ModulesOption = None,
-    locked: LockedOption = None,
-    package_dir: PackageDirOption = None,
+    arm_options: ArmOptions,
     curve: Annotated[
         list[str],
         typer.Option(
@@ -80,13 +59,8 @@ def run(
             rich_help_panel=TARGET,
         ),
     ],
-    placement: PlacementOption = None,
-    roll: RollOption = 0.0,
-    method: MethodOption = "auto",
-    partial: PartialOption = False,
-    region: RegionOption = None,
-    controller: ControllerOption = "geodesic",
-    joint_weight: HasteOption = None,
+    placement_options: PlacementOptions,
+    controller_options: ControllerOptions,
     starts: Annotated[
         str,
         typer.Option(
@@ -112,13 +86,8 @@ def run(
         int, typer.Option(help="Number of steps after which a run stops.", rich_help_panel=MOTION)
     ] = 300,
     tolerance: ToleranceOption = None,
-    step_limit: StepLimitOption = 0.1,
-    velocity: VelocityOption = None,
-    acceleration: AccelerationOption = None,
-    dt: DurationOption = None,
-    position_margin: PositionMarginOption = 0.0,
-    scene: SceneOption = None,
-    self_collision: SelfCollisionOption = False,
+    limit_options: LimitOptions,
+    scene_options: SceneOptions,
     jobs: Annotated[
         int | None,
         typer.Option(
@@ -157,14 +126,12 @@ def run(
     from pinposture.motion import save, track_many
     from pinposture.storage import check_writable
 
-    check_controller(controller, {"--joint-weight": joint_weight})
-    limits = read_limits(step_limit, velocity, acceleration, dt, position_margin)
-    surroundings = read_scene(scene, self_collision)
-    arm = read_arm(urdf, base, tip, modules, locked, package_dir)
+    controller_options.check()
+    limits = limit_options.read()
+    surroundings = scene_options.read()
+    arm = arm_options.read(urdf)
     configurations = _read_starts(arm, starts, count, seed, degrees)
-    targets = [
-        read_target(arm, each, placement, roll, method, partial, region, surroundings) for each in curve
-    ]
+    targets = [placement_options.place(arm, each, surroundings) for each in curve]
     if output is not None:
         if output.suffix.lower() == ".npz":
             raise InvalidValue("--output", str(output), f"a directory, in which {BATCH} is left")
@@ -174,7 +141,7 @@ def run(
             arm,
             targets,
             configurations,
-            build_controller(controller, joint_weight, None),
+            controller_options.build(),
             limits=limits,
             scene=surroundings,
             max_steps=steps,
@@ -184,13 +151,8 @@ def run(
             progress=progress,
         )
     file = None if output is None else str(save(batch, output / BATCH))
-    if as_json:
-        asked = {"urdf": urdf, "curves": curve, "starts": starts, "seed": seed}
-        print_json({**asked, "scene": None if scene is None else str(scene), **batch.to_dict(), "file": file})
-    else:
-        print_facts(batch.in_words())
-    if file is not None:
-        print_note(f"wrote {file}")
+    asked = {"urdf": urdf, "curves": curve, "starts": starts, "seed": seed, "scene": scene_options.file}
+    print_result(as_json, {**asked, **batch.to_dict(), "file": file}, batch.in_words(), filter(None, [file]))
     end_with(batch.faults)
 
 
@@ -227,7 +189,7 @@ def _read_rows(path: Path) -> list[list[float]]:
     """The rows of numbers in a file; empty lines of text do not count."""
     import numpy as np
 
-    try:
+    with numbers_in(path, "table"):
         if path.suffix.lower() == ".npy":
             stored = np.atleast_2d(np.load(path, allow_pickle=False))
             rows = [[float(value) for value in row] for row in stored]
@@ -236,10 +198,4 @@ def _read_rows(path: Path) -> list[list[float]]:
                 rows = [[float(field) for field in row] for row in csv.reader(file) if any(row)]
         if not rows:
             raise ValueError("it is empty")
-    except FileNotFoundError:
-        raise FileError(path, "no such file") from None
-    except OSError as error:
-        raise FileError(path, f"cannot be read ({error.strerror or error})") from error
-    except (ValueError, TypeError, EOFError, csv.Error) as error:
-        raise FileError(path, f"is not a table of numbers ({error})") from error
     return rows

@@ -5,21 +5,13 @@ from __future__ import annotations
 import os
 import signal
 import webbrowser
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pinposture.cli.inputs import (
-    BaseOption,
-    LockedOption,
-    ModulesOption,
-    NoBrowserOption,
-    PackageDirOption,
-    TipOption,
-    read_arm,
-    refuse_given,
-)
+from pinposture.cli.inputs import ArmOptions, NoBrowserOption, refuse_given
 from pinposture.cli.output import examples, print_note
 from pinposture.errors import FileError, InvalidValue, UnknownName
 
@@ -57,11 +49,7 @@ def run(
             help="A task file (.toml, .json), a robot description, or a module template.",
         ),
     ] = "RyRz",
-    base: BaseOption = None,
-    tip: TipOption = None,
-    modules: ModulesOption = None,
-    locked: LockedOption = None,
-    package_dir: PackageDirOption = None,
+    arm_options: ArmOptions,
     save_as: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="The task file of what is new; else it is named after the arm."),
@@ -104,7 +92,7 @@ def run(
     from pinposture.editor.files import autosave_path
     from pinposture.editor.ui.server import is_loopback
 
-    task, path = read_task(source, base, tip, modules, save_as, folder, locked, package_dir)
+    task, path = read_task(source, arm_options, save_as, folder)
     editor = Editor(task, path, host, port, joint_states, folder)
     try:
         for name in ENDING:
@@ -131,14 +119,7 @@ def run(
 
 
 def read_task(
-    source: str,
-    base: str | None,
-    tip: str | None,
-    modules: str | None,
-    save_as: Path | None,
-    folder: Path | None = None,
-    locked: list[str] | None = None,
-    package_dir: list[Path] | None = None,
+    source: str, arm_options: ArmOptions, save_as: Path | None, folder: Path | None = None
 ) -> tuple[Task, Path]:
     """The task to edit, and its file, which need not be there yet; a new one is in a folder, if one is given.
 
@@ -150,9 +131,8 @@ def read_task(
 
     suffix = Path(source).suffix.lower()
     if suffix in SUFFIXES:
-        told: dict[str, object] = {"--base": base, "--tip": tip, "--modules": modules, "--locked": locked}
-        told |= {"--package-dir": package_dir, "--save-as": save_as}
-        refuse_given(told, "nothing: the task file says it")
+        arm_options.refuse("nothing: the task file says it")
+        refuse_given({"--save-as": save_as}, "nothing: the task file says it")
         path = Path(source).absolute()
         # What was never saved, or whose file is gone, goes on from what was kept.
         left = None if version_of(path) else recover(path)
@@ -160,9 +140,9 @@ def read_task(
     from pinposture.editor.first_task import first_task
 
     if suffix in (".urdf", ".xml", ".xacro") or version_of(Path(source)):
-        arm, name = read_arm(source, base, tip, modules, locked, package_dir), Path(source).stem
+        arm, name = arm_options.read(source), Path(source).stem
     else:
-        arm, name = _templated(source, base, tip, modules, locked, package_dir)
+        arm, name = _templated(source, arm_options)
     path = ((folder or Path()) / f"{name}.toml" if save_as is None else save_as).absolute()
     if path.suffix.lower() not in SUFFIXES:
         raise FileError(path, f"the name ends in {path.suffix!r}; allowed: {', '.join(SUFFIXES)}")
@@ -173,14 +153,7 @@ def read_task(
     return first_task(arm, name), path
 
 
-def _templated(
-    source: str,
-    base: str | None,
-    tip: str | None,
-    modules: str | None,
-    locked: list[str] | None,
-    package_dir: list[Path] | None,
-) -> tuple[Arm, str]:
+def _templated(source: str, arm_options: ArmOptions) -> tuple[Arm, str]:
     """An arm of a template, and what to call it."""
     from pinposture.arm import Arm
     from pinposture.arm.template import TEMPLATES
@@ -188,13 +161,8 @@ def _templated(
 
     if source not in TEMPLATES:
         raise UnknownName("task file, robot description or template", source, TEMPLATES)
-    asked: dict[str, object] = {
-        "--base": base,
-        "--tip": tip,
-        "--locked": locked,
-        "--package-dir": package_dir,
-    }
-    refuse_given(asked, "nothing: a template has no links yet")
+    modules = arm_options.modules
+    replace(arm_options, modules=None).refuse("nothing: a template has no links yet")
     try:
         count = MODULES if modules is None else int(modules)
     except ValueError:

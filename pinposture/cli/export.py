@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pinposture.cli.inputs import JsonOption
-from pinposture.cli.output import examples, print_facts, print_json, print_note, print_warning
+from pinposture.cli.output import examples, print_note, print_result, print_warning
 from pinposture.cli.results import MOTION, RUN, find_kept, load_kept
 from pinposture.errors import FileError
 
@@ -78,12 +78,9 @@ def run(
     save(trajectory, output)
     for fault in kept.faults:
         print_warning(f"exported all the same: {fault}")
-    if as_json:
-        summary = {"verdict": kept.verdict, "faults": list(kept.faults), **_summary(trajectory)}
-        print_json({"run": str(source), **summary, "file": str(output)})
-    else:
-        print_facts(_in_words(trajectory))
-    print_note(f"wrote {output}")
+    verdict = {"verdict": kept.verdict, "faults": list(kept.faults)}
+    data = {"run": str(source), **verdict, **_summary(trajectory), "file": str(output)}
+    print_result(as_json, data, _in_words(trajectory), [output])
 
 
 def _joint_trajectory(moved: Trajectory | Motion, dt: float | None, force: bool) -> JointTrajectory:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import sys
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -31,51 +33,88 @@ AMPLITUDES = (0.2, 1.0)
 ARM, TARGET, MOTION, OUTPUT = "The arm", "The target", "The motion", "The output"
 """Headings under which the help lists the options."""
 
-UrdfArgument = Annotated[str, typer.Argument(metavar="URDF", help="URDF file of the arm, or - for stdin.")]
-BaseOption = Annotated[
-    str | None,
-    typer.Option(
-        "--base", metavar="LINK", help="Link at which the arm begins; needs --tip.", rich_help_panel=ARM
+UrdfArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="URDF",
+        help="URDF, xacro or MJCF file of the arm, a name of robot_descriptions, or - for stdin.",
     ),
 ]
-TipOption = Annotated[
-    str | None,
-    typer.Option(
-        "--tip",
-        metavar="LINK",
-        help="Link at which it ends, if not the end of the longest chain.",
-        rich_help_panel=ARM,
-    ),
-]
-ModulesOption = Annotated[
-    str | None,
-    typer.Option(
-        "--modules",
-        metavar="N,...",
-        help="Joints per module, one number for all or one for each, or links at whose origins modules end: "
-        "m01_l2,m02_l2; else as few joints as can follow a curve.",
-        rich_help_panel=ARM,
-    ),
-]
-LockedOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--locked",
-        metavar="NAME=VALUE",
-        help="Hold a joint still, at a position in rad or metres, or with a unit: elbow=0.5, elbow=30deg. "
-        "May be repeated.",
-        rich_help_panel=ARM,
-    ),
-]
-PackageDirOption = Annotated[
-    list[Path] | None,
-    typer.Option(
-        "--package-dir",
-        metavar="DIR",
-        help="Folder to look for meshes in: a package, or one that holds packages. May be repeated.",
-        rich_help_panel=ARM,
-    ),
-]
+
+
+@dataclass(frozen=True)
+class ArmOptions:
+    """Which part of a description is the arm, and how it is cut into modules."""
+
+    base: Annotated[
+        str | None,
+        typer.Option(metavar="LINK", help="Link at which the arm begins; needs --tip.", rich_help_panel=ARM),
+    ] = None
+    tip: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LINK",
+            help="Link at which it ends, if not the end of the longest chain.",
+            rich_help_panel=ARM,
+        ),
+    ] = None
+    modules: Annotated[
+        str | None,
+        typer.Option(
+            metavar="N,...",
+            help="Joints per module, one number for all or one for each, or links at whose origins modules "
+            "end: m01_l2,m02_l2; else as few joints as can follow a curve.",
+            rich_help_panel=ARM,
+        ),
+    ] = None
+    locked: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE",
+            help="Hold a joint still, at a position in rad or metres, or with a unit: elbow=0.5, "
+            "elbow=30deg. May be repeated.",
+            rich_help_panel=ARM,
+        ),
+    ] = None
+    package_dir: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="DIR",
+            help="Folder to look for meshes in: a package, or one that holds packages. May be repeated.",
+            rich_help_panel=ARM,
+        ),
+    ] = None
+
+    def read(self, urdf: str) -> Arm:
+        """Load an arm as `Arm.from_urdf` does; "-" reads the URDF from stdin.
+
+        Raises:
+            PostureError: as `Arm.from_urdf` and `read_locked`; the name of a template; or nothing between two
+                of the commas of `modules`.
+        """
+        from pinposture.arm import TEMPLATES, Arm
+
+        source: str | Path = Path(urdf)
+        if urdf in TEMPLATES and not Path(urdf).exists():
+            advice = f"make an arm of the template first: pinposture generate {urdf} --modules 20 -o arm.urdf"
+            raise FileError(urdf, f"no such file; {advice}")
+        if urdf == "-":
+            source = sys.stdin.read()
+            if not source.lstrip("\ufeff \t\r\n").startswith("<"):
+                raise FileError("stdin", "holds no URDF; allowed: XML text, which begins with '<'")
+        sizes = None if self.modules is None else read_modules(self.modules)
+        held = read_locked(self.locked)
+        return Arm.from_urdf(source, self.base, self.tip, sizes, held, self.package_dir)
+
+    def refuse(self, allowed: str) -> None:
+        """Refuse all of them where something else says what the arm is.
+
+        Raises:
+            InvalidValue: one of them was given.
+        """
+        refuse_given({f"--{name.replace('_', '-')}": value for name, value in vars(self).items()}, allowed)
+
+
 DegreesOption = Annotated[
     bool,
     typer.Option(
@@ -86,6 +125,9 @@ DegreesOption = Annotated[
 ]
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print one JSON object on stdout instead.", rich_help_panel=OUTPUT)
+]
+ViewOption = Annotated[
+    bool, typer.Option("--view", help="Show the motion in the browser at last.", rich_help_panel=OUTPUT)
 ]
 NoBrowserOption = Annotated[
     bool, typer.Option("--no-browser", help="Print the address, but open no browser.")
@@ -101,34 +143,6 @@ JobsOption = Annotated[
     int,
     typer.Option(metavar="N", help="Number of processes; -1 for all there can be.", rich_help_panel=MOTION),
 ]
-
-
-def read_arm(
-    urdf: str,
-    base: str | None,
-    tip: str | None,
-    modules: str | None,
-    locked: list[str] | None,
-    package_dirs: list[Path] | None,
-) -> Arm:
-    """Load an arm as `Arm.from_urdf` does; "-" reads the URDF from stdin.
-
-    Raises:
-        PostureError: as `Arm.from_urdf` and `read_locked`; the name of a template; or nothing between two of
-            the commas of `modules`.
-    """
-    from pinposture.arm import TEMPLATES, Arm
-
-    source: str | Path = Path(urdf)
-    if urdf in TEMPLATES and not Path(urdf).exists():
-        advice = f"make an arm of the template first: pinposture generate {urdf} --modules 20 -o arm.urdf"
-        raise FileError(urdf, f"no such file; {advice}")
-    if urdf == "-":
-        source = sys.stdin.read()
-        if not source.lstrip("\ufeff \t\r\n").startswith("<"):
-            raise FileError("stdin", "holds no URDF; allowed: XML text, which begins with '<'")
-    sizes = None if modules is None else read_modules(modules)
-    return Arm.from_urdf(source, base, tip, sizes, read_locked(locked), package_dirs)
 
 
 def refuse_given(options: Mapping[str, object], allowed: str) -> None:
@@ -281,17 +295,24 @@ def _parsed(text: str) -> list[float] | None:
 
 
 def _read_file(path: Path) -> list[float]:
-    try:
+    with numbers_in(path, "list"):
         values = _READERS[path.suffix.lower()](path)
         if not isinstance(values, list):
             raise ValueError("not a list")
         return [float(value) for value in values]
+
+
+@contextmanager
+def numbers_in(path: Path, kind: str) -> Iterator[None]:
+    """Turn what goes wrong while a list or a table of numbers is read into a `FileError`."""
+    try:
+        yield
     except FileNotFoundError:
         raise FileError(path, "no such file") from None
     except OSError as error:
         raise FileError(path, f"cannot be read ({error.strerror or error})") from error
-    except (ValueError, TypeError, EOFError, RecursionError) as error:
-        raise FileError(path, f"is not a list of numbers ({error})") from error
+    except (ValueError, TypeError, EOFError, RecursionError, csv.Error) as error:
+        raise FileError(path, f"is not a {kind} of numbers ({error})") from error
 
 
 def _read_npy(path: Path) -> Any:
@@ -366,60 +387,69 @@ def read_points(name: str, text: str, arm: Arm) -> tuple[int, ...]:
 LIMITS = "The limits"
 """Heading under which the help lists these options."""
 
-StepLimitOption = Annotated[
-    float,
-    typer.Option(
-        help="Largest motion of a joint in one step, in rad or metres; inf for none.", rich_help_panel=LIMITS
-    ),
-]
-VelocityOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="V,...",
-        help="Largest speed of joints, in rad/s or m/s, one number for all or one for each; else the arm's "
-        "own. Needs --dt.",
-        rich_help_panel=LIMITS,
-    ),
-]
-AccelerationOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="A,...",
-        help="Largest acceleration of joints, in rad/s^2 or m/s^2, one number or one for each; else there is "
-        "no such limit. Needs --dt.",
-        rich_help_panel=LIMITS,
-    ),
-]
-DurationOption = Annotated[
-    float | None,
-    typer.Option(
-        "--dt", help="Duration of a step, in s; else speeds are not limited.", rich_help_panel=LIMITS
-    ),
-]
-PositionMarginOption = Annotated[
-    float,
-    typer.Option(
-        help="Distance to keep from the limits of joint positions, in rad or metres.", rich_help_panel=LIMITS
-    ),
-]
 
+@dataclass(frozen=True)
+class LimitOptions:
+    """The limits of a step."""
 
-def read_limits(
-    step: float, velocity: str | None, acceleration: str | None, dt: float | None, position_margin: float
-) -> Limits:
-    """The limits that these options ask for, as `Limits` takes them.
+    step_limit: Annotated[
+        float,
+        typer.Option(
+            help="Largest motion of a joint in one step, in rad or metres; inf for none.",
+            rich_help_panel=LIMITS,
+        ),
+    ] = 0.1
+    velocity: Annotated[
+        str | None,
+        typer.Option(
+            metavar="V,...",
+            help="Largest speed of joints, in rad/s or m/s, one number for all or one for each; else the "
+            "arm's own. Needs --dt.",
+            rich_help_panel=LIMITS,
+        ),
+    ] = None
+    acceleration: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A,...",
+            help="Largest acceleration of joints, in rad/s^2 or m/s^2, one number or one for each; else "
+            "there is no such limit. Needs --dt.",
+            rich_help_panel=LIMITS,
+        ),
+    ] = None
+    dt: Annotated[
+        float | None,
+        typer.Option(help="Duration of a step, in s; else speeds are not limited.", rich_help_panel=LIMITS),
+    ] = None
+    position_margin: Annotated[
+        float,
+        typer.Option(
+            help="Distance to keep from the limits of joint positions, in rad or metres.",
+            rich_help_panel=LIMITS,
+        ),
+    ] = 0.0
 
-    Raises:
-        InvalidValue: text in place of numbers, a value that `Limits` does not take, or no `dt` where one is
-            needed.
-    """
-    from pinposture.control import Limits
+    def read(self) -> Limits:
+        """The limits that these options ask for, as `Limits` takes them.
 
-    for option, given in (("--velocity", velocity), ("--acceleration", acceleration)):
-        if dt is None and given is not None:
-            raise InvalidValue("--dt", dt, f"the duration of a step [s], needed with {option}")
-    speed, change = _for_joints("--velocity", velocity), _for_joints("--acceleration", acceleration)
-    return Limits(step=step, velocity=speed, dt=dt, position_margin=position_margin, acceleration=change)
+        Raises:
+            InvalidValue: text in place of numbers, a value that `Limits` does not take, or no `dt` where one
+                is needed.
+        """
+        from pinposture.control import Limits
+
+        given = {"--velocity": self.velocity, "--acceleration": self.acceleration}
+        for option, text in given.items():
+            if self.dt is None and text is not None:
+                raise InvalidValue("--dt", None, f"the duration of a step [s], needed with {option}")
+        speed, change = (_for_joints(option, text) for option, text in given.items())
+        return Limits(
+            step=self.step_limit,
+            velocity=speed,
+            dt=self.dt,
+            position_margin=self.position_margin,
+            acceleration=change,
+        )
 
 
 def _for_joints(option: str, text: str | None) -> float | NDArray[np.float64] | None:
@@ -444,14 +474,54 @@ ControllerOption = Annotated[
         rich_help_panel=MOTION,
     ),
 ]
-HasteOption = Annotated[
-    float | None,
-    typer.Option(
-        help="How far control points may go out of their way to spare joints theirs, in module lengths per "
-        "rad; else 0.2. Large numbers lead to interpolation of joints. With geodesic only.",
-        rich_help_panel=MOTION,
-    ),
-]
+
+
+@dataclass(frozen=True)
+class ControllerOptions:
+    """What moves the arm."""
+
+    controller: ControllerOption = "geodesic"
+    joint_weight: Annotated[
+        float | None,
+        typer.Option(
+            help="How far control points may go out of their way to spare joints theirs, in module lengths "
+            "per rad; else 0.2. Large numbers lead to interpolation of joints. With geodesic only.",
+            rich_help_panel=MOTION,
+        ),
+    ] = None
+
+    def check(self, **only_geodesic: object) -> None:
+        """Refuse a controller that does not exist, or that does not know what is asked of it.
+
+        Args:
+            only_geodesic: options besides the weight that only geodesic knows, and their values; None or
+                False if not given.
+
+        Raises:
+            UnknownName: there is no such controller.
+            InvalidValue: it is not geodesic, and one of the options is given.
+        """
+        _controller_named(self.controller)
+        told = {"joint_weight": self.joint_weight, **only_geodesic}
+        given = [f"--{name.replace('_', '-')}" for name, value in told.items() if value not in (None, False)]
+        if given and self.controller != "geodesic":
+            allowed = f"'geodesic', which alone knows {', '.join(given)}"
+            raise InvalidValue("--controller", self.controller, allowed)
+
+    def build(self, task: ControlTask | None = None) -> Controller:
+        """The controller of that name; geodesic with its joint_weight and a task besides the shape.
+
+        Raises:
+            UnknownName: there is no such controller.
+            InvalidValue: a joint_weight that is not a positive number.
+        """
+        from pinposture.control import Geodesic
+
+        chosen = _controller_named(self.controller)
+        if not isinstance(chosen, Geodesic):
+            return chosen
+        weight = chosen.joint_weight if self.joint_weight is None else self.joint_weight
+        return replace(chosen, joint_weight=weight, tasks=() if task is None else (task,))
 
 
 def _controller_named(name: str) -> Controller:
@@ -461,38 +531,3 @@ def _controller_named(name: str) -> Controller:
 
     register_baselines()
     return controller_named(name)
-
-
-def check_controller(name: str, only_geodesic: Mapping[str, object]) -> None:
-    """Refuse a controller that does not exist, or that does not know what is asked of it.
-
-    Args:
-        name: its name.
-        only_geodesic: options that only geodesic knows, with their values; None or False if not given.
-
-    Raises:
-        UnknownName: there is no such controller.
-        InvalidValue: it is not geodesic, and one of the options is given.
-    """
-    _controller_named(name)
-    given = [option for option, value in only_geodesic.items() if value is not None and value is not False]
-    if given and name != "geodesic":
-        raise InvalidValue("--controller", name, f"'geodesic', which alone knows {', '.join(given)}")
-
-
-def build_controller(name: str, joint_weight: float | None, task: ControlTask | None) -> Controller:
-    """The controller of that name; geodesic with its joint_weight and a task besides the shape.
-
-    Raises:
-        UnknownName: there is no such controller.
-        InvalidValue: a joint_weight that is not a positive number.
-    """
-    from pinposture.control import Geodesic
-
-    chosen = _controller_named(name)
-    if not isinstance(chosen, Geodesic):
-        return chosen
-    tasks = () if task is None else (task,)
-    return replace(
-        chosen, joint_weight=chosen.joint_weight if joint_weight is None else joint_weight, tasks=tasks
-    )

@@ -11,20 +11,15 @@ import typer
 from pinposture.cli.inputs import (
     OUTPUT,
     TARGET,
-    BaseOption,
+    ArmOptions,
     JsonOption,
-    LockedOption,
-    ModulesOption,
-    PackageDirOption,
-    TipOption,
     UrdfArgument,
-    read_arm,
     read_curve,
     read_points,
 )
 from pinposture.cli.output import examples, print_facts, print_json, print_note, print_table
 from pinposture.cli.results import write_picture
-from pinposture.cli.targets import SceneOption, SelfCollisionOption, describe_scene, print_scene, read_scene
+from pinposture.cli.targets import SceneOptions, describe_scene, print_scene
 from pinposture.errors import InvalidValue, UnsupportedModule
 
 if TYPE_CHECKING:
@@ -44,11 +39,7 @@ if TYPE_CHECKING:
 def run(
     *,
     urdf: UrdfArgument,
-    base: BaseOption = None,
-    tip: TipOption = None,
-    modules: ModulesOption = None,
-    locked: LockedOption = None,
-    package_dir: PackageDirOption = None,
+    arm_options: ArmOptions,
     curve: Annotated[
         str | None,
         typer.Option(
@@ -57,8 +48,7 @@ def run(
             rich_help_panel=TARGET,
         ),
     ] = None,
-    scene: SceneOption = None,
-    self_collision: SelfCollisionOption = False,
+    scene_options: SceneOptions,
     plot: Annotated[
         Path | None,
         typer.Option(
@@ -94,8 +84,8 @@ def run(
     nearest to; with --self-collision, distances of the arm from itself count. What a scene file holds is in
     the help of track.
     """
-    surroundings = read_scene(scene, self_collision)
-    arm = read_arm(urdf, base, tip, modules, locked, package_dir)
+    surroundings = scene_options.read()
+    arm = arm_options.read(urdf)
     points = () if ellipsoids is None else read_points("--ellipsoids", ellipsoids, arm)
     about = describe(arm, points or (-1,))
     followed = None if curve is None else _describe_following(arm, curve)

@@ -6,7 +6,7 @@ import json
 import math
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -52,6 +52,21 @@ def _finite(value: Any) -> Any:
     if isinstance(value, Sequence) and not isinstance(value, str):
         return [_finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def print_result(
+    as_json: bool,
+    data: Mapping[str, Any],
+    words: Mapping[str, str | tuple[str, str]],
+    files: Iterable[object] = (),
+) -> None:
+    """Print what came out on stdout, as one JSON object or in words, and on stderr what files it is in."""
+    if as_json:
+        print_json(data)
+    else:
+        print_facts(words)
+    for file in files:
+        print_note(f"wrote {file}")
 
 
 def print_facts(facts: Mapping[str, str | tuple[str, str]]) -> None:

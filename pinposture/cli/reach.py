@@ -13,21 +13,16 @@ from pinposture.cli.inputs import (
     MOTION,
     OUTPUT,
     TARGET,
-    BaseOption,
+    ArmOptions,
     DegreesOption,
     JsonOption,
-    LockedOption,
-    ModulesOption,
-    PackageDirOption,
-    TipOption,
     UrdfArgument,
-    read_arm,
     read_numbers,
     read_start,
 )
 from pinposture.cli.output import end_with, examples, print_json, print_note, print_table
 from pinposture.cli.results import FILES, keep, write_picture
-from pinposture.cli.targets import SceneOption, SelfCollisionOption, read_scene
+from pinposture.cli.targets import SceneOptions
 from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:
@@ -51,11 +46,7 @@ PICTURE = "postures.png"
 def run(
     *,
     urdf: UrdfArgument,
-    base: BaseOption = None,
-    tip: TipOption = None,
-    modules: ModulesOption = None,
-    locked: LockedOption = None,
-    package_dir: PackageDirOption = None,
+    arm_options: ArmOptions,
     to: Annotated[
         str,
         typer.Option(
@@ -73,8 +64,7 @@ def run(
             rich_help_panel=TARGET,
         ),
     ] = None,
-    scene: SceneOption = None,
-    self_collision: SelfCollisionOption = False,
+    scene_options: SceneOptions,
     start: Annotated[
         str | None,
         typer.Option(
@@ -126,8 +116,8 @@ def run(
 
     if degrees and start is None:
         raise InvalidValue("--degrees", degrees, "only with --start")
-    surroundings = read_scene(scene, self_collision)
-    arm = read_arm(urdf, base, tip, modules, locked, package_dir)
+    surroundings = scene_options.read()
+    arm = arm_options.read(urdf)
     place = read_numbers("--to", to)
     pointing = None if direction is None else read_numbers("--direction", direction)
     first = None if start is None else read_start(arm, start, seed, degrees)
@@ -157,8 +147,9 @@ def run(
             files += [output / name for name in FILES.values()]
     if as_json:
         asked = {"urdf": urdf, "to": place, "direction": pointing, "start": start, "seed": seed}
-        file, postures = None if scene is None else str(scene), [_described(each) for each in found]
-        print_json({**asked, "scene": file, "postures": postures, "files": [str(each) for each in files]})
+        postures = [_described(each) for each in found]
+        kept = [str(each) for each in files]
+        print_json({**asked, "scene": scene_options.file, "postures": postures, "files": kept})
     else:
         _print_postures(found)
     for written in files:

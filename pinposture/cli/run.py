@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pinposture.cli.inputs import OUTPUT, JsonOption
+from pinposture.cli.inputs import OUTPUT, JsonOption, ViewOption
 from pinposture.cli.output import (
     count_progress,
     end_with,
@@ -20,6 +20,7 @@ from pinposture.cli.output import (
     print_facts,
     print_json,
     print_note,
+    print_result,
     print_table,
     time_progress,
 )
@@ -172,9 +173,7 @@ def run(
         ),
     ] = False,
     as_json: JsonOption = False,
-    view: Annotated[
-        bool, typer.Option("--view", help="Show the motion in the browser at last.", rich_help_panel=OUTPUT)
-    ] = False,
+    view: ViewOption = False,
 ) -> None:
     """Do what a task file says: take postures at their times, or follow the leader.
 
@@ -204,12 +203,8 @@ def run(
         if folder is not None:
             folder.finish([Path(each).name for each in files.values()])
     summary = summarize_motion(motion)
-    if as_json:
-        print_json({"task": str(file), **summary, "files": files})
-    else:
-        print_facts(motion_in_words(summary))
-    for each in files.values():
-        print_note(f"wrote {each}")
+    data = {"task": str(file), **summary, "files": files}
+    print_result(as_json, data, motion_in_words(summary), files.values())
     if view:
         show(motion, True, print_note)
     end_with(motion.faults)

@@ -8,31 +8,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pinposture.cli.inputs import (
-    ARM,
-    MOTION,
-    BaseOption,
-    JsonOption,
-    LockedOption,
-    ModulesOption,
-    PackageDirOption,
-    TipOption,
-    read_arm,
-    refuse_given,
-)
+from pinposture.cli.inputs import ARM, MOTION, ArmOptions, JsonOption, refuse_given
 from pinposture.cli.output import (
     closest_in_words,
     count_progress,
     end_with,
     examples,
-    print_facts,
-    print_json,
     print_note,
+    print_result,
     print_warning,
 )
 from pinposture.cli.results import MOTION as MOTION_FILE
 from pinposture.cli.results import RUN, find_kept, load_kept, verdict_in_colour, write_picture
-from pinposture.cli.targets import SceneOption, read_scene
+from pinposture.cli.targets import SceneOption
 from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:
@@ -66,11 +54,7 @@ def run(
             metavar="URDF", help="The arm of a joint trajectory, which does not hold it.", rich_help_panel=ARM
         ),
     ] = None,
-    base: BaseOption = None,
-    tip: TipOption = None,
-    modules: ModulesOption = None,
-    locked: LockedOption = None,
-    package_dir: PackageDirOption = None,
+    arm_options: ArmOptions,
     closed: Annotated[
         bool,
         typer.Option(
@@ -141,6 +125,7 @@ def run(
     end and was clear of the scene, 1 if not, 2 if it could not start.
     """
     from pinposture._validation import require_positive
+    from pinposture.collision import Scene
     from pinposture.sim import Servos
     from pinposture.sim.model import load_mujoco
     from pinposture.storage import check_writable
@@ -148,8 +133,8 @@ def run(
     load_mujoco()  # says at once if there is none
     require_positive("hold", hold, zero=True)
     servos = Servos(frequency=frequency, torque_limits=not no_torque_limits)
-    surroundings = read_scene(scene, False)
-    arm, motion = _read(path, urdf, base, tip, modules, locked, package_dir)
+    surroundings = None if scene is None else Scene.load(scene)
+    arm, motion = _read(path, urdf, arm_options)
     if output is not None:
         check_writable(output)
     with count_progress("cycle") as progress:
@@ -160,14 +145,10 @@ def run(
         keep(simulation, output)
     files = {} if output is None else {kind: str(output / name) for kind, name in SIMULATION_FILES.items()}
     summary = simulation.summary()
-    if as_json:
-        print_json({"run": str(path), **summary, "files": files})
-    else:
-        print_facts(in_words(summary))
     if summary["saturated_joints"]:
         print_warning(_saturated(summary))
-    for file in files.values():
-        print_note(f"wrote {file}")
+    data = {"run": str(path), **summary, "files": files}
+    print_result(as_json, data, in_words(summary), files.values())
     end_with(simulation.faults)
 
 
@@ -185,13 +166,7 @@ def keep(simulation: Simulation, directory: Path) -> None:
 
 
 def _read(
-    path: Path,
-    urdf: str | None,
-    base: str | None,
-    tip: str | None,
-    modules: str | None,
-    locked: list[str] | None,
-    package_dir: list[Path] | None,
+    path: Path, urdf: str | None, arm_options: ArmOptions
 ) -> tuple[Arm, Trajectory | Motion | JointTrajectory]:
     """The arm and its motion."""
     from pinposture.motion import JointTrajectory, load
@@ -201,14 +176,13 @@ def _read(
     if which:
         print_note(which)
     if kind_of(file) is not JointTrajectory:
-        told: dict[str, object] = {"--urdf": urdf, "--base": base, "--tip": tip, "--modules": modules}
-        told |= {"--locked": locked, "--package-dir": package_dir}
-        refuse_given(told, "nothing; a saved run holds its arm")
+        refuse_given({"--urdf": urdf}, "nothing; a saved run holds its arm")
+        arm_options.refuse("nothing; a saved run holds its arm")
         kept = load_kept(file)
         return kept.arm, kept
     if urdf is None:
         raise InvalidValue("--urdf", None, f"the description of the arm, which {file} does not hold")
-    arm = read_arm(urdf, base, tip, modules, locked, package_dir)
+    arm = arm_options.read(urdf)
     return arm, load(file, JointTrajectory).matched(arm)
 
 

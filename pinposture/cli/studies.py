@@ -13,17 +13,11 @@ from pinposture.cli.inputs import (
     ARM,
     MOTION,
     OUTPUT,
-    BaseOption,
+    ArmOptions,
     ControllerOption,
     JobsOption,
     JsonOption,
-    LockedOption,
-    ModulesOption,
-    PackageDirOption,
-    TipOption,
-    read_arm,
     read_numbers,
-    refuse_given,
 )
 from pinposture.cli.output import count_progress, examples, print_json, print_note, print_table, print_warning
 from pinposture.errors import InvalidValue
@@ -290,11 +284,7 @@ def run_methods(
         str | None,
         typer.Argument(metavar="[URDF]", help="URDF file of an arm, or -; else 20 RyRz modules, 1 m."),
     ] = None,
-    base: BaseOption = None,
-    tip: TipOption = None,
-    modules: ModulesOption = None,
-    locked: LockedOption = None,
-    package_dir: PackageDirOption = None,
+    arm_options: ArmOptions,
     controllers: Annotated[
         str | None,
         typer.Option(metavar="NAME,...", help="Methods to compare; else all there are.", rich_help_panel=ARM),
@@ -329,7 +319,7 @@ def run_methods(
 
         arm = Arm.from_modules(SPATIAL, name="ryrz20")
     else:
-        arm = read_arm(urdf, base, tip, modules, locked, package_dir)
+        arm = arm_options.read(urdf)
     results = compare_methods(
         arm, names, range(seeds), steps, jobs, lambda result: print_note(f"{result.controller}: done")
     )
@@ -383,11 +373,7 @@ def run_postures(
         str | None,
         typer.Option(metavar="FILE", help="URDF file of another arm instead, or -.", rich_help_panel=ARM),
     ] = None,
-    base: BaseOption = None,
-    tip: TipOption = None,
-    modules: ModulesOption = None,
-    locked: LockedOption = None,
-    package_dir: PackageDirOption = None,
+    arm_options: ArmOptions,
     controllers: ControllersOption = None,
     cases: Annotated[
         int, typer.Option(metavar="N", help="Number of cases for each arm.", rich_help_panel=MOTION)
@@ -420,13 +406,12 @@ def run_postures(
 
     check_output(output)
     if urdf is None:
-        told: dict[str, object] = {"--base": base, "--tip": tip, "--modules": modules, "--locked": locked}
-        refuse_given({**told, "--package-dir": package_dir}, "only together with --urdf")
+        arm_options.refuse("only together with --urdf")
         subjects = built_subjects(arms)
     elif arms is not None:
         raise InvalidValue("--arms", arms, "nothing where --urdf names the arm")
     else:
-        subjects = [loaded_subject(read_arm(urdf, base, tip, modules, locked, package_dir))]
+        subjects = [loaded_subject(arm_options.read(urdf))]
     names = COMPARED if controllers is None else split_names("--controllers", controllers)
     with count_progress("case") as progress:
         records = study_postures(subjects, names, cases, seed0, jobs, progress)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
@@ -31,78 +31,78 @@ CurveOption = Annotated[
         rich_help_panel=TARGET,
     ),
 ]
-PlacementOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME",
-        help="How the curve is laid: as_is, translate (to the base) or align (turned to the arm too); else "
-        "as_is among obstacles, and align without.",
-        rich_help_panel=TARGET,
-    ),
-]
-RollOption = Annotated[
-    float,
-    typer.Option(help="Turn of an aligned curve about the axis of the arm, in rad.", rich_help_panel=TARGET),
-]
-MethodOption = Annotated[
-    str,
-    typer.Option(
-        metavar="NAME",
-        help="How modules are placed: sequential (one by one, exactly), smooth (all at once, bending "
-        "little), closest (all at once), or auto.",
-        rich_help_panel=TARGET,
-    ),
-]
-PartialOption = Annotated[
-    bool,
-    typer.Option(
-        "--partial", help="Leave points free that have no place on the curve.", rich_help_panel=TARGET
-    ),
-]
-RegionOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="FIRST-LAST",
-        help="Control points that are to take the shape, as in 10-20; the others are free.",
-        rich_help_panel=TARGET,
-    ),
-]
 
 
-def read_target(
-    arm: Arm,
-    curve: str,
-    placement: str | None,
-    roll: float,
-    method: str,
-    partial: bool,
-    region: str | None,
-    scene: Scene | None,
-) -> Target:
-    """Place the control points on a curve as these options ask; say on stderr if some have no place.
+@dataclass(frozen=True)
+class PlacementOptions:
+    """How a curve is laid, and which control points are to follow it."""
 
-    Raises:
-        PostureError: as `read_curve`, `resolve_targets` and `read_region`.
-        InvalidValue: a curve on which not even the first module has a place.
-    """
-    from pinposture.placement import resolve_targets
-    from pinposture.task.keyframe import usual_placement
+    placement: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="How the curve is laid: as_is, translate (to the base) or align (turned to the arm too); "
+            "else as_is among obstacles, and align without.",
+            rich_help_panel=TARGET,
+        ),
+    ] = None
+    roll: Annotated[
+        float,
+        typer.Option(
+            help="Turn of an aligned curve about the axis of the arm, in rad.", rich_help_panel=TARGET
+        ),
+    ] = 0.0
+    method: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="How modules are placed: sequential (one by one, exactly), smooth (all at once, bending "
+            "little), closest (all at once), or auto.",
+            rich_help_panel=TARGET,
+        ),
+    ] = "auto"
+    partial: Annotated[
+        bool,
+        typer.Option(
+            "--partial", help="Leave points free that have no place on the curve.", rich_help_panel=TARGET
+        ),
+    ] = False
+    region: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FIRST-LAST",
+            help="Control points that are to take the shape, as in 10-20; the others are free.",
+            rich_help_panel=TARGET,
+        ),
+    ] = None
 
-    placement = usual_placement(scene) if placement is None else placement
-    target = resolve_targets(
-        arm,
-        read_curve(curve),
-        placement=cast(Literal["as_is", "translate", "align"], placement),  # checked there
-        roll=roll,
-        incomplete="partial" if partial else "raise",
-        method=cast(Literal["auto", "sequential", "smooth", "closest"], method),
-    )
-    if not target.has_target.any():
-        raise InvalidValue("--curve", curve, f"one with a place for the first module: {target.incomplete}")
-    chosen = target if region is None else target.region(*read_region("--region", region, arm))
-    if target.incomplete:
-        print_note(f"only the first {target.has_target.sum()} of {arm.n_modules} control points have a place")
-    return chosen
+    def place(self, arm: Arm, curve: str, scene: Scene | None) -> Target:
+        """Place the control points on a curve; say on stderr if some have no place.
+
+        Raises:
+            PostureError: as `read_curve`, `resolve_targets` and `read_region`.
+            InvalidValue: a curve on which not even the first module has a place.
+        """
+        from pinposture.placement import resolve_targets
+        from pinposture.task.keyframe import usual_placement
+
+        placement = usual_placement(scene) if self.placement is None else self.placement
+        target = resolve_targets(
+            arm,
+            read_curve(curve),
+            placement=cast(Literal["as_is", "translate", "align"], placement),  # checked there
+            roll=self.roll,
+            incomplete="partial" if self.partial else "raise",
+            method=cast(Literal["auto", "sequential", "smooth", "closest"], self.method),
+        )
+        count = target.has_target.sum()
+        if not count:
+            raise InvalidValue(
+                "--curve", curve, f"one with a place for the first module: {target.incomplete}"
+            )
+        if target.incomplete:
+            print_note(f"only the first {count} of {arm.n_modules} control points have a place")
+        return target if self.region is None else target.region(*read_region("--region", self.region, arm))
 
 
 # What is asked of the tip on the command line, besides the shape.
@@ -110,83 +110,83 @@ def read_target(
 TIP = "The tip"
 """Heading under which the help lists these options."""
 
-TipPositionOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="X,Y,Z",
-        help="Bring the tip here, in metres, as the arm takes its shape.",
-        rich_help_panel=TIP,
-    ),
-]
-TipPoseOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="X,Y,Z,ROLL,PITCH,YAW",
-        help="Bring it here, turned from the axes of the world by roll about x, then pitch about y, then yaw "
-        "about z, in rad.",
-        rich_help_panel=TIP,
-    ),
-]
-HoldTipOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="WHAT",
-        help="Keep the tip where the start has it: its position, or its pose.",
-        rich_help_panel=TIP,
-    ),
-]
-TipWeightOption = Annotated[
-    float | None,
-    typer.Option(
-        help="What the tip counts, where a control point on the curve counts 1; else 1.", rich_help_panel=TIP
-    ),
-]
-StrictTipOption = Annotated[
-    bool,
-    typer.Option("--strict-tip", help="The tip comes first, the shape after it.", rich_help_panel=TIP),
-]
 
+@dataclass(frozen=True)
+class TipOptions:
+    """What is asked of the tip, besides the shape."""
 
-def read_tip(
-    start: ArmState,
-    position: str | None,
-    pose: str | None,
-    hold: str | None,
-    weight: float | None,
-    priority: bool,
-) -> EndEffector | None:
-    """The task of the tip that these options ask for; None if they ask for none.
+    tip_position: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,Z",
+            help="Bring the tip here, in metres, as the arm takes its shape.",
+            rich_help_panel=TIP,
+        ),
+    ] = None
+    tip_pose: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,Z,ROLL,PITCH,YAW",
+            help="Bring it here, turned from the axes of the world by roll about x, then pitch about y, then "
+            "yaw about z, in rad.",
+            rich_help_panel=TIP,
+        ),
+    ] = None
+    hold_tip: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WHAT",
+            help="Keep the tip where the start has it: its position, or its pose.",
+            rich_help_panel=TIP,
+        ),
+    ] = None
+    tip_weight: Annotated[
+        float | None,
+        typer.Option(
+            help="What the tip counts, where a control point on the curve counts 1; else 1.",
+            rich_help_panel=TIP,
+        ),
+    ] = None
+    strict_tip: Annotated[
+        bool,
+        typer.Option("--strict-tip", help="The tip comes first, the shape after it.", rich_help_panel=TIP),
+    ] = False
 
-    Args:
-        start: where the arm begins.
-        position: three numbers [m], or None.
-        pose: three numbers [m] and three [rad], or None.
-        hold: "position" or "pose", or None.
-        weight: weight of the task; 1 if None.
-        priority: whether it comes before the shape.
+    def read(self, start: ArmState) -> EndEffector | None:
+        """The task of the tip that these options ask for; None if they ask for none.
 
-    Raises:
-        InvalidValue: more than one place for the tip; a weight, or a priority, without any; other numbers.
-        UnknownName: something else to hold.
-    """
-    from pinposture.control import EndEffector
+        Args:
+            start: where the arm begins.
 
-    places = {"--tip-position": position, "--tip-pose": pose, "--hold-tip": hold}
-    given = {option: text for option, text in places.items() if text is not None}
-    if len(given) > 1:
-        first, second, *_ = given
-        raise InvalidValue(second, given[second], f"without {first}")
-    options: dict[str, Any] = {"weight": 1.0 if weight is None else weight, "priority": priority}
-    if position is not None:
-        return EndEffector(position=_finite("--tip-position", position, "X,Y,Z"), **options)
-    if pose is not None:
-        return EndEffector(pose=_placement(_finite("--tip-pose", pose, "X,Y,Z,ROLL,PITCH,YAW")), **options)
-    if hold is not None:
-        return EndEffector.held(start, hold, **options)
-    for option, value in (("--tip-weight", weight), ("--strict-tip", priority or None)):
-        if value is not None:
-            raise InvalidValue(option, value, f"together with one of {', '.join(places)}")
-    return None
+        Raises:
+            InvalidValue: more than one place for the tip; a weight, or a priority, without any; other
+                numbers.
+            UnknownName: something else to hold.
+        """
+        from pinposture.control import EndEffector
+
+        places = {
+            "--tip-position": self.tip_position,
+            "--tip-pose": self.tip_pose,
+            "--hold-tip": self.hold_tip,
+        }
+        given = {option: text for option, text in places.items() if text is not None}
+        if len(given) > 1:
+            first, second, *_ = given
+            raise InvalidValue(second, given[second], f"without {first}")
+        weight = 1.0 if self.tip_weight is None else self.tip_weight
+        if self.tip_position is not None:
+            position = _finite("--tip-position", self.tip_position, "X,Y,Z")
+            return EndEffector(position=position, weight=weight, priority=self.strict_tip)
+        if self.tip_pose is not None:
+            pose = _placement(_finite("--tip-pose", self.tip_pose, "X,Y,Z,ROLL,PITCH,YAW"))
+            return EndEffector(pose=pose, weight=weight, priority=self.strict_tip)
+        if self.hold_tip is not None:
+            return EndEffector.held(start, self.hold_tip, weight=weight, priority=self.strict_tip)
+        for option, value in (("--tip-weight", self.tip_weight), ("--strict-tip", self.strict_tip or None)):
+            if value is not None:
+                raise InvalidValue(option, value, f"together with one of {', '.join(places)}")
+        return None
 
 
 def _finite(option: str, text: str, names: str) -> list[float]:
@@ -233,28 +233,39 @@ SceneOption = Annotated[
         "--scene", metavar="FILE", help="A .toml or .json file of obstacles.", rich_help_panel=SURROUNDINGS
     ),
 ]
-SelfCollisionOption = Annotated[
-    bool,
-    typer.Option(
-        "--self-collision",
-        help="Count the arm itself among what it must keep clear of.",
-        rich_help_panel=SURROUNDINGS,
-    ),
-]
 
 
-def read_scene(file: Path | None, self_collision: bool) -> Scene | None:
-    """The scene of a file, with self-collision if asked for; None if there is neither.
+@dataclass(frozen=True)
+class SceneOptions:
+    """What the arm must keep clear of."""
 
-    Raises:
-        FileError: the file is missing, or holds no scene.
-    """
-    from pinposture.collision import Scene
+    scene: SceneOption = None
+    self_collision: Annotated[
+        bool,
+        typer.Option(
+            "--self-collision",
+            help="Count the arm itself among what it must keep clear of.",
+            rich_help_panel=SURROUNDINGS,
+        ),
+    ] = False
 
-    scene = None if file is None else Scene.load(file)
-    if not self_collision:
-        return scene
-    return Scene(self_collision=True) if scene is None else replace(scene, self_collision=True)
+    @property
+    def file(self) -> str | None:
+        """The file, for a summary."""
+        return None if self.scene is None else str(self.scene)
+
+    def read(self) -> Scene | None:
+        """The scene of the file, with self-collision if asked for; None if there is neither.
+
+        Raises:
+            FileError: the file is missing, or holds no scene.
+        """
+        from pinposture.collision import Scene
+
+        scene = None if self.scene is None else Scene.load(self.scene)
+        if not self.self_collision:
+            return scene
+        return Scene(self_collision=True) if scene is None else replace(scene, self_collision=True)
 
 
 def describe_scene(scene: Scene, arm: Arm) -> dict[str, Any]:

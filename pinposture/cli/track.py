@@ -10,47 +10,29 @@ import typer
 from pinposture.cli.inputs import (
     MOTION,
     OUTPUT,
-    AccelerationOption,
-    BaseOption,
-    ControllerOption,
+    ArmOptions,
+    ControllerOptions,
     DegreesOption,
-    DurationOption,
-    HasteOption,
     JsonOption,
-    LockedOption,
-    ModulesOption,
-    PackageDirOption,
-    PositionMarginOption,
-    StepLimitOption,
-    TipOption,
+    LimitOptions,
     ToleranceOption,
     UrdfArgument,
-    VelocityOption,
-    build_controller,
-    check_controller,
-    read_arm,
-    read_limits,
+    ViewOption,
     read_start,
 )
-from pinposture.cli.output import end_with, examples, print_facts, print_json, print_note, step_progress
+from pinposture.cli.output import (
+    end_with,
+    examples,
+    print_note,
+    print_result,
+    step_progress,
+)
 from pinposture.cli.results import FILES, in_words, keep, summarize
 from pinposture.cli.targets import (
     CurveOption,
-    HoldTipOption,
-    MethodOption,
-    PartialOption,
-    PlacementOption,
-    RegionOption,
-    RollOption,
-    SceneOption,
-    SelfCollisionOption,
-    StrictTipOption,
-    TipPoseOption,
-    TipPositionOption,
-    TipWeightOption,
-    read_scene,
-    read_target,
-    read_tip,
+    PlacementOptions,
+    SceneOptions,
+    TipOptions,
     tip_off,
 )
 from pinposture.cli.view import show
@@ -72,19 +54,10 @@ from pinposture.cli.view import show
 def run(
     *,
     urdf: UrdfArgument,
-    base: BaseOption = None,
-    tip: TipOption = None,
-    modules: ModulesOption = None,
-    locked: LockedOption = None,
-    package_dir: PackageDirOption = None,
+    arm_options: ArmOptions,
     curve: CurveOption,
-    placement: PlacementOption = None,
-    roll: RollOption = 0.0,
-    method: MethodOption = "auto",
-    partial: PartialOption = False,
-    region: RegionOption = None,
-    controller: ControllerOption = "geodesic",
-    joint_weight: HasteOption = None,
+    placement_options: PlacementOptions,
+    controller_options: ControllerOptions,
     start: Annotated[
         str,
         typer.Option(
@@ -101,18 +74,9 @@ def run(
         int, typer.Option(help="Number of steps after which to stop.", rich_help_panel=MOTION)
     ] = 300,
     tolerance: ToleranceOption = None,
-    step_limit: StepLimitOption = 0.1,
-    velocity: VelocityOption = None,
-    acceleration: AccelerationOption = None,
-    dt: DurationOption = None,
-    position_margin: PositionMarginOption = 0.0,
-    scene: SceneOption = None,
-    self_collision: SelfCollisionOption = False,
-    tip_position: TipPositionOption = None,
-    tip_pose: TipPoseOption = None,
-    hold_tip: HoldTipOption = None,
-    tip_weight: TipWeightOption = None,
-    strict_tip: StrictTipOption = False,
+    limit_options: LimitOptions,
+    scene_options: SceneOptions,
+    tip_options: TipOptions,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -124,9 +88,7 @@ def run(
         ),
     ] = None,
     as_json: JsonOption = False,
-    view: Annotated[
-        bool, typer.Option("--view", help="Show the motion in the browser at last.", rich_help_panel=OUTPUT)
-    ] = False,
+    view: ViewOption = False,
 ) -> None:
     """Drive an arm to the shape of a curve, and say how it went.
 
@@ -149,18 +111,14 @@ def run(
     from pinposture.motion import track
     from pinposture.storage import check_writable
 
-    of_tip = {"--tip-position": tip_position, "--tip-pose": tip_pose, "--hold-tip": hold_tip}
-    check_controller(
-        controller,
-        {"--joint-weight": joint_weight, **of_tip, "--tip-weight": tip_weight, "--strict-tip": strict_tip},
-    )
-    limits = read_limits(step_limit, velocity, acceleration, dt, position_margin)
-    surroundings = read_scene(scene, self_collision)
-    arm = read_arm(urdf, base, tip, modules, locked, package_dir)
+    controller_options.check(**vars(tip_options))
+    limits = limit_options.read()
+    surroundings = scene_options.read()
+    arm = arm_options.read(urdf)
     q0 = read_start(arm, start, seed, degrees)
-    task = read_tip(arm.at(q0), tip_position, tip_pose, hold_tip, tip_weight, strict_tip)
-    chosen = build_controller(controller, joint_weight, task)
-    target = read_target(arm, curve, placement, roll, method, partial, region, surroundings)
+    task = tip_options.read(arm.at(q0))
+    chosen = controller_options.build(task)
+    target = placement_options.place(arm, curve, surroundings)
     if output is not None:
         check_writable(output)  # now, so that nobody waits for a run that cannot be kept
     with step_progress(target, steps) as callback:
@@ -179,14 +137,9 @@ def run(
         keep(motion, output)
     files = {} if output is None else {kind: str(output / name) for kind, name in FILES.items()}
     summary = {**summarize(motion), "tip": None if task is None else tip_off(task, motion)}
-    if as_json:
-        asked = {"urdf": urdf, "curve": curve, "controller": controller, "start": start, "seed": seed}
-        file = None if scene is None else str(scene)
-        print_json({**asked, "scene": file, **summary, "files": files})
-    else:
-        print_facts(in_words(summary))
-    for file in files.values():
-        print_note(f"wrote {file}")
+    asked: dict[str, object] = {"urdf": urdf, "curve": curve, "start": start, "seed": seed}
+    asked |= {"controller": controller_options.controller, "scene": scene_options.file}
+    print_result(as_json, {**asked, **summary, "files": files}, in_words(summary), files.values())
     if view:
         show(motion, True, print_note)
     end_with(motion.faults)

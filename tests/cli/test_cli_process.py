@@ -187,3 +187,17 @@ def test_the_command_line_itself_loads_nothing_heavy():
         [sys.executable, "-c", code], env=environment(), capture_output=True, text=True, check=True
     )
     assert result.stdout == "[]\n"
+
+
+@pytest.mark.process
+def test_what_is_done_is_logged_if_asked_for(arm_file):
+    arguments = ("track", arm_file, "--curve", "helix", "--steps", 3, "--json")
+    quiet, told = process(*arguments), process("--verbose", *arguments)
+    assert (quiet.stdout, quiet.stderr) == (told.stdout, "")
+    assert "pinposture.control.planner.plan: " in told.stderr
+
+
+@pytest.mark.process
+def test_there_are_completion_scripts():
+    named = environment(_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION="1")  # there may be no shell above
+    assert "_pinposture_completion" in process("--show-completion", "bash", env=named).stdout

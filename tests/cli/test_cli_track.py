@@ -108,7 +108,7 @@ def test_the_summary_tells_how_far_the_whole_arm_is_from_the_curve(command, arm_
     corners = [run.arm.chain.base]
     for k, joints in enumerate(run.arm.chain.module_slices):
         corners += [*run.arm.at(run.q[-1]).forward.origins[joints], run.points[-1][k]]
-    shares = np.linspace(0.0, 1.0, 50)[:, None]
+    shares = np.linspace(0.0, 1.0, 800)[:, None]
     places = np.concatenate([a + shares * (b - a) for a, b in pairwise(corners)])
     farthest = run.target.curve.nearest(places).distance.max()
     assert summary["distance_from_curve"] == pytest.approx(farthest, rel=1e-3)

@@ -17,6 +17,7 @@ from editor.browser.desk import free_port
 
 import pinposture as pp
 from pinposture.cli.edit import MODULES, read_task
+from pinposture.cli.inputs import ArmOptions
 from pinposture.editor.files import autosave_path
 from pinposture.editor.solver import judge
 from pinposture.errors import FileError, InvalidValue, UnknownName
@@ -28,8 +29,12 @@ def in_a_folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+def begin(source, base=None, tip=None, modules=None, save_as=None, folder=None):
+    return read_task(source, ArmOptions(base, tip, modules), save_as, folder)
+
+
 def test_a_template_begins_with_two_shapes_that_the_arm_can_take(tmp_path):
-    task, path = read_task("RyRz", None, None, None, None)
+    task, path = begin("RyRz", None, None, None, None)
     assert (task.arm.n_modules, path) == (MODULES, tmp_path / "ryrz20.toml")
     assert not path.exists()
     for keyframe in task.motion:
@@ -40,7 +45,7 @@ def test_a_template_begins_with_two_shapes_that_the_arm_can_take(tmp_path):
 @pytest.mark.parametrize("name", ["RyRz", "RzRy", "Rz", "RzRz", "RzRzRz"])
 @pytest.mark.parametrize("count", [1, 2, 7])
 def test_every_template_can_be_begun_with(name, count):
-    task, _ = read_task(name, None, None, str(count), None)
+    task, _ = begin(name, None, None, str(count), None)
     assert task.arm.n_modules == count
     verdicts = [judge(task.arm, keyframe, None) for keyframe in task.motion]
     assert all(verdict.target is not None for verdict in verdicts)
@@ -49,7 +54,7 @@ def test_every_template_can_be_begun_with(name, count):
 def test_an_urdf_file_is_named_in_the_task_file(tmp_path):
     arm = pp.Arm.from_template("RyRz", 6)
     (tmp_path / "snake.urdf").write_text(arm.urdf)
-    task, path = read_task("snake.urdf", None, None, "2", None)
+    task, path = begin("snake.urdf", None, None, "2", None)
     assert path == tmp_path / "snake.toml"
     task.save(path)
     assert 'urdf = "snake.urdf"' in path.read_text()
@@ -59,17 +64,17 @@ def test_an_urdf_file_is_named_in_the_task_file(tmp_path):
 
 
 def test_a_task_file_is_edited_as_it_is(tmp_path):
-    task, path = read_task("RyRz", None, None, "4", tmp_path / "own.toml")
+    task, path = begin("RyRz", None, None, "4", tmp_path / "own.toml")
     task.save(path)
-    again, same = read_task("own.toml", None, None, None, None)
+    again, same = begin("own.toml", None, None, None, None)
     assert same == path
     assert again.arm.n_modules == 4
 
 
 def test_what_was_never_saved_goes_on_from_what_was_kept(tmp_path):
-    task, path = read_task("RyRz", None, None, "4", None)
+    task, path = begin("RyRz", None, None, "4", None)
     task.edited(name="kept").save(autosave_path(path))
-    again, same = read_task("ryrz4.toml", None, None, None, None)
+    again, same = begin("ryrz4.toml", None, None, None, None)
     assert (again.name, same) == ("kept", path)
     assert not path.exists()
 
@@ -90,10 +95,10 @@ def test_what_was_never_saved_goes_on_from_what_was_kept(tmp_path):
     ],
 )
 def test_what_cannot_be_edited_is_refused_by_name(arguments, kind, words, tmp_path):
-    read_task("RyRz", None, None, "3", None)[0].save(tmp_path / "there.toml")
+    begin("RyRz", None, None, "3", None)[0].save(tmp_path / "there.toml")
     *others, save_as = arguments
     with pytest.raises(kind, match=re.escape(words)):
-        read_task(*others, None if save_as is None else tmp_path / save_as)
+        begin(*others, None if save_as is None else tmp_path / save_as)
 
 
 @pytest.mark.process
@@ -193,4 +198,4 @@ def edited(folder, *options):
 
 
 def test_a_new_task_is_in_the_folder_that_is_given(tmp_path):
-    assert read_task("RyRz", None, None, "4", None, Path("sub"))[1] == tmp_path / "sub" / "ryrz4.toml"
+    assert begin("RyRz", None, None, "4", None, Path("sub"))[1] == tmp_path / "sub" / "ryrz4.toml"

@@ -15,15 +15,17 @@ import pinposture as pp
 from pinposture.motion.joint_trajectory import JointTrajectory
 from pinposture.motion.motion import Motion
 
+STEPS = 10
+
 
 @pytest.fixture(scope="module")
 def timed_run(run_directory: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of 11 steps of 0.02 s, with a limit of speed, that gets there."""
+    """A run of `STEPS` steps of 0.02 s, with a limit of speed, that gets there."""
     arm = pp.load(run_directory / "run.npz", pp.Trajectory).arm
     target = pp.Target.from_configuration(arm, np.full(arm.nv, 0.17))
     limits = pp.Limits(step=None, velocity=1.5, dt=0.02)
     run = pp.track(arm, target, arm.neutral(), limits=limits)
-    assert (run.status, run.steps) == ("converged", 11)
+    assert (run.status, run.steps) == ("converged", STEPS)
     return pp.save(run, tmp_path_factory.mktemp("timed") / "run.npz")
 
 
@@ -48,7 +50,7 @@ def test_the_duration_of_the_limits_needs_no_telling(command, timed_run, tmp_pat
     assert file.read_bytes() == (tmp_path / "same.csv").read_bytes()
     with file.open(newline="") as lines:
         times = [row["time [s]"] for row in csv.DictReader(lines)]
-    assert [float(time) for time in times] == [0.02 * k for k in range(12)]
+    assert [float(time) for time in times] == [0.02 * k for k in range(STEPS + 1)]
 
 
 def test_the_summary_tells_what_the_motion_asks_of_the_joints(command, timed_run, tmp_path) -> None:
@@ -60,7 +62,7 @@ def test_the_summary_tells_what_the_motion_asks_of_the_joints(command, timed_run
     changes = np.diff(np.pad(steps, ((1, 1), (0, 0))), axis=0)
     assert summary.pop("largest_speed") == {"rad/s": pytest.approx(np.abs(steps).max() / 0.02)}
     assert summary.pop("largest_acceleration") == {"rad/s^2": pytest.approx(np.abs(changes).max() / 0.02**2)}
-    assert summary.pop("duration") == pytest.approx(0.22)
+    assert summary.pop("duration") == pytest.approx(0.02 * STEPS)
     assert summary.pop("verdict").startswith("got there (converged): ")
     assert summary == {
         "run": str(timed_run),
@@ -68,7 +70,7 @@ def test_the_summary_tells_what_the_motion_asks_of_the_joints(command, timed_run
         "robot": "RyRz_6",
         "joints": list(run.arm.joint_names),
         "units": ["rad"] * 12,
-        "points": 12,
+        "points": STEPS + 1,
         "file": str(file),
     }
     assert result.err == f"wrote {file}\n"
@@ -87,7 +89,7 @@ def test_of_a_motion_and_a_run_in_one_directory_the_motion_is_taken(
     asked = ("export", tmp_path, "--dt", 0.02, "-o", tmp_path / "a.csv", "--json", "--force")
     assert json.loads(command(*asked).out)["points"] == 21
     pp.save(motion, tmp_path / "motion.npz")
-    assert json.loads(command(*asked).out)["points"] == 14  # it stands still before and after
+    assert json.loads(command(*asked).out)["points"] == STEPS + 3  # it stands still before and after
     assert command("export", tmp_path / "motion.npz", "-o", tmp_path / "b.csv").code == 0
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
     refused = command("export", tmp_path, "--dt", 0.05, "-o", tmp_path / "c.csv")
@@ -111,7 +113,7 @@ def test_an_old_file_is_replaced(command, timed_run, tmp_path) -> None:
     file = tmp_path / "motion.json"
     file.write_text("old")
     assert command("export", timed_run, "-o", file).code == 0
-    assert len(json.loads(file.read_text())["points"]) == 12
+    assert len(json.loads(file.read_text())["points"]) == STEPS + 1
 
 
 @pytest.mark.parametrize(
