@@ -37,6 +37,7 @@ from pinposture.arm.manipulability import (
     section_ellipsoid,
 )
 from pinposture.arm.segmentation import Segmentation
+from pinposture.arm.sources import model_to_urdf
 from pinposture.arm.specification import ArmSpec, PlacementSpec
 from pinposture.arm.template import ModuleTemplate, modules_to_urdf, template
 from pinposture.arm.urdf_reader import is_urdf_text
@@ -189,6 +190,28 @@ class Arm(ConfigurationSpace):
         return cls.from_urdf(text, modules=[len(m.joints) for m in listed], base_placement=base_placement)
 
     @classmethod
+    def load(cls, source: str | Path | pin.Model, **options: Any) -> Arm:
+        """Load an arm from wherever it is described.
+
+            pp.Arm.load("arm.urdf")
+            pp.Arm.load("ur10e_description", modules=2)
+            pp.Arm.load("arm.xml", base="torso", tip="hand")
+
+        Args:
+            source: URDF or xacro, the text or the path of a file; path of an MJCF file; the name of a
+                description in the package robot_descriptions, which fetches it; or a Pinocchio model with
+                joints of one degree of freedom. Models and MJCF files become URDF, without shapes.
+            options: as for `from_urdf`.
+
+        Returns:
+            The arm, as from `from_urdf`.
+
+        Raises:
+            PostureError: as `from_urdf`; or FileError where a source cannot be found or converted.
+        """
+        return cls.from_urdf(model_to_urdf(source) if isinstance(source, pin.Model) else source, **options)
+
+    @classmethod
     def from_urdf(
         cls,
         source: str | Path,
@@ -202,7 +225,7 @@ class Arm(ConfigurationSpace):
         """Load an arm from a URDF file or from URDF text; meshes are not needed.
 
         Args:
-            source: path of the file, or the XML text itself.
+            source: path of the file, or the XML text itself; or what else `load` takes by path or name.
             base: link at which the arm begins; the root if None.
             tip: link at which it ends; if None, the last of the links in `modules`, or the end of the longest
                 moving chain (`pinposture.arm.urdf_reader`).
@@ -226,8 +249,11 @@ class Arm(ConfigurationSpace):
         """
         loaded = load_model(source, base, tip, modules, locked or {}, package_dirs, base_placement)
         folders = [package_dirs] if isinstance(package_dirs, str | Path) else package_dirs or ()
+        embedded = is_urdf_text(source) or not Path(source).exists()  # a name says less than what was found
+        if embedded:
+            folders = loaded.report.package_dirs
         spec = ArmSpec(
-            urdf=loaded.text if is_urdf_text(source) else settled(source),
+            urdf=loaded.text if embedded else settled(source),
             base=base,
             tip=tip,
             split=_plain_modules(modules),
@@ -309,6 +335,21 @@ class Arm(ConfigurationSpace):
     def package_dirs(self) -> tuple[str, ...]:
         """Folders in which viewers look for meshes."""
         return self.report.package_dirs if self.report else ()
+
+    @property
+    def name(self) -> str:
+        """Name of the robot."""
+        return str(self.model.name)
+
+    @property
+    def base(self) -> str:
+        """Link at which the arm begins; of a Pinocchio model, the world."""
+        return self.report.base if self.report else str(self.model.frames[0].name)
+
+    @property
+    def tip(self) -> str:
+        """Link at which it ends; of a Pinocchio model, the frame of the last control point."""
+        return self.report.tip if self.report else self.control_points[-1]
 
     @property
     def n_modules(self) -> int:
@@ -470,9 +511,13 @@ class Arm(ConfigurationSpace):
         high = np.where(self.unlimited, np.minimum(upper, middle + far), upper)
         return _read_only(low), _read_only(high)
 
-    def random(self, rng: np.random.Generator) -> Array:
-        """Draw a configuration uniformly from `usual_positions`, (nq,): within limits and within reach."""
-        return self.configuration(rng.uniform(*self.usual_positions))
+    def random(self, rng: np.random.Generator | int | None = None) -> Array:
+        """Draw a configuration uniformly from `usual_positions`, (nq,): within limits and within reach.
+
+        Args:
+            rng: what to draw from: a generator, or the seed of one; None: another one each time.
+        """
+        return self.configuration(np.random.default_rng(rng).uniform(*self.usual_positions))
 
     def within_limits(self, q: ArrayLike, tolerance: float = 1e-9) -> bool:
         """Tell whether no joint of q exceeds its limits by more than the tolerance, in `joint_units`."""
@@ -495,7 +540,7 @@ class Arm(ConfigurationSpace):
         return ArmState(self, self.checked(q))
 
     @cached_property
-    def _multi_turn(self) -> NDArray[np.bool_]:
+    def multi_turn(self) -> NDArray[np.bool_]:
         """Degrees of freedom that can reach the same posture at positions a full turn apart, (nv,)."""
         room = self.limits.upper - self.limits.lower > 2.0 * np.pi
         return np.asarray(room & (self.moved > 0.0) & ~self.slides & ~self.kinematics.endless)
@@ -519,7 +564,7 @@ class Arm(ConfigurationSpace):
         Raises:
             InvalidValue: a configuration has the wrong size or is not finite.
         """
-        checked, multi_turn = self.checked(q), self._multi_turn
+        checked, multi_turn = self.checked(q), self.multi_turn
         if not np.any(multi_turn):
             return checked
         positions, turn = self.positions(checked), 2.0 * np.pi

@@ -18,6 +18,7 @@ from pinposture._validation import rigid_placement
 from pinposture.arm.chain import ON_AXIS, Skeleton, frame_position, neutral_placements, read_skeleton
 from pinposture.arm.configurations import NO_LIMIT
 from pinposture.arm.segmentation import Segmentation, count_joints, equal_modules, given_modules, segment
+from pinposture.arm.sources import Source, find_urdf
 from pinposture.arm.urdf_reader import (
     CHAIN_JOINTS,
     Description,
@@ -87,12 +88,15 @@ def load_model(
 ) -> LoadedModel:
     """Load, check, reduce to the chain from base to tip, cut into modules. See `Arm.from_urdf`."""
     placement = None if base_placement is None else rigid_placement("base_placement", base_placement)
-    description = read_description(source)
+    found = find_urdf(source)
+    description = read_description(found.urdf)
     links, sizes = _read_modules(modules)
     if tip is None and links:
         tip = links[-1]
+    wrist = None
     if base is None and tip is None:
         base, tip = description.longest_chain()
+        wrist = description.wrist(base, tip)
     elif tip is None:
         message = "base= alone does not say which chain; pass tip= as well"
         raise InvalidValue("tip", None, f"the link at which the arm ends ({message})")
@@ -122,7 +126,9 @@ def load_model(
     warnings = _lock_warnings(description, base, tip, names, locks)
     if segmentation.can_follow is False:
         warnings.append(segmentation.reason)
-    folders = _mesh_folders(source, package_dirs)
+    if wrist is not None:
+        warnings.append(f"the arm ends in a finger, at link {tip!r}; tip={wrist!r} ends it before its hand")
+    folders = _mesh_folders(found, package_dirs)
     report = LoadReport(base, tip, folders, tuple(warnings), segmentation)
     return LoadedModel(model, points, placement, description.text, report)
 
@@ -166,17 +172,17 @@ def _read_modules(modules: Modules) -> tuple[tuple[str, ...], int | tuple[int, .
     return (), whole[0] if listed is None else whole
 
 
-def _mesh_folders(source: str | Path, given: Sequence[str | Path] | None) -> tuple[str, ...]:
-    """Return the folders to look for meshes in: those given, then that of the file."""
+def _mesh_folders(found: Source, given: Sequence[str | Path] | None) -> tuple[str, ...]:
+    """Return the folders to look for meshes in: those given, those of the source, that of the file."""
     if isinstance(given, (str, os.PathLike)):
         given = [given]
     try:
         folders = [Path(folder).absolute() for folder in given or ()]
     except TypeError:
         raise InvalidValue("package_dirs", given, "paths of folders") from None
-    if not is_urdf_text(source):
-        folders.append(Path(source).absolute().parent)
-    return tuple(dict.fromkeys(map(str, folders)))
+    if not is_urdf_text(found.urdf):
+        folders.append(Path(found.urdf).absolute().parent)
+    return tuple(dict.fromkeys(map(str, [*folders[: len(given or ())], *found.folders, *folders])))
 
 
 def _moving_joints(

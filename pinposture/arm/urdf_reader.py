@@ -159,8 +159,33 @@ class Description:
         if len(tips) > 1:
             named = ", ".join(map(repr, sorted(tips, key=order.__getitem__)))
             reason = f"are reached by different joints, {most} moving ones each; pass tip= to choose"
+            wrist = self.wrist(self.root, tips[0], fingers=2)
+            if wrist is not None and all(wrist == self.wrist(self.root, tip, fingers=2) for tip in tips):
+                reason += f", or tip={wrist!r}, which carries them all"
             raise URDFError(self.source, f"links {named}", reason)
         return self.root, tips[0]
+
+    def wrist(self, base: str, tip: str, fingers: int = 3) -> str | None:
+        """Find the link of a chain that carries a hand, if one does.
+
+        A hand has so many fingers: branches that move, the chain's own among them. The chain has at least as
+        many moving joints before the hand as within it.
+        """
+        below = defaultdict[str, list[JointDescription]](list)
+        for joint in self.joints:
+            below[joint.parent].append(joint)
+        named = {joint.name: joint for joint in self.joints}
+        path = self.chain(base, tip)
+        moving = [sum(joint.moves for joint in path[:k]) for k in range(len(path) + 1)]
+        for k, joint in enumerate(path):
+            branches = [
+                branch
+                for branch in below[joint.parent]
+                if branch.moves or any(named[name].moves for name in _joints_below(below, branch.child))
+            ]
+            if len(branches) >= fingers and moving[k] >= moving[-1] - moving[k]:
+                return joint.parent
+        return None
 
 
 def read_description(source: str | Path) -> Description:

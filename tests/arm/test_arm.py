@@ -324,3 +324,19 @@ def test_continuous_joints_are_told_apart_to_all_digits_near_half_a_turn(
         np.array([np.cos(a), np.sin(a), np.cos(b), np.sin(b)]) for a, b in [(start, 0.0), (start + way, way)]
     )
     np.testing.assert_allclose(arm.difference(one, other), [way, way], rtol=0.0, atol=2e-15)
+
+
+def test_an_arm_tells_its_name_and_where_it_begins_and_ends() -> None:
+    arm = pp.Arm.from_template("RyRz", 3)
+    assert (arm.name, arm.base, arm.tip) == ("RyRz_3", "base", "tip")
+    same = pp.Arm.from_model(arm.model, arm.control_points)
+    assert (same.name, same.tip) == ("RyRz_3", arm.control_points[-1])
+    assert same.base in [frame.name for frame in arm.model.frames]
+
+
+def test_random_configurations_need_no_generator() -> None:
+    arm = pp.Arm.from_template("RyRz", 3)
+    np.testing.assert_array_equal(arm.random(5), arm.random(np.random.default_rng(5)))
+    drawn = [arm.random() for _ in range(2)]
+    assert np.abs(drawn[0] - drawn[1]).max() > 0.0
+    assert all(arm.within_limits(q) for q in drawn)

@@ -29,7 +29,7 @@ def test_every_message_of_a_refusal_is_the_real_one() -> None:
 
 def test_every_warning_is_the_real_one() -> None:
     real = {name: " ".join(f"`{said}`" for said in settlements(load)) for name, load in SETTLED.items()}
-    assert rows("LeastSquaresResult with a warning") == real
+    assert rows("Settled with a warning") == real
 
 
 def test_the_description_shown_is_an_arm() -> None:

@@ -1,0 +1,235 @@
+"""Where an arm comes from: URDF, xacro, MJCF, the package robot_descriptions, or a Pinocchio model."""
+
+from __future__ import annotations
+
+import os
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from pinposture.arm.chain import joint_axes
+from pinposture.arm.configurations import NO_LIMIT
+from pinposture.arm.specification import roll_pitch_yaw
+from pinposture.arm.urdf_reader import is_urdf_text
+from pinposture.errors import FileError, URDFError
+from pinposture.storage import read_text
+
+EXTRA = "pip install 'pinposture[descriptions]'"
+"""How to install what reads xacro and finds descriptions by name."""
+
+_MACROS = "http://www.ros.org/wiki/xacro"
+_SHAPES = {"FreeFlyer": "floating", "Planar": "planar"}
+
+
+class Source(NamedTuple):
+    """A URDF, and where its meshes are.
+
+    Attributes:
+        urdf: path of a file, or URDF text.
+        folders: where viewers look for meshes, besides the folder of the file.
+    """
+
+    urdf: str | Path
+    folders: tuple[str, ...] = ()
+
+
+def find_urdf(source: str | Path) -> Source:
+    """Return the URDF of an arm, made of another description if it is one.
+
+    Args:
+        source: URDF or xacro, the text or the path of a file; path of an MJCF file; or, if there is no such
+            file, the name of a description in the package robot_descriptions, such as "panda_description".
+
+    Raises:
+        FileError: a file that cannot be converted; a description that is not there or cannot be fetched.
+        URDFError: an MJCF file with a joint that URDF does not know.
+    """
+    if is_urdf_text(source):
+        return Source(_expand(str(source), None) if _MACROS in str(source) else source)
+    if not isinstance(source, (str, os.PathLike)) or "\n" in str(source):
+        return Source(source)  # refused by whoever reads it
+    path = Path(source)
+    if path.suffix.lower() == ".xacro":
+        return Source(_expand(read_text(path), path), (str(path.absolute().parent),))
+    if path.suffix.lower() in (".xml", ".mjcf") and "<mujoco" in read_text(path):
+        return Source(_convert_mjcf(path), (str(path.absolute().parent),))
+    if str(source).isidentifier() and not path.exists():
+        return _find_by_name(str(source))
+    return Source(source)
+
+
+def _find_by_name(name: str) -> Source:
+    """Return a description of robot_descriptions, which fetches it if it is not there yet."""
+    try:
+        import_module("robot_descriptions")
+    except ImportError:
+        advice = f"for names of robot_descriptions: {EXTRA}"
+        raise FileError(name, f"no such file; {advice}") from None
+    try:
+        found = import_module(f"robot_descriptions.{name}")
+    except ModuleNotFoundError:
+        reason = "no such file, and robot_descriptions has none of that name (`robot_descriptions list`)"
+        raise FileError(name, reason) from None
+    except Exception as error:  # of git, or of the network
+        raise FileError(name, f"robot_descriptions cannot fetch it ({_one_line(error)})") from error
+    inside = [Path(each) for each in (found.PACKAGE_PATH, found.REPOSITORY_PATH)]
+    folders = tuple(dict.fromkeys(str(each) for folder in inside for each in (folder, folder.parent)))
+    if hasattr(found, "URDF_PATH"):
+        return Source(Path(found.URDF_PATH), folders)
+    if hasattr(found, "XACRO_PATH"):
+        path = Path(found.XACRO_PATH)
+        return Source(_expand(read_text(path), path, getattr(found, "XACRO_ARGS", None)), folders)
+    return Source(_convert_mjcf(Path(found.MJCF_PATH)), folders)
+
+
+def _expand(text: str, path: Path | None, arguments: Mapping[str, str] | None = None) -> str:
+    """Expand the macros of a xacro text; packages that it names are looked for in the folders above it."""
+    label = "xacro text" if path is None else path
+    try:
+        import xacro
+        from xacrodoc import XacroDoc, packages  # makes xacro look for packages without ROS
+    except ImportError:
+        raise FileError(label, f"needs xacrodoc to be expanded: {EXTRA}") from None
+    try:
+        if path is None:
+            return str(XacroDoc.from_string(text, resolve_packages=False).dom.toxml())
+        packages.walk_up_from(path)
+        return str(xacro.process_file(str(path), mappings=dict(arguments or {})).toxml())
+    except Exception as error:  # of the macros, or of Python code in them
+        raise FileError(label, f"cannot be expanded ({_one_line(error)})") from error
+
+
+def _convert_mjcf(path: Path) -> str:
+    try:
+        model = pin.buildModelFromMJCF(str(path))
+    except (ValueError, RuntimeError) as error:
+        raise FileError(path, f"is refused by Pinocchio ({_one_line(error)})") from error
+    return model_to_urdf(model, path)
+
+
+def model_to_urdf(model: pin.Model, label: str | Path = "pin.Model") -> str:
+    """Write a Pinocchio model as URDF: links, joints with their limits, and masses, but no shapes.
+
+    Links have the names of the body frames of the model; frames that are no bodies become links, too. Joints
+    without limits of position are continuous if they turn. A composite joint becomes a joint for each of its
+    parts, with "_1", "_2" behind its name.
+
+    Args:
+        model: the model.
+        label: what to call it in messages.
+
+    Returns:
+        URDF text. Numbers read back as the floats they were; rotations are exact to 1e-15.
+
+    Raises:
+        URDFError: a joint that URDF does not know.
+    """
+    robot = ET.Element("robot", name=model.name.strip() or "robot")
+    bodies = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
+    named: dict[int, str] = {}
+    for frame in bodies:
+        if frame.parentJoint not in named and frame.placement.isIdentity(1e-12):
+            named[frame.parentJoint] = frame.name
+    taken = {frame.name for frame in model.frames}
+    for joint in range(model.njoints):
+        named.setdefault(joint, _free_name(f"{model.names[joint]}_link" if joint else "world", taken))
+    ET.SubElement(robot, "link", name=named[0])
+    for joint in range(1, model.njoints):
+        _write_joint(robot, model, joint, named, taken, label)
+    done = set(named.values())
+    for frame in model.frames:
+        if frame.type in (pin.FrameType.BODY, pin.FrameType.OP_FRAME) and frame.name not in done:
+            done.add(frame.name)
+            ET.SubElement(robot, "link", name=frame.name)
+            parent = named[frame.parentJoint]
+            _add_joint(robot, f"{frame.name}_fixed", "fixed", parent, frame.name, frame.placement)
+    ET.indent(robot)
+    return ET.tostring(robot, encoding="unicode") + "\n"
+
+
+def _write_joint(
+    robot: ET.Element, model: pin.Model, joint: int, named: Mapping[int, str], taken: set[str], label: object
+) -> None:
+    """Add a joint of a model, and the link that it carries."""
+    name, whole = model.names[joint], model.joints[joint]
+    parts, placements = [whole], [pin.SE3.Identity()]
+    composite = whole.shortname() == "JointModelComposite"
+    if composite:
+        inner = whole.extract()
+        parts, placements = list(inner.joints), list(inner.jointPlacements)
+    parent, q, v = named[model.parents[joint]], whole.idx_q, whole.idx_v
+    for number, (part, placement) in enumerate(zip(parts, placements, strict=True), 1):
+        kind = part.shortname().removeprefix("JointModel")
+        shape = _SHAPES.get(kind)
+        if shape is None and part.nv != 1:
+            allowed = "joints that turn about an axis or slide along one, free-flyers and planar ones"
+            raise URDFError(str(label), f"joint {name!r}", f"is of kind {kind}; allowed: {allowed}")
+        last = number == len(parts)
+        child = named[joint] if last else _free_name(f"{named[joint]}_{number}", taken)
+        link = ET.SubElement(robot, "link", name=child)
+        if last:
+            _add_inertia(link, model.inertias[joint])
+        before = model.jointPlacements[joint] * placement if number == 1 else placement
+        called = f"{name}_{number}" if composite else name
+        element = _add_joint(robot, called, shape or "continuous", parent, child, before)
+        if shape is None:
+            _add_motion(element, model, part, q, v)
+        parent, q, v = child, q + part.nq, v + part.nv
+
+
+def _add_motion(element: ET.Element, model: pin.Model, part: pin.JointModel, q: int, v: int) -> None:
+    """Add the axis and the limits of a joint that turns or slides."""
+    alone = pin.Model()
+    alone.addJoint(0, part, pin.SE3.Identity(), "joint")
+    axes, revolute = joint_axes(alone, [1])
+    ET.SubElement(element, "axis", xyz=_text(axes[0]))
+    edges = np.clip([model.lowerPositionLimit[q], model.upperPositionLimit[q]], -NO_LIMIT, NO_LIMIT)
+    limited = part.nq == 1 and bool(np.any(np.abs(edges) < NO_LIMIT))
+    limits = {"lower": _text(edges[:1]), "upper": _text(edges[1:])} if limited else {}
+    if limited or not revolute[0]:
+        element.set("type", "revolute" if revolute[0] else "prismatic")
+    most = float(model.effortLimit[v]), float(model.velocityLimit[v])
+    effort, velocity = (repr(each if 0.0 < each < NO_LIMIT else NO_LIMIT) for each in most)
+    ET.SubElement(element, "limit", limits, effort=effort, velocity=velocity)
+
+
+def _add_joint(
+    robot: ET.Element, name: str, kind: str, parent: str, child: str, placement: pin.SE3
+) -> ET.Element:
+    element = ET.SubElement(robot, "joint", name=name, type=kind)
+    ET.SubElement(element, "parent", link=parent)
+    ET.SubElement(element, "child", link=child)
+    angles = roll_pitch_yaw(placement.rotation)
+    ET.SubElement(element, "origin", xyz=_text(placement.translation), rpy=_text(angles))
+    return element
+
+
+def _add_inertia(link: ET.Element, inertia: pin.Inertia) -> None:
+    if inertia.mass <= 0.0:
+        return
+    element = ET.SubElement(link, "inertial")
+    ET.SubElement(element, "origin", xyz=_text(inertia.lever))
+    ET.SubElement(element, "mass", value=repr(float(inertia.mass)))
+    moments = np.asarray(inertia.inertia)
+    named = {f"i{'xyz'[i]}{'xyz'[j]}": repr(float(moments[i, j])) for i in range(3) for j in range(i, 3)}
+    ET.SubElement(element, "inertia", named)
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
+def _free_name(name: str, taken: set[str]) -> str:
+    while name in taken:
+        name += "_"
+    taken.add(name)
+    return name
+
+
+def _text(values: Any) -> str:
+    return " ".join(repr(float(value)) for value in values)
