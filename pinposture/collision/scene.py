@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from pinposture._validation import Vector, known_keys, length, point
+from pinposture._validation import Vector, known_keys, length, point, require_positive
 from pinposture.collision.distances import PairDistances, Placements
 from pinposture.collision.obstacles import (
     OBSTACLE_TYPES,
@@ -141,8 +141,32 @@ class Scene:
             else:
                 motion = pin.SE3(np.eye(3), np.array(point(f"placements[{name!r}]", placement)))
             obstacles[name] = displaced(first.obstacles[name], motion)
-        other = replace(self, obstacles=obstacles, velocities={} if velocities is None else velocities)
-        object.__setattr__(other, "_first", first)
+        return self._at_moment(obstacles, {} if velocities is None else velocities)
+
+    def after(self, time: float) -> Scene:
+        """Return the scene after a time [s], if all obstacles keep their velocities.
+
+        Raises:
+            InvalidValue: a time that is negative or not finite.
+        """
+        require_positive("time", time, zero=True)
+        obstacles = dict(self.obstacles)
+        for name, velocity in self.velocities.items():
+            obstacles[name] = displaced(obstacles[name], pin.SE3(np.eye(3), time * np.array(velocity)))
+        return self._at_moment(obstacles, self.velocities)
+
+    def without_self_collision(self) -> Scene:
+        """Return the scene in which the arm need not keep clear of itself."""
+        if not self.self_collision:
+            return self
+        other = replace(self, self_collision=False)
+        if self._first is not None:
+            object.__setattr__(other, "_first", replace(self._first, self_collision=False))
+        return other
+
+    def _at_moment(self, obstacles: Mapping[str, Obstacle], velocities: Mapping[str, Vector]) -> Scene:
+        other = replace(self, obstacles=obstacles, velocities=velocities)
+        object.__setattr__(other, "_first", self.first)
         return other
 
     def to_dict(self, embed: bool = True) -> dict[str, Any]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from threading import Event, Lock, Thread
 from typing import Generic, NamedTuple, TypeVar
 
@@ -69,9 +68,7 @@ def nearest(query: ClearanceQuery) -> NearestObstacle | None:
     state, found = arm.at(query.q), []
     if scene is not None and scene.obstacles:
         # Without the arm itself: neighbours of neighbouring links are always near, and would hide the rest.
-        found.append(
-            _closest_pair(replace(scene, self_collision=False) if scene.self_collision else scene, state)
-        )
+        found.append(_closest_pair(scene.without_self_collision(), state))
     inside = _closest_pair(arm_alone(scene), state)
     if inside is not None and inside.distance < -CONTACT_DEPTH * arm.length:
         found.append(inside)

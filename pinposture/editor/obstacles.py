@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import count
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import Matrix, Vector
@@ -31,6 +33,9 @@ HALF_SPACE_OFFSET = 0.3  # of the handle of a half-space from its middle
 CLEAR_ROOM = 0.05  # between a new obstacle and the arm or other obstacles
 FLOOR_DEPTH = 0.1  # of a new half-space below the arm
 OFFSETS = (0.2, 0.3, 0.45, 0.65, 0.9, 1.3)  # of a new obstacle sideways from the arm, tried in turn
+
+HAND_PAUSE = 0.15  # after which a hand that tells of no move has stopped [s]
+HAND_FILTER_TIME = 0.03  # time constant of the filter of its velocity [s]
 
 FRACTIONS = (0.6, 0.4, 0.8, 1.0, 0.25)  # places along the arm beside which a new obstacle is tried, in turn
 ARM_SAMPLES = 200  # points of the arm that a new obstacle keeps away from
@@ -107,6 +112,20 @@ def at_pose(obstacle: Obstacle, pose: Pose) -> Obstacle:
         return replace(obstacle, point=_rounded(position), normal=_vector(rotation[:, 2]))
     half = 0.5 * float(np.linalg.norm(np.subtract(obstacle.end, obstacle.start))) * rotation[:, 2]
     return replace(obstacle, start=_rounded(position - half), end=_rounded(position + half))
+
+
+def own_shape(obstacle: Obstacle) -> tuple[object, ...]:
+    """Return what the surface of an obstacle depends on in its own frame: its type, and its size."""
+    if isinstance(obstacle, Sphere):
+        return obstacle.type, obstacle.radius
+    if isinstance(obstacle, Box):
+        return obstacle.type, obstacle.size
+    if isinstance(obstacle, Mesh | Scan):
+        return obstacle.type, obstacle.placed((0.0, 0.0, 0.0))
+    if isinstance(obstacle, HalfSpace):
+        return (obstacle.type,)
+    length = float(np.linalg.norm(np.subtract(obstacle.end, obstacle.start)))
+    return obstacle.type, obstacle.radius, round(length, COORDINATE_DIGITS - 1)
 
 
 def moved(obstacle: Obstacle, shift: ArrayLike) -> Obstacle:
@@ -426,13 +445,43 @@ def change_obstacle(name: str, change: Change, what: str, final: bool, session: 
             session.touch()  # the previous proposal is gone
         return
     try:
-        task = with_checked_obstacle(name, change(obstacle), instead=name)(session.task)
+        other = change(obstacle)
+        task = with_checked_obstacle(name, other, instead=name)(session.task)
+        task = task.edited(scene=_dragged(name, other, task, session))
     except PostureError as error:
         if session.notice.text != " ".join(str(error).split()):
             session.say(str(error), "warning")
         return
-    # The solver is given it later: see `Surroundings.watch`.
-    session.proposal = Proposal(task, what, False, session.number + 1)
+    session.touch()
+    session.proposal = Proposal(task, what, False, session.number)
+
+
+def _dragged(name: str, obstacle: Obstacle, task: Task, session: Session) -> Scene:
+    """Return the scene with an obstacle where the hand has it, and the velocity of the hand.
+
+    Args:
+        name: of the obstacle.
+        obstacle: as it is now.
+        task: the task with this obstacle.
+        session: what is edited; its proposal is from the last move of the hand.
+    """
+    before, here = obstacles_of(session.task)[name], _placement(obstacle, session.arm)
+    scene = session.task.scene
+    if scene is None or own_shape(obstacle) != own_shape(before):  # it is being resized
+        return replace(task.scene or Scene(), velocities={name: (0.0, 0.0, 0.0)})
+    velocity, passed = np.zeros(3), time.monotonic() - session.asked
+    last = None if session.proposal is None else session.proposal.task.scene
+    if last is not None and name in last.velocities and 0.0 < passed < HAND_PAUSE:
+        step = here.translation - _placement(last.obstacles[name], session.arm).translation
+        velocity = np.array(last.velocities[name])
+        velocity += passed / (passed + HAND_FILTER_TIME) * (step / passed - velocity)
+    motion = here * _placement(before, session.arm).inverse()
+    return scene.moved({name: motion}, velocities={name: _as_vector(velocity)})
+
+
+def _placement(obstacle: Obstacle, arm: Arm) -> pin.SE3:
+    pose = pose_of(obstacle, ArmScale.of(arm))
+    return pin.SE3(pose.rotation, pose.position)
 
 
 def edit_obstacle(name: str, key: str, value: object, final: bool, session: Session) -> None:

@@ -204,6 +204,7 @@ class Session:
             self.asked,
             shaping=self.proposal is not None,
             passing=self.proposal is not None and not self.proposal.final,
+            dragging_obstacle=task.scene is not self.task.scene,
         )
 
     def say(self, text: str, kind: str = "info") -> None:

@@ -43,7 +43,8 @@ MAX_JOINTS_NAMED = 3
 CONTACT_DEPTH = 1e-6  # how deep touching links may be inside each other, in arm lengths
 
 STEP_TIME = 0.02  # of a step [s]: the arm moves in real time, within its limits
-CONTROLLER_DEADLINE = 0.25  # after which the arm holds while the controller goes on computing [s]
+CONTROLLER_DEADLINE = 0.02  # after which the arm keeps clear while the controller goes on computing [s]
+HAND_SIGHT = 0.1  # for which a dragged obstacle is taken to move on after the last move of the hand [s]
 REST_INTERVAL = 0.25  # between steps while the arm is at rest and nothing is asked [s]
 RESTING = ("converged", "stalled")
 TRACKER_FIELDS = ("controller", "limits", "scene")  # of a problem; a change of them needs a new tracker
@@ -212,6 +213,7 @@ class Problem(NamedTuple):
     asked: float  # when it was asked, by `time.monotonic` [s]
     shaping: bool = False  # whether the shape was made from the one before, so that the target is near
     passing: bool = False  # whether the hand is still dragging, so that a long search is not worth it
+    dragging_obstacle: bool = False  # whether it drags an obstacle, of which the scene has the velocity
 
 
 class Live(NamedTuple):
@@ -344,7 +346,8 @@ class Solver:
                 self._take(asked)
                 self._publish()  # the verdict need not wait for a step that has to be planned
             self._step()
-            resting = self._tracker.report.status in RESTING or self._tracker.target is None
+            still = self._tracker.report.status in RESTING or self._tracker.target is None
+            resting = still and not self._problem.dragging_obstacle
             left = REST_INTERVAL if resting else STEP_TIME - (time.monotonic() - begun)
             if resting:
                 self._wake.wait(left)
@@ -358,8 +361,11 @@ class Solver:
         before = self._tracked
         try:
             self._verdict = self._judge(problem)
+            dragging = problem.dragging_obstacle and isinstance(problem.controller, Geodesic)
             if problem.arm is not before.arm:
                 self._change_arm(problem)
+            elif dragging and (problem.controller, problem.limits) == (before.controller, before.limits):
+                self._tracked = problem  # each step is given the scene of its moment
             elif new or any(getattr(problem, part) != getattr(before, part) for part in TRACKER_FIELDS):
                 target, tracker = self._tracker.target, _tracker(problem, self._tracker.command, self._dq)
                 if target is not None:
@@ -398,7 +404,7 @@ class Solver:
         try:
             if problem.at_once and target is not None and target.q is not None:
                 tracker.restart(target.q)
-            self._dq, self._fault = tracker.step(tracker.command), ""
+            self._dq, self._fault = tracker.step(tracker.command, scene=self._dragged_scene()), ""
         except Exception as error:  # a controller may raise anything
             reason = str(error) or type(error).__name__
             if reason != self._fault:
@@ -409,6 +415,16 @@ class Solver:
         if self._lag is None:
             self._lag = time.monotonic() - problem.asked
         self._publish()
+
+    def _dragged_scene(self) -> Scene | None:
+        """The scene as it is now, if an obstacle is being dragged."""
+        problem, scene = self._problem, self._problem.scene
+        if scene is None or not (problem.dragging_obstacle and problem is self._tracked):
+            return None
+        age = time.monotonic() - problem.asked
+        if age < HAND_SIGHT:
+            return scene.after(max(age, 0.0))
+        return scene.moved({}, velocities=dict.fromkeys(scene.velocities, (0.0, 0.0, 0.0)))
 
     def _publish(self) -> None:
         live = self._look(self._tracker.arm.at(self._tracker.command))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import os
 import tempfile
-import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -13,7 +12,7 @@ from queue import SimpleQueue
 from threading import Lock, Thread
 from typing import TypeAlias
 
-from pinposture.collision import Mesh, Scene
+from pinposture.collision import Mesh
 from pinposture.collision.mesh_files import MESH_FORMATS
 from pinposture.collision.scan import MAX_PLAUSIBLE_WIDTH, Scan
 from pinposture.editor.clearances import ClearanceQuery, Clearances, Marks, MarksQuery
@@ -31,7 +30,6 @@ logger = logging.getLogger(__name__)
 Post: TypeAlias = Callable[..., None]
 
 MAX_SHOWN = 200_000  # points or triangles of a scan
-SCENE_PERIOD = 0.2  # for which the solver keeps a scene before it is given the next one [s]
 
 
 class ScanShelf:
@@ -231,27 +229,13 @@ class Surroundings:
         self.scans = ScanShelf(post)
         self._clearances = Clearances()
         self._marks = Marks(VerdictCache() if verdicts is None else verdicts)
-        self._scene: Scene | None = None
-        self._solved_since: float | None = None  # when the solver was first seen to have the latest problem
 
     def watch(self, session: Session, live: Live) -> None:
         """Update clearance and marks; called by the loop, each time before the solver is asked."""
-        proposal = session.proposal
-        pending = proposal is not None and not proposal.final and proposal.number > session.number
-        if live.number < session.number:
-            self._solved_since = None
-        elif self._solved_since is None:
-            self._solved_since = time.monotonic()
-        # The arm is given time to move in a scene before the next one comes.
-        if self._solved_since is not None and pending:
-            if time.monotonic() - self._solved_since >= SCENE_PERIOD:
-                session.touch()
-        elif self._solved_since is not None:
-            self._scene = session.shown.scene
         if live.arm is session.arm:
             scans = {path.name: scan for path, scan in self.scans.of(session.task).items()}
             q = session.playback.seen(live).state.q
-            self._clearances.ask(ClearanceQuery(live.arm, q, self._scene, scans))
+            self._clearances.ask(ClearanceQuery(live.arm, q, session.shown.scene, scans))
         session.nearest = self._clearances.latest
         self._marks.ask(MarksQuery(session.task.arm, keyframes_of(session.task), session.task.scene))
         session.marks = self._marks.latest or ()

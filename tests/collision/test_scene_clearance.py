@@ -90,6 +90,23 @@ def test_the_minimum_between_sees_obstacles_move():
     times = np.array([0.0, 1.0, 4.0])  # after two seconds the ball falls through the arm
     assert model.minimum_on_motions(arm.checked(arm.neutral()), still, times=times).distance < 0.0
     assert model.minimum_on_motions(arm.checked(arm.neutral()), still, times=0.25 * times).distance > 0.3
+    assert scene.after(1.0).obstacles["ball"].center == pytest.approx(above + 1.0 * speed)
+    assert scene.after(1.0).velocities == scene.velocities
+    assert CollisionModel(arm, scene.after(2.0)).minimum(arm.neutral()).distance < 0.0
+    for time in (-1.0, np.nan, np.inf):
+        with pytest.raises(InvalidValue, match="time"):
+            scene.after(time)
+
+
+def test_a_moment_without_self_collision_belongs_to_the_scene_without_it():
+    scene = Scene({"ball": Sphere((0.5, 0.0, 0.0), 0.05)}, self_collision=True)
+    moment = scene.moved({"ball": (0.0, 0.0, 0.4)}, velocities={"ball": (0.0, 0.1, 0.0)})
+    alone = moment.without_self_collision()
+    assert not alone.self_collision
+    assert alone.first == scene.without_self_collision()
+    assert alone.obstacles == moment.obstacles
+    assert (alone.velocities, alone.moving) == (moment.velocities, {"ball"})
+    assert alone.without_self_collision() is alone
 
 
 def test_a_step_over_a_thin_thing_is_seen_between_its_ends():

@@ -113,7 +113,6 @@ def test_a_dragged_obstacle_reaches_solver_and_clearance_before_the_drag_ends():
             shift = np.array([0.0, 0.0, -0.001 * step])
             change_obstacle("ball", partial(_shift, shift), "moved ball", False, session)
             turn()
-        assert len(asked) < 20  # 40 moves, but not 40 scenes
         assert until(told)
         assert solver.live.number > 1
         assert session.task.scene.obstacles["ball"].center[2] == pytest.approx(0.3)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -56,6 +58,7 @@ def test_a_drag_is_one_step_and_counts_at_its_end(session):
     np.testing.assert_allclose(
         obstacles_of(session.task)["sphere_1"].center, center + [0, 0, 0.05], atol=1e-9
     )
+    assert not session.task.scene.velocities
     session.undo()
     assert session.task is first
     session.redo()
@@ -64,13 +67,13 @@ def test_a_drag_is_one_step_and_counts_at_its_end(session):
     )
 
 
-def test_the_solver_is_not_told_of_each_move(session):
+def test_the_solver_is_told_of_each_move(session):
     add_obstacle("box", session.arm.at(session.arm.straight()).points, session)
     number = session.number
-    change_obstacle("box_1", partial(_shift, np.array([0.0, 0.01, 0.0])), "moved", False, session)
-    assert session.number == number
-    change_obstacle("box_1", partial(_shift, np.array([0.0, 0.01, 0.0])), "moved", True, session)
-    assert session.number > number
+    for final in (False, False, True):
+        change_obstacle("box_1", partial(_shift, np.array([0.0, 0.01, 0.0])), "moved", final, session)
+        assert session.number > number
+        number = session.number
 
 
 @pytest.mark.parametrize("final", [False, True])
@@ -92,6 +95,37 @@ def test_what_was_proposed_is_gone_when_its_end_is_refused(session):
     assert session.shown is before
     assert session.number > number  # so that the solver goes back to it
     assert "radius" in session.notice.text
+
+
+@pytest.mark.parametrize("kind", NEW_OBSTACLE_KINDS)
+def test_a_dragged_obstacle_has_the_velocity_of_the_hand_and_a_resized_one_has_none(kind, monkeypatch):
+    session, clock = session_of(pp.Arm.from_template("RyRz", modules=6)), [100.0]
+    for module in ("obstacles", "session"):
+        monkeypatch.setattr(f"pinposture.editor.{module}.time", SimpleNamespace(monotonic=lambda: clock[0]))
+    add_obstacle(kind, session.arm.at(session.arm.straight()).points, session)
+    name, hand = f"{kind}_1", np.array([0.0, 0.0, -0.2])
+    for step in range(12):
+        clock[0] += 0.05
+        change_obstacle(name, partial(_shift, hand * 0.05 * step), "moved it", False, session)
+    scene = session.problem.scene
+    assert scene.first is session.task.scene  # so that what was prepared for its distances is kept
+    assert session.problem.dragging_obstacle
+    np.testing.assert_allclose(scene.velocities[name], hand, rtol=0.01)
+    expected = _shift(hand * 0.05 * 11, obstacles_of(session.task)[name])
+    later = _shift(hand * (0.05 * 11 + 0.03), obstacles_of(session.task)[name])
+    for moment, wanted in ((scene, expected), (scene.after(0.03), later)):
+        for key in ("center", "start", "end", "point", "size", "radius", "normal"):
+            if hasattr(wanted, key):
+                found = getattr(moment.obstacles[name], key)
+                np.testing.assert_allclose(found, getattr(wanted, key), atol=1e-4)
+    clock[0] += 1.0  # the hand stood still
+    change_obstacle(name, partial(_shift, hand * 0.6), "moved it", False, session)
+    np.testing.assert_array_equal(session.problem.scene.velocities[name], 0.0)
+    if kind == "sphere":
+        clock[0] += 0.05
+        change_obstacle(name, lambda ball: replace(ball, radius=0.1), "resized it", False, session)
+        assert session.problem.scene.velocities == {name: (0.0, 0.0, 0.0)}
+        assert session.problem.scene.obstacles[name].radius == 0.1
 
 
 def test_a_drag_that_ends_where_it_began_is_no_step(session):

@@ -7,8 +7,9 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,8 +17,11 @@ from edited_tasks import L, bent_spline, coil, six_modules, straight_line
 from sampling import cases
 
 import pinposture as pp
+from pinposture.collision import CollisionModel
 from pinposture.control import Geodesic, controller_named
 from pinposture.control.registry import CONTROLLERS
+from pinposture.editor.obstacles import change_obstacle, moved
+from pinposture.editor.session import Session
 from pinposture.editor.solver import STEP_TIME, Live, Problem, Solver, Verdict, judge, limits_per_step
 from pinposture.task import Keyframe
 
@@ -271,3 +275,42 @@ def test_a_shape_that_is_known_is_not_worked_out_again(monkeypatch: pytest.Monke
             until(solver, lambda live, number=number: live.number == number)
             assert "too short" in solver.live.verdict.reason
         assert judged[4:] == [short()]
+
+
+def test_the_arm_keeps_clear_of_an_obstacle_that_is_dragged_through_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock = [100.0]
+    for module in ("obstacles", "session", "solver"):
+        monkeypatch.setattr(f"pinposture.editor.{module}.time", SimpleNamespace(monotonic=lambda: clock[0]))
+    monkeypatch.setattr("pinposture.editor.solver.CONTROLLER_DEADLINE", float("inf"))  # not by the clock
+    arm, margin, speed = six_modules(), 0.005, 0.2
+    middle, start = arm.at(arm.straight()).points[3], np.array([0.0, 0.0, 0.3 * L])
+    ball = pp.Sphere(tuple(middle + start), 0.06 * L)
+    keyframes = (to_bent(), Keyframe(straight_line()))
+    limits = pp.Limits(step=None, dt=STEP_TIME, velocity=2.0, acceleration=20.0)
+    scene = pp.Scene({"ball": ball}, margin=margin)
+    session = Session(pp.Task(arm=arm, motion=keyframes, limits=limits, scene=scene))
+    solver = Solver(session.problem, arm.straight())
+    solver._take(session.problem, new=True)
+    tracker, least, touched = solver._tracker, np.inf, np.inf
+    for cycle in range(round(0.6 * L / speed / STEP_TIME)):
+        clock[0] += STEP_TIME
+        shift = -speed * cycle * STEP_TIME * np.array([0.0, 0.0, 1.0])
+        if cycle % 3 == 0:  # the hand is told of now and then
+            change_obstacle("ball", partial(moved, shift=shift), "moved ball", False, session)
+            solver._take(session.problem)
+        solver._step()
+        there = pp.Scene({"ball": moved(ball, shift)})
+        least = min(least, CollisionModel(arm, there).minimum(solver.live.state.q).distance)
+        touched = min(touched, CollisionModel(arm, there).minimum(arm.straight()).distance)
+    assert solver._tracker is tracker  # nothing was prepared anew
+    assert touched < -0.05 * L  # it went right through where the arm was
+    assert least > 0.5 * margin
+    change_obstacle("ball", partial(moved, shift=-2.0 * start), "moved ball", True, session)
+    solver._take(session.problem)
+    assert solver._tracker is not tracker
+    for _ in range(400):
+        clock[0] += STEP_TIME
+        solver._step()
+    assert solver.live.status == "converged"

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm
-from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Mesh, Obstacle, Scan, Scene, Sphere
+from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Obstacle, Scene, Sphere
 from pinposture.editor import obstacles
 from pinposture.editor.clearances import NearestObstacle
 from pinposture.editor.edits import with_scene
@@ -132,7 +132,7 @@ class Obstacles:
     def _draw(self, name: str, obstacle: Obstacle, opacity: float, selected: bool) -> None:
         drawn = self._drawn.get(name)
         if drawn is None or drawn.obstacle is not obstacle:
-            look, pose = _look(obstacle), obstacles.pose_of(obstacle, self._scale)
+            look, pose = obstacles.own_shape(obstacle), obstacles.pose_of(obstacle, self._scale)
             if drawn is not None and drawn.look[0] != look[0]:  # of another task
                 drawn.handle.remove()
                 drawn = None
@@ -230,20 +230,6 @@ class Obstacles:
         if final:
             self._grabbed.pop(key, None)
         self._post(partial(obstacles.change_obstacle, name, change, what, final), "" if final else "obstacle")
-
-
-def _look(obstacle: Obstacle) -> tuple[object, ...]:
-    """Return what the surface of an obstacle depends on in its own frame."""
-    if isinstance(obstacle, Sphere):
-        return obstacle.type, obstacle.radius
-    if isinstance(obstacle, Box):
-        return obstacle.type, obstacle.size
-    if isinstance(obstacle, Mesh | Scan):
-        return obstacle.type, obstacle.placed((0.0, 0.0, 0.0))
-    if isinstance(obstacle, HalfSpace):
-        return (obstacle.type,)
-    length = float(np.linalg.norm(np.subtract(obstacle.end, obstacle.start)))
-    return obstacle.type, obstacle.radius, round(length, 6)
 
 
 def _same_rotation(obstacle: Obstacle, wxyz: Array, rotation: Array) -> bool:

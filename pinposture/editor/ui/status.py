@@ -11,6 +11,7 @@ from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
 from pinposture.editor.ui.parts import framed_html, put
 from pinposture.editor.ui.scene import clearance_text
+from pinposture.motion.tracker import NOT_DONE
 from pinposture.viz import palette
 
 STATUS_COLORS = {
@@ -60,7 +61,7 @@ def status_of(session: Session, live: Live) -> tuple[str, str, str]:
         return "error", "The arm is in collision", f"{clearance_text(found)}; {head[0].lower()}{head[1:]}"
     if verdict.collision:
         return "warning", "The curve leads the arm into something", verdict.notes[0]
-    if live.reason and live.status != "converged":
+    if live.reason and live.reason != NOT_DONE and live.status != "converged":
         return "warning", head, live.reason
     notes, controller = list(verdict.notes), session.task.controller.name
     if session.task.scene is not None and controller != AVOIDING_CONTROLLER:
@@ -85,6 +86,7 @@ def _is_off(session: Session, live: Live) -> bool:
 def _heading(session: Session, live: Live) -> str:
     playing, distance = session.playback.q is not None, live.verdict.distance_from_curve
     doing = {"converged": "Taken", "moving": "On the way"}.get(live.status, "Holding")
+    doing = "Planning" if live.reason == NOT_DONE else doing
     error = 1000.0 * live.mean_error
     head = f"{'Motion' if playing else doing}: mean error {error if error > SMALLEST_ERROR else 0.0:.3g} mm"
     if live.tip_error is not None:
