@@ -180,4 +180,8 @@ def next_step(
 ) -> Step:
     """The step of a controller; of one that remembers nothing, the displacement is remembered for it."""
     step = controller.step(state, target, limits, memory)
+    if not isinstance(step, Step):
+        returned = f"{type(controller).__name__}.step(...) (returned)"
+        allowed = "a Step, for instance Step(limits.apply(state, dq).dq, (), Diagnostics(clipped))"
+        raise InvalidValue(returned, step, allowed)
     return step if step.memory is not None else step._replace(memory=Memory(step.dq))

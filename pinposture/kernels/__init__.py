@@ -58,15 +58,18 @@ if TYPE_CHECKING:
     from pinposture.kernels.path_following import shorten_step as shorten_step
     from pinposture.kernels.path_following import step_along as step_along
     from pinposture.kernels.path_following import step_box as step_box
+    from pinposture.kernels.path_following import step_to as step_to
     from pinposture.kernels.path_following import stoppable_steps as stoppable_steps
     from pinposture.kernels.path_following import sum_point_errors as sum_point_errors
     from pinposture.kernels.path_relaxation import measure_path_lengths as measure_path_lengths
+    from pinposture.kernels.path_relaxation import refine_waypoints as refine_waypoints
     from pinposture.kernels.path_relaxation import relax_waypoints as relax_waypoints
     from pinposture.kernels.path_relaxation import step_waypoints as step_waypoints
     from pinposture.kernels.posture_matrix import eliminated as eliminated
     from pinposture.kernels.posture_matrix import extreme_value as extreme_value
-    from pinposture.kernels.posture_matrix import inverse_norm as inverse_norm
     from pinposture.kernels.posture_matrix import least_change as least_change
+    from pinposture.kernels.posture_matrix import well_conditioned as well_conditioned
+    from pinposture.kernels.posture_search import minimise_posture_errors as minimise_posture_errors
     from pinposture.kernels.spline import expand_spans as expand_spans
     from pinposture.kernels.spline import find_stationary_point as find_stationary_point
     from pinposture.kernels.spline import measure_length as measure_length
@@ -94,10 +97,11 @@ _KERNELS = {
     ),
     "path_following": (
         "advance find_speed_profile joint_distance look_ahead next_path_speed position_excess shorten_step "
-        "step_along step_box stoppable_steps sum_point_errors"
+        "step_along step_box step_to stoppable_steps sum_point_errors"
     ),
-    "path_relaxation": "measure_path_lengths relax_waypoints step_waypoints",
-    "posture_matrix": "eliminated extreme_value inverse_norm least_change",
+    "path_relaxation": "measure_path_lengths refine_waypoints relax_waypoints step_waypoints",
+    "posture_matrix": "eliminated extreme_value least_change well_conditioned",
+    "posture_search": "minimise_posture_errors",
     "spline": (
         "expand_spans find_stationary_point measure_length nearest_places parameters_at "
         "spline_coefficients spline_values"

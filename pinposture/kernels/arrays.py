@@ -269,3 +269,65 @@ class Factors(NamedTuple):
 
     triangles: Array3
     gains: Array3
+
+
+class PostureProblem(NamedTuple):
+    """Where the control points of an arm should be.
+
+    Attributes:
+        chain: the arm.
+        joints: joints that may move, by their numbers along the chain, (n,); increasing.
+        units: the motion of each that counts as one, (n,) [rad or m].
+        edges: their position limits, (2, n).
+        indices: the control points that have a target, (p,); increasing.
+        ends: how many of the joints carry each of these, (p,).
+        targets: where they should be, (p, 3).
+        weights: weights of their squared errors, (p,).
+        chords: weights of the squared errors of the chords to the point before, (p,).
+        normal: direction in which errors do not count, (3,); zero for none.
+    """
+
+    chain: ChainArrays
+    joints: Ints1
+    units: Array1
+    edges: Array2
+    indices: Ints1
+    ends: Ints1
+    targets: Array2
+    weights: Array1
+    chords: Array1
+    normal: Array1
+
+
+class SearchSettings(NamedTuple):
+    """Settings of the search; see `damped_least_squares`.
+
+    Attributes:
+        good: mean error at which it ends.
+        largest_error: errors are scaled down until none is larger.
+        largest_step: of a joint, in units.
+        damping_share: damping, relative to the sum of squares.
+        least_damping: the same, relative to the stiffness of the chain.
+        least_stiffness: which counts where the stiffness is smaller.
+        decrease: factor of the damping after a step that reduced the errors.
+        increase: factor after one that did not.
+        least_factor: smallest factor of the damping.
+        most_factor: largest one; beyond it a failed step counts as idle.
+        converged: relative fall of the sum of squares below which a step counts as idle.
+        idle: number of idle steps in a row at which it ends.
+        steps: largest number of steps.
+    """
+
+    good: float
+    largest_error: float
+    largest_step: float
+    damping_share: float
+    least_damping: float
+    least_stiffness: float
+    decrease: float
+    increase: float
+    least_factor: float
+    most_factor: float
+    converged: float
+    idle: int
+    steps: int

@@ -97,7 +97,10 @@ def _type_of(hint: Any) -> types.Type:
         return _SCALARS[hint]
     if get_origin(hint) is Annotated:  # an array of `kernels.arrays`
         array, dimensions = get_args(hint)
-        ((element,),) = (get_args(each) for each in get_args(array)[1:])
+        entries = get_args(array)[
+            -1
+        ]  # of NDArray: its dtype, or the type itself where it is an alias of its own
+        element = (get_args(entries) or (entries,))[0]
         return types.Array(numba.from_dtype(np.dtype(element)), dimensions, "C")
     named = hint if hasattr(hint, "_fields") else None
     fields = get_type_hints(hint, include_extras=True).values() if named else get_args(hint)

@@ -21,6 +21,9 @@ SOFTNESSES = (1e-11, 1e-4, 1e-2, 1.0, 1e3)
 """How far rows give way to a unit force beyond what the free joints do, relative to what they would if joints
 moved one by one. More is tried where a step gains too little: where more rows count than joints are free."""
 
+GIVE = 1e-6
+"""How far rows that may be violated give way to a unit force, relative to joints that move one by one."""
+
 ROW_ROUNDING = 1e-10
 """Violation of a row of length 1 that counts as rounding, in units of a joint."""
 
@@ -35,6 +38,7 @@ def minimise_with_rows(
     upper: Array1,
     rows: Array2,
     least: Array1,
+    violable: bool,
     active: Flags1,
     x: Array1,
 ) -> bool:
@@ -46,7 +50,8 @@ def minimise_with_rows(
         upper: largest x, (n,).
         rows: rows of length 1, (r, n).
         least: smallest value of each, (r,).
-        active: filled with the rows that hold with equality, (r,).
+        violable: whether rows may be violated, as little as possible by the sum of squares.
+        active: filled with the rows that push, (r,).
         x: filled with the minimum, (n,).
 
     Returns:
@@ -59,8 +64,9 @@ def minimise_with_rows(
     multipliers, change, tried = np.zeros(count), np.empty(count), np.empty(count)
     missing, before = np.empty(count), np.empty(count)
     which, yielding = np.empty(count, dtype=np.int64), np.empty((count, n))
+    give = GIVE * _find_alone(problem, box, rows) if violable else 0.0
     active[:] = False
-    value = _minimise_given(problem, box, rows, least, multipliers, sides, x, missing)
+    value = _minimise_given(problem, box, rows, least, give, multipliers, sides, x, missing)
     for _ in range(MAX_STEPS):
         counting, settled = 0, True
         for row in range(count):
@@ -73,6 +79,8 @@ def minimise_with_rows(
                 active[row] = multipliers[row] > 0.0
             return True
         schur, alone = _find_schur(problem, box, rows, which[:counting], sides, yielding)
+        for k in range(counting):
+            schur[k, k] += give
         better = False
         before[:] = missing
         for softness in SOFTNESSES:
@@ -82,7 +90,7 @@ def minimise_with_rows(
             for _ in range(MAX_HALVINGS):
                 for row in range(count):
                     tried[row] = max(multipliers[row] + share * change[row], 0.0)
-                found = _minimise_given(problem, box, rows, least, tried, sides, x, missing)
+                found = _minimise_given(problem, box, rows, least, give, tried, sides, x, missing)
                 gain = found - value + 1e-14 * abs(value)
                 better = expected >= 0.0 and gain >= MIN_SHARE_OF_GAIN * share * expected
                 if better:
@@ -103,6 +111,7 @@ def _minimise_given(
     box: tuple[Array1, Array1],
     rows: Array2,
     least: Array1,
+    give: float,
     multipliers: Array1,
     sides: Bytes1,
     x: Array1,
@@ -118,11 +127,26 @@ def _minimise_given(
     minimise_in_box(objective, errors, damping, pushed, box[0], box[1], sides, x)
     value = evaluate_gradient(objective, errors, damping, centre, x, pushed, np.empty((len(errors), 6)))
     for row in range(len(rows)):
-        missing[row] = least[row]
+        missing[row] = least[row] - give * multipliers[row]
         for u in range(n):
             missing[row] -= rows[row, u] * x[u]
-        value += multipliers[row] * missing[row]
+        value += multipliers[row] * (missing[row] + 0.5 * give * multipliers[row])
     return value
+
+
+@subkernel
+def _find_alone(problem: ChainProblem, box: tuple[Array1, Array1], rows: Array2) -> float:
+    """Return how far rows give way to a unit force if joints move one by one, on average."""
+    objective, _, damping, _ = problem
+    n, total = len(damping), 0.0
+    gains, held = np.empty((n, 11)), np.empty(n, dtype=np.bool_)
+    for u in range(n):
+        held[u] = not box[1][u] > box[0][u]
+    factor(objective, damping, held, np.empty((0, 6, 6)), gains)
+    for row in range(len(rows)):
+        for u in range(n):
+            total += gains[u, 10] * rows[row, u] ** 2
+    return total / max(len(rows), 1)
 
 
 @subkernel

@@ -181,6 +181,8 @@ def torus_crossings(l1: float, l2: float, a: Three, b: Three, out: Array1) -> in
     Returns:
         Number of crossings.
     """
+    if l1 == 0.0:  # a sphere, on which the quartic below has double roots
+        return circle_crossings(l2, a, b, out)
     ax, ay, az = a
     dx, dy, dz = b[0] - ax, b[1] - ay, b[2] - az
     aa = ax * ax + ay * ay + az * az

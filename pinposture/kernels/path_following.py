@@ -4,207 +4,223 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array1, Array2, ChainArrays, Flags1, Ints1
+from pinposture.kernels.arrays import Array1, Array2, Array3, ChainArrays, Flags1, Ints1
 from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.kinematics import placements
 
 STEP_ROUNDING = 1e-12  # rounding error of a step, in units of each joint
-MAX_PASSED = 10  # largest number of waypoints that one step passes if its length is limited
 
 MAX_BRAKING_STEPS = 1e60
 """Number of braking steps that stands for infinitely many: a joint without position limits."""
+
+MAX_PROFILE_ITERATIONS, PROFILE_ROUNDING = 60, 1e-12
+"""Largest number of iterations for the speed at a place, and the relative rounding of accelerations there."""
+
+MIN_GAIN = 0.2
+"""Share of the largest change of speed from rest that is allowed at any speed."""
 
 UNMET_LIMITS, OUTSIDE_LIMITS = 1, 2
 """Flags that `step_box` returns: limits that cannot be met, and a joint of the chain outside its limits."""
 
 
+# How fast a path can be followed. Between two waypoints it is a cubic curve, divided into parts of length h;
+# on each the path acceleration u is constant, and so x = speed^2 is linear: x' = x + 2 h u. The joint
+# acceleration f = q'(s) u + q''(s) x(s) is a polynomial of second degree there. It is within a limit where
+# its three Bernstein coefficients are: f at both ends, and 2 f(middle) - (f(start) + f(end)) / 2. All are of
+# the form a u + b x.
+
+
 @subkernel
-def _max_gain(
-    slope: Array1, bend: Array1, brake: Array1, brake_share: float, curve_share: float, rate: float
+def _find_rows(offsets: Array2, slopes: Array2, parts: int, a: Array3, b: Array3, steepest: Array2) -> None:
+    """Fill in a and b of each part, (N parts, 3, nv), and the largest |q'| on it, (N parts, nv)."""
+    h = 1.0 / parts
+    for i in range(len(offsets) - 1):
+        for part in range(parts):
+            at, s = i * parts + part, part * h
+            for j in range(offsets.shape[1]):
+                one, other = slopes[i, j], slopes[i + 1, j]
+                whole = offsets[i + 1, j] - offsets[i, j]
+                cubic, square = one + other - 2.0 * whole, 3.0 * whole - 2.0 * one - other
+                slope_start = one + s * (2.0 * square + s * 3.0 * cubic)
+                bend_start, jerk = 2.0 * square + 6.0 * cubic * s, 6.0 * cubic
+                slope_middle = slope_start + 0.5 * h * (bend_start + 0.25 * h * jerk)
+                slope_end = slope_start + h * (bend_start + 0.5 * h * jerk)
+                bend_middle, bend_end = bend_start + 0.5 * h * jerk, bend_start + h * jerk
+                a[at, 0, j], b[at, 0, j] = slope_start, bend_start
+                a[at, 2, j], b[at, 2, j] = slope_end + 2.0 * h * bend_end, bend_end
+                a_middle = slope_middle + h * bend_middle
+                a[at, 1, j] = 2.0 * a_middle - 0.5 * (a[at, 0, j] + a[at, 2, j])
+                b[at, 1, j] = 2.0 * bend_middle - 0.5 * (bend_start + bend_end)
+                between = abs(2.0 * slope_middle - 0.5 * (slope_start + slope_end))
+                steepest[at, j] = max(abs(slope_start), abs(slope_end), between)
+
+
+@subkernel
+def _acceleration_range(
+    a: Array2, b: Array2, limit: Array1, tiny: float, x: float
+) -> tuple[float, float, float, float]:
+    """Return the range of u in which |a u + b x| <= limit, and how its ends change with x."""
+    low, high, low_slope, high_slope = -np.inf, np.inf, 0.0, 0.0
+    for row in range(len(a)):
+        for j in range(a.shape[1]):
+            steep = abs(a[row, j])
+            if steep <= tiny:
+                continue
+            middle, reach = -b[row, j] * x / a[row, j], limit[j] / steep
+            if middle + reach < high:
+                high, high_slope = middle + reach, -b[row, j] / a[row, j]
+            if middle - reach > low:
+                low, low_slope = middle - reach, -b[row, j] / a[row, j]
+    return low, high, low_slope, high_slope
+
+
+@subkernel
+def _fastest_start(
+    a: Array2, b: Array2, limit: Array1, tiny: float, h: float, most: float, after: float
 ) -> float:
-    """Return the largest change of path speed from one step to the next at a waypoint."""
-    most = np.inf
-    for joint in range(len(slope)):
-        left = brake_share * brake[joint]
-        left = max(left - bend[joint] * rate**2, (1.0 - curve_share) * left)
-        most = min(most, left / slope[joint])
-    return most
-
-
-@subkernel
-def _spread_maximum(values: Array2, reach: int, least: float, wide: Array2) -> None:
-    """Fill `wide` with the largest of each absolute value and its neighbours along the path, or `least`."""
-    for i in range(len(values)):
-        first, last = max(i - reach, 0), min(i + reach + 1, len(values))
-        for joint in range(values.shape[1]):
-            most = least
-            for near in range(first, last):
-                most = max(most, abs(values[near, joint]))
-            wide[i, joint] = most
-
-
-@subkernel
-def _differences(values: Array2, slopes: Array2) -> None:
-    """Fill `slopes` with central differences of rows, at the ends one-sided."""
-    last = len(values) - 1
-    for i in range(len(values)):
-        low, high = max(i - 1, 0), min(i + 1, last)
-        for joint in range(values.shape[1]):
-            slopes[i, joint] = (values[high, joint] - values[low, joint]) / (high - low)
-
-
-@subkernel
-def _speed_profile(
-    slope: Array2,
-    bend: Array2,
-    bound: Array1,
-    brake: Array1,
-    start_speed: float,
-    most: float,
-    speed: float,
-    brake_share: float,
-    curve_share: float,
-    cap: Array1,
-    top: Array1,
-) -> None:
-    """Fill `cap` and `top` of `find_speed_profile` from slopes and bends."""
-    count, joints = slope.shape
-    stops = False
-    for joint in range(joints):
-        stops = stops or np.isfinite(brake[joint])
-    for i in range(count):
-        top[i] = min(most, float(count))
-        for joint in range(joints):
-            top[i] = min(top[i], speed * bound[joint] / slope[i, joint])
-            top[i] = min(top[i], np.sqrt(curve_share * brake_share * brake[joint] / bend[i, joint]))
-        cap[i] = top[i]
-    if stops:
-        top[count - 1] = 0.0
-        top[0] = min(
-            top[0], max(start_speed, _max_gain(slope[0], bend[0], brake, brake_share, curve_share, 0.0))
-        )
-    for i in range(count - 2, -1, -1):
-        here = _max_gain(slope[i], bend[i], brake, brake_share, curve_share, top[i])
-        gain = min(here, _max_gain(slope[i + 1], bend[i + 1], brake, brake_share, curve_share, top[i + 1]))
-        top[i] = min(top[i], np.sqrt(top[i + 1] ** 2 + 2.0 * gain))
-    for i in range(1, count):
-        here = _max_gain(slope[i], bend[i], brake, brake_share, curve_share, top[i])
-        gain = min(here, _max_gain(slope[i - 1], bend[i - 1], brake, brake_share, curve_share, top[i - 1]))
-        top[i] = min(top[i], np.sqrt(top[i - 1] ** 2 + 2.0 * gain))
+    """Return the largest x, up to `most`, from which a part can be followed to an x of at most `after`."""
+    x = most
+    for row in range(len(a)):
+        for j in range(a.shape[1]):
+            if abs(a[row, j]) <= tiny and abs(b[row, j]) * x > limit[j]:
+                x = limit[j] / abs(b[row, j])
+    for _ in range(MAX_PROFILE_ITERATIONS):  # Newton's method on a convex function
+        low, high, low_slope, high_slope = _acceleration_range(a, b, limit, tiny, x)
+        if (after - x) / (2.0 * h) < high:
+            high, high_slope = (after - x) / (2.0 * h), -0.5 / h
+        if -x / (2.0 * h) > low:
+            low, low_slope = -x / (2.0 * h), -0.5 / h
+        excess = low - high
+        if excess <= PROFILE_ROUNDING * (abs(low) + abs(high)):
+            return x
+        fall = low_slope - high_slope
+        if fall <= 0.0:
+            return 0.0
+        x -= excess / fall
+        if x <= 0.0:
+            return 0.0
+    return 0.0
 
 
 @compiled
 def find_speed_profile(
     offsets: Array2,
+    slopes: Array2,
     bound: Array1,
     brake: Array1,
     start_speed: float,
     most: float,
-    speed: float,
-    brake_share: float,
-    curve_share: float,
     small: float,
-    slope: Array2,
-    bend: Array2,
-    cap: Array1,
+    a: Array3,
+    b: Array3,
     top: Array1,
 ) -> None:
-    """Compute the largest path speed at each waypoint that allows for all slower places ahead, and the end.
-
-    It is derived in `control.planner.path`.
+    """Compute the largest path speed that allows for all slower places ahead, and the end.
 
     Args:
         offsets: displacement of each waypoint from the first, (N + 1, nv), N > 0.
+        slopes: change of it per waypoint, (N + 1, nv).
         bound: largest step of each joint, (nv,); may be infinite.
         brake: largest change of a step from the one before, (nv,), > 0; may be infinite.
         start_speed: waypoints of the step before the first one.
         most: largest number of waypoints of one step; may be infinite.
-        speed: share of the bounds that is planned with.
-        brake_share: share of the brakes that is planned with.
-        curve_share: largest share of that for curves.
         small: slope that counts as zero, relative to the largest.
-        slope: filled with the largest motion of each joint there per waypoint, (N + 1, nv).
-        bend: filled with its largest change, (N + 1, nv).
-        cap: filled with the speed that bounds and curves there allow, (N + 1,) [waypoints per step].
-        top: filled with the speed, (N + 1,) [waypoints per step].
+        a: filled with rows of the parts into which the waypoints are divided, (N parts, 3, nv).
+        b: likewise.
+        top: filled with the speed where they begin, and at the end, (N parts + 1,) [waypoints per step].
     """
-    slopes, bends = np.empty(offsets.shape), np.empty(offsets.shape)
-    _differences(offsets, slopes)
-    _differences(slopes, bends)
-    tiny = 1e-100
-    for i in range(len(slopes)):
-        for joint in range(offsets.shape[1]):
-            tiny = max(tiny, small * abs(slopes[i, joint]))
-    reach = 1
-    while True:
-        _spread_maximum(slopes, reach, tiny, slope)
-        _spread_maximum(bends, reach, tiny, bend)
-        _speed_profile(
-            slope, bend, bound, brake, start_speed, most, speed, brake_share, curve_share, cap, top
-        )
-        # A step that passes several waypoints must meet the limits at all of them.
-        passed = min(int(np.ceil(top.max())), MAX_PASSED) if np.isfinite(most) else 1
-        if passed <= reach:
-            break
-        reach = passed
+    count, joints = len(a), offsets.shape[1]
+    parts = count // (len(offsets) - 1)
+    h, tiny = 1.0 / parts, 1e-100
+    steepest = np.empty((count, joints))
+    _find_rows(offsets, slopes, parts, a, b, steepest)
+    for i in range(count):
+        for j in range(joints):
+            tiny = max(tiny, small * steepest[i, j])
+    top[:] = min(most, float(len(offsets))) ** 2
+    for i in range(count):
+        for j in range(joints):
+            if steepest[i, j] > tiny:
+                fastest = (bound[j] / steepest[i, j]) ** 2
+                top[i], top[i + 1] = min(top[i], fastest), min(top[i + 1], fastest)
+    stops = False
+    for j in range(joints):
+        stops = stops or np.isfinite(brake[j])
+    if stops:
+        gain = _acceleration_range(a[count - 1], b[count - 1], brake, tiny, 0.0)[1]
+        if np.sqrt(top[count]) > 0.5 * gain:  # else it can stop at once
+            top[count] = 0.0
+        gain = _acceleration_range(a[0], b[0], brake, tiny, 0.0)[1]
+        top[0] = min(
+            top[0], (start_speed + 0.5 * gain) ** 2
+        )  # half a step, before the first half of the next
+        for i in range(count - 1, -1, -1):
+            top[i] = _fastest_start(a[i], b[i], brake, tiny, h, top[i], top[i + 1])
+        for i in range(count):
+            high = _acceleration_range(a[i], b[i], brake, tiny, top[i])[1]
+            top[i + 1] = min(top[i + 1], max(top[i] + 2.0 * h * high, 0.0))
+    for i in range(count + 1):
+        top[i] = np.sqrt(top[i])
 
 
 @subkernel
-def _fastest_between(
-    place: float,
-    rate: float,
-    slope: Array2,
-    bend: Array2,
-    cap: Array1,
-    top: Array1,
-    brake: Array1,
-    brake_share: float,
-    curve_share: float,
-) -> float:
-    """Return the largest speed between two waypoints, given the speeds at both and the largest changes."""
-    at = min(int(place), len(top) - 2)
-    share = min(place - at, 1.0)
-    gain = _max_gain(slope[at], bend[at], brake, brake_share, curve_share, rate)
-    gain = min(gain, _max_gain(slope[at + 1], bend[at + 1], brake, brake_share, curve_share, rate))
-    most = min(cap[at], cap[at + 1])
-    if not np.isfinite(gain):
-        return most
-    most = min(most, np.sqrt(top[at] ** 2 + 2.0 * gain * share))
-    return min(most, np.sqrt(top[at + 1] ** 2 + 2.0 * gain * (1.0 - share)))
+def _travel(place: float, top: Array1, parts: int, onward: bool) -> float:
+    """Return how far the profile leads from a place in the time of one step, or in the step before."""
+    last, left, at, sign = len(top) - 1, 1.0, place * parts, 1.0 if onward else -1.0
+    while left > 0.0:
+        i = min(int(at), last - 1) if onward else max(int(np.ceil(at)) - 1, 0)
+        to = i + 1.0 if onward else float(i)
+        share = at - i
+        squares, change = (1.0 - share) * top[i] ** 2 + share * top[i + 1] ** 2, top[i + 1] ** 2 - top[i] ** 2
+        here, there = np.sqrt(squares), top[i + 1] if onward else top[i]
+        passed = 2.0 * abs(to - at) / (parts * max(here + there, 1e-100))
+        if passed > left:
+            gain = 0.5 * parts * change  # acceleration
+            at += sign * parts * max(here * left + sign * 0.5 * gain * left**2, 0.0)
+            break
+        left -= passed
+        at = to
+        if at >= last or at <= 0.0:
+            break
+    return abs(at / parts - place)
 
 
 @compiled
 def next_path_speed(
     place: float,
     rate: float,
-    slope: Array2,
-    bend: Array2,
-    cap: Array1,
-    top: Array1,
+    small: float,
+    most: float,
     brake: Array1,
-    brake_share: float,
-    curve_share: float,
+    a: Array3,
+    b: Array3,
+    top: Array1,
+    waypoints: int,
 ) -> float:
     """Return the number of waypoints to go in a step.
 
     The step begins at a place, in waypoints from the start of the path; the step before went `rate`
-    waypoints. Other arguments are as for `find_speed_profile`.
+    waypoints. Other arguments are as for `find_speed_profile`; `waypoints` is N.
     """
-    last = len(top) - 1
-    gain = np.inf  # the smallest at the waypoints that the step may pass
-    for near in range(min(int(np.rint(place)), last), min(int(np.rint(place + rate)), last) + 1):
-        gain = min(gain, _max_gain(slope[near], bend[near], brake, brake_share, curve_share, rate))
-    given = slope, bend, cap, top, brake, brake_share, curve_share
-    fastest = _fastest_between(place, rate, *given)
-    if place + fastest < last:
-        fastest = min(fastest, max(_fastest_between(place + fastest, rate, *given), min(gain, fastest)))
-    elif np.isfinite(gain):  # the last step must brake from this speed to zero
-        fastest = min(fastest, max(gain, 0.5 * (last - place + gain)))
-    left = last - place
-    if not np.isfinite(gain):
-        return min(fastest, left)
-    least = min(gain, cap[last] if left < 1.0 else fastest)  # the speed falls to zero at the end
-    return min(max(min(rate + gain, fastest), rate - gain, least), left)
+    count = len(a)
+    parts = count // waypoints
+    left = waypoints - place
+    wanted = min(_travel(place, top, parts, True), most)
+    if place <= 0.0:
+        return min(wanted, left)
+    # Beside the profile, a step differs from the one before by what limits allow at that speed.
+    before, tiny = _travel(place, top, parts, False), 1e-100
+    first, last = min(int(place * parts), count - 1), min(int((place + wanted) * parts), count - 1)
+    for i in range(first, last + 1):
+        for j in range(a.shape[2]):
+            tiny = max(tiny, small * abs(a[i, 0, j]))
+    gain, loss = np.inf, np.inf
+    for i in range(first, last + 1):
+        low, high, _, _ = _acceleration_range(a[i], b[i], brake, tiny, rate**2)
+        least = MIN_GAIN * _acceleration_range(a[i], b[i], brake, tiny, 0.0)[1]
+        gain, loss = min(gain, max(high, least)), min(loss, max(-low, least))
+    fastest = min(wanted, rate + max(gain, wanted - before))
+    return min(max(fastest, min(rate - max(loss, before - wanted), wanted + rate)), left)
 
 
 @subkernel
@@ -518,3 +534,52 @@ def advance(
         chain, positions, units, limits, edges, points, targets, has_target, dq, reached, at_limit
     )
     return True, next_place, before, after
+
+
+@compiled
+def step_to(
+    chain: ChainArrays,
+    turns: Flags1,
+    units: Array1,
+    leaning: Array1,
+    edges: Array2,
+    bound: Array1,
+    positions: Array1,
+    points: Array2,
+    goal: Array1,
+    nearest_turn: Flags1,
+    farthest: float,
+    rounding: float,
+    targets: Array2,
+    has_target: Flags1,
+    dq: Array1,
+    reached: Array1,
+    at_limit: Flags1,
+) -> tuple[bool, float, float]:
+    """Step to a configuration that is within one step.
+
+    Arguments are those of `advance`. `goal` are the joint positions to reach, (nv,); joints that turn without
+    end (`turns`), and others (`nearest_turn`), may reach them after whole turns. `farthest` is the largest
+    motion of a joint, in units.
+
+    Returns:
+        Whether limits allow it, and something moves; and the sums of distances before and after the step.
+    """
+    none, limits, columns = np.empty(0), np.empty((2, len(positions))), chain.columns
+    if step_box(positions, edges, bound, none, none, rounding, columns, leaning, limits) != 0:
+        return False, 0.0, 0.0
+    dq[:] = 0.0
+    moves = False
+    for k in range(len(columns)):
+        u = columns[k]
+        ahead = goal[u] - positions[u]
+        if turns[u] or nearest_turn[u]:
+            ahead -= 2.0 * np.pi * np.rint(ahead / (2.0 * np.pi))
+        if not (abs(ahead) <= farthest * units[k] and limits[0, u] <= ahead <= limits[1, u]):
+            return False, 0.0, 0.0
+        dq[u] = ahead
+        moves = moves or ahead != 0.0
+    before, after = look_ahead(
+        chain, positions, units, limits, edges, points, targets, has_target, dq, reached, at_limit
+    )
+    return moves, before, after

@@ -133,6 +133,34 @@ def relax_waypoints(problem: PathProblem, rounds: int, min_decrease: float, x: A
 
 
 @compiled
+def refine_waypoints(x: Array2, finer: Array2) -> None:
+    """Fill in more waypoints on natural cubic splines through others, for each joint.
+
+    Args:
+        x: waypoints, (N + 1, n).
+        finer: more of them, (k N + 1, n); every k-th is one of the others.
+    """
+    last, n = len(x) - 1, x.shape[1]
+    factor, bends, pivots = (len(finer) - 1) // last, np.zeros((last + 1, n)), np.zeros(last + 1)
+    for i in range(1, last):  # second derivatives: bends[i - 1] + 4 bends[i] + bends[i + 1] = 6 x''[i]
+        pivots[i] = 1.0 / (4.0 - pivots[i - 1])
+        for u in range(n):
+            curved = 6.0 * (x[i - 1, u] - 2.0 * x[i, u] + x[i + 1, u])
+            bends[i, u] = (curved - bends[i - 1, u]) * pivots[i]
+    for i in range(last - 1, 0, -1):
+        for u in range(n):
+            bends[i, u] -= pivots[i] * bends[i + 1, u]
+    for i in range(last):
+        for part in range(factor):
+            t = part / factor
+            for u in range(n):
+                bend = ((2.0 - t) * bends[i, u] + (1.0 + t) * bends[i + 1, u]) / 6.0
+                line = (1.0 - t) * x[i, u] + t * x[i + 1, u]
+                finer[factor * i + part, u] = line - t * (1.0 - t) * bend
+    finer[factor * last] = x[last]
+
+
+@compiled
 def measure_path_lengths(problem: PathProblem, x: Array2, samples: int) -> tuple[float, float]:
     """Return the length of the paths of all control points, and the distance between their ends.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import FULL, LOCAL, RELATIVE, Array1, Array2, Factors, Rows, Screws
+from pinposture.kernels.arrays import FULL, LOCAL, RELATIVE, Array1, Array2, Factors, Flags1, Rows, Screws
 from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.kinematics import difference, joints_along, motions_along
 
@@ -236,95 +236,112 @@ def least_change(screws: Screws, rows: Rows, factors: Factors, values: Array2, x
 
 
 @compiled
-def inverse_norm(points: Array2, rows: Rows, factors: Factors) -> float:
-    """Return the Frobenius norm of the pseudo-inverse of a FULL matrix.
+def well_conditioned(screws: Screws, rows: Rows, least: float, kept: Flags1) -> None:
+    """Choose stations, from the base on, so that their FULL rows have no singular value below a bound.
 
-    The smallest singular value is at least its inverse, and at most sqrt(rows) times that. Its square is the
-    mean square of L^-1 times white noise, whose covariance is propagated along the stations.
+    All are chosen if that suffices. Otherwise stations are left out whose rows nearly depend on those of the
+    stations before: one that took up all there is to spare would leave nothing for those after it. How much
+    a station may take up is tried, until nine in ten are chosen; the choice of most stations counts.
 
     Args:
-        points: the points, (m, 3).
-        rows: the rows of the matrix.
-        factors: L, from `eliminated`.
+        screws: the screws of the joints.
+        rows: the rows of all stations.
+        least: the bound [m/rad].
+        kept: filled with whether each station is chosen, (p,).
     """
-    stations, ranks, directions, _ = rows
-    triangles, gains = factors
-    total = 0.0
-    C, T, M, N = np.zeros((6, 6)), np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 3))
-    for k in range(len(stations)):
-        E, R, rank = directions[k], triangles[k], ranks[k]
-        for i in range(6):  # N = K R^-1
-            for j in range(rank - 1, -1, -1):
-                rest = gains[k, i, j]
-                for e in range(j + 1, rank):
-                    rest -= N[i, e] * R[e, j]
-                N[i, j] = rest / R[j, j]
-        if k:
-            r0, r1, r2 = difference(points, stations[k], stations[k - 1])
-            for i in range(6):  # effect of the state before on the state after
-                for j in range(6):
-                    M[i, j] = 1.0 if i == j else 0.0
-            M[0, 4], M[0, 5], M[1, 3], M[1, 5], M[2, 3], M[2, 4] = r2, -r1, -r2, r0, r1, -r0
-            for j in range(6):
-                for a in range(rank):
-                    T[a, j] = E[a, 0] * M[0, j] + E[a, 1] * M[1, j] + E[a, 2] * M[2, j]
-            for i in range(6):
-                for j in range(6):
-                    for a in range(rank):
-                        M[i, j] -= N[i, a] * T[a, j]
-            total += _mean_square(R, T, C, rank)
-            for i in range(6):
-                for j in range(6):
-                    T[i, j] = 0.0
-                    for e in range(6):
-                        T[i, j] += M[i, e] * C[e, j]
-            for i in range(6):
-                for j in range(i + 1):
-                    C[i, j] = 0.0
-                    for e in range(6):
-                        C[i, j] += T[i, e] * M[j, e]
-        else:
-            T[:rank] = 0.0
-            total += _mean_square(R, T, C, rank)
-        for i in range(6):
-            for j in range(i + 1):
-                for a in range(rank):
-                    C[i, j] += N[i, a] * N[j, a]
-                C[j, i] = C[i, j]
-    return float(np.sqrt(total))
+    tried, most = np.empty_like(kept), -1
+    for spare in (0.0, 1.0, 3.0):
+        count = _choose_stations(screws, rows, least, spare * least * least, tried)
+        if count > most:
+            most = count
+            kept[:] = tried
+        if most >= 0.9 * len(kept):
+            return
 
 
 @subkernel
-def _mean_square(R: Array2, T: Array2, C: Array2, rank: int) -> float:
-    """Return the mean square of R^-1 (white noise - T times a state of covariance C)."""
-    S = np.zeros((3, 3))
-    for a in range(rank):
-        S[a, a] = 1.0
-        for j in range(6):
-            product = 0.0
-            for e in range(6):
-                product += T[a, e] * C[e, j]
-            for c in range(rank):
-                S[a, c] += product * T[c, j]
-    for c in range(rank):  # R^-1 S, then the diagonal of R^-1 S R^-T
-        for a in range(rank):
-            for e in range(a):
-                S[a, c] -= R[a, e] * S[e, c]
-            S[a, c] /= R[a, a]
-    total = 0.0
-    for a in range(rank):
-        for c in range(a + 1):
-            for e in range(c):
-                S[a, c] -= S[a, e] * R[c, e]
-            S[a, c] /= R[c, c]
-        total += S[a, a]
-    return total
+def _choose_stations(screws: Screws, rows: Rows, least: float, spare: float, kept: Flags1) -> int:
+    """Choose stations whose blocks on the diagonal have pivots above `spare`; return their number.
+
+    No singular value of J is below the bound if J J^T less the square of the bound is positive definite: if
+    its Cholesky decomposition succeeds. As J J^T is the covariance of the rows' motions if joints move at
+    random, it is made like a Kalman filter's, station by station; the state is the covariance of (v, w).
+    """
+    b, ends, points = screws
+    stations, ranks, directions, _ = rows
+    P, S, R, G, turn = (
+        np.zeros((6, 6)),
+        np.empty((3, 3)),
+        np.empty((3, 3)),
+        np.empty((3, 6)),
+        np.zeros((3, 3)),
+    )
+    at, u, count = 0, 0, 0
+    for k in range(len(stations)):
+        E, rank, station = directions[k], ranks[k], stations[k]
+        if k:
+            r0, r1, r2 = difference(points, station, at - 1)
+            turn[0, 1], turn[0, 2], turn[1, 2] = r2, -r1, r0
+            turn[1, 0], turn[2, 0], turn[2, 1] = -r2, r1, -r0
+            for i in range(3):
+                for j in range(6):
+                    P[i, j] += turn[i, 0] * P[3, j] + turn[i, 1] * P[4, j] + turn[i, 2] * P[5, j]
+            for i in range(6):
+                for j in range(3):
+                    P[i, j] += turn[j, 0] * P[i, 3] + turn[j, 1] * P[i, 4] + turn[j, 2] * P[i, 5]
+        for point in range(at, station + 1):
+            r0, r1, r2 = difference(points, station, point)
+            for column in range(u, ends[point]):
+                s = b[column]
+                v0, v1, v2 = (
+                    s[0] + s[4] * r2 - s[5] * r1,
+                    s[1] + s[5] * r0 - s[3] * r2,
+                    s[2] + s[3] * r1 - s[4] * r0,
+                )
+                moved = (v0, v1, v2, s[3], s[4], s[5])
+                for i in range(6):
+                    for j in range(6):
+                        P[i, j] += moved[i] * moved[j]
+            u = ends[point]
+        at = station + 1
+        for i in range(rank):
+            for j in range(6):
+                G[i, j] = E[i, 0] * P[0, j] + E[i, 1] * P[1, j] + E[i, 2] * P[2, j]
+            for j in range(rank):
+                S[i, j] = G[i, 0] * E[j, 0] + G[i, 1] * E[j, 1] + G[i, 2] * E[j, 2]
+        kept[k] = _factor(S, rank, least * least + spare, R) and _factor(S, rank, least * least, R)
+        if kept[k]:
+            count += 1
+            for i in range(rank):
+                for j in range(6):
+                    for c in range(i):
+                        G[i, j] -= R[i, c] * G[c, j]
+                    G[i, j] /= R[i, i]
+            for i in range(6):
+                for j in range(6):
+                    for c in range(rank):
+                        P[i, j] -= G[c, i] * G[c, j]
+    return count
+
+
+@subkernel
+def _factor(S: Array2, rank: int, shift: float, R: Array2) -> bool:
+    """Write the Cholesky factor of S - shift to R; return whether there is one."""
+    for i in range(rank):
+        for j in range(i + 1):
+            R[i, j] = S[i, j] - (shift if i == j else 0.0)
+            for c in range(j):
+                R[i, j] -= R[i, c] * R[j, c]
+            if j < i:
+                R[i, j] /= R[j, j]
+        if R[i, i] <= 0.0:
+            return False
+        R[i, i] = np.sqrt(R[i, i])
+    return rank > 0
 
 
 @compiled
-def extreme_value(
-    points: Array2, rows: Rows, factors: Factors, smallest: bool, tolerance: float, vector: Array2
-) -> float:
+def extreme_value(points: Array2, rows: Rows, factors: Factors, smallest: bool, tolerance: float) -> float:
     """Compute the smallest or largest singular value, by Lanczos iterations on J J^T or its inverse.
 
     Args:
@@ -333,7 +350,6 @@ def extreme_value(
         factors: L, from `eliminated`.
         smallest: whether to compute the smallest.
         tolerance: residual at which the search ends, relative to the square of the singular value.
-        vector: filled with the left singular vector, one value for each row, (p, 3).
     """
     ranks, p = rows.ranks, len(rows.stations)
     count = int(np.sum(ranks))
@@ -385,11 +401,6 @@ def extreme_value(
             start += ritz[i] * V[i]
         if residual <= tolerance * best or largest_basis == count:
             break
-    at = 0
-    for k in range(p):
-        for c in range(ranks[k]):
-            vector[k, c] = start[at]
-            at += 1
     return float(1.0 / np.sqrt(best)) if smallest else float(np.sqrt(best))
 
 

@@ -49,6 +49,11 @@ def active_jacobian(state: pp.ArmState, step: Step) -> np.ndarray:
     return np.vstack([state.task_jacobians[k] for k in step.active])
 
 
+def step_with(method: pp.Selection | pp.Projection) -> pp.Step:
+    arm = pp.Arm.from_template("RyRz", 6)
+    return method.step(state_of(arm, 0, 0.5), target_of(arm, 0))
+
+
 @given(st.integers(0, 10**6), st.sampled_from([0.3, 1.0, 3.0]), st.sampled_from(["spatial", "planar"]))
 def test_selection_moves_its_points_straight_to_their_targets(
     spatial: pp.Arm, planar: pp.Arm, seed: int, amplitude: float, kind: str
@@ -68,6 +73,54 @@ def test_selection_moves_its_points_straight_to_their_targets(
     assert np.linalg.matrix_rank(matrix) == len(matrix) == step.diagnostics.rows
     assert step.diagnostics.sigma_min == pytest.approx(sigma[-1], rel=1e-6)
     assert sigma[-1] > method.conditioning * arm.length
+
+
+@given(st.integers(0, 10**6), st.sampled_from(["spatial", "planar"]))
+def test_each_point_has_a_gain_of_its_own(spatial: pp.Arm, planar: pp.Arm, seed: int, kind: str) -> None:
+    arm = spatial if kind == "spatial" else planar
+    state, target = state_of(arm, seed, 1.0), target_of(arm, seed)
+    gains = np.random.default_rng(seed).uniform(0.1, 1.0, arm.n_modules)
+    errors = gains[:, None] * task_errors(state, target)
+    step = pp.Selection(gain=gains).step(state, target, pp.Limits(step=1e6))
+    if step.active and not step.diagnostics.clipped.any():
+        asked = errors[list(step.active)].ravel()
+        np.testing.assert_allclose(active_jacobian(state, step) @ step.dq, asked, atol=1e-8)
+    method = pp.Projection(gain=tuple(gains), null_gain=0.0)
+    step = method.step(state, target, pp.Limits(step=1e6))
+    matrix, velocity, *_ = method.posture_control_matrix(state, errors, target.has_target)
+    if not step.diagnostics.clipped.any():
+        np.testing.assert_allclose(matrix @ step.dq, velocity, atol=1e-8)
+
+
+@given(st.integers(0, 10**6), st.sampled_from(["spatial", "planar"]))
+def test_an_objective_is_followed_as_far_as_the_points_leave_room(
+    spatial: pp.Arm, planar: pp.Arm, seed: int, kind: str
+) -> None:
+    arm = spatial if kind == "spatial" else planar
+    state, target = state_of(arm, seed, 0.8), target_of(arm, seed)
+    wish = 0.05 * np.random.default_rng(seed).normal(size=arm.nv)
+    seen = []
+
+    def objective(at: pp.ArmState, to: pp.Target) -> np.ndarray:
+        seen.append((at, to))
+        return wish
+
+    for kind_of_method in (pp.Selection, pp.Projection):
+        method = kind_of_method(null_gain=0.3, null_objective=objective)
+        step = method.step(state, target, pp.Limits(step=1e6))
+        if not step.active or step.diagnostics.clipped.any():
+            continue
+        if isinstance(method, pp.Selection):
+            matrix, asked = (
+                active_jacobian(state, step),
+                task_errors(state, target)[list(step.active)].ravel(),
+            )
+        else:
+            given_errors = task_errors(state, target)
+            matrix, asked, *_ = method.posture_control_matrix(state, given_errors, target.has_target)
+        expected = 0.3 * wish + np.linalg.pinv(matrix, rcond=1e-13) @ (asked - 0.3 * matrix @ wish)
+        np.testing.assert_allclose(step.dq, expected, atol=1e-7 * max(1.0, np.abs(expected).max()))
+    assert seen[0] == (state, target)
 
 
 @given(st.integers(0, 10**6))
@@ -314,6 +367,9 @@ def test_limits_flag_what_they_did(narrow: pp.Arm) -> None:
         (lambda: pp.Selection(strides=(2.0,)), InvalidValue, "whole numbers"),
         (lambda: pp.Projection(coupling="half"), UnknownName, "full, local"),
         (lambda: pp.Projection(null_gain=-1.0), InvalidValue, "null_gain"),
+        (lambda: pp.Selection(gain=(1.0, 0.0)), InvalidValue, r"gain\[1\]"),
+        (lambda: step_with(pp.Projection(gain=(1.0, 0.5))), InvalidValue, "one for each control point"),
+        (lambda: step_with(pp.Selection(null_objective=lambda *_: [1.0])), InvalidValue, "null_objective"),
         (lambda: controller_named("selektion"), UnknownName, "did you mean 'selection'"),
         (
             lambda: pp.Limits(step=np.ones(3)).bound(state_of(template_arm("RyRz", 8), 0, 0.0)),
@@ -325,3 +381,14 @@ def test_limits_flag_what_they_did(narrow: pp.Arm) -> None:
 def test_bad_parameters_are_named(make: object, kind: type, message: str) -> None:
     with pytest.raises(kind, match=message):
         make()
+
+
+def test_a_controller_that_returns_an_array_is_told_what_to_return(spatial: pp.Arm) -> None:
+    class Bare:
+        name = "bare"
+
+        def step(self, state: object, *_: object) -> np.ndarray:
+            return np.zeros(spatial.nv)
+
+    with pytest.raises(InvalidValue, match=r"Bare\.step\(\.\.\.\) \(returned\) is array.*allowed: a Step"):
+        pp.track(spatial, target_of(spatial, 0), spatial.straight(), Bare())

@@ -8,13 +8,19 @@ import pickle
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Annotated, Any, TypeVar
 
 import numba
 import numpy as np
 import pytest
+from numba import types
+from typing_extensions import TypeAliasType
 
 from pinposture import kernels
 from pinposture.kernels import compiled
+from pinposture.kernels.arrays import Array2
+from pinposture.kernels.compiled import arguments_of
 
 ROOM = Path(kernels.__file__).parent
 
@@ -139,3 +145,16 @@ def test_an_index_of_another_version_counts_as_none(monkeypatch: pytest.MonkeyPa
         assert compiled.is_ready(kernels.sum_point_errors) == bool(kernels.sum_point_errors.signatures)
     finally:
         path.unlink() if before is None else path.write_bytes(before)
+
+
+def test_arguments_are_known_whether_or_not_numpy_names_its_arrays_by_an_alias() -> None:
+    """NumPy 2.5 does, where Python can."""
+    element = TypeVar("element", bound=np.generic)
+    alias = TypeAliasType("alias", np.ndarray[Any, np.dtype[element]], type_params=(element,))
+
+    def kernel(named, plain):
+        return None
+
+    kernel.__annotations__ = {"named": Annotated[alias[np.float64], 2], "plain": Array2}
+    named, plain = arguments_of(SimpleNamespace(py_func=kernel))
+    assert named == plain == types.Array(types.float64, 2, "C")

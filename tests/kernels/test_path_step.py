@@ -7,6 +7,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from sampling import examples
+from scipy.interpolate import CubicSpline
 
 import pinposture as pp
 from pinposture import kernels
@@ -153,3 +154,13 @@ def test_contacts_count_where_the_step_leaves_them_too_close(seed: int) -> None:
     matrix, right = problem.equations(active)
     best = decrease(matrix, right, np.linalg.solve(matrix, right))
     assert decrease(matrix, right, step[1:-1].ravel()) >= 0.95 * best  # the set is corrected a few times only
+
+
+@pytest.mark.parametrize(("pieces", "factor"), [(1, 2), (2, 4), (6, 2), (24, 4), (5, 1)])
+def test_refined_waypoints_are_on_the_natural_spline(pieces: int, factor: int) -> None:
+    x = np.random.default_rng(pieces).normal(size=(pieces + 1, 7))
+    finer = np.empty((factor * pieces + 1, 7))
+    kernels.refine_waypoints(x, finer)
+    places = np.linspace(0.0, pieces, factor * pieces + 1)
+    spline = CubicSpline(np.arange(pieces + 1.0), x, bc_type="natural" if pieces > 1 else "not-a-knot")
+    np.testing.assert_allclose(finer, spline(places), atol=1e-13)

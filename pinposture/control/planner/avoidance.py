@@ -351,7 +351,9 @@ class Avoidance:
         braking = np.vstack([stopping_steps(rooms, self._previous, bounds.bound, bounds.brake), rest])
         now = self.near(state).minimum
         lowest = min(now, self._lowest(state, braking, self.margin))
-        least = min(self.margin, lowest) - self._rounding
+        touching = min(now, 0.0) - self._rounding
+        # Something that moves can still be given way where braking would not help.
+        least = min(self.margin, lowest if self.moving else max(lowest, touching)) - self._rounding
         close = f"margin of {1e3 * self.margin:.3g} mm: braking comes as close as {1e3 * lowest:.3g} mm"
         # What was found clear before may be missed by this much when it is looked at again.
         missed = MOTION_TOLERANCE * self._length
@@ -362,7 +364,6 @@ class Avoidance:
             stopping = self._stopping(state, step)
             if self._is_clear(state, step, stopping, least):
                 return ClearStep(step, share, stopping, relaxed)
-        touching = min(now, 0.0) - self._rounding
         if lowest >= touching:
             return ClearStep(braking[0], 0.0, braking[1:], relaxed)
         for number in range(1, MAX_HALVINGS + 1):

@@ -7,11 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pinposture import kernels
 from pinposture.arm import ArmState
 from pinposture.control.limits import StepBox
 from pinposture.control.planner.avoidance import Avoidance, ConstraintRows, Solution, solve
-from pinposture.control.planner.objective import ChainSolver, LinearRows, Objective
-from pinposture.control.planner.path import MAX_STEP
+from pinposture.control.planner.objective import GOAL_TOLERANCE, ChainSolver, LinearRows, Objective
+from pinposture.control.planner.path import MAX_STEP, SHORT_MOTION
+from pinposture.kernels.arrays import PostureProblem, SearchSettings
 
 Array = NDArray[np.float64]
 
@@ -27,8 +29,11 @@ DECREASE, INCREASE, MIN_FACTOR, MAX_FACTOR = 0.3, 4.0, 1e-6, 1e9
 SEARCH_STEP = 0.2
 """Largest joint motion of one iteration of a search, in `Arm.joint_units`."""
 
-MAX_ITERATIONS, CONVERGED, MAX_IDLE = 120, 1e-6, 3
+MAX_SEARCH_STEPS, CONVERGED, MAX_IDLE = 120, 1e-6, 3
 """Largest number of iterations; the relative fall of the cost that counts as none; how often in a row."""
+
+MAX_QUICK_STEPS = 6
+"""Largest number of steps of a search for a posture that is near."""
 
 INDEPENDENT = 1e-6
 """Smallest singular value of independent rows of tasks with priority, relative to the largest."""
@@ -120,7 +125,8 @@ def solve_posture(
 ) -> Solution:
     """Minimise |A x - e|^2 + damping |x - c|^2 over points and chords, within the bounds of a step.
 
-    It takes time linear in the number of joints, unless constraints have to be violated; see `solve`.
+    It takes time linear in the number of joints. Constraints that cannot all hold are violated as little as
+    possible, where needed by the slower `solve`.
 
     Args:
         solver: points and chords, A, at a state.
@@ -141,8 +147,8 @@ def solve_posture(
         gradient = -(matrix.T @ wanted + damping * center)
         return solve(damped_hessian(matrix, damping), gradient, lower, upper, bounds.rows)
     binding = np.zeros(len(normal.least), dtype=np.bool_)
-    binding[possible] = found[1]
-    return Solution(found[0], binding, False)
+    binding[possible] = found.binding
+    return Solution(found.x, binding, found.softened)
 
 
 class PriorityStep(NamedTuple):
@@ -231,10 +237,12 @@ def minimize(
             are no further tasks.
         borne: by how much the arm may fall short of the margin to something [m].
     """
+    if avoidance is None and not objective.tasks:
+        return _minimize_alone(objective, state, edges, good)
     columns = objective.columns
     cost, damping, idle = objective.cost(state), 1.0, 0
     close = borne if avoidance is None else max(avoidance.intrusion(state), borne)
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(MAX_SEARCH_STEPS):
         if not objective.tasks and close == borne and objective.mean_error(state) <= good:
             break
         here = state.positions[columns]
@@ -257,6 +265,70 @@ def minimize(
         if idle >= MAX_IDLE:
             break
     return LeastSquaresResult(state, cost, objective.mean_error(state), close - borne)
+
+
+def _minimize_alone(objective: Objective, state: ArmState, edges: Array, good: float) -> LeastSquaresResult:
+    """Run `minimize` for points and chords in free space, in one compiled call."""
+    arm, positions = objective.arm, state.forward.positions.copy()
+    squares, mean = _search(objective, positions, edges, good, MAX_SEARCH_STEPS)
+    found = arm.at(arm.integrate(state.q, positions - state.forward.positions)).compiled
+    return LeastSquaresResult(found, 0.5 * squares, mean, 0.0)
+
+
+def find_positions_near(objective: Objective, state: ArmState, edges: Array) -> Array | None:
+    """Return joint positions that take the target posture, near those of a state.
+
+    Args:
+        objective: points and chords.
+        state: where to begin.
+        edges: joint positions to stay between, (2, nv) [rad or m].
+
+    Returns:
+        Joint positions, (nv,) [rad or m]: those of the configuration that the target knows, else those that a
+        short search finds; None if it finds none.
+    """
+    arm, target = objective.arm, objective.target
+    if target.q is not None:
+        return arm.difference(arm.origin, target.q) if len(objective.active) == arm.n_modules else None
+    if objective.mean_error(state) > SHORT_MOTION * arm.length:
+        return None
+    positions, good = state.forward.positions.copy(), GOAL_TOLERANCE * arm.length
+    return positions if _search(objective, positions, edges, good, MAX_QUICK_STEPS)[1] <= good else None
+
+
+def _search(
+    objective: Objective, positions: Array, edges: Array, good: float, steps: int
+) -> tuple[float, float]:
+    """Search from joint positions, (nv,), which are changed; return the sum of squares and the mean error."""
+    arm, chain = objective.arm, objective.chain
+    problem = PostureProblem(
+        arm.kinematics.constants,
+        chain.joints,
+        chain.units,
+        np.ascontiguousarray(edges[:, objective.columns]),
+        chain.has_target,
+        chain.ends,
+        chain.goals,
+        chain.weights,
+        chain.chords,
+        chain.normal,
+    )
+    settings = SearchSettings(
+        good,
+        arm.length / arm.n_modules,
+        SEARCH_STEP,
+        DAMPING_SHARE,
+        MIN_DAMPING,
+        1e-12 * arm.length**2,
+        DECREASE,
+        INCREASE,
+        MIN_FACTOR,
+        MAX_FACTOR,
+        CONVERGED,
+        MAX_IDLE,
+        steps,
+    )
+    return kernels.minimise_posture_errors(problem, settings, positions)
 
 
 def damped_hessian(matrix: Array, damping: float) -> Array:

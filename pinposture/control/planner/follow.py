@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture.arm import ArmState
+from pinposture.arm import Arm, ArmState
 from pinposture.control.controller import Diagnostics, Memory, Step, require_step_arguments
 from pinposture.control.limits import (
     LIMIT_ROUNDING,
@@ -29,14 +29,16 @@ from pinposture.control.planner.damped_least_squares import (
     StepBounds,
     correct_curvature,
     damped_hessian,
+    find_positions_near,
     reduce_errors,
     solve_posture,
     solve_priority,
     solve_remaining,
 )
-from pinposture.control.planner.objective import ChainSolver, Objective
-from pinposture.control.planner.path import MAX_STEP, JointPath, TimedPath, retime
+from pinposture.control.planner.objective import GOAL_TOLERANCE, ChainSolver, Objective
+from pinposture.control.planner.path import MAX_STEP, SHORT_MOTION, JointPath, TimedPath, retime
 from pinposture.errors import InvalidValue
+from pinposture.placement import Target
 from pinposture.placement.points import TAKEN
 
 Array = NDArray[np.float64]
@@ -70,6 +72,13 @@ then goes on by as much as the limits of its slowest joint allow, however little
 CATCH_UP_SHARE = 0.25
 """Share of the acceleration limit with which an arm that lags behind catches up."""
 
+MAX_PURSUED_MOTION = 0.5
+"""Joint motion to a moving target up to which each joint goes straight there, in `Arm.joint_units`."""
+
+MAX_UNTIMED_BEND = 1e-3
+"""Joint motion by which the end of a path may be moved before its speed is found anew, in
+`Arm.joint_units`."""
+
 UNBOUNDED_STEP = np.array([[-np.inf], [np.inf]])
 
 
@@ -88,6 +97,7 @@ class PathProgress(NamedTuple):
             step.
         bend: by how much the end of the path was moved since it was planned, (nv,) [rad or m]; None: not at
             all.
+        timed_bend: by how much it was moved when its speed was found; None: not at all.
     """
 
     timed: TimedPath
@@ -99,6 +109,7 @@ class PathProgress(NamedTuple):
     damping: float = 1.0
     expected: Array | None = None
     bend: Array | None = None
+    timed_bend: Array | None = None
 
     @property
     def path(self) -> JointPath:
@@ -144,6 +155,20 @@ class PathProgress(NamedTuple):
         """Return the same progress on a path of as many waypoints, or within other limits."""
         return self._replace(timed=retime(path, limits, self.timed.max_rate, initial_speed))
 
+    def bent_to(self, path: JointPath, bend: Array, limits: Limits) -> PathProgress:
+        """Return the same progress on a path that was bent; its speed is found anew if that is much.
+
+        Args:
+            path: the path.
+            bend: as the attribute.
+            limits: what a step may not exceed.
+        """
+        since = bend if self.timed_bend is None else bend - self.timed_bend
+        little = np.all(np.abs(since) <= MAX_UNTIMED_BEND * path.arm.joint_units)
+        if little and self.timed.bounds is limits.for_arm(path.arm):
+            return self.along(path)._replace(bend=bend)
+        return self.retimed(path, limits)._replace(bend=bend, timed_bend=bend)
+
     def along(self, path: JointPath) -> PathProgress:
         """Return the same progress on a path through the same waypoints, for another objective or scene."""
         return self._replace(timed=replace(self.timed, path=path))
@@ -161,11 +186,26 @@ class PathProgress(NamedTuple):
         return cls(retime(path, timed.limits, timed.max_rate, speed), speed=speed)
 
 
+class Goal(NamedTuple):
+    """What takes a target, and how it moved in the last cycle.
+
+    Attributes:
+        target: the target.
+        positions: joint positions that take it, (nv,) [rad or m].
+        motion: their displacement from those of the target before, (nv,) [rad or m].
+    """
+
+    target: Target
+    positions: Array
+    motion: Array
+
+
 @dataclass(frozen=True, eq=False)
 class GeodesicMemory(Memory):
-    """The memory of `Geodesic`: the path, and where the arm is on it."""
+    """The memory of `Geodesic`: the path, where the arm is on it, and how the target moved."""
 
     progress: PathProgress | None = None
+    goal: Goal | None = None
 
 
 def follow(
@@ -257,6 +297,137 @@ def fast_step(progress: PathProgress, state: ArmState, bounds: JointBounds) -> S
         following_path=progress.idle_travel == 0.0,
     )
     return Step(dq, objective.active, diagnostics, GeodesicMemory(dq, None, progress))
+
+
+def step_to_goal(objective: Objective, state: ArmState, bounds: JointBounds) -> Step | None:
+    """Take the step to a configuration that takes the target posture, if one short step is enough.
+
+    Targets that move a little in each cycle ask for such steps.
+
+    Args:
+        objective: what the arm is to achieve, without tasks.
+        state: where the arm is.
+        bounds: what the limits mean for its joints.
+
+    Returns:
+        The step; None if there is no such configuration, or it is not within one step.
+    """
+    if bounds.brake is not None:
+        return None
+    goal = find_positions_near(objective, state, bounds.edges)
+    if goal is None:
+        return None
+    arm, forward, wanted = state.arm, state.forward, objective.chain
+    chain = arm.kinematics
+    dq, reached, at_limit = np.zeros(arm.nv), np.empty(arm.nv), np.empty(arm.nv, dtype=np.bool_)
+    simple, before, after = kernels.step_to(
+        chain.constants,
+        chain.endless,
+        bounds.units,
+        bounds.leaning,
+        bounds.edges,
+        bounds.bound,
+        forward.positions,
+        forward.points,
+        goal,
+        arm.multi_turn,
+        SHORT_MOTION,
+        LIMIT_ROUNDING,
+        wanted.targets,
+        wanted.flags,
+        dq,
+        reached,
+        at_limit,
+    )
+    if not (simple and after <= len(objective.active) * GOAL_TOLERANCE * arm.length):
+        return None
+    diagnostics = Diagnostics(
+        at_limit,
+        rows=len(objective.active) * arm.dimension,
+        error_increasing=after > before + ERROR_ROUNDING * arm.length,
+        following_path=True,
+    )
+    return Step(dq, objective.active, diagnostics, GeodesicMemory(dq))
+
+
+def pursue(
+    objective: Objective, state: ArmState, limits: Limits, memory: Memory | None
+) -> tuple[Step | None, Goal | None]:
+    """Take the step after which each joint meets its goal soonest and moves on with it, if the target moves.
+
+    Let r be the way to the goal, and g(r) the largest step from which a joint can stop in time (`farthest`).
+    Beside a goal that moves by v in each cycle that is v + g(r - v). The motion is that of `Target.velocity`;
+    else that of the target in the last cycle, if it moves as an arm within these limits can, and is no noise.
+    An arm that is far behind follows a path first.
+
+    Args:
+        objective: what the arm is to achieve, without tasks.
+        state: where the arm is.
+        limits: what the step may not exceed, acceleration among it.
+        memory: `memory` of the step before.
+
+    Returns:
+        The step, None where the target stands still or is too far; and what takes the target, None if
+        unknown.
+    """
+    arm, target, bounds = state.arm, objective.target, limits.for_arm(state.arm)
+    before = memory.goal if isinstance(memory, GeodesicMemory) else None
+    if before is not None and before.target is target:
+        return None, before._replace(motion=np.zeros(arm.nv))
+    found, none = find_positions_near(objective, state, bounds.edges), np.zeros(arm.nv)
+    if found is None or bounds.brake is None:
+        return None, None
+    if target.q is not None:  # does it take the points?
+        missed = objective.mean_error(arm.at(target.q).compiled)
+        if missed > GOAL_TOLERANCE * arm.length:
+            return None, None
+    motion = none if before is None else _turned(arm, found - before.positions)
+    goal, steady = Goal(target, found, motion), False
+    if target.velocity is not None and bounds.dt is not None:
+        motion, steady = bounds.dt * target.velocity, True
+    elif before is not None:
+        steady = bool(np.all(np.abs(motion - before.motion) <= bounds.brake * (1.0 + LIMIT_ROUNDING)))
+    if not (steady and np.any(motion)):
+        return None, goal
+    columns, positions = objective.columns, state.forward.positions
+    rest = _turned(arm, found - positions)
+    near = np.abs(rest) <= MAX_PURSUED_MOTION * arm.joint_units
+    moves = near & (np.abs(motion) <= bounds.bound)
+    inside = kernels.position_excess(positions + rest, bounds.edges, arm.kinematics.columns) == 0.0
+    box = limits.box(state, None if memory is None else memory.dq)
+    if box.outside or not (inside and np.all(moves[columns])):
+        return None, goal
+    dq = np.zeros(arm.nv)
+    wanted = motion + farthest(rest - motion, bounds.brake)
+    dq[columns] = np.minimum(np.maximum(wanted, box.lower), box.upper)[columns]
+    reached, at_limit, chain = np.empty(arm.nv), np.empty(arm.nv, dtype=np.bool_), objective.chain
+    error, after = kernels.look_ahead(
+        arm.kinematics.constants,
+        positions,
+        bounds.units,
+        box.sides,
+        bounds.edges,
+        state.forward.points,
+        chain.targets,
+        chain.flags,
+        dq,
+        reached,
+        at_limit,
+    )
+    diagnostics = Diagnostics(
+        at_limit,
+        rows=len(objective.active) * arm.dimension,
+        error_increasing=after > error + ERROR_ROUNDING * arm.length,
+        violated_constraints=box.violated_constraints,
+        following_path=True,
+    )
+    return Step(dq, objective.active, diagnostics, GeodesicMemory(dq, None, None, goal)), goal
+
+
+def _turned(arm: Arm, change: Array) -> Array:
+    """Return displacements (nv,) less the whole turns that make no difference."""
+    turns = np.rint(change / (2.0 * np.pi)) * (arm.kinematics.endless | arm.multi_turn)
+    return np.asarray(change - 2.0 * np.pi * turns)
 
 
 class CandidateStep(NamedTuple):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,8 @@ from pinposture.control.planner.follow import (
     PathProgress,
     advance,
     fast_step,
+    pursue,
+    step_to_goal,
 )
 from pinposture.control.planner.objective import ChainSolver, Objective, check_objective
 from pinposture.control.planner.path import TimedPath, retime
@@ -103,6 +106,33 @@ class Geodesic:
             step = fast_step(before, state, bounds)
             if step is not None:
                 return step
+        scheduled = before is not None and before.timed.scheduled and not before.arrived
+        if not (self.tasks or scheduled) and self.scene is None:
+            target.check(state.arm)
+            objective = self.objective(state.arm, target)
+            if bounds.brake is None:
+                step = step_to_goal(objective, state, bounds)
+                if step is not None:
+                    return step
+            else:
+                step, goal = pursue(objective, state, limits, memory)
+                if step is not None:
+                    return step
+                step = self._follow(state, target, limits, memory, before)
+                known = cast(GeodesicMemory, step.memory)
+                return step._replace(memory=replace(known, goal=goal))
+        return self._follow(state, target, limits, memory, before)
+
+    def _follow(
+        self,
+        state: ArmState,
+        target: Target,
+        limits: Limits,
+        memory: Memory | None,
+        before: PathProgress | None,
+    ) -> Step:
+        """Take a step along a path, which is planned first where there is none."""
+        bounds = limits.for_arm(state.arm)
         previous = memory.dq if memory is not None else None
         box = limits.box(state, previous)
         if box.outside:
@@ -195,7 +225,7 @@ class Geodesic:
         path, bend = replan(progress.path, place, progress.bend, objective, state, bounds, avoidance)
         if bend is None:
             return PathProgress(retime(path, limits))
-        return progress.retimed(path, limits)._replace(bend=bend)
+        return progress.bent_to(path, bend, limits)
 
     def _objective(self, state: ArmState, target: Target, progress: PathProgress | None = None) -> Objective:
         """Return the objective; that of a progress with another target where nothing else is different."""

@@ -29,6 +29,20 @@ MAX_JOINT_WEIGHT = 1e6
 """Largest joint weight: numbers overflow beyond it, and paths are joint interpolation long before."""
 
 
+GOAL_TOLERANCE = 1e-8
+"""Mean distance of the control points from their targets at which a configuration takes the posture, in arm
+lengths: a run converges at 1e-6 unless told otherwise."""
+
+MAX_LAYOUTS = 16
+"""Number of weightings that an arm remembers."""
+
+MAX_PULL = 1e-3
+"""Share of the slope of the squared violations that the objective may hold, where rows cannot all hold."""
+
+VIOLATED = 1e-7
+"""Violation of a row of length 1 that is no rounding, in units of a joint."""
+
+
 class LinearRows(NamedTuple):
     """Rows that a step x should satisfy: matrix @ x = errors.
 
@@ -74,6 +88,51 @@ class ChainObjective(NamedTuple):
         return points if len(self.has_target) == len(points) else points[self.has_target]
 
 
+class _Layout(NamedTuple):
+    """What objectives with the same weights of an arm share; see `Objective`."""
+
+    columns: NDArray[np.int64]
+    units: Array
+    active: tuple[int, ...]
+    every: NDArray[np.bool_]  # true for each control point that has a target, (p,)
+    roots: tuple[Array, Array]  # of the weights of points (p, 1) and of chords (p - 1, 1)
+    chain: ChainObjective  # without targets
+
+
+def _layout_of(arm: Arm, weights: Array, relative_position_weight: float) -> _Layout:
+    """Return the layout, remembered with the arm."""
+    known: dict[tuple[float, bytes], _Layout] = arm.cache.setdefault(_layout_of, {})
+    key = relative_position_weight, weights.tobytes()
+    if key not in known:
+        if len(known) >= MAX_LAYOUTS:
+            known.clear()
+        known[key] = _lay_out(arm, weights, relative_position_weight)
+    return known[key]
+
+
+def _lay_out(arm: Arm, weights: Array, relative_position_weight: float) -> _Layout:
+    joints = np.flatnonzero(arm.limits.upper[arm.columns] > arm.limits.lower[arm.columns]).astype(np.int64)
+    columns, indices = arm.columns[joints].astype(np.int64), np.flatnonzero(weights > 0.0)
+    points = weights[indices]
+    chords = relative_position_weight * np.minimum(points[1:], points[:-1])
+    units, none = np.array(arm.joint_units[columns]), np.empty((0, 3))
+    chain = ChainObjective(
+        joints=joints,
+        ends=np.searchsorted(joints, arm.kinematics.ends[indices]).astype(np.int64),
+        units=units,
+        has_target=indices,
+        flags=weights > 0.0,
+        targets=none,
+        goals=none,
+        weights=points,
+        chords=np.concatenate([[0.0], chords]),
+        normal=np.zeros(3) if arm.dimension == 3 else np.cross(*arm.plane),
+    )
+    roots = np.sqrt(points)[:, None], np.sqrt(chords)[:, None]
+    every = np.ones(len(indices), dtype=np.bool_)
+    return _Layout(columns, units, tuple(indices.tolist()), every, roots, chain)
+
+
 @dataclass(frozen=True, eq=False)
 class Objective:
     """What the arm is to achieve: the target posture, and further tasks.
@@ -97,42 +156,30 @@ class Objective:
     joint_weight: float = 0.2
 
     @cached_property
-    def columns(self) -> NDArray[np.intp]:
-        """Degrees of freedom of the chain that have room to move, from base to tip, (n,)."""
-        limits, columns = self.arm.limits, self.arm.columns
-        return np.array(columns[limits.upper[columns] > limits.lower[columns]], dtype=np.int64)
+    def _layout(self) -> _Layout:
+        return _layout_of(self.arm, self.target.weights, self.relative_position_weight)
 
-    @cached_property
+    @property
+    def columns(self) -> NDArray[np.int64]:
+        """Degrees of freedom of the chain that have room to move, from base to tip, (n,)."""
+        return self._layout.columns
+
+    @property
     def units(self) -> Array:
         """The motion of each of them that counts as one, (n,) [rad or m]."""
-        return np.asarray(self.arm.joint_units[self.columns])
+        return self._layout.units
 
-    @cached_property
+    @property
     def mu(self) -> float:
         """Weight of joint motion [m per `Arm.joint_units`]: `joint_weight` module lengths for each point."""
         return self.joint_weight * self.arm.length / sqrt(self.arm.n_modules)
 
-    @cached_property
-    def _indices(self) -> NDArray[np.intp]:
-        return np.flatnonzero(self.target.has_target)
-
-    @cached_property
-    def _every(self) -> NDArray[np.bool_]:
-        return np.ones(len(self._indices), dtype=np.bool_)
-
-    @cached_property
-    def _roots(self) -> tuple[Array, Array]:
-        """Square roots of the weights of points (p, 1) and of chords (p - 1, 1)."""
-        weights = self.target.weights[self._indices]
-        chords = self.relative_position_weight * np.minimum(weights[1:], weights[:-1])
-        return np.sqrt(weights)[:, None], np.sqrt(chords)[:, None]
-
-    @cached_property
+    @property
     def active(self) -> tuple[int, ...]:
         """The control points that have a target."""
-        return tuple(int(k) for k in self._indices)
+        return self._layout.active
 
-    @cached_property
+    @property
     def has_tasks(self) -> bool:
         """Whether there is more than points and chords. If not, a pass along the chain solves it."""
         return bool(self.tasks)
@@ -140,36 +187,17 @@ class Objective:
     @cached_property
     def chain(self) -> ChainObjective:
         """Points and chords as kernels take them."""
-        indices, (points, chords) = self._indices, self._roots
-        joints = np.flatnonzero(np.isin(self.arm.columns, self.columns)).astype(np.int64)
-        return ChainObjective(
-            joints=joints,
-            ends=np.searchsorted(joints, self.arm.kinematics.ends[indices]).astype(np.int64),
-            units=np.array(self.units),
-            has_target=indices,
-            flags=np.array(self.target.has_target),
-            targets=np.array(self.target.points),
-            goals=np.array(self.target.points[indices]),
-            weights=points.ravel() ** 2,
-            chords=np.concatenate([[0.0], chords.ravel() ** 2]),
-            normal=np.zeros(3) if self.arm.dimension == 3 else np.cross(*self.arm.plane),
-        )
+        points, layout = np.array(self.target.points), self._layout
+        goals = points if len(layout.active) == len(points) else points[layout.chain.has_target]
+        return layout.chain._replace(targets=points, goals=goals)
 
     def with_target(self, target: Target) -> Objective:
-        """Return the same objective for another target; keep what is computed if the same points have one."""
-        other = replace(self, target=target)
-        if np.array_equal(target.weights, self.target.weights):
-            kept = {"columns", "units", "mu", "_indices", "_every", "_roots", "has_tasks", "active"}
-            vars(other).update({name: vars(self)[name] for name in kept & vars(self).keys()})
-            if "chain" in vars(self):
-                vars(other)["chain"] = self.chain._replace(
-                    targets=np.array(target.points), goals=np.array(target.points[self._indices])
-                )
-        return other
+        """Return the same objective for another target."""
+        return replace(self, target=target)
 
     def rows(self, state: ArmState) -> LinearRows:
         """Return the rows that are weighed against each other, scaled so that their squares add up."""
-        points = self.posture_rows(state, task_errors(state, self.target)[self._indices])
+        points = self.posture_rows(state, task_errors(state, self.target)[self.chain.has_target])
         weighed = self.task_rows(state, priority=False)
         if weighed is None:
             return points
@@ -177,12 +205,12 @@ class Objective:
 
     def posture_rows(self, state: ArmState, errors: Array) -> LinearRows:
         """Return the rows of points and chords alone, for given errors of the points, (p, dimension) [m]."""
-        jacobians = state.task_jacobians[self._indices][:, :, self.columns]
+        jacobians = state.task_jacobians[self.chain.has_target][:, :, self.columns]
         return LinearRows(self._weigh(jacobians).reshape(-1, len(self.columns)), self._weigh(errors).ravel())
 
     def _weigh(self, values: Array) -> Array:
         """Return what belongs to points, (p, ...), and to chords, times the roots of their weights."""
-        points, chords = (root.reshape(-1, *[1] * (values.ndim - 1)) for root in self._roots)
+        points, chords = (root.reshape(-1, *[1] * (values.ndim - 1)) for root in self._layout.roots)
         if self.relative_position_weight == 0.0:
             return np.asarray(points * values)
         return np.concatenate([points * values, chords * (values[1:] - values[:-1])])
@@ -205,7 +233,7 @@ class Objective:
 
         The errors of a planar arm are measured in its plane. The sum includes weights and chords.
         """
-        chain, errors = self.chain, np.empty((len(self._indices), 3))
+        chain, errors = self.chain, np.empty((len(self.active), 3))
         given = chain.points_of(state), chain.goals, chain.weights, chain.chords, chain.normal
         return errors, kernels.measure_point_errors(*given, errors)
 
@@ -221,13 +249,13 @@ class Objective:
     def mean_error(self, state: ArmState) -> float:
         """Return the mean distance of the control points from their targets [m]."""
         errors = self.point_errors(state)[0]
-        return kernels.sum_point_errors(errors, np.zeros_like(errors), self._every) / len(errors)
+        return kernels.sum_point_errors(errors, np.zeros_like(errors), self._layout.every) / len(errors)
 
     def distance_to(self, other: Objective) -> float:
         """Return the mean distance between two target postures [m]; infinite if other points have targets."""
         if self.active != other.active:
             return float("inf")
-        every = self._every
+        every = self._layout.every
         return kernels.sum_point_errors(self.chain.goals, other.chain.goals, every) / len(every)
 
     def measure_pieces(self, positions: Array, offsets: Array) -> Array:
@@ -274,6 +302,20 @@ def check_objective(
     for task in tasks:
         if isinstance(task, type) or not callable(getattr(task, "rows", None)):
             raise InvalidValue("tasks", task, "EndEffector(...), Tangents(...) or JointPosture(...)")
+
+
+class ConstrainedStep(NamedTuple):
+    """A step subject to rows.
+
+    Attributes:
+        x: the step, (n,), in `Arm.joint_units`.
+        binding: which of the rows push, (r,).
+        softened: whether rows had to be violated.
+    """
+
+    x: Array
+    binding: NDArray[np.bool_]
+    softened: bool
 
 
 class ChainSolver:
@@ -336,8 +378,10 @@ class ChainSolver:
         lower: Array,
         upper: Array,
         rows: LinearRows,
-    ) -> tuple[Array, NDArray[np.bool_]] | None:
-        """Return the x of `step` for which matrix @ x >= errors of rows, and which of these are equal.
+    ) -> ConstrainedStep | None:
+        """Return the x of `step` for which matrix @ x >= errors of rows.
+
+        Rows that cannot all hold are violated, by the smallest sum of squares.
 
         Args:
             errors: as for `step`.
@@ -348,10 +392,21 @@ class ChainSolver:
             rows: rows of length 1, and their smallest values.
 
         Returns:
-            None if it was not found, as where rows contradict each other.
+            None if it was not found.
         """
-        n = len(center)
-        x, binding = np.empty(n), np.empty(len(rows.errors), dtype=np.bool_)
+        n, matrix, least = len(center), rows.matrix, rows.errors
+        x, binding = np.empty(n), np.empty(len(least), dtype=np.bool_)
         problem = self._points, errors, np.full(n, damping), center
-        found = kernels.minimise_with_rows(problem, lower, upper, rows.matrix, rows.errors, binding, x)
-        return (x, binding) if found and np.all(np.isfinite(x)) else None
+        given = problem, lower, upper, matrix, least
+        hopeless = np.any(np.maximum(matrix * lower, matrix * upper).sum(axis=1) < least)
+        if not hopeless and kernels.minimise_with_rows(*given, False, binding, x):
+            return ConstrainedStep(x, binding, False) if np.all(np.isfinite(x)) else None
+        if not (kernels.minimise_with_rows(*given, True, binding, x) and np.all(np.isfinite(x))):
+            return None
+        # The objective pulls, too: does that leave the violations as small as the box allows?
+        missing = np.maximum(least - matrix @ x, 0.0)
+        push = missing @ matrix
+        free = np.where(push > 0.0, x < upper, x > lower)
+        if np.linalg.norm(push[free]) > MAX_PULL * np.linalg.norm(push):
+            return None
+        return ConstrainedStep(x, binding, bool(np.any(missing > VIOLATED)))

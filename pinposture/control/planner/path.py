@@ -23,6 +23,9 @@ Array = NDArray[np.float64]
 MAX_STEP = 10.0
 """Largest joint motion of a step where limits allow any, in `Arm.joint_units`."""
 
+SHORT_MOTION = 0.1
+"""Joint motion up to which joint interpolation will do, in `Arm.joint_units`: one step is no more direct."""
+
 NO_ERRORS = np.zeros(0)
 
 
@@ -83,7 +86,11 @@ class JointPath:
     @cached_property
     def slopes(self) -> Array:
         """Change of the offset at each waypoint from one to the next, (N + 1, nv) [rad or m]."""
-        return np.asarray(np.gradient(self.offsets, axis=0))
+        offsets, slopes = self.offsets, np.empty_like(self.offsets)
+        np.subtract(offsets[2:], offsets[:-2], out=slopes[1:-1])
+        slopes[1:-1] *= 0.5
+        slopes[0], slopes[-1] = offsets[1] - offsets[0], offsets[-1] - offsets[-2]
+        return slopes
 
     @property
     def end(self) -> float:
@@ -131,6 +138,22 @@ class JointPath:
         vars(other).update({name: vars(self)[name] for name in kept})
         return other
 
+    def within(self, edges: Array) -> JointPath:
+        """Return the path with a curve through its waypoints that stays between joint positions, as they do.
+
+        Args:
+            edges: the joint positions, (2, nv) [rad or m]. From a start beyond them, the curve comes back.
+        """
+        lowest, highest = edges - self.positions
+        room = np.minimum(np.maximum(highest, 0.0) - self.offsets, self.offsets - np.minimum(lowest, 0.0))
+        # The curve lies within the hull of its waypoints and of places a third of a slope beside them.
+        slopes = np.maximum(np.minimum(self.slopes, 3.0 * room), -3.0 * room)
+        if np.array_equal(slopes, self.slopes):
+            return self
+        other = self.revised()
+        vars(other)["slopes"] = slopes
+        return other
+
     def bent(self, place: float, change: Array, edges: Array) -> JointPath:
         """Return the path to another end, bent increasingly from a place on.
 
@@ -170,22 +193,21 @@ class JointPath:
 
 # How fast a path can be followed where acceleration is limited.
 #
-# A place s on the path moves by v places per step. Joints then move by x' v per step, and change that by
-# about x'' v^2 + x' a from one step to the next, a being the change of v. With b the largest step and A the
-# largest change of it, of which a share is left to corrections, every joint asks for
+# A place s on the path moves by v places per step. Joints then move by q' v per step, and change that by
+# q'' v^2 + q' u from one step to the next, u being the change of v. With b the largest step and A the largest
+# change of it, less a share that is left to corrections, every joint asks for
 #
-# v <= b / |x'|, v^2 <= A / |x''|, |a| <= (A - |x''| v^2) / |x'|.
+# |q'| v <= b, |q' u + q'' v^2| <= A.
 #
-# Slowing down in time for the end, and for every slow place, also needs v^2 <= v_next^2 + 2 |a| from one
-# waypoint to the next. Between two waypoints the curve is taken to be as steep and as bent as at either of
-# them, at most.
+# The time-optimal v under these is found by a pass from the end to the start, which leaves the speeds from
+# which all that follows can be kept, and one from the start to the end, which accelerates as much as these
+# allow (as TOPP-RA does). Steps are means of the speed, so that limits that hold at all times hold for them.
 
-SPEED_SHARE, ACCELERATION_SHARE, SCHEDULED_ACCELERATION_SHARE = 0.95, 0.7, 0.9
-"""Shares of the limit of speed, and of the limit of acceleration on planned and on scheduled paths, that the
-profile uses; the rest is for corrections."""
+SPEED_SHARE, ACCELERATION_SHARE = 0.98, 0.97
+"""Shares of the limits of speed and acceleration that the profile uses; the rest is for corrections."""
 
-CURVATURE_SHARE = 0.8
-"""Largest share of that for curvature; the rest is always left for slowing down."""
+LEAST_PARTS = 64
+"""Least number of parts of a path on which its acceleration is constant."""
 
 ZERO_SLOPE = 1e-12
 """Slope of a path that counts as none, relative to the largest."""
@@ -201,29 +223,33 @@ class SpeedProfile:
         initial_speed: number of waypoints in the step before, if the arm is moving.
 
     Attributes:
-        top: the highest speed at each waypoint, (N + 1,) [waypoints per step].
+        top: the highest speed at equal distances, (K + 1,) [waypoints per step].
     """
 
     def __init__(
         self, path: JointPath, bounds: JointBounds, max_rate: float = inf, initial_speed: float = 0.0
     ) -> None:
-        shape = path.offsets.shape
-        self._brake = np.full(shape[1], np.inf) if bounds.brake is None else np.array(bounds.brake)
-        self._share = ACCELERATION_SHARE if max_rate == inf else SCHEDULED_ACCELERATION_SHARE
-        self._slope, self._bend = np.empty(shape), np.empty(shape)
-        self._cap, self.top = np.empty(shape[0]), np.empty(shape[0])
-        shares, into = (
-            (SPEED_SHARE, self._share, CURVATURE_SHARE, ZERO_SLOPE),
-            (self._slope, self._bend, self._cap, self.top),
-        )
-        kernels.find_speed_profile(
-            path.offsets, np.array(bounds.bound), self._brake, initial_speed, max_rate, *shares, *into
-        )
+        n, self._waypoints, self._most = path.offsets.shape[1], len(path.offsets) - 1, max_rate
+        count = -(-LEAST_PARTS // self._waypoints) * self._waypoints
+        brake = np.full(n, np.inf) if bounds.brake is None else ACCELERATION_SHARE * bounds.brake
+        rows = np.empty((count, 3, n)), np.empty((count, 3, n))
+        self.top = np.empty(count + 1)
+        bound = SPEED_SHARE * np.array(bounds.bound)
+        given = path.offsets, path.slopes, bound, brake, initial_speed, max_rate, ZERO_SLOPE
+        kernels.find_speed_profile(*given, *rows, self.top)
+        self._rows = (brake, *rows)
+
+    @property
+    def steps(self) -> float:
+        """Number of steps to the end of the path, from its start."""
+        speeds = np.maximum(self.top[1:] + self.top[:-1], 1e-9)
+        return float((2.0 * self._waypoints / len(speeds) / speeds).sum())
 
     def next(self, place: float, speed: float) -> float:
         """Return the places to go in this step, after `speed` places in the step before."""
-        given = self._slope, self._bend, self._cap, self.top, self._brake
-        return kernels.next_path_speed(place, speed, *given, self._share, CURVATURE_SHARE)
+        return kernels.next_path_speed(
+            place, speed, ZERO_SLOPE, self._most, *self._rows, self.top, self._waypoints
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -308,5 +334,6 @@ def retime(
     require_positive("initial_speed", initial_speed, zero=True)
     bounds, profile = limits.for_arm(path.arm), None
     if bounds.brake is not None or max_rate != inf:
+        path = path.within(bounds.edges)
         profile = SpeedProfile(path, bounds, max_rate, initial_speed)
     return TimedPath(path, limits, bounds, profile, max_rate)

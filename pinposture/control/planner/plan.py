@@ -19,7 +19,13 @@ from pinposture.control.controller import require_step_arguments
 from pinposture.control.limits import JointBounds, Limits, require_limits
 from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.damped_least_squares import LeastSquaresResult, minimize
-from pinposture.control.planner.objective import PRIORITY_WEIGHT, LinearRows, Objective, check_objective
+from pinposture.control.planner.objective import (
+    GOAL_TOLERANCE,
+    PRIORITY_WEIGHT,
+    LinearRows,
+    Objective,
+    check_objective,
+)
 from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.path_search import PathSearch
 from pinposture.control.planner.trajectory_optimization import Penalties, TaskRows, direct_path, relax_path
@@ -43,10 +49,6 @@ MAX_AGREEING, SAME_COST = 3, 1e-3
 
 MUCH_BETTER = 0.5
 """Share of the cost of an earlier goal below which a later one is preferred, where a task holds the arm."""
-
-GOAL_TOLERANCE = 1e-8
-"""Mean distance of the control points from their targets at which a configuration takes the posture, in arm
-lengths: a run converges at 1e-6 unless told otherwise."""
 
 TASK_ROOT, CLEARANCE_ROOTS = 0.4, (33.0, 10.0)
 """Roots of the weights of tasks and of clearances on the path, against the motion of control points. Paths
@@ -148,7 +150,10 @@ def find_path(
         report: called with what is tried next, and the shortest clear path so far. If there is one, a
             `KeyboardInterrupt` ends the search, and the best path so far is returned.
     """
-    goal = find_goal(objective, state, bounds.edges, avoidance, GOAL_TOLERANCE * objective.arm.length).state
+    goal = None if objective.tasks or avoidance is not None else _known_goal(objective, bounds, state.q)
+    if goal is None:
+        good = GOAL_TOLERANCE * objective.arm.length
+        goal = find_goal(objective, state, bounds.edges, avoidance, good).state
     path = _clearest_path(objective, state, goal, bounds, avoidance, attempt, until, report)
     logger.debug("a path of %d pieces by %s %s", path.end, path.found_by, path.hindrance)
     scene = None if avoidance is None else avoidance.clearance.scene
@@ -428,10 +433,10 @@ def replan(
     """
     arm = objective.arm
     before = path.configuration(path.end)
-    goal = _known_goal(objective, bounds, before)
-    if goal is not None and avoidance is not None and avoidance.intrusion(arm.at(goal).compiled) > 0.0:
-        goal = None
-    if goal is None:
+    known = _known_goal(objective, bounds, before)
+    if known is not None and (avoidance is None or avoidance.intrusion(known) == 0.0):
+        goal = known.q
+    else:
         start = arm.at(before).compiled
         first = start if objective.target.q is None else None
         enough = _achievable_error(path.objective, objective, start)
@@ -459,8 +464,8 @@ def _achievable_error(before: Objective, after: Objective, goal: ArmState) -> fl
     return NOISE_FACTOR * (left + moved) if moved <= max(left, small) else 0.0
 
 
-def _known_goal(objective: Objective, bounds: JointBounds, before: Array) -> Array | None:
-    """Return the configuration that a target knows, (nq,), if it is within limits and takes the posture.
+def _known_goal(objective: Objective, bounds: JointBounds, before: Array) -> ArmState | None:
+    """Return the state at the configuration that a target knows, if limits allow it and it takes the posture.
 
     Joints are within half a turn of those at the goal before.
     """
@@ -469,7 +474,7 @@ def _known_goal(objective: Objective, bounds: JointBounds, before: Array) -> Arr
         return None
     goal = arm.at(arm.nearest_turns(q, before, bounds.edges)).compiled
     inside = kernels.position_excess(goal.forward.positions, bounds.edges, arm.kinematics.columns) == 0.0
-    return goal.q if inside and objective.mean_error(goal) <= GOAL_TOLERANCE * arm.length else None
+    return goal if inside and objective.mean_error(goal) <= GOAL_TOLERANCE * arm.length else None
 
 
 def _size(objective: Objective, change: Array) -> float:

@@ -19,20 +19,19 @@ clear stays clear, between waypoints too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from math import inf
 from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from pinposture import kernels
 from pinposture.arm import ArmState
 from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.objective import LinearRows, Objective
-from pinposture.control.planner.path import JointPath
+from pinposture.control.planner.path import SHORT_MOTION, JointPath
 from pinposture.kernels.arrays import PathContacts, PathProblem, PathRows
 
 Array = NDArray[np.float64]
@@ -59,30 +58,30 @@ class Penalties(NamedTuple):
     until: float = inf
 
 
-COARSE_TO_FINE, MANY_PIECES = (6, 12, 24), (24, 48, 96)
-"""Numbers of straight pieces of a path: first few and then more, which is quick; many from the beginning
-where that made a long detour, because long turns need them."""
+STAGES = (
+    ((6, 1e-3, 0.0), (12, 3e-4, 1.05), (24, 3e-4, 1.1)),
+    ((24, 1e-3, 1.05), (48, 3e-4, 1.1), (96, 3e-5, 1.1)),
+)
+"""First few straight pieces and then more, which is quick; then the same with more pieces, for long turns.
+Each stage has their number, the relative fall of the energy in one pass over all waypoints at which to end,
+and the path length ratio of the control points that is good enough; 0: none is."""
 
 PENALIZED_PIECES, GIVEN_PATH_PIECES = 48, (64, 128, 256)
 """Number of pieces of a path with penalties; and numbers into which a given path is divided, more where fewer
 cut corners that are not clear."""
 
-KEPT_RATIO, GOOD_RATIO, MAX_RATIO = 1.01, 1.1, 2.0
-"""Path length ratios of the control points: up to the first, joint interpolation is kept; above the second,
-more pieces are tried; above the third, a path of few pieces is not refined."""
-
-SHORT_MOTION = 0.1
-"""Joint motion up to which joint interpolation will do, in `Arm.joint_units`: one step is no more direct."""
+KEPT_RATIO, MAX_RATIO = 1.01, 2.0
+"""Path length ratios up to which joint interpolation is kept, and above which a path of few pieces is not
+refined."""
 
 LENGTH_SAMPLES = 48
 """Number of places at which the length of a path is sampled."""
 
-REFINEMENT = 4
-"""Number of pieces into which each one is divided at the end, on a smooth curve."""
+REFINEMENT, MIN_PIECES = 4, 96
+"""Number of pieces into which each one is divided at the end, on a smooth curve; more if there are few."""
 
-MAX_PASSES, RELAXED, NEARLY_RELAXED = 60, 3e-5, 3e-4
-"""Largest number of passes over all waypoints, and the relative fall of the energy in one at which they end;
-the last one where more waypoints follow anyway."""
+MAX_PASSES = 60
+"""Largest number of passes over all waypoints."""
 
 SMALL_BEND, LARGE_BEND = 0.05, 0.4
 """How far the first guess is bent to one side, relative to the largest change of a joint, which breaks
@@ -134,20 +133,15 @@ def direct_path(
     if penalties is None and largest <= SHORT_MOTION:
         return JointPath(objective, start, np.array([np.zeros(arm.nv), objective.displacement(change)]))
     waypoints = _Waypoints(objective, start, edges)
-    found = np.vstack([np.zeros(len(change)), change])
     bend = _bend(objective, variant) * largest
-    if penalties is not None:
+    if penalties is None:
+        found = waypoints.relax(change, bend)
+    else:
         guess = waypoints.interpolate(change, bend, PENALIZED_PIECES)
         found = _PathRelaxation(waypoints, penalties).run(guess)
-    else:
-        shortest = waypoints.length_ratio(found)
-        for other in waypoints.relax(change, bend) if shortest > KEPT_RATIO else ():
-            length = waypoints.length_ratio(other)
-            if length < shortest:
-                found, shortest = other, length
-            if shortest <= GOOD_RATIO:
-                break
-    smooth = waypoints.refine(found, REFINEMENT * (len(found) - 1)) if len(found) > 2 else found
+    pieces = len(found) - 1
+    finer = max(REFINEMENT, MIN_PIECES // pieces) * pieces
+    smooth = waypoints.refine(found, finer) if pieces > 1 else found
     return JointPath(objective, start, objective.displacement(smooth))
 
 
@@ -206,11 +200,15 @@ class _Waypoints:
         return self._clip(shares * change + np.sin(np.pi * shares) * bend)
 
     def refine(self, x: Array, pieces: int) -> Array:
-        """Return more waypoints, on a cubic spline, so that joints change speed gradually."""
-        if pieces == len(x) - 1:
-            return x
-        spline = CubicSpline(np.linspace(0.0, 1.0, len(x)), x, bc_type="natural")
-        return self._clip(spline(np.linspace(0.0, 1.0, pieces + 1)))
+        """Return more waypoints, on a cubic spline, so that joints change speed gradually.
+
+        Args:
+            x: waypoints.
+            pieces: number of pieces, a multiple of the present one.
+        """
+        finer = np.empty((pieces + 1, x.shape[1]))
+        kernels.refine_waypoints(x, finer)
+        return self._clip(finer)
 
     def space(self, offsets: Array, pieces: int) -> Array:
         """Return waypoints on a path, (N + 1, nv), at equal distances in the metric that is minimised."""
@@ -219,22 +217,25 @@ class _Waypoints:
         wanted, x = np.linspace(0.0, places[-1], pieces + 1), offsets[:, objective.columns] / objective.units
         return self._clip(np.column_stack([np.interp(wanted, places, joint) for joint in x.T]))
 
-    def relax(self, change: Array, bend: Array) -> Iterator[Array]:
-        """Yield waypoints at a minimum, found with increasing effort."""
-        x = self.interpolate(change, bend, COARSE_TO_FINE[0])
-        for pieces in COARSE_TO_FINE:
-            x = self.refine(x, pieces)
-            fall = RELAXED if pieces == COARSE_TO_FINE[-1] else NEARLY_RELAXED
-            kernels.relax_waypoints(self._problem, MAX_PASSES, fall, x)
-            if self.length_ratio(x) > MAX_RATIO:
-                break
-        else:
-            yield x
-        x = self.interpolate(change, bend, MANY_PIECES[0])
-        for pieces in MANY_PIECES:
-            x = self.refine(x, pieces)
-            kernels.relax_waypoints(self._problem, MAX_PASSES, RELAXED, x)
-            yield x
+    def relax(self, change: Array, bend: Array) -> Array:
+        """Return the waypoints of the most direct path that is found, with as many pieces as it needs."""
+        best = np.vstack([np.zeros(len(change)), change])
+        shortest = self.length_ratio(best)
+        if shortest <= KEPT_RATIO:
+            return best
+        for number, stages in enumerate(STAGES):
+            x = self.interpolate(change, bend, stages[0][0])
+            for pieces, fall, good in stages:
+                x = self.refine(x, pieces)
+                kernels.relax_waypoints(self._problem, MAX_PASSES, fall, x)
+                ratio = self.length_ratio(x)
+                if ratio < shortest:
+                    best, shortest = x, ratio
+                if shortest <= good:
+                    return best
+                if number == 0 and ratio > MAX_RATIO:
+                    break
+        return best
 
     def step(self, x: Array, damping: float, rows: PathRows, contacts: PathContacts) -> Array | None:
         """Return a damped Gauss-Newton step of all waypoints, (N + 1, n); None if it is not finite."""
@@ -244,7 +245,8 @@ class _Waypoints:
 
     def length_ratio(self, x: Array) -> float:
         """Return the path length of the control points, relative to straight lines from start to end."""
-        path, direct = kernels.measure_path_lengths(self._problem, x, LENGTH_SAMPLES)
+        smooth = self.refine(x, 4 * (len(x) - 1)) if 2 < len(x) < LENGTH_SAMPLES else x
+        path, direct = kernels.measure_path_lengths(self._problem, smooth, LENGTH_SAMPLES)
         return max(path / direct, 1.0) if direct > 1e-12 * path else 1.0
 
     def _clip(self, x: Array) -> Array:

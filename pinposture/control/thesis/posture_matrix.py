@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pinposture import kernels
+from pinposture._validation import finite_vector, require_positive
 from pinposture.arm import Arm, ArmState
 from pinposture.arm.kinematics import constants_of
+from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import FULL, LOCAL, Factors, Rows, Screws
 from pinposture.placement import Target
 
@@ -17,8 +21,8 @@ from pinposture.placement import Target
 
 Array = NDArray[np.float64]
 
-VALUE_TOLERANCE, DECISION_TOLERANCE = 1e-12, 1e-7
-"""Residuals at which the search for a singular value ends, relative to its square: to tell it, to decide."""
+VALUE_TOLERANCE = 1e-12
+"""Residual at which the search for a singular value ends, relative to its square."""
 
 
 class PostureMatrix:
@@ -56,35 +60,15 @@ class PostureMatrix:
         asked[columns] = x * constants_of(arm).units
         return asked
 
-    def inverse_norm(self) -> float:
-        """Frobenius norm of the pseudo-inverse, for FULL rows [rad/m]; enormous if rows depend on others.
-
-        The smallest singular value is between its inverse and sqrt(r) times that.
-        """
-        return float(kernels.inverse_norm(self._screws.points, self._rows, self._factors))
-
-    def weakest(self) -> tuple[float, Array]:
-        """Smallest singular value, and how much each station has in its left singular vector, (p,)."""
-        found, vector = self._extreme(True, DECISION_TOLERANCE)
-        return found, np.asarray(np.linalg.norm(vector, axis=1))
-
     @cached_property
     def smallest(self) -> float:
         """Smallest singular value [m/rad]."""
-        return (
-            float(self._own.min())
-            if self._rows.coupling == LOCAL
-            else self._extreme(True, VALUE_TOLERANCE)[0]
-        )
+        return float(self._own.min()) if self._rows.coupling == LOCAL else self._extreme(True)
 
     @cached_property
     def largest(self) -> float:
         """Largest singular value [m/rad]."""
-        return (
-            float(self._own.max())
-            if self._rows.coupling == LOCAL
-            else self._extreme(False, VALUE_TOLERANCE)[0]
-        )
+        return float(self._own.max()) if self._rows.coupling == LOCAL else self._extreme(False)
 
     @property
     def _own(self) -> Array:
@@ -98,13 +82,58 @@ class PostureMatrix:
         blocks[:, range(3), range(3)] += np.where(there, 0.0, blocks[:, :1, 0])
         return np.asarray(np.linalg.svd(blocks, compute_uv=False))
 
-    def _extreme(self, smallest: bool, tolerance: float) -> tuple[float, Array]:
-        vector = np.zeros((len(self._rows.ranks), 3))
+    def _extreme(self, smallest: bool) -> float:
         given = self._screws.points, self._rows, self._factors
-        return float(kernels.extreme_value(*given, smallest, tolerance, vector)), vector
+        return float(kernels.extreme_value(*given, smallest, VALUE_TOLERANCE))
 
 
-# The null-space term of (4.7), with its sign, sum and scale put right.
+# The gain K of (4.7): one for all control points, or one for each.
+
+Gain: TypeAlias = "float | Sequence[float]"
+"""Share of its error that a control point is asked to cover in one step: of all, or of each, (m,)."""
+
+
+def checked_gain(gain: Gain) -> float | tuple[float, ...]:
+    """Return a gain as it is kept; raises InvalidValue unless all numbers are positive."""
+    if not isinstance(gain, (Sequence, np.ndarray)):
+        require_positive("gain", gain)
+        return gain
+    for point, each in enumerate(gain):
+        require_positive(f"gain[{point}]", each)
+    return tuple(map(float, gain))
+
+
+def gained(gain: Gain, errors: Array) -> Array:
+    """Multiply the errors of all control points, (m, 3), by their gains.
+
+    Raises:
+        InvalidValue: another number of gains.
+    """
+    if not isinstance(gain, Sequence):
+        return gain * errors
+    if len(gain) != len(errors):
+        raise InvalidValue("gain (numbers)", len(gain), f"one, or {len(errors)}: one for each control point")
+    return np.array(gain)[:, None] * errors
+
+
+# The null-space term of (4.7), with its sign, sum and scale put right; or what the user asks for.
+
+NullObjective: TypeAlias = Callable[[ArmState, Target], ArrayLike]
+"""Joint displacement to take as far as the control points leave room, (nv,), in `Arm.joint_units`: for
+instance down the gradient of an objective, at a state on the way to a target."""
+
+
+def null_motion(
+    objective: NullObjective | None, state: ArmState, target: Target, screws: Screws, errors: Array
+) -> Array:
+    """Return what to follow in the null space, (nv,) in `Arm.joint_units`: `descent`, or an objective's.
+
+    Raises:
+        InvalidValue: the objective returns another shape, or something that is not finite.
+    """
+    if objective is None:
+        return descent(state.arm, screws, errors, np.sqrt(np.einsum("ij,ij->i", errors, errors)))
+    return finite_vector("null_objective(state, target)", objective(state, target), state.arm.nv)
 
 
 def aligned_errors(state: ArmState, target: Target, placed: NDArray[np.bool_]) -> Array:

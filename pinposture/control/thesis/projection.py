@@ -14,7 +14,15 @@ from pinposture.arm import Arm, ArmState
 from pinposture.arm.kinematics import constants_of, screws_of
 from pinposture.control.controller import Diagnostics, Memory, Step
 from pinposture.control.limits import Limits, require_limits
-from pinposture.control.thesis.posture_matrix import PostureMatrix, aligned_errors, descent
+from pinposture.control.thesis.posture_matrix import (
+    Gain,
+    NullObjective,
+    PostureMatrix,
+    aligned_errors,
+    checked_gain,
+    gained,
+    null_motion,
+)
 from pinposture.errors import UnknownName
 from pinposture.kernels.arrays import FULL, LOCAL, RELATIVE, Rows, Screws
 from pinposture.placement import Target
@@ -43,20 +51,23 @@ class Projection:
             own columns, (5.9) as printed; "relative" asks of each point to cover the error that it has
             relative to the point before, so that a module turns into its direction on the target posture
             wherever its base is.
-        gain: share of its projected error that a point is asked to cover in one step (K).
+        gain: share of its projected error that a point is asked to cover in one step (K); one number, or one
+            for each control point, (m,).
         null_gain: weight of the null-space term of (4.7).
+        null_objective: what to follow in the null space in its place, as for `Selection`.
     """
 
     threshold: float = 0.4
     coupling: Coupling = "full"
-    gain: float = 1.0
+    gain: Gain = 1.0
     null_gain: float = 0.5
+    null_objective: NullObjective | None = None
     name: str = "projection"
 
     def __post_init__(self) -> None:
         require_share("threshold", self.threshold)
         require_positive("threshold", self.threshold)
-        require_positive("gain", self.gain)
+        object.__setattr__(self, "gain", checked_gain(self.gain))
         require_positive("null_gain", self.null_gain, zero=True)
         if self.coupling not in COUPLINGS:
             raise UnknownName("coupling", self.coupling, COUPLINGS)
@@ -66,8 +77,7 @@ class Projection:
     ) -> Step:
         """Compute one step; see `Controller.step`."""
         screws, errors = screws_of(state), aligned_errors(state, target, target.has_target)
-        distances = np.sqrt(np.einsum("ij,ij->i", errors, errors))
-        secondary = self.null_gain * descent(state.arm, screws, errors, distances)
+        secondary = self.null_gain * null_motion(self.null_objective, state, target, screws, errors)
         return self._step(secondary, screws, state, target, limits, memory)
 
     def step_with(
@@ -110,7 +120,7 @@ class Projection:
             return Step(held.dq, (), none, Memory(held.dq))
         matrix = PostureMatrix(screws, rows)
         errors = (target.points - state.forward.points) * placed[:, None]
-        asked = matrix.step(arm, self._along(rows, self.gain * errors), secondary)
+        asked = matrix.step(arm, self._along(rows, gained(self.gain, errors)), secondary)
         limited = limits.apply(state, asked, previous)
         diagnostics = Diagnostics(
             limited.clipped,

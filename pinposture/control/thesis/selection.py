@@ -15,7 +15,15 @@ from pinposture.arm import Arm, ArmState
 from pinposture.arm.kinematics import constants_of, screws_of
 from pinposture.control.controller import Diagnostics, Memory, Step
 from pinposture.control.limits import Limits, require_limits
-from pinposture.control.thesis.posture_matrix import PostureMatrix, aligned_errors, descent
+from pinposture.control.thesis.posture_matrix import (
+    Gain,
+    NullObjective,
+    PostureMatrix,
+    aligned_errors,
+    checked_gain,
+    gained,
+    null_motion,
+)
 from pinposture.control.thesis.sections import SectionScore, best_branch, checked_strides, section_edges
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.kernels.arrays import FULL, Rows, Screws
@@ -145,9 +153,13 @@ class Selection:
             sections, that of the section into each point does, relative to the best it can have.
         conditioning: smallest singular value that the posture control matrix must have, relative to the
             arm length [1/rad], of which 50 modules count at most: it does not grow with the number of
-            modules. Points are dropped until it does: full rank is not yet good conditioning.
-        gain: share of its error that an active point is asked to cover in one step (K).
+            modules. Points with which it would not are dropped, from the base on: full rank is not yet good
+            conditioning.
+        gain: share of its error that an active point is asked to cover in one step (K); one number, or one
+            for each control point, (m,).
         null_gain: weight of the null-space term (alpha, positive for descent); see `posture_matrix`.
+        null_objective: what to follow in the null space in place of the descent of (4.7), as a function of
+            `ArmState` and `Target`; see `NullObjective`.
         score: which control sets there are, and which of them is taken:
 
             * "error": the candidate sets of Section 4.3; the one with the largest posture error (4.5).
@@ -166,8 +178,9 @@ class Selection:
     absolute: float = 0.001
     relative: float = 0.001
     conditioning: float = 1e-4
-    gain: float = 1.0
+    gain: Gain = 1.0
     null_gain: float = 0.5
+    null_objective: NullObjective | None = None
     score: Literal["auto", "error", "geometric", "thesis"] = "auto"
     strides: tuple[int, ...] = (2, 3)
     name: str = "selection"
@@ -175,7 +188,7 @@ class Selection:
     def __post_init__(self) -> None:
         for field in ("absolute", "relative"):
             require_share(field, getattr(self, field))
-        require_positive("gain", self.gain)
+        object.__setattr__(self, "gain", checked_gain(self.gain))
         require_positive("conditioning", self.conditioning)
         require_positive("null_gain", self.null_gain, zero=True)
         if self.score not in SCORES:
@@ -193,24 +206,25 @@ class Selection:
         distances = np.sqrt(np.einsum("ij,ij->i", errors, errors))
         base = base_indices(arm, screws, self.absolute)
         chosen = self._chosen(arm, screws, placed, distances, base)
-        active, matrix = self._conditioned(arm, screws, chosen)
-        if matrix is None:
+        kept = self._conditioned(arm, screws, chosen)
+        active, dropped = chosen[kept], tuple(chosen[~kept].tolist())
+        if not len(active):
             held, reason = limits.hold(state, previous), self._why_none(base, chosen, placed)
-            none = Diagnostics(held.clipped, reason, dropped=tuple(chosen.tolist()), scale=held.scale)
+            none = Diagnostics(held.clipped, reason, dropped=dropped, scale=held.scale)
             return Step(held.dq, (), none, Memory(held.dq))
-        gradient = self.null_gain * descent(arm, screws, errors, distances)
-        asked = matrix.step(arm, self.gain * errors[active], gradient)
+        matrix = PostureMatrix(screws, _full_rows(arm, active))
+        secondary = self.null_gain * null_motion(self.null_objective, state, target, screws, errors)
+        asked = matrix.step(arm, gained(self.gain, errors)[active], secondary)
         limited = limits.apply(state, asked, previous)
-        kept = tuple(active.tolist())
         diagnostics = Diagnostics(
             limited.clipped,
             manipulability=kernels.weakest_index(*screws, constants_of(arm).plane, active, base),
             spectrum=matrix,
             rows=matrix.size,
-            dropped=tuple(k for k in chosen.tolist() if k not in kept) if len(kept) < len(chosen) else (),
+            dropped=dropped,
             scale=limited.scale,
         )
-        return Step(limited.dq, kept, diagnostics, Memory(limited.dq))
+        return Step(limited.dq, tuple(active.tolist()), diagnostics, Memory(limited.dq))
 
     def _chosen(
         self, arm: Arm, screws: Screws, placed: NDArray[np.bool_], distances: Array, base: Array
@@ -232,24 +246,12 @@ class Selection:
             return "geometric" if unbroken else None
         return None if self.score == "error" else self.score
 
-    def _conditioned(
-        self, arm: Arm, screws: Screws, chosen: NDArray[np.int64]
-    ) -> tuple[NDArray[np.int64], PostureMatrix | None]:
-        """Drop points until the posture control matrix is far enough from singular."""
-        active, least, known = chosen, self.conditioning * _effective_length(arm), constants_of(arm)
-        while len(active):
-            count = len(active)
-            rows = Rows(active, known.dimensions[:count], known.frames[:count], FULL)
-            matrix = PostureMatrix(screws, rows)
-            # The singular value is no smaller than this bound. Mostly that is enough to know.
-            if matrix.inverse_norm() * least < 1.0:
-                return active, matrix
-            # The rows that make the matrix nearly singular are those of its last left singular vector.
-            smallest, blame = matrix.weakest()
-            if smallest > least:
-                return active, matrix
-            active = np.delete(active, int(np.argmax(blame)))
-        return active, None
+    def _conditioned(self, arm: Arm, screws: Screws, chosen: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which of the points keep the posture control matrix far enough from singular."""
+        kept = np.empty(len(chosen), dtype=bool)
+        least = self.conditioning * _effective_length(arm)
+        kernels.well_conditioned(screws, _full_rows(arm, chosen), least, kept)
+        return kept
 
     def _why_none(self, base: Array, chosen: NDArray[np.int64], placed: NDArray[np.bool_]) -> str:
         if len(chosen):
@@ -267,6 +269,12 @@ class Selection:
             f"no control point with a target clears the absolute manipulability condition: the largest "
             f"index is {best:.2g}, the threshold {self.absolute:g}; the posture is singular or nearly so"
         )
+
+
+def _full_rows(arm: Arm, points: NDArray[np.int64]) -> Rows:
+    """The rows of control points in all directions."""
+    known, count = constants_of(arm), len(points)
+    return Rows(points, known.dimensions[:count], known.frames[:count], FULL)
 
 
 def _effective_length(arm: Arm) -> float:

@@ -15,7 +15,7 @@ import pinposture as pp
 from pinposture.control.planner.avoidance import Avoidance
 from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import JointPath
-from pinposture.control.planner.trajectory_optimization import KEPT_RATIO, RELAXED, Penalties, direct_path
+from pinposture.control.planner.trajectory_optimization import KEPT_RATIO, Penalties, direct_path
 
 LINKS = np.array([0.6, 0.4])
 MU = 0.1
@@ -25,6 +25,10 @@ ENDS = [((-0.9, 1.4), (1.0, -0.8)), ((0.0, 0.2), (2.5, -0.4)), ((1.2, -1.0), (-1
 @pytest.fixture(scope="session")
 def two() -> pp.Arm:
     return pp.Arm.from_modules([pp.ModuleTemplate("Rz", (pp.JointSpec("z"),), (length,)) for length in LINKS])
+
+
+NEARLY = 0.003
+"""By how much the energy of a path may be above the minimum: it ends where it is direct enough."""
 
 
 def objective_of(arm: pp.Arm, goal: np.ndarray, mu: float = MU) -> Objective:
@@ -79,9 +83,9 @@ def test_two_links_no_waypoint_can_be_moved_for_the_better(two: pp.Arm, ends: tu
         waves = rng.normal(size=(4, 1, 2)) * 10.0 ** rng.uniform(-2.0, -0.3)
         shares = np.pi * np.arange(1, pieces)[:, None] / pieces
         bend = sum(wave * np.sin((k + 1) * shares) for k, wave in enumerate(waves))
-        assert two_link_energy(found + bend.ravel(), start, goal) > (1.0 - RELAXED) * least
+        assert two_link_energy(found + bend.ravel(), start, goal) > (1.0 - NEARLY) * least
     polished = minimize(two_link_energy, found, (start, goal), method="BFGS", options={"maxiter": 60})
-    assert least <= (1.0 + 5.0 * RELAXED) * polished.fun
+    assert least <= (1.0 + NEARLY) * polished.fun
     h = 1e-6
     gradient = [
         (two_link_energy(found + h * d, start, goal) - two_link_energy(found - h * d, start, goal)) / (2 * h)
@@ -125,9 +129,9 @@ def test_two_links_follow_the_geodesic_of_their_metric(two: pp.Arm, ends: tuple)
     from_line = start + np.linspace(0.0, 1.0, len(found))[:, None] * (goal - start)
     bend = np.linalg.norm(exact - from_line, axis=1).max()
     assert bend > 0.05
-    assert np.linalg.norm(found - exact, axis=1).max() < 0.1 * bend
+    assert np.linalg.norm(found - exact, axis=1).max() < 0.25 * bend  # of 12 pieces, where that is direct
     lengths = [two_link_energy(q[1:-1].ravel(), start, goal) for q in (found, exact)]
-    assert lengths[0] == pytest.approx(lengths[1], rel=2e-3)
+    assert lengths[0] == pytest.approx(lengths[1], rel=5e-3)
 
 
 @given(seed=st.integers(0, 2**32 - 1), name=st.sampled_from(["Rz", "RyRz"]))
