@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import cached_property, lru_cache
 from itertools import islice
@@ -18,11 +18,18 @@ from pinposture.errors import InvalidValue
 
 Value = TypeVar("Value")
 
+Progress = Callable[[int, int], object]
+"""Called with the number of calls finished so far, and that of all."""
+
 TRIAL_TIME = 1.0
 """Time in this process before the time that is left is estimated [s]."""
 
 START_TIME = 5.0
 """Estimated time left from which processes are started [s]: their start takes 3 to 5 s."""
+
+
+PORTION = 200
+"""Calls sent together to a backend that returns results only when it has all of them, as Ray's does."""
 
 
 class Shared(Generic[Value]):
@@ -72,6 +79,16 @@ def in_order(tasks: Iterable[Any], jobs: int) -> Iterator[Any]:
     return _distribute(tasks, jobs)
 
 
+def collect_results(tasks: Sequence[Any], jobs: int, progress: Progress | None = None) -> list[Any]:
+    """Return the results of `in_order`, telling how many there are."""
+    results = []
+    for result in in_order(tasks, jobs):
+        results.append(result)
+        if progress is not None:
+            progress(len(results), len(tasks))
+    return results
+
+
 def adaptively_in_order(tasks: Sequence[Any], jobs: int | None) -> Iterator[Any]:
     """As `in_order`; without a number of processes, it starts them only where that is quicker.
 
@@ -110,9 +127,15 @@ def _distribute(tasks: Iterable[Any], jobs: int) -> Iterator[Any]:
         # The first call is made here, so that kernels are compiled once and not by each process started here.
         for function, positional, named in islice(waiting, 1):
             yield function(*positional, **named)
+    as_they_come = get_active_backend()[0].supports_return_generator
     with _one_thread_each():
-        pool = Parallel(n_jobs=jobs, return_as="generator")
-    yield from pool(waiting)
+        pool = Parallel(n_jobs=jobs, return_as="generator" if as_they_come else "list")
+    if as_they_come:
+        yield from pool(waiting)
+        return
+    with pool:  # the same processes for all portions
+        while portion := list(islice(waiting, PORTION)):
+            yield from pool(portion)
 
 
 def _one_thread_each() -> AbstractContextManager[object]:

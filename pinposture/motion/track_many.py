@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -23,10 +23,9 @@ from pinposture.motion.trajectory import Trajectory
 from pinposture.placement import Target
 
 if TYPE_CHECKING:
-    from pinposture.motion.processes import Shared
+    from pinposture.motion.processes import Progress, Shared
 
 Array = NDArray[np.float64]
-Progress = Callable[[int, int], object]
 
 KEEP = ("motions", "ends")
 

@@ -152,7 +152,9 @@ class Feedback:
         else:
             beyond = arm.integrate(self.command, offset)
             change = arm.at(self.command).compiled.points - arm.at(beyond).compiled.points
-        return Target(target.points + change - shift, target.weights, None if shifts else q_compensated)
+        q = None if shifts else q_compensated
+        velocity = None if q is None else target.velocity
+        return Target(target.points + change - shift, target.weights, q, velocity=velocity)
 
     def _state(self) -> ArmState | None:
         return None if self.command is None else self.arm.at(self.command)
@@ -227,8 +229,8 @@ class AsyncStep:
     ) -> tuple[Step | None, Memory | None]:
         """Return the step of the controller, if it is computed before the deadline.
 
-        A computation that was too late in an earlier cycle has to end first. What the controller remembers of
-        it, a path to the target for instance, is used for the next step.
+        A computation that was too late in an earlier cycle has to end first; it is not waited for again. What
+        the controller remembers of it, a path to the target for instance, is used for the next step.
 
         Returns:
             The step, or None after the deadline; and the memory to pass on in the next cycle.
@@ -236,12 +238,17 @@ class AsyncStep:
         if self._deadline == inf:
             return next_step(self.controller, state, target, limits, memory), memory
         if self._pending is not None:
-            late = self._wait(self._pending)
-            if late is None:
+            if not self._pending.done():
                 return None, memory
+            pending, self._pending = self._pending, None
+            late = pending.result()
             # The arm has braked since, and is at rest or nearly.
             memory = late.memory if memory is None else late.memory.with_motion_of(memory)
-        return self._wait(self._start(state, target, limits, memory)), memory
+        started = self._start(state, target, limits, memory)
+        if not wait([started], self._deadline).done:
+            self._pending = started
+            return None, memory
+        return started.result(), memory
 
     def _start(self, *arguments: Any) -> Future[Step]:
         """Start a computation in a thread that does not keep a program from ending."""
@@ -251,16 +258,11 @@ class AsyncStep:
         def work() -> None:
             try:
                 future.set_result(next_step(controller, *arguments))
-            except BaseException as error:  # `_wait` raises it
+            except BaseException as error:  # `compute` raises it
                 future.set_exception(error)
 
         Thread(target=work, name="pinposture-controller", daemon=True).start()
         return future
-
-    def _wait(self, pending: Future[Step]) -> Step | None:
-        """Return the step that is computed, or None after the deadline; it then stays pending."""
-        self._pending = None if wait([pending], self._deadline).done else pending
-        return pending.result() if self._pending is None else None
 
 
 # The streaming controller: one step in each control cycle.
@@ -409,18 +411,30 @@ class Tracker:
         """The target that it was last given."""
         return self._target
 
-    def update(self, target: Target) -> None:
+    def update(self, target: Target, velocity: ArrayLike | None = None) -> None:
         """Give it a target; it counts from the next step on, until there is another.
 
+        Args:
+            target: the target. One that moves should be given anew in each cycle, as it will be at the end
+                of that cycle.
+            velocity: how fast the joints move the configuration that it knows, (nv,) [rad/s or m/s]. None: as
+                `Target.velocity`; if that is None, too, "geodesic" takes the motion since the last cycle.
+
         Raises:
-            InvalidValue: it does not fit the arm; the one before stays.
+            InvalidValue: it does not fit the arm; the one before stays. A velocity for a target that knows no
+                configuration.
         """
         if not isinstance(target, Target):
             raise InvalidValue("target", target, "a Target, as `resolve_targets` returns it")
+        if velocity is not None:
+            target = replace(target, velocity=finite_vector("velocity", velocity, self.arm.nv))
         target.check(self.arm)
         before = self._target.q if self._target is not None else None
         near = self._feedback.command if before is None else before
-        self._target, self._age = with_configuration(self.arm, target, near), 0.0
+        given = with_configuration(self.arm, target, near)
+        if velocity is not None and given.q is None:
+            raise InvalidValue("velocity", velocity, "None for a target that knows no configuration")
+        self._target, self._age = given, 0.0
 
     def restart(self, q_measured: ArrayLike, dq: ArrayLike | None = None) -> None:
         """Start anew from where the arm is; the target stays.

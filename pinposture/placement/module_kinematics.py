@@ -16,7 +16,8 @@ from pinposture.errors import UnsupportedModule
 
 # The RyRz module of the thesis turns by q0 about its y axis, goes l1 along x, turns by q1 about its z axis
 # and goes l2 along x. Its end lies on a torus around the y axis with radii l1 and l2. RzRy, and any other
-# pair of perpendicular hinges across the arm, is the same module in another frame.
+# pair of perpendicular hinges across the arm, is the same module in another frame. If l1 = 0 it is a
+# universal joint, and the torus a sphere.
 
 Array = NDArray[np.float64]
 
@@ -29,7 +30,7 @@ class Torus:
     """FK, IK and TP of a RyRz module, in the frame at its base (x along the module, y the first hinge).
 
     Attributes:
-        l1: distance between the hinges [m].
+        l1: distance between the hinges [m]; 0 for a universal joint.
         l2: distance from the second hinge to the end [m].
         sense: +1 if the second hinge turns about +z, -1 if about -z.
     """
@@ -192,10 +193,12 @@ def _module_units(chain: Chain, module: int, joints: slice, start: Array, end: A
 
     if not np.all(chain.revolute[joints]):
         raise refuse("has a sliding joint")
-    if np.any(lengths <= SHAPE_TOLERANCE * lengths.max()):
+    none = lengths <= SHAPE_TOLERANCE * lengths.max()
+    universal = len(axes) == 2 and none[0] and not none[1]
+    if np.any(none) and not universal:
         raise refuse("has a link without length")
-    along = links[0] / lengths[0]
-    if np.abs(links / lengths[:, None] - along).max() > SHAPE_TOLERANCE:
+    along = links[-1] / lengths[-1]
+    if np.abs(links[~none] / lengths[~none, None] - along).max() > SHAPE_TOLERANCE:
         raise refuse("is not straight at its neutral configuration")
     if np.linalg.norm(np.cross(origins[0] - start, axes[0])) > SHAPE_TOLERANCE * lengths.sum():
         raise refuse("its first joint does not sit at its base")
@@ -204,14 +207,15 @@ def _module_units(chain: Chain, module: int, joints: slice, start: Array, end: A
 
     parallel = np.linalg.norm(np.cross(axes, axes[0]), axis=1) < SHAPE_TOLERANCE
     first = joints.start
-    if np.all(parallel):
+    if np.all(parallel) and not universal:
         return [
             Unit(module, slice(first + i, first + i + 1), _frame(along, axes[i]), Circle(float(lengths[i])))
             for i in range(len(axes))
         ]
     if len(axes) == 2 and abs(axes[0] @ axes[1]) < SHAPE_TOLERANCE:
         frame = _frame(along, axes[0])
-        torus = Torus(float(lengths[0]), float(lengths[1]), sense=float(np.sign(frame[:, 2] @ axes[1])))
+        first_link = 0.0 if universal else float(lengths[0])
+        torus = Torus(first_link, float(lengths[1]), sense=float(np.sign(frame[:, 2] @ axes[1])))
         return [Unit(module, joints, frame, torus)]
     raise refuse("its joint axes are neither parallel nor a perpendicular pair")
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pinposture import kernels
+from pinposture._validation import float_array, require_positive
 from pinposture.arm import Arm
 from pinposture.arm.chain import Chain
 from pinposture.curve import Curve
@@ -54,6 +55,14 @@ MIN_POINT_DAMPING, MAX_POINT_DAMPING = 1e-12, 1e6
 """Bounds of the damping of a fit, relative to its mean stiffness."""
 
 POINT_DAMPING_DOWN, POINT_DAMPING_UP = 0.2, 5.0  # factors of the damping after a better and a worse step
+
+WEAK_MOTION = 0.3
+"""Joint motion of the size of the noise of the points, in `Arm.joint_units`, along which a measurement counts
+half: along directions in which joints hardly move the points, noise would tell them to move by more."""
+
+MAX_SURPRISE = 0.5
+"""Mean distance of points from where they are foreseen, in mean module lengths, from which a filter begins
+anew."""
 
 
 def place_sequentially(
@@ -288,3 +297,103 @@ def _fit(arm: Arm, target: Target, start: Array) -> Array:
         else:
             damping *= POINT_DAMPING_UP
     return np.asarray(positions)
+
+
+class PointFilter:
+    """Turns noisy measured points, one set in each cycle, into targets for the arm to follow without jitter.
+
+        smooth = pp.PointFilter(arm, dt=0.01, noise=1e-3)
+        tracker.update(smooth.update(points))  # in every cycle
+
+    Noise on the points asks for joint motions that are larger the less joints move the points: 1 mm on links
+    of 25 mm for 0.08 rad. So joint positions and velocities are estimated: foreseen from the last cycle, and
+    corrected by what is measured. Along each right singular vector of the Jacobian of the points the gains
+    are those of the stationary Kalman filter for a random acceleration and the noise that the joint motion
+    sees there (Kalata's alpha-beta filter). A motion at constant joint speed is followed without delay.
+
+    Args:
+        arm: the arm.
+        dt: duration of a cycle [s].
+        noise: standard deviation of a coordinate of a point [m].
+        acceleration: standard deviation of the acceleration of joints, in `Arm.joint_units` per s^2: how
+            quickly the posture may change its course. Less is smoother, more is faster.
+
+    Raises:
+        InvalidValue: a number that is not positive.
+    """
+
+    def __init__(self, arm: Arm, dt: float, noise: float, acceleration: float = 3.0) -> None:
+        for name, value in (("dt", dt), ("noise", noise), ("acceleration", acceleration)):
+            require_positive(name, value)
+        self.arm, self.dt, self.noise, self.acceleration = arm, float(dt), float(noise), float(acceleration)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget what was measured."""
+        self._positions: Array | None = None
+        self._velocity = np.zeros(self.arm.nv)
+
+    def update(self, points: ArrayLike) -> Target:
+        """Return the target of a cycle.
+
+        Points that jump are fitted anew (`fit_points`), which can take longer than a cycle.
+
+        Args:
+            points: measured positions of the control points, (m, 3) [m], world frame; rows that are not
+                finite were not seen, and their points are free if that is so from the beginning.
+
+        Returns:
+            The target at the estimated posture, with its configuration and velocity; at rest where the last
+            one was if no point was seen.
+
+        Raises:
+            InvalidValue: a wrong shape, or no point that was seen, ever.
+        """
+        arm = self.arm
+        measured = float_array("points", points, (arm.n_modules, 3))
+        seen = np.asarray(np.isfinite(measured).all(axis=1))
+        measured = np.where(seen[:, None], measured, 0.0)
+        if self._positions is None or not self._correct(self._positions, measured, seen):
+            fitted = fit_points(arm, measured, seen.astype(np.float64))
+            assert fitted.q is not None  # it always is
+            self._positions, self._velocity = arm.positions(fitted.q), np.zeros(arm.nv)
+        target = Target.from_configuration(arm, arm.configuration(self._positions))
+        return replace(target, velocity=self._velocity)
+
+    def _correct(self, positions: Array, measured: Array, seen: NDArray[np.bool_]) -> bool:
+        """Go on by a cycle; return whether the points are about where they are foreseen."""
+        arm, columns, units = self.arm, self.arm.columns, self.arm.joint_units[self.arm.columns]
+        lower, upper = arm.limits.lower, arm.limits.upper
+        if not seen.any():
+            self._velocity = np.zeros(arm.nv)
+            return True
+        foreseen = np.clip(positions + self.dt * self._velocity, lower, upper)
+        state = arm.at(arm.configuration(foreseen))
+        errors = (measured - state.forward.points)[seen] @ arm.plane.T
+        if np.linalg.norm(errors, axis=1).mean() > MAX_SURPRISE * arm.length / arm.n_modules:
+            return False
+        jacobian = state.task_jacobians[seen].reshape(-1, arm.nv)[:, columns] * units
+        squares, directions = np.linalg.eigh(jacobian.T @ jacobian)
+        motions = directions.T @ (jacobian.T @ errors.ravel())
+        motions /= np.maximum(squares, 0.0) + (self.noise / WEAK_MOTION) ** 2
+        # Noise of the joint motion along a direction is that of the points, divided by its singular value.
+        ratios = self.acceleration * self.dt**2 / self.noise * np.sqrt(np.maximum(squares, 0.0))
+        alpha, beta = stationary_gains(ratios)
+        corrected, self._velocity = foreseen.copy(), self._velocity.copy()
+        corrected[columns] += units * (directions @ (alpha * motions))
+        self._velocity[columns] += units * (directions @ (beta * motions)) / self.dt
+        self._positions = np.clip(corrected, lower, upper)
+        self._velocity[self._positions != corrected] = 0.0
+        return True
+
+
+def stationary_gains(ratio: Array) -> tuple[Array, Array]:
+    """Return the gains of position and of velocity times the cycle, of a stationary Kalman filter.
+
+    Args:
+        ratio: change of position in a cycle by a random acceleration, a dt^2, relative to the noise of the
+            measured position (the tracking index of Kalata, 1984).
+    """
+    root = (4.0 + ratio - np.sqrt(ratio * (8.0 + ratio))) / 4.0
+    alpha = 1.0 - root**2
+    return alpha, 2.0 * (2.0 - alpha) - 4.0 * np.sqrt(1.0 - alpha)

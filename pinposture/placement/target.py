@@ -8,7 +8,7 @@ from math import isfinite
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import float_array
+from pinposture._validation import finite_vector, float_array
 from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue
@@ -34,6 +34,8 @@ class Target:
         moved: how the curve was moved from where it was drawn; None without a curve, or if unknown.
         incomplete: why some control points could not be placed on the curve; empty if all are. Those
             have weight 0, and their `points` continue straight on from the last that was placed.
+        velocity: how fast the joints move that configuration, if the target moves, (nv,) [rad/s or m/s]; None
+            if unknown.
         approximate: by how much the posture at `q` misses given points (`fit_points`), which may be a local
             minimum; empty if it takes them, or none is known.
     """
@@ -48,9 +50,10 @@ class Target:
     incomplete: str = ""
     moved: Moved | None = None
     approximate: str = ""
+    velocity: Array | None = None
 
     def __post_init__(self) -> None:
-        for name in ("points", "weights", "q", "parameters", "residual"):
+        for name in ("points", "weights", "q", "parameters", "residual", "velocity"):
             value = getattr(self, name)
             if value is not None:
                 array = np.array(value, dtype=np.float64)
@@ -92,6 +95,8 @@ class Target:
                 raise InvalidValue(f"target.{name}{list(where)}", float(values[where]), allowed)
         if self.q is not None:
             arm.checked(self.q, "target.q")
+        if self.velocity is not None:
+            finite_vector("target.velocity", self.velocity, arm.nv)
 
     def region(self, first: int, last: int) -> Target:
         """Return the same target for control points `first` to `last` only; the others are free.

@@ -46,7 +46,7 @@ def assert_consistent(arm: pp.Arm, target: pp.Target, tolerance: float) -> None:
 
 
 @pytest.mark.parametrize("template", ["RyRz", "RzRy"])
-@pytest.mark.parametrize("lengths", [(0.025, 0.025), (0.02, 0.03), (0.01, 0.04)])
+@pytest.mark.parametrize("lengths", [(0.025, 0.025), (0.02, 0.03), (0.01, 0.04), (0.0, 0.05)])
 @given(roll=st.floats(-3.2, 3.2))
 def test_the_helix_is_taken_wherever_the_arm_stands(
     template: str, lengths: tuple[float, float], roll: float

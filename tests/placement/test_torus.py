@@ -11,17 +11,18 @@ from hypothesis import strategies as st
 from pinposture.placement.module_kinematics import Circle, Torus
 
 LENGTHS = [(0.025, 0.025), (0.04, 0.01), (0.01, 0.04), (1.0, 0.999)]
+UNIVERSAL = (0.0, 0.05)
 angles = st.floats(-np.pi, np.pi)
 
 
-@given(angles, angles, st.sampled_from(LENGTHS))
+@given(angles, angles, st.sampled_from([*LENGTHS, UNIVERSAL]))
 def test_fk_is_that_of_the_thesis(q0: float, q1: float, lengths: tuple[float, float]) -> None:
     position, turn = Torus(*lengths).forward(np.array([q0, q1]))
     np.testing.assert_allclose(position, ryrz.fk([q0, q1], *lengths), atol=1e-14)
     np.testing.assert_allclose(turn, ryrz.ry(q0) @ ryrz.rz(q1), atol=1e-14)
 
 
-@given(angles, angles, st.sampled_from(LENGTHS), st.sampled_from([1.0, -1.0]))
+@given(angles, angles, st.sampled_from([*LENGTHS, UNIVERSAL]), st.sampled_from([1.0, -1.0]))
 def test_ik_finds_what_fk_was_given(q0: float, q1: float, lengths: tuple[float, float], sense: float) -> None:
     module = Torus(*lengths, sense=sense)
     end = module.forward(np.array([q0, q1]))[0]
@@ -66,6 +67,23 @@ def test_crossings_are_those_of_a_brute_force_scan(ends: list[float], lengths: t
         assert min((abs(t - other) for other in found), default=1.0) < 1e-6
     for t in found:
         assert abs(float(torus.implicit(a + t * (b - a), *lengths))) < 1e-9 * scale
+
+
+@given(st.lists(st.floats(-1.5, 1.5), min_size=6, max_size=6))
+def test_a_universal_joint_crosses_where_the_distance_is_that_of_its_link(ends: list[float]) -> None:
+    module, link = Torus(*UNIVERSAL), UNIVERSAL[1]
+    a, b = link * np.array(ends[:3]), link * np.array(ends[3:])
+    t = np.linspace(0.0, 1.0, 2001)
+    beyond = np.linalg.norm(a + t[:, None] * (b - a), axis=1) > link
+    changes = t[1:][beyond[1:] != beyond[:-1]]
+    found = np.array([t for _, t in module.crossings(np.array([a, b]))])
+    for change in changes:
+        assert np.abs(found - change).min(initial=1.0) < 1e-3
+    assert np.abs(np.linalg.norm(a + found[:, None] * (b - a), axis=1) - link).max(initial=0.0) < 1e-12
+    for each in found:
+        end = a + each * (b - a)
+        assert module.faces(end)
+        np.testing.assert_allclose(module.forward(module.inverse(end)[0])[0], end, atol=1e-12)
 
 
 def test_crossings_come_in_order_along_a_polyline_and_skip_the_base() -> None:
