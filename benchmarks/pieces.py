@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pinocchio as pin
@@ -21,6 +21,7 @@ from scenarios import Problem, load
 
 import pinposture as pp
 from pinposture.control import Controller, Memory, Step, controller_named
+from pinposture.control.planner.follow import GeodesicMemory
 
 Array = NDArray[np.float64]
 
@@ -85,8 +86,8 @@ def _bound_step(arm: pp.Arm, q: Array, geodesic: Controller, target: pp.Target) 
 
     def action() -> object:
         if not made:
-            way = _step(arm, q, geodesic, target, None).memory.progress
-            made.append(Memory(np.full(arm.nv, 5.0 * 0.004), way))
+            way = cast(GeodesicMemory, _step(arm, q, geodesic, target, None).memory).progress
+            made.append(GeodesicMemory(np.full(arm.nv, 5.0 * 0.004), None, way))
         return _step(arm, q, geodesic, target, made[0])
 
     return action

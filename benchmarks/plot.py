@@ -34,8 +34,8 @@ def save(found: dict[str, Any], path: Path) -> None:
         line = "-" if ours else "--"
         axes.plot(*zip(*known, strict=True), line, color=colour, linewidth=width, marker="o", markersize=3.5)
         ends.append((*known[-1], entry.label, colour))
-    axes.set(xscale="log", yscale="log", xlabel="DOF", ylabel="median time of one step [us]")
-    axes.set_title("One control step, one thread (solid: pinposture; dashed: others)", fontsize=11)
+    axes.set(xscale="log", yscale="log", xlabel="DOF, two a module", ylabel="median time of one step [us]")
+    axes.set_title("One control step, one thread (solid: pinposture; dashed: others)", fontsize=11, pad=16)
     axes.grid(True, which="major", color="#e4e4e4")
     sizes = sorted({each["dof"] for each in found["results"]})
     axes.set_xticks(sizes, [str(size) for size in sizes])

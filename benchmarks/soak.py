@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import resource
+import sys
 import time
 from collections import Counter
 
@@ -23,6 +24,7 @@ from pinposture.motion import Tracker
 
 DT, LAG, SAG = 0.01, 0.05, 0.02
 SPEED, ACCELERATION = 2.0, 10.0
+OVERRUN = 5e-3  # time of a cycle that is counted [s]
 
 
 def targets(arm: pp.Arm, rng: np.random.Generator, count: int) -> list[pp.Target]:
@@ -47,7 +49,7 @@ def targets(arm: pp.Arm, rng: np.random.Generator, count: int) -> list[pp.Target
     return made
 
 
-def main() -> None:
+def main() -> None:  # noqa: PLR0915
     """Run the loop and print what was found."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=int, default=100_000)
@@ -55,12 +57,18 @@ def main() -> None:
     parser.add_argument("--controller", default="geodesic")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--free", action="store_true", help="no limit of acceleration")
+    parser.add_argument("--deadline", type=float, default=float("inf"), help="of the tracker [s]")
+    parser.add_argument("--pause", type=float, default=0.0, help="between cycles, for other threads [s]")
+    parser.add_argument(
+        "--switch", type=float, default=5e-3, help="interval at which threads of Python take turns [s]"
+    )
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
+    sys.setswitchinterval(given.switch)
     rng = np.random.default_rng(given.seed)
     arm = pp.Arm.from_template("RyRz", modules=given.modules)
     limits = pp.Limits(step=None, velocity=SPEED, dt=DT, acceleration=None if given.free else ACCELERATION)
-    tracker = Tracker(arm, given.controller, limits)
+    tracker = Tracker(arm, given.controller, limits, deadline=given.deadline)
     listed = targets(arm, rng, 240)
     q = smooth_configuration(arm, rng, 0.5)
     sag = SAG * rng.normal(size=arm.nv)
@@ -83,6 +91,8 @@ def main() -> None:
         begun = time.perf_counter()
         dq = tracker.step(measured, late)
         taken[step] = time.perf_counter() - begun
+        if given.pause:
+            time.sleep(given.pause)
         outcome[tracker.report.status] += 1
         if not np.all(np.isfinite(dq)):
             raise SystemExit(f"step {step}: not finite")
@@ -104,6 +114,7 @@ def main() -> None:
         "microseconds p99": 1e6 * float(np.percentile(taken, 99)),
         "microseconds p99.9": 1e6 * float(np.percentile(taken, 99.9)),
         "microseconds max": 1e6 * float(taken[10:].max()),
+        f"cycles of more than {1e3 * OVERRUN:g} ms": int(np.sum(taken > OVERRUN)),
         "memory [MB], ten times on the way": [round(each) for each in memory],
         **{f"cycles {status}": count for status, count in sorted(outcome.items())},
     }
