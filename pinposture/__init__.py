@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from pinposture.motion import Batch, JointTrajectory, Motion, Tracker, Trajectory, load, save
     from pinposture.motion.track import track
     from pinposture.motion.track_many import track_many
-    from pinposture.placement import Target, fit_points, resolve_targets
+    from pinposture.placement import PointFilter, Target, fit_points, resolve_targets
     from pinposture.task.deviation import path_deviation
     from pinposture.task.find_path import find_path
     from pinposture.task.follow_leader import follow_leader
@@ -88,6 +88,7 @@ __all__ = [
     "Mesh",
     "ModuleTemplate",
     "Motion",
+    "PointFilter",
     "PostureError",
     "PostureWarning",
     "Projection",
@@ -183,7 +184,7 @@ _PACKAGES = {
         "Scene",
         "Sphere",
     ),
-    "placement": ("Target", "fit_points", "resolve_targets"),
+    "placement": ("PointFilter", "Target", "fit_points", "resolve_targets"),
     "task": (
         "Keyframe",
         "Task",

@@ -24,7 +24,12 @@ def write_bytes(path: Path, content: bytes) -> None:
     if path.exists() and not path.is_file():
         kind = "a directory" if path.is_dir() else "a device"
         raise FileError(path, f"is {kind}; allowed: a file, or a name that is free")
-    final = path.resolve()
+    try:
+        final = path.resolve()
+    except RuntimeError:  # links in a circle; from Python 3.13 on, these are left as they are
+        final = path
+    if final.is_symlink():
+        raise FileError(path, "cannot be written (its links lead in a circle)")
     draft = final.with_name(f".{final.name}.{uuid.uuid4().hex}")
     try:
         final.parent.mkdir(parents=True, exist_ok=True)

@@ -184,5 +184,5 @@ def test_physics_in_python() -> None:
     motion = pp.track(arm, target, q0, limits=limits)
     tracker = pp.Tracker(arm, limits=limits)
     known = {"arm": arm, "run": motion, "tracker": tracker, "target": target, "q0": q0}
-    ended = run(code.replace("duration=4.0", "duration=0.4"), **known)["ended"]
+    ended = run(code.replace("duration=4.0", "duration=1.0"), **known)["ended"]
     assert ended.status == "converged"

@@ -84,3 +84,11 @@ def test_no_ending_but_its_own_is_taken_or_lengthened(kind: type, name: str, tmp
     assert list(tmp_path.iterdir()) == []
     assert pp.save(made, tmp_path / "x") == tmp_path / "x.npz"
     assert pp.save(made, tmp_path / "y.NPZ") == tmp_path / "y.NPZ"
+
+
+def test_links_in_a_circle_are_refused_and_stay(tmp_path: Path) -> None:
+    circle = tmp_path / "circle"
+    circle.symlink_to(circle)
+    with pytest.raises(FileError, match="circle"):
+        write_bytes(circle, b"new")
+    assert circle.is_symlink()

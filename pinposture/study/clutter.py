@@ -23,9 +23,9 @@ from pinposture.control import Limits, plan
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, PostureError, PostureWarning, UnknownName
 from pinposture.motion import Trajectory, track
+from pinposture.motion.processes import Progress, collect_results
 from pinposture.motion.trajectory import path_length_ratio
 from pinposture.placement import Target, resolve_targets
-from pinposture.study.progress import Progress, collect_results
 from pinposture.study.record import Spread, distinct, one_line
 from pinposture.study.scenes import coiled, situation_arm
 

@@ -15,10 +15,10 @@ from pinposture.arm import Arm
 from pinposture.control import Controller, Limits
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.motion import track
+from pinposture.motion.processes import Progress, collect_results
 from pinposture.placement import Target
 from pinposture.study.arms import Subject
 from pinposture.study.baselines import named_controllers
-from pinposture.study.progress import Progress, collect_results
 from pinposture.study.record import MAX_STEPS, STEP, final_error
 from pinposture.study.scenarios import arbitrary_configuration
 

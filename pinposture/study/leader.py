@@ -13,7 +13,7 @@ from pinposture._validation import is_number
 from pinposture.arm import Arm, JointSpec, ModuleTemplate, template
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, TargetError, UnknownName
-from pinposture.study.progress import Progress, collect_results
+from pinposture.motion.processes import Progress, collect_results
 from pinposture.task.deviation import path_deviation
 from pinposture.task.follow_leader import PATH_METHODS, Method, follow_leader
 
@@ -122,8 +122,7 @@ def study_leader(
         progress: called with the number of paths finished so far, and that of all.
 
     Returns:
-        One result for each arm, shape, method and bending, in this order. Planar arms have arcs only, and
-        modules without closed forms no sequential placement.
+        One result for each arm, shape, method and bending, in this order. Planar arms have arcs only.
 
     Raises:
         InvalidValue: a bending out of range.
@@ -140,7 +139,6 @@ def study_leader(
         for name in arms
         for shape in (SHAPES if fed_arm(name).dimension == 3 else SHAPES[:1])
         for method in methods
-        if method == "closest" or name != "universal"
         for bending in bendings
     ]
     return collect_results(tasks, jobs, progress)

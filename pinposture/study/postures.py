@@ -14,10 +14,10 @@ from pinposture._validation import require_whole
 from pinposture.arm import Arm, smooth_configuration
 from pinposture.control import Controller
 from pinposture.errors import InvalidValue, UnknownName
+from pinposture.motion.processes import Progress, collect_results
 from pinposture.placement import Target, resolve_targets
 from pinposture.study.arms import Family, Subject, draw_case
 from pinposture.study.baselines import named_controllers
-from pinposture.study.progress import Progress, collect_results
 from pinposture.study.record import Case, Record, Spread, distinct, run_case, spread
 from pinposture.study.scenarios import bent_configuration, curve_along
 

@@ -18,9 +18,9 @@ from pinposture.collision import Box, Capsule, CollisionModel, Cylinder, HalfSpa
 from pinposture.control import Limits
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.motion import Trajectory, track
+from pinposture.motion.processes import Progress, collect_results
 from pinposture.placement import Target
 from pinposture.study.arms import built_subject
-from pinposture.study.progress import Progress, collect_results
 from pinposture.study.record import MAX_STEPS, RISE, STEP, TOLERANCE, Spread, distinct, final_error, one_line
 from pinposture.study.reproduce.runs import displacements
 

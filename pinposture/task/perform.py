@@ -87,9 +87,7 @@ class ReferencePath:
     @property
     def steps(self) -> float:
         """Number of cycles that it takes at least."""
-        top = self._profile.top
-        middle = 0.5 * (top[1:] + top[:-1])
-        return float((1.0 / np.maximum(middle, 1e-9)).sum())
+        return self._profile.steps
 
     def next(self, place: float, speed: float) -> float:
         """Return the place after the next cycle, after one that went `speed` places."""

@@ -46,10 +46,11 @@ def test_baselines_have_names_once_they_are_registered():
 def test_methods_are_compared_with_all_baselines_unless_others_are_named():
     code = (
         "import pinposture.study as study\n"
+        "from pinposture.cli.inputs import ArmOptions\n"
         "from pinposture.cli.studies import run_methods\n"
         "compared = []\n"
         "study.compare_methods = lambda arm, names, *others: compared.extend(names) or []\n"
-        "run_methods(as_json=True)\n"
+        "run_methods(arm_options=ArmOptions(), as_json=True)\n"
         "assert set(study.BASELINES) < set(compared), compared\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -347,7 +347,8 @@ def test_narrow_limits_name_the_module_and_the_place_on_the_path(method):
 
 
 def test_sequential_placement_needs_closed_forms():
-    arm = Arm.from_modules([feed(), *[template("RyRz").with_lengths((0.0, 0.05))] * 8])
+    rolling = ModuleTemplate("RyRx", [JointSpec("y"), JointSpec("x")], [0.02, 0.03])
+    arm = Arm.from_modules([feed(), *[rolling] * 8])
     with pytest.raises(UnsupportedModule) as caught:
         follow_leader(arm, arc(0.2, 1.5), 0.1, 0.1, depth=0.1, method="sequential")
     assert caught.value.module == 2

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import replace
 
 import matplotlib as mpl
 import numpy as np
 import pytest
 from arms import template_arm
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import pinposture as pp
@@ -60,10 +60,9 @@ def panel(**kind):
 
 def draw(figure: Figure) -> np.ndarray:
     """Draw a figure in earnest; pixels (height, width, 4)."""
-    file = io.BytesIO()
-    figure.savefig(file, format="rgba")
-    width, height = (round(side * figure.dpi) for side in figure.get_size_inches())
-    return np.frombuffer(file.getvalue(), np.uint8).reshape(height, width, 4)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())
 
 
 def heads(figure: Figure) -> dict[str, mpl.axes.Axes]:

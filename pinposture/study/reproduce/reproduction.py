@@ -14,10 +14,9 @@ from joblib import delayed
 from pinposture._validation import require_whole
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.motion import Trajectory
-from pinposture.motion.processes import check_jobs, in_order
+from pinposture.motion.processes import Progress, check_jobs, in_order
 from pinposture.storage import check_writable, write_bytes, write_text
 from pinposture.study.claims import FIGURES, ThesisFigure
-from pinposture.study.progress import Progress
 from pinposture.study.reproduce.evaluate import BATCHES, Evidence, JudgedClaim, gather, judge_claims
 from pinposture.study.reproduce.measures import RULES, Finding, Share, Verdict
 from pinposture.study.reproduce.runs import (
