@@ -184,7 +184,7 @@ def _placed() -> pp.Arm:
 
 
 def _robot(file: str, **options: Any) -> Callable[[], pp.Arm]:
-    return lambda: pp.Arm.from_urdf(ROBOTS / file, **options)
+    return lambda: pp.Arm.load(ROBOTS / file, **options)
 
 
 YAW, BEND, ROLL = ("z", -2.8, 2.8), ("y", -1.5, 1.5), ("x", -1.5, 1.5)

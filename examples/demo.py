@@ -35,7 +35,7 @@ def main() -> None:
     with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("tracking", total=len(CONTROLLERS) * len(scenarios))
         for scenario in scenarios:
-            arm = pp.Arm.from_urdf(URDF / f"{scenario.arm}.urdf")
+            arm = pp.Arm.load(URDF / f"{scenario.arm}.urdf")
             start, target = case(arm, scenario, SEED)
             runs = {}
             for name in CONTROLLERS:

@@ -54,7 +54,7 @@ TURN_TOLERANCE = 1e-9
 class Arm(ConfigurationSpace):
     """A serial arm with posture control points at its module boundaries.
 
-    Make one with `from_template`, `from_modules`, `from_urdf` or `from_model`. An arm is immutable and
+    Make one with `from_template`, `from_modules`, `load` or `from_model`. An arm is immutable and
     pickles; it may be shared between threads. Configurations are Pinocchio's: `q` has `nq` entries and
     moves only by `integrate`, because a continuous joint takes two of them.
 
@@ -152,7 +152,7 @@ class Arm(ConfigurationSpace):
             The arm, which keeps `spec`.
 
         Raises:
-            PostureError: as `from_template` and `from_urdf`, or neither a template nor a URDF is named.
+            PostureError: as `from_template` and `load`, or neither a template nor a URDF is named.
         """
         placement = None if spec.placement is None else spec.placement.build()
         if spec.urdf is None:
@@ -187,11 +187,20 @@ class Arm(ConfigurationSpace):
         """
         listed = list(modules)
         text = modules_to_urdf(listed, name)
-        return cls.from_urdf(text, modules=[len(m.joints) for m in listed], base_placement=base_placement)
+        return cls.load(text, modules=[len(m.joints) for m in listed], base_placement=base_placement)
 
     @classmethod
-    def load(cls, source: str | Path | pin.Model, **options: Any) -> Arm:
-        """Load an arm from wherever it is described.
+    def load(
+        cls,
+        source: str | Path | pin.Model,
+        base: str | None = None,
+        tip: str | None = None,
+        modules: Modules = None,
+        locked: Mapping[str, float] | None = None,
+        package_dirs: Sequence[str | Path] | None = None,
+        base_placement: pin.SE3 | None = None,
+    ) -> Arm:
+        """Load an arm from wherever it is described; meshes are not needed.
 
             pp.Arm.load("arm.urdf")
             pp.Arm.load("ur10e_description", modules=2)
@@ -201,31 +210,6 @@ class Arm(ConfigurationSpace):
             source: URDF or xacro, the text or the path of a file; path of an MJCF file; the name of a
                 description in the package robot_descriptions, which fetches it; or a Pinocchio model with
                 joints of one degree of freedom. Models and MJCF files become URDF, without shapes.
-            options: as for `from_urdf`.
-
-        Returns:
-            The arm, as from `from_urdf`.
-
-        Raises:
-            PostureError: as `from_urdf`; or FileError where a source cannot be found or converted.
-        """
-        return cls.from_urdf(model_to_urdf(source) if isinstance(source, pin.Model) else source, **options)
-
-    @classmethod
-    def from_urdf(
-        cls,
-        source: str | Path,
-        base: str | None = None,
-        tip: str | None = None,
-        modules: Modules = None,
-        locked: Mapping[str, float] | None = None,
-        package_dirs: Sequence[str | Path] | None = None,
-        base_placement: pin.SE3 | None = None,
-    ) -> Arm:
-        """Load an arm from a URDF file or from URDF text; meshes are not needed.
-
-        Args:
-            source: path of the file, or the XML text itself; or what else `load` takes by path or name.
             base: link at which the arm begins; the root if None.
             tip: link at which it ends; if None, the last of the links in `modules`, or the end of the longest
                 moving chain (`pinposture.arm.urdf_reader`).
@@ -242,11 +226,13 @@ class Arm(ConfigurationSpace):
             Decisions that may surprise are in `warnings`, and each is issued as a `PostureWarning`.
 
         Raises:
-            FileError: the file is missing or unreadable.
+            FileError: the source is missing, unreadable, or cannot be converted.
             URDFError: the description cannot be used; names the link or joint and the reason.
             UnknownName: `base`, `tip` or a locked joint does not exist.
             InvalidValue: `modules` does not fit the chain, or another argument is invalid.
         """
+        if isinstance(source, pin.Model):
+            source = model_to_urdf(source)
         loaded = load_model(source, base, tip, modules, locked or {}, package_dirs, base_placement)
         folders = [package_dirs] if isinstance(package_dirs, str | Path) else package_dirs or ()
         embedded = is_urdf_text(source) or not Path(source).exists()  # a name says less than what was found

@@ -86,7 +86,7 @@ def load_model(
     package_dirs: Sequence[str | Path] | None = None,
     base_placement: pin.SE3 | None = None,
 ) -> LoadedModel:
-    """Load, check, reduce to the chain from base to tip, cut into modules. See `Arm.from_urdf`."""
+    """Load, check, reduce to the chain from base to tip, cut into modules. See `Arm.load`."""
     placement = None if base_placement is None else rigid_placement("base_placement", base_placement)
     found = find_urdf(source)
     description = read_description(found.urdf)

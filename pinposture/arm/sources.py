@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -50,12 +50,12 @@ def find_urdf(source: str | Path) -> Source:
         URDFError: an MJCF file with a joint that URDF does not know.
     """
     if is_urdf_text(source):
-        return Source(_expand(str(source), None) if _MACROS in str(source) else source)
+        return Source(_expand_text(str(source)) if _MACROS in str(source) else source)
     if not isinstance(source, (str, os.PathLike)) or "\n" in str(source):
         return Source(source)  # refused by whoever reads it
     path = Path(source)
     if path.suffix.lower() == ".xacro":
-        return Source(_expand(read_text(path), path), (str(path.absolute().parent),))
+        return Source(_expand_file(path), (str(path.absolute().parent),))
     if path.suffix.lower() in (".xml", ".mjcf") and "<mujoco" in read_text(path):
         return Source(_convert_mjcf(path), (str(path.absolute().parent),))
     if str(source).isidentifier() and not path.exists():
@@ -83,23 +83,40 @@ def _find_by_name(name: str) -> Source:
         return Source(Path(found.URDF_PATH), folders)
     if hasattr(found, "XACRO_PATH"):
         path = Path(found.XACRO_PATH)
-        return Source(_expand(read_text(path), path, getattr(found, "XACRO_ARGS", None)), folders)
+        return Source(_expand_file(path, getattr(found, "XACRO_ARGS", None)), folders)
     return Source(_convert_mjcf(Path(found.MJCF_PATH)), folders)
 
 
-def _expand(text: str, path: Path | None, arguments: Mapping[str, str] | None = None) -> str:
-    """Expand the macros of a xacro text; packages that it names are looked for in the folders above it."""
-    label = "xacro text" if path is None else path
-    try:
+def _expand_file(path: Path, arguments: Mapping[str, str] | None = None) -> str:
+    """Expand the macros of a xacro file; packages that it names are looked for in the folders above it."""
+    read_text(path)  # says what is wrong with a file that is not there
+
+    def expand() -> str:
         import xacro
-        from xacrodoc import XacroDoc, packages  # makes xacro look for packages without ROS
-    except ImportError:
-        raise FileError(label, f"needs xacrodoc to be expanded: {EXTRA}") from None
-    try:
-        if path is None:
-            return str(XacroDoc.from_string(text, resolve_packages=False).dom.toxml())
+        from xacrodoc import packages  # makes xacro look for packages without ROS
+
         packages.walk_up_from(path)
         return str(xacro.process_file(str(path), mappings=dict(arguments or {})).toxml())
+
+    return _expanded(expand, path)
+
+
+def _expand_text(text: str) -> str:
+    """Expand the macros of a xacro text."""
+
+    def expand() -> str:
+        from xacrodoc import XacroDoc
+
+        return str(XacroDoc.from_string(text, resolve_packages=False).dom.toxml())
+
+    return _expanded(expand, "xacro text")
+
+
+def _expanded(expand: Callable[[], str], label: str | Path) -> str:
+    try:
+        return expand()
+    except ImportError:
+        raise FileError(label, f"needs xacrodoc to be expanded: {EXTRA}") from None
     except Exception as error:  # of the macros, or of Python code in them
         raise FileError(label, f"cannot be expanded ({_one_line(error)})") from error
 

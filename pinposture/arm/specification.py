@@ -114,8 +114,8 @@ class ArmSpec(Specification):
         feed: a slide below the first module, if there is one.
         urdf: a URDF file, or the text of one.
         base: link at which the arm begins; the root if None.
-        tip: link at which it ends, as for `Arm.from_urdf`.
-        split: how the chain is cut into modules, as `modules` of `Arm.from_urdf`.
+        tip: link at which it ends, as for `Arm.load`.
+        split: how the chain is cut into modules, as `modules` of `Arm.load`.
         locked: locked joints and their positions [rad or m].
         package_dirs: folders in which viewers look for meshes.
         placement: where the base stands in the world; at the origin if None.

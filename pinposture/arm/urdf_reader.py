@@ -176,15 +176,18 @@ class Description:
             below[joint.parent].append(joint)
         named = {joint.name: joint for joint in self.joints}
         path = self.chain(base, tip)
-        moving = [sum(joint.moves for joint in path[:k]) for k in range(len(path) + 1)]
-        for k, joint in enumerate(path):
-            branches = [
-                branch
-                for branch in below[joint.parent]
-                if branch.moves or any(named[name].moves for name in _joints_below(below, branch.child))
-            ]
-            if len(branches) >= fingers and moving[k] >= moving[-1] - moving[k]:
-                return joint.parent
+        before, all_moving = 0, sum(joint.moves for joint in path)
+
+        def moves(branch: JointDescription) -> bool:
+            return branch.moves or any(named[name].moves for name in _joints_below(below, branch.child))
+
+        for joint in path:
+            branches = below[joint.parent]
+            if len(branches) >= fingers and 2 * before >= all_moving > before:
+                others = sum(branch is not joint and moves(branch) for branch in branches)
+                if others >= fingers - 1:
+                    return joint.parent
+            before += joint.moves
         return None
 
 

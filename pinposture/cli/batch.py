@@ -24,12 +24,7 @@ from pinposture.cli.inputs import (
     numbers_in,
     read_start,
 )
-from pinposture.cli.output import (
-    count_progress,
-    end_with,
-    examples,
-    print_result,
-)
+from pinposture.cli.output import count_progress, end_with, examples, print_result
 from pinposture.cli.results import BATCH
 from pinposture.cli.targets import PlacementOptions, SceneOptions
 from pinposture.errors import InvalidValue, UnknownName

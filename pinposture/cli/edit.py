@@ -124,7 +124,7 @@ def read_task(
     """The task to edit, and its file, which need not be there yet; a new one is in a folder, if one is given.
 
     Raises:
-        PostureError: there is no such file or template; or as `Task.load` and `Arm.from_urdf`.
+        PostureError: there is no such file or template; or as `Task.load` and `Arm.load`.
     """
     from pinposture.editor.files import recover, version_of
     from pinposture.task import Task

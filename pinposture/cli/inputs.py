@@ -86,10 +86,10 @@ class ArmOptions:
     ] = None
 
     def read(self, urdf: str) -> Arm:
-        """Load an arm as `Arm.from_urdf` does; "-" reads the URDF from stdin.
+        """Load an arm as `Arm.load` does; "-" reads the URDF from stdin.
 
         Raises:
-            PostureError: as `Arm.from_urdf` and `read_locked`; the name of a template; or nothing between two
+            PostureError: as `Arm.load` and `read_locked`; the name of a template; or nothing between two
                 of the commas of `modules`.
         """
         from pinposture.arm import TEMPLATES, Arm
@@ -104,7 +104,7 @@ class ArmOptions:
                 raise FileError("stdin", "holds no URDF; allowed: XML text, which begins with '<'")
         sizes = None if self.modules is None else read_modules(self.modules)
         held = read_locked(self.locked)
-        return Arm.from_urdf(source, self.base, self.tip, sizes, held, self.package_dir)
+        return Arm.load(source, self.base, self.tip, sizes, held, self.package_dir)
 
     def refuse(self, allowed: str) -> None:
         """Refuse all of them where something else says what the arm is.

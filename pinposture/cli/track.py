@@ -20,21 +20,9 @@ from pinposture.cli.inputs import (
     ViewOption,
     read_start,
 )
-from pinposture.cli.output import (
-    end_with,
-    examples,
-    print_note,
-    print_result,
-    step_progress,
-)
+from pinposture.cli.output import end_with, examples, print_note, print_result, step_progress
 from pinposture.cli.results import FILES, in_words, keep, summarize
-from pinposture.cli.targets import (
-    CurveOption,
-    PlacementOptions,
-    SceneOptions,
-    TipOptions,
-    tip_off,
-)
+from pinposture.cli.targets import CurveOption, PlacementOptions, SceneOptions, TipOptions, tip_off
 from pinposture.cli.view import show
 
 

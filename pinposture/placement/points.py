@@ -206,6 +206,21 @@ def fit_points(arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) ->
         InvalidValue: wrong shape, not finite, negative weights, or no point with a weight.
     """
     target = Target.from_points(arm, points, weights)
+    best = _closest_positions(arm, target)
+    residual = np.linalg.norm(_gaps(arm, target, best), axis=1)
+    farthest = int(np.argmax(np.where(target.has_target, residual, -1.0)))
+    approximate = ""
+    if residual[farthest] > TAKEN * arm.length:
+        approximate = (
+            f"the closest posture that was found leaves control point {farthest} {residual[farthest]:.3g} m "
+            "from its point; it may be a local minimum"
+        )
+    q = arm.nearest_turns(arm.configuration(best))
+    return replace(target, q=q, residual=residual, method="closest", approximate=approximate)
+
+
+def _closest_positions(arm: Arm, target: Target) -> Array:
+    """Return the joint positions (nv,) that come closest to a target, of those that a few starts lead to."""
     straight = arm.positions(arm.straight())
     rng, noise = np.random.default_rng(0), np.where(arm.moved > 0.0, POINT_FIT_NOISE * arm.joint_units, 0.0)
     best, least = straight, np.inf
@@ -217,16 +232,7 @@ def fit_points(arm: Arm, points: ArrayLike, weights: ArrayLike | None = None) ->
             best, least = found, cost
         if least <= (NO_ERROR * arm.length) ** 2:
             break
-    residual = np.linalg.norm(_gaps(arm, target, best), axis=1)
-    farthest = int(np.argmax(np.where(target.has_target, residual, -1.0)))
-    approximate = ""
-    if residual[farthest] > TAKEN * arm.length:
-        approximate = (
-            f"the closest posture that was found leaves control point {farthest} {residual[farthest]:.3g} m "
-            "from its point; it may be a local minimum"
-        )
-    q = arm.nearest_turns(arm.configuration(best))
-    return replace(target, q=q, residual=residual, method="closest", approximate=approximate)
+    return best
 
 
 def initial_guesses(arm: Arm, target: Target, near: Array) -> Iterator[Array]:
@@ -354,9 +360,8 @@ class PointFilter:
         seen = np.asarray(np.isfinite(measured).all(axis=1))
         measured = np.where(seen[:, None], measured, 0.0)
         if self._positions is None or not self._correct(self._positions, measured, seen):
-            fitted = fit_points(arm, measured, seen.astype(np.float64))
-            assert fitted.q is not None  # it always is
-            self._positions, self._velocity = arm.positions(fitted.q), np.zeros(arm.nv)
+            target = Target.from_points(arm, measured, seen.astype(np.float64))
+            self._positions, self._velocity = _closest_positions(arm, target), np.zeros(arm.nv)
         target = Target.from_configuration(arm, arm.configuration(self._positions))
         return replace(target, velocity=self._velocity)
 

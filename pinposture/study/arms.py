@@ -171,7 +171,7 @@ def _survey(name: str, source: str | Path, least_joints: int, seed: int) -> ArmS
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # they are kept on the arm
-            arm = Arm.from_urdf(source)
+            arm = Arm.load(source)
     except PostureError as error:
         return ArmSurvey(name, refused=str(error).replace(str(source), name))
     if len(arm.columns) < least_joints:
@@ -318,7 +318,7 @@ def built_subject(name: str) -> Subject:
         return Subject(name, Arm.from_modules(SPATIAL, name=name), BUILT[name])
     pairs, rest = divmod(len(PLANAR), 2)
     sizes = [2] * pairs + [1] * rest
-    return Subject(name, Arm.from_urdf(modules_to_urdf(PLANAR, name), modules=sizes), BUILT[name])
+    return Subject(name, Arm.load(modules_to_urdf(PLANAR, name), modules=sizes), BUILT[name])
 
 
 def loaded_subject(arm: Arm) -> Subject:

@@ -131,7 +131,7 @@ def write_arm(arm: Arm, descriptions: Descriptions) -> tuple[ArmSpec, Path | Non
     """
     spec = arm.spec
     if spec is None or arm.urdf is None or arm.report is None:
-        reason = "it was made of a Pinocchio model and has no URDF; load it by Arm.from_urdf"
+        reason = "it was made of a Pinocchio model and has no URDF; load it by Arm.load"
         raise FileError(descriptions.file, f"arm: no file can describe it: {reason}")
     if spec.template is not None and spec.modules is not None and spec.modules > MOST_MODULES:
         spec = ArmSpec(

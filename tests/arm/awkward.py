@@ -37,7 +37,7 @@ def typed(kind, number):
 
 
 REFUSED = {
-    # text, arguments of Arm.from_urdf, kind of error, words in the message
+    # text, arguments of Arm.load, kind of error, words in the message
     "two arms": (TWO_ARMS, {}, URDFError, "links 'a2', 'b2': are reached by different joints, 2 moving"),
     "two arms, one asked for": (TWO_ARMS, {"base": "a1", "tip": "b2"}, URDFError, "not below link 'a1'"),
     "base alone": (arm_text(pairs(2)), {"base": "l1"}, InvalidValue, "pass tip= as well"),

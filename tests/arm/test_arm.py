@@ -192,27 +192,27 @@ def test_an_arm_pickles_and_survives_as_data(placed: pp.Arm) -> None:
 def test_modules_of_our_templates_are_found_in_a_file() -> None:
     for names in (("RyRz",) * 4, ("RyRz", "RzRy", "RzRy", "RyRz"), ("Rz",) * 7):
         made = pp.Arm.from_modules([pp.template(name) for name in names])
-        loaded = pp.Arm.from_urdf(made.urdf)
+        loaded = pp.Arm.load(made.urdf)
         assert loaded.module_joints == made.module_joints
         assert loaded.dimension == made.dimension
-    grouped = pp.Arm.from_urdf(made.urdf, modules=[3, 2, 2])
+    grouped = pp.Arm.load(made.urdf, modules=[3, 2, 2])
     assert [len(joints) for joints in grouped.module_joints] == [3, 2, 2]
     with pytest.raises(InvalidValue, match="divisor of 7"):
-        pp.Arm.from_urdf(made.urdf, modules=3)
+        pp.Arm.load(made.urdf, modules=3)
     with pytest.raises(InvalidValue, match="add up to 7"):
-        pp.Arm.from_urdf(made.urdf, modules=[3, 3])
+        pp.Arm.load(made.urdf, modules=[3, 3])
 
 
 def test_locked_joints_leave_the_chain_where_they_were_locked() -> None:
     full = pp.Arm.from_template("RyRz", 3, (L1, L2))
     name = full.module_joints[1][0]
-    arm = pp.Arm.from_urdf(full.urdf, modules=[2, 1, 2], locked={name: 0.4})
+    arm = pp.Arm.load(full.urdf, modules=[2, 1, 2], locked={name: 0.4})
     assert arm.nv == 5
     q = arm.random(np.random.default_rng(0))
     # The first module now ends where the next joint that moves sits, one link farther on.
     np.testing.assert_allclose(arm.at(q).points[1:], full.at(np.insert(q, 2, 0.4)).points[1:], atol=1e-12)
     with pytest.raises(UnknownName, match="elbow"):
-        pp.Arm.from_urdf(full.urdf, locked={"elbow": 0.0})
+        pp.Arm.load(full.urdf, locked={"elbow": 0.0})
 
 
 def test_base_and_tip_choose_the_part_of_the_chain() -> None:
@@ -220,7 +220,7 @@ def test_base_and_tip_choose_the_part_of_the_chain() -> None:
     links = [frame.name for frame in full.model.frames if frame.type == pin.FrameType.BODY]
     inner = next(name for name in links if name.startswith("m03"))
     with pytest.warns(pp.PostureWarning, match="off the chain"):
-        arm = pp.Arm.from_urdf(full.urdf, tip=inner)
+        arm = pp.Arm.load(full.urdf, tip=inner)
     assert arm.nv == 5
     assert arm.chain.joints == full.chain.joints[:5]
 
@@ -236,7 +236,7 @@ def test_straight_is_the_farthest_stretch_even_if_neutral_is_bent() -> None:
         if joint.get("type") == "revolute":
             axis = np.array([float(x) for x in joint.find("axis").get("xyz").split()])
             joint.find("origin").set("rpy", " ".join(map(str, 0.9 * axis)))
-    arm = pp.Arm.from_urdf(ElementTree.tostring(root, encoding="unicode"))
+    arm = pp.Arm.load(ElementTree.tostring(root, encoding="unicode"))
     assert np.linalg.norm(arm.at(arm.neutral()).points[-1]) < 0.35
     reach = np.linalg.norm(arm.at(arm.straight()).points[-1] - arm.chain.base)
     assert reach == pytest.approx(arm.length)
@@ -283,7 +283,7 @@ def test_a_base_that_slides_without_real_limits_is_left_where_it_is(bound):
     joints = [("prismatic", X, HERE, bound), ("prismatic", Y, HERE, bound), *pairs(3)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        arm = pp.Arm.from_urdf(arm_text(joints))
+        arm = pp.Arm.load(arm_text(joints))
     assert list(arm.roaming) == [True] * 2 + [False] * 6
     assert np.all(arm.positions(arm.straight())[:2] == 0.0)
     tip = arm.at(arm.straight()).points[-1]
@@ -295,7 +295,7 @@ def test_a_base_that_slides_without_real_limits_is_left_where_it_is(bound):
 
 def test_real_limits_of_slides_are_drawn_from_to_their_ends():
     joints = [("prismatic", X, HERE, limit(0, 20)), *pairs(3)]
-    arm = pp.Arm.from_urdf(arm_text(joints))
+    arm = pp.Arm.load(arm_text(joints))
     drawn = [arm.positions(arm.random(np.random.default_rng(seed)))[0] for seed in range(200)]
     assert not arm.roaming.any()
     assert 0.0 <= min(drawn) < 1.0
@@ -304,7 +304,7 @@ def test_real_limits_of_slides_are_drawn_from_to_their_ends():
 
 def test_hinges_with_limits_of_many_turns_are_drawn_from_one():
     joints = [("revolute", Y, LINK, limit(-1e6, 1e6)), ("revolute", Z, LINK, limit(-12, 12))] * 2
-    arm = pp.Arm.from_urdf(arm_text(joints))
+    arm = pp.Arm.load(arm_text(joints))
     drawn = np.abs([arm.positions(arm.random(np.random.default_rng(seed))) for seed in range(100)])
     assert np.all(drawn.max(axis=0)[[0, 2]] <= np.pi)
     assert np.all(drawn.max(axis=0)[[1, 3]] > 6.0)

@@ -46,7 +46,7 @@ REFUSED = {
 def load(name, **arguments):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PostureWarning)
-        return pp.Arm.from_urdf(ROBOTS / name, **arguments)
+        return pp.Arm.load(ROBOTS / name, **arguments)
 
 
 def test_the_robots_are_installed():

@@ -22,7 +22,7 @@ def loaded(text, **arguments):
     """The arm, and the warnings given on the way."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        arm = pp.Arm.from_urdf(text, **arguments)
+        arm = pp.Arm.load(text, **arguments)
     assert all(entry.category is PostureWarning and entry.filename == __file__ for entry in caught)
     return arm, [str(entry.message) for entry in caught]
 
@@ -36,7 +36,7 @@ def test_a_faulty_description_is_refused_as_an_arm_too(fault):
     start = time.perf_counter()
     text, element, words, _ = FAULTS[fault]
     with pytest.raises(URDFError) as caught:
-        pp.Arm.from_urdf(text)
+        pp.Arm.load(text)
     assert caught.value.element == element and words in caught.value.reason
     assert time.perf_counter() - start < 1.0
 
@@ -45,7 +45,7 @@ def test_a_faulty_description_is_refused_as_an_arm_too(fault):
 def test_what_makes_no_arm_is_refused_for_the_true_reason(case):
     text, arguments, kind, words = REFUSED[case]
     with pytest.raises(PostureError) as caught:
-        pp.Arm.from_urdf(text, **arguments)
+        pp.Arm.load(text, **arguments)
     assert type(caught.value) is kind
     assert words in str(caught.value)
 

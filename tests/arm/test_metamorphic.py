@@ -48,7 +48,7 @@ def described(name):
 def load(text):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        return pp.Arm.from_urdf(text)
+        return pp.Arm.load(text)
 
 
 @pytest.mark.parametrize("name", ARMS)
@@ -78,7 +78,7 @@ def test_every_part_of_the_last_link_comes_out_the_same_if_the_tip_is_named(name
     rng = np.random.default_rng(5)
     arm = load(described(name))
     text = turned_frames(with_sensors(with_fixed_joints(described(name), rng), rng), rng)
-    other = pp.Arm.from_urdf(text, tip="tip")
+    other = pp.Arm.load(text, tip="tip")
     positions = rng.uniform(-1.0, 1.0, arm.nv)
     state, same = (a.at(a.configuration(positions)) for a in (arm, other))
     np.testing.assert_allclose(same.points, state.points, atol=1e-12)
@@ -119,7 +119,7 @@ def test_a_slide_without_limits_has_a_random_position_of_the_size_of_the_arm():
     text = arm_text([("prismatic", Y, LINK, limit()), *pairs(1)])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        small = pp.Arm.from_urdf(scaled(text, 1e-3))
+        small = pp.Arm.load(scaled(text, 1e-3))
     drawn = [small.positions(small.random(np.random.default_rng(seed)))[0] for seed in range(50)]
     assert 0.5 * small.length < max(map(abs, drawn)) <= small.length
     assert np.all(np.isfinite(small.straight()))

@@ -155,7 +155,7 @@ def test_only_our_errors_come_out_and_soon(text, arguments):
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             warnings.simplefilter("ignore", PostureWarning)
-            arm = pp.Arm.from_urdf(text, **arguments)
+            arm = pp.Arm.load(text, **arguments)
     except PostureError as error:
         assert str(error)
     else:
@@ -171,5 +171,5 @@ def test_the_files_are_valid_before_they_are_mutated():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PostureWarning)
         for text in files()[:-1]:
-            assert pp.Arm.from_urdf(text).nv >= 4
-        assert pp.Arm.from_urdf(files()[-1], tip="b2").nv == 2
+            assert pp.Arm.load(text).nv >= 4
+        assert pp.Arm.load(files()[-1], tip="b2").nv == 2

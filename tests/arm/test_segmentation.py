@@ -22,7 +22,7 @@ LONG, SHORT, OFFSET = "0.13 0 0", "0.05 0 0", "0 0.02 0.08"
 def load(joints, tip=LINK):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return pp.Arm.from_urdf(arm_text(joints, tip))
+        return pp.Arm.load(arm_text(joints, tip))
 
 
 def sizes(arm):
@@ -199,7 +199,7 @@ def test_zero_positions_and_senses_of_axes_do_not_change_the_pattern():
         before = f'<origin xyz="{LINK}"/><axis xyz="{axis}"/>'
         flipped = " ".join(str(rng.choice([-1, 1]) * float(x)) for x in axis.split())
         text = text.replace(before, f'<origin xyz="{LINK}" rpy="{turned}"/><axis xyz="{flipped}"/>', 1)
-    arm = pp.Arm.from_urdf(text)
+    arm = pp.Arm.load(text)
     assert np.linalg.norm(arm.chain.points[-1] - arm.chain.base) < 0.95 * arm.length
     assert sizes(arm) == [2] * 6
     assert arm.segmentation.period == 1
@@ -218,8 +218,7 @@ def test_the_reason_names_the_pattern_and_the_exception():
     odd = [(TURN, Y, LINK), (TURN, X, SHORT), (TURN, Z, LONG), (TURN, Y, OFFSET), (TURN, Z, LINK)]
     assert "no pattern" in load(odd).segmentation.reason
     assert (
-        pp.Arm.from_urdf(arm_text(pairs(4)), modules=4).segmentation.reason
-        == "4 joints for each module, as asked"
+        pp.Arm.load(arm_text(pairs(4)), modules=4).segmentation.reason == "4 joints for each module, as asked"
     )
 
 

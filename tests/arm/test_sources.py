@@ -88,7 +88,7 @@ def test_a_model_is_written_as_it_is(name: str) -> None:
 
 def test_a_model_makes_the_arm_that_its_urdf_makes() -> None:
     file = ROBOTS / "ur_description/urdf/ur5_robot.urdf"
-    arm, same = pp.Arm.from_urdf(file), pp.Arm.load(pin.buildModelFromUrdf(str(file)))
+    arm, same = pp.Arm.load(file), pp.Arm.load(pin.buildModelFromUrdf(str(file)))
     q = np.random.default_rng(1).uniform(-1.0, 1.0, arm.nq)
     np.testing.assert_allclose(same.at(q).points, arm.at(q).points, atol=1e-12)
     assert (same.chain.joints, same.segmentation.sizes) == (arm.chain.joints, arm.segmentation.sizes)

@@ -60,7 +60,7 @@ def test_words_on_stdout_and_the_file_on_stderr(command, arm_file, tmp_path):
 def test_several_curves_from_one_start(command, arm_file, tmp_path):
     many(command, arm_file, "--curve", "line", "--count", 1, "-o", tmp_path)
     batch = pp.load(tmp_path / "batch.npz", pp.Batch)
-    arm = pp.Arm.from_urdf(arm_file)
+    arm = pp.Arm.load(arm_file)
     for target, name in zip(batch.targets, ("helix", "line"), strict=True):
         np.testing.assert_allclose(target.points, pp.resolve_targets(arm, CURVES[name]).points, atol=1e-12)
     np.testing.assert_array_equal(batch.q_start[0], batch.q_start[1])

@@ -19,7 +19,7 @@ def test_the_file_holds_the_arm_that_was_asked_for(command, tmp_path):
         ["0.0", "1.0", "0.0"],
         ["0.0", "0.0", "1.0"],
     ] * 7
-    assert pp.Arm.from_urdf(file).length == pytest.approx(7 * 0.05)
+    assert pp.Arm.load(file).length == pytest.approx(7 * 0.05)
 
 
 def test_stdout_gets_the_same_text_as_the_file(command, tmp_path):
@@ -32,7 +32,7 @@ def test_stdout_gets_the_same_text_as_the_file(command, tmp_path):
 def test_the_json_summary_agrees_with_what_loads(command, tmp_path, template):
     file = tmp_path / "arm.urdf"
     summary = json.loads(command("generate", template, "--modules", 4, "-o", file, "--json").out)
-    arm = pp.Arm.from_urdf(file)
+    arm = pp.Arm.load(file)
     assert summary["file"] == str(file)
     assert summary["dof"] == arm.nv
     assert summary["length"] == pytest.approx(arm.length, rel=1e-12)

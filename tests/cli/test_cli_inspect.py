@@ -97,8 +97,8 @@ def test_reach_is_the_farthest_that_the_tip_gets_from_the_base(command):
 
 
 def test_it_says_why_the_modules_were_cut_so(command, arm_file):
-    arm = pp.Arm.from_urdf(arm_file)
-    for options, expected in (((), arm), (("--modules", 4), pp.Arm.from_urdf(arm_file, modules=4))):
+    arm = pp.Arm.load(arm_file)
+    for options, expected in (((), arm), (("--modules", 4), pp.Arm.load(arm_file, modules=4))):
         assert json.loads(command("inspect", arm_file, *options, "--json").out)["modules_reason"] == (
             expected.segmentation.reason
         )
@@ -119,7 +119,7 @@ def test_it_says_which_module_has_no_closed_form_kinematics(command, arm_file):
 def test_modules_end_at_links_that_are_named(command, arm_file):
     options = ("--modules", "m02_l2, m03_l2,tip")
     about = json.loads(command("inspect", arm_file, *options, "--json").out)
-    arm = pp.Arm.from_urdf(arm_file, modules=["m02_l2", "m03_l2", "tip"])
+    arm = pp.Arm.load(arm_file, modules=["m02_l2", "m03_l2", "tip"])
     assert arm.n_modules == 3
     assert [joint["module"] for joint in about["joints"]] == [
         k for k, names in enumerate(arm.module_joints, start=1) for _ in names
@@ -133,7 +133,7 @@ def test_modules_end_at_links_that_are_named(command, arm_file):
 def test_what_loading_warns_of_is_told_in_the_table_in_the_json_and_in_one_line_each(command):
     text = robot([*CHAIN, ("finger", "revolute", "a", "nail")])
     with pytest.warns(pp.PostureWarning) as warned:
-        arm = pp.Arm.from_urdf(text)
+        arm = pp.Arm.load(text)
     assert [str(warning.message) for warning in warned] == list(arm.warnings)
     assert len(arm.warnings) == 2
     words, data = command("inspect", "-", input=text), command("inspect", "-", "--json", input=text)
@@ -264,7 +264,7 @@ def test_nothing_is_cut_short_in_a_pipe(command):
 
 
 def test_how_the_whole_arm_follows_a_curve_is_told(command, arm_file, tmp_path):
-    arm = pp.Arm.from_urdf(arm_file)
+    arm = pp.Arm.load(arm_file)
     bend = pp.Curve.spline([(0, 0, 0), (0.1, 0, 0), (0.2, 0.05, 0.02), (0.3, 0.15, 0.05), (0.4, 0.2, 0)])
     bend.save(tmp_path / "bend.json")
     target = pp.resolve_targets(arm, bend)

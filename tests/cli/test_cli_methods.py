@@ -22,7 +22,7 @@ def urdf(command, tmp_path_factory):
 def test_json_and_table_are_what_the_library_found(command, urdf):
     asked = ("study", "methods", urdf, "--controllers", ",".join(NAMES), "--seeds", 2, "--steps", 60)
     found = json.loads(command(*asked, "--json").out)
-    expected = compare_methods(pp.Arm.from_urdf(urdf), NAMES, range(2), 60)
+    expected = compare_methods(pp.Arm.load(urdf), NAMES, range(2), 60)
     assert [method["controller"] for method in found["methods"]] == NAMES
     for shown, result in zip(found["methods"], expected, strict=True):
         assert shown["posture_error"] == result.posture_error

@@ -33,7 +33,7 @@ def as_json(row):
 
 @pytest.fixture(scope="module")
 def expected(arm_file):
-    return study_postures([loaded_subject(pp.Arm.from_urdf(arm_file))], ("joint", "lm"), 10)
+    return study_postures([loaded_subject(pp.Arm.load(arm_file))], ("joint", "lm"), 10)
 
 
 def test_json_is_what_the_library_found(command, arm_file, expected):
@@ -79,7 +79,7 @@ def test_a_loaded_arm_and_the_files_that_are_left(command, arm_file, tmp_path):
     ]
     records = read_records(out / "cases.csv")
     again = study_postures(
-        [loaded_subject(pp.Arm.from_urdf(arm_file, modules=2))], ("joint", "lm"), 10, first_seed=4
+        [loaded_subject(pp.Arm.load(arm_file, modules=2))], ("joint", "lm"), 10, first_seed=4
     )
     assert [each._replace(seconds=0.0) for each in records] == [each._replace(seconds=0.0) for each in again]
     summary = json.loads((out / "summary.json").read_text())

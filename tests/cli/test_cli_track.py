@@ -80,7 +80,7 @@ def test_options_reach_the_run(command, arm_file, tmp_path):
     run = pp.load(tmp_path / "run.npz", pp.Trajectory)
     assert run.controller.startswith("Projection")
     assert np.abs(np.diff(run.q, axis=0)).max() == pytest.approx(0.02)
-    target = pp.resolve_targets(pp.Arm.from_urdf(arm_file), CURVES["helix"], roll=0.5)
+    target = pp.resolve_targets(pp.Arm.load(arm_file), CURVES["helix"], roll=0.5)
     np.testing.assert_allclose(run.target.points, target.points, atol=1e-12)
 
 
@@ -90,7 +90,7 @@ def test_modules_are_placed_by_the_method_asked_for_and_the_summary_tells(
     command, arm_file, tmp_path, method
 ):
     summary = track(command, arm_file, "--method", method, "--steps", 1, "-o", tmp_path)
-    target = pp.resolve_targets(pp.Arm.from_urdf(arm_file), CURVES["helix"], method=method)
+    target = pp.resolve_targets(pp.Arm.load(arm_file), CURVES["helix"], method=method)
     np.testing.assert_allclose(
         pp.load(tmp_path / "run.npz", pp.Trajectory).target.points, target.points, atol=1e-12
     )
@@ -135,7 +135,7 @@ def test_the_largest_residual_is_that_of_the_points_that_have_a_place(command, a
 def test_modules_end_at_links_that_are_named(command, arm_file, tmp_path):
     track(command, arm_file, "--modules", "m02_l2,m04_l2,tip", "--steps", 1, "-o", tmp_path)
     run = pp.load(tmp_path / "run.npz", pp.Trajectory)
-    named = pp.Arm.from_urdf(arm_file, modules=["m02_l2", "m04_l2", "tip"])
+    named = pp.Arm.load(arm_file, modules=["m02_l2", "m04_l2", "tip"])
     assert run.arm.module_joints == named.module_joints
     assert run.arm.n_modules == 3
 
@@ -144,7 +144,7 @@ def test_what_loading_warns_of_is_a_note_on_stderr(command, arm_file, tmp_path):
     file = tmp_path / "limitless.urdf"
     file.write_text(re.sub(r'lower="\S+" upper="\S+"', "", arm_file.read_text(), count=1))
     with pytest.warns(pp.PostureWarning) as warned:
-        pp.Arm.from_urdf(file)
+        pp.Arm.load(file)
     result = command("track", file, "--curve", "helix", "--steps", 1, "--json")
     assert json.loads(result.out)["steps"] == 1
     assert result.err == "".join(f"note: {warning.message}\n" for warning in warned)
@@ -165,7 +165,7 @@ def test_the_same_seed_gives_the_same_run_and_another_seed_another(command, arm_
 
 @pytest.mark.usefixtures("no_pictures")
 def test_named_starts_are_those_of_the_library(command, arm_file, tmp_path):
-    arm = pp.Arm.from_urdf(arm_file)
+    arm = pp.Arm.load(arm_file)
     rng = np.random.default_rng(9)
     expected = {
         "straight": np.zeros(12),
@@ -228,7 +228,7 @@ def test_partial_leaves_points_free_and_says_so(command, arm_file, tmp_path):
 
 
 def test_the_exit_code_tells_whether_the_arm_got_there(command, arm_file, tmp_path):
-    target = pp.resolve_targets(pp.Arm.from_urdf(arm_file), CURVES["helix"])
+    target = pp.resolve_targets(pp.Arm.load(arm_file), CURVES["helix"])
     np.save(tmp_path / "there.npy", target.q)
     base = ("track", arm_file, "--curve", "helix", "--steps", 1)
     assert command(*base).code == 1

@@ -49,7 +49,7 @@ def test_joints_are_locked_where_it_is_said(command, arm_file):
     found = json.loads(command("inspect", arm_file, *given, "--json").out)
     assert found["dof"] == 10
     assert set(found["held"]) == {"m01_j1_y", "m02_j2_z"}
-    expected = pp.Arm.from_urdf(arm_file, locked={"m01_j1_y": 0.5, "m02_j2_z": np.pi / 6})
+    expected = pp.Arm.load(arm_file, locked={"m01_j1_y": 0.5, "m02_j2_z": np.pi / 6})
     tip = expected.at(expected.neutral()).points[-1]
     np.testing.assert_allclose(found["control_points"][-1]["position"], tip, atol=1e-12)
 

@@ -108,10 +108,10 @@ def test_an_arm_without_geometry_has_stand_ins_of_usual_thickness():
     arm = modelled()
     radius = STAND_IN_RADIUS * arm.chain.module_lengths.mean()
     assert {body.shape.radius for body in bodies_of(arm)} == {radius}
-    bare = pp.Arm.from_urdf(described([""] * 4), modules=2)
+    bare = pp.Arm.load(described([""] * 4), modules=2)
     assert {type(body.shape) for body in bodies_of(bare)} == {Capsule}
     # Geometry of the base alone does not mean that all the rest is thin air.
-    based = pp.Arm.from_urdf(described([""] * 4, base=geometry('<sphere radius="0.1"/>')), modules=2)
+    based = pp.Arm.load(described([""] * 4, base=geometry('<sphere radius="0.1"/>')), modules=2)
     assert [body.joint for body in bodies_of(based)] == [0, 1, 2, 3, 4]
 
 
@@ -119,7 +119,7 @@ def test_every_kind_of_geometry_is_read_where_its_link_is():
     shapes = ['<box size="1 2 3"/>', '<sphere radius="0.1"/>', '<cylinder radius="0.1" length="0.4"/>']
     shapes.append('<capsule radius="0.1" length="0.4"/>')
     text = described([geometry(shape, "0.1 0.2 0.3", "0 1.5707963267948966 0") for shape in shapes])
-    arm = pp.Arm.from_urdf(text, modules=2, base_placement=PLACED)
+    arm = pp.Arm.load(text, modules=2, base_placement=PLACED)
     box, ball, tube, rounded = bodies_of(arm)
     turn = pin.rpy.rpyToMatrix(0, np.pi / 2, 0)
     assert box.shape == Box((0.1, 0.2, 0.3), (1, 2, 3), turn)
@@ -134,7 +134,7 @@ def test_every_kind_of_geometry_is_read_where_its_link_is():
 
 def test_the_base_stands_where_the_base_placement_puts_it():
     ball = geometry('<sphere radius="0.1"/>', "0.1 0 0")
-    arm = pp.Arm.from_urdf(described([ball, ball], base=ball), modules=2, base_placement=PLACED)
+    arm = pp.Arm.load(described([ball, ball], base=ball), modules=2, base_placement=PLACED)
     base = bodies_of(arm)[0]
     assert base.joint == 0
     np.testing.assert_allclose(base.shape.center, PLACED.act(np.array([0.1, 0, 0])), atol=1e-12)
@@ -142,7 +142,7 @@ def test_the_base_stands_where_the_base_placement_puts_it():
 
 def test_links_held_still_move_with_the_joint_before():
     ball = geometry('<sphere radius="0.02"/>', "0.1 0 0")
-    arm = pp.Arm.from_urdf(described([ball] * 3), modules=2, locked={"j3": 0.5})
+    arm = pp.Arm.load(described([ball] * 3), modules=2, locked={"j3": 0.5})
     assert [body.joint for body in bodies_of(arm)] == [1, 2, 2]
     turn = pin.rpy.rpyToMatrix(0, 0.5, 0)
     np.testing.assert_allclose(bodies_of(arm)[2].shape.center, [0.2, 0, 0] + turn @ [0.1, 0, 0], atol=1e-12)
@@ -159,7 +159,7 @@ def test_meshes_become_hulls_and_missing_ones_capsules(tmp_path):
     links = [geometry(MESH.format(name), "0.1 0 0") for name in ("there.stl", "gone.stl", "broken.stl")]
     links.append(geometry('<cylinder radius="-1" length="1"/>'))
     (tmp_path / "arm.urdf").write_text(described(links))
-    arm = pp.Arm.from_urdf(tmp_path / "arm.urdf", modules=2)
+    arm = pp.Arm.load(tmp_path / "arm.urdf", modules=2)
     with pytest.warns(PostureWarning) as caught:
         bodies = bodies_of(arm)
     message = str(caught[0].message)
@@ -179,7 +179,7 @@ def test_meshes_become_hulls_and_missing_ones_capsules(tmp_path):
     "shape", ["", "<cone/>", '<box size="1 2"/>', '<sphere radius="x"/>', "<sphere/>", "<mesh/>"]
 )
 def test_geometry_that_makes_no_solid_is_named(shape):
-    arm = pp.Arm.from_urdf(described([geometry(shape), geometry('<sphere radius="0.1"/>')]), modules=2)
+    arm = pp.Arm.load(described([geometry(shape), geometry('<sphere radius="0.1"/>')]), modules=2)
     with pytest.warns(PostureWarning, match="link 'l1'"):
         bodies = bodies_of(arm)
     assert [type(body.shape) for body in bodies] == [Capsule, Sphere]
@@ -195,7 +195,7 @@ def test_a_robot_with_meshes_of_its_own():
         )
         if folder.is_dir()
     )
-    arm = pp.Arm.from_urdf(
+    arm = pp.Arm.load(
         robots / "ur_description/urdf/ur5_robot.urdf", package_dirs=[robots.parents[1]], base_placement=PLACED
     )
     with warnings.catch_warnings():

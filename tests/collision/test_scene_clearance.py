@@ -157,7 +157,7 @@ def test_bodies_that_touch_where_the_arm_is_straight_are_named():
 
 def test_tubes_that_slide_in_one_another_may():
     tube = geometry('<box size="0.2 0.05 0.05"/>')
-    arm = pp.Arm.from_urdf(described(["", tube, tube, tube], 0.01, slides=(3, 4)), modules=4)
+    arm = pp.Arm.load(described(["", tube, tube, tube], 0.01, slides=(3, 4)), modules=4)
     clearance = CollisionModel(arm, Scene(self_collision=True))
     assert [(each.first, each.second) for each in clearance.excluded_pairs] == [("l4", "l2")]
     assert clearance.minimum(arm.neutral()).distance > 0.0
@@ -165,7 +165,7 @@ def test_tubes_that_slide_in_one_another_may():
 
 def test_an_arm_can_hit_its_own_base_but_a_base_hits_nothing():
     ball = geometry('<sphere radius="0.03"/>', "0.1 0 0")
-    arm = pp.Arm.from_urdf(
+    arm = pp.Arm.load(
         described([ball] * 4, base=geometry('<box size="0.1 0.4 0.1"/>', "-0.2 0 0")), modules=2
     )
     scene = Scene({"floor": Sphere((-0.2, 0, 0), 0.1)}, self_collision=True)

@@ -201,7 +201,7 @@ def test_slides_and_joints_without_limits_are_used():
     )
     links = "".join(f'<link name="{name}"/>' for name in ("base", "cart", "boom", "jib", "tip"))
     text = f'<robot name="crane">{links}{"".join(joint.format(*each) for each in joints)}</robot>'
-    arm = pp.Arm.from_urdf(text)
+    arm = pp.Arm.load(text)
     goal = (0.6, 0.15, 0.0)
     found = pp.reach(arm, goal, count=3)
     assert len(found) == 3

@@ -212,7 +212,7 @@ def robot(name: str) -> pp.Arm:
     root = prefix if prefix.name == "cmeel.prefix" else prefix / "cmeel.prefix"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", pp.PostureWarning)
-        return pp.Arm.from_urdf(root / "share/example-robot-data/robots" / name)
+        return pp.Arm.load(root / "share/example-robot-data/robots" / name)
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -233,8 +233,8 @@ def test_links_of_a_file_come_from_the_joint_before_the_control_point(name: str)
 
 def test_links_do_not_depend_on_the_frames_of_a_file() -> None:
     made = arm_called("spatial")
-    plain = pp.Arm.from_urdf(made.urdf, modules=2)
-    turned = pp.Arm.from_urdf(turned_frames(made.urdf, np.random.default_rng(5)), modules=2)
+    plain = pp.Arm.load(made.urdf, modules=2)
+    turned = pp.Arm.load(turned_frames(made.urdf, np.random.default_rng(5)), modules=2)
     points = np.arange(4)
     for seed in range(3):
         q = plain.random(np.random.default_rng(seed))

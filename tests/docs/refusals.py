@@ -24,7 +24,7 @@ TWO = links("abc") + moving("j", "a", "b")
 
 def loading(text: str, **options: Any) -> Load:
     """A call that loads an arm."""
-    return lambda: pp.Arm.from_urdf(text, **options)
+    return lambda: pp.Arm.load(text, **options)
 
 
 CHAIN: dict[str, Load] = {

@@ -36,7 +36,7 @@ def test_the_description_shown_is_an_arm() -> None:
     (text,) = re.findall(r"```xml\n(.*?)```", PAGE, re.DOTALL)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        arm = pp.Arm.from_urdf(text)
+        arm = pp.Arm.load(text)
     assert (arm.dimension, arm.segmentation.sizes) == (2, (1, 1))
     assert arm.length == 0.5
     assert "two modules of one joint each, 0.5 m" in PAGE

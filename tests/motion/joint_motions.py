@@ -29,7 +29,7 @@ MOMENTS = np.arange(4) + 0.5
 
 @cache
 def arm() -> pp.Arm:
-    return pp.Arm.from_urdf(
+    return pp.Arm.load(
         arm_text(
             [("continuous", Y, LINK), ("prismatic", X, LINK), ("continuous", Z, LINK), ("revolute", Y, LINK)]
         )

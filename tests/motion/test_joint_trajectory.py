@@ -28,7 +28,7 @@ def hinges() -> pp.Arm:
 
 @pytest.fixture(scope="session")
 def varied() -> pp.Arm:
-    return pp.Arm.from_urdf(
+    return pp.Arm.load(
         arm_text(
             [("continuous", Y, LINK), ("prismatic", X, LINK), ("continuous", Z, LINK), ("revolute", Y, LINK)]
         )

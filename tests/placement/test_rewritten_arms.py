@@ -16,7 +16,7 @@ from pinposture.study import gentle_curve
 def load(text: str) -> pp.Arm:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", pp.PostureWarning)
-        return pp.Arm.from_urdf(text)
+        return pp.Arm.load(text)
 
 
 @pytest.mark.parametrize("template", ["RyRz", "Rz"])

@@ -21,7 +21,7 @@ WIDE = limit(-1e6, 1e6)
 def load(text, **more):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PostureWarning)
-        return pp.Arm.from_urdf(text, **more)
+        return pp.Arm.load(text, **more)
 
 
 def brute_force(arm, q, curve, normal=(0, 0, 0)):

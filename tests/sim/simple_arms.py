@@ -58,7 +58,7 @@ def quiet(source: str | Path, **options) -> pp.Arm:
     """Load an arm; what loading warns of is tested elsewhere."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PostureWarning)
-        return pp.Arm.from_urdf(source, **options)
+        return pp.Arm.load(source, **options)
 
 
 def mass_matrix(arm: pp.Arm, q: np.ndarray) -> np.ndarray:

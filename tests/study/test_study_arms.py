@@ -32,7 +32,7 @@ def survey(directory: Path) -> ArmSurvey:
 
 
 def test_the_run_of_qp_is_that_of_the_default_controller(directory: Path) -> None:
-    arm = pp.Arm.from_urdf(directory / "arm.urdf")
+    arm = pp.Arm.load(directory / "arm.urdf")
     target = pp.resolve_targets(arm, gentle_curve(arm))
     run = pp.track(arm, target, arm.random(np.random.default_rng(SEED)))
     found = survey(directory)
@@ -68,7 +68,7 @@ def test_a_run_outside_the_limits_is_told_of(
 
 
 def test_the_farthest_of_the_whole_arm_is_that_of_samples_along_its_links(directory: Path) -> None:
-    arm = pp.Arm.from_urdf(directory / "arm.urdf")
+    arm = pp.Arm.load(directory / "arm.urdf")
     target = pp.resolve_targets(arm, gentle_curve(arm))
     data = arm.model.createData()
     pin.framesForwardKinematics(arm.model, data, target.q)

@@ -10,14 +10,7 @@ from sampling import seeds
 
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.placement import resolve_targets
-from pinposture.study import (
-    Record,
-    built_subject,
-    by_heading,
-    draw_headings,
-    largest_turn,
-    study_headings,
-)
+from pinposture.study import Record, built_subject, by_heading, draw_headings, largest_turn, study_headings
 from pinposture.study.postures import BINS, HEADING, bin_of, draw_pair
 from pinposture.study.scenarios import curve_along
 

@@ -8,14 +8,7 @@ from arms import template_arm
 from joblib import parallel_config
 
 from pinposture.errors import InvalidValue, UnknownName
-from pinposture.study import (
-    Record,
-    Subject,
-    built_subject,
-    draw_postures,
-    study_postures,
-    summarise,
-)
+from pinposture.study import Record, Subject, built_subject, draw_postures, study_postures, summarise
 from pinposture.study.postures import COMPARED
 from pinposture.study.record import GROUPS, Spread
 

@@ -201,7 +201,7 @@ def test_a_mechanism_of_any_kind_is_followed():
         arm = Arm.from_modules([feed(), *[template("RyRz").with_lengths(lengths)] * 8])
         reference = follow_leader(arm, path, 0.1, 0.1)
         assert path_deviation(arm, rows(reference), path).largest < 1.05 * LINK**2 / 8 / 0.2
-    loaded = Arm.from_urdf(modules_to_urdf([feed(), *CROSSED], "found"))
+    loaded = Arm.load(modules_to_urdf([feed(), *CROSSED], "found"))
     reference = follow_leader(loaded, path, 0.1, 0.1)
     expected = follow_leader(crossed(), path, 0.1, 0.1)
     assert reference.offsets == pytest.approx(expected.offsets, abs=1e-9)

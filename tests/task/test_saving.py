@@ -279,9 +279,7 @@ def test_starts_and_controllers(tmp_path: Path) -> None:
     q = six_modules().random(np.random.default_rng(1))
     assert written(task_of(start=q), path)["start"] == {"joints": q.tolist()}
     assert written(task_of(start=six_modules().straight()), path)["start"] == {"posture": "straight"}
-    planar = pp.Arm.from_urdf(
-        pp.Arm.from_template("Rz", 3).urdf.replace('rpy="0.0 0.0 0.0"', 'rpy="0 0 0.5"')
-    )
+    planar = pp.Arm.load(pp.Arm.from_template("Rz", 3).urdf.replace('rpy="0.0 0.0 0.0"', 'rpy="0 0 0.5"'))
     task = task_of(arm=planar, start=planar.neutral())
     assert written(task, tmp_path / "planar.toml")["start"] == {"posture": "neutral"}
     assert "start" not in written(task_of(), path)

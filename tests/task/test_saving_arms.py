@@ -38,7 +38,7 @@ def six_modules() -> pp.Arm:
 def arm_of(source: Any, **arguments: Any) -> pp.Arm:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PostureWarning)
-        return pp.Arm.from_urdf(source, **arguments)
+        return pp.Arm.load(source, **arguments)
 
 
 def task_of(arm: pp.Arm, **more: Any) -> pp.Task:
@@ -91,8 +91,8 @@ def test_an_arm_that_only_bears_the_name_of_a_template_is_not_taken_for_one(tmp_
         pp.Arm.from_modules([pp.template("RzRy")] * 2, name="RyRz_2"),
         pp.Arm.from_modules([pp.template("RyRz")] * 2, name="RyRz_3"),
         pp.Arm.from_modules([pp.template("RyRz")] * 2, name="RyRz_0"),
-        pp.Arm.from_urdf(pp.Arm.from_template("RyRz", 2).urdf, modules=4),
-        pp.Arm.from_urdf(pp.Arm.from_template("RyRz", 2).urdf, tip="m02_l1"),
+        pp.Arm.load(pp.Arm.from_template("RyRz", 2).urdf, modules=4),
+        pp.Arm.load(pp.Arm.from_template("RyRz", 2).urdf, tip="m02_l1"),
     ]
     for number, arm in enumerate(arms):
         again, written = saved(arm, tmp_path / f"{number}.toml")
@@ -145,7 +145,7 @@ def test_a_file_that_the_caller_knows_is_named(tmp_path: Path) -> None:
     (tmp_path / "robots").mkdir()
     file = tmp_path / "robots" / "~arm 1.urdf"
     file.write_text(arm_text(pairs(3)))
-    arm = pp.Arm.from_urdf(file, modules=3, locked={"j1": np.pi / 4}, tip="l4")
+    arm = pp.Arm.load(file, modules=3, locked={"j1": np.pi / 4}, tip="l4")
     table = {"urdf": file, "split": 3, "locked": {"j1": np.pi / 4}, "tip": "l4"}
     again, written = saved(arm, tmp_path / "tasks" / "task.toml")
     assert written == {**table, "urdf": "../robots/~arm 1.urdf"}
@@ -158,7 +158,7 @@ def test_a_file_that_the_caller_knows_is_named(tmp_path: Path) -> None:
 def test_a_file_that_is_gone_is_told_and_not_named(tmp_path: Path) -> None:
     file = tmp_path / "snake.urdf"
     file.write_text(arm_text(pairs(3)))
-    arm = pp.Arm.from_urdf(file, modules=3)
+    arm = pp.Arm.load(file, modules=3)
     file.unlink()
     with pytest.warns(PostureWarning, match=r"arm was 'snake.urdf', but no such file; it is written out"):
         again, written = saved(arm, tmp_path / "task.toml")
@@ -171,8 +171,8 @@ def test_a_file_that_is_gone_is_told_and_not_named(tmp_path: Path) -> None:
     [
         lambda: pp.Arm.from_template("RyRz", 3, (0.1, 0.2)),
         lambda: pp.Arm.from_modules([pp.template("RyRz"), pp.template("Rz")]),
-        lambda: pp.Arm.from_urdf(arm_text(pairs(3)), modules=[2, 4], locked={}),
-        lambda: pp.Arm.from_urdf(arm_text(pairs(3)), modules=["l2", "tip"]),
+        lambda: pp.Arm.load(arm_text(pairs(3)), modules=[2, 4], locked={}),
+        lambda: pp.Arm.load(arm_text(pairs(3)), modules=["l2", "tip"]),
         lambda: pp.Arm.from_template("Rz", 2).with_characteristic_length(0.3),
     ],
 )
@@ -225,7 +225,7 @@ def test_a_file_that_changed_after_it_was_read_is_not_named(tmp_path: Path) -> N
 
 
 def test_another_urdf_file_is_not_overwritten(tmp_path: Path) -> None:
-    arms = [pp.Arm.from_urdf(arm_text(pairs(count))) for count in (2, 3)]
+    arms = [pp.Arm.load(arm_text(pairs(count))) for count in (2, 3)]
     path = task_of(arms[0]).save(tmp_path / "task.toml")
     before = path.read_text()
     with pytest.raises(FileError, match=r"task\.urdf: is there already, and holds something else") as caught:

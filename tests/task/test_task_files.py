@@ -144,7 +144,7 @@ def test_files_are_looked_for_beside_the_one_that_names_them(tmp_path: Path, mon
     assert task.scene == scene
     assert task.motion[0].curve == pp.Curve.load(folder / "line.csv")
     with pytest.warns(pp.errors.PostureWarning):
-        wanted = pp.Arm.from_urdf(
+        wanted = pp.Arm.load(
             folder / "arm.urdf",
             "m01_l2",
             "tip",

@@ -16,13 +16,7 @@ from viz.motions import five_modules, some_motion
 
 import pinposture as pp
 from pinposture.motion.motion import Motion, Waypoint
-from pinposture.viz.animation import (
-    REST_BEFORE,
-    arm_tracks,
-    hoop_turns,
-    moving_target_tracks,
-    playback,
-)
+from pinposture.viz.animation import REST_BEFORE, arm_tracks, hoop_turns, moving_target_tracks, playback
 from pinposture.viz.axes import MAX_PLACES, group_alike, shown_places
 from pinposture.viz.body import body_poses
 from pinposture.viz.meshcat import add_moving_targets

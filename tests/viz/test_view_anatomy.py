@@ -37,7 +37,7 @@ def sliding(axes: list[str], kinds: list[str]) -> pp.Arm:
         text += f'<parent link="{links[k]}"/><child link="{links[k + 1]}"/>'
         text += '<limit lower="-1" upper="1" velocity="1" effort="1"/></joint>'
     links_text = "".join(f'<link name="{name}"/>' for name in links)
-    return pp.Arm.from_urdf(f'<robot name="r">{links_text}{text}</robot>', modules=1)
+    return pp.Arm.load(f'<robot name="r">{links_text}{text}</robot>', modules=1)
 
 
 def flat_points(figure: Figure, label: str) -> np.ndarray:
@@ -149,7 +149,7 @@ def test_a_bar_lies_along_each_axis_about_its_joint(rng):
 
 def test_a_planar_arm_is_drawn_in_its_plane_with_rings_for_axes_seen_from_the_end():
     turned = pin.SE3(pin.utils.rotate("x", np.pi / 2), np.array([0.0, 0.3, 0.0]))
-    arm = pp.Arm.from_urdf(planar().urdf, base_placement=turned)
+    arm = pp.Arm.load(planar().urdf, base_placement=turned)
     figure = pp.plot_arm(arm, arm.configuration([0.3, 0.2, -0.5, 0.1, 0.4]))
     (ax,) = figure.axes
     assert ax.name == "rectilinear"
@@ -182,7 +182,7 @@ def test_in_a_plane_an_axis_that_lies_in_it_is_a_bar_and_no_ring():
 
 
 def test_an_arm_of_one_module_and_one_that_stands_are_drawn(recwarn):
-    standing = pp.Arm.from_urdf(
+    standing = pp.Arm.load(
         planar().urdf, base_placement=pin.SE3(pin.utils.rotate("z", np.pi / 2), np.zeros(3))
     )
     for arm in (pp.Arm.from_template("RyRz", modules=1), pp.Arm.from_template("Rz", modules=1), standing):

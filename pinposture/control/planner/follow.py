@@ -12,14 +12,7 @@ from numpy.typing import NDArray
 from pinposture import kernels
 from pinposture.arm import Arm, ArmState
 from pinposture.control.controller import Diagnostics, Memory, Step, require_step_arguments
-from pinposture.control.limits import (
-    LIMIT_ROUNDING,
-    JointBounds,
-    Limits,
-    StepBox,
-    farthest,
-    require_limits,
-)
+from pinposture.control.limits import LIMIT_ROUNDING, JointBounds, Limits, StepBox, farthest, require_limits
 from pinposture.control.planner.avoidance import Avoidance, Solution
 from pinposture.control.planner.damped_least_squares import (
     CONVERGED,
