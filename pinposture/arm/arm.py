@@ -18,6 +18,7 @@ from pinposture import kernels
 from pinposture._validation import as_number, finite_vector, rigid_placement
 from pinposture.arm.chain import Chain, find_base_slides, find_unlimited, frame_ids, read_chain
 from pinposture.arm.configurations import ConfigurationSpace, check_joint_positions
+from pinposture.arm.couplings import Coupling, read_couplings
 from pinposture.arm.feasibility import Feasibility, check_feasibility
 from pinposture.arm.kinematics import (
     MAX_PINOCCHIO_DOF,
@@ -158,7 +159,7 @@ class Arm(ConfigurationSpace):
         if spec.urdf is None:
             return cls._from_templates(spec, spec.module_templates(), placement)
         given = (spec.urdf, spec.base, spec.tip, spec.split, spec.locked, spec.package_dirs)
-        return cls._from_loaded(load_model(*given, base_placement=placement), spec)
+        return cls._from_loaded(load_model(*given, placement, spec.couplings), spec)
 
     @classmethod
     def _from_templates(
@@ -199,6 +200,7 @@ class Arm(ConfigurationSpace):
         locked: Mapping[str, float] | None = None,
         package_dirs: Sequence[str | Path] | None = None,
         base_placement: pin.SE3 | None = None,
+        couplings: Mapping[str, str | Sequence[Any]] | None = None,
     ) -> Arm:
         """Load an arm from wherever it is described; meshes are not needed.
 
@@ -220,6 +222,8 @@ class Arm(ConfigurationSpace):
                 where the joint that they mimic puts them or at the position nearest zero within their limits.
             package_dirs: folders in which viewers look for meshes; loading needs none.
             base_placement: where the root link stands in the world; the origin if None.
+            couplings: joints that follow others, besides those with <mimic>: for each the name of the joint
+                that it follows; or that name, a ratio, and an offset [rad or m].
 
         Returns:
             The arm, with control points named "module_01", "module_02", ... at the ends of its modules.
@@ -233,7 +237,8 @@ class Arm(ConfigurationSpace):
         """
         if isinstance(source, pin.Model):
             source = model_to_urdf(source)
-        loaded = load_model(source, base, tip, modules, locked or {}, package_dirs, base_placement)
+        given = (source, base, tip, modules, locked or {}, package_dirs, base_placement, couplings)
+        loaded = load_model(*given)
         folders = [package_dirs] if isinstance(package_dirs, str | Path) else package_dirs or ()
         embedded = is_urdf_text(source) or not Path(source).exists()  # a name says less than what was found
         if embedded:
@@ -245,6 +250,7 @@ class Arm(ConfigurationSpace):
             split=_plain_modules(modules),
             locked={name: float(position) for name, position in (locked or {}).items()},
             package_dirs=tuple(settled(folder) for folder in folders),
+            couplings={name: _plain_coupling(value) for name, value in (couplings or {}).items()},
         )
         return cls._from_loaded(loaded, spec)
 
@@ -342,15 +348,20 @@ class Arm(ConfigurationSpace):
         """Number of modules m, which is the number of control points."""
         return len(self.control_points)
 
+    @cached_property
+    def couplings(self) -> tuple[Coupling, ...]:
+        """The joints that follow others, so that there are fewer degrees of freedom than joints."""
+        return read_couplings(self.model)
+
     @property
     def columns(self) -> NDArray[np.intp]:
-        """Index in the tangent space of each joint of the chain, from base to tip, (n,)."""
-        return self.chain.columns
+        """Index in the tangent space of each degree of freedom of the chain, from base to tip, (n,)."""
+        return self.chain.inputs
 
     @property
     def module_starts(self) -> NDArray[np.intp]:
-        """Index into the chain of the first joint of each module, (m,)."""
-        return self.chain.module_starts
+        """Index into `columns` of the first degree of freedom of each module, (m,)."""
+        return np.concatenate([[0], self.chain.input_ends[:-1]])
 
     @property
     def module_joints(self) -> tuple[tuple[str, ...], ...]:
@@ -433,7 +444,7 @@ class Arm(ConfigurationSpace):
     def slides(self) -> NDArray[np.bool_]:
         """True for a degree of freedom of the chain that slides, (nv,)."""
         slides = np.zeros(self.nv, dtype=np.bool_)
-        slides[self.columns[~self.chain.revolute]] = True
+        slides[self.columns] = ~self.chain.revolute[self.chain.leaders]
         return slides
 
     def checked_start(self, q: ArrayLike, name: str = "q") -> Array:
@@ -481,7 +492,8 @@ class Arm(ConfigurationSpace):
         positions when the arm takes the shape of a curve that begins at its base.
         """
         roaming = np.zeros(self.nv, dtype=np.bool_)
-        roaming[self.columns] = find_base_slides(self.unlimited[self.columns], self.chain.revolute)
+        revolute = ~self.slides[self.columns]
+        roaming[self.columns] = find_base_slides(self.unlimited[self.columns], revolute)
         return _read_only(roaming)
 
     @cached_property
@@ -529,7 +541,8 @@ class Arm(ConfigurationSpace):
     def multi_turn(self) -> NDArray[np.bool_]:
         """Degrees of freedom that can reach the same posture at positions a full turn apart, (nv,)."""
         room = self.limits.upper - self.limits.lower > 2.0 * np.pi
-        return np.asarray(room & (self.moved > 0.0) & ~self.slides & ~self.kinematics.endless)
+        alone = np.bincount(self.chain.columns, minlength=self.nv) == 1
+        return np.asarray(room & alone & ~self.slides & ~self.kinematics.endless)
 
     def nearest_turns(
         self, q: ArrayLike, near: ArrayLike | None = None, edges: ArrayLike | None = None
@@ -598,6 +611,11 @@ def _plain_modules(modules: Modules) -> Any:
     if modules is None:
         return None
     return (modules,) if isinstance(modules, str) else np.asarray(modules).tolist()
+
+
+def _plain_coupling(value: Any) -> Any:
+    """Return a value of the `couplings` argument as plain data."""
+    return value if isinstance(value, str) else tuple(value)
 
 
 class ArmState:
@@ -688,14 +706,15 @@ class ArmState:
     def axes(self) -> Array:
         """Angular velocity per unit of joint motion, (3, nv) [rad/rad], world axes.
 
-        The unit axis of a revolute joint; zero for a slide and for a joint off the chain.
+        The unit axis of a revolute joint; zero for a slide and for a joint off the chain. For coupled joints
+        that of what lies behind all of them.
         """
         if self.frames is not None:
             return _read_only(self.frames.motions[:, 3:].T * self.arm.moved)
-        axes = np.zeros((3, self.arm.nv))
-        revolute = self.arm.chain.revolute
-        axes[:, self.arm.columns[revolute]] = self.forward.axes[revolute].T
-        return _read_only(axes)
+        axes, chain = np.zeros((self.arm.nv, 3)), self.arm.chain
+        turns = np.where(chain.revolute, chain.ratios, 0.0)
+        np.add.at(axes, chain.columns, turns[:, None] * self.forward.axes)
+        return _read_only(axes.T)
 
     @cached_property
     def angular_jacobians(self) -> Array:
@@ -812,8 +831,7 @@ def smooth_configuration(arm: Arm, rng: np.random.Generator, amplitude: float) -
             amount = rng.normal() / number
             waves[:, place] += amount * np.sin(np.pi * number * along + rng.uniform(0, 2 * np.pi))
     positions = np.zeros(arm.nv)
-    for wave, joints in zip(waves, arm.chain.module_slices, strict=True):
-        columns = arm.columns[joints]
+    for wave, columns in zip(waves, np.split(arm.columns, arm.module_starts[1:]), strict=True):
         positions[columns] = wave[: len(columns)]
     positions *= amplitude / max(float(np.abs(positions).max()), 1e-300)
     return arm.configuration(np.clip(positions, arm.limits.lower, arm.limits.upper))

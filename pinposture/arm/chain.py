@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pinposture.arm.couplings import is_coupled, joint_axes, joint_placements, joint_ratios
 from pinposture.errors import InvalidValue, UnknownName
 
 Array = NDArray[np.float64]
@@ -28,27 +29,15 @@ def neutral_placements(model: pin.Model) -> list[pin.SE3]:
 
     `pin.Data` has the same placements, but that of an arm of 1,000 joints does not fit into memory.
     """
-    placements = [pin.SE3.Identity()]
+    placements, own = [pin.SE3.Identity()], joint_placements(model)
     for joint in range(1, model.njoints):  # at the neutral configuration a joint moves nothing
-        placements.append(placements[model.parents[joint]] * model.jointPlacements[joint])
+        placements.append(placements[model.parents[joint]] * own[joint])
     return placements
 
 
 def frame_position(frame: pin.Frame, placements: Sequence[pin.SE3]) -> Array:
     """Return the position of a frame (3,) [m], given the placements of all joints."""
     return np.array((placements[frame.parentJoint] * frame.placement).translation)
-
-
-def joint_screws(model: pin.Model, joints: list[int]) -> Array:
-    """Return the motions of joints with one degree of freedom, (n, 6): linear and angular, joint frames."""
-    return np.array([np.ravel(model.joints[joint].createData().S) for joint in joints])
-
-
-def joint_axes(model: pin.Model, joints: list[int]) -> tuple[Array, BoolArray]:
-    """Return the unit axes of joints, (n, 3), in their own frames, and whether they are revolute, (n,)."""
-    screws = joint_screws(model, joints)
-    revolute = np.asarray(np.linalg.norm(screws[:, 3:], axis=1) > 0.5)
-    return np.ascontiguousarray(np.where(revolute[:, None], screws[:, 3:], screws[:, :3])), revolute
 
 
 def plane_normal(axes: Array, origins: Array, revolute: BoolArray, tip: Array, length: float) -> Array | None:
@@ -103,6 +92,8 @@ class Skeleton:
     stations: Array  # origins of the joints, and the tip after them, (n + 1, 3) [m]
     lower: Array  # smallest joint positions, (n,) [rad or m]
     upper: Array  # largest joint positions, (n,) [rad or m]
+    columns: NDArray[np.intp]  # degree of freedom of each joint, (n,); the same for joints that are coupled
+    ratios: Array  # motion of each joint relative to that of its degree of freedom, (n,)
 
     @cached_property
     def length(self) -> float:
@@ -123,13 +114,18 @@ class Skeleton:
 
 
 def read_skeleton(model: pin.Model, names: Sequence[str], tip: str, lower: Array, upper: Array) -> Skeleton:
-    """Read the joints of a chain that ends at a link from a model; see `Skeleton`."""
+    """Read the joints of a chain that ends at a link from a model; see `Skeleton`.
+
+    `lower` and `upper` are the limits of the degrees of freedom, (nv,) [rad or m].
+    """
     placements = neutral_placements(model)
     joints = [model.getJointId(name) for name in names]
     axes, revolute = _world_axes(model, joints, placements)
     end = frame_position(model.frames[model.getFrameId(tip, pin.FrameType.BODY)], placements)
     stations = np.vstack([*(placements[joint].translation for joint in joints), end])
-    return Skeleton(tuple(names), axes, revolute, stations, lower, upper)
+    columns, ratios = np.array([model.joints[joint].idx_v for joint in joints]), joint_ratios(model, joints)
+    low, high = np.sort([ratios * lower[columns], ratios * upper[columns]], axis=0)
+    return Skeleton(tuple(names), axes, revolute, stations, low, high, columns, ratios)
 
 
 def _world_axes(
@@ -160,7 +156,9 @@ class Chain:
 
     Attributes:
         joints: names of the moving joints from base to tip, (n,).
-        columns: index of each joint's velocity in the tangent space of the model, (n,).
+        columns: index of each joint's velocity in the tangent space of the model, (n,); the same for joints
+            that are coupled.
+        ratios: motion of each joint relative to that of its degree of freedom, (n,); 1 unless coupled.
         revolute: True for a joint that turns, False for one that slides, (n,).
         axes: unit joint axes, (n, 3).
         origins: a point on each axis, (n, 3) [m].
@@ -171,12 +169,42 @@ class Chain:
 
     joints: tuple[str, ...]
     columns: NDArray[np.intp]
+    ratios: Array
     revolute: BoolArray
     axes: Array
     origins: Array
     base: Array
     points: Array
     module_starts: NDArray[np.intp]
+
+    @cached_property
+    def leaders(self) -> NDArray[np.intp]:
+        """Index into `joints` of the first joint of each degree of freedom, (f,); increasing.
+
+        The other joints, if there are any, are coupled to one of these.
+        """
+        return np.sort(np.unique(self.columns, return_index=True)[1])
+
+    @cached_property
+    def inputs(self) -> NDArray[np.intp]:
+        """The degrees of freedom from base to tip, by their columns, (f,): `columns` without repetitions."""
+        return self.columns[self.leaders]
+
+    @cached_property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of the joints that lead, (f,)."""
+        return tuple(self.joints[u] for u in self.leaders)
+
+    @cached_property
+    def input_numbers(self) -> NDArray[np.intp]:
+        """Index into `inputs` of the degree of freedom of each joint, (n,)."""
+        order = np.argsort(self.inputs)
+        return order[np.searchsorted(self.inputs[order], self.columns)]
+
+    @cached_property
+    def input_ends(self) -> NDArray[np.intp]:
+        """Number of the degrees of freedom that carry each control point, (m,); increasing."""
+        return np.searchsorted(self.leaders, [part.stop for part in self.module_slices])
 
     @cached_property
     def module_slices(self) -> tuple[slice, ...]:
@@ -259,14 +287,14 @@ def read_chain(model: pin.Model, control_points: tuple[str, ...]) -> Chain:
     """Read the chain that leads to the last control point from a model, base placement applied.
 
     Raises:
-        InvalidValue: a control point that does not lie farther along the chain than the one before it,
-            or a joint with several degrees of freedom.
+        InvalidValue: a control point that does not lie farther along the chain than the one before it, or
+            lies between coupled joints; or a joint with several degrees of freedom.
     """
     frames = [model.frames[index] for index in frame_ids(model, control_points)]
     parents = [frame.parentJoint for frame in frames]
     support = [int(j) for j in model.supports[parents[-1]] if j > 0]
     for j in support:
-        if model.joints[j].nv != 1:
+        if model.joints[j].nv != 1 and not is_coupled(model.joints[j]):
             allowed = "joints with one degree of freedom"
             raise InvalidValue(f"joint {model.names[j]!r}", model.joints[j].shortname(), allowed)
     number = {joint: u + 1 for u, joint in enumerate(support)}
@@ -278,12 +306,20 @@ def read_chain(model: pin.Model, control_points: tuple[str, ...]) -> Chain:
             raise InvalidValue(f"control point {name!r}", f"moved by {reached} joints of the chain", allowed)
         starts.append(count)
         count = reached
+    names, columns = tuple(str(model.names[j]) for j in support), [model.joints[j].idx_v for j in support]
+    for name, start in zip(control_points, starts[1:], strict=False):
+        both = set(columns[:start]) & set(columns[start:])
+        if both:
+            coupled = [names[columns.index(column)] for column in sorted(both)]
+            allowed = f"a place behind or before all joints that are coupled to {coupled[0]!r}"
+            raise InvalidValue(f"control point {name!r}", "between coupled joints", allowed)
     placements = neutral_placements(model)
     axes, revolute = _world_axes(model, support, placements)
     origins = np.array([placements[joint].translation for joint in support])
     return Chain(
-        joints=tuple(str(model.names[j]) for j in support),
-        columns=np.array([model.joints[j].idx_v for j in support], dtype=np.intp),
+        joints=names,
+        columns=np.array(columns, dtype=np.intp),
+        ratios=joint_ratios(model, support),
         revolute=revolute,
         axes=axes,
         origins=origins,

@@ -17,7 +17,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture.arm.chain import Chain, joint_axes
+from pinposture.arm.chain import Chain
+from pinposture.arm.couplings import is_coupled, joint_axes, joint_placements
 from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import ChainArrays, Screws
 
@@ -34,7 +35,7 @@ class Frames(NamedTuple):
     points: Array  # positions of the control points, (m, 3) [m]
     rotations: Array  # their orientations, (m, 3, 3), from control-point to world frame
     # how each degree of freedom moves a body at the world origin, (nv, 6): velocity [m/rad], then angular
-    # velocity [rad/rad]; the columns of `data.J`
+    # velocity [rad/rad]; the columns of `data.J`, of coupled joints their sum: they all carry the body
     motions: Array
 
 
@@ -44,6 +45,11 @@ class FrameReader:
     def __init__(self, model: pin.Model, frames: Sequence[int]) -> None:
         """Store the model, base placement applied, and the indices of the control points."""
         self._model, self._frames, self._local = model, tuple(frames), threading.local()
+        # The columns of `data.J` are those of all joints, coupled ones too: their degrees of freedom.
+        moving = [joint for joint in model.joints[1:] if joint.nvExtended]
+        listed = [range(joint.idx_v, joint.idx_v + joint.nvExtended) for joint in moving]
+        self._columns = np.array([column for each in listed for column in each])
+        self._coupled = len(self._columns) > model.nv
 
     def read(self, q: Array) -> Frames:
         """Compute the frames at a configuration (nq,); the arrays are copies that stay as they are."""
@@ -60,14 +66,17 @@ class FrameReader:
         m = len(positions)
         points, rotations = np.concatenate(positions), np.concatenate(orientations)
         motions = np.array(data.J.reshape(6, -1).T, order="C")
+        if self._coupled:
+            each, motions = motions, np.zeros((self._model.nv, 6))
+            np.add.at(motions, self._columns, each)
         return Frames(points.reshape(m, 3), rotations.reshape(m, 3, 3), motions)
 
 
 class ForwardKinematics(NamedTuple):
     """Placements of a chain, world frame: arrays for kernels, not to be written to."""
 
-    axes: Array  # unit joint axes, (n, 3)
-    origins: Array  # origins of the joints, a point on each axis, (n, 3) [m]
+    axes: Array  # unit joint axes, (k, 3): all joints, of coupled ones each
+    origins: Array  # origins of the joints, a point on each axis, (k, 3) [m]
     points: Array  # control points, (m, 3) [m]
     rotations: Array  # orientations of the control points, (m, 3, 3), from control-point to world frame
     positions: Array  # the joint positions, (nv,) [rad or m]
@@ -76,8 +85,8 @@ class ForwardKinematics(NamedTuple):
 class TaskConstants(NamedTuple):
     """What kernels of task rows need and no configuration changes; arrays not to be written to."""
 
-    joints: IntArray  # the joints by their numbers along the chain, (n,)
-    units: Array  # the motion of each joint of the chain that counts as one, (n,) [rad or m]
+    joints: IntArray  # the degrees of freedom by their numbers along the chain, (n,)
+    units: Array  # the motion of each of them that counts as one, (n,) [rad or m]
     plane: Array  # directions in which the arm can move, (2, 3) or (3, 3), world axes
     every: IntArray  # the control points by their numbers, (m,)
     dimensions: IntArray  # number of these directions, once for each control point, (m,)
@@ -88,9 +97,8 @@ class Kinematics:
     """The constants of a chain, in the order of its joints from base to tip.
 
     Attributes:
-        slides: True for a joint that slides, (n,); others turn.
-        columns: column of each joint in the tangent space, (n,).
-        ends: number of joints that carry each control point, (m,).
+        columns: the degrees of freedom from base to tip, by their columns in the tangent space, (n,).
+        ends: number of them that carry each control point, (m,).
         endless: which joint positions are periodic, (nv,).
         constants: the arguments of `kernels.placements` that no configuration changes.
     """
@@ -110,25 +118,38 @@ class Kinematics:
         joints = [model.getJointId(name) for name in chain.joints]
         for joint in joints:
             _require_simple(model, joint)
-        self.slides = ~chain.revolute
         self.endless = np.zeros(model.nv, dtype=np.bool_)
         for joint in joints:
-            self.endless[model.joints[joint].idx_v] = model.joints[joint].nq == 2
-        self.columns = chain.columns.astype(np.int64)
-        placements = [model.jointPlacements[joint] for joint in joints]
+            self.endless[model.joints[joint].idx_v] |= model.joints[joint].nq == 2
+        self.columns, self.ends = chain.inputs.astype(np.int64), chain.input_ends.astype(np.int64)
+        every = joint_placements(model)
+        placements = [every[joint] for joint in joints]
         fixed = np.array([[*each.rotation.ravel(), *each.translation] for each in placements])
         axes, _ = joint_axes(model, joints)
         points = [model.frames[frame] for frame in frames]
-        self.ends = np.array([joints.stop for joints in chain.module_slices], dtype=np.int64)
         offsets = np.array([point.placement.translation for point in points])
         rotations = np.array([point.placement.rotation for point in points])
-        self.constants = ChainArrays(self.slides, self.columns, fixed, axes, self.ends, offsets, rotations)
+        columns = chain.columns.astype(np.int64)
+        numbers = chain.input_numbers
+        self.constants = ChainArrays(
+            slides=~chain.revolute,
+            columns=columns,
+            ratios=np.array(chain.ratios),
+            fixed=fixed,
+            axes=axes,
+            ends=np.array([part.stop for part in chain.module_slices], dtype=np.int64),
+            offsets=offsets,
+            turns=rotations,
+            inputs=self.columns,
+            driven=np.argsort(numbers, kind="stable").astype(np.int64),
+            starts=np.searchsorted(np.sort(numbers), np.arange(len(self.columns) + 1)).astype(np.int64),
+        )
         self._chain, self._units = chain, joint_units
 
     def forward(self, positions: Array) -> ForwardKinematics:
         """Compute all placements with the joints at positions (nv,) [rad or m]."""
-        n, m = len(self.columns), len(self.ends)
-        arrays = np.empty((n, 3)), np.empty((n, 3)), np.empty((m, 3)), np.empty((m, 3, 3))
+        k, m = len(self.constants.slides), len(self.ends)
+        arrays = np.empty((k, 3)), np.empty((k, 3)), np.empty((m, 3)), np.empty((m, 3, 3))
         kernels.placements(self.constants, positions, *arrays)
         return ForwardKinematics(*arrays, positions)
 
@@ -161,7 +182,7 @@ class Kinematics:
 
 def _require_simple(model: pin.Model, joint: int) -> None:
     kind = model.joints[joint].shortname().removeprefix("JointModel")
-    if kind[0] not in "PR":
+    if kind[0] not in "PR" and not is_coupled(model.joints[joint]):
         allowed = "a joint that turns about one axis, or slides along one"
         raise InvalidValue(f"joint {model.names[joint]!r}", kind, allowed)
 
@@ -202,7 +223,7 @@ def screws_of(state: HasPlacements) -> Screws:
         motions, units = frames.motions, constants.units
         kernels.carry_screws(motions, chain.columns, units, chain.ends, points, found.screws)
     else:
-        joints = constants.joints, chain.slides, constants.units
+        joints = chain.constants, constants.joints, constants.units
         lines = state.forward.axes, state.forward.origins
         kernels.find_screws(*joints, *lines, chain.ends, points, found.screws)
     return found

@@ -10,13 +10,15 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
 
 from pinposture._validation import rigid_placement
 from pinposture.arm.chain import ON_AXIS, Skeleton, frame_position, neutral_placements, read_skeleton
-from pinposture.arm.configurations import NO_LIMIT
+from pinposture.arm.configurations import NO_LIMIT, ConfigurationSpace
+from pinposture.arm.couplings import CoupledJoints, couple_joints, find_couplings, with_couplings
 from pinposture.arm.segmentation import Segmentation, count_joints, equal_modules, given_modules, segment
 from pinposture.arm.sources import Source, find_urdf
 from pinposture.arm.urdf_reader import (
@@ -25,6 +27,7 @@ from pinposture.arm.urdf_reader import (
     JointDescription,
     is_urdf_text,
     leading_joint,
+    parse_xml,
     quote_names,
     read_description,
 )
@@ -85,11 +88,12 @@ def load_model(
     locked: Mapping[str, float] | None = None,
     package_dirs: Sequence[str | Path] | None = None,
     base_placement: pin.SE3 | None = None,
+    couplings: Mapping[str, object] | None = None,
 ) -> LoadedModel:
     """Load, check, reduce to the chain from base to tip, cut into modules. See `Arm.load`."""
     placement = None if base_placement is None else rigid_placement("base_placement", base_placement)
     found = find_urdf(source)
-    description = read_description(found.urdf)
+    description = with_couplings(read_description(found.urdf), couplings)
     links, sizes = _read_modules(modules)
     if tip is None and links:
         tip = links[-1]
@@ -102,18 +106,18 @@ def load_model(
         raise InvalidValue("tip", None, f"the link at which the arm ends ({message})")
     base = description.root if base is None else base
     locks = _checked_locks(description, locked or {})
-    moving = _moving_joints(description, base, tip, locks)
-    names = [joint.name for joint in moving]
+    coupled = _moving_joints(description, base, tip, locks)
+    names = [joint.name for joint in coupled.moving]
     try:
-        model = pin.buildModelFromXML(description.text)
+        model = pin.buildModelFromXML(_without_turns(description.text, coupled))
     except (ValueError, RuntimeError) as error:
         raise URDFError(description.source, "<robot>", f"is refused by Pinocchio: {error}") from None
     model = _lock_others(model, description, names, locks)
-    _set_limits(model, moving)
+    _set_limits(model, coupled.moving)
+    model = couple_joints(model, coupled)
     if placement is not None:
         place_base(model, placement)
-    limits = np.array([[joint.lower, joint.upper] for joint in moving]).T
-    skeleton = read_skeleton(model, names, tip, *limits)
+    skeleton = read_skeleton(model, names, tip, *ConfigurationSpace(model).limits[:2])
     if not ALLOWED_LENGTHS[0] <= skeleton.length <= ALLOWED_LENGTHS[1]:
         reason = (
             f"is {skeleton.length:.3g} m long; allowed: {ALLOWED_LENGTHS[0]:g} to {ALLOWED_LENGTHS[1]:g} m"
@@ -187,8 +191,8 @@ def _mesh_folders(found: Source, given: Sequence[str | Path] | None) -> tuple[st
 
 def _moving_joints(
     description: Description, base: str, tip: str, locked: Mapping[str, float]
-) -> list[JointDescription]:
-    """Return the joints of the chain that move, or say why they make no arm."""
+) -> CoupledJoints:
+    """Return the joints of the chain that move, and how, or say why they make no arm."""
     moving: list[JointDescription] = []
     chain = description.chain(base, tip)
     for joint in chain:
@@ -201,16 +205,31 @@ def _moving_joints(
             allowed = ", ".join(CHAIN_JOINTS)
             reason = f"type {joint.type!r} cannot be part of the chain; allowed: {allowed}, fixed"
             raise URDFError(description.source, element, reason)
-        if joint.follows is not None:
-            reason = (
-                f"mimics joint {joint.follows.joint!r}, which a chain cannot follow; pass it in locked= "
-                "(--locked) or remove <mimic>"
-            )
-            raise URDFError(description.source, element, reason)
         moving.append(joint)
-    if not moving:
+    coupled = find_couplings(description, moving, locked)
+    if not coupled.moving:
         raise URDFError(description.source, f"chain from {base!r} to {tip!r}", _why_still(chain, locked))
-    return moving
+    return coupled
+
+
+def _without_turns(text: str, coupled: CoupledJoints) -> str:
+    """Return a description in which coupled joints that turn without end are revolute.
+
+    A ratio of positions has no meaning for a position that is an angle modulo a turn.
+    """
+    names = {each.joint for each in coupled.couplings} | {each.leader for each in coupled.couplings}
+    turning = {joint.name for joint in coupled.moving if joint.type == "continuous"} & names
+    if not turning:
+        return text
+    robot = parse_xml(text, "URDF text")
+    for element in robot.findall("joint"):
+        if element.get("name") in turning:
+            element.set("type", "revolute")
+            if element.find("limit") is None:
+                ElementTree.SubElement(element, "limit", effort="0", velocity="0")
+            for limit in element.findall("limit"):
+                limit.attrib.update(lower=repr(-NO_LIMIT), upper=repr(NO_LIMIT))
+    return ElementTree.tostring(robot, encoding="unicode")
 
 
 def _why_still(chain: Sequence[JointDescription], locked: Mapping[str, float]) -> str:

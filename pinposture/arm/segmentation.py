@@ -194,6 +194,23 @@ class EndMobility:
         swing[skeleton.base_slides] = 0.0
         low, high = np.maximum(skeleton.lower, middle - swing), np.minimum(skeleton.upper, middle + swing)
         self._positions = np.random.default_rng(0).uniform(low, high, (SAMPLED_POSTURES, len(middle)))
+        # Coupled joints move together: the first of them within the range of the narrowest.
+        first, number = np.unique(skeleton.columns, return_index=True, return_inverse=True)[1:]
+        self._inputs, self._ratios = number, skeleton.ratios
+        self._coupled = len(first) < len(number)
+        if self._coupled:
+            least = np.full(len(first), np.inf)
+            np.minimum.at(least, number, swing / np.abs(skeleton.ratios))
+            swing = least[number] * np.abs(skeleton.ratios)
+            middle = np.clip(0.0, skeleton.lower, skeleton.upper)[first][number] * skeleton.ratios
+            low, high = np.maximum(skeleton.lower, middle - swing), np.minimum(skeleton.upper, middle + swing)
+            amount = np.random.default_rng(0).uniform(low[first], high[first], (SAMPLED_POSTURES, len(first)))
+            self._positions = amount[:, number] * skeleton.ratios
+        last = np.zeros(len(first), dtype=np.intp)
+        np.maximum.at(last, number, np.arange(len(number)))
+        # Groups may begin, and end, where no joint before is coupled to one behind.
+        opened = np.maximum.accumulate(last[number])
+        self._boundaries = {0, *(k + 1 for k in np.flatnonzero(opened == np.arange(len(number))))}
         self.needed = 2 if skeleton.normal is None else 1
         self._flat_ends = _flat_ends(skeleton)
 
@@ -206,9 +223,10 @@ class EndMobility:
         return self.motion(first, stop).easiest > MIN_MOTION
 
     def motion(self, first: int, stop: int) -> EndMotion:
-        """Measure how those joints move station `stop`."""
+        """Measure how those joints move station `stop`; not at all if others are coupled to them."""
         if (first, stop) not in self._known:
-            self._known[first, stop] = self._measure(first, stop)
+            apart = {first, stop} <= self._boundaries
+            self._known[first, stop] = self._measure(first, stop) if apart else EndMotion(0.0, 0.0, 0)
         return self._known[first, stop]
 
     def _measure(self, first: int, stop: int) -> EndMotion:
@@ -250,7 +268,12 @@ class EndMobility:
             for axis, origin, turns in zip(axes, origins, arm.revolute[first:stop], strict=True)
         ]
         # Slides that carry the base keep their positions when the arm takes a shape.
-        return place, np.where(arm.base_slides[first:stop], 0.0, np.stack(columns, axis=2))
+        moved = np.where(arm.base_slides[first:stop], 0.0, np.stack(columns, axis=2))
+        if not self._coupled:
+            return place, moved
+        inputs = np.unique(self._inputs[first:stop], return_inverse=True)[1]
+        sums = (inputs[:, None] == np.arange(inputs.max() + 1)) * self._ratios[first:stop, None]
+        return place, moved @ sums
 
 
 def _flat_ends(skeleton: Skeleton) -> list[int]:

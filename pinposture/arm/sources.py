@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from pinposture.arm.chain import joint_axes
 from pinposture.arm.configurations import NO_LIMIT
+from pinposture.arm.couplings import Coupling, joint_axes, read_couplings
 from pinposture.arm.specification import roll_pitch_yaw
 from pinposture.arm.urdf_reader import is_urdf_text
 from pinposture.errors import FileError, URDFError
@@ -156,8 +156,12 @@ def model_to_urdf(model: pin.Model, label: str | Path = "pin.Model") -> str:
     for joint in range(model.njoints):
         named.setdefault(joint, _free_name(f"{model.names[joint]}_link" if joint else "world", taken))
     ET.SubElement(robot, "link", name=named[0])
+    followers = {each.joint: each for each in read_couplings(model)}
     for joint in range(1, model.njoints):
-        _write_joint(robot, model, joint, named, taken, label)
+        if model.names[joint] in followers:
+            _write_follower(robot, model, joint, named, followers[model.names[joint]])
+        else:
+            _write_joint(robot, model, joint, named, taken, label)
     done = set(named.values())
     for frame in model.frames:
         if frame.type in (pin.FrameType.BODY, pin.FrameType.OP_FRAME) and frame.name not in done:
@@ -197,6 +201,22 @@ def _write_joint(
         if shape is None:
             _add_motion(element, model, part, q, v)
         parent, q, v = child, q + part.nq, v + part.nv
+
+
+def _write_follower(
+    robot: ET.Element, model: pin.Model, joint: int, named: Mapping[int, str], coupling: Coupling
+) -> None:
+    """Add a joint that follows another, and the link that it carries; the limits are those of the other."""
+    link = ET.SubElement(robot, "link", name=named[joint])
+    _add_inertia(link, model.inertias[joint])
+    (axis,), (turns,) = joint_axes(model, [joint])
+    ends = named[model.parents[joint]], named[joint], model.jointPlacements[joint]
+    element = _add_joint(robot, coupling.joint, "revolute" if turns else "prismatic", *ends)
+    ET.SubElement(element, "axis", xyz=_text(axis))
+    none = {"effort": repr(NO_LIMIT), "velocity": repr(NO_LIMIT)}
+    ET.SubElement(element, "limit", none, lower=repr(-NO_LIMIT), upper=repr(NO_LIMIT))
+    follows = {"multiplier": repr(coupling.ratio), "offset": repr(coupling.offset)}
+    ET.SubElement(element, "mimic", follows, joint=coupling.leader)
 
 
 def _add_motion(element: ET.Element, model: pin.Model, part: pin.JointModel, q: int, v: int) -> None:

@@ -97,7 +97,7 @@ class FeedSpec(Specification):
 
 
 OF_A_TEMPLATE = ("template", "modules", "link_lengths", "joint_limits", "feed")
-OF_A_URDF = ("urdf", "base", "tip", "split", "locked", "package_dirs")
+OF_A_URDF = ("urdf", "base", "tip", "split", "locked", "package_dirs", "couplings")
 
 
 class ArmSpec(Specification):
@@ -118,6 +118,7 @@ class ArmSpec(Specification):
         split: how the chain is cut into modules, as `modules` of `Arm.load`.
         locked: locked joints and their positions [rad or m].
         package_dirs: folders in which viewers look for meshes.
+        couplings: joints that follow others, as for `Arm.load`.
         placement: where the base stands in the world; at the origin if None.
         characteristic_length: the slide that weighs as much as a turn of one radian [m]; the mean module
             length if None.
@@ -134,6 +135,7 @@ class ArmSpec(Specification):
     split: int | tuple[int, ...] | tuple[str, ...] | None = None
     locked: dict[str, float] = Field(default_factory=dict)
     package_dirs: tuple[Path, ...] = ()
+    couplings: dict[str, str | tuple[str, float] | tuple[str, float, float]] = Field(default_factory=dict)
     placement: PlacementSpec | None = None
     characteristic_length: PositiveFloat | None = None
 

@@ -120,6 +120,7 @@ _MEASURE_HEADINGS = ("module", "control point", "measure", "condition", "min. si
 
 
 def _print_tables(about: Mapping[str, Any]) -> None:
+    coupled = sum("follows" in joint for joint in about["joints"])
     placing = "closed form for every module" if about["closed_form"] else "least squares over the whole arm"
     facts = {
         "robot": about["name"],
@@ -132,6 +133,7 @@ def _print_tables(about: Mapping[str, Any]) -> None:
         "reach": f"{about['reach']:.4g} m",
         "kinematics": "; ".join(filter(None, (placing, about["closed_form_reason"]))),
         "held still": ", ".join(about["held"]) or "no joint",
+        **({"coupled": f"{coupled} joints follow others"} if coupled else {}),
         **_following_in_words(about),
     }
     notes = {"note" if k == 0 else " " * k: text for k, text in enumerate(about["warnings"])}
@@ -244,6 +246,18 @@ def _following_in_words(about: Mapping[str, Any]) -> dict[str, str]:
 
 def _joints(arm: Arm, described: Mapping[str, Any]) -> list[dict[str, Any]]:
     names = [(module, name) for module, names in enumerate(arm.module_joints, start=1) for name in names]
+    coupled = {each.joint: each for each in arm.couplings}
+
+    def limits(name: str, column: int) -> dict[str, Any]:
+        """What a coupled joint follows and how, and the limits that it then has."""
+        ratio, offset, more = 1.0, 0.0, {}
+        if name in coupled:
+            _, leader, ratio, offset = coupled[name]
+            more = {"follows": leader, "ratio": ratio, "offset": offset}
+        lower, upper = sorted(ratio * float(edge[column]) + offset for edge in arm.limits[:2])
+        velocity = abs(ratio) * float(arm.limits.velocity[column])
+        return {"lower": lower, "upper": upper, "velocity": velocity, **more}
+
     return [
         {
             "name": name,
@@ -251,12 +265,10 @@ def _joints(arm: Arm, described: Mapping[str, Any]) -> list[dict[str, Any]]:
             "type": described[name].type,
             "parent": described[name].parent,
             "child": described[name].child,
-            "lower": float(arm.limits.lower[column]),
-            "upper": float(arm.limits.upper[column]),
-            "velocity": float(arm.limits.velocity[column]),
+            **limits(name, column),
             "unit": "m" if described[name].type == "prismatic" else "rad",
         }
-        for (module, name), column in zip(names, arm.columns, strict=True)
+        for (module, name), column in zip(names, arm.chain.columns, strict=True)
     ]
 
 

@@ -220,7 +220,7 @@ def _stand_ins(arm: Arm, radius: float) -> Mapping[int, tuple[Body, ...]]:
     capsules: dict[int, tuple[Body, ...]] = {}
     for u, origin in enumerate(chain.origins):
         nodes = [origin]
-        reach = arm.limits.upper[chain.columns[u]]
+        reach = chain.ratios[u] * arm.limits.upper[chain.columns[u]]
         if not chain.revolute[u] and 0.0 < reach < 10.0 * arm.length:
             nodes.insert(0, origin - reach * chain.axes[u])
         if u in ends:

@@ -14,8 +14,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture.arm.chain import joint_screws
 from pinposture.arm.configurations import ConfigurationSpace
+from pinposture.arm.couplings import is_coupled, joint_axes, joint_placements, joint_ratios
 from pinposture.collision.obstacles import Solid
 from pinposture.collision.pieces import join_trees
 from pinposture.kernels.arrays import BLOCK, INSIDE, PIECE, SEGMENT, JointTree, Pairs
@@ -50,19 +50,17 @@ class TreeKinematics:
         self._model, self._space = model, ConfigurationSpace(model)
         count = model.njoints
         kinds, columns = np.full(count, 2, dtype=np.int64), np.zeros(count, dtype=np.int64)
-        axes = np.zeros((count, 3))
-        plain = [j for j in range(1, count) if model.joints[j].nv == 1 and _turns_or_slides(model, j)]
+        axes, ratios = np.zeros((count, 3)), np.ones(count)
+        plain = [j for j in range(1, count) if _turns_or_slides(model, j)]
         if plain:
-            screws = joint_screws(model, plain)
-            turns = np.linalg.norm(screws[:, 3:], axis=1) > 0.5
-            kinds[plain] = np.where(turns, 0, 1)
-            axes[plain] = np.where(turns[:, None], screws[:, 3:], screws[:, :3])
+            axes[plain], turns = joint_axes(model, plain)
+            kinds[plain], ratios[plain] = np.where(turns, 0, 1), joint_ratios(model, plain)
         for joint in range(1, count):
             columns[joint] = model.joints[joint].idx_v
-        placements = list(model.jointPlacements)
+        placements = joint_placements(model)
         fixed = np.array([[*each.rotation.ravel(), *each.translation] for each in placements])
         parents = np.array(list(model.parents), dtype=np.int64)
-        self.tree = JointTree(parents, columns, kinds, fixed, axes)
+        self.tree = JointTree(parents, columns, ratios, kinds, fixed, axes)
         self._others = [joint for joint in range(1, count) if kinds[joint] == 2]
 
     def place(self, q: Array, offsets: Array | None = None) -> Placements:
@@ -82,9 +80,15 @@ class TreeKinematics:
         """Return how many of some joints move what each joint of the model carries; see `CollisionModel`."""
         tree = self.tree
         own = np.isin(tree.columns, columns) & (tree.kinds < 2)
+        joints = np.flatnonzero(own)
+        # Of coupled joints the middle one counts: what lies behind it moves about as the end of all of them.
+        order = joints[np.argsort(tree.columns[joints], kind="stable")]
+        begins = np.flatnonzero(np.diff(tree.columns[order], prepend=-1))
+        middle = order[(begins + np.append(begins[1:], len(order)) - 1) // 2]
         counts = np.zeros(len(tree.parents), dtype=np.int64)
+        counts[middle] = 1
         for joint in range(1, len(counts)):
-            counts[joint] = counts[tree.parents[joint]] + own[joint]
+            counts[joint] += counts[tree.parents[joint]]
         return counts
 
     def positions(self, q: Array, offsets: Array | None) -> tuple[Array, Array]:
@@ -142,7 +146,7 @@ class TreeKinematics:
 
 def _turns_or_slides(model: pin.Model, joint: int) -> bool:
     name = model.joints[joint].shortname().removeprefix("JointModel")
-    return name.startswith(("R", "P")) and not name.startswith("Planar")
+    return is_coupled(model.joints[joint]) or (name.startswith(("R", "P")) and not name.startswith("Planar"))
 
 
 # The distance of two solids by coal, with a normal that can always be used.

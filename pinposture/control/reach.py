@@ -230,7 +230,7 @@ def _place_of(task: EndEffector) -> Array:
 
 def _check_in_reach(arm: Arm, place: Array, tolerance: float, scene: Scene | None) -> None:
     """Refuse goals that no posture can take."""
-    slides = arm.columns[~arm.chain.revolute]
+    slides = arm.columns[arm.slides[arm.columns]]
     travel = np.maximum(np.abs(arm.limits.lower[slides]), np.abs(arm.limits.upper[slides])).sum()
     away, most = float(np.linalg.norm(place - arm.chain.base)), arm.length + float(travel)
     if away > most + tolerance:

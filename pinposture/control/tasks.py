@@ -270,7 +270,7 @@ class JointPosture(ComparableTask):
     def _columns(self, arm: Arm) -> NDArray[np.intp]:
         if self.joints is None:
             return arm.columns
-        known = arm.chain.joints
+        known = arm.chain.input_names
         for name in self.joints:
             if name not in known:
                 raise UnknownName("joint", name, known)

@@ -437,7 +437,7 @@ class JointStates:
                 self._received = time.monotonic()
 
     def _unheard(self) -> tuple[str, ...]:
-        joints = zip(self.arm.chain.joints, self.arm.chain.columns, strict=True)
+        joints = zip(self.arm.chain.input_names, self.arm.columns, strict=True)
         return tuple(name for name, column in joints if not self._heard[column])
 
 

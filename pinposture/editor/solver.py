@@ -132,7 +132,7 @@ def _joints_at_limits(arm: Arm, target: Target) -> list[str]:
     positions = arm.positions(target.q)
     room = np.minimum(positions - arm.limits.lower, arm.limits.upper - positions) / arm.joint_units
     near = room[arm.columns] < NEAR_LIMIT
-    names = [name for name, at in zip(arm.chain.joints, near, strict=True) if at]
+    names = [name for name, at in zip(arm.chain.input_names, near, strict=True) if at]
     if not names:
         return []
     more = f" and {len(names) - MAX_JOINTS_NAMED} more" if len(names) > MAX_JOINTS_NAMED else ""

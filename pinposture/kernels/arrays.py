@@ -27,25 +27,36 @@ Four = tuple[float, float, float, float]
 
 
 class ChainArrays(NamedTuple):
-    """The constants of a serial chain of n joints with m control points.
+    """The constants of a serial chain of k joints with n degrees of freedom and m control points.
+
+    There are more joints than degrees of freedom where joints are coupled. Other kernels call the degrees of
+    freedom joints: they see the sum of what coupled joints do.
 
     Attributes:
-        slides: True for a prismatic joint, (n,); others are revolute.
-        columns: index of each joint among all joint positions, (n,).
-        fixed: placement of each joint in the frame of the one before, rotation and translation, (n, 12).
-        axes: unit axis in the frame of the joint, (n, 3).
+        slides: True for a prismatic joint, (k,); others are revolute.
+        columns: index of the degree of freedom of each joint among all joint positions, (k,).
+        ratios: position of each joint relative to that of its degree of freedom, (k,).
+        fixed: placement of each joint in the frame of the one before, rotation and translation, (k, 12).
+        axes: unit axis in the frame of the joint, (k, 3).
         ends: number of joints that carry each control point, (m,); increasing.
         offsets: position of each control point in the frame of the last of them, (m, 3).
         turns: orientation of each control point there, (m, 3, 3).
+        inputs: index of each degree of freedom among all joint positions, (n,).
+        driven: the joints of the first degree of freedom, of the second and so on, (k,).
+        starts: where those of each begin, and how many there are, (n + 1,).
     """
 
     slides: Flags1
     columns: Ints1
+    ratios: Array1
     fixed: Array2
     axes: Array2
     ends: Ints1
     offsets: Array2
     turns: Array3
+    inputs: Ints1
+    driven: Ints1
+    starts: Ints1
 
 
 class PointObjective(NamedTuple):
@@ -141,12 +152,18 @@ class PathContacts(NamedTuple):
 class ScrewChain(NamedTuple):
     """A chain as screws in its neutral posture, each joint assigned to the first point that it can move.
 
+    It has k joints with n degrees of freedom, fewer if joints are coupled.
+
     Attributes:
-        slides: True for a prismatic joint, (n,); others are revolute.
-        axes: unit joint axes, (n, 3).
-        origins: a point on each axis, (n, 3).
+        slides: True for a prismatic joint, (k,); others are revolute.
+        axes: unit joint axes, (k, 3).
+        origins: a point on each axis, (k, 3).
+        inputs: the degree of freedom of each joint, (k,).
+        ratios: motion of each joint relative to that of its degree of freedom, (k,).
         points: the points that are carried, (m, 3).
-        begins: index of the first joint of each point, and the number of joints, (m + 1,).
+        joints: index of the first joint of each point, and the number of joints, (m + 1,).
+        begins: index of the first degree of freedom of each point, and their number, (m + 1,).
+        sliding: True for a degree of freedom that slides, (n,).
         lower: lower limits, (n,).
         upper: upper limits, (n,).
         near: preferred joint positions, within the limits, (n,).
@@ -155,8 +172,12 @@ class ScrewChain(NamedTuple):
     slides: Flags1
     axes: Array2
     origins: Array2
+    inputs: Ints1
+    ratios: Array1
     points: Array2
+    joints: Ints1
     begins: Ints1
+    sliding: Flags1
     lower: Array1
     upper: Array1
     near: Array1
@@ -168,6 +189,7 @@ class JointTree(NamedTuple):
     Attributes:
         parents: the joint that carries each, (njoints,).
         columns: where its position is among all joint positions, (njoints,).
+        ratios: its position relative to that of its degree of freedom, (njoints,); 1 unless coupled.
         kinds: 0 where it turns about an axis, 1 where it slides along one, 2 if it does anything else.
         fixed: placement in the frame of the joint before, rotation and translation, (njoints, 12).
         axes: unit axis in its own frame, (njoints, 3).
@@ -175,6 +197,7 @@ class JointTree(NamedTuple):
 
     parents: Ints1
     columns: Ints1
+    ratios: Array1
     kinds: Ints1
     fixed: Array2
     axes: Array2

@@ -83,7 +83,7 @@ def wrap_into_limits(chain: ScrewChain, u: int, q: float) -> float:
     If none is within the limits, return the nearest limit.
     """
     low, high = chain.lower[u], chain.upper[u]
-    if chain.slides[u]:
+    if chain.sliding[u]:
         return min(max(q, low), high)
     q += FULL_TURN * np.round((chain.near[u] - q) / FULL_TURN)
     if q > high:
@@ -111,11 +111,14 @@ def solve_last_joint(chain: ScrewChain, u: int, x: Array1, goal: Array1) -> floa
 
 
 @subkernel
-def solve_last_two(chain: ScrewChain, u: int, c: Array1, goal: Array1, alone: bool, out: Array2) -> int:
+def solve_last_two(
+    chain: ScrewChain, u: int, near: float, c: Array1, goal: Array1, alone: bool, out: Array2
+) -> int:
     """Find positions of the hinges u and u + 1 that may bring the point c to a goal, into out (4, 2).
 
     The goal is in the frame at the base of the first. If `alone`, only the solution of both equations is
-    returned where it is unique. Returns the number of solutions.
+    returned where it is unique. The second hinge is put at `near` if it does not move the point. Returns the
+    number of solutions.
     """
     a, oa, b, ob = chain.axes[u], chain.origins[u], chain.axes[u + 1], chain.origins[u + 1]
     c0, c1, c2 = c[0] - ob[0], c[1] - ob[1], c[2] - ob[2]
@@ -159,7 +162,7 @@ def solve_last_two(chain: ScrewChain, u: int, c: Array1, goal: Array1, alone: bo
                 out[count, 1], out[count + 1, 1] = middle - half, middle + half
                 count += 2
         if count == 0:  # the last one does not move the point
-            out[0, 1] = chain.near[u + 1]
+            out[0, 1] = near
             count = 1
     for i in range(count):
         cosine, sine = np.cos(out[i, 1]), np.sin(out[i, 1])
@@ -189,8 +192,9 @@ def measure_errors(
     for k in range(first, last + 1):
         turn, place = turns[k + 1], places[k + 1]
         copy_frame(turns[k], places[k], turn, place)
-        for u in range(chain.begins[k], chain.begins[k + 1]):
-            apply_joint(chain.slides[u], chain.axes[u], chain.origins[u], q[u], turn, place)
+        for u in range(chain.joints[k], chain.joints[k + 1]):
+            amount = chain.ratios[u] * q[chain.inputs[u]]
+            apply_joint(chain.slides[u], chain.axes[u], chain.origins[u], amount, turn, place)
         c = chain.points[k]
         for i in range(3):
             at = turn[i, 0] * c[0] + turn[i, 1] * c[1] + turn[i, 2] * c[2] + place[i]
@@ -204,6 +208,7 @@ def fill_jacobian(
     chain: ScrewChain, first: int, last: int, turns: Array3, places: Array2, q: Array1, rows: Array2
 ) -> None:
     """Fill rows (3 W, n) with the Jacobian of the ends of modules first to last by their joints."""
+    rows[:] = 0.0
     begin, modules = chain.begins[first], last - first + 1
     turn, place, ends = np.empty((3, 3)), np.empty(3), np.empty((modules, 3))
     for k in range(modules):
@@ -213,25 +218,24 @@ def fill_jacobian(
             ends[k, i] = t[0] * c[0] + t[1] * c[1] + t[2] * c[2] + places[first + k + 1, i]
     copy_frame(turns[first], places[first], turn, place)
     for own in range(modules):
-        for u in range(chain.begins[first + own], chain.begins[first + own + 1]):
-            a, o, j = chain.axes[u], chain.origins[u], u - begin
+        for u in range(chain.joints[first + own], chain.joints[first + own + 1]):
+            a, o, j, ratio = chain.axes[u], chain.origins[u], chain.inputs[u] - begin, chain.ratios[u]
             a0 = turn[0, 0] * a[0] + turn[0, 1] * a[1] + turn[0, 2] * a[2]
             a1 = turn[1, 0] * a[0] + turn[1, 1] * a[1] + turn[1, 2] * a[2]
             a2 = turn[2, 0] * a[0] + turn[2, 1] * a[1] + turn[2, 2] * a[2]
             o0 = turn[0, 0] * o[0] + turn[0, 1] * o[1] + turn[0, 2] * o[2] + place[0]
             o1 = turn[1, 0] * o[0] + turn[1, 1] * o[1] + turn[1, 2] * o[2] + place[1]
             o2 = turn[2, 0] * o[0] + turn[2, 1] * o[1] + turn[2, 2] * o[2] + place[2]
-            for k in range(modules):
-                if k < own:
-                    rows[3 * k, j], rows[3 * k + 1, j], rows[3 * k + 2, j] = 0.0, 0.0, 0.0
-                elif chain.slides[u]:
-                    rows[3 * k, j], rows[3 * k + 1, j], rows[3 * k + 2, j] = a0, a1, a2
+            for k in range(own, modules):
+                if chain.slides[u]:
+                    m0, m1, m2 = a0, a1, a2
                 else:
                     x, y, z = ends[k, 0] - o0, ends[k, 1] - o1, ends[k, 2] - o2
-                    rows[3 * k, j] = a1 * z - a2 * y
-                    rows[3 * k + 1, j] = a2 * x - a0 * z
-                    rows[3 * k + 2, j] = a0 * y - a1 * x
-            apply_joint(chain.slides[u], a, o, q[u], turn, place)
+                    m0, m1, m2 = a1 * z - a2 * y, a2 * x - a0 * z, a0 * y - a1 * x
+                rows[3 * k, j] += ratio * m0
+                rows[3 * k + 1, j] += ratio * m1
+                rows[3 * k + 2, j] += ratio * m2
+            apply_joint(chain.slides[u], a, o, ratio * q[chain.inputs[u]], turn, place)
 
 
 @subkernel
@@ -305,7 +309,7 @@ def correct(
                 u, step = begin + j, 0.0
                 for i in range(r):
                     step += rows[i, j] * x[i]
-                if not chain.slides[u]:
+                if not chain.sliding[u]:
                     step = min(max(step, -0.5), 0.5)
                 tried[u] = min(max(q[u] + step, chain.lower[u]), chain.upper[u])
             found = measure_errors(chain, first, last, turns, places, points, tried, trial_e)
@@ -377,11 +381,13 @@ def solve_module(
     Fills `residuals` (MAX_SOLUTIONS,) and `found` (MAX_SOLUTIONS, n) with distances and solutions; uses q of
     this module as scratch. Returns the number of solutions. Other arguments are as in `search_branches`.
     """
-    first, stop = chain.begins[k], chain.begins[k + 1]
+    first, stop, joint, end = chain.begins[k], chain.begins[k + 1], chain.joints[k], chain.joints[k + 1]
     n = stop - first
     c, local, pair = chain.points[k], np.empty(3), np.empty((4, 2))
     closed = 0
-    if n >= 2 and not chain.slides[stop - 2] and not chain.slides[stop - 1]:
+    if end - joint > n:  # coupled joints, for which nothing is solved in closed form
+        closed = 0
+    elif n >= 2 and not chain.slides[end - 2] and not chain.slides[end - 1]:
         closed = 2
     elif n >= 1:
         closed = 1
@@ -399,23 +405,25 @@ def solve_module(
         for u in range(first, stop - closed):
             start[u - first] = chain.near[u]
             if number:
-                half = size if chain.slides[u] else np.pi
+                half = size if chain.sliding[u] else np.pi
                 low, high = (
                     max(chain.lower[u], chain.near[u] - half),
                     min(chain.upper[u], chain.near[u] + half),
                 )
                 start[u - first] = low + samples[number, u] * (high - low)
-            apply_joint(chain.slides[u], chain.axes[u], chain.origins[u], start[u - first], turn, place)
+            if closed:
+                at, amount = joint + u - first, start[u - first]
+                apply_joint(chain.slides[at], chain.axes[at], chain.origins[at], amount, turn, place)
         for i in range(3):
             local[i] = 0.0
             for j in range(3):
                 local[i] += turn[j, i] * (points[k, j] - place[j])
         pairs = 1
         if closed == 1:
-            pair[0, 1] = solve_last_joint(chain, stop - 1, c, local)
+            pair[0, 1] = solve_last_joint(chain, end - 1, c, local)
         for attempt in range(2 if n <= closed else 0):  # the closed form has all exact solutions
             if closed == 2:
-                pairs = solve_last_two(chain, stop - 2, c, local, attempt == 0, pair)
+                pairs = solve_last_two(chain, end - 2, chain.near[stop - 1], c, local, attempt == 0, pair)
             for i in range(pairs):
                 for u in range(first, stop):
                     q[u] = wrap_into_limits(chain, u, pair[i, 2 - stop + u])
@@ -425,7 +433,7 @@ def solve_module(
             if count:
                 return count
         if closed == 2 and n > closed:
-            pairs = solve_last_two(chain, stop - 2, c, local, False, pair)
+            pairs = solve_last_two(chain, end - 2, chain.near[stop - 1], c, local, False, pair)
         for i in range(pairs):
             for u in range(first, stop - closed):
                 q[u] = start[u - first]

@@ -4,7 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinposture.kernels.arrays import Array1, Array2, Array3, Bytes1, Flags1, Ints1, PointObjective
+from pinposture.kernels.arrays import (
+    Array1,
+    Array2,
+    Array3,
+    Bytes1,
+    ChainArrays,
+    Flags1,
+    Ints1,
+    PointObjective,
+)
 from pinposture.kernels.compiled import compiled, subkernel
 from pinposture.kernels.kinematics import difference
 
@@ -268,8 +277,8 @@ def evaluate_gradient(
 
 @compiled
 def find_screws(
+    chain: ChainArrays,
     which: Ints1,
-    slides: Flags1,
     units: Array1,
     axes: Array2,
     origins: Array2,
@@ -280,33 +289,35 @@ def find_screws(
     """Compute the linear and angular velocity of the first point that each joint carries.
 
     Args:
-        which: the joints, by their index along the chain, (n,); increasing.
-        slides: True for a prismatic joint of the chain; others are revolute.
-        units: unit of motion of each joint, (n,).
-        axes: axes of the joints of the chain.
-        origins: their origins.
+        chain: the chain.
+        which: the joints, by their index among its degrees of freedom, (n,); increasing.
+        units: unit of motion of each of them, (n,).
+        axes: axes of all joints of the chain, (k, 3).
+        origins: their origins, (k, 3).
         ends: number of the joints that carry each point, (m,); increasing.
         points: the points, (m, 3).
         filled: filled with linear and angular velocity, (n, 6).
     """
-    k = 0
+    k, slides, ratios, driven, starts = 0, chain.slides, chain.ratios, chain.driven, chain.starts
     for i in range(len(which)):
         while k < len(ends) and ends[k] <= i:
             k += 1
-        u, unit = which[i], units[i]
-        a0, a1, a2 = unit * axes[u, 0], unit * axes[u, 1], unit * axes[u, 2]
-        if slides[u]:
-            filled[i, 0], filled[i, 1], filled[i, 2] = a0, a1, a2
-            filled[i, 3], filled[i, 4], filled[i, 5] = 0.0, 0.0, 0.0
-        else:
-            at = k if k < len(ends) else len(ends) - 1
-            x = points[at, 0] - origins[u, 0]
-            y = points[at, 1] - origins[u, 1]
-            z = points[at, 2] - origins[u, 2]
-            filled[i, 0] = a1 * z - a2 * y
-            filled[i, 1] = a2 * x - a0 * z
-            filled[i, 2] = a0 * y - a1 * x
-            filled[i, 3], filled[i, 4], filled[i, 5] = a0, a1, a2
+        at = k if k < len(ends) else len(ends) - 1
+        v0, v1, v2, w0, w1, w2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for place in range(starts[which[i]], starts[which[i] + 1]):
+            u = driven[place]
+            unit = units[i] * ratios[u]
+            a0, a1, a2 = unit * axes[u, 0], unit * axes[u, 1], unit * axes[u, 2]
+            if slides[u]:
+                v0, v1, v2 = v0 + a0, v1 + a1, v2 + a2
+            else:
+                x = points[at, 0] - origins[u, 0]
+                y = points[at, 1] - origins[u, 1]
+                z = points[at, 2] - origins[u, 2]
+                v0, v1, v2 = v0 + a1 * z - a2 * y, v1 + a2 * x - a0 * z, v2 + a0 * y - a1 * x
+                w0, w1, w2 = w0 + a0, w1 + a1, w2 + a2
+        filled[i, 0], filled[i, 1], filled[i, 2] = v0, v1, v2
+        filled[i, 3], filled[i, 4], filled[i, 5] = w0, w1, w2
 
 
 @compiled

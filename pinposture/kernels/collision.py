@@ -91,7 +91,7 @@ def place_joints_once(
                     origin[i] += turned[i, k] * other[9 + k]
             moved[:, :] = other[:9].reshape(3, 3)
         else:
-            position = positions[tree.columns[joint]]
+            position = tree.ratios[joint] * positions[tree.columns[joint]]
             if tree.kinds[joint] == 1:  # it slides
                 for i in range(3):
                     for k in range(3):
@@ -181,7 +181,7 @@ def differentiate_distances(
                         y = points[k, 1] - origins[joint, 1]
                         z = points[k, 2] - origins[joint, 2]
                         moved = nx * (ay * z - az * y) + ny * (az * x - ax * z) + nz * (ax * y - ay * x)
-                    jacobian[k, tree.columns[joint]] += sign * moved
+                    jacobian[k, tree.columns[joint]] += sign * tree.ratios[joint] * moved
                 joint = tree.parents[joint]
 
 

@@ -256,7 +256,8 @@ def _bound_motions(
         spin, speed_up = v[7], v[8]  # bounds of angular speed and acceleration
         size, slides = 0.0, tree.kinds[joint] == 1
         if tree.kinds[joint] < 2:
-            dq, turn, axis = move[tree.columns[joint]], frames[0][joint], tree.axes[joint]
+            dq = tree.ratios[joint] * move[tree.columns[joint]]
+            turn, axis = frames[0][joint], tree.axes[joint]
             size = abs(dq)
             for i in range(3):
                 along = turn[i, 0] * axis[0] + turn[i, 1] * axis[1] + turn[i, 2] * axis[2]
@@ -317,7 +318,8 @@ def _relative_motion(
         length += np.sqrt((far[0] - origin[0]) ** 2 + (far[1] - origin[1]) ** 2 + (far[2] - origin[2]) ** 2)
         far = origin
         if tree.kinds[joint] < 2:
-            dq, turn, axis = move[tree.columns[joint]], frames[0][joint], tree.axes[joint]
+            dq = tree.ratios[joint] * move[tree.columns[joint]]
+            turn, axis = frames[0][joint], tree.axes[joint]
             if tree.kinds[joint] == 1 and dq != 0.0:
                 return np.inf
             turned += abs(dq)

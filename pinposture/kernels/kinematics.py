@@ -39,12 +39,12 @@ def placements(
     Args:
         chain: the chain.
         positions: joint positions, (nv,).
-        joint_axes: filled with the joint axes, world frame, (n, 3).
-        joint_origins: filled with the origins of the joints, (n, 3).
+        joint_axes: filled with the joint axes, world frame, (k, 3).
+        joint_origins: filled with the origins of the joints, (k, 3).
         points: filled with the control points, (m, 3).
         rotations: filled with their orientations, (m, 3, 3).
     """
-    slides, columns, fixed, axes, ends, offsets, turns = chain
+    slides, columns, ratios, fixed, axes, ends, offsets, turns, _, _, _ = chain
     r00, r01, r02 = 1.0, 0.0, 0.0
     r10, r11, r12 = 0.0, 1.0, 0.0
     r20, r21, r22 = 0.0, 0.0, 1.0
@@ -75,7 +75,7 @@ def placements(
         x, y, z = axes[u, 0], axes[u, 1], axes[u, 2]
         ax, ay, az = r00 * x + r01 * y + r02 * z, r10 * x + r11 * y + r12 * z, r20 * x + r21 * y + r22 * z
         joint_axes[u, 0], joint_axes[u, 1], joint_axes[u, 2] = ax, ay, az
-        q = positions[columns[u]]
+        q = ratios[u] * positions[columns[u]]
         if slides[u]:
             px, py, pz = px + q * ax, py + q * ay, pz + q * az
         else:
@@ -136,24 +136,25 @@ def jacobians(
 
     Args:
         chain: the chain.
-        joint_axes: joint axes, world frame, (n, 3).
-        joint_origins: origins of the joints, (n, 3).
+        joint_axes: joint axes, world frame, (k, 3).
+        joint_origins: origins of the joints, (k, 3).
         points: control points, (m, 3).
         filled: zeros, filled with the Jacobians, (m, 3, nv).
     """
-    slides, columns, ends = chain.slides, chain.columns, chain.ends
+    slides, columns, ends, ratios = chain.slides, chain.columns, chain.ends, chain.ratios
     for k in range(len(ends)):
         for u in range(ends[k]):
-            a, j = joint_axes[u], columns[u]
+            a, j, ratio = joint_axes[u], columns[u], ratios[u]
             if slides[u]:
-                filled[k, 0, j], filled[k, 1, j], filled[k, 2, j] = a[0], a[1], a[2]
+                for i in range(3):
+                    filled[k, i, j] += ratio * a[i]
             else:
                 x = points[k, 0] - joint_origins[u, 0]
                 y = points[k, 1] - joint_origins[u, 1]
                 z = points[k, 2] - joint_origins[u, 2]
-                filled[k, 0, j] = a[1] * z - a[2] * y
-                filled[k, 1, j] = a[2] * x - a[0] * z
-                filled[k, 2, j] = a[0] * y - a[1] * x
+                filled[k, 0, j] += ratio * (a[1] * z - a[2] * y)
+                filled[k, 1, j] += ratio * (a[2] * x - a[0] * z)
+                filled[k, 2, j] += ratio * (a[0] * y - a[1] * x)
 
 
 @compiled

@@ -446,7 +446,7 @@ def look_ahead(
     Args:
         chain: the chain.
         positions: current joint positions, (nv,).
-        units: unit of motion of each joint of the chain, (n,).
+        units: unit of motion of each degree of freedom of the chain, (n,).
         limits: smallest and largest step, (2, nv).
         edges: position limits, (2, nv).
         points: current control points, (m, 3).
@@ -459,7 +459,7 @@ def look_ahead(
     Returns:
         Sum of the distances of the control points from their targets before the step and after it.
     """
-    columns, n, m = chain.columns, len(chain.columns), len(chain.ends)
+    columns, n, m = chain.inputs, len(chain.slides), len(chain.ends)
     for u in range(len(dq)):
         reached[u] = positions[u] + dq[u]
         at_limit[u] = False
@@ -521,12 +521,12 @@ def advance(
         and after it.
     """
     none, limits = np.empty(0), np.empty((2, len(positions)))
-    if step_box(positions, edges, bound, none, none, rounding, chain.columns, leaning, limits) != 0:
+    if step_box(positions, edges, bound, none, none, rounding, chain.inputs, leaning, limits) != 0:
         return False, place, 0.0, 0.0
-    if joint_distance(expected, positions, endless, chain.columns, units) > disturbed:
+    if joint_distance(expected, positions, endless, chain.inputs, units) > disturbed:
         return False, place, 0.0, 0.0
     next_place, left, inside = step_along(
-        offsets, start, positions, endless, chain.columns, units, place, limits, max_motion, dq
+        offsets, start, positions, endless, chain.inputs, units, place, limits, max_motion, dq
     )
     if not inside or (next_place >= len(offsets) - 1 and left <= arrived):
         return False, place, 0.0, 0.0
@@ -565,7 +565,7 @@ def step_to(
     Returns:
         Whether limits allow it, and something moves; and the sums of distances before and after the step.
     """
-    none, limits, columns = np.empty(0), np.empty((2, len(positions))), chain.columns
+    none, limits, columns = np.empty(0), np.empty((2, len(positions))), chain.inputs
     if step_box(positions, edges, bound, none, none, rounding, columns, leaning, limits) != 0:
         return False, 0.0, 0.0
     dq[:] = 0.0

@@ -78,7 +78,7 @@ def relax_waypoints(problem: PathProblem, rounds: int, min_decrease: float, x: A
     weights, chords, damping = np.ones(m), np.zeros(m), np.empty(n)
     sides = np.zeros(n, dtype=np.int8)
     for i in range(last + 1):
-        _set_positions(start, chain.columns, which, units, x[i], positions)
+        _set_positions(start, chain.inputs, which, units, x[i], positions)
         placements(chain, positions, lines[0][i], lines[1][i], points[i], rotations)
     size = weight
     for k in range(m):
@@ -93,7 +93,7 @@ def relax_waypoints(problem: PathProblem, rounds: int, min_decrease: float, x: A
         fall = 0.0
         for place in range(1, last):
             i = last - place if number % 2 else place
-            find_screws(which, chain.slides, units, lines[0][i], lines[1][i], own_ends, points[i], b)
+            find_screws(chain, which, units, lines[0][i], lines[1][i], own_ends, points[i], b)
             objective = PointObjective(b, own_ends, points[i], weights, chords)
             before = _segment_energy(points[i - 1], points[i], x[i - 1], x[i], weight)
             before += _segment_energy(points[i], points[i + 1], x[i], x[i + 1], weight)
@@ -112,7 +112,7 @@ def relax_waypoints(problem: PathProblem, rounds: int, min_decrease: float, x: A
                 for share in (relaxation, 1.0):
                     for u in range(n):
                         moved[u] = min(max(x[i, u] + share * dx[u], lower[u]), upper[u])
-                    _set_positions(start, chain.columns, which, units, moved, positions)
+                    _set_positions(start, chain.inputs, which, units, moved, positions)
                     placements(chain, positions, lines[0][last + 1], lines[1][last + 1], trial, rotations)
                     after = _segment_energy(points[i - 1], trial, x[i - 1], moved, weight)
                     after += _segment_energy(trial, points[i + 1], moved, x[i + 1], weight)
@@ -178,7 +178,7 @@ def measure_path_lengths(problem: PathProblem, x: Array2, samples: int) -> tuple
         share = place - i
         for u in range(n):
             here[u] = (1.0 - share) * x[i, u] + share * x[i + 1, u]
-        _set_positions(start, chain.columns, which, units, here, positions)
+        _set_positions(start, chain.inputs, which, units, here, positions)
         at = 1 + sample % 2 if sample else 0
         placements(chain, positions, frames[0], frames[1], points[at], frames[2])
         if sample:
@@ -257,9 +257,9 @@ def step_waypoints(
     slope, downhill = np.zeros((last + 1, n)), np.empty((last + 1, n))
     force, no_chords, typical = np.empty((m, 3)), np.zeros(m), 0.0
     for i in range(last + 1):
-        _set_positions(start, chain.columns, which, units, x[i], positions)
+        _set_positions(start, chain.inputs, which, units, x[i], positions)
         placements(chain, positions, axes, origins, points[i], rotations)
-        find_screws(which, chain.slides, units, axes, origins, own_ends, points[i], screws[i])
+        find_screws(chain, which, units, axes, origins, own_ends, points[i], screws[i])
     for i in range(1, last):
         for k in range(m):
             for j in range(3):

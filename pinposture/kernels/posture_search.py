@@ -25,7 +25,7 @@ def minimise_posture_errors(
         The sum of squares and the mean error there.
     """
     chain, joints, units, edges, indices, ends, targets, weights, chords, normal = problem
-    n, p, m, columns = len(joints), len(indices), len(chain.ends), chain.columns
+    n, p, m, columns = len(joints), len(indices), len(chain.ends), chain.inputs
     axes, origins = np.empty((len(chain.slides), 3)), np.empty((len(chain.slides), 3))
     every, rotations = np.empty((m, 3)), np.empty((m, 3, 3))
     points, errors, screws = np.empty((p, 3)), np.empty((p, 3)), np.empty((n, 6))
@@ -49,7 +49,7 @@ def minimise_posture_errors(
             if mean <= settings.good:
                 break
             scale = min(1.0, settings.largest_error / max(largest, 1e-300))
-            find_screws(joints, chain.slides, units, axes, origins, ends, points, screws)
+            find_screws(chain, joints, units, axes, origins, ends, points, screws)
             objective = PointObjective(screws, ends, points.copy(), weights, chords)
             wanted = scale * errors
             least = settings.least_damping * max(stiffness(objective), settings.least_stiffness)

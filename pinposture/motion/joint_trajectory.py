@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import require_positive
 from pinposture.arm import Arm
-from pinposture.arm.chain import joint_screws
+from pinposture.arm.couplings import joint_axes
 from pinposture.errors import InvalidValue
 
 # Checks of joint trajectories.
@@ -146,7 +146,7 @@ def joint_units(arm: Arm) -> tuple[str, ...]:
         if joint.nv > 1:
             raise InvalidValue(f"joint {str(name)!r}", joint.shortname(), "joints with one degree of freedom")
     moving = [number for number in range(1, arm.model.njoints) if arm.model.joints[number].nv == 1]
-    turns = np.any(joint_screws(arm.model, moving)[:, 3:] != 0.0, axis=1)
+    _, turns = joint_axes(arm.model, moving)
     return tuple(RADIAN if turn else METRE for turn in turns)
 
 

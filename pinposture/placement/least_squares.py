@@ -163,8 +163,8 @@ def _base_positions(arm: Arm, curve: Curve, start: float) -> Array:
     """
     positions, on_chain = np.zeros(arm.nv), arm.roaming[arm.columns]
     if np.any(on_chain):
-        gap = curve.at(start) - arm.chain.base
-        positions[arm.columns[on_chain]] = np.linalg.lstsq(arm.chain.axes[on_chain].T, gap, rcond=None)[0]
+        gap, axes = curve.at(start) - arm.chain.base, arm.chain.axes[arm.chain.leaders[on_chain]]
+        positions[arm.columns[on_chain]] = np.linalg.lstsq(axes.T, gap, rcond=None)[0]
     return np.asarray(np.clip(positions, arm.limits.lower, arm.limits.upper))
 
 

@@ -174,7 +174,7 @@ def unit_arrays(chain: Chain) -> tuple[NDArray[np.int64], Array]:
     numbers, shapes = [], []
     for unit in arm_units(chain):
         form = unit.kinematics
-        numbers.append((form.dof, unit.joints.start, unit.module))
+        numbers.append((form.dof, int(chain.input_numbers[unit.joints.start]), unit.module))
         lengths = (form.l1, form.l2, form.sense) if isinstance(form, Torus) else (form.link, 0.0, 1.0)
         shapes.append([*lengths, *unit.frame.ravel()])
     return np.array(numbers, dtype=np.int64), np.array(shapes)
@@ -191,6 +191,8 @@ def _module_units(chain: Chain, module: int, joints: slice, start: Array, end: A
         supported = "closed-form solvers exist for two perpendicular hinges and for parallel hinges"
         return UnsupportedModule(module + 1, names, f"{reason}; {supported}, across a straight module")
 
+    if len(set(chain.columns[joints].tolist())) < len(axes):
+        raise refuse("has coupled joints")
     if not np.all(chain.revolute[joints]):
         raise refuse("has a sliding joint")
     none = lengths <= SHAPE_TOLERANCE * lengths.max()

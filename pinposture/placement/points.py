@@ -147,33 +147,48 @@ def _screw_chain(
     """Return the chain as kernels take it, and the points that count, (p, 3) [m]."""
     chain, columns = arm.chain, arm.columns
     lower, upper = arm.limits.lower[columns], arm.limits.upper[columns]
-    indices, begins = _first_joints(chain, tuple(np.flatnonzero(has_target).tolist()))
+    indices, joints, begins = _first_joints(chain, tuple(np.flatnonzero(has_target).tolist()))
     goals, carried = points[indices], chain.points[indices]
     if arm.dimension == 2:  # errors normal to the plane cannot be reduced
         goals = carried + (goals - carried) @ arm.plane.T @ arm.plane
     preferred = np.clip(near[columns], lower, upper)
-    geometry = ~chain.revolute, chain.axes, chain.origins, carried, begins
-    return ScrewChain(*geometry, lower, upper, preferred), np.ascontiguousarray(goals)
+    found = ScrewChain(
+        slides=~chain.revolute,
+        axes=chain.axes,
+        origins=chain.origins,
+        inputs=chain.input_numbers.astype(np.int64),
+        ratios=chain.ratios,
+        points=carried,
+        joints=joints,
+        begins=begins,
+        sliding=arm.slides[columns],
+        lower=lower,
+        upper=upper,
+        near=preferred,
+    )
+    return found, np.ascontiguousarray(goals)
 
 
 @lru_cache(maxsize=64)
-def _first_joints(chain: Chain, indices: tuple[int, ...]) -> tuple[Whole, Whole]:
+def _first_joints(chain: Chain, indices: tuple[int, ...]) -> tuple[Whole, Whole, Whole]:
     """Return the control points that count, (p,), and the first joint of each and the end, (p + 1,).
 
-    A joint belongs to the first point that it can move: joints whose axes pass through a point belong to the
-    next.
+    The first degree of freedom of each, and their number, come last. A joint belongs to the first point that
+    it can move: joints whose axes pass through a point belong to the next, unless they are coupled.
     """
+    alone = np.bincount(chain.columns)[chain.columns] == 1
     ends = [*chain.module_starts[1:].tolist(), len(chain.joints)]
     begins = [0]
     for k in indices:
         stop = ends[k]
-        while stop > begins[-1] and chain.revolute[stop - 1]:
+        while stop > begins[-1] and chain.revolute[stop - 1] and alone[stop - 1]:
             lever = chain.points[k] - chain.origins[stop - 1]
             if np.linalg.norm(np.cross(chain.axes[stop - 1], lever)) > ON_AXIS_DISTANCE * chain.length:
                 break
             stop -= 1
         begins.append(stop)
-    return np.array(indices, dtype=np.int64), np.array(begins, dtype=np.int64)
+    joints = np.array(begins, dtype=np.int64)
+    return np.array(indices, dtype=np.int64), joints, np.searchsorted(chain.leaders, joints).astype(np.int64)
 
 
 @lru_cache(maxsize=64)
@@ -265,7 +280,7 @@ def _gaps(arm: Arm, target: Target, positions: Array) -> Array:
 
 def _fit(arm: Arm, target: Target, start: Array) -> Array:
     """Minimise the squared distances near a start, (nv,), by Levenberg-Marquardt steps within the limits."""
-    columns, indices, slides = arm.columns, np.flatnonzero(target.has_target), arm.kinematics.slides
+    columns, indices, chain = arm.columns, np.flatnonzero(target.has_target), arm.kinematics.constants
     ends, weights, no_chords = arm.kinematics.ends[indices], target.weights[indices], np.zeros(len(indices))
     n, units, goals = len(columns), arm.joint_units[columns], target.points[indices]
     lower, upper = arm.limits.lower[columns], arm.limits.upper[columns]
@@ -275,7 +290,7 @@ def _fit(arm: Arm, target: Target, start: Array) -> Array:
         forward = arm.kinematics.forward(positions)
         points = np.ascontiguousarray(forward.points[indices])
         gaps = goals - points
-        kernels.find_screws(np.arange(n), slides, units, forward.axes, forward.origins, ends, points, screws)
+        kernels.find_screws(chain, np.arange(n), units, forward.axes, forward.origins, ends, points, screws)
         objective = PointObjective(screws.copy(), ends, points, weights, no_chords)
         return float(weights @ np.einsum("ij,ij->i", gaps, gaps)), gaps, objective
 

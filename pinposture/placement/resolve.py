@@ -330,9 +330,9 @@ def _obstruction(
     arm: Arm, curve: Curve, positions: Array, module: int, start: float
 ) -> tuple[type[TargetError], str]:
     """Say what keeps the end of a module off the curve at the fitted joint positions (nv,)."""
-    own = arm.columns[: arm.chain.module_slices[module].stop]
+    own = arm.columns[: arm.chain.input_ends[module]]
     room = np.minimum(positions - arm.limits.lower, arm.limits.upper - positions) / arm.joint_units
-    names = dict(zip(arm.columns.tolist(), arm.chain.joints, strict=True))
+    names = dict(zip(arm.columns.tolist(), arm.chain.input_names, strict=True))
     stuck = [int(u) for u in own if room[u] <= AT_LIMIT]
     slides = [u for u in stuck if arm.slides[u]]
     if slides:

@@ -58,7 +58,7 @@ def bodies(arm: Arm) -> tuple[DrawnBody, ...]:
             nodes.append(point)
         if u + 1 < len(chain.origins):
             nodes.append(chain.origins[u + 1] - origin)
-        reach = arm.limits.upper[chain.columns[u]]
+        reach = chain.ratios[u] * arm.limits.upper[chain.columns[u]]
         # Some models have the largest floating-point number where there is no limit.
         slides = not chain.revolute[u] and 0.0 < reach < 10.0 * arm.length
         slide = -reach * chain.axes[u] if slides else np.zeros(3)
@@ -87,7 +87,8 @@ def body_poses(arm: Arm, q: ArrayLike) -> Array:
     poses = np.zeros((len(positions), len(chain.joints), 4, 4))
     poses[..., 3, 3] = 1.0
     # (f, n, 3, 3), all at once: one call per joint takes longer than everything else here.
-    vectors = (positions[:, chain.columns, None] * chain.axes).reshape(-1, 3)
+    amounts = positions[:, chain.columns] * chain.ratios
+    vectors = (amounts[:, :, None] * chain.axes).reshape(-1, 3)
     turns = Rotation.from_rotvec(vectors).as_matrix().reshape(len(positions), -1, 3, 3)
     turn = np.broadcast_to(np.eye(3), (len(positions), 3, 3))
     shift = np.zeros((len(positions), 3))
@@ -97,8 +98,7 @@ def body_poses(arm: Arm, q: ArrayLike) -> Array:
         if chain.revolute[u]:
             turn = turn @ turns[:, u]
         else:
-            amount = positions[:, chain.columns[u], None] * axis  # (f, 3)
-            place = place + np.einsum("fij,fj->fi", turn, amount)
+            place = place + np.einsum("fij,fj->fi", turn, amounts[:, u, None] * axis)
         shift = place - turn @ origin
         poses[:, u, :3, :3], poses[:, u, :3, 3] = turn, place
     return poses if several else poses[0]

@@ -80,7 +80,7 @@ def test_the_pass_along_the_chain_gives_what_pinocchio_does(seed):
         lines = state.forward.axes, state.forward.origins
         chain, known, screws = arm.kinematics, constants_of(arm), screws_of(state).screws
         along = np.empty_like(screws)
-        given = known.joints, chain.slides, known.units, *lines, chain.ends, state.forward.points
+        given = chain.constants, known.joints, known.units, *lines, chain.ends, state.forward.points
         kernels.find_screws(*given, along)
         np.testing.assert_allclose(along, screws, atol=1e-12 * size * known.units.max())
 

@@ -31,8 +31,8 @@ CHAIN: dict[str, Load] = {
     "several longest chains": loading(FORK),
     "no moving joint": loading(arm_text(LOCKED)),
     "nothing but floating joints": loading(arm_text([("floating", Y, LINK, "")] * 2), tip="l2"),
-    "a joint that mimics, on the chain": loading(
-        robot(TWO + moving("k", "b", "c", axis=Z, more='<mimic joint="j"/>')), tip="c"
+    "a joint that follows one that is not there": loading(
+        robot(TWO + moving("k", "b", "c", axis=Z, more='<mimic joint="jj"/>')), tip="c"
     ),
     "a floating joint inside the chain": loading(robot(TWO + joint("k", "b", "c", "floating")), tip="c"),
     "a planar joint inside the chain": loading(robot(TWO + joint("k", "b", "c", "planar")), tip="c"),

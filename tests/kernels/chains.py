@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture.kernels.arrays import PointObjective
+from pinposture.kernels.arrays import ChainArrays, PointObjective
 
 Array = NDArray[np.float64]
 
@@ -64,7 +64,7 @@ def problem(rng: np.random.Generator, modules: int, damping: float, straight: bo
     right = np.concatenate([np.sqrt(weights)[:, None] * errors, np.sqrt(chords)[:, None] * apart])
     screws = np.empty((n, 6))
     ends = ends.astype(np.int64)
-    kernels.find_screws(np.arange(n), slides, units, axes, origins, ends, points, screws)
+    kernels.find_screws(chain_of(slides), np.arange(n), units, axes, origins, ends, points, screws)
     return Problem(
         PointObjective(screws, ends, points, weights, chords),
         errors,
@@ -73,3 +73,12 @@ def problem(rng: np.random.Generator, modules: int, damping: float, straight: bo
         rows.reshape(-1, n),
         right.ravel(),
     )
+
+
+def chain_of(slides: np.ndarray) -> ChainArrays:
+    """Constants of a chain of which only the kinds of the joints are asked for."""
+    n, none = len(slides), np.zeros((0, 3))
+    each, ends = np.arange(n, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    fixed, axes, turns = np.zeros((n, 12)), np.zeros((n, 3)), np.zeros((0, 3, 3))
+    starts = np.arange(n + 1, dtype=np.int64)
+    return ChainArrays(slides, each, np.ones(n), fixed, axes, ends, none, turns, each, each, starts)

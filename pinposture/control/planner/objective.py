@@ -333,7 +333,7 @@ class ChainSolver:
         self._objective, self._state, self._weight = objective, state, weight
         chain, forward = objective.chain, state.forward
         screws, points = np.empty((len(chain.joints), 6)), chain.points_of(state)
-        given = chain.joints, state.arm.kinematics.slides, chain.units, forward.axes, forward.origins
+        given = state.arm.kinematics.constants, chain.joints, chain.units, forward.axes, forward.origins
         kernels.find_screws(*given, chain.ends, points, screws)
         self._points = PointObjective(
             screws, chain.ends, points, weight * chain.weights, weight * chain.chords

@@ -117,7 +117,7 @@ def body_colors(coloring: str, live: Live, shades: Colors) -> Colors:
     """Return the colours of the bodies, (n, 3), by one of `COLORINGS`; their own shades are the default."""
     if coloring == COLORINGS[0] and np.any(live.at_limit):
         colors: Colors = shades.copy()
-        colors[live.at_limit] = color(palette.MARK)
+        colors[live.at_limit[live.arm.chain.input_numbers]] = color(palette.MARK)
         return colors
     if coloring == COLORINGS[1]:
         indices = stretch_indices(live.state)
@@ -145,7 +145,7 @@ def stretch_indices(state: ArmState) -> NDArray[np.float64]:
 
 def stretch_width(arm: Arm) -> int:
     """Return how many modules such a stretch has."""
-    sizes = [len(joints) for joints in arm.module_joints]
+    sizes = np.diff(arm.chain.input_ends, prepend=0).tolist()
     for width in range(max(1, round(STRETCH_SHARE * arm.n_modules)), arm.n_modules + 1):
         if all(sum(sizes[k : k + width]) >= arm.dimension for k in range(len(sizes) - width + 1)):
             return width

@@ -1,0 +1,233 @@
+"""Coupled joints: one degree of freedom moves several joints, each by its own ratio.
+
+Tendons and gears couple joints, and <mimic> says so in a URDF: position = ratio * position of a leader +
+offset. In the Pinocchio model of an arm the leader is the first of the coupled joints on the chain, whichever
+joint the description names; the others are mimic joints there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pinposture.arm.configurations import NO_LIMIT
+from pinposture.arm.urdf_reader import CHAIN_JOINTS, Description, Follows, JointDescription
+from pinposture.errors import InvalidValue, UnknownName, URDFError
+
+Array = NDArray[np.float64]
+
+
+class Coupling(NamedTuple):
+    """A joint that has no degree of freedom of its own.
+
+    Attributes:
+        joint: name of the joint.
+        leader: name of the joint that it follows.
+        ratio: its motion relative to that of the leader.
+        offset: its position where the leader is at zero [rad or m].
+    """
+
+    joint: str
+    leader: str
+    ratio: float
+    offset: float
+
+
+class JointRange(NamedTuple):
+    """Smallest and largest position [rad or m] and largest speed [rad/s or m/s] of a joint."""
+
+    lower: float
+    upper: float
+    velocity: float
+
+
+class CoupledJoints(NamedTuple):
+    """The joints of a chain, by what moves them.
+
+    Attributes:
+        moving: the joints that move, from base to tip.
+        couplings: those of them that follow others.
+        ranges: limits of the leaders, within which all that follow them keep their own; by name.
+    """
+
+    moving: list[JointDescription]
+    couplings: list[Coupling]
+    ranges: dict[str, JointRange]
+
+
+def with_couplings(description: Description, given: Mapping[str, object] | None) -> Description:
+    """Return a description in which joints follow others as a user says, besides those that do anyway.
+
+    Args:
+        description: the description.
+        given: for each joint that follows another the name of that one; or its name and a ratio; or its name,
+            a ratio, and an offset [rad or m].
+
+    Raises:
+        UnknownName: a joint that does not exist.
+        InvalidValue: anything else than a name and numbers; names the joint.
+    """
+    joints = {joint.name: joint for joint in description.joints}
+    for name, value in (given or {}).items():
+        if name not in joints or joints[name].type not in CHAIN_JOINTS:
+            known = [joint.name for joint in description.joints if joint.type in CHAIN_JOINTS]
+            raise UnknownName("moving joint", name, known)
+        joints[name] = replace(joints[name], follows=_read_follows(name, value))
+    return replace(description, joints=tuple(joints.values()))
+
+
+def _read_follows(name: str, value: object) -> Follows:
+    parts = (value,) if isinstance(value, str) or not isinstance(value, Sequence) else tuple(value)
+    try:
+        numbers = [float(part) for part in parts[1:]]
+        if isinstance(parts[0], str) and len(numbers) <= 2 and all(map(math.isfinite, numbers)):
+            return Follows(parts[0], *[*numbers, *(1.0, 0.0)[len(numbers) :]])
+    except (IndexError, TypeError, ValueError):
+        pass
+    allowed = "the name of the joint that it follows, then a ratio and an offset [rad or m], if not 1 and 0"
+    raise InvalidValue(f"couplings[{name!r}]", value, allowed)
+
+
+def find_couplings(
+    description: Description, chain: Sequence[JointDescription], locked: Iterable[str]
+) -> CoupledJoints:
+    """Find what moves each joint of a chain.
+
+    Joints that follow a locked joint, or one that limits leave a single position, are still; so are those
+    with a ratio of zero. A joint that follows one off the chain moves by itself, within the limits of both.
+
+    Args:
+        description: the description that the joints are of.
+        chain: joints that are not still by themselves, from base to tip.
+        locked: names of joints that a user locks.
+
+    Raises:
+        URDFError: a joint follows one that does not exist, or is no hinge or slide; joints follow each other
+            in a circle; or limits of coupled joints leave no position.
+    """
+    named, still = {joint.name: joint for joint in description.joints}, set(locked)
+    groups: dict[str, list[tuple[JointDescription, Follows]]] = {}
+    for joint in chain:
+        follows = _follow(description, named, joint, still)
+        leader = named[follows.joint]
+        if follows.joint not in still and (leader is joint or leader.moves) and follows.multiplier != 0.0:
+            groups.setdefault(follows.joint, []).append((joint, follows))
+    moving = {joint.name for group in groups.values() for joint, _ in group}
+    found = CoupledJoints([joint for joint in chain if joint.name in moving], [], {})
+    for name, group in groups.items():
+        (first, own), members = group[0], group
+        if len(group) == 1 and name == first.name:
+            continue
+        if name not in moving:  # an actuator beside the chain, whose limits count as well
+            members = [*group, (named[name], Follows(name, 1.0, 0.0))]
+        lower, upper, velocity = -math.inf, math.inf, math.inf
+        for joint, follows in members:
+            ratio = follows.multiplier / own.multiplier
+            offset = follows.offset - ratio * own.offset
+            if joint is not first and joint.name in moving:
+                found.couplings.append(Coupling(joint.name, first.name, ratio, offset))
+            low, high = sorted(((joint.lower - offset) / ratio, (joint.upper - offset) / ratio))
+            lower, upper = max(lower, low), min(upper, high)
+            if joint.velocity is not None and 0.0 < joint.velocity < NO_LIMIT:
+                velocity = min(velocity, joint.velocity / abs(ratio))
+        if lower >= upper:
+            joints = ", ".join(repr(joint.name) for joint, _ in members[:8])
+            reason = "their limits leave no room for a common motion"
+            raise URDFError(description.source, f"coupled joints {joints}", reason)
+        found.ranges[first.name] = JointRange(lower, upper, velocity)
+    return found
+
+
+def _follow(
+    description: Description,
+    named: Mapping[str, JointDescription],
+    joint: JointDescription,
+    still: set[str],
+) -> Follows:
+    """Return the joint that moves another one in the end, and how; itself if it follows none."""
+    ratio, offset, at, seen = 1.0, 0.0, joint, {joint.name}
+    while at.follows is not None and at.name not in still:
+        following = at.follows
+        fault = None
+        if following.joint not in named:
+            fault = "which does not exist"
+        elif named[following.joint].type not in CHAIN_JOINTS:
+            fault = f"which is {named[following.joint].type}; allowed: {', '.join(CHAIN_JOINTS)}"
+        elif following.joint in seen:
+            fault = "in a circle"
+        if fault:
+            reason = f"mimics joint {following.joint!r}, {fault}"
+            raise URDFError(description.source, f"joint {at.name!r}", reason)
+        ratio, offset = ratio * following.multiplier, ratio * following.offset + offset
+        at = named[following.joint]
+        seen.add(at.name)
+    return Follows(at.name, ratio, offset)
+
+
+def couple_joints(model: pin.Model, coupled: CoupledJoints) -> pin.Model:
+    """Return a model in which joints are coupled, and the limits of their leaders hold for all of them."""
+    for coupling in coupled.couplings:
+        leader, joint = model.getJointId(coupling.leader), model.getJointId(coupling.joint)
+        model = pin.transformJointIntoMimic(model, leader, joint, coupling.ratio, coupling.offset)
+    for name, allowed in coupled.ranges.items():
+        leader = model.joints[model.getJointId(name)]
+        if leader.nq == 1:
+            model.lowerPositionLimit[leader.idx_q] = allowed.lower
+            model.upperPositionLimit[leader.idx_q] = allowed.upper
+        velocity = allowed.velocity if allowed.velocity < NO_LIMIT else 0.0
+        model.velocityLimit[leader.idx_v] = velocity
+    return model
+
+
+def is_coupled(joint: pin.JointModel) -> bool:
+    """Tell whether a joint of a model has no degree of freedom of its own, but follows another joint."""
+    return bool(joint.shortname() == "JointModelMimic")
+
+
+def joint_ratios(model: pin.Model, joints: Iterable[int]) -> Array:
+    """Return the motion of each joint relative to that of its degree of freedom, (n,); 1 unless coupled."""
+    kinds = [model.joints[joint] for joint in joints]
+    return np.array([kind.extract().scaling if is_coupled(kind) else 1.0 for kind in kinds])
+
+
+def joint_axes(model: pin.Model, joints: list[int]) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the unit axes of joints, (n, 3), in their own frames, and whether they are revolute, (n,)."""
+    screws = np.array([np.ravel(model.joints[joint].createData().S) for joint in joints])
+    screws = screws / joint_ratios(model, joints)[:, None]
+    revolute = np.asarray(np.linalg.norm(screws[:, 3:], axis=1) > 0.5)
+    return np.ascontiguousarray(np.where(revolute[:, None], screws[:, 3:], screws[:, :3])), revolute
+
+
+def joint_placements(model: pin.Model) -> list[pin.SE3]:
+    """Return the placement of each joint in the frame of the one before, where their leaders are at zero.
+
+    Coupled joints are then at their offsets, which `pin.Model.jointPlacements` does not include.
+    """
+    placements = list(model.jointPlacements)
+    for number, joint in enumerate(model.joints):
+        if is_coupled(joint) and (offset := joint.extract().offset):
+            (axis,), (turns,) = joint_axes(model, [number])
+            motion = pin.SE3.Identity()
+            if turns:
+                motion.rotation = pin.exp3(offset * axis)
+            else:
+                motion.translation = offset * axis
+            placements[number] = placements[number] * motion
+    return placements
+
+
+def read_couplings(model: pin.Model) -> tuple[Coupling, ...]:
+    """Return the couplings of a model, in the order of its joints."""
+    names, joints = list(model.names), list(model.joints)
+    leaders = {joint.idx_v: name for name, joint in zip(names[1:], joints[1:], strict=True) if joint.nv}
+    return tuple(
+        Coupling(str(name), str(leaders[joint.idx_v]), float(own.scaling), float(own.offset))
+        for name, joint in zip(names, joints, strict=True)
+        if is_coupled(joint) and (own := joint.extract())
+    )
