@@ -2,10 +2,11 @@
 
 from pinposture.arm.arm import Arm, ArmState, smooth_configuration
 from pinposture.arm.configurations import JointLimits
+from pinposture.arm.couplings import Coupling
 from pinposture.arm.feasibility import Feasibility, Violation
 from pinposture.arm.manipulability import ControlPoints, Ellipsoid
 from pinposture.arm.specification import ArmSpec, FeedSpec, PlacementSpec
-from pinposture.arm.template import TEMPLATES, JointSpec, ModuleTemplate, template
+from pinposture.arm.template import TEMPLATES, JointSpec, ModuleTemplate, continuum_section, template
 
 __all__ = [
     "TEMPLATES",
@@ -13,6 +14,7 @@ __all__ = [
     "ArmSpec",
     "ArmState",
     "ControlPoints",
+    "Coupling",
     "Ellipsoid",
     "Feasibility",
     "FeedSpec",
@@ -21,6 +23,7 @@ __all__ = [
     "ModuleTemplate",
     "PlacementSpec",
     "Violation",
+    "continuum_section",
     "smooth_configuration",
     "template",
 ]

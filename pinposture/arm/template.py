@@ -44,6 +44,9 @@ class JointSpec:
         upper: largest position [rad], or [m] if prismatic; inf if continuous.
         velocity: largest speed [rad/s], or [m/s] if prismatic; the default is a placeholder.
         effort: largest torque [N m], or force [N] if prismatic; the default is a placeholder.
+        follows: index of a joint before it in the module that this one follows, 0-based; it then has no
+            degree of freedom of its own. None if it has one.
+        ratio: its motion relative to that of the joint that it follows.
 
     Raises:
         InvalidValue: a value other than described, or a prismatic joint without limits of its own.
@@ -55,6 +58,8 @@ class JointSpec:
     upper: float = math.pi
     velocity: float = 2.0
     effort: float = 100.0
+    follows: int | None = None
+    ratio: float = 1.0
 
     def __post_init__(self) -> None:
         if self.type not in JOINT_TYPES:
@@ -67,6 +72,9 @@ class JointSpec:
         for name in ("velocity", "effort"):
             value = _number(name, getattr(self, name), "a finite number above 0", lowest=math.ulp(0.0))
             object.__setattr__(self, name, value)
+        if self.follows is not None and (type(self.follows) is not int or self.follows < 0):
+            raise InvalidValue("follows", self.follows, "the index of a joint before it, or None")
+        object.__setattr__(self, "ratio", _number("ratio", self.ratio, "a finite number"))
 
     def _check_limits(self) -> None:
         given = (self.lower, self.upper)
@@ -108,6 +116,7 @@ class ModuleTemplate:
         joints: the joints from base to end, (n,).
         link_lengths: length of the link that follows each joint, (n,) [m]; 0 puts two joints in one place.
         radius: radius of the links and of the joints between them [m].
+        lead: length of the link between the end of the module before and the first joint [m].
 
     Raises:
         InvalidValue: no joints, not one length for each joint, or a value other than described.
@@ -117,6 +126,7 @@ class ModuleTemplate:
     joints: Sequence[JointSpec]
     link_lengths: Sequence[float]
     radius: float = 0.01
+    lead: float = 0.0
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not _NAME.fullmatch(self.name):
@@ -133,7 +143,14 @@ class ModuleTemplate:
             _number(f"link_lengths[{i}]", length, "0 to 1e6 m", lowest=0.0, highest=1e6)
             for i, length in enumerate(lengths)
         )
+        for i, joint in enumerate(joints):
+            at = joint.follows
+            if at is not None and (at >= i or joints[at].follows is not None):
+                allowed = "the index of a joint before it that follows no other"
+                raise InvalidValue(f"joints[{i}].follows", at, allowed)
         radius = _number("radius", self.radius, "1e-6 to 1e6 m", lowest=1e-6, highest=1e6)
+        lead = _number("lead", self.lead, "0 to 1e6 m", lowest=0.0, highest=1e6)
+        object.__setattr__(self, "lead", lead)
         object.__setattr__(self, "joints", joints)
         object.__setattr__(self, "link_lengths", checked)
         object.__setattr__(self, "radius", radius)
@@ -141,7 +158,12 @@ class ModuleTemplate:
     @property
     def length(self) -> float:
         """Length of the module when it is straight [m]."""
-        return math.fsum(self.link_lengths)
+        return math.fsum((self.lead, *self.link_lengths))
+
+    @property
+    def dof(self) -> int:
+        """Number of its degrees of freedom: joints that follow no other."""
+        return sum(joint.follows is None for joint in self.joints)
 
     def with_lengths(self, link_lengths: Sequence[float]) -> ModuleTemplate:
         """Return the same module with other link lengths.
@@ -166,6 +188,53 @@ class ModuleTemplate:
         """
         joints = (replace(j, lower=lower, upper=upper) if j.type == "revolute" else j for j in self.joints)
         return replace(self, joints=tuple(joints))
+
+
+def continuum_section(
+    disks: int = 10,
+    length: float = 0.2,
+    bend: float = math.pi,
+    stretch: float = 0.0,
+    radius: float = 0.01,
+    name: str = "Continuum",
+) -> ModuleTemplate:
+    """Make a module that bends in an arc of constant curvature, as tendons bend a flexible backbone.
+
+    Disks with universal joints stand for the backbone. All of them turn by the same two angles, which are the
+    degrees of freedom: the bending about y and about z, each divided by the number of disks. Joints sit in
+    the middle of equal pieces of the arc, and their axes change order from disk to disk, so that the end is
+    off that of the arc by a share of its length that falls with the square of the number of disks.
+
+    Args:
+        disks: number of disks, at least 1.
+        length: length of the backbone [m].
+        bend: largest bending in each direction [rad].
+        stretch: largest change of the length, either way [m]; with more than 0 it is a third degree of
+            freedom.
+        radius: radius of the backbone [m].
+        name: what the template is called.
+
+    Raises:
+        InvalidValue: a value out of range.
+    """
+    if type(disks) is not int or disks < 1:
+        raise InvalidValue("disks", disks, "a whole number of at least 1")
+    most = _number("bend", bend, "0 to 100 rad", lowest=1e-9, highest=100.0) / disks
+    piece = _number("length", length, "1e-6 to 1e6 m", lowest=1e-6, highest=1e6) / disks
+    slack = _number("stretch", stretch, "0 to less than the length", 0.0, 0.999 * length) / disks
+    joints: list[JointSpec] = []
+    leaders: dict[str, int] = {}
+    for disk in range(disks):
+        for axis in ("yz", "zy")[disk % 2] + ("x" if slack else ""):
+            follows = leaders.get(axis)
+            leaders.setdefault(axis, len(joints))
+            edge, kind = (slack, "prismatic") if axis == "x" else (most, "revolute")
+            joints.append(JointSpec(axis, kind, -edge, edge, follows=follows))
+    lengths = [0.0] * len(joints)
+    for last in range(len(joints) // disks - 1, len(joints), len(joints) // disks):
+        lengths[last] = piece
+    lengths[-1] = piece / 2.0
+    return ModuleTemplate(name, joints, lengths, radius, lead=piece / 2.0)
 
 
 def _number(
@@ -213,6 +282,7 @@ TEMPLATES: Mapping[str, ModuleTemplate] = MappingProxyType(
         "Rz": _planar("Rz"),
         "RzRz": _planar("RzRz"),
         "RzRzRz": _planar("RzRzRz"),
+        "Continuum": continuum_section(),
     }
 )
 """The shipped templates by name. Those of "Rz" alone make planar arms, the others spatial ones."""
@@ -278,11 +348,16 @@ def _chain(modules: Sequence[ModuleTemplate]) -> str:
     joint_digits = len(str(max(len(module.joints) for module in modules)))
     parts, parent, distance = ['<link name="base"/>'], "base", 0.0
     for m, module in enumerate(modules, start=1):
+        names: list[str] = []
+        distance += module.lead
         for j, (spec, length) in enumerate(zip(module.joints, module.link_lengths, strict=True), start=1):
             prefix, number = f"m{m:0{module_digits}d}", f"{j:0{joint_digits}d}"
             letter = f"_{spec.axis}" if isinstance(spec.axis, str) else ""
             child, motion = f"{prefix}_l{number}", _motion(spec)
-            parts.append(_joint(f"{prefix}_j{number}{letter}", spec.type, parent, child, distance, motion))
+            names.append(f"{prefix}_j{number}{letter}")
+            if spec.follows is not None:
+                motion += f'<mimic joint="{names[spec.follows]}" multiplier="{spec.ratio!r}"/>'
+            parts.append(_joint(names[-1], spec.type, parent, child, distance, motion))
             parts.append(_link(child, length, module.radius, "odd" if m % 2 else "even"))
             parent, distance = child, length
     tip = _joint("tip_joint", "fixed", parent, "tip", distance, "")

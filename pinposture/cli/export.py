@@ -50,6 +50,10 @@ def run(
             "--force", help="Write it even if it did not get there, or not clear and within limits."
         ),
     ] = False,
+    coupled: Annotated[
+        bool,
+        typer.Option("--coupled", help="Write the joints that follow others (<mimic>), too."),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Write a motion as positions, velocities and accelerations of the joints in time.
@@ -75,6 +79,8 @@ def run(
         raise FileError(output, "is the run itself; allowed: another file")
     kept = load_kept(source)
     trajectory = _joint_trajectory(kept, dt, force)
+    if coupled:
+        trajectory = trajectory.with_coupled(kept.arm)
     save(trajectory, output)
     for fault in kept.faults:
         print_warning(f"exported all the same: {fault}")

@@ -22,8 +22,10 @@ def _print_templates(wanted: bool) -> None:
     rows = [
         (
             module.name,
-            ", ".join(f"{joint.type} {joint.axis}" for joint in module.joints),
-            ", ".join(f"{length:g}" for length in module.link_lengths),
+            ", ".join(f"{joint.type} {joint.axis}" for joint in module.joints if joint.follows is None)
+            + (f" for {len(module.joints)} joints" if module.dof < len(module.joints) else ""),
+            ", ".join(f"{length:g}" for length in module.link_lengths[:3])
+            + (", ..." if len(module.link_lengths) > 3 else ""),
             module.length,
         )
         for module in TEMPLATES.values()
@@ -83,7 +85,7 @@ def run(
     text = modules_to_urdf([module] * modules, f"{module.name}_{modules}", "pinposture generate")
     if output is not None:
         write_text(output, text)
-    dof, length = modules * len(module.joints), modules * module.length
+    dof, length = modules * module.dof, modules * module.length - module.lead
     if as_json:
         file = None if output is None else str(output)
         print_json({"file": file, "template": template, "modules": modules, "dof": dof, "length": length})

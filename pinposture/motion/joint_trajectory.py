@@ -131,6 +131,9 @@ def _listed(names: Iterable[str]) -> str:
 
 # Configurations as joint positions.
 
+COUPLING_TOLERANCE = 1e-6
+"""Distance of a joint from where the joint that it is coupled to puts it that is rounding [rad or m]."""
+
 RADIAN, METRE = "rad", "m"
 """Units of the position of a joint that turns, and of one that slides."""
 
@@ -384,13 +387,49 @@ class JointTrajectory:
         """The largest speed and acceleration of each joint from row to row, as `Limits` bounds them."""
         return find_peaks(self.time, self.positions)
 
+    def with_coupled(self, arm: Arm) -> JointTrajectory:
+        """The same motion with the joints that follow others (`Arm.couplings`) as well, behind the others.
+
+        Raises:
+            InvalidValue: as `matched`.
+        """
+        led, couplings = self.matched(arm), arm.couplings
+        leaders = [arm.joint_names.index(each.leader) for each in couplings]
+        ratios = np.array([each.ratio for each in couplings])
+        turns = joint_axes(arm.model, [arm.model.getJointId(each.joint) for each in couplings])[1]
+
+        def joined(values: Array, offsets: Array) -> Array:
+            return np.hstack([values, values[:, leaders] * ratios + offsets])
+
+        none = np.zeros(len(couplings))
+        return replace(
+            led,
+            joint_names=(*led.joint_names, *(each.joint for each in couplings)),
+            positions=joined(led.positions, np.array([each.offset for each in couplings])),
+            velocities=joined(led.velocities, none),
+            accelerations=joined(led.accelerations, none),
+            units=(*led.units, *(RADIAN if turn else METRE for turn in turns)),
+        )
+
     def matched(self, arm: Arm) -> JointTrajectory:
         """The same motion with the joints in the arm's order, and their units.
 
+        Joints that follow others may be among them.
+
         Raises:
-            InvalidValue: a joint of the arm is missing, there are others, or a unit is not the joint's.
+            InvalidValue: a joint of the arm is missing, there are others, a unit is not the joint's, or a
+                joint does not follow the one that it is coupled to.
         """
-        check_same_joints(self.joint_names, arm.joint_names)
+        followers = {each.joint: each for each in arm.couplings}
+        check_same_joints([name for name in self.joint_names if name not in followers], arm.joint_names)
+        for number, name in enumerate(self.joint_names):
+            if name in followers:
+                _, leader, ratio, offset = followers[name]
+                led = ratio * self.positions[:, self.joint_names.index(leader)] + offset
+                apart = float(np.abs(self.positions[:, number] - led).max())
+                if apart > COUPLING_TOLERANCE:
+                    allowed = f"to follow joint {leader!r} to {COUPLING_TOLERANCE:g}"
+                    raise InvalidValue(f"joint {name!r}", f"up to {apart:.3g} off", allowed)
         order = [self.joint_names.index(name) for name in arm.joint_names]
         units = joint_units(arm)
         for number, unit in zip(order, units, strict=True):

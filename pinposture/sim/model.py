@@ -41,6 +41,7 @@ DEFAULT_MASS, DEFAULT_RADIUS = 1e-3, 1e-2
 MIN_RADIUS = 1e-4  # moments of inertia are at least those of a ball of the same mass with this radius [m]
 INERTIA_ROUNDING = 1e-3  # relative violation of physical consistency that draws no warning
 
+
 # Attributes of the elements of <inertial>: how many numbers each has, the least, and both in words.
 _INERTIAL = {
     "mass": (("value",), 1, 0.0, "a finite number, 0 or more [kg]"),
@@ -129,6 +130,8 @@ class PlantModel:
         model: the `mujoco.MjModel`, with the joints of the arm and those that servos hold, n in all; they
             have the names of the description.
         columns: index of each degree of freedom of the arm among the n joints, (nv,).
+        coupling: motions of all joints by those of the i joints that do not follow others, (n, i).
+        of_arm: its columns that belong to the arm, (n, nv).
         rest: joint positions with the arm at zero and the other joints where they are held, (n,) [rad or m].
         gains: stiffness and damping of the servos, (n,) each.
         torque_limits: largest torque or force of each servo, (n,) [N m or N]; infinite without a limit.
@@ -141,6 +144,8 @@ class PlantModel:
     gravity: Array
     model: Any
     columns: NDArray[np.intp]
+    coupling: Array
+    of_arm: Array
     rest: Array
     gains: Gains
     torque_limits: Array
@@ -149,9 +154,7 @@ class PlantModel:
 
     def positions(self, of_arm: Array) -> Array:
         """Return positions of all joints, (n,), for joint positions of the arm, (nv,) [rad or m]."""
-        positions: Array = self.rest.copy()
-        positions[self.columns] = of_arm
-        return positions
+        return np.asarray(self.rest + self.of_arm @ of_arm)
 
 
 def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | ArrayLike = True) -> PlantModel:
@@ -197,24 +200,35 @@ def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | Ar
         model.dof_damping[dof] = complete.damping[joint.idx_v]
         model.dof_frictionloss[dof] = complete.upperDryFrictionLimit[joint.idx_v]
     columns = np.array([dofs[name] for name in arm.joint_names], dtype=np.intp)
+    leading = np.ones(model.nv, dtype=np.bool_)
+    coupling = np.eye(model.nv)
+    for each in arm.couplings:
+        leading[dofs[each.joint]], rest[dofs[each.joint]] = False, each.offset
+        coupling[dofs[each.joint], dofs[each.leader]] = each.ratio
+    coupling = coupling[:, leading]
+    effort[~leading] = math.inf
     sites = np.array([model.site(f"point_{k}").id for k in range(arm.n_modules)], dtype=np.intp)
     data, matrices = mujoco.MjData(model), []
+    of_arm = coupling[:, np.searchsorted(np.flatnonzero(leading), columns)]
     for positions in _sample_positions(arm):
-        data.qpos[:], data.qpos[columns] = rest, positions
+        data.qpos[:] = rest + of_arm @ positions
         mujoco.mj_forward(model, data)
         _check_control_points(arm, positions, data.site_xpos[sites], source)
-        matrices.append(full_mass_matrix(model, data))
+        matrices.append(coupling.T @ full_mass_matrix(model, data) @ coupling)
     slides = model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
     units = np.where(slides, arm.characteristic_length, 1.0)
     least = (model.dof_frictionloss + model.dof_damping * units) / (MAX_DEFLECTION * units)
+    gains = servos.gains(matrices, np.abs(coupling).T @ least)
     return PlantModel(
         arm=arm,
         servos=servos,
         gravity=acceleration,
         model=model,
         columns=columns,
+        coupling=coupling,
+        of_arm=of_arm,
         rest=rest,
-        gains=servos.gains(matrices, least),
+        gains=Gains(*(_spread(values, leading) for values in gains)),
         torque_limits=servos.limits(effort),
         sites=sites,
         warnings=corrections,
@@ -336,6 +350,7 @@ def _specification(
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CONTACT
     added = [spec.worldbody.add_body(**_placement(arm.base_placement))]
+    followers = {each.joint for each in arm.couplings}
     limits = dict(zip(arm.joint_names, np.transpose([arm.limits.lower, arm.limits.upper]), strict=True))
     for number, (joint, rigid) in enumerate(zip(list(model.joints)[1:], bodies, strict=True), start=1):
         xx, xy, yy, xz, yz, zz = rigid.inertia[np.tril_indices(3)]
@@ -356,6 +371,8 @@ def _specification(
         interval = limits.get(name, (-np.inf, np.inf))
         if np.all(np.isfinite(interval)):
             moved.limited, moved.range = mujoco.mjtLimited.mjLIMITED_TRUE, interval
+        if name in followers:  # `Plant` moves it
+            continue
         servo = spec.add_actuator(name=name, target=name)
         servo.trntype = mujoco.mjtTrn.mjTRN_JOINT
         servo.gaintype, servo.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
@@ -363,6 +380,13 @@ def _specification(
         body = added[model.getJointId(str(arm.model.names[frame.parentJoint]))]
         body.add_site(name=f"point_{k}", pos=frame.placement.translation)
     return spec
+
+
+def _spread(values: Array, where: NDArray[np.bool_]) -> Array:
+    """Return values at the places marked, and zeros elsewhere."""
+    spread = np.zeros(len(where))
+    spread[where] = values
+    return spread
 
 
 def _placement(placement: pin.SE3) -> dict[str, Array]:
@@ -374,14 +398,15 @@ def _placement(placement: pin.SE3) -> dict[str, Array]:
 def _held_positions(arm: Arm, model: pin.Model, source: str) -> dict[str, float]:
     """Return the position of each joint that is not one of the arm, by its name [rad or m].
 
-    These are joints off the chain, locked joints and mimic joints. In the model of the arm the links before
+    These are joints off the chain and locked joints. In the model of the arm the links before
     and after such a joint are fixed to each other, which tells its position.
     """
     frames, children = list(model.frames), _links_after(model)
     links = {frame.name: frame for frame in arm.model.frames if frame.type == pin.FrameType.BODY}
     positions: dict[str, float] = {}
+    moving = {*arm.joint_names, *(each.joint for each in arm.couplings)}
     for frame in frames:
-        if frame.type != pin.FrameType.JOINT or frame.name in arm.joint_names:
+        if frame.type != pin.FrameType.JOINT or frame.name in moving:
             continue
         parent, child = frames[frame.parentFrame], children[frame.name]
         before, after = links.get(parent.name), links.get(child.name)

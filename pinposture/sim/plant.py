@@ -56,6 +56,7 @@ class Plant:
             warnings.warn(self._advice, PostureWarning, stacklevel=3)
         self._data = self._mujoco.MjData(self._model)
         self._driven = self._model.jnt_dofadr[self._model.actuator_trnid[:, 0]]
+        self._coupled = len(model.coupling) > len(model.coupling.T)
         self._at_limit = np.zeros(self._model.nv)  # 1 or -1 where a servo is saturated
         self._saturated = np.zeros(self._model.nv, dtype=np.intp)  # physics steps in which it was
         self._sent = model.positions(start)
@@ -131,13 +132,14 @@ class Plant:
                 return
             self._at_limit = saturated
         self._integrate(state, 0.0 * compensation, 0.0 * damping)
-        within = torques_within_limits(
-            self._mobility(),
-            np.array(data.qvel),
-            spring,
-            damping,
-            -limits - compensation,
-            limits - compensation,
+        own, within = self._driven, np.zeros(len(spring))
+        within[own] = torques_within_limits(
+            self._mobility()[np.ix_(own, own)],
+            np.array(data.qvel)[own],
+            spring[own],
+            damping[own],
+            (-limits - compensation)[own],
+            (limits - compensation)[own],
         )
         self._integrate(state, within, 0.0 * damping)
         self._torques = within + compensation
@@ -148,15 +150,42 @@ class Plant:
         data = self._data
         if state is not None:
             data.qpos[:], data.qvel[:], data.qacc_warmstart[:] = state
+        if self._coupled:
+            self._integrate_coupled(torques, damping)
+            return
         data.ctrl[:] = torques[self._driven]
         self._model.actuator_biasprm[:, 2] = -damping[self._driven]
         self._mujoco.mj_step(self._model, data)
 
+    def _integrate_coupled(self, torques: Array, damping: Array) -> None:
+        """Take a physics step of the joints that do not follow others; those that do move with them.
+
+        As positions are q = rest + A u, the motion of u obeys A^T (M A u'' + bias) = A^T torques exactly.
+        Damping is taken at the end of the step, as `mj_step` does. A joint stops dead at its limit.
+        """
+        data, coupling, step = self._data, self.model.coupling, self._model.opt.timestep
+        self._mujoco.mj_forward(self._model, data)
+        own, matrix = self._model.dof_damping, full_mass_matrix(self._model, data)
+        forces = torques + data.qfrc_passive + own * data.qvel - data.qfrc_bias
+        moving = coupling.T @ (matrix + step * np.diag(own + damping)) @ coupling
+        speeds = coupling @ np.linalg.solve(moving, coupling.T @ (matrix @ data.qvel + step * forces))
+        reached = data.qpos + step * speeds
+        lower, upper = self._model.jnt_range.T
+        stopped = (self._model.jnt_limited != 0) & ((reached < lower) | (reached > upper))
+        if np.any(stopped):
+            # Only joints that lead have limits in the model: what follows them stops, too.
+            keeps = ~np.any(coupling[stopped] != 0.0, axis=0)
+            speeds = coupling[:, keeps] @ np.linalg.lstsq(coupling[:, keeps], speeds, rcond=None)[0]
+            reached = data.qpos + step * speeds
+        data.qpos[:], data.qvel[:] = reached, speeds
+        data.time += step
+
     def _mobility(self) -> Array:
         """Return the joint velocity at the end of a physics step per unit of torque during it, (n, n)."""
         step = self._model.opt.timestep
-        matrix = full_mass_matrix(self._model, self._data)
-        inverse = np.linalg.inv(matrix + step * np.diag(self._model.dof_damping))
+        matrix, coupling = full_mass_matrix(self._model, self._data), self.model.coupling
+        moving = coupling.T @ (matrix + step * np.diag(self._model.dof_damping)) @ coupling
+        inverse = coupling @ np.linalg.inv(moving) @ coupling.T
         return np.asarray(step * (inverse + inverse.T) / 2.0)
 
     def _runaway(self, after: float) -> str:
