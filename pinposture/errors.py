@@ -116,7 +116,8 @@ class UnsupportedModule(PostureError):
 
     def __init__(self, module: int, joints: Iterable[str], reason: str) -> None:
         self.module, self.joints, self.reason = module, tuple(joints), reason
-        super().__init__(f"module {module} (joints {', '.join(self.joints)}): {reason}")
+        listed = ", ".join(self.joints[:4]) + (", ..." if len(self.joints) > 4 else "")
+        super().__init__(f"module {module} (joints {listed}): {reason}")
 
 
 class TargetError(PostureError):

@@ -120,35 +120,55 @@ def _largest_curvature(chain: Chain, module: int, lower: Array, upper: Array) ->
     """Curvature that the weakest joint of a module reaches alone, in its weaker direction.
 
     A curve may bend in any direction; the directions in which only one joint contributes are the hardest.
-    Joints that do not bend the module across its axis (a roll, a slide) do not count.
+    Joints that do not bend the module across its axis (a roll, a slide) do not count; coupled joints bend it
+    together.
     """
     start = chain.base if module == 0 else chain.points[module - 1]
     span = chain.points[module] - start
     if chain.module_lengths[module] <= 1e-12 * chain.length:
         return 0.0  # its end is where it begins
     along = span / chain.module_lengths[module]
-    reachable = []
-    for u in range(*chain.module_slices[module].indices(len(chain.joints))):
-        across = chain.axes[u] - along * (along @ chain.axes[u])
-        if not chain.revolute[u] or np.linalg.norm(across) < 0.1:
+    joints, reachable = chain.module_slices[module], []
+    for column in dict.fromkeys(chain.columns[joints].tolist()):
+        own = np.flatnonzero(chain.columns[joints] == column) + joints.start
+        amounts = chain.ratios[own] * chain.revolute[own]
+        turn = amounts @ chain.axes[own]
+        size = float(np.linalg.norm(turn))
+        if size < 1e-12 or np.linalg.norm(turn - along * (along @ turn)) < 0.1 * size:
             continue
+        # A section of coupled joints is itself bent: half a turn of it still shows the shape of the curve.
+        most = (QUARTER_TURN if len(own) == 1 else 2.0 * QUARTER_TURN) / size
         bends = []
-        for limit in (lower[chain.columns[u]], upper[chain.columns[u]]):
-            angles = np.linspace(0.0, np.clip(limit, -QUARTER_TURN, QUARTER_TURN), 91)
-            lever = chain.origins[u] - start
-            ends = lever + Rotation.from_rotvec(angles[:, None] * chain.axes[u]).apply(span - lever)
-            bends.append(float(_screw_curvature(ends, angles, chain.axes[u]).max()))
+        for limit in (lower[column], upper[column]):
+            values = np.linspace(0.0, np.clip(limit, -most, most), 91)
+            bends.append(float(_module_curvature(chain, module, own, values).max()))
         reachable.append(min(bends))
     return min(reachable, default=0.0)
 
 
-def _screw_curvature(displacements: Array, angles: Array, axis: Array) -> Array:
-    """Curvature of the helix that repeats one displacement and one rotation about an axis."""
-    along = displacements @ axis
-    across = np.linalg.norm(displacements - along[:, None] * axis, axis=1)
-    turns = np.where(np.abs(angles) > 1e-12, np.abs(angles), 1e-12)
-    radius = across / (2.0 * np.sin(turns / 2.0))
-    return np.where(np.abs(angles) > 1e-12, radius / (radius**2 + (along / turns) ** 2), 0.0)
+def _module_curvature(chain: Chain, module: int, joints: NDArray[np.intp], values: Array) -> Array:
+    """Return the curvature of a module where some of its joints, coupled ones, are bent alone, (n,) [1/m].
+
+    It is that of the helix which repeats the motion from the base of the module to its end. `values` are the
+    positions of the degree of freedom of the joints, (n,) [rad].
+    """
+    start = chain.base if module == 0 else chain.points[module - 1]
+    turn, shift = Rotation.from_rotvec(np.zeros((len(values), 3))), np.zeros((len(values), 3))
+    for u in joints:
+        amount = chain.ratios[u] * values[:, None] * chain.axes[u]
+        place = turn.apply(chain.origins[u]) + shift
+        if chain.revolute[u]:
+            turn = turn * Rotation.from_rotvec(amount)
+        else:
+            place += turn.apply(amount)
+        shift = place - turn.apply(chain.origins[u])
+    displacements, turns = turn.apply(chain.points[module]) + shift - start, turn.as_rotvec()
+    angles = np.maximum(np.linalg.norm(turns, axis=1), 1e-12)
+    axes = turns / angles[:, None]
+    along = np.einsum("ni,ni->n", displacements, axes)
+    across = np.linalg.norm(displacements - along[:, None] * axes, axis=1)
+    radius = across / (2.0 * np.sin(angles / 2.0))
+    return np.where(angles > 1e-12, radius / (radius**2 + (along / angles) ** 2), 0.0)
 
 
 def _exceeding(quantity: str, s: Array, values: Array, allowed: float) -> list[Violation]:

@@ -114,6 +114,7 @@ def run(
 
 _JOINT_KEYS = ("module", "name", "type", "parent", "child", "lower", "upper", "velocity")
 _JOINT_HEADINGS = ("module", "joint", "type", "parent", "child", "lower", "upper", "speed")
+_COUPLED_KEYS = ("follows", "ratio", "offset")
 _POINT_HEADINGS = ("module", "control point", "module length [m]", "x [m]", "y [m]", "z [m]")
 _MEASURE_KEYS = ("module", "name", "measure", "condition", "minimum_singular_value", "index")
 _MEASURE_HEADINGS = ("module", "control point", "measure", "condition", "min. singular value", "index")
@@ -138,7 +139,9 @@ def _print_tables(about: Mapping[str, Any]) -> None:
     }
     notes = {"note" if k == 0 else " " * k: text for k, text in enumerate(about["warnings"])}
     print_facts({**facts, **notes})
-    print_table(_JOINT_HEADINGS, [tuple(joint[key] for key in _JOINT_KEYS) for joint in about["joints"]])
+    more = _COUPLED_KEYS if coupled else ()
+    keys, headings = (*_JOINT_KEYS, *more), (*_JOINT_HEADINGS, *more)
+    print_table(headings, [tuple(joint.get(key) for key in keys) for joint in about["joints"]])
     points = [
         (point["module"], point["name"], point["length"], *point["position"])
         for point in about["control_points"]

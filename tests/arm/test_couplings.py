@@ -258,6 +258,12 @@ def test_a_section_nears_the_arc_with_the_square_of_the_number_of_disks(bend):
     assert errors[1] < 0.01
 
 
+def test_a_section_can_follow_the_curvature_of_its_arc():
+    arm = pp.Arm.from_modules([continuum_section(20, 0.2, bend=1.5)] * 3)
+    feasible = arm.can_follow(pp.Curve.line([0.0, 0.0, 0.0], [0.5, 0.0, 0.0]))
+    assert feasible.max_curvature == pytest.approx(1.5 / 0.2, rel=0.01)
+
+
 def test_a_section_can_stretch():
     arm = pp.Arm.from_modules([continuum_section(8, 0.2, stretch=0.04)] * 3)
     assert (arm.nv, arm.n_modules) == (9, 3)

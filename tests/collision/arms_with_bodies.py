@@ -6,8 +6,10 @@ import numpy as np
 import pinocchio as pin
 
 import pinposture as pp
-from pinposture.arm.template import JointSpec, ModuleTemplate
+from pinposture.arm.template import JointSpec, ModuleTemplate, continuum_section
 from pinposture.collision import Box, Capsule, Cylinder, HalfSpace, Mesh, Sphere
+
+RATIOS = {"j3": ("j1", 0.7, 0.1), "j4": ("j2", -0.5), "j5": "j1"}
 
 PLACED = pin.SE3(pin.rpy.rpyToMatrix(0.3, -0.5, 1.1), np.array([0.1, -0.2, 0.3]))
 
@@ -83,6 +85,8 @@ ARMS = {
     "sliding": sliding,
     "modelled": modelled,
     "described": lambda: pp.Arm.load(described([CYLINDER, BLOCK] * 3), modules=2),
+    "coupled": lambda: pp.Arm.load(described([CYLINDER, BLOCK] * 3), couplings=RATIOS),
+    "sections": lambda: pp.Arm.from_modules([continuum_section(4, 0.3, stretch=0.1)] * 2),
 }
 
 

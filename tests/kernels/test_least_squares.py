@@ -71,9 +71,7 @@ def test_500_modules_meet_their_optimality_conditions() -> None:
     errors, damping = 0.02 * rng.normal(size=(m, 3)), np.full(n, 1e-6)
     screws, placed = np.empty((n, 6)), state.forward
     lines = placed.axes, placed.origins
-    kernels.find_screws(
-        chain.constants, np.arange(n), np.ones(n), *lines, chain.ends, placed.points, screws
-    )
+    kernels.find_screws(chain.constants, np.arange(n), np.ones(n), *lines, chain.ends, placed.points, screws)
     p = Problem(
         PointObjective(screws, chain.ends, placed.points, np.ones(m), np.zeros(m)),
         errors,

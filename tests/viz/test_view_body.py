@@ -13,6 +13,7 @@ from pinocchio.visualize import MeshcatVisualizer
 from viz.commands import recorded_commands
 
 from pinposture import Arm, JointSpec, ModuleTemplate
+from pinposture.arm import continuum_section
 from pinposture.errors import InvalidValue
 from pinposture.viz import palette, visual_model
 from pinposture.viz.body import backbone, bodies, body_poses
@@ -50,6 +51,7 @@ ARMS = {
     "RyRz": lambda: Arm.from_template("RyRz", modules=5, base_placement=TILTED),
     "planar": lambda: Arm.from_template("Rz", modules=4),
     "sliding": lambda: Arm.from_modules([SLIDING] * 3, base_placement=TILTED),
+    "coupled": lambda: Arm.from_modules([continuum_section(3, stretch=0.05)] * 3, base_placement=TILTED),
     "model": lambda: Arm.from_model(branching_model(), ["middle", "tip"], base_placement=TILTED),
 }
 
