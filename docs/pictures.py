@@ -255,6 +255,7 @@ EXAMPLES = {
     "09_streaming": "out/streaming/errors.png",
     "10_follow_the_leader": "out/follow_the_leader/motion.png",
     "12_many_targets": "out/many_targets/reached.png",
+    "13_tendon_arm": "out/tendon_arm/motion.png",
 }
 """The picture that each example of the tutorial leaves."""
 

@@ -136,7 +136,7 @@ class PlantModel:
         gains: stiffness and damping of the servos, (n,) each.
         torque_limits: largest torque or force of each servo, (n,) [N m or N]; infinite without a limit.
         sites: index of the site at each control point, (m,).
-        warnings: the inertias that were corrected, in words.
+        warnings: what was corrected or left out, in words.
     """
 
     arm: Arm
@@ -182,6 +182,8 @@ def build_plant_model(arm: Arm, servos: Servos | None = None, gravity: bool | Ar
         acceleration = finite_vector("gravity", gravity, 3)
     complete, source = _complete_model(arm)
     bodies, corrections = _rigid_bodies(complete)
+    if arm.couplings and np.any(complete.upperDryFrictionLimit > 0.0):
+        corrections = (*corrections, "dry friction of joints is left out, because joints are coupled")
     for message in corrections:
         warnings.warn(message, PostureWarning, stacklevel=3)
     spec = _specification(mujoco, arm, complete, bodies, servos, acceleration)

@@ -16,7 +16,16 @@ from pinposture.collision.obstacles import OBSTACLE_TYPES
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = (
-    *("index.md", "quickstart.md", "concepts.md", "controllers.md", "urdf.md", "scenes.md", "reach.md"),
+    *(
+        "index.md",
+        "quickstart.md",
+        "concepts.md",
+        "controllers.md",
+        "urdf.md",
+        "coupled_joints.md",
+        "scenes.md",
+        "reach.md",
+    ),
     "streaming.md",
 )
 ELSEWHERE = {"tasks.md", "follow_leader.md", "trajectories.md", "physics.md"}  # in tests/test_docs.py

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arm.describing import LINK, Y, Z, arm_text, limit, links, moving, robot
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import pinposture as pp
@@ -194,7 +194,6 @@ def test_every_posture_control_matrix_is_that_of_the_dense_jacobian():
         np.testing.assert_allclose(values, expected, atol=1e-12)
 
 
-@settings(max_examples=20)
 @given(st.integers(0, 10_000))
 def test_random_postures_are_reached_within_the_limits_of_all_joints(seed):
     arm, rng = coupled_arm(seed % 12), np.random.default_rng(seed)
