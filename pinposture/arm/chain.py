@@ -307,12 +307,12 @@ def read_chain(model: pin.Model, control_points: tuple[str, ...]) -> Chain:
         starts.append(count)
         count = reached
     names, columns = tuple(str(model.names[j]) for j in support), [model.joints[j].idx_v for j in support]
-    for name, start in zip(control_points, starts[1:], strict=False):
-        both = set(columns[:start]) & set(columns[start:])
-        if both:
-            coupled = [names[columns.index(column)] for column in sorted(both)]
-            allowed = f"a place behind or before all joints that are coupled to {coupled[0]!r}"
-            raise InvalidValue(f"control point {name!r}", "between coupled joints", allowed)
+    last = {column: u for u, column in enumerate(columns)}  # joint of each degree of freedom
+    for name, start, stop in zip(control_points, [0, *starts[1:]], [*starts[1:], count], strict=True):
+        for u in range(start, stop):
+            if last[columns[u]] >= stop:
+                allowed = f"a place behind or before all joints that are coupled to {names[u]!r}"
+                raise InvalidValue(f"control point {name!r}", "between coupled joints", allowed)
     placements = neutral_placements(model)
     axes, revolute = _world_axes(model, support, placements)
     origins = np.array([placements[joint].translation for joint in support])

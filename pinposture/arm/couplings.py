@@ -170,11 +170,20 @@ def _follow(
     return Follows(at.name, ratio, offset)
 
 
+_LIMITS = ("lowerPositionLimit", "upperPositionLimit", "positionLimitMargin")
+_RATES = tuple(
+    f"{edge}{what}Limit" for edge in ("lower", "upper") for what in ("Velocity", "Effort", "DryFriction")
+)
+_DRIVES = (*_RATES, "damping", "armature", "rotorInertia", "rotorGearRatio")
+
+
 def couple_joints(model: pin.Model, coupled: CoupledJoints) -> pin.Model:
-    """Return a model in which joints are coupled, and the limits of their leaders hold for all of them."""
-    for coupling in coupled.couplings:
-        leader, joint = model.getJointId(coupling.leader), model.getJointId(coupling.joint)
-        model = pin.transformJointIntoMimic(model, leader, joint, coupling.ratio, coupling.offset)
+    """Return a model in which joints are coupled, and the limits of their leaders hold for all of them.
+
+    It is built anew, joint by joint: `pin.transformJointIntoMimic` copies the model for each.
+    """
+    if coupled.couplings:
+        model = _rebuilt(model, {each.joint: each for each in coupled.couplings})
     for name, allowed in coupled.ranges.items():
         leader = model.joints[model.getJointId(name)]
         if leader.nq == 1:
@@ -183,6 +192,31 @@ def couple_joints(model: pin.Model, coupled: CoupledJoints) -> pin.Model:
         velocity = allowed.velocity if allowed.velocity < NO_LIMIT else 0.0
         model.velocityLimit[leader.idx_v] = velocity
     return model
+
+
+def _rebuilt(model: pin.Model, followers: Mapping[str, Coupling]) -> pin.Model:
+    """Return a model in which joints, by their names, follow others that come before them."""
+    built = pin.Model()
+    built.name, built.gravity = model.name, model.gravity
+    names, own = list(model.names), []  # entries of vectors that stay
+    for number in range(1, model.njoints):
+        name, joint = names[number], pin.JointModel(model.joints[number])
+        if name in followers:
+            leader = built.joints[built.getJointId(followers[name].leader)]
+            joint.setIndexes(leader.id, leader.idx_q, leader.idx_v, leader.idx_vExtended)
+            joint = pin.JointModelMimic(joint, followers[name].ratio, followers[name].offset)
+        else:
+            own.append((joint.idx_q, joint.nq, joint.idx_v, joint.nv))
+        built.addJoint(model.parents[number], joint, model.jointPlacements[number], name)
+        built.appendBodyToJoint(number, model.inertias[number], pin.SE3.Identity())
+    for frame in list(model.frames)[1:]:
+        built.addFrame(frame, False)
+    positions = np.concatenate([np.arange(at, at + size) for at, size, _, _ in own])
+    motions = np.concatenate([np.arange(at, at + size) for _, _, at, size in own])
+    for fields, kept in ((_LIMITS, positions), (_DRIVES, motions)):
+        for field in fields:
+            setattr(built, field, np.asarray(getattr(model, field))[kept])
+    return built
 
 
 def is_coupled(joint: pin.JointModel) -> bool:

@@ -100,6 +100,19 @@ class Description:
         """For each link but the root the joint that it is the child of."""
         return {joint.child: joint for joint in self.joints}
 
+    @cached_property
+    def depths(self) -> dict[str, int]:
+        """Number of joints between the root and each link."""
+        depths = {self.root: 0}
+        for start in self.links:
+            path, link = [], start
+            while link not in depths:
+                path.append(link)
+                link = self.joint_before[link].parent
+            for number, each in enumerate(reversed(path), depths[link] + 1):
+                depths[each] = number
+        return depths
+
     def chain(self, base: str, tip: str) -> tuple[JointDescription, ...]:
         """Return the joints from one link to another.
 
@@ -538,13 +551,25 @@ def _gripper_joints(description: Description, below: Mapping[str, list[JointDesc
             groups[leader.name] |= {leader.name, joint.name}
     found: set[str] = set()
     for group in groups.values():
-        behind = {name: _joints_below(below, named[name].child) for name in group}
-        apart = any(a not in behind[b] and b not in behind[a] for a in group for b in group if a != b)
-        after = set().union(*behind.values()) - group
-        if apart and all(name not in named or named[name].mimic for name in after):
+        if _one_behind_the_other(description, group):
+            continue
+        after = set().union(*(_joints_below(below, named[name].child) for name in group)) - group
+        if all(name not in named or named[name].mimic for name in after):
             found |= group
     moving = {name for name, joint in named.items() if not joint.mimic}
     return frozenset() if moving <= found else frozenset(found)
+
+
+def _one_behind_the_other(description: Description, group: set[str]) -> bool:
+    """Whether joints lie on one chain: going up from any of them that is farthest out meets all others."""
+    depth = description.depths
+    last = max((joint for joint in description.joints if joint.name in group), key=lambda j: depth[j.child])
+    link, met = last.child, 0
+    while link != description.root and met < len(group):
+        joint = description.joint_before[link]
+        met += joint.name in group
+        link = joint.parent
+    return met == len(group)
 
 
 def leading_joint(joint: JointDescription, named: Mapping[str, JointDescription]) -> JointDescription:
