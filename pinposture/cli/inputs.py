@@ -76,6 +76,14 @@ class ArmOptions:
             rich_help_panel=ARM,
         ),
     ] = None
+    couple: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=LEADER[,RATIO[,OFFSET]]",
+            help="Let a joint follow another, as <mimic> does: j3=j1, j4=j2,-0.5,5deg. May be repeated.",
+            rich_help_panel=ARM,
+        ),
+    ] = None
     package_dir: Annotated[
         list[Path] | None,
         typer.Option(
@@ -103,8 +111,8 @@ class ArmOptions:
             if not source.lstrip("\ufeff \t\r\n").startswith("<"):
                 raise FileError("stdin", "holds no URDF; allowed: XML text, which begins with '<'")
         sizes = None if self.modules is None else read_modules(self.modules)
-        held = read_locked(self.locked)
-        return Arm.load(source, self.base, self.tip, sizes, held, self.package_dir)
+        held, couplings = read_locked(self.locked), read_couplings(self.couple)
+        return Arm.load(source, self.base, self.tip, sizes, held, self.package_dir, couplings=couplings)
 
     def refuse(self, allowed: str) -> None:
         """Refuse all of them where something else says what the arm is.
@@ -177,6 +185,34 @@ def read_locked(given: list[str] | None) -> dict[str, float]:
         except ValueError as error:
             raise InvalidValue("--locked", text, f"NAME=VALUE; the value {error}") from None
     return locked
+
+
+def read_couplings(given: list[str] | None) -> dict[str, tuple[str, float, float]]:
+    """The joints that follow others: leader, ratio, and offset [rad or m].
+
+    Raises:
+        InvalidValue: not a name, "=" and a leader with up to two numbers; or a joint that is named twice.
+    """
+    from pinposture.task.document import read_quantity
+
+    couplings: dict[str, tuple[str, float, float]] = {}
+    for text in given or ():
+        name, _, value = (part.strip() for part in text.partition("="))
+        leader, *numbers = (part.strip() for part in value.split(","))
+        if not name or not leader or len(numbers) > 2 or name in couplings:
+            allowed = "NAME=LEADER, NAME=LEADER,RATIO or NAME=LEADER,RATIO,OFFSET, once for each joint"
+            raise InvalidValue("--couple", text, allowed)
+        try:
+            ratio = float(numbers[0]) if numbers else 1.0
+            offset = (
+                read_quantity((_parsed(numbers[1]) or numbers[1:])[0], "angle", "length")
+                if numbers[1:]
+                else 0.0
+            )
+        except ValueError as error:
+            raise InvalidValue("--couple", text, f"NAME=LEADER,RATIO,OFFSET; a value {error}") from None
+        couplings[name] = leader, ratio, offset
+    return couplings
 
 
 def read_curve(name: str) -> Curve:

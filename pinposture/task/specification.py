@@ -272,6 +272,19 @@ def _modules_or_links(value: object) -> object:
     return listed if isinstance(value, str) else value
 
 
+def _coupling(value: object) -> object:
+    """Read the joint that another follows, and perhaps a ratio and an offset."""
+    listed = value if isinstance(value, list | tuple) else [value]
+    if not 1 <= len(listed) <= 3 or not isinstance(listed[0], str):
+        raise _wrong(value, "the name of a joint; or that, a ratio, and perhaps an offset, in a list")
+    name, *numbers = listed
+    if numbers and (isinstance(numbers[0], bool) or not isinstance(numbers[0], int | float)):
+        raise _wrong(numbers[0], "a number, the ratio")
+    if len(numbers) < 2:
+        return (name, *numbers) if numbers else name
+    return name, numbers[0], _within(2, read_quantity, numbers[1], "angle", "length")
+
+
 class ArmTable(TableSpec):
     """The arm, as `ArmSpec`, with units, and with paths as they are written."""
 
@@ -291,6 +304,9 @@ class ArmTable(TableSpec):
     tip: TextOrNone = None
     split: Annotated[Any, BeforeValidator(_modules_or_links)] = None
     locked: Annotated[dict[str, Annotated[float, _quantity("angle", "length")]], Table] = Field(
+        default_factory=dict
+    )
+    couplings: Annotated[dict[str, Annotated[Any, BeforeValidator(_coupling)]], Table] = Field(
         default_factory=dict
     )
     package_dirs: Annotated[list[str], _check(_is_list_of(_is_text), "a list of folders")] = Field(

@@ -44,6 +44,24 @@ def test_continuous_joints_in_degrees_are_angles(command, arm_file, tmp_path):
     assert "wound by more than 4 turns" in turned.err and "--degrees" in turned.err
 
 
+def test_joints_follow_others_as_it_is_said(command, arm_file):
+    given = ("--couple", "m02_j1_y=m01_j1_y", "--couple", "m02_j2_z = m01_j2_z, -0.5, 6deg")
+    found = json.loads(command("inspect", arm_file, *given, "--json").out)
+    assert found["dof"] == 10
+    follower = next(joint for joint in found["joints"] if joint["name"] == "m02_j2_z")
+    assert (follower["follows"], follower["ratio"]) == ("m01_j2_z", -0.5)
+    assert follower["offset"] == pytest.approx(np.pi / 30)
+    shown = command("inspect", arm_file, *given).out
+    assert "2 joints follow others" in shown
+
+
+@pytest.mark.parametrize("given", ["m02_j1_y", "m02_j1_y=", "m02_j1_y=a,1,2,3", "m02_j1_y=a,b", "x=y,1,2 kg"])
+def test_couplings_that_are_none_are_refused(command, arm_file, given):
+    refused = command("inspect", arm_file, "--couple", given)
+    assert (refused.code, refused.out) == (2, "")
+    assert "--couple" in refused.err
+
+
 def test_joints_are_locked_where_it_is_said(command, arm_file):
     given = ("--locked", "m01_j1_y=0.5", "--locked", "m02_j2_z=30deg")
     found = json.loads(command("inspect", arm_file, *given, "--json").out)

@@ -68,6 +68,7 @@ TEMPLATE -> urdf = "arm.urdf"\ntip = 3 :: arm.tip: is 3; allowed: text
 TEMPLATE -> urdf = "arm.urdf"\nsplit = 5 :: arm.split: is 5; allowed:
 TEMPLATE -> urdf = "arm.urdf"\nsplit = "2" :: arm.split
 TEMPLATE -> urdf = "arm.urdf"\nlocked = { m01_j1_y = "1 s" } :: arm.locked.m01_j1_y | '1 s'
+TEMPLATE -> urdf = "arm.urdf"\ncouplings = { m01_j1_y = 3 } :: arm.couplings.m01_j1_y | 3
 TEMPLATE -> urdf = "arm.urdf"\nlocked = { m01_j1_x = 0 } :: arm.locked | 'm01_j1_x' | 'm01_j1_y'
 TEMPLATE -> urdf = "arm.urdf"\npackage_dirs = "x" :: arm.package_dirs | a list of folders
 "20 ms" -> 0 :: limits.cycle: is 0; allowed: more than 0

@@ -141,6 +141,15 @@ def test_locked_joints_are_found_where_they_are(tmp_path: Path) -> None:
     assert_same_arms(again, arm)
 
 
+def test_couplings_that_were_given_are_kept(tmp_path: Path) -> None:
+    couplings = {"j3": "j1", "j4": ("j2", -0.5), "j5": ("j1", 0.25, 0.1)}
+    arm = arm_of(arm_text(pairs(3)), couplings=couplings)
+    again, written = saved(arm, tmp_path / "task.toml")
+    assert written["couplings"] == {"j3": "j1", "j4": ["j2", -0.5], "j5": ["j1", 0.25, 0.1]}
+    assert again.couplings == arm.couplings
+    assert_same_arms(again, arm)
+
+
 def test_a_file_that_the_caller_knows_is_named(tmp_path: Path) -> None:
     (tmp_path / "robots").mkdir()
     file = tmp_path / "robots" / "~arm 1.urdf"
