@@ -170,8 +170,6 @@ def read_locked(given: list[str] | None) -> dict[str, float]:
     Raises:
         InvalidValue: not a name, "=" and a position; or a joint that is named twice.
     """
-    from pinposture.task.document import read_quantity
-
     locked: dict[str, float] = {}
     for text in given or ():
         name, _, value = (part.strip() for part in text.rpartition("="))
@@ -179,12 +177,23 @@ def read_locked(given: list[str] | None) -> dict[str, float]:
             raise InvalidValue("--locked", text, "NAME=VALUE, such as elbow=0.5 or elbow=30deg")
         if name in locked:
             raise InvalidValue("--locked", text, f"one position of joint {name!r}")
-        numbers = _parsed(value)
         try:
-            locked[name] = read_quantity(value if numbers is None else numbers[0], "angle", "length")
+            locked[name] = _read_position(value)
         except ValueError as error:
             raise InvalidValue("--locked", text, f"NAME=VALUE; the value {error}") from None
     return locked
+
+
+def _read_position(text: str) -> float:
+    """A joint position in rad or metres, or with a unit.
+
+    Raises:
+        ValueError: it is none.
+    """
+    from pinposture.task.document import read_quantity
+
+    numbers = _parsed(text)
+    return read_quantity(text if numbers is None else numbers[0], "angle", "length")
 
 
 def read_couplings(given: list[str] | None) -> dict[str, tuple[str, float, float]]:
@@ -193,8 +202,6 @@ def read_couplings(given: list[str] | None) -> dict[str, tuple[str, float, float
     Raises:
         InvalidValue: not a name, "=" and a leader with up to two numbers; or a joint that is named twice.
     """
-    from pinposture.task.document import read_quantity
-
     couplings: dict[str, tuple[str, float, float]] = {}
     for text in given or ():
         name, _, value = (part.strip() for part in text.partition("="))
@@ -204,11 +211,7 @@ def read_couplings(given: list[str] | None) -> dict[str, tuple[str, float, float
             raise InvalidValue("--couple", text, allowed)
         try:
             ratio = float(numbers[0]) if numbers else 1.0
-            offset = (
-                read_quantity((_parsed(numbers[1]) or numbers[1:])[0], "angle", "length")
-                if numbers[1:]
-                else 0.0
-            )
+            offset = _read_position(numbers[1]) if numbers[1:] else 0.0
         except ValueError as error:
             raise InvalidValue("--couple", text, f"NAME=LEADER,RATIO,OFFSET; a value {error}") from None
         couplings[name] = leader, ratio, offset
