@@ -17,7 +17,7 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -26,6 +26,7 @@ from rich.progress import track as progress_bar
 from rich.table import Table
 
 import pinposture as pp
+from pinposture.control.thesis.switching import HandBack
 from pinposture.study import case
 from pinposture.study.scenarios import FAMILIES, Scenario
 from pinposture.study.thesis_arms import ARMS
@@ -48,15 +49,16 @@ class End(NamedTuple):
     switches: int
 
 
-def ends(scenario: Scenario, seed: int, harsh: bool) -> list[End]:
+def ends(scenario: Scenario, seed: int, harsh: bool, hand_back: HandBack) -> list[End]:
     """Run the three controllers on one case."""
+    switching = pp.Switching(hand_back=hand_back)
     arm = pp.Arm.from_modules(ARMS[scenario.arm])
     start, target = case(arm, scenario, seed)
     if harsh:
         start = np.random.default_rng(seed).uniform(-1.0, 1.0, arm.nq) * HARSH[scenario.arm]
     found = []
     for name in CONTROLLERS:
-        run = pp.track(arm, target, start, name, max_steps=STEPS)
+        run = pp.track(arm, target, start, switching if name == "switching" else name, max_steps=STEPS)
         path = np.linalg.norm(np.diff(run.points, axis=0), axis=2).sum()
         direct = np.linalg.norm(run.points[-1] - run.points[0], axis=1).sum()
         share = float(run.point_errors[-1].mean()) / arm.length
@@ -88,6 +90,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=200, help="number of seeds, from 0")
     parser.add_argument("--save", type=Path, help="write the record here")
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--hand-back", choices=get_args(HandBack), default="after_stay", help="of Switching")
     arguments = parser.parse_args()
     families = [(scenario, False) for scenario in FAMILIES]
     families += [(scenario, True) for scenario in FAMILIES if scenario.start == "smooth"]
@@ -96,7 +99,7 @@ def main() -> None:
     for scenario, harsh in progress_bar(families, "running", console=Console(stderr=True)):
         cases = list(
             Parallel(n_jobs=arguments.jobs)(
-                delayed(ends)(scenario, seed, harsh) for seed in range(arguments.seeds)
+                delayed(ends)(scenario, seed, harsh, arguments.hand_back) for seed in range(arguments.seeds)
             )
         )
         found = summary(cases)

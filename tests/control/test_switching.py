@@ -17,7 +17,7 @@ import pinposture as pp
 from pinposture.arm import smooth_configuration
 from pinposture.control import CONTROLLERS, GeodesicMemory, controller_named
 from pinposture.curve.presets import HELIX, LINE
-from pinposture.errors import InvalidValue
+from pinposture.errors import InvalidValue, UnknownName
 
 
 @pytest.fixture(scope="session")
@@ -170,13 +170,32 @@ def test_what_another_controller_remembers_is_not_its_own(spatial: pp.Arm) -> No
         ({"stay": -1.0}, "stay"),
         ({"reach": float("nan")}, "reach"),
         ({"progress": 1.0}, "progress"),
+        ({"hand_back": "soon"}, "hand_back is called 'soon'"),
         ({"selection": "selection"}, r"Selection\(\.\.\.\)"),
         ({"projection": pp.Selection()}, r"Projection\(\.\.\.\)"),
     ],
 )
 def test_bad_parameters_are_named(parameters: dict, message: str) -> None:
-    with pytest.raises(InvalidValue, match=message):
+    with pytest.raises((InvalidValue, UnknownName), match=message):
         pp.Switching(**parameters)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_selection_takes_up_again_as_soon_as_it_can(long: pp.Arm, seed: int) -> None:
+    """Section 4.6.2: what it is given control for is a step that does lower the posture error."""
+    start, goal = long.straight() if seed % 2 else posture(long, seed, 0.9), posture(long, 50 + seed, 0.9)
+    target = pp.Target.from_configuration(long, goal)
+    after, soon = (
+        pp.track(long, target, start, pp.Switching(hand_back=when), max_steps=400)
+        for when in ("after_stay", "when_possible")
+    )
+    assert after.converged and soon.converged
+    assert np.mean(soon.method == "selection") >= np.mean(after.method == "selection")
+    error, resumed = soon.posture_error, [k for k, why in enumerate(soon.switched) if "again" in why]
+    assert resumed
+    for k in resumed:
+        assert soon.method[k] == "selection"
+        assert error[k + 1] < error[k]
 
 
 @pytest.mark.parametrize("region", [(19, 19), (10, 19), (0, 9), (5, 12)])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from pinposture.control.controller import Diagnostics, Memory, Step, task_errors
 from pinposture.control.limits import Limits, require_limits
 from pinposture.control.thesis.projection import Projection
 from pinposture.control.thesis.selection import Selection
-from pinposture.errors import InvalidValue
+from pinposture.errors import InvalidValue, UnknownName
 from pinposture.placement import Target
 
 Array = NDArray[np.float64]
@@ -48,6 +48,11 @@ class SwitchingMemory(Memory):
     phase: Phase = INITIAL_PHASE
 
 
+HandBack = Literal["after_stay", "when_possible"]
+"""When Selection gets control again; see `Switching`."""
+
+RESUMED = "Selection can lower the posture error again"
+
 HANDED_BACK = "Projection has had its time, and Selection has control points"
 
 TRAVEL_ROUNDING = 1e-6
@@ -78,6 +83,9 @@ class Switching:
         stay: length of the first stint of Projection [rad].
         reach: how far ahead a waypoint lies, as the largest change of a joint [rad or
             `Arm.characteristic_length`].
+        hand_back: when Selection gets control again: "after_stay", at the end of a stint; or "when_possible",
+            as soon as it has control points and its step lowers the posture error at the rate that
+            `progress` and `patience` ask for, and at the end of the stint at the latest.
     """
 
     selection: Selection = field(default_factory=Selection)
@@ -87,6 +95,7 @@ class Switching:
     stay: float = 0.5
     reach: float = 0.1
     name: str = "switching"
+    hand_back: HandBack = "after_stay"
 
     def __post_init__(self) -> None:
         for field_, kind in (("selection", Selection), ("projection", Projection)):
@@ -95,6 +104,8 @@ class Switching:
         require_share("progress", self.progress)
         for field_ in ("patience", "stay", "reach"):
             require_positive(field_, getattr(self, field_))
+        if self.hand_back not in get_args(HandBack):
+            raise UnknownName("hand_back", self.hand_back, get_args(HandBack))
 
     def step(
         self, state: ArmState, target: Target, limits: Limits | None = None, memory: Memory | None = None
@@ -106,6 +117,11 @@ class Switching:
         phase = memory.phase if isinstance(memory, SwitchingMemory) else INITIAL_PHASE
         idle = phase.method == "projection"
         if idle and phase.left > TRAVEL_ROUNDING * travel:
+            if self.hand_back == "when_possible":
+                resumed = self.selection.step(state, target, limits, memory)
+                if not resumed.diagnostics.reason and self._promises(resumed, state, target, error, travel):
+                    entered = phase._replace(method="selection", best=error, waited=0.0)
+                    return _labelled(resumed, entered, RESUMED)
             return self._project(state, target, limits, memory, phase, travel, "")
         if idle or error < phase.best * (1.0 - self.progress):
             entered = phase._replace(method="selection", best=error, waited=0.0)
@@ -123,6 +139,12 @@ class Switching:
         failed = self._failover(entered, target)
         why = "" if idle else step.diagnostics.reason
         return self._project(state, target, limits, memory, failed, travel, why)
+
+    def _promises(self, step: Step, state: ArmState, target: Target, error: float, travel: float) -> bool:
+        """Whether a step lowers the posture error as fast as Selection has to for it to keep control."""
+        ahead = state.arm.at(state.arm.integrate(state.q, step.dq)).compiled
+        left = float(np.linalg.norm(task_errors(ahead, target), axis=1).sum())
+        return left < error * (1.0 - self.progress * min(travel / self.patience, 1.0))
 
     def _failover(self, phase: Phase, target: Target) -> Phase:
         """Take control from Selection, for twice as long as the last time if that may lead elsewhere."""
