@@ -68,13 +68,18 @@ class FedArm:
         max_tip_lead: how far the tip may be ahead of the feed or behind along the route, and a link more [m].
 
     Raises:
-        InvalidValue: not an arm on a feed, a feed without limits, or a start that is not straight.
+        InvalidValue: not an arm on a feed, a feed without limits, coupled joints, or a start that is not
+            straight.
     """
 
     def __init__(self, arm: Arm, start: ArrayLike | None = None) -> None:
         if not isinstance(arm, Arm):
             raise InvalidValue("arm", arm, FEED_REQUIREMENT)
         chain = arm.chain
+        if arm.couplings:
+            name, leader, *_ = arm.couplings[0]
+            allowed = "joints of their own: the route is followed joint by joint"
+            raise InvalidValue(f"joint {name!r}", f"follows {leader!r}", allowed)
         if len(chain.joints) < 2 or chain.revolute[0] or not chain.revolute[1]:
             kinds = ["revolute" if turns else "prismatic" for turns in chain.revolute[:2]]
             first = ", ".join(f"{name} ({kind})" for name, kind in zip(chain.joints, kinds, strict=False))

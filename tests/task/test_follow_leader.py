@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sampling import examples
 
-from pinposture.arm import Arm, JointSpec, ModuleTemplate, template
+from pinposture.arm import Arm, JointSpec, ModuleTemplate, continuum_section, template
 from pinposture.arm.template import modules_to_urdf
 from pinposture.collision import CollisionModel
 from pinposture.collision.pipe import pipe, pipe_axis
@@ -310,6 +310,11 @@ REFUSED = {
         {"arm": lambda: Arm.from_modules(HINGES)},
         InvalidValue,
         "m01_j1_z (revolute), m02_j1_z (revolute)",
+    ),
+    "coupled joints": (
+        {"arm": lambda: Arm.from_modules([feed(), continuum_section(3)])},
+        InvalidValue,
+        "follows 'm02_j2_z'",
     ),
     "feed across": ({"arm": lambda: Arm.from_modules([feed("y"), *HINGES])}, InvalidValue, "90 degrees off"),
     "no arm": ({"arm": "snake"}, InvalidValue, "arm is 'snake'"),
