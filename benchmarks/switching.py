@@ -49,7 +49,7 @@ class End(NamedTuple):
     switches: int
 
 
-def ends(scenario: Scenario, seed: int, harsh: bool, hand_back: HandBack) -> list[End]:
+def ends(scenario: Scenario, seed: int, harsh: bool, hand_back: HandBack = "after_stay") -> list[End]:
     """Run the three controllers on one case."""
     switching = pp.Switching(hand_back=hand_back)
     arm = pp.Arm.from_modules(ARMS[scenario.arm])
