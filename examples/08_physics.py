@@ -10,7 +10,7 @@ import numpy as np
 
 import pinposture as pp
 from pinposture.arm import smooth_configuration
-from pinposture.curve.presets import HELIX
+from pinposture.curve import HELIX
 from pinposture.motion import Tracker
 from pinposture.sim import Servos, simulate, simulate_closed
 from pinposture.viz.simulation import plot_simulation

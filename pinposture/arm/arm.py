@@ -16,17 +16,21 @@ from scipy.optimize import minimize
 
 from pinposture import kernels
 from pinposture._validation import as_number, finite_vector, rigid_placement
-from pinposture.arm.chain import Chain, find_base_slides, find_unlimited, frame_ids, read_chain
 from pinposture.arm.configurations import ConfigurationSpace, check_joint_positions
 from pinposture.arm.couplings import Coupling, read_couplings
 from pinposture.arm.feasibility import Feasibility, check_feasibility
 from pinposture.arm.kinematics import (
     MAX_PINOCCHIO_DOF,
+    Chain,
     ForwardKinematics,
     FrameReader,
     Frames,
     Kinematics,
     constants_of,
+    find_base_slides,
+    find_unlimited,
+    frame_ids,
+    read_chain,
     screws_of,
 )
 from pinposture.arm.loading import LoadedModel, LoadReport, Modules, load_model, place_base

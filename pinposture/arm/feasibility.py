@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from pinposture.arm.chain import Chain
+from pinposture.arm.kinematics import Chain
 from pinposture.curve import Curve
 
 Array = NDArray[np.float64]

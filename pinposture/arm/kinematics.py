@@ -1,14 +1,16 @@
-"""Placements and Jacobians of the control points, by Pinocchio and by a compiled pass along the chain.
+"""The chain of an arm: its joints, and the placements and Jacobians of its control points.
 
-`FrameReader` reads them from Pinocchio, for `ArmState` and the methods of the thesis. `Kinematics` computes
-the same numbers on plain arrays, for kernels and for arms that are too long for `pin.Data`, whose memory
-grows with the cube of the number of joints. A test compares the two.
+`read_chain` reads the joints from a Pinocchio model. `FrameReader` reads the control points at a
+configuration from Pinocchio, for `ArmState` and the methods of the thesis. `Kinematics` computes the same
+numbers on plain arrays, for kernels and for arms that are too long for `pin.Data`, whose memory grows with
+the cube of the number of joints. A test compares the two.
 """
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, Protocol
 
@@ -17,12 +19,346 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture.arm.chain import Chain
-from pinposture.arm.couplings import is_coupled, joint_axes, joint_placements
-from pinposture.errors import InvalidValue
+from pinposture.arm.couplings import is_coupled, joint_axes, joint_placements, joint_ratios
+from pinposture.errors import InvalidValue, UnknownName
 from pinposture.kernels.arrays import ChainArrays, Screws
 
 Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+PARALLEL = 1e-3
+"""Largest angle between parallel axes [rad]; files round a quarter turn to 1.571 or even 1.57."""
+ON_AXIS = 1e-6
+"""Distance from a joint axis below which the joint does not move a point, relative to the arm."""
+UNLIMITED_RANGE = 100.0
+"""Range beyond which position limits mean none [arm lengths, or rad]: files write +-1e6 for it."""
+
+
+def neutral_placements(model: pin.Model) -> list[pin.SE3]:
+    """Compute the placements of all joints at the neutral configuration, world frame.
+
+    `pin.Data` has the same placements, but that of an arm of 1,000 joints does not fit into memory.
+    """
+    placements, own = [pin.SE3.Identity()], joint_placements(model)
+    for joint in range(1, model.njoints):  # at the neutral configuration a joint moves nothing
+        placements.append(placements[model.parents[joint]] * own[joint])
+    return placements
+
+
+def frame_position(frame: pin.Frame, placements: Sequence[pin.SE3]) -> Array:
+    """Return the position of a frame (3,) [m], given the placements of all joints."""
+    return np.array((placements[frame.parentJoint] * frame.placement).translation)
+
+
+def plane_normal(axes: Array, origins: Array, revolute: BoolArray, tip: Array, length: float) -> Array | None:
+    """Return the normal of the plane in which joints move an arm, (3,), or None if there is no such plane.
+
+    Revolute joints turn about the normal, slides move across it. Revolute joints at the end whose axes pass
+    through the tip move nothing, so they may have any axis.
+    """
+    n = len(axes)
+    while n > 1 and revolute[n - 1]:
+        if np.linalg.norm(np.cross(axes[n - 1], tip - origins[n - 1])) > ON_AXIS * length:
+            break
+        n -= 1
+    turns, slides = axes[:n][revolute[:n]], axes[:n][~revolute[:n]]
+    if len(turns):
+        signs = np.where(turns @ turns[0] < 0.0, -1.0, 1.0)
+        normal = signs @ turns
+    else:
+        crosses = np.cross(slides, slides[0])
+        normal = crosses[np.argmax(np.linalg.norm(crosses, axis=1))]
+    size = np.linalg.norm(normal)
+    if size < PARALLEL:  # slides along one line
+        return None
+    normal = normal / size
+    parallel = np.all(np.linalg.norm(np.cross(turns, normal), axis=1) < PARALLEL)
+    return normal if parallel and np.all(np.abs(slides @ normal) < PARALLEL) else None
+
+
+def find_unlimited(lower: Array, upper: Array, slides: BoolArray, length: float) -> BoolArray:
+    """Find the joints without real position limits, (n,): none, or so wide that they mean none.
+
+    These allow more than 100 lengths of the arm to slide, or more than 100 rad to turn.
+    """
+    return np.asarray(upper - lower > UNLIMITED_RANGE * np.where(slides, length, 1.0))
+
+
+def find_base_slides(unlimited: BoolArray, revolute: BoolArray) -> BoolArray:
+    """Find the slides without real limits that carry the base, as of a mobile robot, (n,).
+
+    They come before the first revolute joint; an arm without revolute joints has none.
+    """
+    return np.asarray(unlimited & ~np.logical_or.accumulate(revolute) & np.any(revolute))
+
+
+@dataclass(frozen=True, eq=False)
+class Skeleton:
+    """Joints of a serial arm at its neutral configuration, before it is cut into modules; world frame."""
+
+    names: tuple[str, ...]  # names of the joints from base to tip, (n,)
+    axes: Array  # unit joint axes, (n, 3)
+    revolute: BoolArray  # True for a joint that turns, (n,)
+    stations: Array  # origins of the joints, and the tip after them, (n + 1, 3) [m]
+    lower: Array  # smallest joint positions, (n,) [rad or m]
+    upper: Array  # largest joint positions, (n,) [rad or m]
+    columns: NDArray[np.intp]  # degree of freedom of each joint, (n,); the same for joints that are coupled
+    ratios: Array  # motion of each joint relative to that of its degree of freedom, (n,)
+
+    @cached_property
+    def length(self) -> float:
+        """Arc length from the first joint through the others to the tip [m]; inf or NaN if out of range."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return _polyline_length(self.stations)
+
+    @cached_property
+    def normal(self) -> Array | None:
+        """Normal of the plane in which the arm moves, (3,), or None if it is spatial."""
+        return plane_normal(self.axes, self.stations[:-1], self.revolute, self.stations[-1], self.length)
+
+    @cached_property
+    def base_slides(self) -> BoolArray:
+        """Which joints are slides without real limits that carry the base, (n,)."""
+        unlimited = find_unlimited(self.lower, self.upper, ~self.revolute, self.length)
+        return find_base_slides(unlimited, self.revolute)
+
+
+def read_skeleton(model: pin.Model, names: Sequence[str], tip: str, lower: Array, upper: Array) -> Skeleton:
+    """Read the joints of a chain that ends at a link from a model; see `Skeleton`.
+
+    `lower` and `upper` are the limits of the degrees of freedom, (nv,) [rad or m].
+    """
+    placements = neutral_placements(model)
+    joints = [model.getJointId(name) for name in names]
+    axes, revolute = _world_axes(model, joints, placements)
+    end = frame_position(model.frames[model.getFrameId(tip, pin.FrameType.BODY)], placements)
+    stations = np.vstack([*(placements[joint].translation for joint in joints), end])
+    columns, ratios = np.array([model.joints[joint].idx_v for joint in joints]), joint_ratios(model, joints)
+    low, high = np.sort([ratios * lower[columns], ratios * upper[columns]], axis=0)
+    return Skeleton(tuple(names), axes, revolute, stations, low, high, columns, ratios)
+
+
+def _world_axes(
+    model: pin.Model, joints: list[int], placements: Sequence[pin.SE3]
+) -> tuple[Array, BoolArray]:
+    axes, revolute = joint_axes(model, joints)
+    rotations = np.array([placements[joint].rotation for joint in joints])
+    return np.einsum("nij,nj->ni", rotations, axes), revolute
+
+
+def without_repeats(line: Array, tolerance: float = 1e-9) -> Array:
+    """Return the points of a line (n, 3) that are farther than a tolerance from the one before [m]."""
+    legs = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    return np.asarray(line[np.concatenate([[True], legs > tolerance])])
+
+
+def _polyline_length(stations: Array) -> float:
+    return float(np.linalg.norm(np.diff(stations, axis=0), axis=1).sum())
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Joints and control points of a serial arm at its neutral configuration, world frame.
+
+    Every joint u is a screw fixed to the body before it; at the neutral configuration its axis passes through
+    `origins[u]` along `axes[u]`. Together with the control points this is the whole kinematics (product of
+    exponentials), whatever frames the file uses.
+
+    Attributes:
+        joints: names of the moving joints from base to tip, (n,).
+        columns: index of each joint's velocity in the tangent space of the model, (n,); the same for joints
+            that are coupled.
+        ratios: motion of each joint relative to that of its degree of freedom, (n,); 1 unless coupled.
+        revolute: True for a joint that turns, False for one that slides, (n,).
+        axes: unit joint axes, (n, 3).
+        origins: a point on each axis, (n, 3) [m].
+        base: position of control point 0, where the first module begins, (3,) [m].
+        points: control points, (m, 3) [m].
+        module_starts: index into `joints` of the first joint of each module, (m,).
+    """
+
+    joints: tuple[str, ...]
+    columns: NDArray[np.intp]
+    ratios: Array
+    revolute: BoolArray
+    axes: Array
+    origins: Array
+    base: Array
+    points: Array
+    module_starts: NDArray[np.intp]
+
+    @cached_property
+    def leaders(self) -> NDArray[np.intp]:
+        """Index into `joints` of the first joint of each degree of freedom, (f,); increasing.
+
+        The other joints, if there are any, are coupled to one of these.
+        """
+        return np.sort(np.unique(self.columns, return_index=True)[1])
+
+    @cached_property
+    def inputs(self) -> NDArray[np.intp]:
+        """The degrees of freedom from base to tip, by their columns, (f,): `columns` without repetitions."""
+        return self.columns[self.leaders]
+
+    @cached_property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of the joints that lead, (f,)."""
+        return tuple(self.joints[u] for u in self.leaders)
+
+    @cached_property
+    def input_numbers(self) -> NDArray[np.intp]:
+        """Index into `inputs` of the degree of freedom of each joint, (n,)."""
+        order = np.argsort(self.inputs)
+        return order[np.searchsorted(self.inputs[order], self.columns)]
+
+    @cached_property
+    def input_ends(self) -> NDArray[np.intp]:
+        """Number of the degrees of freedom that carry each control point, (m,); increasing."""
+        return np.searchsorted(self.leaders, [part.stop for part in self.module_slices])
+
+    @cached_property
+    def module_slices(self) -> tuple[slice, ...]:
+        """Joints of each module as a range into `joints`."""
+        ends = [*self.module_starts[1:], len(self.joints)]
+        return tuple(slice(int(a), int(b)) for a, b in zip(self.module_starts, ends, strict=True))
+
+    @cached_property
+    def module_lengths(self) -> Array:
+        """Distance from the base to the end of each module at the neutral configuration, (m,) [m]."""
+        return np.asarray(np.linalg.norm(np.diff(np.vstack([self.base, self.points]), axis=0), axis=1))
+
+    @cached_property
+    def length(self) -> float:
+        """Arc length from the first joint along the joint origins and control points to the tip [m]."""
+        stations = [self.base[None]]
+        for joints, point in zip(self.module_slices, self.points, strict=True):
+            stations += [self.origins[joints], point[None]]
+        return _polyline_length(np.vstack(stations))
+
+    @cached_property
+    def plane(self) -> Array:
+        """Orthonormal basis (2, 3) of the plane in which the arm moves, or (3, 3) if it is spatial."""
+        normal = plane_normal(self.axes, self.origins, self.revolute, self.points[-1], self.length)
+        if normal is None:
+            return np.eye(3)
+        reach = self.points[-1] - self.base
+        along = reach - normal * (normal @ reach)
+        if np.linalg.norm(along) <= 1e-9 * self.length:
+            along = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+        along = along / np.linalg.norm(along)
+        return np.array([along, np.cross(normal, along)])
+
+    @cached_property
+    def plane_bound(self) -> BoolArray:
+        """Which modules of a spatial arm move their ends in one plane only, (m,).
+
+        Their joints turn about parallel axes. All False for a planar arm.
+        """
+        bound = np.zeros(len(self.points), dtype=np.bool_)
+        if len(self.plane) == 2:
+            return bound
+        for k, joints in enumerate(self.module_slices):
+            own = self.axes[joints], self.origins[joints], self.revolute[joints]
+            alone = joints.stop - joints.start == 1
+            bound[k] = alone or plane_normal(*own, self.points[k], self.length) is not None
+        return bound
+
+    @cached_property
+    def spans(self) -> Array:
+        """Length of arm that it takes to bend in every direction across a curve, for each module, (m,) [m].
+
+        Usually the length of the module. Consecutive modules bound to one plane bend together with the
+        modules before and after them, which turn the plane.
+        """
+        spans, m = self.module_lengths.copy(), len(self.points)
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], self.plane_bound.astype(int), [0]])))
+        for start, stop in edges.reshape(-1, 2):
+            together = slice(max(int(start) - 1, 0), min(int(stop) + 1, m))
+            spans[together] = np.maximum(spans[together], self.module_lengths[together].sum())
+        return np.asarray(spans)
+
+    def flattened(self, places: Array) -> Array:
+        """Project points of a planar arm into its plane, world frame.
+
+        Args:
+            places: points that the arm carries, at any of its configurations, (..., 3) [m].
+
+        Returns:
+            For a planar arm, the points moved along its normal into the plane of its base; for a spatial one,
+            the points unchanged.
+        """
+        if len(self.plane) == 3:
+            return places
+        normal = np.cross(*self.plane)
+        return np.asarray(places - ((places - self.base) @ normal)[..., None] * normal)
+
+
+def read_chain(model: pin.Model, control_points: tuple[str, ...]) -> Chain:
+    """Read the chain that leads to the last control point from a model, base placement applied.
+
+    Raises:
+        InvalidValue: a control point that does not lie farther along the chain than the one before it, or
+            lies between coupled joints; or a joint with several degrees of freedom.
+    """
+    frames = [model.frames[index] for index in frame_ids(model, control_points)]
+    parents = [frame.parentJoint for frame in frames]
+    support = [int(j) for j in model.supports[parents[-1]] if j > 0]
+    for j in support:
+        if model.joints[j].nv != 1 and not is_coupled(model.joints[j]):
+            allowed = "joints with one degree of freedom"
+            raise InvalidValue(f"joint {model.names[j]!r}", model.joints[j].shortname(), allowed)
+    number = {joint: u + 1 for u, joint in enumerate(support)}
+    starts, count = [], 0
+    for name, parent in zip(control_points, parents, strict=True):
+        reached = number.get(parent, 0)
+        if reached <= count:
+            allowed = "frames with at least one more moving joint of the same chain each, from base to tip"
+            raise InvalidValue(f"control point {name!r}", f"moved by {reached} joints of the chain", allowed)
+        starts.append(count)
+        count = reached
+    names, columns = tuple(str(model.names[j]) for j in support), [model.joints[j].idx_v for j in support]
+    last = {column: u for u, column in enumerate(columns)}  # joint of each degree of freedom
+    for name, start, stop in zip(control_points, [0, *starts[1:]], [*starts[1:], count], strict=True):
+        for u in range(start, stop):
+            if last[columns[u]] >= stop:
+                allowed = f"a place behind or before all joints that are coupled to {names[u]!r}"
+                raise InvalidValue(f"control point {name!r}", "between coupled joints", allowed)
+    placements = neutral_placements(model)
+    axes, revolute = _world_axes(model, support, placements)
+    origins = np.array([placements[joint].translation for joint in support])
+    return Chain(
+        joints=names,
+        columns=np.array(columns, dtype=np.intp),
+        ratios=joint_ratios(model, support),
+        revolute=revolute,
+        axes=axes,
+        origins=origins,
+        base=origins[0].copy(),
+        points=np.array([frame_position(frame, placements) for frame in frames]),
+        module_starts=np.array(starts, dtype=np.intp),
+    )
+
+
+def frame_ids(model: pin.Model, names: Sequence[str]) -> list[int]:
+    """Return the indices of frames; if a link and a joint have the same name, that of the link.
+
+    Raises:
+        UnknownName: there is no such frame.
+    """
+    kinds = (pin.FrameType.OP_FRAME, pin.FrameType.BODY)
+    found: dict[str, int] = {}
+    preferred: set[str] = set()
+    for index, frame in enumerate(model.frames):
+        found.setdefault(frame.name, index)
+        if frame.type in kinds and frame.name not in preferred:
+            preferred.add(frame.name)
+            found[frame.name] = index
+    for name in names:
+        if name not in found:
+            raise UnknownName("frame", name, list(found)[1:])
+    return [found[name] for name in names]
+
+
 IntArray = NDArray[np.int64]
 
 MAX_PINOCCHIO_DOF = 100

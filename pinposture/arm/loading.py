@@ -16,9 +16,9 @@ import numpy as np
 import pinocchio as pin
 
 from pinposture._validation import rigid_placement
-from pinposture.arm.chain import ON_AXIS, Skeleton, frame_position, neutral_placements, read_skeleton
 from pinposture.arm.configurations import NO_LIMIT, ConfigurationSpace
 from pinposture.arm.couplings import CoupledJoints, couple_joints, find_couplings, with_couplings
+from pinposture.arm.kinematics import ON_AXIS, Skeleton, frame_position, neutral_placements, read_skeleton
 from pinposture.arm.segmentation import Segmentation, count_joints, equal_modules, given_modules, segment
 from pinposture.arm.sources import Source, find_urdf
 from pinposture.arm.urdf_reader import (

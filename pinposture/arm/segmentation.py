@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from pinposture.arm.chain import PARALLEL, Skeleton
+from pinposture.arm.kinematics import PARALLEL, Skeleton
 from pinposture.errors import InvalidValue
 
 Array = NDArray[np.float64]

@@ -225,8 +225,7 @@ def read_curve(name: str) -> Curve:
         UnknownName: neither a preset nor a file.
         FileError: a file that holds no curve.
     """
-    from pinposture.curve import Curve
-    from pinposture.curve.presets import CURVES
+    from pinposture.curve import CURVES, Curve
 
     if name in CURVES:
         return CURVES[name]

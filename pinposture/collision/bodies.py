@@ -13,9 +13,9 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
-from pinposture.arm.chain import neutral_placements, without_repeats
+from pinposture.arm.kinematics import neutral_placements, without_repeats
 from pinposture.arm.urdf_reader import parse_xml
-from pinposture.collision.mesh_files import find_mesh, read_mesh
+from pinposture.collision.files import find_mesh, read_mesh
 from pinposture.collision.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 from pinposture.errors import FileError, InvalidValue, PostureWarning
 

@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture import _validation
 from pinposture._validation import LARGEST_LENGTH, Matrix, Vector, is_count, known_keys, length, point
-from pinposture.collision.mesh_files import scale_factor
-from pinposture.collision.scan_files import read_scan
+from pinposture.collision.files import read_scan, scale_factor
 from pinposture.collision.shapes import UNTURNED, Surface, check_faces, from_points_or_path, set_fields
 from pinposture.errors import FileError, InvalidValue, PostureWarning
 

@@ -24,7 +24,7 @@ from pinposture._validation import (
     point,
     rotation,
 )
-from pinposture.collision.mesh_files import Triangles, merge_corners, read_mesh, scale_factor
+from pinposture.collision.files import Triangles, merge_corners, read_mesh, scale_factor
 from pinposture.collision.pieces import Tree, is_closed, is_oriented
 from pinposture.errors import InvalidValue
 

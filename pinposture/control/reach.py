@@ -19,10 +19,9 @@ from pinposture.arm import Arm, ArmState, smooth_configuration
 from pinposture.collision import CollisionModel, Scene
 from pinposture.collision.scene import obstacles_around
 from pinposture.control.limits import Limits
-from pinposture.control.orientation import link_axes
 from pinposture.control.planner.path import JointPath
 from pinposture.control.planner.plan import plan
-from pinposture.control.tasks import EndEffector
+from pinposture.control.tasks import EndEffector, link_axes
 from pinposture.errors import InvalidValue, OutOfReach, ReachError
 from pinposture.placement import Target
 

@@ -1,6 +1,6 @@
 """What the user draws: a curve in space, measured by its arc length."""
 
-from pinposture.curve.curve import Curve
+from pinposture.curve.curve import CURVES, HELIX, LINE, PLANAR_LINE, Curve
 from pinposture.curve.geometry import Nearest
 
-__all__ = ["Curve", "Nearest"]
+__all__ = ["CURVES", "HELIX", "LINE", "PLANAR_LINE", "Curve", "Nearest"]

@@ -1,4 +1,4 @@
-"""The curve whose shape an arm takes: how to make, move, load and save one."""
+"""The curve whose shape an arm takes: how to make, move, load and save one; and curves by name."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pinposture._validation import as_number, as_vector
 from pinposture.curve import construction
-from pinposture.curve.bspline import trim
 from pinposture.curve.files import read_call, read_description, write_json
-from pinposture.curve.geometry import Geometry
+from pinposture.curve.geometry import Geometry, trim
 from pinposture.errors import CurveError, FileError, InvalidValue, UnknownName
 
 
@@ -257,3 +256,18 @@ class Curve(Geometry):
         )
         begin, stop = self._arc.parameter(np.array([low, min(high, length)]))
         return type(self)(*trim(self._spline, float(begin), float(stop)))
+
+
+LINE = Curve.line((0.0, 0.0, 0.0), (1.1, 0.0, 0.0))
+"""The singular target posture (6.16): a straight line, 1.1 m long."""
+
+HELIX = Curve.helix(radius=0.06, pitch=0.15, turns=4, handedness="left")
+"""The non-singular target posture (6.17): y = 0.06 sin(8 pi t), z = 0.06 cos(8 pi t), x = 0.6 t.
+
+The thesis does not say where t ends. A helix of four turns (t = 1) is 1.62 m long; the arm covers 1 m."""
+
+PLANAR_LINE = Curve.line((0.0, 0.0, 0.0), (7.425, 0.0, 0.0))
+"""A straight line for the planar arm of Section 6.2, like (6.16) a tenth longer than the arm."""
+
+CURVES = {"line": LINE, "helix": HELIX}
+"""The curves by the names that the command line takes."""

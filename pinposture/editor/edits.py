@@ -1,20 +1,222 @@
-"""Edits of a task: each returns a changed copy of the task, or raises."""
+"""Edits of a task: of a keyframe's shape as control points, of keyframes, obstacles and limits."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pinposture._validation import finite_vector
+from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.collision.obstacles import Obstacle
 from pinposture.control import controller_named
 from pinposture.control.limits import cycle_of
-from pinposture.editor.shape import keyframes_of, list_keyframes
-from pinposture.errors import InvalidValue, TaskError
+from pinposture.curve import Curve
+from pinposture.curve.construction import deviation
+from pinposture.errors import CurveError, InvalidValue, TaskError
+from pinposture.placement.curve_placement import beginning, place_curve
 from pinposture.task import Keyframe, Task
+from pinposture.task.follow_leader import Leader
 from pinposture.task.keyframe import MOST_CYCLES
+
+Array = NDArray[np.float64]
+
+DEGREE = 3
+MAX_SHAPE_POINTS = 32
+FIT_TOLERANCE = 0.02  # deviation of a fitted curve, relative to the mean module length
+MIN_POINT_DISTANCE = 0.2  # between control points, relative to the shortest module
+EXTRA_LENGTH = 1.0  # of a lengthened curve over the arm, in mean module lengths: modules cut corners
+MAX_EXTENSIONS = 20  # of the last point before a curve counts as too short
+
+
+def keyframes_of(task: Task) -> tuple[Keyframe, ...]:
+    """Return the keyframes of a task.
+
+    Raises:
+        TaskError: the task follows a leader and has no keyframes.
+    """
+    if isinstance(task.motion, Leader):  # which is a tuple, too
+        raise TaskError("the task", "it follows a leader; only tasks of keyframes can be edited")
+    return task.motion
+
+
+def list_keyframes(task: Task, index: int) -> list[Keyframe]:
+    """Return the keyframes of a task as a list in which the one at an index can be replaced.
+
+    Raises:
+        TaskError: there is no such keyframe, or no longer.
+    """
+    keyframes = list(keyframes_of(task))
+    if not 0 <= index < len(keyframes):
+        raise TaskError(f"keyframe {index + 1}", f"does not exist; allowed: 1 to {len(keyframes)}")
+    return keyframes
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """Control points of a target curve in the world frame.
+
+    The first stands at the base of the arm and stays there. For a planar arm, the others stay in its plane.
+
+    Attributes:
+        points: (n, 3) [m], world frame.
+        degree: of the B-spline that they control.
+        off: largest distance between that curve and the part of the keyframe's curve that the arm needs [m];
+            0 if the points are the keyframe's own.
+    """
+
+    points: Array
+    degree: int = DEGREE
+    off: float = 0.0
+
+    @classmethod
+    def of(cls, arm: Arm, keyframe: Keyframe) -> Shape:
+        """Return the shape of a keyframe: its own control points, or a few that fit its curve."""
+        laid, _ = place_curve(arm, keyframe.curve, keyframe.placement, keyframe.roll)
+        begin, on_it = beginning(arm, laid)
+        begin = begin if on_it else 0.0
+        own = laid.control_points if begin == 0.0 and laid.degree <= DEGREE else None
+        if own is not None and DEGREE < len(own) <= MAX_SHAPE_POINTS:
+            return cls(np.array(own), laid.degree)
+        end = min(laid.length, begin + required_length(arm))
+        if begin > 0.0 or end < laid.length:
+            laid = laid.trimmed(begin, end)
+        tolerance = FIT_TOLERANCE * float(arm.chain.module_lengths.mean())
+        try:
+            fitted = laid.controlled_within(tolerance, most=MAX_SHAPE_POINTS)
+        except InvalidValue:  # too many windings for that many points
+            fitted = laid.controlled(MAX_SHAPE_POINTS)
+        return cls(np.array(fitted.coefficients), fitted.degree, deviation(laid, fitted))
+
+    @property
+    def curve(self) -> Curve:
+        """The curve that the points control.
+
+        Raises:
+            CurveError: points that give no curve.
+        """
+        return Curve.spline(self.points, self.degree)
+
+    def keyframe(self, before: Keyframe) -> Keyframe:
+        """Return a keyframe with this shape, and all else as it was.
+
+        The curve then stays where it was drawn, and the arm takes as much of it as it covers.
+
+        Raises:
+            CurveError: points that give no curve.
+        """
+        return replace(before, curve=self.curve, placement="as_is", roll=0.0, trim=True)
+
+    def moved(self, arm: Arm, index: int, position: ArrayLike) -> Shape:
+        """Return the shape with one point moved.
+
+        Where the curve becomes shorter than the arm, its last point is moved straight ahead. For a planar arm
+        the position is projected into its plane.
+
+        Args:
+            arm: the arm that is to take the shape.
+            index: of the point, 0-based.
+            position: where to, (3,) [m], world frame.
+
+        Raises:
+            CurveError: the point would lie on another, or the points give no curve.
+            InvalidValue: the first point, which stands at the base of the arm; not a position.
+        """
+        self._check_index(index)
+        place = finite_vector("position", position, 3)
+        if index == 0 and not math.dist(place, self.points[0]) <= 1e-9 * arm.length:
+            raise InvalidValue("point 1", place.tolist(), "where it is: it stands at the base of the arm")
+        if index > 0 and arm.dimension == 2:
+            base, plane = arm.chain.base, arm.plane
+            place = np.asarray(base + (place - base) @ plane.T @ plane)
+        points = self.points.copy()
+        points[index] = place
+        return replace(self, points=points)._lengthened(arm, index)
+
+    def inserted(self, arm: Arm, after: int) -> Shape:
+        """Return the shape with a further point, half way to the next one, or straight on after the last.
+
+        Raises:
+            CurveError: there is no room.
+        """
+        self._check_index(after)
+        points = self.points
+        if after == len(points) - 1:
+            new = points[-1] + 0.5 * (points[-1] - points[-2])
+        else:
+            new = 0.5 * (points[after] + points[after + 1])
+        more = replace(self, points=np.insert(points, after + 1, new, axis=0))
+        return more._lengthened(arm, after + 1)
+
+    def removed(self, arm: Arm, index: int) -> Shape:
+        """Return the shape without one of its points.
+
+        Raises:
+            CurveError: too few would be left.
+            InvalidValue: the first point, which stands at the base of the arm.
+        """
+        self._check_index(index)
+        if index == 0:
+            raise InvalidValue("point 1", "deleted", "to stay: it stands at the base of the arm")
+        least = self.degree + 1
+        if len(self.points) <= least:
+            reason = f"cannot be deleted: a curve of degree {self.degree} needs {least} control points"
+            raise CurveError(f"point {index + 1}", reason)
+        return replace(self, points=np.delete(self.points, index, axis=0))._lengthened(arm)
+
+    def _check_index(self, index: int) -> None:
+        if not 0 <= index < len(self.points):
+            raise InvalidValue("point", index + 1, f"1 to {len(self.points)}")
+
+    def _lengthened(self, arm: Arm, changed: int | None = None) -> Shape:
+        """Move the last point straight on until the curve is long enough; the changed point is checked first.
+
+        Raises:
+            CurveError: the changed point lies on another, or the curve cannot be made long enough.
+        """
+        points = self.points
+        if changed is not None:
+            distances = np.linalg.norm(points - points[changed], axis=1)
+            distances[changed] = np.inf
+            other = int(np.argmin(distances))
+            least = MIN_POINT_DISTANCE * float(arm.chain.module_lengths.min())
+            if distances[other] < least:
+                reason = f"would lie on point {other + 1}; allowed: {least:.2g} m or more from it"
+                raise CurveError(f"point {changed + 1}", reason)
+        required = required_length(arm)
+        for _ in range(MAX_EXTENSIONS):
+            missing = required - Curve.spline(points, self.degree).length
+            if missing <= 0.0:
+                return replace(self, points=points)
+            ahead = points[-1] - points[-2]
+            # A little more: the curve grows by less than its last point moves.
+            step = (missing + 0.01 * arm.length) / max(float(np.linalg.norm(ahead)), 1e-12)
+            points = points.copy()
+            points[-1] = points[-1] + step * ahead
+        reason = f"cannot be moved on until the curve is {required:.4g} m long, as the arm needs it"
+        raise CurveError(f"point {len(points)}", reason)
+
+
+def reshaped(index: int, change: Callable[[Arm, Shape], Shape], shape: Shape) -> Callable[[Task], Task]:
+    """Return an edit that gives a keyframe, 0-based, another shape, made from the one that it has."""
+
+    def edit(task: Task) -> Task:
+        keyframes = list_keyframes(task, index)
+        keyframes[index] = change(task.arm, shape).keyframe(keyframes[index])
+        return task.edited(motion=tuple(keyframes))
+
+    return edit
+
+
+def required_length(arm: Arm) -> float:
+    """Return how long a curve has to be for an arm, with some to spare [m]."""
+    return float(arm.length + EXTRA_LENGTH * arm.chain.module_lengths.mean())
+
 
 Edit: TypeAlias = Callable[[Task], Task]
 

@@ -13,8 +13,8 @@ from threading import Condition, Thread
 from typing import NamedTuple
 
 from pinposture.arm import Arm
+from pinposture.editor.edits import keyframes_of
 from pinposture.editor.session import Session
-from pinposture.editor.shape import keyframes_of
 from pinposture.errors import FileError, PostureError, UnknownName
 from pinposture.motion import Motion, save
 from pinposture.storage import settled

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm
 from pinposture.control import Limits
 from pinposture.curve import Curve
-from pinposture.editor.shape import FIT_TOLERANCE, MAX_SHAPE_POINTS, Shape
+from pinposture.editor.edits import FIT_TOLERANCE, MAX_SHAPE_POINTS, Shape
 from pinposture.editor.solver import judge
 from pinposture.errors import PostureError, TaskError
 from pinposture.placement.curve_placement import arm_axis

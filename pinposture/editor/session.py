@@ -12,9 +12,8 @@ import numpy as np
 
 from pinposture.arm import Arm
 from pinposture.editor.clearances import NearestObstacle
-from pinposture.editor.edits import Edit, with_keyframe
+from pinposture.editor.edits import Edit, Shape, keyframes_of, reshaped, with_keyframe
 from pinposture.editor.playback import Playback
-from pinposture.editor.shape import Shape, keyframes_of, reshaped
 from pinposture.editor.solver import Live, Problem
 from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.task import Keyframe, Task

@@ -13,13 +13,12 @@ from threading import Lock, Thread
 from typing import TypeAlias
 
 from pinposture.collision import Mesh
-from pinposture.collision.mesh_files import MESH_FORMATS
+from pinposture.collision.files import MESH_FORMATS
 from pinposture.collision.scan import MAX_PLAUSIBLE_WIDTH, Scan
 from pinposture.editor.clearances import ClearanceQuery, Clearances, Marks, MarksQuery
-from pinposture.editor.edits import Edit
+from pinposture.editor.edits import Edit, keyframes_of
 from pinposture.editor.obstacles import free_name, insert_obstacle, obstacles_of
 from pinposture.editor.session import Session
-from pinposture.editor.shape import keyframes_of
 from pinposture.editor.solver import Live, VerdictCache
 from pinposture.errors import FileError, PostureError
 from pinposture.storage import write_bytes

@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 from pinposture.arm import Arm
 from pinposture.control.reach import ReachedPosture, reach, reach_from
 from pinposture.curve import Curve
-from pinposture.editor.edits import with_keyframe
+from pinposture.editor.edits import required_length, with_keyframe
 from pinposture.editor.session import JOINT_DIGITS, Session
-from pinposture.editor.shape import required_length
 from pinposture.errors import PostureError, ReachError
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ from pinposture.kernels.compiled import compiled, inlined, subkernel
 
 TINY = 1e-300
 
-PARALLEL = 1e-14
+PARALLEL_SQUARED = 1e-14
 """Square of the sine of the angle below which lines count as parallel, and a triangle as a line."""
 
 LONG = 64.0
@@ -207,7 +207,7 @@ def _triangle_contact(line: Line, triangles: Array3, at: int, below: float) -> N
     ee, ff, ef = ex * ex + ey * ey + ez * ez, fx * fx + fy * fy + fz * fz, ex * fx + ey * fy + ez * fz
     area = nx * nx + ny * ny + nz * nz
     best, place, sx, sy, sz = below, 0.0, 0.0, 0.0, 0.0
-    found, flat = False, area <= PARALLEL * ee * ff
+    found, flat = False, area <= PARALLEL_SQUARED * ee * ff
     if not flat:
         start, rise = nx * x + ny * y + nz * z, nx * ux + ny * uy + nz * uz
         end = start + rise
@@ -275,7 +275,7 @@ def way_to_segment(
     # On the line without ends, then on the other within its ends, then on the first again within its own.
     # That is exact: the admissible pairs of places form a rectangle, and the distance is convex on it.
     s = 0.0
-    if across > PARALLEL * uu * vv:
+    if across > PARALLEL_SQUARED * uu * vv:
         s = min(max((uv * vr - vv * ur) / across, 0.0), 1.0)
     t = min(max((uv * s + vr) / max(vv, TINY), 0.0), 1.0)
     s = min(max((uv * t - ur) / max(uu, TINY), 0.0), 1.0)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinposture import kernels
-from pinposture.arm.chain import Chain
+from pinposture.arm.kinematics import Chain
 from pinposture.errors import UnsupportedModule
 
 # The RyRz module of the thesis turns by q0 about its y axis, goes l1 along x, turns by q1 about its z axis

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture import kernels
 from pinposture._validation import float_array, require_positive
 from pinposture.arm import Arm
-from pinposture.arm.chain import Chain
+from pinposture.arm.kinematics import Chain
 from pinposture.curve import Curve
 from pinposture.errors import PostureError
 from pinposture.kernels.arrays import PointObjective, ScrewChain

@@ -8,9 +8,8 @@ from pinposture.sim.control_loop import (
     simulate,
     simulate_closed,
 )
-from pinposture.sim.model import MujocoMissing, PlantModel, build_plant_model, mass_matrix
+from pinposture.sim.model import Gains, MujocoMissing, PlantModel, Servos, build_plant_model, mass_matrix
 from pinposture.sim.plant import Sensing
-from pinposture.sim.servos import Gains, Servos
 from pinposture.sim.simulation import Simulation
 
 __all__ = [

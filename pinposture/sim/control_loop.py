@@ -14,9 +14,8 @@ from pinposture.collision import CollisionModel, Scene
 from pinposture.errors import InvalidValue
 from pinposture.motion import JointTrajectory, Motion, Trajectory
 from pinposture.placement import Target
-from pinposture.sim.model import build_plant_model
+from pinposture.sim.model import Servos, build_plant_model
 from pinposture.sim.plant import Plant, Sensing, Sensors
-from pinposture.sim.servos import Servos
 from pinposture.sim.simulation import Simulation
 
 Array = NDArray[np.float64]

@@ -23,8 +23,14 @@ from numpy.typing import NDArray
 
 from pinposture._validation import require_positive, require_share, require_whole
 from pinposture.errors import PostureWarning
-from pinposture.sim.model import PlantModel, full_mass_matrix, load_mujoco, no_log_file
-from pinposture.sim.servos import Servos, torques_within_limits
+from pinposture.sim.model import (
+    PlantModel,
+    Servos,
+    full_mass_matrix,
+    load_mujoco,
+    no_log_file,
+    torques_within_limits,
+)
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.motion.files import Format, check_shapes, register
 from pinposture.motion.trajectory import closest, describe_result, find_faults
-from pinposture.sim.servos import Servos
+from pinposture.sim.model import Servos
 
 Array = NDArray[np.float64]
 

@@ -15,8 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm, smooth_configuration
 from pinposture.control import Controller, Limits, controller_named
-from pinposture.curve import Curve
-from pinposture.curve.presets import HELIX, LINE, PLANAR_LINE
+from pinposture.curve import HELIX, LINE, PLANAR_LINE, Curve
 from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory, track
 from pinposture.motion.processes import in_order

@@ -19,8 +19,7 @@ from pinposture.collision.obstacles import OBSTACLE_TYPES, Obstacle, obstacle_fr
 from pinposture.collision.scene import obstacles_around
 from pinposture.control import Controller, EndEffector, Geodesic, Limits, controller_named
 from pinposture.control.limits import cycle_of
-from pinposture.curve import Curve
-from pinposture.curve.presets import CURVES
+from pinposture.curve import CURVES, Curve
 from pinposture.errors import InvalidValue, PostureError, TaskError, UnknownName
 from pinposture.storage import settled
 from pinposture.task.document import Document, shown

@@ -25,7 +25,7 @@ from pydantic import (
 from pinposture.arm import Arm, template
 from pinposture.arm.specification import OF_A_TEMPLATE, OF_A_URDF
 from pinposture.control import CONTROLLERS
-from pinposture.curve.presets import CURVES
+from pinposture.curve import CURVES
 from pinposture.errors import UnknownName
 from pinposture.placement.resolve import METHODS, PLACEMENTS
 from pinposture.task.document import Misplaced, read_quantity, shown

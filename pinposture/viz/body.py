@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm
-from pinposture.arm.chain import neutral_placements, without_repeats
+from pinposture.arm.kinematics import neutral_placements, without_repeats
 from pinposture.arm.urdf_reader import parse_xml
-from pinposture.collision.mesh_files import find_mesh, read_mesh
+from pinposture.collision.files import find_mesh, read_mesh
 from pinposture.collision.scan import between_cubes, representatives
 from pinposture.errors import FileError, PostureWarning
 from pinposture.viz.mesh import TriangleMesh, merge

@@ -11,7 +11,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinposture.arm import Arm
-from pinposture.arm.chain import neutral_placements
+from pinposture.arm.kinematics import neutral_placements
 from pinposture.collision import HalfSpace, Scene
 from pinposture.errors import InvalidValue
 from pinposture.motion import Motion, Trajectory

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm, ControlPoints
-from pinposture.arm.chain import without_repeats
+from pinposture.arm.kinematics import without_repeats
 from pinposture.arm.manipulability import chosen_points
 from pinposture.collision import Scene
 from pinposture.errors import InvalidValue, UnknownName, ViewerError

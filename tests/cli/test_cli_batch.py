@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pinposture as pp
-from pinposture.curve.presets import CURVES
+from pinposture.curve import CURVES
 
 SHORT = ("--controller", "projection", "--steps", 6)  # the quickest that moves
 

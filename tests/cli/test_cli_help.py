@@ -11,7 +11,7 @@ import pinposture
 from pinposture.collision import Cylinder, Scene
 from pinposture.collision.obstacles import OBSTACLE_TYPES
 from pinposture.control import CONTROLLERS
-from pinposture.curve.presets import CURVES
+from pinposture.curve import CURVES
 from pinposture.editor.session import Session
 from pinposture.placement.resolve import METHODS, PLACEMENTS
 

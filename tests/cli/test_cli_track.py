@@ -9,7 +9,7 @@ import pytest
 
 import pinposture as pp
 from pinposture.arm import smooth_configuration
-from pinposture.curve.presets import CURVES
+from pinposture.curve import CURVES
 
 
 def track(command, arm_file, *options):

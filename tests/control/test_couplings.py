@@ -12,7 +12,7 @@ from sampling import examples
 import pinposture as pp
 from pinposture.control.controller import task_errors
 from pinposture.control.thesis.projection import COUPLINGS
-from pinposture.curve.presets import HELIX
+from pinposture.curve import HELIX
 
 FREE = pp.Limits(step=1e6)
 

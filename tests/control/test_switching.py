@@ -16,7 +16,7 @@ from sampling import examples
 import pinposture as pp
 from pinposture.arm import smooth_configuration
 from pinposture.control import CONTROLLERS, GeodesicMemory, controller_named
-from pinposture.curve.presets import HELIX, LINE
+from pinposture.curve import HELIX, LINE
 from pinposture.errors import InvalidValue, UnknownName
 
 

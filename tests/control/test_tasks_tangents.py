@@ -19,8 +19,8 @@ from task_arms import ARMS, STATES, arm_called, derivative, gauss_newton, state_
 
 import pinposture as pp
 from pinposture.control import Tangents
-from pinposture.control.orientation import link_axes, link_directions
-from pinposture.curve.presets import HELIX
+from pinposture.control.tasks import link_axes, link_directions
+from pinposture.curve import HELIX
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "arm"))
 

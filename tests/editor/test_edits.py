@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import pinposture as pp
 from pinposture.editor import edits
-from pinposture.editor.shape import Shape, reshaped
+from pinposture.editor.edits import Shape, reshaped
 from pinposture.errors import InvalidValue, PostureError, TaskError, UnknownName
 from pinposture.task import Keyframe, Task
 from pinposture.task.keyframe import schedule

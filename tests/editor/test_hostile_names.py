@@ -48,9 +48,8 @@ PLACES = {
     ],  # the name of the task file; our texts
     "ui/keyframes.py": ["add_html"],  # what is asked of the tip, a control point by its name
     "ui/player.py": ["add_html"],  # numbers only
-    "ui/scans.py": ["add_markdown"],  # a text of ours
-    "ui/scene.py": ["add_html"],  # which link is near which obstacle or scan
-    "ui/status.py": ["add_html"],  # verdicts and what was last said, with any name of the task
+    "ui/page.py": ["add_html"],  # verdicts and what was last said, with any name of the task
+    "ui/scene.py": ["add_markdown", "add_html"],  # our texts; which link is near which obstacle or scan
 }
 """Where the page makes HTML or Markdown. All of it is looked at below."""
 

@@ -32,8 +32,7 @@ from pinposture.editor.surroundings import ScanShelf
 from pinposture.editor.ui import parts
 from pinposture.editor.ui.arm import MeasuredArm
 from pinposture.editor.ui.parts import color
-from pinposture.editor.ui.scans import ScanControls, Scans
-from pinposture.editor.ui.scene import ClearanceLine, Obstacles, SceneTab, clearance_text
+from pinposture.editor.ui.scene import ClearanceLine, Obstacles, ScanControls, Scans, SceneTab, clearance_text
 from pinposture.viz import palette
 
 BALL = pp.Sphere((0.3, 0.2, 0.1), 0.05)

@@ -12,8 +12,8 @@ from edited_tasks import L, bent_spline, task
 import pinposture as pp
 from pinposture.arm import Arm
 from pinposture.editor import edits
+from pinposture.editor.edits import Shape, reshaped
 from pinposture.editor.session import Session
-from pinposture.editor.shape import Shape, reshaped
 from pinposture.editor.solver import Live, Solver, Verdict, judge
 from pinposture.errors import InvalidValue
 from pinposture.task import Keyframe

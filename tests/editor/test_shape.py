@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from sampling import cases, examples
 
 import pinposture as pp
-from pinposture.editor.shape import DEGREE, FIT_TOLERANCE, MAX_SHAPE_POINTS, MIN_POINT_DISTANCE, Shape
+from pinposture.editor.edits import DEGREE, FIT_TOLERANCE, MAX_SHAPE_POINTS, MIN_POINT_DISTANCE, Shape
 from pinposture.editor.solver import judge
 from pinposture.errors import CurveError, InvalidValue, PostureError
 from pinposture.placement import resolve_targets

@@ -14,7 +14,7 @@ from pinposture.editor.clearances import ClearanceQuery, Marks, MarksQuery, near
 from pinposture.editor.session import Session
 from pinposture.editor.solver import Live, Solver, VerdictCache, judge, review
 from pinposture.editor.ui.keyframes import row_label
-from pinposture.editor.ui.status import status_of
+from pinposture.editor.ui.page import status_of
 from pinposture.task import Keyframe, Task
 
 THICK = 0.01

@@ -28,7 +28,7 @@ NAMES = (
 
 WAYS = {
     "ui/files.py": 2,  # save, open
-    "ui/scans.py": 1,  # load, as a scan or as an obstacle
+    "ui/scene.py": 1,  # load, as a scan or as an obstacle
 }
 """Where a name that was typed becomes a path, and how often. An upload has the last part of its name only."""
 

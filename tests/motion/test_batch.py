@@ -18,7 +18,7 @@ from sampling import examples
 
 import pinposture as pp
 from pinposture.arm import smooth_configuration
-from pinposture.curve.presets import HELIX
+from pinposture.curve import HELIX
 from pinposture.errors import InvalidValue, PostureWarning, UnknownName
 
 Asked = tuple[pp.Arm, list[pp.Target], np.ndarray]

@@ -16,7 +16,7 @@ from sampling import examples
 
 import pinposture as pp
 from pinposture.arm import smooth_configuration
-from pinposture.curve.presets import HELIX, LINE
+from pinposture.curve import HELIX, LINE
 from pinposture.errors import FileError
 
 LIMITS = pp.Limits(step=None, velocity=np.full(8, 1.5), dt=0.05, acceleration=30.0, position_margin=0.01)

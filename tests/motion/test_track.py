@@ -11,7 +11,7 @@ import pytest
 from arms import template_arm
 
 import pinposture as pp
-from pinposture.curve.presets import HELIX, LINE
+from pinposture.curve import HELIX, LINE
 from pinposture.errors import FileError, InvalidValue, UnknownName
 
 START = 0.4 * np.sin(np.arange(40))

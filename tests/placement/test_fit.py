@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import least_squares
 
 import pinposture as pp
-from pinposture.curve.presets import HELIX
+from pinposture.curve import HELIX
 from pinposture.errors import CurveBendsTooMuch, CurveEndsEarly
 
 PLACEMENT = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -2.0, 0.7]))

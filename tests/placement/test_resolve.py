@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pinposture as pp
-from pinposture.curve.presets import HELIX, LINE
+from pinposture.curve import HELIX, LINE
 from pinposture.errors import (
     CurveBendsTooMuch,
     CurveEndsEarly,

@@ -15,7 +15,7 @@ from simple_arms import INERTIA, mass_matrix, pendulum
 import pinposture as pp
 from pinposture import sim
 from pinposture.errors import InvalidValue
-from pinposture.sim.servos import torques_within_limits
+from pinposture.sim.model import torques_within_limits
 
 
 def test_one_joint_swings_at_the_frequency_asked_for():

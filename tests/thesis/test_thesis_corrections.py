@@ -14,7 +14,7 @@ import pinposture as pp
 from pinposture.arm import smooth_configuration
 from pinposture.control import candidate_sets
 from pinposture.control.controller import task_errors
-from pinposture.curve.presets import LINE
+from pinposture.curve import LINE
 
 SEEDS = st.integers(0, 10**6)
 

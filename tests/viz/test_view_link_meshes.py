@@ -17,7 +17,7 @@ from sampling import seeds
 from scipy.spatial import cKDTree
 
 from pinposture import Arm, Target, save_html, track
-from pinposture.collision.mesh_files import find_mesh, read_mesh
+from pinposture.collision.files import find_mesh, read_mesh
 from pinposture.errors import FileError, PostureWarning
 from pinposture.viz.body import body_meshes, body_poses
 
@@ -170,7 +170,7 @@ def test_numbers_that_are_none_warn_once_and_the_body_keeps_its_stand_in(robot, 
 
 def test_collada_without_its_reader_says_what_to_install(tmp_path, monkeypatch):
     (tmp_path / "a.dae").write_text("<COLLADA/>")
-    monkeypatch.setattr("pinposture.collision.mesh_files.find_spec", lambda name: None)
+    monkeypatch.setattr("pinposture.collision.files.find_spec", lambda name: None)
     with pytest.raises(FileError, match="pycollada"):
         read_mesh(tmp_path / "a.dae")
 

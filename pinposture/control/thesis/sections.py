@@ -14,8 +14,7 @@ from scipy.optimize import minimize
 
 from pinposture import kernels
 from pinposture.arm import Arm, ArmState
-from pinposture.arm.chain import Chain
-from pinposture.arm.kinematics import constants_of
+from pinposture.arm.kinematics import Chain, constants_of
 from pinposture.errors import InvalidValue
 from pinposture.kernels.arrays import Screws
 

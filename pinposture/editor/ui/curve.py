@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from pinposture.arm import Arm
 from pinposture.curve import Curve
+from pinposture.editor.edits import keyframes_of, required_length
 from pinposture.editor.session import Session
-from pinposture.editor.shape import keyframes_of, required_length
 from pinposture.editor.solver import Live
 from pinposture.editor.tip import drag_tip
 from pinposture.editor.ui.parts import (

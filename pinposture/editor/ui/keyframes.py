@@ -10,8 +10,8 @@ import viser
 
 from pinposture.control import EndEffector
 from pinposture.editor import edits
+from pinposture.editor.edits import keyframes_of
 from pinposture.editor.session import Session
-from pinposture.editor.shape import keyframes_of
 from pinposture.editor.solver import Live
 from pinposture.editor.ui.parts import Post, Typed, color, on_change, on_choice, on_click, put
 from pinposture.placement.resolve import METHODS

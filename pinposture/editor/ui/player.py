@@ -15,10 +15,9 @@ from viser import uplot
 
 from pinposture.arm import Arm
 from pinposture.control import Limits
-from pinposture.editor.edits import times_of
+from pinposture.editor.edits import keyframes_of, times_of
 from pinposture.editor.playback import SPEEDS, Playback
 from pinposture.editor.session import Session
-from pinposture.editor.shape import keyframes_of
 from pinposture.editor.solver import Live, limits_per_step
 from pinposture.editor.ui.parts import Post, on_change, on_choice, put
 from pinposture.motion import Motion
@@ -38,7 +37,7 @@ RESTING_PERIOD = 3.0  # the same while nothing changes, for browsers that connec
 AXIS_JITTER = 5e-4  # relative change of the time axis from plot to plot
 PLOT_HEIGHT = 100  # [pixels]
 SMALLEST_PLOTTED = 1e-5  # error, in arm lengths
-SMALLEST_ERROR = 1e-9  # smaller ones are shown as 0, in arm lengths
+SMALLEST_SHOWN_ERROR = 1e-9  # smaller ones are shown as 0, in arm lengths
 MAX_SHARE = 1.2  # of limits that is shown
 OUTSIDE = 1e3  # value of lines outside of the picture
 SPEED_COLOR, ACCELERATION_COLOR = palette.SPARE[2], palette.SPARE[0]
@@ -245,7 +244,7 @@ class Plots:
         put(self._legend, content=f'<div style="{style}">{words}</div>')
 
     def _in_words(self, error: float) -> str:
-        return "0 mm" if error < SMALLEST_ERROR * self._length else f"{MILLI * error:.3g} mm"
+        return "0 mm" if error < SMALLEST_SHOWN_ERROR * self._length else f"{MILLI * error:.3g} mm"
 
 
 def _lines(color: str) -> tuple[uplot.Series, ...]:

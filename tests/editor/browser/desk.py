@@ -15,7 +15,7 @@ from typing import Any
 
 import pinposture as pp
 from pinposture.editor import Editor
-from pinposture.editor.shape import keyframes_of
+from pinposture.editor.edits import keyframes_of
 
 PATIENCE = 60.0
 """How long something that has to happen is waited for [s]: a busy machine draws slowly without a screen."""

@@ -15,9 +15,9 @@ from editor.browser.window import Window
 
 import pinposture as pp
 from pinposture.editor import Editor
+from pinposture.editor.edits import keyframes_of
 from pinposture.editor.files import autosave_path
 from pinposture.editor.first_task import first_task
-from pinposture.editor.shape import keyframes_of
 
 pytestmark = pytest.mark.browser
 

@@ -15,7 +15,7 @@ from editor.browser.window import Window
 
 import pinposture as pp
 from pinposture.editor import Editor
-from pinposture.editor.shape import keyframes_of
+from pinposture.editor.edits import keyframes_of
 
 pytestmark = pytest.mark.browser
 

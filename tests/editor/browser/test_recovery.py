@@ -16,8 +16,8 @@ from editor.browser.desk import curves, served, wait_until
 from editor.browser.window import Window
 
 import pinposture as pp
+from pinposture.editor.edits import Shape, keyframes_of
 from pinposture.editor.files import autosave_path
-from pinposture.editor.shape import Shape, keyframes_of
 
 pytestmark = pytest.mark.browser
 
