@@ -10,17 +10,23 @@ import typer
 from pinposture.cli.inputs import JsonOption
 from pinposture.cli.output import examples, print_note, print_result, print_warning
 from pinposture.cli.results import MOTION, RUN, find_kept, load_kept
-from pinposture.errors import FileError
+from pinposture.errors import FileError, UnknownName
 
 if TYPE_CHECKING:
+    from pinposture.arm import Arm
     from pinposture.motion import Motion, Trajectory
     from pinposture.motion.joint_trajectory import JointTrajectory
+
+GOAL, BAG = FORMATS = ("follow-joint-trajectory", "rosbag")
+"""Formats that the suffix of a file does not tell."""
 
 
 @examples(
     "pinposture export out --dt 0.02 -o out/joints.json",
     "pinposture export out/run.npz --dt 0.02 -o out/joints.csv",
     "pinposture export out --dt 0.02 -o out/joints.npz --json",
+    "pinposture export out --format follow-joint-trajectory -o goal.json",
+    "pinposture export out --dt 0.02 -o out/motion.mcap",
 )
 def run(
     *,
@@ -37,9 +43,18 @@ def run(
             "--output",
             "-o",
             metavar="FILE",
-            help=".json for ROS 2, .csv for a table, .npz for NumPy.",
+            help=".json for ROS 2, .csv for a table, .npz for NumPy, .mcap for a bag of ROS 2.",
         ),
     ],
+    form: Annotated[
+        str,
+        typer.Option(
+            "--format",
+            metavar="NAME",
+            help="follow-joint-trajectory: a goal of that action, in JSON. rosbag: a bag of ROS 2, a folder. "
+            "By default the suffix decides.",
+        ),
+    ] = "",
     dt: Annotated[
         float | None,
         typer.Option(help="Duration of a step in seconds; needed if the run was made without one."),
@@ -60,17 +75,17 @@ def run(
 
     A .json file is a trajectory_msgs/msg/JointTrajectory of ROS 2, as controllers of ros2_control take it. A
     .csv file has a column for each, with units. A .npz file holds the arrays to the last bit. Joints have the
-    names that the URDF gives them; continuous ones have angles without jumps.
+    names that the URDF gives them; continuous ones have angles without jumps. A bag (.mcap, or a folder with
+    --format rosbag) has the topics /joint_states, /joint_trajectory, /tf and /robot_description; it needs the
+    extra "ros".
 
     A motion that did not get where it was to, that exceeds its limits, or on which something was inside of
     another, is refused unless --force is given. The summary tells the largest speed and acceleration from
     step to step, from rest and to rest.
     """
-    from pinposture.motion import save
-    from pinposture.motion.joint_files import check_format
     from pinposture.storage import check_writable
 
-    check_format(output)
+    check_form(output, form)
     check_writable(output.parent)
     source, which = find_kept(path)
     if which:
@@ -81,12 +96,34 @@ def run(
     trajectory = _joint_trajectory(kept, dt, force)
     if coupled:
         trajectory = trajectory.with_coupled(kept.arm)
-    save(trajectory, output)
+    _write(trajectory, output, form, kept.arm)
     for fault in kept.faults:
         print_warning(f"exported all the same: {fault}")
     verdict = {"verdict": kept.verdict, "faults": list(kept.faults)}
     data = {"run": str(source), **verdict, **_summary(trajectory), "file": str(output)}
     print_result(as_json, data, _in_words(trajectory), [output])
+
+
+def check_form(output: Path, form: str) -> None:
+    """Refuse a format that does not exist, and a file that cannot be of it."""
+    from pinposture.motion.joint_files import check_format
+
+    if form not in ("", *FORMATS):
+        raise UnknownName("format", form, FORMATS)
+    if not form and output.suffix.lower() != ".mcap":
+        check_format(output)
+
+
+def _write(trajectory: JointTrajectory, output: Path, form: str, arm: Arm) -> None:
+    from pinposture.motion import save
+    from pinposture.motion.ros import write_bag, write_goal
+
+    if form == GOAL:
+        write_goal(trajectory, output)
+    elif form == BAG or output.suffix.lower() == ".mcap":
+        write_bag(trajectory, output, arm)
+    else:
+        save(trajectory, output)
 
 
 def _joint_trajectory(moved: Trajectory | Motion, dt: float | None, force: bool) -> JointTrajectory:

@@ -165,3 +165,23 @@ def test_a_run_is_not_overwritten_with_its_own_export(command, run_directory, tm
     result = command("export", tmp_path, "--dt", 0.1, "-o", source)
     assert (result.code, source.read_bytes() == before) == (2, True)
     assert "is the run itself" in result.err
+
+
+def test_goals_and_bags_are_written_by_their_format(command, timed_run, tmp_path) -> None:
+    pytest.importorskip("rosbags")
+    goal, bag, folder = tmp_path / "goal.json", tmp_path / "motion.mcap", tmp_path / "bag"
+    form = ("--format", "follow-joint-trajectory")
+    assert command("export", timed_run, *form, "-o", goal).code == 0
+    assert json.loads(goal.read_text()).keys() == {"trajectory", "goal_time_tolerance"}
+    assert command("export", timed_run, "-o", bag).code == 0
+    assert bag.read_bytes().startswith(b"\x89MCAP0")
+    assert command("export", timed_run, "--format", "rosbag", "-o", folder).code == 0
+    assert {each.name for each in folder.iterdir()} == {"bag.mcap", "metadata.yaml"}
+    for refused, words in (
+        (("--format", "rosbags", "-o", tmp_path / "b"), "did you mean 'rosbag'?"),
+        ((*form, "-o", tmp_path / "goal.csv"), "the name ends in '.csv'; allowed: .json"),
+        (("--format", "rosbag", "-o", folder), "exists already"),
+    ):
+        result = command("export", timed_run, *refused)
+        assert result.code == 2
+        assert words in result.err

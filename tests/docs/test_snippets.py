@@ -25,6 +25,7 @@ PAGES = (
         "coupled_joints.md",
         "scenes.md",
         "reach.md",
+        "robot.md",
     ),
     "streaming.md",
 )

@@ -1,0 +1,249 @@
+"""Joint trajectories for ROS 2: goals of the action FollowJointTrajectory, and bags."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pinocchio as pin
+
+from pinposture._validation import require_positive
+from pinposture.arm import Arm
+from pinposture.arm.urdf_reader import read_description
+from pinposture.errors import FileError, InvalidValue
+from pinposture.motion.joint_files import NANOSECONDS, to_message
+from pinposture.motion.joint_trajectory import JointTrajectory
+from pinposture.storage import check_writable, write_text
+
+EXTRA = "pip install 'pinposture[ros]'"
+
+WORLD = "world"
+"""Name of the frame in which the base of the arm stands."""
+
+MAX_DOF = 200
+"""Degrees of freedom up to which links are placed; a `pin.Data` then takes 370 MB."""
+
+BAG_VERSION: Final = 8
+"""Version of the metadata of a bag, which every distribution from Humble on reads."""
+
+
+def write_goal(trajectory: JointTrajectory, path: str | Path, goal_time_tolerance: float = 0.0) -> Path:
+    """Write a goal of control_msgs/action/FollowJointTrajectory as JSON, which is YAML as well.
+
+        ros2 action send_goal --stdin CONTROLLER/follow_joint_trajectory \
+            control_msgs/action/FollowJointTrajectory < goal.json
+
+    `pp.load` reads the file like that of a message.
+
+    Args:
+        trajectory: the motion.
+        path: the file; its name ends in .json, .yaml or .yml.
+        goal_time_tolerance: how late the arm may reach the last point [s]; with 0 the controller decides.
+
+    Returns:
+        The path.
+
+    Raises:
+        FileError: another suffix, or the file cannot be written.
+        InvalidValue: times that a message of ROS 2 cannot hold, or a negative tolerance.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in (".json", ".yaml", ".yml"):
+        raise FileError(path, f"the name ends in {path.suffix!r}; allowed: .json, .yaml, .yml")
+    require_positive("goal_time_tolerance", goal_time_tolerance, zero=True)
+    seconds, nanoseconds = divmod(round(goal_time_tolerance * NANOSECONDS), NANOSECONDS)
+    goal = {
+        "trajectory": to_message(trajectory),
+        "goal_time_tolerance": {"sec": seconds, "nanosec": nanoseconds},
+    }
+    write_text(path, json.dumps(goal, allow_nan=False) + "\n")
+    return path
+
+
+def write_bag(
+    trajectory: JointTrajectory, path: str | Path, arm: Arm | None = None, start: float = 1.0
+) -> Path:
+    """Write a bag of ROS 2 in MCAP, for `ros2 bag play`, RViz, Foxglove, PlotJuggler or Rerun.
+
+    Topics are /joint_states (sensor_msgs/JointState) and /joint_trajectory (trajectory_msgs/JointTrajectory,
+    one message at the start). With an arm also /tf (tf2_msgs/TFMessage), which places each link in the frame
+    of the one that carries it, the base of the arm in the frame "world"; and, for an arm loaded from a URDF,
+    /robot_description (std_msgs/String). Needs the extra `ros`.
+
+    Args:
+        trajectory: the motion.
+        path: a file that ends in .mcap; any other name is a new folder, as `ros2 bag record` makes one.
+        arm: the arm that moves; None leaves out links and description.
+        start: time stamp of the start of the trajectory [s]. Zero means "the latest" to tf.
+
+    Returns:
+        The path.
+
+    Raises:
+        FileError: the extra is missing, the folder exists already, or nothing can be written there.
+        InvalidValue: times that a message cannot hold, joints that are not the arm's, or an arm of more than
+            200 degrees of freedom, for which `pin.Data` would need too much memory.
+    """
+    path = Path(path)
+    try:
+        from rosbags.rosbag2 import StoragePlugin, Writer
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise FileError(path, f"bags need a further package; {EXTRA}") from None
+    require_positive("start", start)
+    alone = path.suffix.lower() == ".mcap"
+    if path.exists() and not (alone and path.is_file()):
+        raise FileError(path, "exists already; allowed: the name of a new folder, or of a .mcap file")
+    check_writable(path.parent)
+    types, topics, connections = get_typestore(Stores.ROS2_HUMBLE), {}, {}
+    messages = list(_messages(types.types, trajectory, arm, start))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{path.stem}-", dir=path.parent) as draft:
+            bag = Path(draft) / path.stem
+            with Writer(bag, version=BAG_VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
+                for topic, _, message in messages:
+                    topics[topic] = message.__msgtype__
+                for topic, kind in topics.items():
+                    profile = _latched() if topic == "/robot_description" else ()
+                    connections[topic] = writer.add_connection(
+                        topic, kind, typestore=types, offered_qos_profiles=profile
+                    )
+                for topic, stamp, message in messages:
+                    data = types.serialize_cdr(message, topics[topic])
+                    writer.write(connections[topic], stamp, data)
+            if alone:
+                (bag / f"{bag.name}.mcap").replace(path)
+            else:
+                shutil.move(bag, path)
+    except OSError as error:
+        raise FileError(path, f"cannot be written ({error.strerror or error})") from error
+    return path
+
+
+def _latched() -> tuple[Any]:
+    """Return the quality of service under which late subscribers still get the message."""
+    from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+
+    forever = QosTime(sec=2**31 - 1, nsec=NANOSECONDS - 1)
+    profile = Qos(
+        history=QosHistory.KEEP_LAST,
+        depth=1,
+        reliability=QosReliability.RELIABLE,
+        durability=QosDurability.TRANSIENT_LOCAL,
+        deadline=forever,
+        lifespan=forever,
+        liveliness=QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=forever,
+        avoid_ros_namespace_conventions=False,
+    )
+    return (profile,)
+
+
+def _messages(
+    types: Any, trajectory: JointTrajectory, arm: Arm | None, start: float
+) -> Iterator[tuple[str, int, Any]]:
+    """Yield the topic, the time stamp [ns] and the content of each message, in the order of time."""
+    described = to_message(trajectory)
+    offset = round(start * NANOSECONDS)
+    make = {name: types[f"{package}/msg/{name}"] for package, name in _TYPES}
+
+    def header(stamp: int, frame: str = "") -> Any:
+        seconds, nanoseconds = divmod(stamp, NANOSECONDS)
+        return make["Header"](make["Time"](seconds, nanoseconds), frame)
+
+    if arm is not None and arm.urdf is not None:
+        yield "/robot_description", offset, make["String"](arm.urdf)
+    points = [
+        make["JointTrajectoryPoint"](
+            *(np.array(point[name]) for name in ("positions", "velocities", "accelerations", "effort")),
+            make["Duration"](**point["time_from_start"]),
+        )
+        for point in described["points"]
+    ]
+    command = make["JointTrajectory"](header(0), described["joint_names"], points)
+    yield "/joint_trajectory", offset, command
+    tree = None if arm is None else _LinkTree(arm, trajectory)
+    for row, point in enumerate(described["points"]):
+        time = point["time_from_start"]
+        stamp = offset + time["sec"] * NANOSECONDS + time["nanosec"]
+        yield (
+            "/joint_states",
+            stamp,
+            make["JointState"](
+                header(stamp),
+                list(described["joint_names"]),
+                trajectory.positions[row],
+                trajectory.velocities[row],
+                np.zeros(0),
+            ),
+        )
+        if tree is not None:
+            transforms = [
+                make["TransformStamped"](
+                    header(stamp, parent),
+                    child,
+                    make["Transform"](
+                        make["Vector3"](*map(float, placement.translation)),
+                        make["Quaternion"](*map(float, pin.Quaternion(placement.rotation).coeffs())),
+                    ),
+                )
+                for parent, child, placement in tree.placements(row)
+            ]
+            yield "/tf", stamp, make["TFMessage"](transforms)
+
+
+_TYPES = (
+    ("builtin_interfaces", "Time"),
+    ("builtin_interfaces", "Duration"),
+    ("std_msgs", "Header"),
+    ("std_msgs", "String"),
+    ("sensor_msgs", "JointState"),
+    ("trajectory_msgs", "JointTrajectory"),
+    ("trajectory_msgs", "JointTrajectoryPoint"),
+    ("geometry_msgs", "Vector3"),
+    ("geometry_msgs", "Quaternion"),
+    ("geometry_msgs", "Transform"),
+    ("geometry_msgs", "TransformStamped"),
+    ("tf2_msgs", "TFMessage"),
+)
+"""The messages that are made, by package and name."""
+
+
+class _LinkTree:
+    """Places the links of an arm in the frames of the links that carry them, by the joints of its URDF.
+
+    The links of an arm without a URDF are placed in the world.
+
+    Raises:
+        InvalidValue: the joints of the trajectory are not the arm's, or the arm is too long or has no links.
+    """
+
+    def __init__(self, arm: Arm, trajectory: JointTrajectory) -> None:
+        if arm.nv > MAX_DOF:
+            raise InvalidValue("degrees of freedom", arm.nv, f"at most {MAX_DOF}; or arm=None, without links")
+        self._model, self._data = arm.model, arm.model.createData()
+        self._configurations = trajectory.configurations(arm)
+        frames = enumerate(arm.model.frames)
+        links = {str(each.name): k for k, each in frames if k and each.type == pin.FrameType.BODY}
+        if not links:
+            raise InvalidValue("arm", arm.name, "an arm with links, as loaded from a URDF")
+        # `Frame.parentFrame` is that of the whole robot, and wrong where joints are locked.
+        joints = () if arm.urdf is None else read_description(arm.urdf).joints
+        carriers = {joint.child: joint.parent for joint in joints if joint.parent in links}
+        self._links = {name: (carriers.get(name, WORLD), frame) for name, frame in links.items()}
+
+    def placements(self, row: int) -> Iterator[tuple[str, str, pin.SE3]]:
+        """Yield the carrier, the link, and the placement of the link in the frame of its carrier."""
+        pin.framesForwardKinematics(self._model, self._data, self._configurations[row])
+        for name, (carrier, frame) in self._links.items():
+            placement = self._data.oMf[frame]
+            if carrier == WORLD:
+                yield carrier, name, placement
+            else:
+                yield carrier, name, self._data.oMf[self._links[carrier][1]].actInv(placement)
