@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pinposture.motion import Motion, Trajectory
     from pinposture.motion.joint_trajectory import JointTrajectory
 
-GOAL, BAG = FORMATS = ("follow-joint-trajectory", "rosbag")
+GOAL, BAG = NAMED_FORMATS = ("follow-joint-trajectory", "rosbag")
 """Formats that the suffix of a file does not tell."""
 
 
@@ -108,8 +108,8 @@ def check_form(output: Path, form: str) -> None:
     """Refuse a format that does not exist, and a file that cannot be of it."""
     from pinposture.motion.joint_files import check_format
 
-    if form not in ("", *FORMATS):
-        raise UnknownName("format", form, FORMATS)
+    if form not in ("", *NAMED_FORMATS):
+        raise UnknownName("format", form, NAMED_FORMATS)
     if not form and output.suffix.lower() != ".mcap":
         check_format(output)
 

@@ -20,8 +20,6 @@ from pinposture.motion.joint_files import NANOSECONDS, to_message
 from pinposture.motion.joint_trajectory import JointTrajectory
 from pinposture.storage import check_writable, write_text
 
-EXTRA = "pip install 'pinposture[ros]'"
-
 WORLD = "world"
 """Name of the frame in which the base of the arm stands."""
 
@@ -94,7 +92,7 @@ def write_bag(
         from rosbags.rosbag2 import StoragePlugin, Writer
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
-        raise FileError(path, f"bags need a further package; {EXTRA}") from None
+        raise FileError(path, "bags need a further package; pip install 'pinposture[ros]'") from None
     require_positive("start", start)
     alone = path.suffix.lower() == ".mcap"
     if path.exists() and not (alone and path.is_file()):
