@@ -33,8 +33,8 @@ ROOT = Path(__file__).resolve().parents[1]
 
 CEILINGS = {
     # What there is today, to be lowered whenever it falls; behind it, what it is to come to.
-    "files": 193,  # 180
-    "lines": 57805,  # 38000
+    "files": 194,  # 180
+    "lines": 57968,  # 38000
     "import cycles at run time": 0,  # 0
     "import cycles with types": 0,  # 0
     "imports that go up": 0,  # 0
@@ -63,6 +63,7 @@ ORDER = (
     ("viz",),
     ("editor",),
     ("study",),
+    ("notebook",),
     ("cli",),
     ("__main__",),
 )

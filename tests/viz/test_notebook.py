@@ -1,0 +1,141 @@
+"""What a notebook shows: HTML from the formatters that are registered with IPython."""
+
+from __future__ import annotations
+
+import base64
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pinposture as pp
+from pinposture import notebook
+
+IPython = pytest.importorskip("IPython")
+
+
+@pytest.fixture(scope="module")
+def shown() -> Any:
+    from IPython.core.formatters import DisplayFormatter
+
+    class Shell:
+        display_formatter = DisplayFormatter()
+
+    notebook.register(Shell())
+
+    def show(value: object) -> str:
+        data, _ = Shell.display_formatter.format(value)
+        return data.get("text/html", "")
+
+    return show
+
+
+class Rows(HTMLParser):
+    """The rows of a table, and the tags that were left open."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.rows: list[list[str]] = []
+        self.open: list[str] = []
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: Any) -> None:
+        if tag != "img":
+            self.open.append(tag)
+        if tag == "tr":
+            self.rows.append([])
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] in ("th", "td"):
+            self.rows[-1].append(data)
+
+
+def table(page: str) -> dict[str, str]:
+    parsed = Rows(page)
+    assert not parsed.open
+    return {row[0]: row[1] for row in parsed.rows if len(row) == 2}
+
+
+def picture(page: str) -> bytes:
+    [data] = re.findall(r'src="data:image/png;base64,([^"]+)"', page)
+    return base64.b64decode(data)
+
+
+@pytest.fixture(scope="module")
+def arm() -> pp.Arm:
+    return pp.Arm.from_template("RyRz", modules=4)
+
+
+def test_every_class_is_where_its_formatter_looks_for_it() -> None:
+    kinds = (pp.Arm, pp.Target, pp.Trajectory, pp.Motion, pp.JointTrajectory)
+    assert [(each.__module__, each.__name__) for each in kinds] == [each[:2] for each in notebook.SHOWN]
+
+
+def test_an_arm_shows_what_it_is_and_a_picture(shown: Any, arm: pp.Arm) -> None:
+    page = shown(arm)
+    rows = table(page)
+    assert rows["degrees of freedom"] == "8, spatial"
+    assert rows["length"] == "0.2 m"
+    assert rows["limits of turns"] == f"{arm.limits.lower[0]:.4g} to {arm.limits.upper[0]:.4g} rad"
+    assert picture(page).startswith(b"\x89PNG")
+
+
+def test_names_cannot_break_the_page(shown: Any) -> None:
+    model = pin.Model()
+    model.name = "<script>alert(1)</script>"
+    end = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "a<b")
+    placement = pin.SE3(np.eye(3), np.array([1.0, 0.0, 0.0]))
+    model.addFrame(pin.Frame("end&", end, 0, placement, pin.FrameType.OP_FRAME))
+    page = shown(pp.Arm.from_model(model, ["end&"]))
+    assert "<script>" not in page
+    assert "&lt;script&gt;" in page
+    assert "end&amp;" in page
+
+
+def test_a_target_and_a_run_show_how_well_they_did(shown: Any, arm: pp.Arm) -> None:
+    target = pp.resolve_targets(arm, pp.Curve.helix(0.2, 0.0, 0.5), placement="align")
+    rows = table(shown(target))
+    assert rows["control points"] == "4 of 4 have a target"
+    assert rows["placed"] == target.method
+    run = pp.track(arm, target, arm.straight())
+    page = shown(run)
+    assert table(page)["status"] == f"converged: {run.reason}"
+    assert table(page)["steps"] == str(run.steps)
+    assert picture(page).startswith(b"\x89PNG")
+    bare = table(shown(pp.Target.from_points(arm, target.points)))
+    assert bare["configuration"] == "not known"
+    assert "placed" not in bare
+
+
+def test_motions_and_joint_trajectories_show_their_time(shown: Any, arm: pp.Arm) -> None:
+    bows = [pp.Curve.helix(radius, 0.0, 0.5) for radius in (0.4, 0.2)]
+    frames = [pp.Keyframe(each, time=1.0 * k, placement="align") for k, each in enumerate(bows)]
+    motion = pp.move_through(arm, frames, arm.straight(), limits=pp.Limits(step=None, velocity=2.0, dt=0.02))
+    rows = table(shown(motion))
+    assert rows["duration"].startswith(f"{motion.dt * motion.run.steps:.4g} s, ")
+    joints = motion.joint_trajectory()
+    rows = table(shown(joints))
+    assert rows["joints"] == str(arm.nv)
+    assert rows["largest speed"] == f"{joints.peaks.speeds.max():.4g} rad/s"
+
+
+@pytest.mark.process
+def test_importing_the_package_in_a_shell_registers_it_and_imports_no_viewer() -> None:
+    code = (
+        "from IPython.core.interactiveshell import InteractiveShell\n"
+        "shell = InteractiveShell.instance()\n"
+        "import sys, pinposture as pp\n"
+        "assert 'matplotlib.figure' not in sys.modules and 'pinocchio' not in sys.modules\n"
+        "data, _ = shell.display_formatter.format(pp.Arm.from_template('RyRz', modules=2))\n"
+        "print(data['text/html'][:20])\n"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip().endswith("<div><b>RyRz_2</b><t")
