@@ -82,7 +82,7 @@ def show_run(run: Trajectory) -> str:
         ("steps", str(run.steps)),
         ("posture error", f"{run.posture_error[0]:.4g} m at first, {run.posture_error[-1]:.4g} m at last"),
     ]
-    return _page(f"Run of {run.arm.name} by {run.controller}", rows, plot(run))
+    return _page(f"Run of {run.arm.name} by {run.controller.partition('(')[0]}", rows, plot(run))
 
 
 def show_motion(motion: Motion) -> str:
