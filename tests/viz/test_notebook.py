@@ -118,7 +118,7 @@ def test_a_target_and_a_run_show_how_well_they_did(shown: Any, arm: pp.Arm) -> N
 def test_motions_and_joint_trajectories_show_their_time(shown: Any, arm: pp.Arm) -> None:
     bows = [pp.Curve.helix(radius, 0.0, 0.5) for radius in (0.4, 0.2)]
     frames = [pp.Keyframe(each, time=1.0 * k, placement="align", trim=True) for k, each in enumerate(bows)]
-    motion = pp.move_through(arm, frames, arm.straight(), limits=pp.Limits(step=None, velocity=2.0, dt=0.02))
+    motion = pp.move_through(arm, frames, limits=pp.Limits(step=None, velocity=2.0, dt=0.02))
     rows = table(shown(motion))
     assert rows["duration"].startswith(f"{motion.dt * motion.run.steps:.4g} s, ")
     joints = motion.joint_trajectory()
