@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 from pinposture import kernels
 from pinposture._validation import as_number, finite_vector, rigid_placement
 from pinposture.arm.configurations import ConfigurationSpace, check_joint_positions
-from pinposture.arm.couplings import Coupling, read_couplings
+from pinposture.arm.couplings import Coupling, joint_axes, read_couplings
 from pinposture.arm.feasibility import Feasibility, check_feasibility
 from pinposture.arm.kinematics import (
     MAX_PINOCCHIO_DOF,
@@ -407,6 +407,26 @@ class Arm(ConfigurationSpace):
         """
         return check_feasibility(self.chain, self.limits.lower, self.limits.upper, curve)
 
+    def from_degrees(self, positions: ArrayLike) -> Array:
+        """Return the configuration of joint positions in degrees; those of slides stay in metres.
+
+        Args:
+            positions: one number per degree of freedom, (nv,) [deg or m].
+
+        Returns:
+            Configuration (nq,).
+
+        Raises:
+            InvalidValue: wrong size or not finite.
+        """
+        given = finite_vector("positions", positions, self.nv)
+        return self.configuration(np.where(self.in_metres, given, np.deg2rad(given)))
+
+    def to_degrees(self, q: ArrayLike) -> Array:
+        """Return the joint positions of a configuration (nq,) in degrees, (nv,); of slides in metres."""
+        positions = self.positions(q)
+        return np.asarray(np.where(self.in_metres, positions, np.rad2deg(positions)))
+
     def straight(self) -> Array:
         """Return the configuration of longest reach, (nq,); the neutral one for shipped templates.
 
@@ -450,6 +470,14 @@ class Arm(ConfigurationSpace):
         slides = np.zeros(self.nv, dtype=np.bool_)
         slides[self.columns] = ~self.chain.revolute[self.chain.leaders]
         return slides
+
+    @cached_property
+    def in_metres(self) -> NDArray[np.bool_]:
+        """True for a degree of freedom that slides, on the chain or beside it, (nv,)."""
+        joints = [number for number in range(1, self.model.njoints) if self.model.joints[number].nv == 1]
+        slides = np.zeros(self.nv, dtype=np.bool_)
+        slides[[self.model.joints[joint].idx_v for joint in joints]] = ~joint_axes(self.model, joints)[1]
+        return _read_only(slides)
 
     def checked_start(self, q: ArrayLike, name: str = "q") -> Array:
         """Check a configuration given as a start or a goal; see `checked`.
@@ -728,6 +756,29 @@ class ArmState:
         does not rotate it.
         """
         return _read_only(self.axes * self.arm.support[:, None, :])
+
+    def jacobian(self, frame: str) -> Array:
+        """Return the Jacobian of any frame: of a control point, a link or a joint.
+
+        Args:
+            frame: name of the frame.
+
+        Returns:
+            Array (6, nv), world axes: velocity of the origin of the frame [m/rad], then angular velocity
+            [rad/rad], for each unit of joint motion.
+
+        Raises:
+            UnknownName: there is no such frame.
+            InvalidValue: a frame other than a control point, of an arm that is too long for `pin.Data`.
+        """
+        names, reader = self.arm.control_points, self.arm.frames
+        if frame in names:
+            point = names.index(frame)
+            return np.vstack([self.jacobians[point], self.angular_jacobians[point]])
+        if reader is None:
+            allowed = f"a control point, as the arm has more than {MAX_PINOCCHIO_DOF} degrees of freedom"
+            raise InvalidValue("frame", frame, allowed)
+        return reader.jacobian(self._q, frame)
 
     @cached_property
     def task_jacobians(self) -> Array:

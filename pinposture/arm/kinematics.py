@@ -387,16 +387,31 @@ class FrameReader:
         self._columns = np.array([column for each in listed for column in each])
         self._coupled = len(self._columns) > model.nv
 
-    def read(self, q: Array) -> Frames:
-        """Compute the frames at a configuration (nq,); the arrays are copies that stay as they are."""
+    def _buffers(self) -> tuple[pin.Data, list[Array], list[Array]]:
+        """Return the data of this thread, and views of the placements in it."""
         try:
-            data, positions, orientations = self._local.buffers
+            buffers: tuple[pin.Data, list[Array], list[Array]] = self._local.buffers
         except AttributeError:
             data = self._model.createData()
             placements = [data.oMf[frame] for frame in self._frames]
             positions = [placement.translation for placement in placements]
             orientations = [placement.rotation for placement in placements]
-            self._local.buffers = data, positions, orientations
+            buffers = self._local.buffers = data, positions, orientations
+        return buffers
+
+    def jacobian(self, q: Array, name: str) -> Array:
+        """Compute the Jacobian of any frame, (6, nv), at its origin and along world axes: linear, angular.
+
+        Raises:
+            UnknownName: there is no such frame.
+        """
+        [frame] = frame_ids(self._model, [name])
+        aligned = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        return np.array(pin.computeFrameJacobian(self._model, self._buffers()[0], q, frame, aligned))
+
+    def read(self, q: Array) -> Frames:
+        """Compute the frames at a configuration (nq,); the arrays are copies that stay as they are."""
+        data, positions, orientations = self._buffers()
         pin.computeJointJacobians(self._model, data, q)
         pin.updateFramePlacements(self._model, data)
         m = len(positions)

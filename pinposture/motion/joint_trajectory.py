@@ -148,9 +148,7 @@ def joint_units(arm: Arm) -> tuple[str, ...]:
     for joint, name in list(zip(arm.model.joints, arm.model.names, strict=True))[1:]:
         if joint.nv > 1:
             raise InvalidValue(f"joint {str(name)!r}", joint.shortname(), "joints with one degree of freedom")
-    moving = [number for number in range(1, arm.model.njoints) if arm.model.joints[number].nv == 1]
-    _, turns = joint_axes(arm.model, moving)
-    return tuple(RADIAN if turn else METRE for turn in turns)
+    return tuple(METRE if slides else RADIAN for slides in arm.in_metres)
 
 
 def unwrap_positions(arm: Arm, q: ArrayLike) -> Array:

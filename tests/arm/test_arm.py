@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pinposture as pp
+from pinposture.arm import continuum_section
 from pinposture.control import controller_named
 from pinposture.errors import InvalidValue, UnknownName
 
@@ -340,3 +341,51 @@ def test_random_configurations_need_no_generator() -> None:
     drawn = [arm.random() for _ in range(2)]
     assert np.abs(drawn[0] - drawn[1]).max() > 0.0
     assert all(arm.within_limits(q) for q in drawn)
+
+
+def frame_placement(arm: pp.Arm, q: np.ndarray, frame: str) -> pin.SE3:
+    data = arm.model.createData()
+    pin.framesForwardKinematics(arm.model, data, q)
+    return pin.SE3(data.oMf[arm.model.getFrameId(frame)])
+
+
+@pytest.mark.parametrize("kind", ["feed", "coupled"])
+def test_the_jacobian_of_any_frame_is_its_finite_difference(kind: str) -> None:
+    if kind == "coupled":
+        arm = pp.Arm.from_modules([continuum_section(3)] * 2, base_placement=PLACEMENT)
+    else:
+        slide = pp.ModuleTemplate("Feed", (SLIDE,), (0.05,), 0.01)
+        arm = pp.Arm.from_modules([slide, *[pp.template("RyRz")] * 2], base_placement=PLACEMENT)
+    q, h = arm.random(3), 1e-6
+    bodies = [str(each.name) for each in arm.model.frames if each.type == pin.FrameType.BODY]
+    for frame in (*bodies, *arm.control_points):
+        expected = np.empty((6, arm.nv))
+        for u, step in enumerate(h * np.eye(arm.nv)):
+            ahead, behind = (
+                frame_placement(arm, arm.integrate(q, sign * step), frame) for sign in (1.0, -1.0)
+            )
+            expected[:3, u] = (ahead.translation - behind.translation) / (2 * h)
+            expected[3:, u] = pin.log3(ahead.rotation @ behind.rotation.T) / (2 * h)
+        np.testing.assert_allclose(arm.at(q).jacobian(frame), expected, atol=1e-8, err_msg=frame)
+    with pytest.raises(UnknownName, match="no frame is called 'nose'"):
+        arm.at(q).jacobian("nose")
+
+
+def test_the_jacobian_of_a_long_arm_is_that_of_its_control_points() -> None:
+    arm = pp.Arm.from_template("RyRz", modules=60)
+    state = arm.at(arm.random(0))
+    tip = state.jacobian(arm.control_points[-1])
+    np.testing.assert_array_equal(tip[:3], state.jacobians[-1])
+    np.testing.assert_array_equal(tip[3:], state.angular_jacobians[-1])
+    with pytest.raises(InvalidValue, match="a control point, as the arm has more than 100"):
+        state.jacobian("base")
+
+
+def test_degrees_count_for_joints_that_turn() -> None:
+    slide = pp.ModuleTemplate("Feed", (SLIDE,), (0.05,), 0.01)
+    arm = pp.Arm.from_modules([slide, pp.template("RyRz")])
+    q = arm.from_degrees([0.02, 90.0, -45.0])
+    np.testing.assert_allclose(arm.positions(q), [0.02, np.pi / 2, -np.pi / 4])
+    np.testing.assert_allclose(arm.to_degrees(q), [0.02, 90.0, -45.0])
+    with pytest.raises(InvalidValue, match="positions"):
+        arm.from_degrees([1.0, 2.0])
