@@ -1,0 +1,271 @@
+"""Actuators that move several joints: tendons along an arm, gears, differential drives.
+
+The position of an actuator is a linear function of the joint positions, u = R q. Tendons may pass through
+several sections, and there may be more of them than degrees of freedom, as in antagonistic pairs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import inf
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pinposture._validation import finite_vector, require_positive
+from pinposture.arm import Arm
+from pinposture.control import Limits
+from pinposture.errors import InvalidValue, UnknownName
+from pinposture.motion.joint_trajectory import METRE, RADIAN, JointTrajectory, check_names, finite_array
+
+Array = NDArray[np.float64]
+
+INDEPENDENT = 1e-9
+"""Smallest singular value of independent columns of R, relative to the largest."""
+
+
+class Tendon(NamedTuple):
+    """A tendon that runs along the arm at a fixed place of its cross-section.
+
+    Attributes:
+        offset: where it runs beside the axis of the straight arm, (y, z) in the frame of the base link [m].
+            For an arm that is not straight along x there: two coordinates across its axis.
+        end: the control point at whose module it ends, by its name or its index, 0-based.
+        start: the control point from which on it runs, likewise; None: from the base.
+    """
+
+    offset: tuple[float, float]
+    end: str | int = -1
+    start: str | int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Actuators:
+    """The actuators of an arm: u = R q, with u = 0 where all joints are at zero.
+
+    Attributes:
+        arm: the arm.
+        names: names of the actuators, (k,).
+        matrix: R, (k, nv): motion of each actuator per unit of each degree of freedom. Positive: out of the
+            actuator, as a tendon that is paid out.
+        units: "m" or "rad" for each actuator, (k,).
+        velocity: largest speed of each, (k,) [m/s or rad/s]; infinite where there is no limit.
+        acceleration: largest acceleration of each, (k,) [m/s^2 or rad/s^2]; likewise.
+    """
+
+    arm: Arm
+    names: tuple[str, ...]
+    matrix: Array
+    units: tuple[str, ...]
+    velocity: Array
+    acceleration: Array
+
+    @classmethod
+    def from_matrix(
+        cls,
+        arm: Arm,
+        names: Sequence[str],
+        matrix: ArrayLike,
+        units: Sequence[str],
+        velocity: float | ArrayLike = inf,
+        acceleration: float | ArrayLike = inf,
+    ) -> Actuators:
+        """Make actuators of a matrix.
+
+        Args:
+            arm: the arm.
+            names: names of the actuators, k.
+            matrix: R, (k, nv).
+            units: "m" or "rad" for each actuator.
+            velocity: largest speed, one number or (k,) [m/s or rad/s].
+            acceleration: largest acceleration, one number or (k,) [m/s^2 or rad/s^2].
+
+        Raises:
+            InvalidValue: wrong shapes, numbers that are not finite, or limits that are not positive.
+        """
+        checked = check_names(names)
+        table = finite_array("matrix", matrix, (len(checked), arm.nv))
+        if len(units) != len(checked) or not set(units) <= {RADIAN, METRE}:
+            raise InvalidValue(
+                "units", units, f"{RADIAN!r} or {METRE!r} for each of {len(checked)} actuators"
+            )
+        limits = [
+            _positive_limits(name, value, len(checked))
+            for name, value in (("velocity", velocity), ("acceleration", acceleration))
+        ]
+        return cls(arm, checked, table, tuple(units), *limits)
+
+    @classmethod
+    def from_tendons(
+        cls,
+        arm: Arm,
+        tendons: Mapping[str, Tendon],
+        velocity: float | ArrayLike = inf,
+        acceleration: float | ArrayLike = inf,
+    ) -> Actuators:
+        """Make the actuators that pull tendons.
+
+        The moment arms are those of the straight arm. They are constant where joints lie on the axis and
+        tendons cross them by small holes: what a tendon is longer by then is t . (a x r) for each radian of a
+        joint with axis a, at a distance r from the tendon, which runs along t; for a slide t . a.
+
+        Args:
+            arm: the arm, straight at its neutral configuration.
+            tendons: the tendons by their names.
+            velocity: largest speed of each, one number or (k,) [m/s].
+            acceleration: largest acceleration of each, one number or (k,) [m/s^2].
+
+        Raises:
+            InvalidValue: an arm that is not straight at its neutral configuration, a tendon without length,
+                or limits that are not positive.
+            UnknownName: a control point that does not exist.
+        """
+        chain = arm.chain
+        axis = chain.points[-1] - chain.base
+        if np.linalg.norm(axis) < (1.0 - 1e-6) * arm.length:
+            raise InvalidValue("arm", arm.name, "an arm that is straight at its neutral configuration")
+        axis = axis / np.linalg.norm(axis)
+        across = _across(arm, axis)
+        matrix = np.zeros((len(tendons), arm.nv))
+        for row, (name, tendon) in zip(matrix, tendons.items(), strict=True):
+            first = 0 if tendon.start is None else _module_end(arm, name, tendon.start)
+            last = _module_end(arm, name, tendon.end)
+            offset = finite_vector(f"offset of tendon {name!r}", tendon.offset, 2)
+            if last <= first:
+                raise InvalidValue(f"tendon {name!r}", tendon, "an end farther along the arm than its start")
+            for u in range(first, last):
+                if chain.revolute[u]:
+                    lever = chain.base + offset @ across - chain.origins[u]
+                    change = float(axis @ np.cross(chain.axes[u], lever))
+                else:
+                    change = float(axis @ chain.axes[u])
+                row[chain.columns[u]] += chain.ratios[u] * change
+        return cls.from_matrix(arm, tuple(tendons), matrix, (METRE,) * len(tendons), velocity, acceleration)
+
+    def positions(self, q: ArrayLike) -> Array:
+        """Return the positions of the actuators at a configuration, (k,), or at several (N, nq), (N, k).
+
+        Raises:
+            InvalidValue: not a configuration.
+        """
+        rows = np.atleast_2d(np.asarray(q, dtype=np.float64))
+        moved = np.array([self.arm.positions(row) for row in rows]) @ self.matrix.T
+        return np.asarray(moved if np.ndim(q) == 2 else moved[0])
+
+    def configuration(self, positions: ArrayLike) -> tuple[Array, float]:
+        """Return the configuration that fits positions of the actuators best, as measured for instance.
+
+        Args:
+            positions: positions of the actuators, (k,) [m or rad].
+
+        Returns:
+            The configuration (nq,), and the largest difference between the given positions and its own [m or
+            rad]: zero where there are no more actuators than degrees of freedom. Degrees of freedom off the
+            chain are at zero.
+
+        Raises:
+            InvalidValue: not k finite numbers, or actuators that do not determine the degrees of freedom.
+        """
+        given = finite_vector("positions", positions, len(self.names))
+        columns = self.matrix[:, self.arm.columns]
+        u, sigma, vt = np.linalg.svd(columns, full_matrices=False)
+        if len(sigma) < columns.shape[1] or sigma[-1] <= INDEPENDENT * sigma[0]:
+            free = self.arm.joint_names[self.arm.columns[int(np.abs(vt[-1]).argmax())]]
+            rank = int(np.count_nonzero(sigma > INDEPENDENT * sigma[0]))
+            allowed = f"{columns.shape[1]} independent rows; what moves {free!r} is not determined"
+            raise InvalidValue("rank of the matrix", rank, allowed)
+        moved = np.zeros(self.arm.nv)
+        moved[self.arm.columns] = vt.T @ ((u.T @ given) / sigma)
+        return self.arm.configuration(moved), float(np.abs(self.matrix @ moved - given).max())
+
+    def limits(self, limits: Limits) -> Limits:
+        """Return limits of the joints with which the actuators keep their limits of speed and acceleration.
+
+        The joints that an actuator moves are slowed in proportion, so that it keeps its limits even where all
+        of them move at their limits at once: sum_j |R_ij| v_j <= u_i.
+
+        Args:
+            limits: limits of the joints, with `dt`. Their speed and acceleration are lowered.
+
+        Raises:
+            InvalidValue: limits without `dt`, or an actuator with a limit that moves joints without any.
+        """
+        if limits.dt is None:
+            raise InvalidValue("limits.dt", None, "the duration of a step [s]")
+        speed = self.arm.limits.velocity if limits.velocity is None else limits.velocity
+        acceleration = inf if limits.acceleration is None else limits.acceleration
+        return replace(
+            limits,
+            velocity=self._share("velocity", speed, self.velocity),
+            acceleration=None
+            if limits.acceleration is None and not np.isfinite(self.acceleration).any()
+            else self._share("acceleration", acceleration, self.acceleration),
+        )
+
+    def _share(self, name: str, joints: float | Array, most: Array) -> Array:
+        """Return limits of the joints, (nv,), with which no actuator exceeds its own, (k,)."""
+        bound = np.array(np.broadcast_to(np.asarray(joints, dtype=np.float64), self.arm.nv))
+        factor = np.ones(self.arm.nv)
+        for actuator, row, limit in zip(self.names, np.abs(self.matrix), most, strict=True):
+            moves = row > 0.0
+            if not np.isfinite(limit) or not np.any(moves):
+                continue
+            used = float(row[moves] @ bound[moves])
+            if not np.isfinite(used):
+                joint = self.arm.joint_names[int(np.flatnonzero(moves & ~np.isfinite(bound))[0])]
+                allowed = f"a finite {name} of joint {joint!r}, which actuator {actuator!r} moves"
+                raise InvalidValue(f"limits.{name}", joints, allowed)
+            factor[moves] = np.minimum(factor[moves], limit / used)
+        return np.where(np.isfinite(bound), bound * factor, bound)
+
+    def trajectory(self, joints: JointTrajectory) -> JointTrajectory:
+        """Return the motion of the actuators that takes the joints along a trajectory.
+
+        Raises:
+            InvalidValue: the trajectory is not one of this arm.
+        """
+        moved = joints.matched(self.arm)
+        return JointTrajectory(
+            self.names,
+            moved.time,
+            moved.positions @ self.matrix.T,
+            moved.velocities @ self.matrix.T,
+            moved.accelerations @ self.matrix.T,
+            self.units,
+            moved.name,
+        )
+
+
+def _positive_limits(name: str, value: float | ArrayLike, count: int) -> Array:
+    listed = np.asarray(value, dtype=np.float64)
+    if listed.ndim > 1 or (listed.ndim == 1 and len(listed) != count):
+        raise InvalidValue(f"{name} (shape)", listed.shape, f"one number or ({count},)")
+    for number in np.atleast_1d(listed):
+        if number != inf:
+            require_positive(name, float(number))
+    return np.array(np.broadcast_to(listed, count))
+
+
+def _across(arm: Arm, axis: Array) -> Array:
+    """Return two directions across an axis, (2, 3): y and z of the base if the axis is its x."""
+    y = np.asarray(arm.base_placement.rotation)[:, 1]
+    y = y - axis * (axis @ y)
+    if np.linalg.norm(y) < 1e-6:
+        y = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    y = y / np.linalg.norm(y)
+    return np.array([y, np.cross(axis, y)])
+
+
+def _module_end(arm: Arm, name: str, point: str | int) -> int:
+    """Return the number of joints of the chain up to a control point."""
+    points = arm.control_points
+    if isinstance(point, str):
+        if point not in points:
+            raise UnknownName(f"control point of tendon {name!r}", point, points)
+        point = points.index(point)
+    if not -len(points) <= point < len(points):
+        raise InvalidValue(f"control point of tendon {name!r}", point, f"an index of {len(points)} points")
+    stop: int = arm.chain.module_slices[point].stop
+    return stop
