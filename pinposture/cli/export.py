@@ -8,8 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pinposture.cli.inputs import JsonOption
-from pinposture.cli.output import examples, print_note, print_result, print_warning
-from pinposture.cli.results import MOTION, RUN, find_kept, load_kept
+from pinposture.cli.output import (
+    MOTION,
+    RUN,
+    examples,
+    find_kept,
+    load_kept,
+    print_note,
+    print_result,
+    print_warning,
+)
 from pinposture.errors import FileError
 
 if TYPE_CHECKING:
@@ -51,8 +59,7 @@ def run(
         ),
     ] = False,
     coupled: Annotated[
-        bool,
-        typer.Option("--coupled", help="Write the joints that follow others (<mimic>), too."),
+        bool, typer.Option("--coupled", help="Write the joints that follow others (<mimic>), too.")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:

@@ -10,8 +10,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pinposture.cli.inputs import NoBrowserOption, read_points
-from pinposture.cli.output import examples, print_note
-from pinposture.cli.results import MOTION, RUN, find_kept, load_kept, write_animation, write_plot
+from pinposture.cli.output import (
+    MOTION,
+    RUN,
+    examples,
+    find_kept,
+    load_kept,
+    print_note,
+    write_animation,
+    write_plot,
+)
 from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:
