@@ -7,13 +7,13 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from joblib import delayed
 
 from pinposture._validation import is_number
 from pinposture.arm import Arm, JointSpec, ModuleTemplate, template
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, TargetError, UnknownName
-from pinposture.motion.processes import Progress, collect_results
+from pinposture.motion.processes import Progress
+from pinposture.study.record import run_all
 from pinposture.task.deviation import path_deviation
 from pinposture.task.follow_leader import PATH_METHODS, Method, follow_leader
 
@@ -134,14 +134,14 @@ def study_leader(
     for method in methods:
         if method not in PATH_METHODS:
             raise UnknownName("method", method, PATH_METHODS)
-    tasks = [
-        delayed(_one)(name, shape, method, float(bending))
+    cases = [
+        (name, shape, method, float(bending))
         for name in arms
         for shape in (SHAPES if fed_arm(name).dimension == 3 else SHAPES[:1])
         for method in methods
         for bending in bendings
     ]
-    return collect_results(tasks, jobs, progress)
+    return run_all(_one, cases, jobs, progress)
 
 
 def _one(name: str, shape: str, method: Method, bending: float) -> Following:
