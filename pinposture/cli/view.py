@@ -94,7 +94,7 @@ def show(
         ellipsoids: indices of the control points to show the manipulability ellipsoids of, 0-based.
     """
     from pinposture.viz import view
-    from pinposture.viz.ellipsoids import scale_in_words
+    from pinposture.viz.postures import scale_in_words
 
     viewer = view(motion.arm, motion, open_browser=open_browser, ellipsoids=ellipsoids)
     try:

@@ -20,8 +20,8 @@ from pinposture.control.planner.follow import GeodesicMemory
 from pinposture.control.planner.objective import Objective
 from pinposture.control.planner.path import JointPath, SpeedProfile, TimedPath, retime
 from pinposture.errors import InvalidValue
-from pinposture.motion.motion import Motion, Waypoint
 from pinposture.motion.track import PROGRESS_SHARE, STALL_TRAVEL, ControlLoop, in_scene
+from pinposture.motion.trajectory import Motion, Waypoint
 from pinposture.placement import Target
 from pinposture.task.keyframe import Keyframe, usual_placement
 from pinposture.task.keyframes import keyframe_reference

@@ -15,7 +15,7 @@ import pinposture as pp
 from pinposture.cli.output import FORMATS, find_kept, keep_motion, load_kept
 from pinposture.cli.run import motion_in_words, summarize_motion
 from pinposture.errors import FileError
-from pinposture.motion.motion import Motion, Waypoint
+from pinposture.motion.trajectory import Motion, Waypoint
 
 
 def around_a_ball() -> pp.Scene:

@@ -30,9 +30,9 @@ from pinposture.editor.ui.parts import (
 from pinposture.placement.curve_placement import place_curve
 from pinposture.task import Keyframe
 from pinposture.viz import palette
+from pinposture.viz.body import ball as ball_mesh
+from pinposture.viz.body import tube
 from pinposture.viz.drawing import link_radius
-from pinposture.viz.mesh import ball as ball_mesh
-from pinposture.viz.mesh import tube
 
 Array = NDArray[np.float64]
 Colors = NDArray[np.uint8]

@@ -35,9 +35,9 @@ from pinposture.editor.ui.parts import (
 )
 from pinposture.editor.ui.scans import ScanControls
 from pinposture.viz import palette
+from pinposture.viz.body import TriangleMesh as Surface
+from pinposture.viz.body import is_hollow, surface
 from pinposture.viz.drawing import MANY_OBSTACLES, link_radius
-from pinposture.viz.mesh import TriangleMesh as Surface
-from pinposture.viz.mesh import is_hollow, surface
 
 Array = NDArray[np.float64]
 
