@@ -9,8 +9,7 @@ import numpy as np
 
 import pinposture as pp
 from pinposture.collision.pipe import pipe, pipe_axis
-from pinposture.task.deviation import path_deviation
-from pinposture.task.follow_leader import follow_leader
+from pinposture.task.follow_leader import follow_leader, path_deviation
 from pinposture.task.perform import perform
 
 # An arm of 20 modules, 1 m long, on a slide that pushes all of it along its axis by up to 1.2 m.

@@ -192,7 +192,7 @@ def _read_position(text: str) -> float:
     Raises:
         ValueError: it is none.
     """
-    from pinposture.task.document import read_quantity
+    from pinposture.task.specification import read_quantity
 
     numbers = _parsed(text)
     return read_quantity(text if numbers is None else numbers[0], "angle", "length")

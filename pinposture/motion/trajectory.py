@@ -1,4 +1,4 @@
-"""The result of a run: the motion, how it ended, and how its speeds compare with the limits."""
+"""What came of a run, or of a motion in time: configurations, how it ended, speeds against the limits."""
 
 from __future__ import annotations
 
@@ -400,8 +400,6 @@ class Trajectory:
     def __repr__(self) -> str:
         first, last = self.posture_error[0], self.posture_error[-1]
         return f"Trajectory({self.status}, {self.steps} steps, posture error {first:.4g} -> {last:.4g} m)"
-
-
 
 
 class Waypoint(NamedTuple):

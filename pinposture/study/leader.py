@@ -14,8 +14,7 @@ from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, TargetError, UnknownName
 from pinposture.motion.processes import Progress
 from pinposture.study.record import run_all
-from pinposture.task.deviation import path_deviation
-from pinposture.task.follow_leader import PATH_METHODS, Method, follow_leader
+from pinposture.task.follow_leader import PATH_METHODS, Method, follow_leader, path_deviation
 
 MODULE, MODULES = 0.05, 20
 """Length of a module [m], and how many of them an arm has."""

@@ -1,8 +1,7 @@
 """Motions in time: postures one after the other, and the leader's path followed."""
 
-from pinposture.task.deviation import Deviation, path_deviation
 from pinposture.task.find_path import find_path
-from pinposture.task.follow_leader import follow_leader
+from pinposture.task.follow_leader import Deviation, follow_leader, path_deviation
 from pinposture.task.keyframe import Keyframe
 from pinposture.task.keyframes import keyframe_reference
 from pinposture.task.perform import move_through, perform

@@ -18,15 +18,13 @@ from pinposture.control import controller_named
 from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.motion import Motion
 from pinposture.storage import settled
-from pinposture.task.document import Document, shown
 from pinposture.task.follow_leader import Leader, follow_leader
-from pinposture.task.keyframe import usual_placement
+from pinposture.task.keyframe import usual_placement, with_fitting_joints
 from pinposture.task.keyframes import keyframe_reference
 from pinposture.task.perform import perform
-from pinposture.task.reader import TaskParts, check_task, read_task
+from pinposture.task.reader import Document, TaskParts, check_task, read_task
 from pinposture.task.reference import Outlook, Reference, outlook, require_room
-from pinposture.task.resolving import with_fitting_joints
-from pinposture.task.specification import RESULT_FORMATS
+from pinposture.task.specification import RESULT_FORMATS, shown
 from pinposture.task.toml import Place, TomlLayout
 from pinposture.task.writer import layout_of, write_task
 

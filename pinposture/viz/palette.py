@@ -1,7 +1,7 @@
 """The look of all figures: colours that mean the same thing in every picture, scales, layout, titles.
 
-The colours are those of Okabe and Ito, which are distinct under every kind of colour blindness. Initial posture,
-target curve, Selection and Projection have the hues of the thesis: blue, black, red, green.
+The colours are those of Okabe and Ito, which are distinct under every kind of colour blindness. Initial
+posture, target curve, Selection and Projection have the hues of the thesis: blue, black, red, green.
 """
 
 from __future__ import annotations

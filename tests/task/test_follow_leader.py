@@ -18,8 +18,7 @@ from pinposture.collision.pipe import pipe, pipe_axis
 from pinposture.control import Limits
 from pinposture.curve import Curve
 from pinposture.errors import CurveBendsTooMuch, InvalidValue, UnknownName, UnsupportedModule
-from pinposture.task.deviation import path_deviation
-from pinposture.task.follow_leader import advance, follow_leader
+from pinposture.task.follow_leader import advance, follow_leader, path_deviation
 from pinposture.task.perform import perform
 
 LINK = 0.05
