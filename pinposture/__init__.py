@@ -56,8 +56,7 @@ if TYPE_CHECKING:
     from pinposture.task.follow_leader import follow_leader, path_deviation
     from pinposture.task.keyframe import Keyframe
     from pinposture.task.keyframes import keyframe_reference
-    from pinposture.task.perform import move_through, perform
-    from pinposture.task.task import Task
+    from pinposture.task.task import Task, move_through, perform
     from pinposture.viz import plot, plot_arm, plot_comparison, save_html, view
 
 __version__ = "0.1.0"

@@ -179,7 +179,7 @@ VERBS: dict[str, Callable[..., None]] = {
 }
 for name, verb in VERBS.items():
     _add(name, verb, app)
-for name, verb in studies.VERBS.items():
+for name, verb in studies.STUDIES.items():
     _add(name, verb, study)
 app.add_typer(study, name="study")
 

@@ -9,8 +9,8 @@ import typer
 
 from pinposture.cli.inputs import JsonOption
 from pinposture.cli.output import (
-    MOTION,
-    RUN,
+    MOTION_FILE,
+    RUN_FILE,
     examples,
     find_kept,
     load_kept,
@@ -36,7 +36,7 @@ def run(
         Path,
         typer.Argument(
             metavar="RUN",
-            help=f"A saved run or motion, or the directory that holds its {MOTION} or {RUN}.",
+            help=f"A saved run or motion, or the directory that holds its {MOTION_FILE} or {RUN_FILE}.",
         ),
     ],
     output: Annotated[

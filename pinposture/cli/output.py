@@ -251,13 +251,13 @@ def verdict_in_colour(summary: Mapping[str, Any]) -> tuple[str, str]:
 
 # The files that are kept of a run, or of a motion in time.
 
-RUN, PLOT, ANIMATION = "run.npz", "run.png", "run.html"
-FILES = {"run": RUN, "plot": PLOT, "animation": ANIMATION}
+RUN_FILE, PLOT, ANIMATION = "run.npz", "run.png", "run.html"
+FILES = {"run": RUN_FILE, "plot": PLOT, "animation": ANIMATION}
 
 BATCH = "batch.npz"
 """File of a directory that holds all runs of a batch."""
 
-MOTION = "motion.npz"
+MOTION_FILE = "motion.npz"
 FORMATS = ("npz", "csv", "json", "png", "html")
 """What a motion can be kept as: all of it, its joints as a table and for ROS, its plot, its animation."""
 
@@ -275,7 +275,7 @@ def keep(motion: Trajectory, directory: Path) -> None:
 
     write_plot(motion, directory / PLOT)
     write_animation(motion, directory / ANIMATION)
-    save(motion, directory / RUN)  # last: where it is, its pictures are
+    save(motion, directory / RUN_FILE)  # last: where it is, its pictures are
 
 
 def keep_motion(motion: Motion, directory: Path, formats: Sequence[str] = FORMATS) -> dict[str, str]:
@@ -297,7 +297,7 @@ def keep_motion(motion: Motion, directory: Path, formats: Sequence[str] = FORMAT
         advice = f"pinposture export {directory} --force writes one all the same"
         print_warning(f"no {named} for a robot: {'; '.join(motion.faults)}; {advice}")
         formats = [kind for kind in formats if kind not in held_back]
-    stem = directory / MOTION
+    stem = directory / MOTION_FILE
     files = {kind: stem.with_suffix(f".{kind}") for kind in reversed(FORMATS) if kind in formats}
     for kind, path in files.items():  # that with everything last: where it is, the others are
         if kind == "html":
@@ -322,12 +322,12 @@ def find_kept(path: Path) -> tuple[Path, str]:
     """
     if not path.is_dir():
         return path, ""
-    found = [path / name for name in (MOTION, RUN) if _is_kept(path / name)]
+    found = [path / name for name in (MOTION_FILE, RUN_FILE) if _is_kept(path / name)]
     if not found:
-        for name in (RUN, BATCH):
+        for name in (RUN_FILE, BATCH):
             if (path / name).exists():
                 return path / name, ""  # whoever reads it says what is wrong with it
-        raise FileError(path / RUN, f"no such file, and no {MOTION} that holds a motion")
+        raise FileError(path / RUN_FILE, f"no such file, and no {MOTION_FILE} that holds a motion")
     newest, *others = sorted(found, key=lambda file: file.stat().st_mtime_ns, reverse=True)
     return newest, f"{newest.name}, which is newer than {others[0].name}" if others else ""
 

@@ -345,7 +345,7 @@ def _duration(summary: Mapping[str, Any]) -> str:
 
 def _keyframes(places: list[dict[str, Any]]) -> str:
     """Named places, one a line, in columns."""
-    from pinposture.placement.curve_placement import Moved
+    from pinposture.placement.target import Moved
 
     width = max(len(place["name"]) for place in places)
     lines = []

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pinposture.cli.inputs import ARM, MOTION, ArmOptions, JsonOption, SceneOption, refuse_given
-from pinposture.cli.output import MOTION as MOTION_FILE
 from pinposture.cli.output import (
-    RUN,
+    MOTION_FILE,
+    RUN_FILE,
     closest_in_words,
     count_progress,
     end_with,
@@ -47,8 +47,8 @@ def run(
         Path,
         typer.Argument(
             metavar="RUN",
-            help=f"A saved run or motion, the directory that holds its {MOTION_FILE} or {RUN}, or a joint "
-            "trajectory (.csv, .json, .npz).",
+            help=f"A saved run or motion, the directory that holds its {MOTION_FILE} or {RUN_FILE}, or a "
+            "joint trajectory (.csv, .json, .npz).",
         ),
     ],
     urdf: Annotated[str | None, ARM("The arm of a joint trajectory, which does not hold it.", "URDF")] = None,

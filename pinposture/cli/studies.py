@@ -171,7 +171,7 @@ AS_CLOSE = 1.05
 RESIDUAL_ROUNDING = 1e-6
 """Distance from the curve, relative to the arm length, that is no fault: sampling of the curve, rounding."""
 
-_ARMS: Columns = {
+_ARM_COLUMNS: Columns = {
     "file": lambda row: row.file,
     "joints": lambda row: row.joints,
     "modules": lambda row: compressed(row.modules),
@@ -189,7 +189,7 @@ _ARMS: Columns = {
     "geodesic paths": lambda row: _short(row.path_length_ratio),
     "limits held": lambda row: "yes" if row.within_limits else "no",
 }
-_REFUSED: Columns = {"file": lambda row: row.file, "outcome": lambda row: f"refused: {row.refused}"}
+_REFUSED_COLUMNS: Columns = {"file": lambda row: row.file, "outcome": lambda row: f"refused: {row.refused}"}
 
 
 @examples(
@@ -237,7 +237,7 @@ def run_arms(
     }
     tried = [each for each in results if not each.refused]
     refused = [each for each in results if each.refused]
-    tables = ((_ARMS, tried), (_REFUSED, refused))
+    tables = ((_ARM_COLUMNS, tried), (_REFUSED_COLUMNS, refused))
     options.show(found, [_table(columns, rows) for columns, rows in tables if rows])
     if not results and not options.as_json:
         print_note(f"no arm of at least {least_joints} moving joints")
@@ -275,7 +275,7 @@ def compressed(sizes: tuple[int, ...]) -> str:
 
 # `pinposture study methods`: the methods side by side, as in Table 1.1 of the thesis, but measured.
 
-_METHODS: Columns = {
+_METHOD_COLUMNS: Columns = {
     "method": lambda row: row.controller,
     "posture error": lambda row: _short(row.posture_error),
     "tip error": lambda row: _short(row.end_effector_error),
@@ -327,13 +327,16 @@ def run_methods(
         arm, names, range(seeds), steps, options.jobs, lambda result: print_note(f"{result.controller}: done")
     )
     asked = {"arm": arm.model.name, "seeds": seeds, "steps": steps, "distances": list(DISTANCES)}
-    columns = {**_METHODS, **{f"peak at {DISTANCES[k]:g}": _peak(k) for k in range(0, len(DISTANCES), 2)}}
+    columns = {
+        **_METHOD_COLUMNS,
+        **{f"peak at {DISTANCES[k]:g}": _peak(k) for k in range(0, len(DISTANCES), 2)},
+    }
     options.show({**asked, "methods": [each._asdict() for each in results]}, [_table(columns, results)])
 
 
 # `pinposture study postures`: many starts, targets and controllers.
 
-_POSTURES: Columns = {
+_POSTURE_COLUMNS: Columns = {
     "runs": lambda row: row.runs,
     "controller": lambda row: row.controller,
     "< 1e-6": lambda row: _share(row.arrived),
@@ -397,7 +400,7 @@ def run_postures(
     tables = []
     for subject in subjects:
         own = [row for row in rows if row.arm == subject.name]
-        headings, lines = _table(_POSTURES, own)
+        headings, lines = _table(_POSTURE_COLUMNS, own)
         groups = [row.group for row in own]
         named = [
             group if group != before else "" for group, before in zip(groups, ["", *groups], strict=False)
@@ -469,7 +472,7 @@ def run_headings(
 
 # `pinposture study scenes`: an arm among obstacles, many times.
 
-_SCENES: Columns = {
+_SCENE_COLUMNS: Columns = {
     "scene": lambda row: row.scene,
     "runs": lambda row: row.runs,
     "reached": lambda row: f"{row.reached} of {row.reachable}",
@@ -519,7 +522,7 @@ def run_scenes(
     rows = by_scene(runs)
     asked = {"study": "scenes", "scenes": names, "seeds": seeds, "seed0": seed0}
     found = {**asked, "rows": _json_rows(rows)}
-    options.show(found, [_table(_SCENES, rows)])
+    options.show(found, [_table(_SCENE_COLUMNS, rows)])
     refused = [f"{row.scene} {row.refused}" for row in rows if row.refused]
     if refused:
         print_note(f"starts and targets that were drawn and refused: {', '.join(refused)}")
@@ -545,7 +548,7 @@ def _fault(run: SceneRun) -> str:
 
 # `pinposture study clutter`: finding a path among obstacles.
 
-_CLUTTER: Columns = {
+_CLUTTER_COLUMNS: Columns = {
     "kind": lambda row: row.kind,
     "planned": lambda row: f"{row.planned} of {row.problems}",
     "reached": lambda row: f"{row.reached} of {row.problems}",
@@ -594,7 +597,7 @@ def run_clutter(
     rows = by_kind(runs)
     asked = {"study": "clutter", "kinds": names, "seeds": seeds, "seed0": seed0}
     found = {**asked, "rows": [row._asdict() for row in rows]}
-    options.show(found, [_table(_CLUTTER, rows)])
+    options.show(found, [_table(_CLUTTER_COLUMNS, rows)])
     for each in runs:
         if not each.reached:
             print_warning(f"{each.kind}, seed {each.seed}: {each.hindrance or each.reason}")
@@ -696,7 +699,7 @@ def run_leader(
     options.keep(runs, found, leader=draw_leader)
 
 
-VERBS: dict[str, Callable[..., None]] = {
+STUDIES: dict[str, Callable[..., None]] = {
     "arms": run_arms,
     "methods": run_methods,
     "postures": run_postures,

@@ -292,7 +292,7 @@ def _whole_arm(summary: Mapping[str, Any]) -> dict[str, str]:
 def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
     """A summary as a person reads it; the verdict with the colour in which to print it."""
     first, last, mean = (summary[key] for key in ("start_error", "final_error", "mean_error"))
-    from pinposture.placement.curve_placement import Moved
+    from pinposture.placement.target import Moved
 
     off, length = summary["largest_residual"], summary["arm_length"]
     words: dict[str, str | tuple[str, str]] = {

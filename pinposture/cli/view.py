@@ -11,8 +11,8 @@ import typer
 
 from pinposture.cli.inputs import NoBrowserOption, read_points
 from pinposture.cli.output import (
-    MOTION,
-    RUN,
+    MOTION_FILE,
+    RUN_FILE,
     examples,
     find_kept,
     load_kept,
@@ -38,7 +38,7 @@ def run(
         Path,
         typer.Argument(
             metavar="RUN",
-            help=f"A saved run or motion, or the directory that holds its {RUN} or {MOTION}.",
+            help=f"A saved run or motion, or the directory that holds its {RUN_FILE} or {MOTION_FILE}.",
         ),
     ],
     html: Annotated[

@@ -22,8 +22,7 @@ from pinposture._validation import (
     as_vector,
     check_distinct,
 )
-from pinposture.curve.bspline import MAX_DEGREE, Parts
-from pinposture.curve.geometry import Geometry
+from pinposture.curve.geometry import MAX_DEGREE, Geometry, Parts
 from pinposture.errors import CurveError, InvalidValue
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.curve.construction import deviation
 from pinposture.errors import CurveError, InvalidValue, TaskError
-from pinposture.placement.curve_placement import beginning, place_curve
+from pinposture.placement.target import beginning, place_curve
 from pinposture.task import Keyframe, Task
 from pinposture.task.follow_leader import Leader
 

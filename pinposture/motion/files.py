@@ -31,7 +31,7 @@ from pinposture.motion.joint_files import (
 from pinposture.motion.joint_trajectory import JointTrajectory
 from pinposture.motion.trajectory import ENDINGS, Motion, Trajectory, Waypoint
 from pinposture.placement import Target
-from pinposture.placement.curve_placement import Moved
+from pinposture.placement.target import Moved
 from pinposture.storage import with_suffix, write_bytes
 
 Result = TypeVar("Result")

@@ -18,7 +18,7 @@ from pinposture.control.limits import cycle_of
 from pinposture.errors import MotionError
 from pinposture.motion.joint_trajectory import JointTrajectory, step_duration
 from pinposture.placement import Target
-from pinposture.placement.curve_placement import Moved, distance_from_curve
+from pinposture.placement.target import Moved, distance_from_curve
 
 # Speeds and accelerations of a motion relative to its limits.
 #

@@ -41,7 +41,7 @@ BENDINGS = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.4)
 SHARE = 0.9
 """Length of a path, at most, relative to the arm: the first joint stays where the way is straight."""
 
-STEP = 0.1
+FEED_STEP = 0.1
 """How far the feed goes from one posture to the next, in module lengths."""
 
 
@@ -149,7 +149,7 @@ def _one(name: str, shape: str, method: Method, bending: float) -> Following:
     radius = MODULE / bending
     rise = 100.0 * float(radius - np.sqrt(radius**2 - 0.25 * MODULE**2)) / length
     try:
-        reference = follow_leader(arm, path, STEP * MODULE, 1.0, method=method)
+        reference = follow_leader(arm, path, FEED_STEP * MODULE, 1.0, method=method)
     except TargetError as error:
         return Following(name, shape, bending, method, None, None, rise, None, str(error))
     q = np.array([reference.configuration(row) for row in range(reference.rows)])

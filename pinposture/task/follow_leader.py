@@ -18,8 +18,8 @@ from pinposture.arm import Arm
 from pinposture.curve import Curve
 from pinposture.errors import CurveBendsTooMuch, InvalidValue, TargetError, UnknownName, UnsupportedModule
 from pinposture.placement import Target
-from pinposture.placement.curve_placement import arm_axis, place_curve
 from pinposture.placement.resolve import place_in_turn
+from pinposture.placement.target import arm_axis, place_curve
 from pinposture.task.reference import Mark, Reference
 
 # An arm on a feed: a slide that pushes the whole arm along its own axis.

@@ -24,10 +24,10 @@ from pinposture.control.tasks import EndEffector
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, PostureError, PostureWarning, TargetError, TaskError, UnknownName
 from pinposture.placement import Target, resolve_targets
-from pinposture.placement.curve_placement import beginning
 from pinposture.placement.least_squares import FitProblem, refined, stiffness
 from pinposture.placement.module_kinematics import unit_arrays
 from pinposture.placement.resolve import FAR, METHODS, PLACEMENTS, STIFFNESS, far_moved
+from pinposture.placement.target import beginning
 from pinposture.task.reference import AnchoredCurve, BentCurve
 
 Array = NDArray[np.float64]

@@ -17,8 +17,8 @@ from pinposture.control import EndEffector
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, PostureWarning, TaskError
 from pinposture.placement import Target
-from pinposture.placement.curve_placement import Moved, arm_axis
 from pinposture.placement.least_squares import SAMPLES_PER_MODULE, Samples, transported_turns
+from pinposture.placement.target import Moved, arm_axis
 
 Array = NDArray[np.float64]
 

@@ -32,11 +32,13 @@ from pinposture.errors import UnknownName
 from pinposture.placement.resolve import METHODS, PLACEMENTS
 from pinposture.task.follow_leader import PATH_METHODS, PATH_PLACEMENTS
 from pinposture.task.keyframe import CONTINUITIES
-from pinposture.task.perform import DEFAULT_CYCLE
 from pinposture.task.toml import Place
 
 MOST_MODULES = 1000
 """The longest arm."""
+
+DEFAULT_CYCLE = 0.02
+"""Default duration of a control cycle [s]."""
 
 LONGEST_CYCLE = 60.0
 """The longest control cycle [s]."""

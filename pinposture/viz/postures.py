@@ -372,7 +372,7 @@ def draw_intermediate_postures(
 
 
 LARGEST_RADIUS = 0.2  # that is drawn, approximately, relative to the length of the arm
-SIDES = 48  # of the polygon that stands for an ellipse
+ELLIPSE_SIDES = 48  # of the polygon that stands for an ellipse
 INDEX_LABELS = {  # what the colours of ellipsoids say of their index (4.4)
     palette.SINGULAR: "0, singular",
     palette.WORSE: f"{palette.REGULAR_INDEX / 4:g}",
@@ -462,8 +462,8 @@ def _lever_arms(arm: Arm, point: int) -> Array:
 
 
 def _circle() -> Array:
-    """Return the unit circle as a closed line, (SIDES + 1, 2)."""
-    around = np.linspace(0.0, 2.0 * np.pi, SIDES + 1)
+    """Return the unit circle as a closed line, (ELLIPSE_SIDES + 1, 2)."""
+    around = np.linspace(0.0, 2.0 * np.pi, ELLIPSE_SIDES + 1)
     return np.column_stack([np.cos(around), np.sin(around)])
 
 

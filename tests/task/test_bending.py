@@ -15,7 +15,7 @@ from scipy.interpolate import BSpline, CubicHermiteSpline
 from task.keyed_arms import S_CURVE, coil
 
 import pinposture as pp
-from pinposture.placement.curve_placement import place_curve
+from pinposture.placement.target import place_curve
 from pinposture.task.reference import AnchoredCurve, Bending
 
 CURVES = {

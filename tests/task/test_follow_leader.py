@@ -19,7 +19,7 @@ from pinposture.control import Limits
 from pinposture.curve import Curve
 from pinposture.errors import CurveBendsTooMuch, InvalidValue, UnknownName, UnsupportedModule
 from pinposture.task.follow_leader import advance, follow_leader, path_deviation
-from pinposture.task.perform import perform
+from pinposture.task.task import perform
 
 LINK = 0.05
 

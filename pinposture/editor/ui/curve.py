@@ -27,7 +27,7 @@ from pinposture.editor.ui.parts import (
     put_at,
     quaternions,
 )
-from pinposture.placement.curve_placement import place_curve
+from pinposture.placement.target import place_curve
 from pinposture.task import Keyframe
 from pinposture.viz import palette
 from pinposture.viz.body import ball as ball_mesh
