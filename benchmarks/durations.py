@@ -29,8 +29,8 @@ from scipy.interpolate import CubicSpline
 import pinposture as pp
 from pinposture.arm import smooth_configuration
 from pinposture.kernels import load
-from pinposture.task.perform import ReferencePath
 from pinposture.task.reference import Reference
+from pinposture.task.task import ReferencePath
 
 CYCLE = 0.01
 LIMITS = ((1.0, 2.0), (1.0, 5.0), (1.0, 20.0), (1000.0, 5.0))

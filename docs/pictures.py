@@ -32,10 +32,9 @@ from pinposture.study.pictures import draw_clutter
 from pinposture.study.scenes import situation_arm
 from pinposture.task.reference import Reference
 from pinposture.viz import palette
-from pinposture.viz.axes import format_time_axes
-from pinposture.viz.ellipsoids import draw_ellipsoids, ellipsoid_key, shade_ellipsoids
+from pinposture.viz.palette import format_time_axes
 from pinposture.viz.panels import plot_clearance
-from pinposture.viz.postures import PosturePanel, draw_runs
+from pinposture.viz.postures import PosturePanel, draw_ellipsoids, draw_runs, ellipsoid_key, shade_ellipsoids
 
 Array = NDArray[np.float64]
 

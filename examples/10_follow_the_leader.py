@@ -9,9 +9,8 @@ import numpy as np
 
 import pinposture as pp
 from pinposture.collision.pipe import pipe, pipe_axis
-from pinposture.task.deviation import path_deviation
-from pinposture.task.follow_leader import follow_leader
-from pinposture.task.perform import perform
+from pinposture.task import perform
+from pinposture.task.follow_leader import follow_leader, path_deviation
 
 # An arm of 20 modules, 1 m long, on a slide that pushes all of it along its axis by up to 1.2 m.
 slide = pp.JointSpec("x", type="prismatic", lower=0.0, upper=1.2, velocity=0.1)

@@ -53,13 +53,11 @@ if TYPE_CHECKING:
     from pinposture.motion.track import track
     from pinposture.motion.track_many import track_many
     from pinposture.placement import PointFilter, Target, fit_points, resolve_targets
-    from pinposture.task.deviation import path_deviation
     from pinposture.task.find_path import find_path
-    from pinposture.task.follow_leader import follow_leader
+    from pinposture.task.follow_leader import follow_leader, path_deviation
     from pinposture.task.keyframe import Keyframe
     from pinposture.task.keyframes import keyframe_reference
-    from pinposture.task.perform import move_through, perform
-    from pinposture.task.task import Task
+    from pinposture.task.task import Task, move_through, perform
     from pinposture.viz import plot, plot_arm, plot_comparison, save_html, view
 
 __version__ = "0.1.0"

@@ -120,7 +120,7 @@ SHOWN: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
     ("pinposture.arm.arm", "Arm", show_arm),
     ("pinposture.placement.target", "Target", show_target),
     ("pinposture.motion.trajectory", "Trajectory", show_run),
-    ("pinposture.motion.motion", "Motion", show_motion),
+    ("pinposture.motion.trajectory", "Motion", show_motion),
     ("pinposture.motion.joint_trajectory", "JointTrajectory", show_joints),
 )
 """Classes that are shown, by module and name, and what shows them."""

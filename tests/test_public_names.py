@@ -15,7 +15,7 @@ SOURCE = Path(pp.__file__)
 
 
 def test_every_name_is_there_and_known_to_type_checkers() -> None:
-    (block,) = (node for node in ast.parse(SOURCE.read_text()).body if isinstance(node, ast.If))
+    block, _ = (node for node in ast.parse(SOURCE.read_text()).body if isinstance(node, ast.If))
     homes = {alias.name: node.module for node in block.body for alias in node.names}
     assert set(homes) == set(pp.__all__)
     assert list(pp.__all__) == sorted(pp.__all__)

@@ -35,7 +35,7 @@ def test_the_snippet_runs_and_the_arm_gets_there(
 
 
 def test_the_commands_shown_exist() -> None:
-    verbs = {command.callback.__module__.rpartition(".")[2] for command in app.registered_commands}
+    verbs = {command.name for command in app.registered_commands}
     verbs |= {group.name for group in app.registered_groups}
     shown = set(re.findall(r"^pinposture (\w+)", README, re.MULTILINE))
     assert shown == verbs

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import inspect
 import logging
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass
 from functools import wraps
+from inspect import Parameter, signature
 from typing import Annotated, Any
 
 import typer
@@ -19,15 +19,14 @@ from pinposture.cli import (
     edit,
     export,
     generate,
+    inspect,
     reach,
-    reproduce,
     run,
     simulate,
     studies,
     track,
     view,
 )
-from pinposture.cli import inspect as inspect_verb
 from pinposture.cli.output import print_error, verb_examples, warnings_as_notes
 from pinposture.errors import PostureError
 
@@ -142,14 +141,14 @@ def _add(name: str, run: Callable[..., None], group: typer.Typer) -> None:
 
 def _with_single_options(run: Callable[..., None]) -> Callable[..., None]:
     """A verb that takes the fields of its dataclasses of options one by one, as Typer reads them."""
-    signature = inspect.signature(run, eval_str=True)
+    own = signature(run, eval_str=True)
     groups: dict[str, Any] = {
-        name: each.annotation for name, each in signature.parameters.items() if is_dataclass(each.annotation)
+        name: each.annotation for name, each in own.parameters.items() if is_dataclass(each.annotation)
     }
-    single: list[inspect.Parameter] = []
-    for name, each in signature.parameters.items():
-        own = inspect.signature(groups[name], eval_str=True).parameters.values() if name in groups else [each]
-        single += [option.replace(kind=inspect.Parameter.KEYWORD_ONLY) for option in own]
+    single: list[Parameter] = []
+    for name, each in own.parameters.items():
+        options = signature(groups[name], eval_str=True).parameters.values() if name in groups else [each]
+        single += [option.replace(kind=Parameter.KEYWORD_ONLY) for option in options]
 
     @wraps(run)
     def verb(**given: Any) -> None:
@@ -159,27 +158,28 @@ def _with_single_options(run: Callable[..., None]) -> Callable[..., None]:
         }
         run(**given, **taken)
 
-    verb.__signature__ = signature.replace(parameters=single)  # type: ignore[attr-defined]
+    verb.__signature__ = own.replace(parameters=single)  # type: ignore[attr-defined]
     verb.__annotations__ = {each.name: each.annotation for each in single}
     return verb
 
 
-for module in (
-    generate,
-    inspect_verb,
-    track,
-    reach,
-    batch,
-    run,
-    edit,
-    view,
-    export,
-    simulate,
-    reproduce,
-    compile,
-):
-    _add(module.__name__.rpartition(".")[2], module.run, app)
-for name, verb in studies.VERBS.items():
+VERBS: dict[str, Callable[..., None]] = {
+    "generate": generate.run,
+    "inspect": inspect.run,
+    "track": track.run,
+    "reach": reach.run,
+    "batch": batch.run,
+    "run": run.run,
+    "edit": edit.run,
+    "view": view.run,
+    "export": export.run,
+    "simulate": simulate.run,
+    "reproduce": studies.run_reproduce,
+    "compile": compile.run,
+}
+for name, verb in VERBS.items():
+    _add(name, verb, app)
+for name, verb in studies.STUDIES.items():
     _add(name, verb, study)
 app.add_typer(study, name="study")
 

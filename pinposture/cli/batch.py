@@ -6,8 +6,6 @@ import csv
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from pinposture.cli.inputs import (
     MOTION,
     OUTPUT,
@@ -18,15 +16,15 @@ from pinposture.cli.inputs import (
     DegreesOption,
     JsonOption,
     LimitOptions,
+    PlacementOptions,
+    SceneOptions,
     ToleranceOption,
     UrdfArgument,
     as_configuration,
     numbers_in,
     read_start,
 )
-from pinposture.cli.output import count_progress, end_with, examples, print_result
-from pinposture.cli.results import BATCH
-from pinposture.cli.targets import PlacementOptions, SceneOptions
+from pinposture.cli.output import BATCH, count_progress, end_with, examples, print_result
 from pinposture.errors import InvalidValue, UnknownName
 
 if TYPE_CHECKING:
@@ -48,64 +46,40 @@ def run(
     arm_options: ArmOptions,
     curve: Annotated[
         list[str],
-        typer.Option(
-            metavar="CURVE",
-            help="A .json, .csv or .txt file, or a preset: line (1.1 m), helix (1.62 m). One or more.",
-            rich_help_panel=TARGET,
+        TARGET(
+            "A .json, .csv or .txt file, or a preset: line (1.1 m), helix (1.62 m). One or more.", "CURVE"
         ),
     ],
     placement_options: PlacementOptions,
     controller_options: ControllerOptions,
     starts: Annotated[
         str,
-        typer.Option(
-            metavar="STARTS",
-            help="straight, smooth or random, or a .csv or .npy file of joint positions with a row for each "
+        MOTION(
+            "straight, smooth or random, or a .csv or .npy file of joint positions with a row for each "
             "start.",
-            rich_help_panel=MOTION,
+            "STARTS",
         ),
     ] = "smooth",
     degrees: DegreesOption = False,
     count: Annotated[
         int | None,
-        typer.Option(
-            metavar="N",
-            help="Number of starts to draw, else 10; they are those of track with seeds from --seed on.",
-            rich_help_panel=MOTION,
-        ),
+        MOTION("Number of starts to draw, else 10; they are those of track with seeds from --seed on.", "N"),
     ] = None,
-    seed: Annotated[
-        int, typer.Option(help="What the first start is drawn from.", rich_help_panel=MOTION)
-    ] = 0,
-    steps: Annotated[
-        int, typer.Option(help="Number of steps after which a run stops.", rich_help_panel=MOTION)
-    ] = 300,
+    seed: Annotated[int, MOTION("What the first start is drawn from.")] = 0,
+    steps: Annotated[int, MOTION("Number of steps after which a run stops.")] = 300,
     tolerance: ToleranceOption = None,
     limit_options: LimitOptions,
     scene_options: SceneOptions,
     jobs: Annotated[
         int | None,
-        typer.Option(
-            metavar="N",
-            help="Number of processes; -1 for all there can be, which is what a long batch gets anyway.",
-            rich_help_panel=MOTION,
-        ),
+        MOTION("Number of processes; -1 for all there can be, which is what a long batch gets anyway.", "N"),
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="DIR",
-            help=f"Leave all runs here, in {BATCH}; else nothing is kept.",
-            rich_help_panel=OUTPUT,
-        ),
+        OUTPUT(f"Leave all runs here, in {BATCH}; else nothing is kept.", "DIR", flags="--output -o"),
     ] = None,
     ends_only: Annotated[
-        bool,
-        typer.Option(
-            "--ends-only", help="Leave how each run ended there, not the motions.", rich_help_panel=OUTPUT
-        ),
+        bool, OUTPUT("Leave how each run ended there, not the motions.", flags="--ends-only")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:

@@ -8,8 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pinposture.cli.inputs import JsonOption
-from pinposture.cli.output import examples, print_note, print_result, print_warning
-from pinposture.cli.results import MOTION, RUN, find_kept, load_kept
+from pinposture.cli.output import (
+    MOTION_FILE,
+    RUN_FILE,
+    examples,
+    find_kept,
+    load_kept,
+    print_note,
+    print_result,
+    print_warning,
+)
 from pinposture.errors import FileError, UnknownName
 
 if TYPE_CHECKING:
@@ -34,7 +42,7 @@ def run(
         Path,
         typer.Argument(
             metavar="RUN",
-            help=f"A saved run or motion, or the directory that holds its {MOTION} or {RUN}.",
+            help=f"A saved run or motion, or the directory that holds its {MOTION_FILE} or {RUN_FILE}.",
         ),
     ],
     output: Annotated[
@@ -66,8 +74,7 @@ def run(
         ),
     ] = False,
     coupled: Annotated[
-        bool,
-        typer.Option("--coupled", help="Write the joints that follow others (<mimic>), too."),
+        bool, typer.Option("--coupled", help="Write the joints that follow others (<mimic>), too.")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:

@@ -45,23 +45,12 @@ def run(
     template: Annotated[
         str, typer.Argument(metavar="TEMPLATE", help="Kind of module, RyRz for instance; --list shows them.")
     ],
-    modules: Annotated[
-        int, typer.Option("--modules", "-n", metavar="N", help="Number of modules.", rich_help_panel=ARM)
-    ],
+    modules: Annotated[int, ARM("Number of modules.", "N", flags="--modules -n")],
     link_lengths: Annotated[
         str | None,
-        typer.Option(
-            metavar="L,...",
-            help="Length of the link after each joint of a module, in metres; else the template's own.",
-            rich_help_panel=ARM,
-        ),
+        ARM("Length of the link after each joint of a module, in metres; else the template's own.", "L,..."),
     ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output", "-o", metavar="FILE", help="Write here, not to stdout.", rich_help_panel=OUTPUT
-        ),
-    ] = None,
+    output: Annotated[Path | None, OUTPUT("Write here, not to stdout.", "FILE", flags="--output -o")] = None,
     as_json: JsonOption = False,
     _: Annotated[
         bool,

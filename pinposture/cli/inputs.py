@@ -1,4 +1,4 @@
-"""What verbs read from the command line: arms, curves, starts, limits, controllers, control points."""
+"""What verbs read from the command line: arms, curves, starts, limits, controllers, scenes."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 
+from pinposture.cli.output import print_note
 from pinposture.errors import FileError, InvalidValue, UnknownName
 
 if TYPE_CHECKING:
@@ -20,18 +21,39 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pinposture.arm import Arm
+    from pinposture.collision import Scene
     from pinposture.control import Controller, ControlTask, Limits
     from pinposture.curve import Curve
-
-
-# What the verbs read from the command line: arms, curves, starts, and lists of numbers.
+    from pinposture.placement import Target
 
 STARTS = ("straight", "smooth", "random")
 AMPLITUDES = (0.2, 1.0)
 """Range of the largest joint position of a smooth start [rad or m]."""
 
-ARM, TARGET, MOTION, OUTPUT = "The arm", "The target", "The motion", "The output"
-"""Headings under which the help lists the options."""
+
+@dataclass(frozen=True)
+class Panel:
+    """A heading of the help; call it to make an option that is listed below it.
+
+    Attributes:
+        heading: the heading.
+    """
+
+    heading: str
+
+    def __call__(self, help: str, metavar: str | None = None, flags: str = "") -> Any:
+        """An option, for `Annotated`.
+
+        Args:
+            help: what the help says of it.
+            metavar: what the help writes for its value; None for the type.
+            flags: its names, separated by blanks; else that of the parameter.
+        """
+        return typer.Option(*flags.split(), metavar=metavar, help=help, rich_help_panel=self.heading)
+
+
+ARM, TARGET, MOTION, OUTPUT = map(Panel, ("The arm", "The target", "The motion", "The output"))
+LIMITS, TIP, SURROUNDINGS = map(Panel, ("The limits", "The tip", "The surroundings"))
 
 UrdfArgument = Annotated[
     str,
@@ -46,51 +68,36 @@ UrdfArgument = Annotated[
 class ArmOptions:
     """Which part of a description is the arm, and how it is cut into modules."""
 
-    base: Annotated[
-        str | None,
-        typer.Option(metavar="LINK", help="Link at which the arm begins; needs --tip.", rich_help_panel=ARM),
-    ] = None
-    tip: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LINK",
-            help="Link at which it ends, if not the end of the longest chain.",
-            rich_help_panel=ARM,
-        ),
-    ] = None
+    base: Annotated[str | None, ARM("Link at which the arm begins; needs --tip.", "LINK")] = None
+    tip: Annotated[str | None, ARM("Link at which it ends, if not the end of the longest chain.", "LINK")] = (
+        None
+    )
     modules: Annotated[
         str | None,
-        typer.Option(
-            metavar="N,...",
-            help="Joints per module, one number for all or one for each, or links at whose origins modules "
+        ARM(
+            "Joints per module, one number for all or one for each, or links at whose origins modules "
             "end: m01_l2,m02_l2; else as few joints as can follow a curve.",
-            rich_help_panel=ARM,
+            "N,...",
         ),
     ] = None
     locked: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME=VALUE",
-            help="Hold a joint still, at a position in rad or metres, or with a unit: elbow=0.5, "
+        ARM(
+            "Hold a joint still, at a position in rad or metres, or with a unit: elbow=0.5, "
             "elbow=30deg. May be repeated.",
-            rich_help_panel=ARM,
+            "NAME=VALUE",
         ),
     ] = None
     couple: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME=LEADER[,RATIO[,OFFSET]]",
-            help="Let a joint follow another, as <mimic> does: j3=j1, j4=j2,-0.5,5deg. May be repeated.",
-            rich_help_panel=ARM,
+        ARM(
+            "Let a joint follow another, as <mimic> does: j3=j1, j4=j2,-0.5,5deg. May be repeated.",
+            "NAME=LEADER[,RATIO[,OFFSET]]",
         ),
     ] = None
     package_dir: Annotated[
         list[Path] | None,
-        typer.Option(
-            metavar="DIR",
-            help="Folder to look for meshes in: a package, or one that holds packages. May be repeated.",
-            rich_help_panel=ARM,
-        ),
+        ARM("Folder to look for meshes in: a package, or one that holds packages. May be repeated.", "DIR"),
     ] = None
 
     def read(self, urdf: str) -> Arm:
@@ -125,31 +132,26 @@ class ArmOptions:
 
 DegreesOption = Annotated[
     bool,
-    typer.Option(
-        "--degrees",
-        help="Joint positions that are given are in degrees, where joints turn; else in rad.",
-        rich_help_panel=MOTION,
+    MOTION(
+        "Joint positions that are given are in degrees, where joints turn; else in rad.", flags="--degrees"
     ),
 ]
-JsonOption = Annotated[
-    bool, typer.Option("--json", help="Print one JSON object on stdout instead.", rich_help_panel=OUTPUT)
-]
-ViewOption = Annotated[
-    bool, typer.Option("--view", help="Show the motion in the browser at last.", rich_help_panel=OUTPUT)
-]
+
+JsonOption = Annotated[bool, OUTPUT("Print one JSON object on stdout instead.", flags="--json")]
+ViewOption = Annotated[bool, OUTPUT("Show the motion in the browser at last.", flags="--view")]
+
 NoBrowserOption = Annotated[
     bool, typer.Option("--no-browser", help="Print the address, but open no browser.")
 ]
+
 ToleranceOption = Annotated[
     float | None,
-    typer.Option(
-        help="Mean point error at which the arm is there, in metres; else 1e-6 of its length.",
-        rich_help_panel=MOTION,
-    ),
+    MOTION("Mean point error at which the arm is there, in metres; else 1e-6 of its length."),
 ]
+
 JobsOption = Annotated[
     int,
-    typer.Option(metavar="N", help="Number of processes; -1 for all there can be.", rich_help_panel=MOTION),
+    MOTION("Number of processes; -1 for all there can be.", "N"),
 ]
 
 
@@ -190,7 +192,7 @@ def _read_position(text: str) -> float:
     Raises:
         ValueError: it is none.
     """
-    from pinposture.task.document import read_quantity
+    from pinposture.task.specification import read_quantity
 
     numbers = _parsed(text)
     return read_quantity(text if numbers is None else numbers[0], "angle", "length")
@@ -372,8 +374,6 @@ _READERS = {".npy": _read_npy, ".csv": _read_csv, ".json": _read_json}
 
 
 # Control points on the command line: their numbers as pictures show them, from 1 at the base to the tip.
-
-
 def read_region(name: str, text: str, arm: Arm) -> tuple[int, int]:
     """Indices, 0-based, of the first and the last control point of a region given as "first-last", 1-based.
 
@@ -421,50 +421,32 @@ def read_points(name: str, text: str, arm: Arm) -> tuple[int, ...]:
 
 
 # The limits of a step on the command line.
-
-LIMITS = "The limits"
-"""Heading under which the help lists these options."""
-
-
 @dataclass(frozen=True)
 class LimitOptions:
     """The limits of a step."""
 
     step_limit: Annotated[
-        float,
-        typer.Option(
-            help="Largest motion of a joint in one step, in rad or metres; inf for none.",
-            rich_help_panel=LIMITS,
-        ),
+        float, LIMITS("Largest motion of a joint in one step, in rad or metres; inf for none.")
     ] = 0.1
     velocity: Annotated[
         str | None,
-        typer.Option(
-            metavar="V,...",
-            help="Largest speed of joints, in rad/s or m/s, one number for all or one for each; else the "
+        LIMITS(
+            "Largest speed of joints, in rad/s or m/s, one number for all or one for each; else the "
             "arm's own. Needs --dt.",
-            rich_help_panel=LIMITS,
+            "V,...",
         ),
     ] = None
     acceleration: Annotated[
         str | None,
-        typer.Option(
-            metavar="A,...",
-            help="Largest acceleration of joints, in rad/s^2 or m/s^2, one number or one for each; else "
+        LIMITS(
+            "Largest acceleration of joints, in rad/s^2 or m/s^2, one number or one for each; else "
             "there is no such limit. Needs --dt.",
-            rich_help_panel=LIMITS,
+            "A,...",
         ),
     ] = None
-    dt: Annotated[
-        float | None,
-        typer.Option(help="Duration of a step, in s; else speeds are not limited.", rich_help_panel=LIMITS),
-    ] = None
+    dt: Annotated[float | None, LIMITS("Duration of a step, in s; else speeds are not limited.")] = None
     position_margin: Annotated[
-        float,
-        typer.Option(
-            help="Distance to keep from the limits of joint positions, in rad or metres.",
-            rich_help_panel=LIMITS,
-        ),
+        float, LIMITS("Distance to keep from the limits of joint positions, in rad or metres.")
     ] = 0.0
 
     def read(self) -> Limits:
@@ -500,16 +482,14 @@ def _for_joints(option: str, text: str | None) -> float | NDArray[np.float64] | 
 
 
 # The controller on the command line.
-
 ControllerOption = Annotated[
     str,
-    typer.Option(
-        metavar="NAME",
-        help="What moves the arm: geodesic (directly, within limits, around obstacles); selection or "
+    MOTION(
+        "What moves the arm: geodesic (directly, within limits, around obstacles); selection or "
         "projection (those of the thesis) or switching (the two by turns); or, to compare with: joint "
         "(interpolation of joints), pinv (pseudo-inverse), task-constraints (points in its null space), "
         "extended or augmented (Jacobians), dls (damped least squares), lm (Levenberg-Marquardt).",
-        rich_help_panel=MOTION,
+        "NAME",
     ),
 ]
 
@@ -521,10 +501,9 @@ class ControllerOptions:
     controller: ControllerOption = "geodesic"
     joint_weight: Annotated[
         float | None,
-        typer.Option(
-            help="How far control points may go out of their way to spare joints theirs, in module lengths "
-            "per rad; else 0.2. Large numbers lead to interpolation of joints. With geodesic only.",
-            rich_help_panel=MOTION,
+        MOTION(
+            "How far control points may go out of their way to spare joints theirs, in module lengths "
+            "per rad; else 0.2. Large numbers lead to interpolation of joints. With geodesic only."
         ),
     ] = None
 
@@ -569,3 +548,103 @@ def _controller_named(name: str) -> Controller:
 
     register_baselines()
     return controller_named(name)
+
+
+# The target on the command line: a curve, how it is laid, and which control points are to follow it.
+CurveOption = Annotated[
+    str,
+    TARGET("A .json, .csv or .txt file, or a preset: line (1.1 m), helix (1.62 m).", "CURVE"),
+]
+
+
+@dataclass(frozen=True)
+class PlacementOptions:
+    """How a curve is laid, and which control points are to follow it."""
+
+    placement: Annotated[
+        str | None,
+        TARGET(
+            "How the curve is laid: as_is, translate (to the base) or align (turned to the arm too); "
+            "else as_is among obstacles, and align without.",
+            "NAME",
+        ),
+    ] = None
+    roll: Annotated[float, TARGET("Turn of an aligned curve about the axis of the arm, in rad.")] = 0.0
+    method: Annotated[
+        str,
+        TARGET(
+            "How modules are placed: sequential (one by one, exactly), smooth (all at once, bending "
+            "little), closest (all at once), or auto.",
+            "NAME",
+        ),
+    ] = "auto"
+    partial: Annotated[
+        bool, TARGET("Leave points free that have no place on the curve.", flags="--partial")
+    ] = False
+    region: Annotated[
+        str | None,
+        TARGET("Control points that are to take the shape, as in 10-20; the others are free.", "FIRST-LAST"),
+    ] = None
+
+    def place(self, arm: Arm, curve: str, scene: Scene | None) -> Target:
+        """Place the control points on a curve; say on stderr if some have no place.
+
+        Raises:
+            PostureError: as `read_curve`, `resolve_targets` and `read_region`.
+            InvalidValue: a curve on which not even the first module has a place.
+        """
+        from pinposture.placement import resolve_targets
+        from pinposture.task.keyframe import usual_placement
+
+        placement = usual_placement(scene) if self.placement is None else self.placement
+        target = resolve_targets(
+            arm,
+            read_curve(curve),
+            placement=cast(Literal["as_is", "translate", "align"], placement),  # checked there
+            roll=self.roll,
+            incomplete="partial" if self.partial else "raise",
+            method=cast(Literal["auto", "sequential", "smooth", "closest"], self.method),
+        )
+        count = target.has_target.sum()
+        if not count:
+            raise InvalidValue(
+                "--curve", curve, f"one with a place for the first module: {target.incomplete}"
+            )
+        if target.incomplete:
+            print_note(f"only the first {count} of {arm.n_modules} control points have a place")
+        return target if self.region is None else target.region(*read_region("--region", self.region, arm))
+
+
+# What is around an arm on the command line: scene files, and how far an arm is from what is in them.
+SceneOption = Annotated[
+    Path | None,
+    SURROUNDINGS("A .toml or .json file of obstacles.", "FILE", flags="--scene"),
+]
+
+
+@dataclass(frozen=True)
+class SceneOptions:
+    """What the arm must keep clear of."""
+
+    scene: SceneOption = None
+    self_collision: Annotated[
+        bool, SURROUNDINGS("Count the arm itself among what it must keep clear of.", flags="--self-collision")
+    ] = False
+
+    @property
+    def file(self) -> str | None:
+        """The file, for a summary."""
+        return None if self.scene is None else str(self.scene)
+
+    def read(self) -> Scene | None:
+        """The scene of the file, with self-collision if asked for; None if there is neither.
+
+        Raises:
+            FileError: the file is missing, or holds no scene.
+        """
+        from pinposture.collision import Scene
+
+        scene = None if self.scene is None else Scene.load(self.scene)
+        if not self.self_collision:
+            return scene
+        return Scene(self_collision=True) if scene is None else replace(scene, self_collision=True)

@@ -6,24 +6,22 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from pinposture.cli.inputs import (
     OUTPUT,
     TARGET,
     ArmOptions,
     JsonOption,
+    SceneOptions,
     UrdfArgument,
     read_curve,
     read_points,
 )
-from pinposture.cli.output import examples, print_facts, print_json, print_note, print_table
-from pinposture.cli.results import write_picture
-from pinposture.cli.targets import SceneOptions, describe_scene, print_scene
+from pinposture.cli.output import examples, print_facts, print_json, print_note, print_table, write_picture
 from pinposture.errors import InvalidValue, UnsupportedModule
 
 if TYPE_CHECKING:
     from pinposture.arm import Arm
+    from pinposture.collision import Scene
 
 
 @examples(
@@ -42,28 +40,20 @@ def run(
     arm_options: ArmOptions,
     curve: Annotated[
         str | None,
-        typer.Option(
-            metavar="CURVE",
-            help="Tell how well the arm can follow this curve, laid at its base: a file, line or helix.",
-            rich_help_panel=TARGET,
+        TARGET(
+            "Tell how well the arm can follow this curve, laid at its base: a file, line or helix.", "CURVE"
         ),
     ] = None,
     scene_options: SceneOptions,
     plot: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Leave a PNG picture of modules, joint axes and control points here.",
-            rich_help_panel=OUTPUT,
-        ),
+        Path | None, OUTPUT("Leave a PNG picture of modules, joint axes and control points here.", "FILE")
     ] = None,
     ellipsoids: Annotated[
         str | None,
-        typer.Option(
-            metavar="N,...|all",
-            help="Tell how near a singularity these control points are, counted from 1 at the base, in place "
+        OUTPUT(
+            "Tell how near a singularity these control points are, counted from 1 at the base, in place "
             "of the tip; with --plot, draw their manipulability ellipsoids.",
-            rich_help_panel=OUTPUT,
+            "N,...|all",
         ),
     ] = None,
     as_json: JsonOption = False,
@@ -95,15 +85,8 @@ def run(
 
         write_picture(plot_arm(arm, ellipsoids=points, scene=surroundings), plot)
     if as_json:
-        print_json(
-            {
-                "file": urdf,
-                **about,
-                "curve": followed,
-                "scene": around,
-                "plot": None if plot is None else str(plot),
-            }
-        )
+        drawn = None if plot is None else str(plot)
+        print_json({"file": urdf, **about, "curve": followed, "scene": around, "plot": drawn})
     else:
         _print_tables(about if followed is None else {**about, "curve": followed})
         if around is not None:
@@ -112,12 +95,26 @@ def run(
         print_note(f"wrote {plot}")
 
 
-_JOINT_KEYS = ("module", "name", "type", "parent", "child", "lower", "upper", "velocity")
-_JOINT_HEADINGS = ("module", "joint", "type", "parent", "child", "lower", "upper", "speed")
-_COUPLED_KEYS = ("follows", "ratio", "offset")
-_POINT_HEADINGS = ("module", "control point", "module length [m]", "x [m]", "y [m]", "z [m]")
-_MEASURE_KEYS = ("module", "name", "measure", "condition", "minimum_singular_value", "index")
-_MEASURE_HEADINGS = ("module", "control point", "measure", "condition", "min. singular value", "index")
+_JOINTS = {
+    "module": "module",
+    "joint": "name",
+    "type": "type",
+    "parent": "parent",
+    "child": "child",
+    "lower": "lower",
+    "upper": "upper",
+    "speed": "velocity",
+}
+"""The headings of the table of joints, and what is below them; likewise the following."""
+_COUPLED = {"follows": "follows", "ratio": "ratio", "offset": "offset"}
+_MEASURES = {
+    "module": "module",
+    "control point": "name",
+    "measure": "measure",
+    "condition": "condition",
+    "min. singular value": "minimum_singular_value",
+    "index": "index",
+}
 
 
 def _print_tables(about: Mapping[str, Any]) -> None:
@@ -139,17 +136,16 @@ def _print_tables(about: Mapping[str, Any]) -> None:
     }
     notes = {"note" if k == 0 else " " * k: text for k, text in enumerate(about["warnings"])}
     print_facts({**facts, **notes})
-    more = _COUPLED_KEYS if coupled else ()
-    keys, headings = (*_JOINT_KEYS, *more), (*_JOINT_HEADINGS, *more)
-    print_table(headings, [tuple(joint.get(key) for key in keys) for joint in about["joints"]])
-    points = [
-        (point["module"], point["name"], point["length"], *point["position"])
-        for point in about["control_points"]
-    ]
-    print_table(_POINT_HEADINGS, points)
+    joints = _JOINTS | (_COUPLED if coupled else {})
+    print_table(tuple(joints), [[joint.get(key) for key in joints.values()] for joint in about["joints"]])
+    headings = ("module", "control point", "module length [m]", "x [m]", "y [m]", "z [m]")
+    points = about["control_points"]
+    print_table(
+        headings, [(each["module"], each["name"], each["length"], *each["position"]) for each in points]
+    )
     # As text, because a table shows an infinite number as an absent one.
     told = [{**one, "condition": f"{one['condition']:.4g}"} for one in about["manipulability"]]
-    print_table(_MEASURE_HEADINGS, [tuple(one[key] for key in _MEASURE_KEYS) for one in told])
+    print_table(tuple(_MEASURES), [[one[key] for key in _MEASURES.values()] for one in told])
 
 
 def describe(arm: Arm, measured: Sequence[int]) -> dict[str, Any]:
@@ -284,3 +280,51 @@ def _without_closed_form(arm: Arm) -> str:
     except UnsupportedModule as error:
         return str(error)
     return ""
+
+
+def describe_scene(scene: Scene, arm: Arm) -> dict[str, Any]:
+    """A scene around an arm at zero joint positions, as data that JSON can hold; lengths in metres."""
+    import numpy as np
+
+    from pinposture.collision import CollisionModel
+
+    clearance = CollisionModel(arm, scene)
+    near = clearance.nearest(arm.at(arm.neutral()), np.inf)
+    nearest: dict[str, tuple[str, float]] = {}
+    for pair, distance in zip(near.pairs, near.distances, strict=True):
+        for one, other in (pair, pair[::-1]):
+            nearest.setdefault(one, (other, float(distance)))
+
+    def beside(name: str) -> dict[str, Any]:
+        other, distance = nearest.get(name, (None, None))
+        return {"nearest": other, "distance": distance}
+
+    return {
+        "margin": scene.margin,
+        "self_collision": scene.self_collision,
+        "pairs": len(clearance.pairs),
+        "excluded_pairs": [each._asdict() for each in clearance.excluded_pairs],
+        "obstacles": [
+            {"name": name, **obstacle.to_dict(embed=False), **beside(name)}
+            for name, obstacle in scene.obstacles.items()
+        ],
+        "bodies": [{"name": name, **beside(name)} for name in dict.fromkeys(clearance.bodies)],
+    }
+
+
+def print_scene(about: Mapping[str, Any]) -> None:
+    """Print what `describe_scene` found: obstacles, bodies of the arm, and what is nearest to each."""
+    excluded = [f"{each['first']} to {each['second']}" for each in about["excluded_pairs"]]
+    facts = {
+        "margin": f"{about['margin']:.4g} m",
+        "to itself": "distances of the arm from itself count" if about["self_collision"] else "not looked at",
+        "pairs": f"{about['pairs']}, nearest at zero joint positions below",
+    }
+    print_facts({**facts, **({"excluded pairs": ", ".join(excluded)} if excluded else {})})
+    for kind, headings in (("obstacles", ("obstacle", "type")), ("bodies", ("body",))):
+        rows = [
+            (one["name"], *([one["type"]] if "type" in one else []), one["nearest"] or "-", one["distance"])
+            for one in about[kind]
+        ]
+        if rows:
+            print_table((*headings, "nearest to it", "distance [m]"), rows)

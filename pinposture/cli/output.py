@@ -1,27 +1,28 @@
-"""What is printed and where: data on stdout, all else on stderr; progress bars."""
+"""What a command leaves: data on stdout, all else on stderr, progress bars, and files."""
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from pinposture.errors import PostureWarning
+from pinposture.errors import FileError, PostureWarning
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from rich.console import RenderableType
 
+    from pinposture.motion import Motion, Trajectory
     from pinposture.motion.track import Callback
     from pinposture.placement import Target
-
-
-# What is printed, and where: data on stdout, everything else on stderr.
 
 verb_examples: dict[Callable[..., None], tuple[str, ...]] = {}
 """Command lines that the help of each verb shows."""
@@ -82,7 +83,10 @@ def print_facts(facts: Mapping[str, str | tuple[str, str]]) -> None:
     _print(table)
 
 
-def print_table(headings: Sequence[str], rows: Sequence[Sequence[str | float | None]]) -> None:
+Cell = str | float | None
+
+
+def print_table(headings: Sequence[str], rows: Sequence[Sequence[Cell]]) -> None:
     """Print a table on stdout; numbers are set to the right, None is a dash."""
     from rich.box import SIMPLE
     from rich.table import Table
@@ -98,7 +102,7 @@ def print_table(headings: Sequence[str], rows: Sequence[Sequence[str | float | N
     _print(table)
 
 
-def _cell(value: str | float | None) -> str:
+def _cell(value: Cell) -> str:
     if isinstance(value, float):
         return f"{value:.4g}" if math.isfinite(value) else "-"
     return "-" if value is None else str(value)
@@ -169,30 +173,17 @@ def step_progress(target: Target, steps: int) -> Iterator[Callback]:
     Yields:
         What `track` is to call after each step.
     """
-    if not sys.stderr.isatty():
-        yield lambda *_: None
-        return
     import numpy as np
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn
 
     # Short enough that the ^C of the terminal fits behind it: on a full line it would spoil the next one.
-    columns = (
-        TextColumn("tracking"),
-        BarColumn(bar_width=20),
-        TextColumn("step {task.completed} of {task.total}, posture error {task.fields[error]:.4g} m"),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("", total=steps, error=math.nan)
+    text = "step {task.completed} of {task.total}, posture error {task.fields[error]:.4g} m"
+    with _progress_bar("tracking", text) as update:
 
         def show(step: int, state: Any, _: object) -> None:
             distances = np.linalg.norm(target.points - state.points, axis=1)
-            progress.update(task, completed=step, error=float(distances[target.has_target].sum()))
+            update(step, steps, error=float(distances[target.has_target].sum()))
 
         yield show
-
-
-# A bar for work whose length is known.
 
 
 @contextmanager
@@ -220,7 +211,7 @@ def time_progress() -> Iterator[Callable[[float, float], object]]:
 def _progress_bar(label: str, text: str, remaining: bool = False) -> Iterator[Callable[..., object]]:
     """A bar on stderr that appears with its first update, a function of what is done and of all."""
     if not sys.stderr.isatty():
-        yield lambda *_: None
+        yield lambda *_, **__: None
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -228,11 +219,10 @@ def _progress_bar(label: str, text: str, remaining: bool = False) -> Iterator[Ca
     columns = [TextColumn(label), BarColumn(bar_width=20), TextColumn(text)]
     more = [TimeRemainingColumn()] if remaining else []
     with Progress(*columns, *more, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("", total=1.0, visible=False)
-        yield lambda done, total: progress.update(task, completed=done, total=total, visible=True)
-
-
-# The smallest distance that an arm had from what it was to keep clear of, in words.
+        task = progress.add_task("", total=1.0, visible=False, error=math.nan)
+        yield lambda done, total, **more: progress.update(
+            task, completed=done, total=total, visible=True, **more
+        )
 
 
 def closest_in_words(clearance: Mapping[str, Any], dt: float | None = None) -> str:
@@ -252,3 +242,143 @@ def closest_in_words(clearance: Mapping[str, Any], dt: float | None = None) -> s
         f"{clearance['smallest']:.4g} m where it is smallest, {' to '.join(clearance['pair'])}, {after}; "
         f"{clearance['final']:.4g} m at the end; the margin is {clearance['margin']:.4g} m"
     )
+
+
+def verdict_in_colour(summary: Mapping[str, Any]) -> tuple[str, str]:
+    """What to think of a motion, with the colour in which to print it."""
+    return str(summary["verdict"]), "yellow" if summary["faults"] else "green"
+
+
+# The files that are kept of a run, or of a motion in time.
+
+RUN_FILE, PLOT, ANIMATION = "run.npz", "run.png", "run.html"
+FILES = {"run": RUN_FILE, "plot": PLOT, "animation": ANIMATION}
+
+BATCH = "batch.npz"
+"""File of a directory that holds all runs of a batch."""
+
+MOTION_FILE = "motion.npz"
+FORMATS = ("npz", "csv", "json", "png", "html")
+"""What a motion can be kept as: all of it, its joints as a table and for ROS, its plot, its animation."""
+
+FOR_ROBOTS = ("csv", "json")
+"""Those of them that are handed to a robot."""
+
+
+def keep(motion: Trajectory, directory: Path) -> None:
+    """Write a run, its plot and its animation into a directory.
+
+    Raises:
+        FileError: one of them cannot be written.
+    """
+    from pinposture.motion import save
+
+    write_plot(motion, directory / PLOT)
+    write_animation(motion, directory / ANIMATION)
+    save(motion, directory / RUN_FILE)  # last: where it is, its pictures are
+
+
+def keep_motion(motion: Motion, directory: Path, formats: Sequence[str] = FORMATS) -> dict[str, str]:
+    """Write a motion in time into a directory, in some of `FORMATS`.
+
+    What is for robots is left out if the motion has faults; it is said on stderr.
+
+    Returns:
+        The path of the file of each format, in the order in which they were written.
+
+    Raises:
+        FileError: one of them cannot be written.
+    """
+    from pinposture.motion import save
+
+    held_back = [kind for kind in formats if motion.faults and kind in FOR_ROBOTS]
+    if held_back:
+        named = " and ".join(f"motion.{kind}" for kind in held_back)
+        advice = f"pinposture export {directory} --force writes one all the same"
+        print_warning(f"no {named} for a robot: {'; '.join(motion.faults)}; {advice}")
+        formats = [kind for kind in formats if kind not in held_back]
+    stem = directory / MOTION_FILE
+    files = {kind: stem.with_suffix(f".{kind}") for kind in reversed(FORMATS) if kind in formats}
+    for kind, path in files.items():  # that with everything last: where it is, the others are
+        if kind == "html":
+            write_animation(motion, path)
+        elif kind == "png":
+            write_plot(motion, path)
+        elif kind == "npz":
+            save(motion, path)
+        else:
+            save(motion.joint_trajectory(), path)
+    return {kind: str(path) for kind, path in files.items()}
+
+
+def find_kept(path: Path) -> tuple[Path, str]:
+    """The file of a run or a motion: a file itself, or in a directory the newer one.
+
+    Returns:
+        The file, and if there were two which one was taken, in words.
+
+    Raises:
+        FileError: a directory that holds neither.
+    """
+    if not path.is_dir():
+        return path, ""
+    found = [path / name for name in (MOTION_FILE, RUN_FILE) if _is_kept(path / name)]
+    if not found:
+        for name in (RUN_FILE, BATCH):
+            if (path / name).exists():
+                return path / name, ""  # whoever reads it says what is wrong with it
+        raise FileError(path / RUN_FILE, f"no such file, and no {MOTION_FILE} that holds a motion")
+    newest, *others = sorted(found, key=lambda file: file.stat().st_mtime_ns, reverse=True)
+    return newest, f"{newest.name}, which is newer than {others[0].name}" if others else ""
+
+
+def _is_kept(path: Path) -> bool:
+    """Whether a file holds a run, or a motion; joints that were exported under that name are neither."""
+    from pinposture.motion import Motion, Trajectory
+    from pinposture.motion.files import kind_of
+
+    return kind_of(path) in (Trajectory, Motion)
+
+
+def load_kept(path: Path) -> Trajectory | Motion:
+    """Read a run or a motion; raises FileError if the file is missing, or holds neither."""
+    from pinposture.motion import Motion, Trajectory, load
+    from pinposture.motion.files import kind_of
+
+    return load(path, Motion) if kind_of(path) is Motion else load(path, Trajectory)
+
+
+def write_plot(motion: Trajectory | Motion, path: Path) -> None:
+    """Write the plot of a run or a motion as PNG, whatever the name of the file."""
+    from pinposture.viz import plot
+
+    write_picture(plot(motion), path)
+
+
+def write_picture(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG, whatever the name of the file.
+
+    Raises:
+        FileError: it cannot be written.
+    """
+    from pinposture.storage import write_bytes
+
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png")
+    write_bytes(path, picture.getvalue())
+
+
+def write_animation(motion: Trajectory | Motion, path: Path, ellipsoids: Sequence[int] = ()) -> Path:
+    """Write the animation of a run or a motion as one HTML file.
+
+    Args:
+        motion: the run, or the motion.
+        path: the file.
+        ellipsoids: indices of the control points to show the manipulability ellipsoids of, 0-based.
+
+    Returns:
+        The path written, which ends in .html.
+    """
+    from pinposture.viz import save_html
+
+    return save_html(motion.arm, motion, path, ellipsoids=ellipsoids)

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from pinposture.cli.inputs import (
     MOTION,
     OUTPUT,
@@ -16,13 +14,21 @@ from pinposture.cli.inputs import (
     ArmOptions,
     DegreesOption,
     JsonOption,
+    SceneOptions,
     UrdfArgument,
     read_numbers,
     read_start,
 )
-from pinposture.cli.output import end_with, examples, print_json, print_note, print_table
-from pinposture.cli.results import FILES, keep, write_picture
-from pinposture.cli.targets import SceneOptions
+from pinposture.cli.output import (
+    FILES,
+    end_with,
+    examples,
+    keep,
+    print_json,
+    print_note,
+    print_table,
+    write_picture,
+)
 from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:
@@ -47,55 +53,31 @@ def run(
     *,
     urdf: UrdfArgument,
     arm_options: ArmOptions,
-    to: Annotated[
-        str,
-        typer.Option(
-            "--to", metavar="X,Y,Z", help="Where the tip should be, in metres.", rich_help_panel=TARGET
-        ),
-    ],
-    direction: Annotated[
-        str | None,
-        typer.Option(metavar="X,Y,Z", help="Where the last link should point.", rich_help_panel=TARGET),
-    ] = None,
+    to: Annotated[str, TARGET("Where the tip should be, in metres.", "X,Y,Z", flags="--to")],
+    direction: Annotated[str | None, TARGET("Where the last link should point.", "X,Y,Z")] = None,
     tolerance: Annotated[
-        float | None,
-        typer.Option(
-            help="How far off the tip may be, in metres; else 1e-6 of the arm's length.",
-            rich_help_panel=TARGET,
-        ),
+        float | None, TARGET("How far off the tip may be, in metres; else 1e-6 of the arm's length.")
     ] = None,
     scene_options: SceneOptions,
     start: Annotated[
         str | None,
-        typer.Option(
-            metavar="START",
-            help="Where paths begin: straight, smooth or random, a .npy, .csv or .json file of joint "
+        MOTION(
+            "Where paths begin: straight, smooth or random, a .npy, .csv or .json file of joint "
             "positions, or 0.1,0.2,...; else no paths are looked for.",
-            rich_help_panel=MOTION,
+            "START",
         ),
     ] = None,
     degrees: DegreesOption = False,
-    count: Annotated[
-        int, typer.Option(help="How many different postures are wanted.", rich_help_panel=TARGET)
-    ] = 1,
-    seed: Annotated[
-        int,
-        typer.Option(
-            help="What the search, and a smooth or random start, is drawn from.", rich_help_panel=MOTION
-        ),
-    ] = 0,
-    budget: Annotated[
-        float, typer.Option(help="Time for the search and the paths, in seconds.", rich_help_panel=MOTION)
-    ] = 5.0,
+    count: Annotated[int, TARGET("How many different postures are wanted.")] = 1,
+    seed: Annotated[int, MOTION("What the search, and a smooth or random start, is drawn from.")] = 0,
+    budget: Annotated[float, MOTION("Time for the search and the paths, in seconds.")] = 5.0,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="DIR",
-            help="Leave postures.png and a posture_1.json for each posture here; with --start the run to "
+        OUTPUT(
+            "Leave postures.png and a posture_1.json for each posture here; with --start the run to "
             "the best, too: run.npz, run.png and run.html.",
-            rich_help_panel=OUTPUT,
+            "DIR",
+            flags="--output -o",
         ),
     ] = None,
     as_json: JsonOption = False,

@@ -8,19 +8,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pinposture.cli.inputs import ARM, MOTION, ArmOptions, JsonOption, refuse_given
+from pinposture.cli.inputs import ARM, MOTION, ArmOptions, JsonOption, SceneOption, refuse_given
 from pinposture.cli.output import (
+    MOTION_FILE,
+    RUN_FILE,
     closest_in_words,
     count_progress,
     end_with,
     examples,
+    find_kept,
+    load_kept,
     print_note,
     print_result,
     print_warning,
+    verdict_in_colour,
+    write_picture,
 )
-from pinposture.cli.results import MOTION as MOTION_FILE
-from pinposture.cli.results import RUN, find_kept, load_kept, verdict_in_colour, write_picture
-from pinposture.cli.targets import SceneOption
 from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:
@@ -44,62 +47,33 @@ def run(
         Path,
         typer.Argument(
             metavar="RUN",
-            help=f"A saved run or motion, the directory that holds its {MOTION_FILE} or {RUN}, or a joint "
-            "trajectory (.csv, .json, .npz).",
+            help=f"A saved run or motion, the directory that holds its {MOTION_FILE} or {RUN_FILE}, or a "
+            "joint trajectory (.csv, .json, .npz).",
         ),
     ],
-    urdf: Annotated[
-        str | None,
-        typer.Option(
-            metavar="URDF", help="The arm of a joint trajectory, which does not hold it.", rich_help_panel=ARM
-        ),
-    ] = None,
+    urdf: Annotated[str | None, ARM("The arm of a joint trajectory, which does not hold it.", "URDF")] = None,
     arm_options: ArmOptions,
     closed: Annotated[
         bool,
-        typer.Option(
-            "--closed",
-            help="Drive it by the streaming controller, told where the arm is; else send it the motion.",
-            rich_help_panel=MOTION,
+        MOTION(
+            "Drive it by the streaming controller, told where the arm is; else send it the motion.",
+            flags="--closed",
         ),
     ] = False,
-    no_gravity: Annotated[
-        bool, typer.Option("--no-gravity", help="Leave gravity out.", rich_help_panel=MOTION)
-    ] = False,
+    no_gravity: Annotated[bool, MOTION("Leave gravity out.", flags="--no-gravity")] = False,
     frequency: Annotated[
-        float,
-        typer.Option(
-            metavar="HZ",
-            help="Natural frequency of the slowest vibration of the arm on its servos.",
-            rich_help_panel=MOTION,
-        ),
+        float, MOTION("Natural frequency of the slowest vibration of the arm on its servos.", "HZ")
     ] = 10.0,
     no_torque_limits: Annotated[
-        bool,
-        typer.Option(
-            "--no-torque-limits",
-            help="Let servos give more than the effort in the description.",
-            rich_help_panel=MOTION,
-        ),
+        bool, MOTION("Let servos give more than the effort in the description.", flags="--no-torque-limits")
     ] = False,
     dt: Annotated[
-        float | None,
-        typer.Option(
-            metavar="S",
-            help="Duration of a cycle in seconds; needed if the run was made without one.",
-            rich_help_panel=MOTION,
-        ),
+        float | None, MOTION("Duration of a cycle in seconds; needed if the run was made without one.", "S")
     ] = None,
-    hold: Annotated[
-        float,
-        typer.Option(metavar="S", help="Seconds to go on for after the motion.", rich_help_panel=MOTION),
-    ] = 2.0,
+    hold: Annotated[float, MOTION("Seconds to go on for after the motion.", "S")] = 2.0,
     tolerance: Annotated[
         float | None,
-        typer.Option(
-            help="Mean point error at which the arm is there at the end, in metres; else 1 % of its length.",
-            rich_help_panel=MOTION,
-        ),
+        MOTION("Mean point error at which the arm is there at the end, in metres; else 1 % of its length."),
     ] = None,
     scene: SceneOption = None,
     output: Annotated[

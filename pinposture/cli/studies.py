@@ -1,8 +1,9 @@
-"""The verbs `pinposture study ...`."""
+"""The verbs of evidence: `pinposture study ...`, and `pinposture reproduce`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,106 +20,140 @@ from pinposture.cli.inputs import (
     JsonOption,
     read_numbers,
 )
-from pinposture.cli.output import count_progress, examples, print_json, print_note, print_table, print_warning
+from pinposture.cli.output import (
+    Cell,
+    count_progress,
+    examples,
+    print_json,
+    print_note,
+    print_table,
+    print_warning,
+)
 from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from pinposture.study import ArmSurvey, Bin, MethodResult, Record, SceneRow, Spread, Subject, SummaryRow
-    from pinposture.study.clutter import ClutterRow
-    from pinposture.study.cycles import PostureCycle
-    from pinposture.study.leader import Following
-    from pinposture.study.scenes import SceneRun
+    from pinposture.study import ArmSurvey, Record, SceneRun, Spread, Subject
+    from pinposture.study.reproduce import Reproduction
 
 
-# What the verbs that drive many arms have in common: options, names, refusals.
+# What the verbs have in common: options, a bar while it runs, tables, files.
 
-ArmsOption = Annotated[
-    str | None,
-    typer.Option(metavar="NAME,...", help="Arms that are built in: ryrz20,planar45.", rich_help_panel=ARM),
-]
-ControllersOption = Annotated[
-    str | None,
-    typer.Option(metavar="NAME,...", help="Controllers to compare.", rich_help_panel=MOTION),
-]
-SeedOption = Annotated[int, typer.Option("--seed0", metavar="N", help="First seed.", rich_help_panel=MOTION)]
+ArmsOption = Annotated[str | None, ARM("Arms that are built in: ryrz20,planar45.", "NAME,...")]
+ControllersOption = Annotated[str | None, MOTION("Controllers to compare.", "NAME,...")]
+SeedOption = Annotated[int, MOTION("First seed.", "N", flags="--seed0")]
 
+Columns = Mapping[str, Callable[[Any], Cell]]
+"""The headings of a table, and what stands below them for a row."""
 
-def _output_option(help: str) -> Any:
-    return typer.Option("--output", "-o", metavar="DIR", help=help, rich_help_panel=OUTPUT)
+Table = tuple[Sequence[str], Sequence[Sequence[Cell]]]
 
 
-_ROWS = "Leave a row for each {} (cases.csv)"
-OutputOption = Annotated[
-    Path | None, _output_option(f"{_ROWS.format('run')}, the summary (summary.json) and a picture here.")
-]
-RunRowsOption = Annotated[
-    Path | None, _output_option(f"{_ROWS.format('run')} and the summary (summary.json) here.")
-]
-ProblemRowsOption = Annotated[
-    Path | None,
-    _output_option(
-        f"{_ROWS.format('problem')}, the summary (summary.json), a picture and animations of the first "
-        "problems here."
-    ),
-]
+@dataclass(frozen=True)
+class ShowOptions:
+    """How a study is run and shown."""
+
+    jobs: JobsOption = 1
+    as_json: JsonOption = False
+
+    def run(self, noun: str, study: Callable[..., Any], *given: Any) -> Any:
+        """Run a study with a bar that counts its runs, each of them called by a noun."""
+        with count_progress(noun) as progress:
+            return study(*given, jobs=self.jobs, progress=progress)
+
+    def show(self, found: Mapping[str, Any], tables: Iterable[Table]) -> None:
+        """Print what was found, as one JSON object or as tables."""
+        if self.as_json:
+            print_json(found)
+            return
+        for headings, rows in tables:
+            print_table(headings, rows)
 
 
-def built_subjects(names: str | None) -> list[Subject]:
-    """The arms of these names, or all that are built in.
+@dataclass(frozen=True)
+class KeepOptions(ShowOptions):
+    """The same of a study whose runs can be kept."""
 
-    Raises:
-        InvalidValue: nothing between two of the commas.
-        UnknownName: there is no such arm.
-    """
-    from pinposture.study import built_subject
-    from pinposture.study.arms import BUILT
+    output: Annotated[
+        Path | None,
+        OUTPUT(
+            "Leave a row for each run (cases.csv), the summary (summary.json) and any pictures here.",
+            "DIR",
+            flags="--output -o",
+        ),
+    ] = None
 
-    listed = list(BUILT) if names is None else split_names("--arms", names)
-    return [built_subject(name) for name in listed]
+    def run(self, noun: str, study: Callable[..., Any], *given: Any) -> Any:
+        """Refuse a directory in which no file can be made, then run the study."""
+        from pinposture.storage import check_writable
+
+        if self.output is not None:
+            check_writable(self.output)
+        return super().run(noun, study, *given)
+
+    def keep(
+        self, runs: Sequence[Any], found: Mapping[str, Any], **pictures: Callable[[Any], Figure]
+    ) -> None:
+        """Leave the runs, what was found, and pictures that are drawn of the runs in the directory."""
+        from pinposture.study import keep_study
+
+        if self.output is not None:
+            figures = {f"{name}.png": draw(runs) for name, draw in pictures.items()}
+            for file in keep_study(self.output, runs, found, figures, type(runs[0])._fields):
+                print_note(f"wrote {file}")
 
 
-def split_names(option: str, text: str) -> list[str]:
-    """Names separated by commas, each once; raises InvalidValue if there is nothing between two of them."""
+def _table(columns: Columns, rows: Iterable[Any]) -> Table:
+    return tuple(columns), [[cell(row) for cell in columns.values()] for row in rows]
+
+
+def _json_rows(rows: Iterable[Any]) -> list[dict[str, Any]]:
+    """Rows of a table as data that JSON can hold."""
+    return [
+        {name: value._asdict() if hasattr(value, "_asdict") else value for name, value in each.items()}
+        for each in (row._asdict() for row in rows)
+    ]
+
+
+def _spread(name: str, form: str) -> Callable[[Any], Cell]:
+    """Median (90th percentile) of a quantity of a row, where there is one."""
+
+    def cell(row: Any) -> Cell:
+        spread: Spread | None = getattr(row, name)
+        return None if spread is None else f"{spread.median:{form}} ({spread.high:{form}})"
+
+    return cell
+
+
+def _share(value: float) -> str:
+    """A share in percent, rounded down, so that 100 % stands for all."""
+    return f"{int(1000.0 * value + 1e-9) / 10.0:g} %"
+
+
+def _short(value: float | None) -> str | None:
+    return None if value is None else f"{value:.2g}"
+
+
+def _split(option: str, text: str | None, usual: Iterable[str]) -> list[str]:
+    """Names separated by commas, each once, or the usual ones; raises InvalidValue for anything else."""
+    if text is None:
+        return list(usual)
     names = [name.strip() for name in text.split(",")]
     if not all(names) or len(set(names)) < len(names):
         raise InvalidValue(option, text, "names separated by commas, each once")
     return names
 
 
-def check_output(directory: Path | None) -> None:
-    """Refuse a directory in which no file can be made, before anybody waits for what goes there."""
-    from pinposture.storage import check_writable
+def _built(names: str | None) -> list[Subject]:
+    """The arms of these names, or all that are built in."""
+    from pinposture.study import built_subject
+    from pinposture.study.arms import BUILT
 
-    if directory is not None:
-        check_writable(directory)
-
-
-def _keep(
-    directory: Path | None,
-    runs: Sequence[Any],
-    summary: Mapping[str, Any],
-    pictures: Mapping[str, Callable[[Any], Figure]],
-    *columns: tuple[str, ...],
-) -> None:
-    """Write the runs, the summary and the pictures drawn of them into a directory, if one is given."""
-    from pinposture.study.record import keep_study
-
-    if directory is not None:
-        figures = {name: draw(runs) for name, draw in pictures.items()}
-        for file in keep_study(directory, runs, summary, figures, *columns):
-            print_note(f"wrote {file}")
+    return [built_subject(name) for name in _split("--arms", names, BUILT)]
 
 
-def described(row: SummaryRow | Bin | SceneRow) -> dict[str, Any]:
-    """A row of a table as data that JSON can hold."""
-    return {
-        name: value._asdict() if hasattr(value, "_asdict") else value for name, value in row._asdict().items()
-    }
-
-
-def report_refusals(records: list[Record]) -> None:
+def _warn_of_refusals(records: list[Record]) -> None:
     """Say on stderr which controllers would not begin, how often, and why at first."""
     refused: dict[str, list[Record]] = {}
     for record in records:
@@ -136,21 +171,25 @@ AS_CLOSE = 1.05
 RESIDUAL_ROUNDING = 1e-6
 """Distance from the curve, relative to the arm length, that is no fault: sampling of the curve, rounding."""
 
-_PLACED = ("placed by", "residual", "reference", "ratio", "farthest")
-_ARMS_COLUMNS = (
-    "file",
-    "joints",
-    "modules",
-    "kind",
-    "length [m]",
-    *_PLACED,
-    "joint",
-    "Switching",
-    "geodesic",
-    "geodesic steps",
-    "geodesic paths",
-    "limits held",
-)
+_ARM_COLUMNS: Columns = {
+    "file": lambda row: row.file,
+    "joints": lambda row: row.joints,
+    "modules": lambda row: compressed(row.modules),
+    "kind": lambda row: "planar" if row.dimension == 2 else "spatial",
+    "length [m]": lambda row: row.length,
+    "placed by": lambda row: row.method.partition(":")[0] + (" (partial)" if ":" in row.method else ""),
+    "residual": lambda row: _short(row.residual),
+    "reference": lambda row: _short(row.reference),
+    "ratio": lambda row: "ok" if _is_close(row) else _short(_ratio(row)),
+    "farthest": lambda row: _short(row.farthest),
+    "joint": lambda row: _short(row.reached),
+    "Switching": lambda row: _short(row.switching),
+    "geodesic": lambda row: _short(row.geodesic),
+    "geodesic steps": lambda row: row.geodesic_steps if row.geodesic is not None else None,
+    "geodesic paths": lambda row: _short(row.path_length_ratio),
+    "limits held": lambda row: "yes" if row.within_limits else "no",
+}
+_REFUSED_COLUMNS: Columns = {"file": lambda row: row.file, "outcome": lambda row: f"refused: {row.refused}"}
 
 
 @examples(
@@ -168,12 +207,9 @@ def run_arms(
             help="Where to look for .urdf files, at any depth; without it, arms of awkward shapes made here.",
         ),
     ] = None,
-    least_joints: Annotated[
-        int, typer.Option(metavar="N", help="Leave out arms of fewer moving joints.", rich_help_panel=ARM)
-    ] = 5,
-    seed: Annotated[int, typer.Option(help="What the starts are drawn from.", rich_help_panel=MOTION)] = 0,
-    jobs: JobsOption = 1,
-    as_json: JsonOption = False,
+    least_joints: Annotated[int, ARM("Leave out arms of fewer moving joints.", "N")] = 5,
+    seed: Annotated[int, MOTION("What the starts are drawn from.")] = 0,
+    options: ShowOptions,
 ) -> None:
     """Try every arm of a directory: place it on a gentle curve, and drive it there.
 
@@ -192,22 +228,18 @@ def run_arms(
 
     if seed < 0:
         raise InvalidValue("--seed", seed, "a whole number of at least 0")
-    results = survey_arms(directory, least_joints, seed, jobs, _report)
-    if as_json:
-        asked = {
-            "directory": None if directory is None else str(directory),
-            "least_joints": least_joints,
-            "seed": seed,
-        }
-        print_json({**asked, "arms": [_described(result) for result in results]})
-        return
-    rows = [_arms_row(result) for result in results if not result.refused]
-    if rows:
-        print_table(_ARMS_COLUMNS, rows)
-    refused = [(result.file, f"refused: {result.refused}") for result in results if result.refused]
-    if refused:
-        print_table(("file", "outcome"), refused)
-    if not results:
+    results = survey_arms(directory, least_joints, seed, options.jobs, _report)
+    found = {
+        "directory": None if directory is None else str(directory),
+        "least_joints": least_joints,
+        "seed": seed,
+        "arms": [{**each._asdict(), "ratio": _ratio(each), "ok": _is_close(each)} for each in results],
+    }
+    tried = [each for each in results if not each.refused]
+    refused = [each for each in results if each.refused]
+    tables = ((_ARM_COLUMNS, tried), (_REFUSED_COLUMNS, refused))
+    options.show(found, [_table(columns, rows) for columns, rows in tables if rows])
+    if not results and not options.as_json:
         print_note(f"no arm of at least {least_joints} moving joints")
 
 
@@ -217,10 +249,6 @@ def _report(result: ArmSurvey) -> None:
     unplaced = result.method.partition(": ")[2]
     for note in (*result.notes, *filter(None, [unplaced])):
         print_warning(f"{result.file}: {note}")
-
-
-def _described(result: ArmSurvey) -> dict[str, Any]:
-    return {**result._asdict(), "ratio": _ratio(result), "ok": _is_close(result)}
 
 
 def _is_close(result: ArmSurvey) -> bool | None:
@@ -237,31 +265,6 @@ def _ratio(result: ArmSurvey) -> float | None:
     return max(result.residual, RESIDUAL_ROUNDING) / max(result.reference, RESIDUAL_ROUNDING)
 
 
-def _arms_row(result: ArmSurvey) -> tuple[str | float | None, ...]:
-    return (
-        result.file,
-        result.joints,
-        compressed(result.modules),
-        "planar" if result.dimension == 2 else "spatial",
-        result.length,
-        result.method.partition(":")[0] + (" (partial)" if ":" in result.method else ""),
-        _short(result.residual),
-        _short(result.reference),
-        "ok" if _is_close(result) else _short(_ratio(result)),
-        _short(result.farthest),
-        _short(result.reached),
-        _short(result.switching),
-        _short(result.geodesic),
-        result.geodesic_steps if result.geodesic is not None else None,
-        _short(result.path_length_ratio),
-        "yes" if result.within_limits else "no",
-    )
-
-
-def _short(value: float | None) -> str | None:
-    return None if value is None else f"{value:.2g}"
-
-
 def compressed(sizes: tuple[int, ...]) -> str:
     """Numbers of joints, those that repeat written once: "2 x 8", "2, 2, 3", "1 x 18, 2"."""
     runs = [(size, len(list(same))) for size, same in groupby(sizes)]
@@ -271,6 +274,18 @@ def compressed(sizes: tuple[int, ...]) -> str:
 
 
 # `pinposture study methods`: the methods side by side, as in Table 1.1 of the thesis, but measured.
+
+_METHOD_COLUMNS: Columns = {
+    "method": lambda row: row.controller,
+    "posture error": lambda row: _short(row.posture_error),
+    "tip error": lambda row: _short(row.end_effector_error),
+    "reached": lambda row: f"{100 * row.reached:.0f} %",
+    "returned [rad]": lambda row: _short(row.returned),
+}
+
+
+def _peak(place: int) -> Callable[[Any], Cell]:
+    return lambda row: _short(row.peaks[place])
 
 
 @examples(
@@ -285,16 +300,10 @@ def run_methods(
         typer.Argument(metavar="[URDF]", help="URDF file of an arm, or -; else 20 RyRz modules, 1 m."),
     ] = None,
     arm_options: ArmOptions,
-    controllers: Annotated[
-        str | None,
-        typer.Option(metavar="NAME,...", help="Methods to compare; else all there are.", rich_help_panel=ARM),
-    ] = None,
-    seeds: Annotated[
-        int, typer.Option(metavar="N", help="Number of cases for each method.", rich_help_panel=MOTION)
-    ] = 20,
-    steps: Annotated[int, typer.Option(metavar="N", help="Steps of each way.", rich_help_panel=MOTION)] = 200,
-    jobs: JobsOption = 1,
-    as_json: JsonOption = False,
+    controllers: Annotated[str | None, ARM("Methods to compare; else all there are.", "NAME,...")] = None,
+    seeds: Annotated[int, MOTION("Number of cases for each method.", "N")] = 20,
+    steps: Annotated[int, MOTION("Steps of each way.", "N")] = 200,
+    options: ShowOptions,
 ) -> None:
     """Compare every method on the same arm: what it reaches, what it asks for, whether it comes back.
 
@@ -305,59 +314,40 @@ def run_methods(
     rad from the straight arm: what grows without bound is not stable near singular postures.
     """
     from pinposture.control import CONTROLLERS
-    from pinposture.study import compare_methods, register_baselines
+    from pinposture.study import built_subject, compare_methods, register_baselines
     from pinposture.study.methods import DISTANCES
-    from pinposture.study.thesis_arms import SPATIAL
 
     for option, value in (("--seeds", seeds), ("--steps", steps)):
         if value < 1:
             raise InvalidValue(option, value, "a whole number of at least 1")
     register_baselines()
     names = list(CONTROLLERS) if controllers is None else [name.strip() for name in controllers.split(",")]
-    if urdf is None:
-        from pinposture.arm import Arm
-
-        arm = Arm.from_modules(SPATIAL, name="ryrz20")
-    else:
-        arm = arm_options.read(urdf)
+    arm = built_subject("ryrz20").arm if urdf is None else arm_options.read(urdf)
     results = compare_methods(
-        arm, names, range(seeds), steps, jobs, lambda result: print_note(f"{result.controller}: done")
+        arm, names, range(seeds), steps, options.jobs, lambda result: print_note(f"{result.controller}: done")
     )
-    if as_json:
-        asked = {"arm": arm.model.name, "seeds": seeds, "steps": steps, "distances": list(DISTANCES)}
-        print_json({**asked, "methods": [result._asdict() for result in results]})
-        return
-    peaks = [f"peak at {distance:g}" for distance in DISTANCES[::2]]
-    headings = ("method", "posture error", "tip error", "reached", "returned [rad]", *peaks)
-    print_table(headings, [_methods_row(result) for result in results])
-
-
-def _methods_row(result: MethodResult) -> tuple[Any, ...]:
-    return (
-        result.controller,
-        f"{result.posture_error:.2g}",
-        f"{result.end_effector_error:.2g}",
-        f"{100 * result.reached:.0f} %",
-        f"{result.returned:.2g}",
-        *(f"{peak:.2g}" for peak in result.peaks[::2]),
-    )
+    asked = {"arm": arm.model.name, "seeds": seeds, "steps": steps, "distances": list(DISTANCES)}
+    columns = {
+        **_METHOD_COLUMNS,
+        **{f"peak at {DISTANCES[k]:g}": _peak(k) for k in range(0, len(DISTANCES), 2)},
+    }
+    options.show({**asked, "methods": [each._asdict() for each in results]}, [_table(columns, results)])
 
 
 # `pinposture study postures`: many starts, targets and controllers.
 
-POSTURES_PICTURE = "postures.png"
-
-_POSTURES_COLUMNS = (
-    "controller",
-    "< 1e-6",
-    "< 1e-3",
-    "steps",
-    "rising",
-    "escaping",
-    "peak",
-    "path",
-    "limits held",
-)
+_POSTURE_COLUMNS: Columns = {
+    "runs": lambda row: row.runs,
+    "controller": lambda row: row.controller,
+    "< 1e-6": lambda row: _share(row.arrived),
+    "< 1e-3": lambda row: _share(row.near),
+    "steps": _spread("steps", ".0f"),
+    "rising": _spread("rising", ".1%"),
+    "escaping": _spread("escaping", ".1%"),
+    "peak": _spread("peak", ".2f"),
+    "path": _spread("path", ".2f"),
+    "limits held": lambda row: "yes" if row.lawful else "no",
+}
 
 
 @examples(
@@ -369,22 +359,13 @@ _POSTURES_COLUMNS = (
 def run_postures(
     *,
     arms: ArmsOption = None,
-    urdf: Annotated[
-        str | None,
-        typer.Option(metavar="FILE", help="URDF file of another arm instead, or -.", rich_help_panel=ARM),
-    ] = None,
+    urdf: Annotated[str | None, ARM("URDF file of another arm instead, or -.", "FILE")] = None,
     arm_options: ArmOptions,
     controllers: ControllersOption = None,
-    cases: Annotated[
-        int, typer.Option(metavar="N", help="Number of cases for each arm.", rich_help_panel=MOTION)
-    ] = 1000,
+    cases: Annotated[int, MOTION("Number of cases for each arm.", "N")] = 1000,
     seed0: SeedOption = 0,
-    jobs: JobsOption = 1,
-    families: Annotated[
-        bool, typer.Option("--families", help="A row for each family.", rich_help_panel=OUTPUT)
-    ] = False,
-    output: OutputOption = None,
-    as_json: JsonOption = False,
+    families: Annotated[bool, OUTPUT("A row for each family.", flags="--families")] = False,
+    options: KeepOptions,
 ) -> None:
     """Drive arms from every kind of start to every kind of target, and say who gets there, and how.
 
@@ -404,67 +385,35 @@ def run_postures(
     from pinposture.study.pictures import draw_postures
     from pinposture.study.postures import COMPARED
 
-    check_output(output)
     if urdf is None:
         arm_options.refuse("only together with --urdf")
-        subjects = built_subjects(arms)
+        subjects = _built(arms)
     elif arms is not None:
         raise InvalidValue("--arms", arms, "nothing where --urdf names the arm")
     else:
         subjects = [loaded_subject(arm_options.read(urdf))]
-    names = COMPARED if controllers is None else split_names("--controllers", controllers)
-    with count_progress("case") as progress:
-        records = study_postures(subjects, names, cases, seed0, jobs, progress)
+    names = _split("--controllers", controllers, COMPARED)
+    records = options.run("case", study_postures, subjects, names, cases, seed0)
     rows = summarise(records, families)
-    asked = {"study": "postures", "cases": cases, "seed0": seed0, "controllers": list(names)}
-    found = {**asked, "rows": [described(row) for row in rows]}
-    if as_json:
-        print_json(found)
-    else:
-        for subject in subjects:
-            own = [row for row in rows if row.arm == subject.name]
-            print_table((subject.name, "runs", *_POSTURES_COLUMNS), _table(own))
-    report_refusals(records)
-    _keep(output, records, found, {POSTURES_PICTURE: draw_postures})
-
-
-def _table(rows: list[SummaryRow]) -> list[tuple[str | float | None, ...]]:
-    """Lines of a table; a group is named in its first line."""
-    lines: list[tuple[str | float | None, ...]] = []
-    before = ""
-    for row in rows:
-        lines.append(
-            (
-                row.group if row.group != before else "",
-                row.runs,
-                row.controller,
-                _percent(row.arrived),
-                _percent(row.near),
-                _spread_cell(row.steps, ".0f"),
-                _spread_cell(row.rising, ".1%"),
-                _spread_cell(row.escaping, ".1%"),
-                _spread_cell(row.peak, ".2f"),
-                _spread_cell(row.path, ".2f"),
-                "yes" if row.lawful else "no",
-            )
+    asked = {"study": "postures", "cases": cases, "seed0": seed0, "controllers": names}
+    found = {**asked, "rows": _json_rows(rows)}
+    tables = []
+    for subject in subjects:
+        own = [row for row in rows if row.arm == subject.name]
+        headings, lines = _table(_POSTURE_COLUMNS, own)
+        groups = [row.group for row in own]
+        named = [
+            group if group != before else "" for group, before in zip(groups, ["", *groups], strict=False)
+        ]
+        tables.append(
+            ((subject.name, *headings), [(name, *line) for name, line in zip(named, lines, strict=True)])
         )
-        before = row.group
-    return lines
-
-
-def _percent(share: float) -> str:
-    """A share in percent, rounded down, so that 100 % stands for all."""
-    return f"{int(1000.0 * share + 1e-9) / 10.0:g} %"
-
-
-def _spread_cell(spread: Spread | None, form: str) -> str | None:
-    """Median (90th percentile)."""
-    return None if spread is None else f"{spread.median:{form}} ({spread.high:{form}})"
+    options.show(found, tables)
+    _warn_of_refusals(records)
+    options.keep(records, found, postures=draw_postures)
 
 
 # `pinposture study headings`: how far some part of the arm must turn, and who can.
-
-HEADINGS_PICTURE = "headings.png"
 
 
 @examples(
@@ -479,19 +428,11 @@ def run_headings(
     controllers: ControllersOption = None,
     target: Annotated[
         str,
-        typer.Option(
-            metavar="KIND",
-            help="What is known of the target: its configuration, or the curve through its points.",
-            rich_help_panel=MOTION,
-        ),
+        MOTION("What is known of the target: its configuration, or the curve through its points.", "KIND"),
     ] = "configuration",
-    pairs: Annotated[
-        int, typer.Option(metavar="N", help="Number of pairs for each arm.", rich_help_panel=MOTION)
-    ] = 300,
+    pairs: Annotated[int, MOTION("Number of pairs for each arm.", "N")] = 300,
     seed0: SeedOption = 0,
-    jobs: JobsOption = 1,
-    output: OutputOption = None,
-    as_json: JsonOption = False,
+    options: KeepOptions,
 ) -> None:
     """Drive arms between random smooth postures, and count who gets there by how far the arm must turn.
 
@@ -502,56 +443,46 @@ def run_headings(
     the limits, of all; behind them is the median length of the paths of the control points relative to the
     straight ways, of those that moved and came near. At most 0.1 rad per step and joint, and 400 steps.
     """
-    from pinposture.study import by_heading, study_headings
+    from pinposture.study import Bin, by_heading, study_headings
     from pinposture.study.pictures import draw_headings
     from pinposture.study.postures import BINS, COMPARED
 
-    check_output(output)
-    subjects = built_subjects(arms)
-    names = COMPARED if controllers is None else split_names("--controllers", controllers)
-    with count_progress("pair") as progress:
-        records = study_headings(subjects, names, pairs, seed0, target, jobs, progress)
+    subjects, names = _built(arms), _split("--controllers", controllers, COMPARED)
+    records = options.run("pair", study_headings, subjects, names, pairs, seed0, target)
     bins = by_heading(records)
-    asked = {
-        "study": "headings",
-        "target": target,
-        "pairs": pairs,
-        "seed0": seed0,
-        "controllers": list(names),
-    }
-    found = {**asked, "bins": [described(each) for each in bins]}
-    if as_json:
-        print_json(found)
-    else:
-        for subject in subjects:
-            own = [each for each in bins if each.arm == subject.name]
-            lines = [
-                (name, *(_headings_cell(each) for each in own if each.controller == name))
-                for name in dict.fromkeys(each.controller for each in own)
-            ]
-            print_table((subject.name, *(f"{name} rad" for name in BINS)), lines)
-    report_refusals(records)
-    _keep(output, records, found, {HEADINGS_PICTURE: draw_headings})
+    asked = {"study": "headings", "target": target, "pairs": pairs, "seed0": seed0, "controllers": names}
+    found = {**asked, "bins": _json_rows(bins)}
 
+    def cell(each: Bin) -> str:
+        counted = f"{each.reached}/{each.runs}"
+        return counted if each.path is None else f"{counted}, path {each.path.median:.2f}"
 
-def _headings_cell(each: Bin) -> str:
-    counted = f"{each.reached}/{each.runs}"
-    return counted if each.path is None else f"{counted}, path {each.path.median:.2f}"
+    tables = []
+    for subject in subjects:
+        own = [each for each in bins if each.arm == subject.name]
+        lines = [
+            (name, *(cell(each) for each in own if each.controller == name))
+            for name in dict.fromkeys(each.controller for each in own)
+        ]
+        tables.append(((subject.name, *(f"{name} rad" for name in BINS)), lines))
+    options.show(found, tables)
+    _warn_of_refusals(records)
+    options.keep(records, found, headings=draw_headings)
 
 
 # `pinposture study scenes`: an arm among obstacles, many times.
 
-_SCENES_COLUMNS = (
-    "scene",
-    "runs",
-    "reached",
-    "margin kept",
-    "room [mm]",
-    "steps",
-    "path",
-    "escaping",
-    "time [s]",
-)
+_SCENE_COLUMNS: Columns = {
+    "scene": lambda row: row.scene,
+    "runs": lambda row: row.runs,
+    "reached": lambda row: f"{row.reached} of {row.reachable}",
+    "margin kept": lambda row: f"{row.kept} of {row.runs}",
+    "room [mm]": lambda row: f"{1e3 * row.room:.2f}",
+    "steps": _spread("steps", ".0f"),
+    "path": _spread("path", ".2f"),
+    "escaping": _spread("escaping", ".0%"),
+    "time [s]": _spread("seconds", ".1f"),
+}
 
 
 @examples(
@@ -563,19 +494,11 @@ def run_scenes(
     *,
     scenes: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME,...",
-            help="Some of: post,slot,narrow,wall,pipe,inside,coil,out; else all.",
-            rich_help_panel=MOTION,
-        ),
+        MOTION("Some of: post,slot,narrow,wall,pipe,inside,coil,out; else all.", "NAME,..."),
     ] = None,
-    seeds: Annotated[
-        int, typer.Option(metavar="N", help="Number of runs in each scene.", rich_help_panel=MOTION)
-    ] = 10,
+    seeds: Annotated[int, MOTION("Number of runs in each scene.", "N")] = 10,
     seed0: SeedOption = 0,
-    jobs: JobsOption = 1,
-    output: RunRowsOption = None,
-    as_json: JsonOption = False,
+    options: KeepOptions,
 ) -> None:
     """Drive 20 RyRz modules, 1 m, among obstacles, and say who keeps clear, who gets there, and how.
 
@@ -592,40 +515,21 @@ def run_scenes(
     of steps flagged as an escape, and of the time of a run. Runs that did not do as they should are named
     one by one. All of it takes some ten minutes on two processes.
     """
-    from pinposture.study.scenes import SITUATIONS, SceneRun, by_scene, study_scenes
+    from pinposture.study.scenes import SITUATIONS, by_scene, study_scenes
 
-    check_output(output)
-    names = list(SITUATIONS) if scenes is None else split_names("--scenes", scenes)
-    with count_progress("run") as progress:
-        runs = study_scenes(names, seeds, seed0, jobs, progress)
+    names = _split("--scenes", scenes, SITUATIONS)
+    runs = options.run("run", study_scenes, names, seeds, seed0)
     rows = by_scene(runs)
     asked = {"study": "scenes", "scenes": names, "seeds": seeds, "seed0": seed0}
-    found = {**asked, "rows": [described(row) for row in rows]}
-    if as_json:
-        print_json(found)
-    else:
-        print_table(_SCENES_COLUMNS, [_scenes_line(row) for row in rows])
+    found = {**asked, "rows": _json_rows(rows)}
+    options.show(found, [_table(_SCENE_COLUMNS, rows)])
     refused = [f"{row.scene} {row.refused}" for row in rows if row.refused]
     if refused:
         print_note(f"starts and targets that were drawn and refused: {', '.join(refused)}")
     for each in runs:
         if not each.as_it_should:
             print_warning(f"{each.scene}, seed {each.seed}: {_fault(each)}")
-    _keep(output, runs, found, {}, SceneRun._fields)
-
-
-def _scenes_line(row: SceneRow) -> tuple[str | float | None, ...]:
-    return (
-        row.scene,
-        row.runs,
-        f"{row.reached} of {row.reachable}",
-        f"{row.kept} of {row.runs}",
-        f"{1e3 * row.room:.2f}",
-        _spread_cell(row.steps, ".0f"),
-        _spread_cell(row.path, ".2f"),
-        _spread_cell(row.escaping, ".0%"),
-        _spread_cell(row.seconds, ".1f"),
-    )
+    options.keep(runs, found)
 
 
 def _fault(run: SceneRun) -> str:
@@ -644,7 +548,15 @@ def _fault(run: SceneRun) -> str:
 
 # `pinposture study clutter`: finding a path among obstacles.
 
-_CLUTTER_COLUMNS = ("kind", "planned", "reached", "room [mm]", "planning [s]", "path", "found by")
+_CLUTTER_COLUMNS: Columns = {
+    "kind": lambda row: row.kind,
+    "planned": lambda row: f"{row.planned} of {row.problems}",
+    "reached": lambda row: f"{row.reached} of {row.problems}",
+    "room [mm]": lambda row: f"{1e3 * row.clearance:.2f}",
+    "planning [s]": _spread("plan_time", ".2f"),
+    "path": _spread("path_length_ratio", ".2f"),
+    "found by": lambda row: ", ".join(f"{name} {count}" for name, count in row.found_by.items()),
+}
 
 
 @examples(
@@ -655,19 +567,14 @@ def run_clutter(
     *,
     kinds: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME,...",
-            help="Some of: balls,posts,hole,two-walls,shelf,corner,pipe,machine,coil; else all.",
-            rich_help_panel=MOTION,
+        MOTION(
+            "Some of: balls,posts,hole,two-walls,shelf,corner,pipe,machine,coil; else all.",
+            "NAME,...",
         ),
     ] = None,
-    seeds: Annotated[
-        int, typer.Option(metavar="N", help="Number of problems of each kind.", rich_help_panel=MOTION)
-    ] = 10,
+    seeds: Annotated[int, MOTION("Number of problems of each kind.", "N")] = 10,
     seed0: SeedOption = 0,
-    jobs: JobsOption = 1,
-    output: ProblemRowsOption = None,
-    as_json: JsonOption = False,
+    options: KeepOptions,
 ) -> None:
     """Plan and run with 20 RyRz modules, 1 m, among obstacles that have to be got past.
 
@@ -678,47 +585,28 @@ def run_clutter(
 
     Room is the smallest distance in the runs that got there, every 0.01 rad, minus the margin. Planning time
     and path length ratio of the plans are median (90th percentile). Problems that were not solved are named.
+    With -o the first problem of each kind is left as an animation, too.
     """
-    from pinposture.study.clutter import KINDS_OF_CLUTTER, ClutterRun, by_kind, run_problem, study_clutter
+    from pinposture.study.clutter import KINDS_OF_CLUTTER, by_kind, run_problem, study_clutter
     from pinposture.study.pictures import draw_clutter
     from pinposture.study.scenes import situation_arm
     from pinposture.viz import save_html
 
-    check_output(output)
-    names = list(KINDS_OF_CLUTTER) if kinds is None else split_names("--kinds", kinds)
-    with count_progress("problem") as progress:
-        runs = study_clutter(names, seeds, seed0, jobs, progress)
+    names = _split("--kinds", kinds, KINDS_OF_CLUTTER)
+    runs = options.run("problem", study_clutter, names, seeds, seed0)
     rows = by_kind(runs)
     asked = {"study": "clutter", "kinds": names, "seeds": seeds, "seed0": seed0}
     found = {**asked, "rows": [row._asdict() for row in rows]}
-    if as_json:
-        print_json(found)
-    else:
-        print_table(_CLUTTER_COLUMNS, [_clutter_line(row) for row in rows])
+    options.show(found, [_table(_CLUTTER_COLUMNS, rows)])
     for each in runs:
         if not each.reached:
             print_warning(f"{each.kind}, seed {each.seed}: {each.hindrance or each.reason}")
-    if output is not None:
+    if options.output is not None:
         arm = situation_arm()
         shown = {name: run_problem(arm, name, seed0) for name in names}
-        _keep(output, runs, found, {CLUTTER_PICTURE: lambda _: draw_clutter(shown)}, ClutterRun._fields)
+        options.keep(runs, found, clutter=lambda _: draw_clutter(shown))
         for name, run in shown.items():
-            print_note(f"wrote {save_html(arm, run, output / f'{name}.html')}")
-
-
-CLUTTER_PICTURE = "clutter.png"
-
-
-def _clutter_line(row: ClutterRow) -> tuple[str | float | None, ...]:
-    return (
-        row.kind,
-        f"{row.planned} of {row.problems}",
-        f"{row.reached} of {row.problems}",
-        f"{1e3 * row.clearance:.2f}",
-        "{:.2f} ({:.2f})".format(*row.plan_time),
-        "{:.2f} ({:.2f})".format(*row.path_length_ratio),
-        ", ".join(f"{name} {count}" for name, count in row.found_by.items()),
-    )
+            print_note(f"wrote {save_html(arm, run, options.output / f'{name}.html')}")
 
 
 # `pinposture study cycles`: closed cycles of postures, gone round again and again.
@@ -733,18 +621,10 @@ def run_cycles(
     *,
     arms: ArmsOption = None,
     controller: ControllerOption = "geodesic",
-    cycles: Annotated[
-        int,
-        typer.Option(
-            metavar="N", help="Number of cycles for each arm and knowledge.", rich_help_panel=MOTION
-        ),
-    ] = 10,
-    rounds: Annotated[
-        int, typer.Option(metavar="N", help="Rounds of each cycle.", rich_help_panel=MOTION)
-    ] = 5,
+    cycles: Annotated[int, MOTION("Number of cycles for each arm and knowledge.", "N")] = 10,
+    rounds: Annotated[int, MOTION("Rounds of each cycle.", "N")] = 5,
     seed0: SeedOption = 0,
-    jobs: JobsOption = 1,
-    as_json: JsonOption = False,
+    options: ShowOptions,
 ) -> None:
     """Go round closed cycles of four random smooth postures, and say how far the joints drift.
 
@@ -753,43 +633,25 @@ def run_cycles(
     their configurations, or by their control points alone. At most 0.1 rad per step and joint, and 400 steps
     from one posture to the next, until the mean point error is below 1e-9 of the arm length.
     """
-    from pinposture.study.cycles import study_cycles
+    from pinposture.study.cycles import CLOSE, CYCLE_KNOWLEDGE, study_cycles
 
-    subjects = built_subjects(arms)
-    with count_progress("cycle") as progress:
-        found = study_cycles(
-            subjects,
-            controller=controller,
-            cycles=cycles,
-            rounds=rounds,
-            first_seed=seed0,
-            jobs=jobs,
-            progress=progress,
-        )
-    if as_json:
-        asked = {"study": "cycles", "controller": controller, "cycles": cycles, "rounds": rounds}
-        print_json({**asked, "seed0": seed0, "runs": [each._asdict() for each in found]})
-        return
+    given = _built(arms), CYCLE_KNOWLEDGE, controller, cycles, rounds, seed0
+    found = options.run("cycle", study_cycles, *given)
+    lines = []
+    for arm, known in dict.fromkeys((each.arm, each.target) for each in found):
+        own = [each for each in found if (each.arm, each.target) == (arm, known)]
+        taken = f"all in {sum(each.error <= CLOSE for each in own)} of {len(own)}"
+        worst = [max(drifts) for drifts in zip(*(each.drift for each in own), strict=True)]
+        lines.append((arm, known, len(own), taken, *map(_short, worst)))
     headings = [f"round {number + 1}" for number in range(rounds)]
-    kinds = dict.fromkeys((each.arm, each.target) for each in found)
-    lines = [_cycles_line([each for each in found if (each.arm, each.target) == kind]) for kind in kinds]
-    print_table(("arm", "known", "cycles", "postures taken", *headings), lines)
-
-
-def _cycles_line(cycles: list[PostureCycle]) -> tuple[str | float | None, ...]:
-    """The worst drift after each round."""
-    from pinposture.study.cycles import CLOSE
-
-    taken = sum(each.error <= CLOSE for each in cycles)
-    worst = [max(drifts) for drifts in zip(*(each.drift for each in cycles), strict=True)]
-    first = cycles[0]
-    counted = f"all in {taken} of {len(cycles)}"
-    return first.arm, first.target, len(cycles), counted, *(f"{drift:.2g}" for drift in worst)
+    asked = {"study": "cycles", "controller": controller, "cycles": cycles, "rounds": rounds, "seed0": seed0}
+    options.show(
+        {**asked, "runs": [each._asdict() for each in found]},
+        [(("arm", "known", "cycles", "postures taken", *headings), lines)],
+    )
 
 
 # `pinposture study leader`: how far an arm is from the path of its tip.
-
-LEADER_PICTURE = "leader.png"
 
 
 @examples(
@@ -799,19 +661,9 @@ LEADER_PICTURE = "leader.png"
 )
 def run_leader(
     *,
-    arms: Annotated[
-        str | None,
-        typer.Option(metavar="NAME,...", help="Arms: ryrz,universal,hinge.", rich_help_panel=ARM),
-    ] = None,
-    bendings: Annotated[
-        str | None,
-        typer.Option(
-            metavar="RAD,...", help="Curvature times module length of the paths.", rich_help_panel=MOTION
-        ),
-    ] = None,
-    jobs: JobsOption = 1,
-    output: OutputOption = None,
-    as_json: JsonOption = False,
+    arms: Annotated[str | None, ARM("Arms: ryrz,universal,hinge.", "NAME,...")] = None,
+    bendings: Annotated[str | None, MOTION("Curvature times module length of the paths.", "RAD,...")] = None,
+    options: KeepOptions,
 ) -> None:
     """Push arms on a feed along paths of constant curvature, and say how far off the path they are.
 
@@ -825,35 +677,29 @@ def run_leader(
     """
     from pinposture.study.leader import ARMS, BENDINGS, Following, study_leader
     from pinposture.study.pictures import draw_leader
+    from pinposture.task.follow_leader import PATH_METHODS
 
-    check_output(output)
-    names = list(ARMS) if arms is None else split_names("--arms", arms)
+    names = _split("--arms", arms, ARMS)
     bent = list(BENDINGS) if bendings is None else read_numbers("--bendings", bendings)
-    with count_progress("path") as progress:
-        found = study_leader(names, bent, jobs=jobs, progress=progress)
-    summary = {"study": "leader", "arms": names, "bendings": bent, "runs": [each._asdict() for each in found]}
-    if as_json:
-        print_json(summary)
-    else:
-        lines = dict.fromkeys((each.arm, each.shape, each.method) for each in found)
-        rows = [
-            (*line, *(_leader_cell(each) for each in found if (each.arm, each.shape, each.method) == line))
-            for line in lines
-        ]
-        sagitta = {each.bending: f"{each.sagitta:.3f}" for each in found}
-        rows.append(("", "", "sagitta", *sagitta.values()))
-        print_table(("arm", "path", "placed", *(f"{bending:g} rad" for bending in bent)), rows)
-    for each in found:
+    runs = options.run("path", study_leader, names, bent, PATH_METHODS)
+    found = {"study": "leader", "arms": names, "bendings": bent, "runs": [each._asdict() for each in runs]}
+
+    def cell(each: Following) -> str:
+        return "-" if each.body is None else f"{each.body:.3f}, points {each.points:.3f}"
+
+    lines: dict[tuple[str, str, str], list[str]] = {}
+    for each in runs:
+        lines.setdefault((each.arm, each.shape, each.method), []).append(cell(each))
+    sagitta = {each.bending: f"{each.sagitta:.3f}" for each in runs}
+    rows = [*((*line, *cells) for line, cells in lines.items()), ("", "", "sagitta", *sagitta.values())]
+    options.show(found, [(("arm", "path", "placed", *(f"{bending:g} rad" for bending in bent)), rows)])
+    for each in runs:
         if each.refused:
             print_warning(f"{each.arm}, {each.shape}, {each.method}, {each.bending:g} rad: {each.refused}")
-    _keep(output, found, summary, {LEADER_PICTURE: draw_leader}, Following._fields)
+    options.keep(runs, found, leader=draw_leader)
 
 
-def _leader_cell(each: Following) -> str:
-    return "-" if each.body is None else f"{each.body:.3f}, points {each.points:.3f}"
-
-
-VERBS: dict[str, Callable[..., None]] = {
+STUDIES: dict[str, Callable[..., None]] = {
     "arms": run_arms,
     "methods": run_methods,
     "postures": run_postures,
@@ -863,4 +709,87 @@ VERBS: dict[str, Callable[..., None]] = {
     "cycles": run_cycles,
     "leader": run_leader,
 }
-"""The verbs by name, in the order of the help."""
+"""The verbs `pinposture study ...` by name, in the order of the help."""
+
+
+# `pinposture reproduce`: the experiments of the thesis once more.
+
+
+@examples(
+    "pinposture reproduce",
+    "pinposture reproduce 6.3 6.4",
+    "pinposture reproduce claims --seeds 10",
+    "pinposture reproduce all -o out/thesis",
+)
+def run_reproduce(
+    *,
+    figures: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[FIGURE]...", help="6.3 to 6.12, claims, or all; else they are listed."),
+    ] = None,
+    seeds: Annotated[int, MOTION("Number of seeds to judge claims over.", "N")] = 100,
+    steps: Annotated[int, MOTION("Steps after which a run ends.", "N")] = 200,
+    jobs: JobsOption = -1,
+    output: Annotated[Path, OUTPUT("Where to leave files.", "DIR", flags="--output -o")] = Path(
+        "out/reproduce"
+    ),
+    as_json: JsonOption = False,
+) -> None:
+    """Reproduce the experiments of chapter 6 of the thesis, and judge its claims.
+
+    Each figure is drawn as the thesis lays it out, from runs whose numbers go to results.json. The claims are
+    measured over many seeds; results.json has every number and a verdict on each, claims.md the same to read.
+    All of it takes some minutes.
+    """
+    if not figures:
+        _list_figures(as_json)
+        return
+    from pinposture.study.reproduce import reproduce
+
+    with count_progress("run") as progress:
+        done = reproduce(figures, output, seeds, steps, jobs, progress)
+    if as_json:
+        print_json(done.results)
+    else:
+        _print_reproduction(done)
+    for file in done.files:
+        print_note(f"wrote {file}")
+
+
+def _list_figures(as_json: bool) -> None:
+    """Say what there is to reproduce."""
+    from pinposture.study.claims import CLAIMS, FIGURES
+
+    rows = [(number, each.title, f"Section {each.section}") for number, each in FIGURES.items()]
+    if as_json:
+        shown = [{"figure": number, "title": title, "section": section} for number, title, section in rows]
+        print_json({"figures": shown, "claims": len(CLAIMS)})
+        return
+    rows.append(("claims", f"verdicts on {len(CLAIMS)} claims", "all chapters"))
+    rows.append(("all", "everything", ""))
+    print_table(("figure", "shows", "thesis"), rows)
+
+
+def _print_reproduction(done: Reproduction) -> None:
+    """The tables at the end."""
+    from pinposture.study.reproduce.reproduction import span
+
+    runs = [
+        (
+            figure.about.number,
+            name,
+            f"{run.posture_error[0]:.3g} -> {run.posture_error[-1]:.3g}",
+            run.steps,
+            run.status,
+            figure.about.title,
+        )
+        for figure in done.figures
+        for name, run in figure.runs.items()
+    ]
+    if runs:
+        print_table(("figure", "controller", "posture error [m]", "steps", "ending", "shows"), runs)
+    claims = [
+        (each.verdict, span(each.finding.shares), each.claim.text, each.claim.where) for each in done.judged
+    ]
+    if claims:
+        print_table(("verdict", "true in", "claim", "where"), claims)

@@ -2,28 +2,48 @@
 
 from __future__ import annotations
 
+import textwrap
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
-
-import typer
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pinposture.cli.inputs import (
     MOTION,
     OUTPUT,
+    TIP,
     ArmOptions,
     ControllerOptions,
+    CurveOption,
     DegreesOption,
     JsonOption,
     LimitOptions,
+    PlacementOptions,
+    SceneOptions,
     ToleranceOption,
     UrdfArgument,
     ViewOption,
+    read_numbers,
     read_start,
 )
-from pinposture.cli.output import end_with, examples, print_note, print_result, step_progress
-from pinposture.cli.results import FILES, in_words, keep, summarize
-from pinposture.cli.targets import CurveOption, PlacementOptions, SceneOptions, TipOptions, tip_off
+from pinposture.cli.output import (
+    FILES,
+    closest_in_words,
+    end_with,
+    examples,
+    keep,
+    print_note,
+    print_result,
+    step_progress,
+    verdict_in_colour,
+)
 from pinposture.cli.view import show
+from pinposture.errors import InvalidValue
+
+if TYPE_CHECKING:
+    from pinposture.arm import ArmState
+    from pinposture.control import EndEffector
+    from pinposture.motion import Trajectory
 
 
 @examples(
@@ -48,32 +68,21 @@ def run(
     controller_options: ControllerOptions,
     start: Annotated[
         str,
-        typer.Option(
-            metavar="START",
-            help="straight, smooth or random, a .npy, .csv or .json file of joint positions, or 0.1,0.2,...",
-            rich_help_panel=MOTION,
+        MOTION(
+            "straight, smooth or random, a .npy, .csv or .json file of joint positions, or 0.1,0.2,...",
+            "START",
         ),
     ] = "smooth",
     degrees: DegreesOption = False,
-    seed: Annotated[
-        int, typer.Option(help="What a smooth or random start is drawn from.", rich_help_panel=MOTION)
-    ] = 0,
-    steps: Annotated[
-        int, typer.Option(help="Number of steps after which to stop.", rich_help_panel=MOTION)
-    ] = 300,
+    seed: Annotated[int, MOTION("What a smooth or random start is drawn from.")] = 0,
+    steps: Annotated[int, MOTION("Number of steps after which to stop.")] = 300,
     tolerance: ToleranceOption = None,
     limit_options: LimitOptions,
     scene_options: SceneOptions,
     tip_options: TipOptions,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="DIR",
-            help="Leave run.npz, run.png and run.html here; else nothing is kept.",
-            rich_help_panel=OUTPUT,
-        ),
+        OUTPUT("Leave run.npz, run.png and run.html here; else nothing is kept.", "DIR", flags="--output -o"),
     ] = None,
     as_json: JsonOption = False,
     view: ViewOption = False,
@@ -131,3 +140,196 @@ def run(
     if view:
         show(motion, True, print_note)
     end_with(motion.faults)
+
+
+# What is asked of the tip on the command line, besides the shape.
+@dataclass(frozen=True)
+class TipOptions:
+    """What is asked of the tip, besides the shape."""
+
+    tip_position: Annotated[
+        str | None, TIP("Bring the tip here, in metres, as the arm takes its shape.", "X,Y,Z")
+    ] = None
+    tip_pose: Annotated[
+        str | None,
+        TIP(
+            "Bring it here, turned from the axes of the world by roll about x, then pitch about y, then "
+            "yaw about z, in rad.",
+            "X,Y,Z,ROLL,PITCH,YAW",
+        ),
+    ] = None
+    hold_tip: Annotated[
+        str | None, TIP("Keep the tip where the start has it: its position, or its pose.", "WHAT")
+    ] = None
+    tip_weight: Annotated[
+        float | None, TIP("What the tip counts, where a control point on the curve counts 1; else 1.")
+    ] = None
+    strict_tip: Annotated[bool, TIP("The tip comes first, the shape after it.", flags="--strict-tip")] = False
+
+    def read(self, start: ArmState) -> EndEffector | None:
+        """The task of the tip that these options ask for; None if they ask for none.
+
+        Args:
+            start: where the arm begins.
+
+        Raises:
+            InvalidValue: more than one place for the tip; a weight, or a priority, without any; other
+                numbers.
+            UnknownName: something else to hold.
+        """
+        from pinposture.control import EndEffector
+
+        places = {
+            "--tip-position": self.tip_position,
+            "--tip-pose": self.tip_pose,
+            "--hold-tip": self.hold_tip,
+        }
+        given = {option: text for option, text in places.items() if text is not None}
+        if len(given) > 1:
+            first, second, *_ = given
+            raise InvalidValue(second, given[second], f"without {first}")
+        weight = 1.0 if self.tip_weight is None else self.tip_weight
+        if self.tip_position is not None:
+            position = _finite("--tip-position", self.tip_position, "X,Y,Z")
+            return EndEffector(position=position, weight=weight, priority=self.strict_tip)
+        if self.tip_pose is not None:
+            pose = _placement(_finite("--tip-pose", self.tip_pose, "X,Y,Z,ROLL,PITCH,YAW"))
+            return EndEffector(pose=pose, weight=weight, priority=self.strict_tip)
+        if self.hold_tip is not None:
+            return EndEffector.held(start, self.hold_tip, weight=weight, priority=self.strict_tip)
+        for option, value in (("--tip-weight", self.tip_weight), ("--strict-tip", self.strict_tip or None)):
+            if value is not None:
+                raise InvalidValue(option, value, f"together with one of {', '.join(places)}")
+        return None
+
+
+def _finite(option: str, text: str, names: str) -> list[float]:
+    import numpy as np
+
+    values = read_numbers(option, text)
+    if len(values) != names.count(",") + 1 or not np.all(np.isfinite(values)):
+        raise InvalidValue(option, text, f"finite numbers, {names}")
+    return values
+
+
+def _placement(values: list[float]) -> Any:
+    import numpy as np
+    import pinocchio as pin
+
+    return pin.SE3(pin.rpy.rpyToMatrix(*values[3:]), np.array(values[:3]))
+
+
+def tip_off(task: EndEffector, motion: Trajectory) -> dict[str, float | None]:
+    """How far the tip is from what was asked of it, at the end of a run.
+
+    Returns:
+        "distance" [m], of a planar arm within its plane; and "turn" [rad], about axes about which the tip can
+        turn, or None if no pose was asked for.
+    """
+    import numpy as np
+
+    arm = motion.arm
+    off = task.rows(arm.at(motion.q[-1]), motion.target).error
+    turn = (
+        None if task.pose is None else float(np.linalg.norm(off[arm.dimension :])) / arm.characteristic_length
+    )
+    return {"distance": float(np.linalg.norm(off[: arm.dimension])), "turn": turn}
+
+
+WORDY = 200
+"""Characters after which it is enough of what gave way in a step."""
+
+
+def summarize(motion: Trajectory) -> dict[str, Any]:
+    """A run in numbers that JSON can hold; lengths in metres."""
+    import numpy as np
+
+    from pinposture.motion.trajectory import closest
+
+    target, errors, points = motion.target, motion.posture_error, motion.active.sum(axis=1)
+    off = None if target.residual is None else float(target.residual[target.has_target].max())
+    return {
+        "verdict": motion.verdict,
+        "status": motion.status,
+        "converged": motion.converged,
+        "reason": motion.reason,
+        "faults": list(motion.faults),
+        "steps": motion.steps,
+        "start_error": float(errors[0]),
+        "final_error": float(errors[-1]),
+        "lowest_error": float(errors.min()),
+        "mean_error": float(errors[-1]) / int(target.has_target.sum()),
+        "arm_length": motion.arm.length,
+        "control_points": motion.arm.n_modules,
+        "placed_points": int(target.has_target.sum()),
+        "placed_by": target.method,
+        "largest_residual": off,
+        "distance_from_curve": motion.distance_from_curve,
+        "first_active_points": int(points[0]) if len(points) else 0,
+        "last_active_points": int(points[-1]) if len(points) else 0,
+        "switches": [switch._asdict() for switch in motion.switches],
+        "path_length_ratio": motion.path_length_ratio,
+        "escape_share": float(motion.error_increasing.mean()) if motion.steps else 0.0,
+        "violated_constraints": [
+            {"step": int(k), "what": str(motion.violated_constraints[k]).splitlines()}
+            for k in np.flatnonzero(motion.violated_constraints != "")
+        ],
+        "clearance": closest(motion),
+        "incomplete": target.incomplete,
+        "moved": None if target.moved is None else target.moved._asdict(),
+    }
+
+
+def _whole_arm(summary: Mapping[str, Any]) -> dict[str, str]:
+    """How far the whole arm is from the curve in the end, where there is one."""
+    away = summary["distance_from_curve"]
+    if away is None:
+        return {}
+    share = away / summary["arm_length"]
+    return {"whole arm": f"its links at most {away:.2g} m from the curve, {share:.2g} of the arm length"}
+
+
+def in_words(summary: Mapping[str, Any]) -> dict[str, str | tuple[str, str]]:
+    """A summary as a person reads it; the verdict with the colour in which to print it."""
+    first, last, mean = (summary[key] for key in ("start_error", "final_error", "mean_error"))
+    from pinposture.placement.target import Moved
+
+    off, length = summary["largest_residual"], summary["arm_length"]
+    words: dict[str, str | tuple[str, str]] = {
+        "verdict": verdict_in_colour(summary),
+        "steps": str(summary["steps"]),
+        "placed by": f"{summary['placed_by']} placement, control points at most {off:.2g} m off the curve, "
+        f"{off / length:.2g} of the arm length",
+        **_whole_arm(summary),
+        "posture error": f"{first:.4g} m at the start, {last:.4g} m at the end",
+        "mean error": f"{mean:.4g} m for each point, {mean / length:.2g} of the arm length",
+        "active points": f"{summary['first_active_points']} at the first step, "
+        f"{summary['last_active_points']} at the last, of {summary['control_points']}",
+        "paths": f"of control points {summary['path_length_ratio']:.3g} times as long as straight ones",
+    }
+    if summary["moved"] is not None and Moved(**summary["moved"]):
+        how = "; --placement as_is leaves it where it is drawn"
+        words["curve"] = f"{Moved(**summary['moved'])} to the base of the arm{how}"
+    if summary["escape_share"]:
+        words["escapes"] = (
+            f"{100 * summary['escape_share']:.3g} % of the steps; the posture error may rise there"
+        )
+    if summary["switches"]:
+        first_switch = summary["switches"][0]
+        words["switches"] = (
+            f"{len(summary['switches'])}; the first in step {first_switch['step'] + 1} to "
+            f"{first_switch['method']}: {first_switch['reason']}"
+        )
+    if summary["clearance"] is not None:
+        words["clearance"] = closest_in_words(summary["clearance"])
+    if summary["violated_constraints"]:
+        first_relaxed = summary["violated_constraints"][0]
+        what = textwrap.shorten("; ".join(first_relaxed["what"]), WORDY, placeholder=" ...")
+        count, first = len(summary["violated_constraints"]), first_relaxed["step"] + 1
+        words["gave way"] = f"something in {count} steps; first in step {first}: {what}"
+    if summary.get("tip") is not None:
+        distance, turn = summary["tip"]["distance"], summary["tip"]["turn"]
+        words["tip"] = f"{distance:.4g} m off" + ("" if turn is None else f", turned by {turn:.4g} rad")
+    if summary["incomplete"]:
+        words["incomplete"] = str(summary["incomplete"])
+    return words

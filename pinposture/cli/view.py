@@ -10,8 +10,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pinposture.cli.inputs import NoBrowserOption, read_points
-from pinposture.cli.output import examples, print_note
-from pinposture.cli.results import MOTION, RUN, find_kept, load_kept, write_animation, write_plot
+from pinposture.cli.output import (
+    MOTION_FILE,
+    RUN_FILE,
+    examples,
+    find_kept,
+    load_kept,
+    print_note,
+    write_animation,
+    write_plot,
+)
 from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:
@@ -30,7 +38,7 @@ def run(
         Path,
         typer.Argument(
             metavar="RUN",
-            help=f"A saved run or motion, or the directory that holds its {RUN} or {MOTION}.",
+            help=f"A saved run or motion, or the directory that holds its {RUN_FILE} or {MOTION_FILE}.",
         ),
     ],
     html: Annotated[
@@ -86,7 +94,7 @@ def show(
         ellipsoids: indices of the control points to show the manipulability ellipsoids of, 0-based.
     """
     from pinposture.viz import view
-    from pinposture.viz.ellipsoids import scale_in_words
+    from pinposture.viz.postures import scale_in_words
 
     viewer = view(motion.arm, motion, open_browser=open_browser, ellipsoids=ellipsoids)
     try:

@@ -19,7 +19,7 @@ from pinposture.control.limits import cycle_of
 from pinposture.curve import Curve
 from pinposture.curve.construction import deviation
 from pinposture.errors import CurveError, InvalidValue, TaskError
-from pinposture.placement.curve_placement import beginning, place_curve
+from pinposture.placement.target import beginning, place_curve
 from pinposture.task import Keyframe, Task
 from pinposture.task.follow_leader import Leader
 from pinposture.task.keyframe import MOST_CYCLES

@@ -11,9 +11,9 @@ from pinposture.curve import Curve
 from pinposture.editor.edits import FIT_TOLERANCE, MAX_SHAPE_POINTS, Shape
 from pinposture.editor.solver import judge
 from pinposture.errors import PostureError, TaskError
-from pinposture.placement.curve_placement import arm_axis
+from pinposture.placement.target import arm_axis
 from pinposture.task import Keyframe, Task
-from pinposture.task.perform import DEFAULT_CYCLE
+from pinposture.task.specification import DEFAULT_CYCLE
 from pinposture.viz.body import backbone
 
 Array = NDArray[np.float64]

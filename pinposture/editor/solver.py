@@ -30,8 +30,8 @@ from pinposture.errors import (
 from pinposture.motion import Tracker
 from pinposture.placement import Target
 from pinposture.task import Keyframe
+from pinposture.task.keyframe import resolve_keyframe
 from pinposture.task.reference import tip_off
-from pinposture.task.resolving import resolve_keyframe
 
 Array = NDArray[np.float64]
 logger = logging.getLogger(__name__)

@@ -3,11 +3,10 @@
 from pinposture.motion.batch import Batch
 from pinposture.motion.files import load, save
 from pinposture.motion.joint_trajectory import JointTrajectory
-from pinposture.motion.motion import Motion
 from pinposture.motion.track import track
 from pinposture.motion.track_many import track_many
 from pinposture.motion.tracker import Report, Tracker
-from pinposture.motion.trajectory import Trajectory
+from pinposture.motion.trajectory import Motion, Trajectory
 
 __all__ = [
     "Batch",

@@ -29,10 +29,9 @@ from pinposture.motion.joint_files import (
     write_table,
 )
 from pinposture.motion.joint_trajectory import JointTrajectory
-from pinposture.motion.motion import Motion, Waypoint
-from pinposture.motion.trajectory import ENDINGS, Trajectory
+from pinposture.motion.trajectory import ENDINGS, Motion, Trajectory, Waypoint
 from pinposture.placement import Target
-from pinposture.placement.curve_placement import Moved
+from pinposture.placement.target import Moved
 from pinposture.storage import with_suffix, write_bytes
 
 Result = TypeVar("Result")

@@ -24,10 +24,9 @@ from pinposture.errors import (
     UnknownName,
     UnsupportedModule,
 )
-from pinposture.placement.curve_placement import ON_CURVE, Moved, Placement, beginning, place_curve
 from pinposture.placement.least_squares import fit_curve, fit_near
 from pinposture.placement.module_kinematics import Unit, arm_units, unit_arrays
-from pinposture.placement.target import Target
+from pinposture.placement.target import ON_CURVE, Moved, Placement, Target, beginning, place_curve
 
 Array = NDArray[np.float64]
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from itertools import pairwise
 from math import ceil
 from time import perf_counter
@@ -12,10 +13,9 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from joblib import delayed
 from numpy.typing import NDArray
 
-from pinposture._validation import Vector, require_whole
+from pinposture._validation import Vector
 from pinposture.arm import Arm, smooth_configuration
 from pinposture.collision import Box, Capsule, CollisionModel, Obstacle, Scan, Scene, Sphere
 from pinposture.collision.pipe import Bend, pipe_axis, pipe_walls
@@ -23,10 +23,10 @@ from pinposture.control import Limits, plan
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, PostureError, PostureWarning, UnknownName
 from pinposture.motion import Trajectory, track
-from pinposture.motion.processes import Progress, collect_results
+from pinposture.motion.processes import Progress
 from pinposture.motion.trajectory import path_length_ratio
 from pinposture.placement import Target, resolve_targets
-from pinposture.study.record import Spread, distinct, one_line
+from pinposture.study.record import Spread, check_study, grouped, one_line, run_all
 from pinposture.study.scenes import coiled, situation_arm
 
 Array = NDArray[np.float64]
@@ -69,10 +69,11 @@ class ClutterProblem(NamedTuple):
     goal: Array
 
 
-Draw = Callable[[Arm, np.random.Generator], "tuple[dict[str, Obstacle], Array | None, Array | None]"]
+Drawn = tuple[dict[str, Obstacle], Array | None, Array | None]
+"""Obstacles, start and goal; None where the arm cannot take a curve."""
 
 
-def _balls(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle], Array, Array]:
+def _balls(arm: Arm, rng: np.random.Generator) -> Drawn:
     places = _away_from_base(rng, 40, 3)
     return (
         {f"ball{k}": Sphere(tuple(place), 0.06) for k, place in enumerate(places)},
@@ -81,7 +82,7 @@ def _balls(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle], Arr
     )
 
 
-def _posts(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle], Array, Array]:
+def _posts(arm: Arm, rng: np.random.Generator) -> Drawn:
     places = _away_from_base(rng, 30, 2)
     posts: dict[str, Obstacle] = {
         f"post{k}": Capsule((x, y, -1.0), (x, y, 1.0), 0.025) for k, (x, y) in enumerate(places)
@@ -89,14 +90,14 @@ def _posts(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle], Arr
     return posts, smooth_configuration(arm, rng, 1.0), smooth_configuration(arm, rng, 1.0)
 
 
-def _hole(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle], Array | None, Array | None]:
+def _hole(arm: Arm, rng: np.random.Generator) -> Drawn:
     y, z = rng.uniform(-0.12, 0.12, 2)
     behind = [(0.65, y + rng.uniform(-0.15, 0.15), z), (1.0, y + rng.uniform(-0.3, 0.3), z)]
     goal = _posture_on(arm, [(0.3, 0.8 * y, 0.8 * z), (0.45, y, z), *behind])
     return _wall("wall", 0.45, y, z), *_either_way(rng, smooth_configuration(arm, rng, 1.2), goal)
 
 
-def _two_walls(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle], Array | None, Array | None]:
+def _two_walls(arm: Arm, rng: np.random.Generator) -> Drawn:
     y, z = rng.uniform(-0.12, 0.12, 2)
     other_y, other_z = (y, z) + rng.uniform(-0.12, 0.12, 2)
     middle = (0.6, 0.5 * (y + other_y), 0.5 * (z + other_z))
@@ -106,7 +107,7 @@ def _two_walls(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle],
     return walls, *_either_way(rng, smooth_configuration(arm, rng, 1.2), goal)
 
 
-def _shelf(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle], Array | None, Array | None]:
+def _shelf(arm: Arm, rng: np.random.Generator) -> Drawn:
     boards = (-0.5, -0.25, 0.0, 0.25, 0.5)
     shelf: dict[str, Obstacle] = {
         f"board{k}": Box((0.75, 0.0, z), (0.4, 1.0, 0.02)) for k, z in enumerate(boards)
@@ -117,7 +118,7 @@ def _shelf(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle], Arr
     return shelf, start, goal
 
 
-def _corner(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle], Array | None, Array | None]:
+def _corner(arm: Arm, rng: np.random.Generator) -> Drawn:
     walls: dict[str, Obstacle] = {
         "right": Box((0.45, -0.65, 0.0), (0.1, 1.1, 2.0)),
         "left": Box((0.45, 0.8, 0.0), (0.1, 1.0, 2.0)),
@@ -128,22 +129,16 @@ def _corner(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle], Ar
     return walls, smooth_configuration(arm, rng, 1.2), _posture_on(arm, [(0.33, 0.1, 0.0), *beyond])
 
 
-def _pipe(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle], Array | None, Array | None]:
+def _pipe(arm: Arm, rng: np.random.Generator) -> Drawn:
     """A pipe with two bends, which begins in front of the arm and ends before its tip."""
     bends = [Bend(0.15, rng.uniform(0.5, 1.1), rng.uniform(0.0, 2.0 * np.pi)) for _ in range(2)]
     axis = pipe_axis((PIPE_BEGINS + 0.05, 0.08, 1.0), bends)
     ends = PIPE_BEGINS + 0.13 + 0.15 * sum(bend.angle for bend in bends) + 0.1
     walls: dict[str, Obstacle] = {**pipe_walls(axis.trimmed(PIPE_BEGINS, ends), PIPE_RADIUS)}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PostureWarning)
-        try:
-            inside = resolve_targets(arm, axis, placement="as_is").q
-        except PostureError:
-            inside = None
-    return walls, *_either_way(rng, smooth_configuration(arm, rng, 1.2), inside)
+    return walls, *_either_way(rng, smooth_configuration(arm, rng, 1.2), _posture_along(arm, axis))
 
 
-def _machine(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle], Array | None, Array | None]:
+def _machine(arm: Arm, rng: np.random.Generator) -> Drawn:
     """A scanned housing with a hole in front and parts inside: a cloud of points on their surfaces."""
     y, z = rng.uniform(-0.1, 0.1, 2)
     walls = {
@@ -163,8 +158,7 @@ def _machine(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle], A
     }
     inside = None
     scene = Scene(walls | parts, margin=CLUTTER_MARGIN + SPARE_CLEARANCE + POINT_RADIUS)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PostureWarning)
+    with _quietly():
         model = CollisionModel(arm, scene)
     for _ in range(MAX_REACHES):
         towards = _triple(rng, (0.7, -0.25, -0.25), (0.9, 0.25, 0.25))
@@ -177,7 +171,7 @@ def _machine(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle], A
     return scan, *_either_way(rng, smooth_configuration(arm, rng, 1.2), inside)
 
 
-def _coil(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle], Array, Array]:
+def _coil(arm: Arm, rng: np.random.Generator) -> Drawn:
     """Nothing but the arm itself: a helix of more than a turn that is to become another one."""
     starts, goals = (
         arm.configuration(coiled(rng.uniform(7.0, 9.0), sign * rng.uniform(1.5, 2.5)))
@@ -186,7 +180,7 @@ def _coil(arm: Arm, rng: np.random.Generator) -> tuple[dict[str, Obstacle], Arra
     return {}, starts, goals
 
 
-KINDS_OF_CLUTTER: Mapping[str, Draw] = MappingProxyType(
+KINDS_OF_CLUTTER: Mapping[str, Callable[[Arm, np.random.Generator], Drawn]] = MappingProxyType(
     {
         "balls": _balls,
         "posts": _posts,
@@ -199,7 +193,7 @@ KINDS_OF_CLUTTER: Mapping[str, Draw] = MappingProxyType(
         "coil": _coil,
     }
 )
-"""How to draw a problem of each kind: obstacles, start and goal; None where the arm cannot take a curve."""
+"""How to draw a problem of each kind."""
 
 
 def draw_problem(arm: Arm, kind: str, seed: int) -> ClutterProblem:
@@ -222,8 +216,7 @@ def draw_problem(arm: Arm, kind: str, seed: int) -> ClutterProblem:
         if start is None or goal is None:
             continue
         scene = Scene(obstacles, self_collision=not obstacles, margin=CLUTTER_MARGIN)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", PostureWarning)
+        with _quietly():
             model = CollisionModel(arm, scene)
         if min(model.minimum(q).distance for q in (start, goal)) > CLUTTER_MARGIN + SPARE_CLEARANCE:
             return ClutterProblem(scene, start, goal)
@@ -276,13 +269,23 @@ def _in_bay(column: int, row: int) -> list[tuple[float, float, float]]:
 
 def _posture_on(arm: Arm, points: Sequence[tuple[float, float, float]]) -> Array | None:
     """The configuration on a curve from the base through points; None if the arm cannot take it."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PostureWarning)
+    return _posture_along(arm, Curve.spline(np.array([(0.0, 0.0, 0.0), (0.12, 0.0, 0.0), *points])))
+
+
+def _posture_along(arm: Arm, curve: Curve) -> Array | None:
+    with _quietly():
         try:
-            curve = Curve.spline(np.array([(0.0, 0.0, 0.0), (0.12, 0.0, 0.0), *points]))
             return resolve_targets(arm, curve, placement="as_is").q
         except PostureError:
             return None
+
+
+@contextmanager
+def _quietly() -> Iterator[None]:
+    """Leave out warnings: draws that do not fit are drawn again."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PostureWarning)
+        yield
 
 
 def _either_way(
@@ -415,27 +418,19 @@ def study_clutter(
         InvalidValue: no kind, or numbers that make no sense.
         UnknownName: there is no such kind.
     """
-    require_whole("seeds", seeds, 1)
-    require_whole("first_seed", first_seed, 0)
-    if len(kinds) == 0:
-        raise InvalidValue("kinds", list(kinds), "at least one")
+    check_study(first_seed, seeds=seeds, kinds=kinds)
     for kind in kinds:
         if kind not in KINDS_OF_CLUTTER:
             raise UnknownName("kind of clutter", kind, KINDS_OF_CLUTTER)
     arm = situation_arm()
-    tasks = [
-        delayed(solve_problem)(arm, kind, seed)
-        for kind in kinds
-        for seed in range(first_seed, first_seed + seeds)
-    ]
-    return collect_results(tasks, jobs, progress)
+    cases = ((arm, kind, seed) for kind in kinds for seed in range(first_seed, first_seed + seeds))
+    return run_all(solve_problem, cases, jobs, progress)
 
 
 def by_kind(runs: Sequence[ClutterRun]) -> list[ClutterRow]:
     """Summarise runs by kind, in the order in which these first appear."""
     rows = []
-    for kind in distinct(run.kind for run in runs):
-        own = [run for run in runs if run.kind == kind]
+    for kind, own in grouped(runs, lambda run: run.kind).items():
         there = [run for run in own if run.reached]
         rows.append(
             ClutterRow(

@@ -7,19 +7,16 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from joblib import delayed
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import require_whole
 from pinposture.arm import Arm
-from pinposture.control import Controller, Limits
-from pinposture.errors import InvalidValue, UnknownName
-from pinposture.motion import track
-from pinposture.motion.processes import Progress, collect_results
+from pinposture.control import Controller
+from pinposture.errors import UnknownName
+from pinposture.motion.processes import Progress
 from pinposture.placement import Target
 from pinposture.study.arms import Subject
 from pinposture.study.baselines import named_controllers
-from pinposture.study.record import MAX_STEPS, STEP, final_error
+from pinposture.study.record import check_study, drive, final_error, run_all
 from pinposture.study.scenarios import arbitrary_configuration
 
 Array = NDArray[np.float64]
@@ -91,16 +88,13 @@ def cycle_drift(
         InvalidValue: no posture, a configuration that does not fit, or less than one round.
         UnknownName: no controller has that name.
     """
-    require_whole("rounds", rounds, 1)
-    if len(targets) == 0:
-        raise InvalidValue("targets", list(targets), "at least one")
+    check_study(rounds=rounds, targets=targets)
     chosen = named_controllers([controller])[0]
     first = q = arm.checked(q0, "q0")
     drift, errors, steps = [], [], 0
     for _ in range(rounds):
         for target in targets:
-            limits, close = Limits(step=STEP), CLOSE * arm.length
-            run = track(arm, target, q, chosen, limits, max_steps=MAX_STEPS, tolerance=close)
+            run = drive(arm, target, q, chosen, tolerance=CLOSE)
             q, steps = run.q[-1], steps + run.steps
             errors.append(final_error(run))
         apart = np.abs(pin.difference(arm.model, first, q)) / arm.joint_units
@@ -137,23 +131,19 @@ def study_cycles(
         InvalidValue: no arm, no knowledge, or numbers that make no sense.
         UnknownName: no such knowledge or controller.
     """
-    for name, number, least in (("cycles", cycles, 1), ("rounds", rounds, 1), ("first_seed", first_seed, 0)):
-        require_whole(name, number, least)
-    for name, listed in (("subjects", subjects), ("knowledge", knowledge)):
-        if len(listed) == 0:
-            raise InvalidValue(name, list(listed), "at least one")
+    check_study(first_seed, cycles=cycles, rounds=rounds, subjects=subjects, knowledge=knowledge)
     for known in knowledge:
         if known not in CYCLE_KNOWLEDGE:
             raise UnknownName("knowledge of the target", known, CYCLE_KNOWLEDGE)
     chosen = named_controllers([controller])[0]
     seeds = range(first_seed, first_seed + cycles)
-    tasks = [
-        delayed(_one)(subject, known, seed, rounds, chosen)
+    cases = (
+        (subject, known, seed, rounds, chosen)
         for subject in subjects
         for known in knowledge
         for seed in seeds
-    ]
-    return collect_results(tasks, jobs, progress)
+    )
+    return run_all(_one, cases, jobs, progress)
 
 
 def _one(subject: Subject, known: str, seed: int, rounds: int, controller: Controller) -> PostureCycle:

@@ -7,15 +7,14 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from joblib import delayed
 
 from pinposture._validation import is_number
 from pinposture.arm import Arm, JointSpec, ModuleTemplate, template
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, TargetError, UnknownName
-from pinposture.motion.processes import Progress, collect_results
-from pinposture.task.deviation import path_deviation
-from pinposture.task.follow_leader import PATH_METHODS, Method, follow_leader
+from pinposture.motion.processes import Progress
+from pinposture.study.record import run_all
+from pinposture.task.follow_leader import PATH_METHODS, Method, follow_leader, path_deviation
 
 MODULE, MODULES = 0.05, 20
 """Length of a module [m], and how many of them an arm has."""
@@ -42,7 +41,7 @@ BENDINGS = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.4)
 SHARE = 0.9
 """Length of a path, at most, relative to the arm: the first joint stays where the way is straight."""
 
-STEP = 0.1
+FEED_STEP = 0.1
 """How far the feed goes from one posture to the next, in module lengths."""
 
 
@@ -134,14 +133,14 @@ def study_leader(
     for method in methods:
         if method not in PATH_METHODS:
             raise UnknownName("method", method, PATH_METHODS)
-    tasks = [
-        delayed(_one)(name, shape, method, float(bending))
+    cases = [
+        (name, shape, method, float(bending))
         for name in arms
         for shape in (SHAPES if fed_arm(name).dimension == 3 else SHAPES[:1])
         for method in methods
         for bending in bendings
     ]
-    return collect_results(tasks, jobs, progress)
+    return run_all(_one, cases, jobs, progress)
 
 
 def _one(name: str, shape: str, method: Method, bending: float) -> Following:
@@ -150,7 +149,7 @@ def _one(name: str, shape: str, method: Method, bending: float) -> Following:
     radius = MODULE / bending
     rise = 100.0 * float(radius - np.sqrt(radius**2 - 0.25 * MODULE**2)) / length
     try:
-        reference = follow_leader(arm, path, STEP * MODULE, 1.0, method=method)
+        reference = follow_leader(arm, path, FEED_STEP * MODULE, 1.0, method=method)
     except TargetError as error:
         return Following(name, shape, bending, method, None, None, rise, None, str(error))
     q = np.array([reference.configuration(row) for row in range(reference.rows)])

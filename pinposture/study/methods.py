@@ -53,16 +53,6 @@ class MethodResult(NamedTuple):
     peaks: tuple[float, ...]
 
 
-class _Case(NamedTuple):
-    """What came of one seed; fields as in `MethodResult`."""
-
-    posture_error: float
-    end_effector_error: float
-    mean_error: float
-    returned: float
-    peaks: tuple[float, ...]
-
-
 def compare_methods(
     arm: Arm,
     controllers: Sequence[str | Controller],
@@ -105,19 +95,23 @@ def compare_methods(
     return results
 
 
-def _summary(controller: str, cases: Sequence[_Case]) -> MethodResult:
+def _summary(controller: str, cases: Sequence[tuple[Array, float, tuple[float, ...]]]) -> MethodResult:
+    errors = np.array([errors for errors, _, _ in cases])  # (runs, m)
     return MethodResult(
         controller=controller,
         runs=len(cases),
-        posture_error=float(np.median([case.posture_error for case in cases])),
-        end_effector_error=float(np.median([case.end_effector_error for case in cases])),
-        reached=float(np.mean([case.mean_error < REACHED for case in cases])),
-        returned=float(np.median([case.returned for case in cases])),
-        peaks=tuple(float(peak) for peak in np.max([case.peaks for case in cases], axis=0)),
+        posture_error=float(np.median(errors.sum(axis=1))),
+        end_effector_error=float(np.median(errors[:, -1])),
+        reached=float(np.mean(errors.mean(axis=1) < REACHED)),
+        returned=float(np.median([returned for _, returned, _ in cases])),
+        peaks=tuple(float(peak) for peak in np.max([peaks for _, _, peaks in cases], axis=0)),
     )
 
 
-def _one(arm: Arm, controller: Controller, seed: int, max_steps: int) -> _Case:
+def _one(
+    arm: Arm, controller: Controller, seed: int, max_steps: int
+) -> tuple[Array, float, tuple[float, ...]]:
+    """Final point errors, relative to the arm length, (m,); `returned` and `peaks` as in `MethodResult`."""
     rng = np.random.default_rng(seed)
     start, goal = (smooth_configuration(arm, rng, rng.uniform(0.2, 1.0)) for _ in range(2))
     there, back = (Target.from_configuration(arm, q) for q in (goal, start))
@@ -125,13 +119,7 @@ def _one(arm: Arm, controller: Controller, seed: int, max_steps: int) -> _Case:
     errors = run.point_errors[-1] / arm.length
     again = track(arm, back, run.q[-1], controller, max_steps=max_steps)
     apart = pin.difference(arm.model, start, again.q[-1]) / arm.joint_units
-    return _Case(
-        posture_error=float(errors.sum()),
-        end_effector_error=float(errors[-1]),
-        mean_error=float(errors.mean()),
-        returned=float(np.abs(apart).max()),
-        peaks=_peaks(arm, controller, goal, seed),
-    )
+    return errors, float(np.abs(apart).max()), _peaks(arm, controller, goal, seed)
 
 
 def _peaks(arm: Arm, controller: Controller, goal: Array, seed: int) -> tuple[float, ...]:

@@ -7,18 +7,16 @@ from itertools import chain
 from typing import Literal, NamedTuple
 
 import numpy as np
-from joblib import delayed
 from numpy.typing import NDArray
 
-from pinposture._validation import require_whole
 from pinposture.arm import Arm, smooth_configuration
 from pinposture.control import Controller
-from pinposture.errors import InvalidValue, UnknownName
-from pinposture.motion.processes import Progress, collect_results
+from pinposture.errors import UnknownName
+from pinposture.motion.processes import Progress
 from pinposture.placement import Target, resolve_targets
 from pinposture.study.arms import Family, Subject, draw_case
 from pinposture.study.baselines import named_controllers
-from pinposture.study.record import Case, Record, Spread, distinct, run_case, spread
+from pinposture.study.record import Case, Record, Spread, check_study, grouped, run_all, run_case, spread
 from pinposture.study.scenarios import bent_configuration, curve_along
 
 # Many starts, targets and controllers: does it get there, how directly, and what does it do on the way.
@@ -49,8 +47,7 @@ def study_postures(
         controllers: controllers, or their names.
         cases: number of cases for each arm.
         first_seed: seed of the first case of each family.
-        jobs: number of processes; joblib's backends apply, so that `joblib.parallel_config` around the call
-            takes it to a cluster.
+        jobs: number of processes; joblib's backends apply.
         progress: called with the number of cases finished so far, and that of all.
 
     Returns:
@@ -61,17 +58,10 @@ def study_postures(
         InvalidValue: no arm, no controller, or numbers that make no sense.
         UnknownName: no controller has that name.
     """
-    require_whole("cases", cases, 1)
-    require_whole("first_seed", first_seed, 0)
+    check_study(first_seed, cases=cases, subjects=subjects)
     listed = named_controllers(controllers)
-    if len(subjects) == 0:
-        raise InvalidValue("subjects", list(subjects), "at least one arm")
-    tasks = [
-        delayed(_run_one)(subject, *deal, listed)
-        for subject in subjects
-        for deal in _deal(subject, cases, first_seed)
-    ]
-    return list(chain.from_iterable(collect_results(tasks, jobs, progress)))
+    dealt = ((subject, *deal, listed) for subject in subjects for deal in _deal(subject, cases, first_seed))
+    return list(chain.from_iterable(run_all(_run_one, dealt, jobs, progress)))
 
 
 def _deal(subject: Subject, cases: int, first_seed: int) -> Iterator[tuple[Family, int]]:
@@ -172,15 +162,12 @@ def study_headings(
         UnknownName: no such controller or knowledge.
         TargetError: a curve on which some control point has no place.
     """
-    require_whole("pairs", pairs, 1)
-    require_whole("first_seed", first_seed, 0)
+    check_study(first_seed, pairs=pairs, subjects=subjects)
     known = knowledge_named(knowledge)
     listed = named_controllers(controllers)
-    if len(subjects) == 0:
-        raise InvalidValue("subjects", list(subjects), "at least one arm")
     seeds = range(first_seed, first_seed + pairs)
-    tasks = [delayed(_run_pair)(subject, seed, known, listed) for subject in subjects for seed in seeds]
-    return list(chain.from_iterable(collect_results(tasks, jobs, progress)))
+    pairs_drawn = ((subject, seed, known, listed) for subject in subjects for seed in seeds)
+    return list(chain.from_iterable(run_all(_run_pair, pairs_drawn, jobs, progress)))
 
 
 def knowledge_named(name: str) -> Knowledge:
@@ -219,9 +206,8 @@ def by_heading(records: Sequence[Record]) -> list[Bin]:
         bins without runs included.
     """
     found = []
-    for arm in distinct(record.arm for record in records):
-        for controller in distinct(record.controller for record in records if record.arm == arm):
-            those = [each for each in records if (each.arm, each.controller) == (arm, controller)]
+    for arm, own in grouped(records, lambda record: record.arm).items():
+        for controller, those in grouped(own, lambda record: record.controller).items():
             for name in BINS:
                 runs = [run for run in those if run.turn is not None and bin_of(run.turn) == name]
                 reached = sum(run.near and run.lawful for run in runs)

@@ -1,4 +1,4 @@
-"""What is kept of a run of a study, its summary in a table, and its files."""
+"""What studies share: their cases on all processes, what is kept of a run, summaries, and files."""
 
 from __future__ import annotations
 
@@ -8,14 +8,17 @@ import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, NamedTuple, get_type_hints
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, get_type_hints
 
 import numpy as np
+from joblib import delayed
 from numpy.typing import NDArray
 
+from pinposture._validation import require_whole
 from pinposture.control import Controller, Limits
-from pinposture.errors import FileError, PostureError
+from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.motion import Trajectory, track
+from pinposture.motion.processes import Progress, collect_results
 from pinposture.placement import Target
 from pinposture.storage import write_bytes, write_text
 from pinposture.study.arms import UNIFORM, Subject
@@ -25,10 +28,54 @@ from pinposture.study.scenarios import largest_turn
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from pinposture.arm import Arm
+    from pinposture.collision import Scene
 
-# What is kept of one run of a study, and the making of such runs.
+
+# How a study is run: one call for each case, on all processes.
 
 Array = NDArray[np.float64]
+Result = TypeVar("Result")
+Key = TypeVar("Key")
+
+
+def check_study(first_seed: int = 0, **asked: int | Sequence[Any]) -> None:
+    """Raise InvalidValue, under its name, for a number below 1 or a list of nothing; or a seed below 0."""
+    require_whole("first_seed", first_seed, 0)
+    for name, value in asked.items():
+        if not isinstance(value, Sequence):
+            require_whole(name, value, 1)
+        elif len(value) == 0:
+            raise InvalidValue(name, list(value), "at least one")
+
+
+def run_all(
+    one: Callable[..., Result], cases: Iterable[tuple[Any, ...]], jobs: int, progress: Progress | None
+) -> list[Result]:
+    """Call a function with the arguments of each case.
+
+    Args:
+        one: the function, known by name to other processes.
+        cases: its arguments.
+        jobs: number of processes; joblib's backends apply, so that `joblib.parallel_config` around a study
+            takes it to a cluster.
+        progress: called with the number of cases finished so far, and that of all.
+
+    Returns:
+        The results in the order of the cases.
+    """
+    return collect_results([delayed(one)(*case) for case in cases], jobs, progress)
+
+
+def grouped(runs: Iterable[Result], key: Callable[[Result], Key]) -> dict[Key, list[Result]]:
+    """Runs by what a key makes of them, in the order in which that first appears."""
+    groups: dict[Key, list[Result]] = {}
+    for run in runs:
+        groups.setdefault(key(run), []).append(run)
+    return groups
+
+
+# What is kept of one run of a study, and the making of such runs.
 
 STEP = 0.1
 """Largest |dq| of a step [rad or m]."""
@@ -182,32 +229,42 @@ def run_case(
     Returns:
         One record for each controller, in their order.
     """
-    arm = subject.arm
-    records = []
+    arm, records = subject.arm, []
     for controller in controllers:
         began = perf_counter()
         try:
-            run = track(
-                arm,
-                target,
-                start,
-                controller,
-                limits=Limits(step=STEP),
-                max_steps=MAX_STEPS,
-                tolerance=TOLERANCE * arm.length,
-            )
+            run = drive(arm, target, start, controller)
         except PostureError as error:
-            records.append(_refused(subject, case, start, target, controller.name, str(error)))
+            records.append(_refused(arm, case, start, target, controller.name, str(error)))
         else:
             records.append(record_run(run, case, controller.name, perf_counter() - began))
     return records
 
 
-def _refused(
-    subject: Subject, case: Case, start: Array, target: Target, controller: str, reason: str
-) -> Record:
+def drive(
+    arm: Arm,
+    target: Target,
+    start: Array,
+    controller: str | Controller = "geodesic",
+    scene: Scene | None = None,
+    tolerance: float = TOLERANCE,
+) -> Trajectory:
+    """Drive an arm as all studies do: |dq| <= `STEP`, at most `MAX_STEPS` steps.
+
+    Args:
+        arm: the arm.
+        target: where its control points should be.
+        start: configuration, (nq,).
+        controller: a controller, or the name of one.
+        scene: what to keep clear of.
+        tolerance: mean point error, relative to the arm length, at which it is there.
+    """
+    limits, near = Limits(step=STEP), tolerance * arm.length
+    return track(arm, target, start, controller, limits, scene=scene, max_steps=MAX_STEPS, tolerance=near)
+
+
+def _refused(arm: Arm, case: Case, start: Array, target: Target, controller: str, reason: str) -> Record:
     """The record of an arm that stays where it is."""
-    arm = subject.arm
     errors = np.linalg.norm(arm.at(start).points - target.points, axis=1)[target.has_target]
     return Record(
         *case,
@@ -263,14 +320,14 @@ class SummaryRow(NamedTuple):
         arrived: share of them that ended within 1e-6 of the arm length.
         near: share of them that ended within 1e-3.
         refused: number of runs that the controller would not begin.
-        steps: number of steps.
-        rising: share of steps on which the posture error rises, escapes included.
-        escaping: share of steps on which it does and that were flagged as an escape.
-        peak: largest posture error on the way, relative to that of the start.
-        path: length of the paths of the control points, relative to the direct distances.
+        steps: as in `Record`, and so the following; here the number of steps.
+        rising: share of steps on which the posture error rises.
+        escaping: share of those that were flagged as an escape.
+        peak: largest posture error.
+        path: length of the paths.
         seconds: time of a step [s].
-        violation: farthest outside the position limits that any joint was in any run, in `Arm.joint_units`.
-        stride: largest |dq| of any joint in any run, relative to the step limit.
+        violation: the farthest of any run.
+        stride: the largest of any run.
     """
 
     arm: str
@@ -320,15 +377,11 @@ def summarise(records: Sequence[Record], families: bool = False) -> list[Summary
         One row for each controller in each group of each arm; arms, controllers and families in the order in
         which they first appear, groups in that of `GROUPS`.
     """
-    name = family_of if families else group_of
-    present = distinct(map(name, records))
-    groups = present if families else [group for group in GROUPS if group in present]
     rows = []
-    for arm in distinct(record.arm for record in records):
-        for group in groups:
-            those = [record for record in records if (record.arm, name(record)) == (arm, group)]
-            for controller in distinct(record.controller for record in those):
-                runs = [record for record in those if record.controller == controller]
+    for arm, own in grouped(records, lambda record: record.arm).items():
+        groups = grouped(own, family_of if families else group_of)
+        for group in groups if families else (name for name in GROUPS if name in groups):
+            for controller, runs in grouped(groups[group], lambda record: record.controller).items():
                 rows.append(_row(arm, group, controller, runs))
     return rows
 

@@ -9,19 +9,27 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from joblib import delayed
 from numpy.typing import ArrayLike, NDArray
 
-from pinposture._validation import require_whole
 from pinposture.arm import Arm, smooth_configuration
 from pinposture.collision import Box, Capsule, CollisionModel, Cylinder, HalfSpace, Obstacle, Scene, Sphere
-from pinposture.control import Limits
 from pinposture.errors import InvalidValue, UnknownName
-from pinposture.motion import Trajectory, track
-from pinposture.motion.processes import Progress, collect_results
+from pinposture.motion import Trajectory
+from pinposture.motion.processes import Progress
 from pinposture.placement import Target
 from pinposture.study.arms import built_subject
-from pinposture.study.record import MAX_STEPS, RISE, STEP, TOLERANCE, Spread, distinct, final_error, one_line
+from pinposture.study.record import (
+    RISE,
+    TOLERANCE,
+    Spread,
+    check_study,
+    distinct,
+    drive,
+    final_error,
+    grouped,
+    one_line,
+    run_all,
+)
 from pinposture.study.reproduce.runs import displacements
 
 # Arms among obstacles: what is in the way, where the arm starts, and what it should become.
@@ -389,17 +397,10 @@ def study_scenes(
         InvalidValue: no scene, or numbers that make no sense.
         UnknownName: there is no such scene.
     """
-    require_whole("seeds", seeds, 1)
-    require_whole("first_seed", first_seed, 0)
-    if len(scenes) == 0:
-        raise InvalidValue("scenes", list(scenes), "at least one")
-    arm, chosen = situation_arm(), [situation_named(name) for name in scenes]
-    tasks = [
-        delayed(_one)(arm, each.name, seed)
-        for each in chosen
-        for seed in range(first_seed, first_seed + seeds)
-    ]
-    return collect_results(tasks, jobs, progress)
+    check_study(first_seed, seeds=seeds, scenes=scenes)
+    arm, names = situation_arm(), [situation_named(name).name for name in scenes]
+    cases = ((arm, name, seed) for name in names for seed in range(first_seed, first_seed + seeds))
+    return run_all(_one, cases, jobs, progress)
 
 
 def _one(arm: Arm, name: str, seed: int) -> SceneRun:
@@ -407,38 +408,27 @@ def _one(arm: Arm, name: str, seed: int) -> SceneRun:
     draw = draw_situation(arm, situation, seed)
     target = Target.from_configuration(arm, draw.goal)
     began = perf_counter()
-    run = track(
-        arm,
-        target,
-        draw.start,
-        limits=Limits(step=STEP),
-        scene=situation.scene,
-        max_steps=MAX_STEPS,
-        tolerance=TOLERANCE * arm.length,
-    )
+    run = drive(arm, target, draw.start, scene=situation.scene)
     return record_scene_run(run, situation, seed, draw.refused, perf_counter() - began)
 
 
 def by_scene(runs: Sequence[SceneRun]) -> list[SceneRow]:
     """Summarise runs by situation, in the order in which these first appear."""
-    rows = []
-    for scene in distinct(run.scene for run in runs):
-        own = [run for run in runs if run.scene == scene]
-        rows.append(
-            SceneRow(
-                scene=scene,
-                runs=len(own),
-                refused=sum(run.refused for run in own),
-                reachable=sum(run.reachable for run in own),
-                reached=sum(run.reached for run in own),
-                kept=sum(run.kept for run in own),
-                unexplained=sum(not run.explained for run in own),
-                room=min(run.closest - run.margin for run in own),
-                loss=max(run.loss for run in own),
-                steps=Spread.of([run.steps for run in own]),
-                path=Spread.of([run.path for run in own]),
-                escaping=Spread.of([run.escaping for run in own]),
-                seconds=Spread.of([run.seconds for run in own]),
-            )
+    return [
+        SceneRow(
+            scene=scene,
+            runs=len(own),
+            refused=sum(run.refused for run in own),
+            reachable=sum(run.reachable for run in own),
+            reached=sum(run.reached for run in own),
+            kept=sum(run.kept for run in own),
+            unexplained=sum(not run.explained for run in own),
+            room=min(run.closest - run.margin for run in own),
+            loss=max(run.loss for run in own),
+            steps=Spread.of([run.steps for run in own]),
+            path=Spread.of([run.path for run in own]),
+            escaping=Spread.of([run.escaping for run in own]),
+            seconds=Spread.of([run.seconds for run in own]),
         )
-    return rows
+        for scene, own in grouped(runs, lambda run: run.scene).items()
+    ]

@@ -17,7 +17,7 @@ from matplotlib.ticker import NullFormatter
 from pinposture.errors import InvalidValue
 from pinposture.motion import Trajectory
 from pinposture.viz import palette
-from pinposture.viz.axes import MAX_DECADES, ending_text
+from pinposture.viz.palette import MAX_DECADES, ending_text
 from pinposture.viz.panels import (
     mark_method,
     plot_point_count,

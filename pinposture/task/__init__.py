@@ -1,13 +1,11 @@
 """Motions in time: postures one after the other, and the leader's path followed."""
 
-from pinposture.task.deviation import Deviation, path_deviation
 from pinposture.task.find_path import find_path
-from pinposture.task.follow_leader import follow_leader
+from pinposture.task.follow_leader import Deviation, follow_leader, path_deviation
 from pinposture.task.keyframe import Keyframe
 from pinposture.task.keyframes import keyframe_reference
-from pinposture.task.perform import move_through, perform
 from pinposture.task.reference import Mark, Reference
-from pinposture.task.task import Task
+from pinposture.task.task import Task, move_through, perform
 
 __all__ = [
     "Deviation",

@@ -19,7 +19,7 @@ from pinposture.collision.distances import PairDistances, TreeKinematics
 from pinposture.collision.obstacles import solid, solids
 from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, OutOfReach, ReachError
-from pinposture.placement.curve_placement import arm_axis
+from pinposture.placement.target import arm_axis
 from pinposture.task.follow_leader import FedArm
 
 Array = NDArray[np.float64]

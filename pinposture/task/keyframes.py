@@ -14,27 +14,24 @@ from pinposture._validation import require_positive
 from pinposture.arm import Arm
 from pinposture.errors import UnknownName
 from pinposture.placement.least_squares import refined
-from pinposture.task.interpolation import Bending, BentCurve, crossfade, ramp, window
 from pinposture.task.keyframe import (
     CONTINUITIES,
     Keyframe,
+    LeastSquaresFollower,
+    ResolvedMotion,
     Schedule,
+    SequentialFollower,
     Stretch,
     check_keyframes,
     interpolate,
     naming,
-    schedule,
-    title,
-)
-from pinposture.task.reference import Mark, Reference
-from pinposture.task.resolving import (
-    LeastSquaresFollower,
-    ResolvedMotion,
-    SequentialFollower,
     resolve_keyframes,
+    schedule,
     target_at,
     tip_shift,
+    title,
 )
+from pinposture.task.reference import Bending, BentCurve, Mark, Reference, crossfade, ramp, window
 
 __all__ = ["Keyframe", "keyframe_reference"]
 

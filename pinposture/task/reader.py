@@ -1,16 +1,21 @@
-"""Makes the parts of a task from a task file, and checks them."""
+"""Reads a task file: plain data whose lines are known, then the parts of a task made from it, and checked."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+import json
+import re
+import sys
+from collections.abc import Callable, Hashable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal, TypeVar, cast
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, TypeAdapter, ValidationError
 
 from pinposture.arm import Arm, ArmSpec
 from pinposture.arm.manipulability import chosen_points
@@ -20,9 +25,8 @@ from pinposture.collision.scene import obstacles_around
 from pinposture.control import Controller, EndEffector, Geodesic, Limits, controller_named
 from pinposture.control.limits import cycle_of
 from pinposture.curve import CURVES, Curve
-from pinposture.errors import InvalidValue, PostureError, TaskError, UnknownName
-from pinposture.storage import settled
-from pinposture.task.document import Document, shown
+from pinposture.errors import FileError, InvalidValue, PostureError, TaskError, UnknownName
+from pinposture.storage import read_text, settled
 from pinposture.task.follow_leader import MAX_SIZE_RATIO, Leader, check_leader
 from pinposture.task.keyframe import CONTINUITIES, Keyframe, check_keyframes, naming, title, usual_placement
 from pinposture.task.specification import (
@@ -37,8 +41,197 @@ from pinposture.task.specification import (
     StartSpec,
     TaskSpec,
     TipSpec,
+    place_in_words,
+    shown,
+    shown_key,
 )
-from pinposture.task.toml import Place
+from pinposture.task.toml import Place, lines_of_toml
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+
+# Text parsed into plain data.
+
+MAX_NESTING = 20
+"""Largest depth of tables and lists within each other; three times what a task has."""
+
+MAX_INTEGER_BITS = 64
+"""Largest size of a whole number, as in TOML."""
+
+_TOML_ERROR = re.compile(r"(.*) \(at (?:(line \d+, column \d+)|end of document)\)", re.DOTALL)
+
+
+def check_format(path: Path) -> None:
+    """Raise FileError unless the name ends in .toml or .json."""
+    suffix = path.suffix.lower()
+    if suffix not in (".toml", ".json"):
+        raise FileError(path, f"the name ends in {suffix!r}; allowed: .toml, .json")
+
+
+def _parsed(path: Path, text: str) -> dict[str, Any]:
+    try:
+        is_toml = path.suffix.lower() == ".toml"
+        values = tomllib.loads(text) if is_toml else json.loads(text, object_pairs_hook=_unique_keys)
+    except json.JSONDecodeError as error:
+        raise FileError(path, f"line {error.lineno}, column {error.colno}: {error.msg}") from error
+    except RecursionError:
+        raise FileError(
+            path, f"tables and lists are nested too deep; allowed: {MAX_NESTING} levels"
+        ) from None
+    except ValueError as error:
+        message = " ".join(str(error).split())
+        found = _TOML_ERROR.fullmatch(message)
+        # The line comes first, as in all other messages.
+        raise FileError(path, f"{found[2] or 'end of the file'}: {found[1]}" if found else message) from error
+    if not isinstance(values, dict):
+        raise FileError(path, "holds no table; allowed: keys and values, as in version = 1")
+    _check_size(path, (), values)
+    return values
+
+
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return a JSON table; refuse a key that appears twice, of which JSON would take the last."""
+    table = dict(pairs)
+    if len(table) < len(pairs):
+        keys = [key for key, _ in pairs]
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise ValueError(f"the key {shown_key(twice)!r} appears twice in a table")
+    return table
+
+
+def _check_size(path: Path, place: Place, value: Any) -> None:
+    """Refuse deep nesting and huge whole numbers, which would cost too much later."""
+    if len(place) > MAX_NESTING:
+        reason = f"is nested too deep; allowed: {MAX_NESTING} levels of tables and lists"
+        raise FileError(path, f"{place_in_words(place)}: {reason}")
+    if isinstance(value, int) and value.bit_length() > MAX_INTEGER_BITS:
+        reason = f"is a whole number of more than {MAX_INTEGER_BITS} bits"
+        raise FileError(path, f"{place_in_words(place)}: {reason}")
+    if isinstance(value, Mapping | list):
+        items = value.items() if isinstance(value, Mapping) else enumerate(value)
+        for key, each in items:
+            _check_size(path, (*place, key), each)
+
+
+# A file that was read, and where in it a mistake is.
+
+Spec = TypeVar("Spec")
+Made = TypeVar("Made")
+
+
+class Document:
+    """A file that was read; mistakes in it are reported as a FileError with the line, key and value.
+
+    Attributes:
+        path: the file.
+        values: what it holds.
+        toml: the text if the file is TOML; None if it is JSON.
+        described: parts of the task that were made of it, and what it says of each: plain data in SI units;
+            paths in it are absolute, and a `Path` each.
+    """
+
+    def __init__(self, path: Path, values: dict[str, Any], toml: str | None = None) -> None:
+        self.path, self.values, self.toml = path, values, toml
+        self.described: dict[Hashable, object] = {}
+
+    @classmethod
+    def load(cls, path: Path) -> Document:
+        """Read a file.
+
+        Raises:
+            FileError: it is missing, unreadable, of another format, or as for `parse`.
+        """
+        check_format(path)
+        return cls.parse(path, read_text(path))
+
+    @classmethod
+    def parse(cls, path: Path, text: str) -> Document:
+        """Return the document that the file would be if this were its text.
+
+        Raises:
+            FileError: the text is malformed, or holds no table; names the line.
+        """
+        return cls(path, _parsed(path, text), text if path.suffix.lower() == ".toml" else None)
+
+    def at(self, where: Place) -> Any:
+        """Return the value at a place; None if there is none."""
+        value: Any = self.values
+        for key in where:
+            there = key in value if isinstance(value, Mapping) else isinstance(key, int) and key < len(value)
+            if not there:
+                return None
+            value = value[key]
+        return value
+
+    def read(self, kind: type[Spec] | Any, where: Place, context: Mapping[str, Any] | None = None) -> Spec:
+        """Return the value at a place, checked and in SI units; an empty table stands for a missing one.
+
+        Args:
+            kind: the specification that it has to match.
+            where: the place.
+            context: what the validators of the specification need besides.
+        """
+        value = self.at(where)
+        try:
+            spec: Spec = TypeAdapter(kind).validate_python({} if value is None else value, context=context)
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            inside, cause = first["loc"], first.get("ctx", {}).get("error")
+            if first["type"] == "missing":
+                reason, inside = f"the key {inside[-1]!r} is missing", inside[:-1]
+            elif cause is None:
+                reason = f"is {shown(first['input'])}; allowed: {first['msg']}"
+            else:
+                reason, inside = str(cause), (*inside, *getattr(cause, "within", ()))
+            raise self.fault((*where, *inside), reason) from None
+        return spec
+
+    @contextmanager
+    def blaming(self, where: Place, key: str | None = None) -> Iterator[None]:
+        """Report an error of the library at the key of a table that it names, or else at this key."""
+        table = self.at(where)
+        named = where if key is None else (*where, key)
+        try:
+            yield
+        except PostureError as error:
+            if isinstance(error, InvalidValue) and isinstance(table, Mapping) and error.name in table:
+                reason = f"is {shown(table[error.name])}; allowed: {error.allowed}"
+                raise self.fault((*where, error.name), reason) from error
+            raise self.fault(named, str(error)) from error
+
+    def named(self, where: Place, name: str) -> Path:
+        """Return the path that the file names, relative to its own folder."""
+        try:
+            return self.path.parent / Path(name).expanduser()
+        except RuntimeError as error:  # the home of an unknown user
+            raise self.fault(where, f"is {shown(name)}, which cannot be found ({error})") from None
+
+    def file(self, where: Place, read: Callable[[Path], Made]) -> Made:
+        """Read the file that is named at a place."""
+        path = self.named(where, self.at(where))
+        with self.blaming(where):
+            return read(path)
+
+    def line(self, where: Place) -> int | None:
+        """Return the line of a place, or of what contains it; None if no line is known, as in JSON."""
+        for end in range(len(where), 0, -1):
+            if where[:end] in self._lines:
+                return self._lines[where[:end]]
+        return None
+
+    def fault(self, where: Place, reason: str) -> FileError:
+        """Return an error that says what is wrong at a place."""
+        line, text = self.line(where), " ".join(reason.split())
+        before = "" if line is None else f"line {line}: "
+        return FileError(self.path, f"{before}{place_in_words(where)}: {text}")
+
+    @cached_property
+    def _lines(self) -> dict[Place, int]:
+        return {} if self.toml is None else lines_of_toml(self.toml.replace("\r\n", "\n"))
+
 
 Array = NDArray[np.float64]
 

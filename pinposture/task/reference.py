@@ -1,4 +1,4 @@
-"""The motion that a task asks for, in time, and how well the arm can take its postures."""
+"""The motion that a task asks for, in time, and the interpolation between curves that it is made of."""
 
 from __future__ import annotations
 
@@ -9,13 +9,16 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm, ArmState
 from pinposture.collision import CollisionModel, Scene
 from pinposture.control import EndEffector
+from pinposture.curve import Curve
 from pinposture.errors import InvalidValue, PostureWarning, TaskError
 from pinposture.placement import Target
-from pinposture.placement.curve_placement import Moved
+from pinposture.placement.least_squares import SAMPLES_PER_MODULE, Samples, transported_turns
+from pinposture.placement.target import Moved, arm_axis
 
 Array = NDArray[np.float64]
 
@@ -169,3 +172,192 @@ def _named(reference: Reference) -> list[Mark]:
     if not marks or marks[0].row > 0:
         marks.insert(0, Mark("the beginning", 0, Target.from_configuration(reference.arm, reference.start)))
     return marks
+
+
+# The vector of a curve holds where it begins, in which direction, and how it bends.
+#
+# Bending is the turning per arc length in a frame that is carried along without twist (parallel transport).
+# Interpolated bendings make curves of the same length that wind up as a snake does; curves of interpolated
+# places would shrink in between, and could not tell turns apart.
+
+
+class BentCurve(Samples):
+    """A curve through points at equal arc lengths with given tangents: a cubic between each two.
+
+    Args:
+        cell: arc length from one point to the next [m].
+        points: places, (n + 1, 3) [m], world frame.
+        tangents: unit tangents, (n + 1, 3).
+    """
+
+    def __init__(self, cell: float, points: Array, tangents: Array) -> None:
+        super().__init__(np.asarray(cell * np.arange(len(points), dtype=np.float64)), points, tangents)
+        self.cell = cell
+
+    @property
+    def spline(self) -> Array:
+        """Coefficients (2n + 2, 3) of the curve as a cubic B-spline; its inner knots are `s`, each twice."""
+        inner = np.stack([self.points, self.points], axis=1)
+        handles = self.cell / 3.0 * self.tangents
+        inner[:, 0] -= handles
+        inner[:, 1] += handles
+        coefficients = inner.reshape(-1, 3)
+        coefficients[0], coefficients[-1] = self.points[0], self.points[-1]
+        return coefficients
+
+    def at(self, s: Array) -> Array:
+        """Return places (k, 3) [m] at arc lengths (k,) from 0 to the length."""
+        i, x = self._located(s)
+        a, b = self.points[i], self.points[i + 1]
+        u, v = self.cell * self.tangents[i], self.cell * self.tangents[i + 1]
+        return np.asarray(a + x * (u + x * (3.0 * (b - a) - 2.0 * u - v + x * (2.0 * (a - b) + u + v))))
+
+    def tangent(self, s: Array) -> Array:
+        """Return derivatives of the places by arc length, (k, 3), unit vectors but for interpolation."""
+        i, x = self._located(s)
+        rise = (self.points[i + 1] - self.points[i]) / self.cell
+        u, v = self.tangents[i], self.tangents[i + 1]
+        return np.asarray(u + x * (6.0 * rise - 4.0 * u - 2.0 * v + 3.0 * x * (u + v - 2.0 * rise)))
+
+    def _located(self, s: Array) -> tuple[NDArray[np.intp], Array]:
+        cells = s / self.cell
+        i = np.minimum(cells.astype(np.intp), len(self.points) - 2)
+        return i, (cells - i)[:, None]
+
+
+class AnchoredCurve(NamedTuple):
+    """A curve and the place of the arm on it.
+
+    Attributes:
+        curve: the curve, placed in the world.
+        parameter: arc length of the base of the arm [m].
+    """
+
+    curve: Curve
+    parameter: float
+
+
+class Bending:
+    """Converts curves at one arm into vectors, and back.
+
+    A vector has the place where a curve begins relative to the arm's base (3) [m]; the rotation vector from
+    the arm's axis to its first tangent (3) [rad]; its turning in each cell of arc length, about the two axes
+    across it (n, 2) [rad]; and the small distances by which arcs with these turns miss it (n, 3) [m]. Turns
+    and distances are given in the carried frame. So curves of a planar arm stay in its plane.
+
+    Args:
+        arm: the arm.
+        length: length of each curve that matters [m].
+
+    Attributes:
+        cell: arc length of a cell [m].
+        cells: number of cells, n.
+    """
+
+    def __init__(self, arm: Arm, length: float) -> None:
+        per_cell = arm.length / (SAMPLES_PER_MODULE * arm.n_modules)
+        self.cells = int(np.ceil(length / per_cell))
+        self.cell = length / self.cells
+        self._base, axis = np.array(arm.chain.base), arm_axis(arm)
+        # The third axis is the normal of a planar arm: all turns are then about that one.
+        across = np.cross(*arm.plane) if arm.dimension == 2 else np.eye(3)[np.argmin(np.abs(axis))]
+        third = across - (across @ axis) * axis
+        third /= np.linalg.norm(third)
+        self._axes = np.column_stack([axis, np.cross(third, axis), third])
+
+    def vector(self, anchored: AnchoredCurve, before: Array | None = None) -> Array:
+        """Return the vector (d,) of a curve; beyond its end it goes straight on.
+
+        Args:
+            anchored: the curve.
+            before: the vector of an earlier curve, whose direction is continued without whole turns.
+        """
+        curve = anchored.curve
+        s = anchored.parameter + self.cell * np.arange(self.cells + 1)
+        inside = np.minimum(s, curve.length)
+        tangents = curve.tangent(inside)
+        points = curve.at(inside) + (s - inside)[:, None] * tangents
+        direction = self._direction(tangents[0], np.zeros(3) if before is None else before[3:6])
+        frame = Rotation.from_rotvec(direction).as_matrix() @ self._axes
+        turns = (transported_turns(tangents) @ frame)[:, 1:]
+        frames, chords = self._frames(frame[None], turns[None])
+        seen = np.einsum("nji,nj->ni", frames[0, :-1], np.diff(points, axis=0))
+        start = points[0] - self._base
+        return np.concatenate([start, direction, turns.ravel(), (seen - chords[0]).ravel()])
+
+    def curves(self, vectors: Array) -> list[BentCurve]:
+        """Return the curves of vectors, (r, d)."""
+        n = self.cells
+        turns = vectors[:, 6 : 6 + 2 * n].reshape(-1, n, 2)
+        misses = vectors[:, 6 + 2 * n :].reshape(-1, n, 3)
+        first = Rotation.from_rotvec(vectors[:, 3:6]).as_matrix() @ self._axes
+        frames, chords = self._frames(first, turns)
+        chords += misses
+        steps = np.einsum("rnij,rnj->rni", frames[:, :-1], chords)
+        points = np.empty((len(vectors), n + 1, 3))
+        points[:, 0] = self._base + vectors[:, :3]
+        points[:, 1:] = points[:, :1] + np.cumsum(steps, axis=1)
+        return [BentCurve(self.cell, *parts) for parts in zip(points, frames[..., 0].copy(), strict=True)]
+
+    def _direction(self, tangent: Array, before: Array) -> Array:
+        """Return the rotation vector (3,) [rad] from the arm's axis to a tangent that is nearest to another.
+
+        It is the smallest rotation, or the same with whole turns added.
+        """
+        axis, _, third = self._axes.T
+        across = np.cross(axis, tangent)
+        sine, cosine = float(np.linalg.norm(across)), float(axis @ tangent)
+        turned = float(np.linalg.norm(before))
+        about = across / sine if sine > 1e-12 else before / turned if turned > 0.0 else third
+        angle = float(np.arctan2(sine, cosine))
+        rounds = np.round((about @ before - angle) / (2.0 * np.pi))
+        return np.asarray((angle + 2.0 * np.pi * rounds) * about)
+
+    def _frames(self, first: Array, turns: Array) -> tuple[Array, Array]:
+        """Return carried frames (r, n + 1, 3, 3), axes as columns, and chords between them, (r, n, 3)."""
+        a, b = turns[..., 0], turns[..., 1]
+        angle = np.hypot(a, b)
+        small = angle < 1e-4  # where the series are right to the last digit
+        safe = np.where(small, 1.0, angle)
+        sine = np.where(small, 1.0 - angle**2 / 6.0, np.sin(safe) / safe)
+        cosine = np.where(small, 0.5 - angle**2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
+        rows = [
+            [1.0 - cosine * angle**2, -sine * b, sine * a],
+            [sine * b, 1.0 - cosine * b**2, cosine * a * b],
+            [-sine * a, cosine * a * b, 1.0 - cosine * a**2],
+        ]
+        rotations = np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+        frames = np.empty((len(turns), self.cells + 1, 3, 3))
+        frames[:, 0] = first
+        for i in range(self.cells):
+            np.matmul(frames[:, i], rotations[:, i], out=frames[:, i + 1])
+        return frames, self.cell * np.stack([sine, cosine * b, -cosine * a], axis=-1)
+
+
+# Smooth changes between motions.
+
+CROSSFADE_SHARE = 0.25
+"""Share of the time from one keyframe to the next that a change to other configurations takes."""
+
+
+def smooth_step(x: Array) -> Array:
+    """Rise from 0 at 0 to 1 at 1, constant beyond, with zero velocity and acceleration at both ends."""
+    t = np.clip(x, 0.0, 1.0)
+    return np.asarray(t**3 * (10.0 - 15.0 * t + 6.0 * t**2))
+
+
+def window(rows: int) -> int:
+    """Return how many of the rows from one keyframe to the next a change takes."""
+    return max(int(CROSSFADE_SHARE * (rows - 1)), 1)
+
+
+def ramp(rows: int, first: Array, last: Array) -> Array:
+    """Return offsets (rows, n) that change smoothly from one to another, each (n,)."""
+    share = smooth_step(np.linspace(0.0, 1.0, rows))[:, None]
+    return np.asarray((1.0 - share) * first + share * last)
+
+
+def crossfade(before: Array, after: Array, start: int) -> Array:
+    """Return rows (r, n) that change from some to others within the window that begins at a row."""
+    share = smooth_step((np.arange(len(before)) - start) / window(len(before)))[:, None]
+    return np.asarray((1.0 - share) * before + share * after)

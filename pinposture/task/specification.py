@@ -6,9 +6,11 @@ Validators raise a ValueError that says what is wrong with a value, after "is"; 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
@@ -28,13 +30,15 @@ from pinposture.control import CONTROLLERS
 from pinposture.curve import CURVES
 from pinposture.errors import UnknownName
 from pinposture.placement.resolve import METHODS, PLACEMENTS
-from pinposture.task.document import Misplaced, read_quantity, shown
 from pinposture.task.follow_leader import PATH_METHODS, PATH_PLACEMENTS
 from pinposture.task.keyframe import CONTINUITIES
-from pinposture.task.perform import DEFAULT_CYCLE
+from pinposture.task.toml import Place
 
 MOST_MODULES = 1000
 """The longest arm."""
+
+DEFAULT_CYCLE = 0.02
+"""Default duration of a control cycle [s]."""
 
 LONGEST_CYCLE = 60.0
 """The longest control cycle [s]."""
@@ -46,6 +50,109 @@ UNLIMITED_WORD = "none"
 """The word of a file for a limit that does not exist."""
 
 VERSION = 1
+
+# Values and keys as they appear in messages: on one line, and cut short.
+
+MAX_SHOWN_CHARACTERS = 100
+
+
+def shown(value: object) -> str:
+    """Return a value in the notation of Python, cut short."""
+    return _cut(repr(value))
+
+
+def shown_key(key: str) -> str:
+    """Return a key as it is, or in quotes if it is blank or not printable."""
+    return _cut(key if key.isprintable() and key.strip() == key != "" else repr(key))
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= MAX_SHOWN_CHARACTERS else text[: MAX_SHOWN_CHARACTERS - 4] + " ..."
+
+
+def place_in_words(place: Place) -> str:
+    """Name a place of a file, as in "keyframe 2, curve.radius"; list items count from 1."""
+    words = ""
+    for key in place:
+        if isinstance(key, int):
+            words = f"{words.removesuffix('s')} {key + 1}"
+        else:
+            between = "." if words and not words[-1].isdigit() else ", " if words else ""
+            words += between + shown_key(key)
+    return _cut(words) or "the file"
+
+
+# Quantities in a file: numbers in SI units, or text with a unit.
+
+_LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+_ANGLES = {"rad": 1.0, "deg": math.pi / 180.0, "turns": 2.0 * math.pi}
+
+
+def _per(units: Mapping[str, float], below: str) -> dict[str, float]:
+    return {f"{unit}/{below}": factor for unit, factor in units.items()}
+
+
+UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
+    {
+        "length": _LENGTHS,
+        "angle": _ANGLES,
+        "time": {"s": 1.0, "ms": 1e-3, "min": 60.0},
+        "speed": _per(_LENGTHS, "s"),
+        "rate of turning": {**_per(_ANGLES, "s"), "rpm": math.pi / 30.0},
+        "acceleration": _per(_LENGTHS, "s^2"),
+        "rate of change of turning": _per(_ANGLES, "s^2"),
+    }
+)
+"""Units by the kind of quantity, with the value of each in SI units."""
+
+_QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)?\s*")
+
+
+def read_quantity(value: object, *kinds: str) -> float:
+    """Read a quantity in SI units.
+
+    Args:
+        value: a number in SI units, or text as "25 mm".
+        kinds: the kinds of quantity that are accepted, keys of `UNITS`.
+
+    Raises:
+        ValueError: anything else; says what is allowed.
+    """
+    known = ", ".join(unit for kind in kinds for unit in UNITS[kind])
+    allowed = f"a number in SI units, or text with one of the units {known}"
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return _finite(float(value), value, allowed)
+    found = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
+    if found is None:
+        raise ValueError(f"is {shown(value)}; allowed: {allowed}")
+    unit = (found[2] or "").replace("**", "^").replace("²", "^2").replace(" ", "").replace("/s/s", "/s^2")
+    for kind in kinds:
+        if unit in UNITS[kind]:
+            return _finite(float(found[1]) * UNITS[kind][unit], value, allowed)
+    what = f"and {shown(unit)} is no unit that is known" if unit else "without a unit"
+    for kind, units in UNITS.items():
+        if unit in units:
+            what = f"of the kind {kind}"
+    raise ValueError(f"is {shown(value)}, {what}; allowed: {allowed}")
+
+
+def _finite(number: float, value: object, allowed: str) -> float:
+    if not math.isfinite(number):
+        raise ValueError(f"is {shown(value)}, which is not finite; allowed: {allowed}")
+    return number
+
+
+class Misplaced(ValueError):
+    """A mistake in a part of a value.
+
+    Attributes:
+        within: the keys that lead from the value to the part.
+    """
+
+    def __init__(self, reason: str, *within: str | int) -> None:
+        super().__init__(reason)
+        self.within = within
+
 
 # Kinds of values.
 

@@ -2,31 +2,38 @@
 
 from __future__ import annotations
 
+import logging
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from math import ceil
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from pinposture._validation import require_positive
+from pinposture.arm import Arm
 from pinposture.collision import Scene
 from pinposture.collision.pipe import pipe
-from pinposture.control import controller_named
+from pinposture.control import Controller, Geodesic, Limits, controller_named
+from pinposture.control.limits import cycle_of
+from pinposture.control.planner.follow import GeodesicMemory
+from pinposture.control.planner.objective import Objective
+from pinposture.control.planner.path import JointPath, SpeedProfile, TimedPath, retime
 from pinposture.errors import FileError, InvalidValue, PostureError
-from pinposture.motion import Motion
+from pinposture.motion.track import PROGRESS_SHARE, STALL_TRAVEL, ControlLoop, in_scene
+from pinposture.motion.trajectory import Motion, Waypoint
+from pinposture.placement import Target
 from pinposture.storage import settled
-from pinposture.task.document import Document, shown
 from pinposture.task.follow_leader import Leader, follow_leader
-from pinposture.task.keyframe import usual_placement
+from pinposture.task.keyframe import Keyframe, usual_placement, with_fitting_joints
 from pinposture.task.keyframes import keyframe_reference
-from pinposture.task.perform import perform
-from pinposture.task.reader import TaskParts, check_task, read_task
-from pinposture.task.reference import Outlook, Reference, outlook, require_room
-from pinposture.task.resolving import with_fitting_joints
-from pinposture.task.specification import RESULT_FORMATS
+from pinposture.task.reader import Document, TaskParts, check_task, read_task
+from pinposture.task.reference import Mark, Outlook, Reference, off_curve, outlook, require_room, tip_off
+from pinposture.task.specification import DEFAULT_CYCLE, RESULT_FORMATS, shown
 from pinposture.task.toml import Place, TomlLayout
 from pinposture.task.writer import layout_of, write_task
 
@@ -197,14 +204,14 @@ class Task(TaskParts):
         reference: Reference | None = None,
         progress: Callable[[float, float], object] | None = None,
     ) -> Motion:
-        """Make the motion; see `pinposture.task.perform`.
+        """Make the motion; see `perform`.
 
         Args:
             reference: what `reference` returned, if it was called before.
-            progress: as for `pinposture.task.perform`.
+            progress: as for `perform`.
 
         Raises:
-            PostureError: as `reference`, and as `pinposture.task.perform`; or the arm would begin inside of
+            PostureError: as `reference`, and as `perform`; or the arm would begin inside of
                 an obstacle.
         """
         reference = self.reference() if reference is None else reference
@@ -245,3 +252,357 @@ def _as_tuple(name: str, values: object, allowed: str) -> tuple[Any, ...]:
     if isinstance(values, str) or not isinstance(values, Iterable):
         raise InvalidValue(name, values, allowed)
     return tuple(values)
+
+
+Progress = Callable[[float, float], object]
+
+logger = logging.getLogger(__name__)
+MAX_MEAN_LAG = 0.1
+"""Mean distance of the control points from their targets beyond which time waits for the arm, in module
+lengths; for controllers that do not look ahead."""
+
+ROW_TOLERANCE = 1e-9
+"""Distance before a row, in rows, at which it counts as reached."""
+
+STOPPED = "stopped by the callback"
+
+MAX_PERFORMED_CYCLES = 1e6
+"""The most cycles of a motion."""
+
+STEP_BUDGET_RATIO, STEP_BUDGET_EXTRA = 10.0, 3000
+"""The most steps, as a multiple of those foreseen and beyond that, after which a motion is given up."""
+
+
+class ReferencePath:
+    """A reference as a path to follow at any speed. Places on it are its rows, and between them.
+
+    Args:
+        reference: the reference.
+        limits: the limits of a step, with dt.
+
+    Attributes:
+        reference: the reference.
+        path: its configurations as a path through joint space, within the position limits.
+        most: rows to go in one cycle, if nothing slows the motion.
+        timed: the path with the largest speed that limits allow, but no more than `most`.
+    """
+
+    def __init__(self, reference: Reference, limits: Limits) -> None:
+        arm, bounds = reference.arm, limits.for_arm(reference.arm)
+        self.reference = reference
+        self.most = cycle_of(limits) / reference.interval
+        self._lower, self._upper = bounds.edges - arm.positions(reference.start)
+        offsets = np.minimum(np.maximum(reference.offsets, self._lower), self._upper)
+        # Joints that do not move the arm stay where they are.
+        offsets = np.ascontiguousarray(offsets * (arm.moved > 0.0))
+        q = arm.integrate(reference.start, offsets[0])
+        first = Target(arm.at(q).compiled.points, reference.weights[0], q)
+        self.path = JointPath(Objective(arm, first), reference.start, offsets)
+        self.timed = retime(self.path, limits, self.most)
+        self._profile = cast(SpeedProfile, self.timed.profile)  # there is one for a finite rate
+
+    @property
+    def end(self) -> float:
+        """The last place."""
+        return self.path.end
+
+    @property
+    def steps(self) -> float:
+        """Number of cycles that it takes at least."""
+        return self._profile.steps
+
+    def next(self, place: float, speed: float) -> float:
+        """Return the place after the next cycle, after one that went `speed` places."""
+        return min(place + self._profile.next(place, speed), self.end)
+
+    def target(self, place: float) -> Target:
+        """Return the target posture at a place."""
+        arm, row = self.reference.arm, min(int(np.ceil(place)), self.reference.rows - 1)
+        offset = np.minimum(np.maximum(self.path.smooth_offset(place), self._lower), self._upper)
+        q = arm.integrate(self.reference.start, offset)
+        return Target(arm.at(q).compiled.points, self.reference.weights[row], q)
+
+    def remaining(self, place: float, controller: Geodesic) -> TimedPath:
+        """Return the rest of the path from a place, which is a row, for a controller to follow."""
+        row, path = int(place), self.path
+        objective = controller.objective(path.arm, self.target(place))
+        if row == 0:
+            return retime(path.revised(objective=objective), self.timed.limits, self.most)
+        offsets = path.offsets[row:] - path.offsets[row]
+        rest = JointPath(objective, path.configuration(row), offsets, controller.scene)
+        return retime(rest, self.timed.limits, self.most)
+
+    def next_mark(self, place: float) -> Mark:
+        """Return the next place with a name; the last row if there is none."""
+        last = self.reference.rows - 1
+        ahead = [mark for mark in self.reference.marks if mark.row > place]
+        return ahead[0] if ahead else Mark("the end", last, self.target(float(last)))
+
+
+def perform(
+    reference: Reference,
+    controller: str | Controller = "geodesic",
+    limits: Limits | None = None,
+    scene: Scene | None = None,
+    q0: ArrayLike | None = None,
+    tolerance: float | None = None,
+    progress: Progress | None = None,
+) -> Motion:
+    """Move an arm along a reference, within its limits.
+
+    The arm first moves to the beginning of the reference, if it is not there. Then time runs as planned where
+    the limits of speed and acceleration allow it and slower where they do not. "geodesic" looks ahead: it
+    slows down in time, and follows the path of the reference; where an obstacle blocks that, it goes to the
+    next named place by a path of its own. Other controllers are given targets that move, and time waits for
+    them where they fall behind.
+
+    Args:
+        reference: the motion to make.
+        controller: as for `track`.
+        limits: limits of a step; with `dt`, which is the duration of a control cycle. If None, cycles of
+            20 ms and the speeds of the arm.
+        scene: as for `track`.
+        q0: configuration to start from, (nq,); that of the reference if None.
+        tolerance: as for `track`, for the first and the last posture.
+        progress: called in each cycle with the time of the plan, and its duration [s]. The motion stops if it
+            returns True.
+
+    Returns:
+        The motion. `run.status` is "converged" if the arm reached its last posture, else as for `track`;
+        `time_scale` is its duration relative to the plan.
+
+    Raises:
+        InvalidValue: limits without dt, or so tight that it would never end; q0 or the tolerance do not fit.
+        UnknownName: no controller has that name.
+    """
+    arm = reference.arm
+    controller, scene = in_scene(controller_named(controller), scene)
+    limits = Limits(step=None, dt=DEFAULT_CYCLE) if limits is None else limits
+    dt = cycle_of(limits)
+    tolerance = 1e-6 * arm.length if tolerance is None else tolerance
+    require_positive("tolerance", tolerance)
+    start = reference.start if q0 is None else arm.checked_start(q0, "q0")
+    guide = ReferencePath(reference, limits)
+    if guide.steps > MAX_PERFORMED_CYCLES:
+        most = f"{MAX_PERFORMED_CYCLES:g}"
+        allowed = f"limits under which it takes at most {most} cycles, or a plan that asks for less"
+        raise InvalidValue("cycles of the motion", round(guide.steps), allowed)
+    loop = ControlLoop(arm, start, guide.target(0.0), controller, limits, scene)
+    performance = _Performance(guide, loop, tolerance, progress)
+    status, reason = performance.run()
+    logger.info("%s: %s after %.4g s: %s", controller.name, status, dt * loop.record.steps, reason)
+    return performance.motion(status, reason)
+
+
+def move_through(
+    arm: Arm,
+    keyframes: Sequence[Keyframe],
+    controller: str | Controller = "geodesic",
+    limits: Limits | None = None,
+    scene: Scene | None = None,
+    q0: ArrayLike | None = None,
+    continuity: Literal["velocity", "acceleration"] = "velocity",
+) -> Motion:
+    """Take postures one after the other, at their times: `keyframe_reference` and `perform` in one call.
+
+    Args:
+        arm: the arm.
+        keyframes: the postures, in order. Curves whose placement is left open stay where they are drawn if
+            the scene has obstacles.
+        controller: as for `track`.
+        limits: limits of a step, with `dt`; cycles of 20 ms and the speeds of the arm if None.
+        scene: as for `track`.
+        q0: configuration to start from, (nq,); that of the first keyframe if None.
+        continuity: as for `keyframe_reference`.
+
+    Returns:
+        The motion.
+
+    Raises:
+        PostureError: as those two.
+    """
+    limits = Limits(step=None, dt=DEFAULT_CYCLE) if limits is None else limits
+    if usual_placement(scene) == "as_is":
+        keyframes = [replace(each, placement=each.placement or "as_is") for each in keyframes]
+    reference = keyframe_reference(arm, keyframes, cycle_of(limits), continuity)
+    return perform(reference, controller, limits, scene, q0)
+
+
+class _Performance:
+    """One motion in progress: which places of the reference it reached, step by step, with their targets."""
+
+    def __init__(
+        self, guide: ReferencePath, loop: ControlLoop, tolerance: float, progress: Progress | None
+    ) -> None:
+        self.guide, self.loop, self.tolerance, self.progress = guide, loop, tolerance, progress
+        self._max_steps = STEP_BUDGET_EXTRA + int(STEP_BUDGET_RATIO * guide.steps)
+        self._place = 0.0
+        self._places, self._targets = [0.0], [guide.target(0.0)]
+        self._start_index: int | None = None  # None until the first posture is reached
+        self._notes: list[str] = []
+
+    def run(self) -> tuple[str, str]:
+        """Go to the first posture, along the reference, and to rest; returns status and reason."""
+        status, reason = self._go_to(0.0)
+        if status != "converged":
+            return status, f"on the way to the first posture: {reason}"
+        self._start_index = len(self._places) - 1
+        controller = self.loop.controller
+        ended = self._look_ahead(controller) if isinstance(controller, Geodesic) else self._lead()
+        return self._go_to(self.guide.end) if ended is None else ended
+
+    def motion(self, status: str, reason: str) -> Motion:
+        """Return everything so far as a result."""
+        reference, loop, places = self.guide.reference, self.loop, np.array(self._places)
+        run = loop.record.trajectory(loop.arm, loop.controller, loop.limits, status, reason)
+        dt = reference.duration if loop.limits.dt is None else loop.limits.dt
+        return Motion(
+            run=run,
+            targets=np.array([target.points for target in self._targets]),
+            target_mask=np.array([target.has_target for target in self._targets]),
+            plan_time=np.minimum(places * reference.interval, reference.duration),
+            start_index=len(places) - 1 if self._start_index is None else self._start_index,
+            planned=reference.duration,
+            waypoints=tuple(self._waypoint(mark, places, run.q, run.points, dt) for mark in reference.marks),
+            deviations=tuple(self._notes),
+        )
+
+    def _waypoint(self, mark: Mark, places: Array, q: Array, points: Array, dt: float) -> Waypoint:
+        """Return how a named place was passed, at the step nearest to it in time."""
+        reference, begun, moved = self.guide.reference, self._start_index, mark.target.moved
+        planned, off = mark.row * reference.interval, off_curve(mark)
+        there = np.flatnonzero(places[begun:] >= mark.row - ROW_TOLERANCE)
+        if begun is None or not len(there):
+            return Waypoint(mark.name, planned, None, None, None, off, moved=moved)
+        row = begun + int(there[0])
+        if row > begun and mark.row - places[row - 1] < places[row] - mark.row:
+            row -= 1
+        errors = np.linalg.norm((mark.target.points - points[row])[mark.target.has_target], axis=1)
+        tip = tip_off(mark.tip, mark.target, reference.arm.at(q[row]))
+        return Waypoint(mark.name, planned, (row - begun) * dt, row, float(errors.mean()), off, tip, moved)
+
+    def _go_to(self, place: float, due: int = 0) -> tuple[str, str]:
+        """Come to rest at a place, by any path, but not before step `due`; returns status and reason."""
+        target, loop = self.guide.target(place), self.loop
+        record = loop.record
+        begun = record.steps
+        record.set_target(target)
+        most = begun + STEP_BUDGET_EXTRA + int(STEP_BUDGET_RATIO * self._cycles_to(target))
+        ended = loop.run(target, self.tolerance, most, lambda *_: self._report())
+        loop.brake_to_rest()
+        while ended[0] == "converged" and record.steps < due:
+            loop.brake()
+            if self._report():
+                ended = "stopped", STOPPED
+        if ended[0] == "converged":
+            self._place = place
+        self._fill(self._place, target)
+        self._max_steps += record.steps - begun
+        return ended
+
+    def _cycles_to(self, target: Target) -> float:
+        """Estimate the number of cycles of a straight path to a target through joint space."""
+        loop = self.loop
+        bounds, q = loop.limits.for_arm(loop.arm), loop.state.q
+        distance = np.abs(loop.arm.difference(q, q if target.q is None else target.q))
+        braking = 0.0 if bounds.brake is None else 2.0 * np.sqrt(distance / bounds.brake)
+        return float((distance / bounds.bound + braking).max())
+
+    def _report(self) -> bool:
+        """Report progress; returns whether to stop."""
+        if self.progress is None:
+            return False
+        reference = self.guide.reference
+        return self.progress(self._place * reference.interval, reference.duration) is True
+
+    def _record(self, place: float, target: Target) -> tuple[str, str] | None:
+        """Record the place after a step; returns status and reason if the motion ends there."""
+        self._place = place
+        self._places.append(place)
+        self._targets.append(target)
+        ended = None
+        if self._report():
+            ended = "stopped", STOPPED
+        elif self.loop.record.steps > self._max_steps:
+            seconds = place * self.guide.reference.interval
+            ended = "max_steps", f"still at {seconds:.4g} s of the plan after {self._max_steps} cycles"
+        if ended is not None:
+            self.loop.brake_to_rest()
+            self._fill(place, target)
+        return ended
+
+    def _fill(self, place: float, target: Target) -> None:
+        """Record the steps that were taken towards a target while the plan stood still."""
+        missing = self.loop.record.steps + 1 - len(self._places)
+        self._places += [self._places[-1]] * missing
+        self._targets += [target] * missing
+        self._places[-1] = place
+
+    def _note(self, place: float, text: str) -> None:
+        """Record a deviation from the plan."""
+        self._notes.append(f"at {place * self.guide.reference.interval:.4g} s of the plan {text}")
+
+    def _look_ahead(self, controller: Geodesic) -> tuple[str, str] | None:
+        """Follow the path with a controller that knows it; None at its end, else status and reason."""
+        loop, guide = self.loop, self.guide
+        while self._place < guide.end:
+            begun, progress = self._place, None
+            remaining = guide.remaining(begun, controller)
+            loop.memory = controller.start(remaining, loop.state.compiled, loop.memory)
+            while self._place < guide.end:
+                foreseen = guide.next(self._place, 0.0 if progress is None else progress.speed)
+                target = guide.target(foreseen)
+                step = loop.compute_step(target)
+                ahead = step.memory.progress if isinstance(step.memory, GeodesicMemory) else None
+                if ahead is None or not ahead.timed.scheduled:
+                    break
+                if step.diagnostics.reason and not ahead.arrived:
+                    break
+                progress, place = ahead, begun + ahead.place
+                target = target if place == foreseen else guide.target(place)
+                loop.take_step(step, target)
+                ended = self._record(place, target)
+                if ended is not None:
+                    return ended
+            else:
+                return None
+            mark = guide.next_mark(self._place)
+            left = self._place
+            # A shorter path does not make time run faster.
+            due = loop.record.steps + ceil((mark.row - self._place) / guide.most)
+            status, reason = self._go_to(float(mark.row), due)
+            if status != "converged":
+                self._note(left, f"the arm left the path, and did not come to {mark.name} by another")
+                return status, f"on the way to {mark.name}: {reason}"
+            self._note(left, f"the arm left the path, and came to {mark.name} by another")
+        return None
+
+    def _lead(self) -> tuple[str, str] | None:
+        """Move the target of a controller that does not look ahead; time waits where it is behind."""
+        loop, guide = self.loop, self.guide
+        speed, patient = 0.0, True
+        allowed = MAX_MEAN_LAG * loop.arm.length / loop.arm.n_modules
+        target = guide.target(self._place)
+        while self._place < guide.end:
+            place, behind = self._place, loop.record.mean_error > allowed
+            if behind and patient and loop.record.travel_without_progress(PROGRESS_SHARE) >= STALL_TRAVEL:
+                error = loop.record.mean_error
+                self._note(place, f"the arm was {error:.3g} m behind on average, and did not catch up")
+                patient = False
+            if behind and patient:
+                speed = 0.0
+            else:
+                patient = patient or not behind
+                place = guide.next(place, speed)
+                speed = place - self._place
+                target = guide.target(place)
+                loop.record.set_target(target)
+            step = loop.compute_step(target)
+            if step.diagnostics.reason:
+                loop.brake()
+            else:
+                loop.take_step(step)
+            ended = self._record(place, target)
+            if ended is not None:
+                return ended
+        return None

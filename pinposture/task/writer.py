@@ -24,11 +24,12 @@ from pinposture.control import CONTROLLERS, Controller, EndEffector, Geodesic, L
 from pinposture.curve import Curve
 from pinposture.errors import FileError, PostureError, PostureWarning
 from pinposture.storage import check_writable, relative, settled, write_text
-from pinposture.task.document import Document, check_format, shown
 from pinposture.task.follow_leader import Leader
 from pinposture.task.keyframe import Keyframe, usual_placement
 from pinposture.task.reader import (
+    Document,
     TaskParts,
+    check_format,
     make_curve,
     make_obstacle,
     make_scene,
@@ -47,6 +48,7 @@ from pinposture.task.specification import (
     ObstacleSpec,
     SceneSpec,
     TipSpec,
+    shown,
 )
 from pinposture.task.toml import TomlLayout, Usual, drop_defaults, toml_text
 

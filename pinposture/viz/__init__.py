@@ -2,10 +2,15 @@
 
 from pinposture.viz.arm_figure import plot_arm
 from pinposture.viz.drawing import visual_model
-from pinposture.viz.html import save_html
-from pinposture.viz.meshcat import Viewer, view
-from pinposture.viz.panels import plot_active_points, plot_clearance, plot_point_errors, plot_posture_error
-from pinposture.viz.plots import plot, plot_comparison
+from pinposture.viz.meshcat import Viewer, save_html, view
+from pinposture.viz.panels import (
+    plot,
+    plot_active_points,
+    plot_clearance,
+    plot_comparison,
+    plot_point_errors,
+    plot_posture_error,
+)
 from pinposture.viz.postures import plot_postures
 
 __all__ = [

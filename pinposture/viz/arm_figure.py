@@ -14,9 +14,15 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture.arm import Arm, ControlPoints, Ellipsoid
 from pinposture.collision import Scene
 from pinposture.viz import palette
-from pinposture.viz.axes import FIGURE_WIDTH, add_title
-from pinposture.viz.ellipsoids import draw_ellipsoids, ellipsoid_key, scale_in_words, shade_ellipsoids
-from pinposture.viz.postures import PosturePanel, box_extent
+from pinposture.viz.palette import FIGURE_WIDTH, add_title
+from pinposture.viz.postures import (
+    PosturePanel,
+    box_extent,
+    draw_ellipsoids,
+    ellipsoid_key,
+    scale_in_words,
+    shade_ellipsoids,
+)
 
 Array = NDArray[np.float64]
 

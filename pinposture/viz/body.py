@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Sequence
+from functools import cache
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from pinposture.arm import Arm
 from pinposture.arm.kinematics import neutral_placements, without_repeats
 from pinposture.arm.urdf_reader import parse_xml
+from pinposture.collision import Box, Capsule, Cylinder, Mesh, Obstacle, Scan, Sphere
 from pinposture.collision.files import find_mesh, read_mesh
 from pinposture.collision.scan import between_cubes, representatives
 from pinposture.errors import FileError, PostureWarning
-from pinposture.viz.mesh import TriangleMesh, merge
 
 # Shape and pose of each body.
 
@@ -235,3 +238,263 @@ def _three_numbers(text: str) -> Array:
     except ValueError:
         numbers = np.empty(0)
     return numbers if numbers.shape == (3,) else np.full(3, np.nan)
+
+
+SIDES = 16  # of the polygon that stands for the section of a tube or disc
+
+
+class TriangleMesh(NamedTuple):
+    """A surface made of triangles.
+
+    Attributes:
+        vertices: (n, 3) [m].
+        faces: indices of the corners of each triangle, counter-clockwise seen from outside, (k, 3).
+    """
+
+    vertices: Array
+    faces: NDArray[np.intp]
+
+
+def merge(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
+    """Merge surfaces to one, so that one transform moves them all."""
+    shifts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    faces = [mesh.faces + shift for mesh, shift in zip(meshes, shifts, strict=False)]
+    return TriangleMesh(np.vstack([mesh.vertices for mesh in meshes]), np.vstack(faces))
+
+
+@cache
+def _unit_ball(subdivisions: int) -> TriangleMesh:
+    from trimesh.creation import icosphere  # imported here, because most figures need none
+
+    sphere = icosphere(subdivisions=subdivisions)
+    return TriangleMesh(np.asarray(sphere.vertices), np.asarray(sphere.faces, dtype=np.intp))
+
+
+def ball(center: Array, radius: float, subdivisions: int = 2) -> TriangleMesh:
+    """Return a sphere about a centre (3,) [m], of 20 * 4^subdivisions triangles."""
+    unit = _unit_ball(subdivisions)
+    return TriangleMesh(np.asarray(center) + radius * unit.vertices, unit.faces)
+
+
+def tube(path: Array, radius: float) -> TriangleMesh:
+    """Return a tube with open ends along a path (n, 3) [m], n >= 2, without repeated points."""
+    legs = np.diff(path, axis=0)
+    legs /= np.linalg.norm(legs, axis=1, keepdims=True)
+    inner = legs[:-1] + legs[1:]
+    lengths = np.linalg.norm(inner, axis=1, keepdims=True)
+    inner = np.where(lengths > 1e-9, inner / np.maximum(lengths, 1e-9), legs[:-1])
+    tangents = np.vstack([legs[:1], inner, legs[-1:]])
+    side = _perpendicular(tangents[0])
+    around = 2.0 * np.pi * np.arange(SIDES) / SIDES
+    rings = []
+    for point, tangent in zip(path, tangents, strict=True):
+        # Transported along the path, so that the tube does not twist.
+        side = side - tangent * (tangent @ side)
+        length = np.linalg.norm(side)
+        side = side / length if length > 1e-6 else _perpendicular(tangent)
+        other = np.cross(tangent, side)
+        rings.append(point + radius * (np.outer(np.cos(around), side) + np.outer(np.sin(around), other)))
+    ring, corner = np.meshgrid(np.arange(len(path) - 1), np.arange(SIDES), indexing="ij")
+    a = (ring * SIDES + corner).ravel()
+    b = (ring * SIDES + (corner + 1) % SIDES).ravel()
+    faces = np.vstack([np.stack([b, a + SIDES, a], 1), np.stack([b + SIDES, a + SIDES, b], 1)])
+    return TriangleMesh(np.vstack(rings), faces)
+
+
+def disc(center: Array, axis: Array, radius: float, thickness: float) -> TriangleMesh:
+    """Return a round plate about a centre (3,) [m] with a unit axis (3,)."""
+    from trimesh.creation import cylinder
+
+    half = axis * thickness / 2.0
+    plate = cylinder(radius, segment=[center - half, center + half], sections=SIDES)
+    return TriangleMesh(np.asarray(plate.vertices), np.asarray(plate.faces, dtype=np.intp))
+
+
+def _perpendicular(direction: Array) -> Array:
+    across = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
+    return np.asarray(across / np.linalg.norm(across))
+
+
+# Convex solids, given by their corners.
+
+FLATNESS = 1e-7  # thickness relative to the size below which a solid counts as flat
+
+
+def box_corners(low: Array, high: Array) -> Array:
+    """Return the corners of a box along the axes of the world, (8, 3) [m]."""
+    return np.array(list(product(*zip(low, high, strict=True))))
+
+
+def cut_by_plane(corners: Array, normal: Array, offset: float) -> Array:
+    """Return the part of a solid where normal . x <= offset [m].
+
+    Args:
+        corners: points whose convex hull is the solid, (n, 3) [m].
+        normal: unit normal of the plane, (3,).
+        offset: distance of the plane from the origin along the normal [m].
+
+    Returns:
+        Corners of the part, (k, 3) [m]: `corners` itself if nothing is cut off, none if nothing is left.
+    """
+    heights = corners @ normal - offset
+    if not np.any(heights > 0.0):
+        return corners
+    hull = ConvexHull(corners)
+    edges = np.sort(hull.simplices[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    a, b = np.unique(edges, axis=0).T
+    crossing = (heights[a] > 0.0) != (heights[b] > 0.0)
+    a, b = a[crossing], b[crossing]
+    share = (heights[a] / (heights[a] - heights[b]))[:, None]
+    below = hull.vertices[heights[hull.vertices] <= 0.0]
+    left = np.vstack([corners[below], corners[a] + share * (corners[b] - corners[a])])
+    return np.zeros((0, 3)) if _is_flat(left) else left
+
+
+def clip_to_box(corners: Array, low: Array, high: Array) -> Array:
+    """Return the part of a solid inside a box along the axes of the world, as corners (k, 3) [m]."""
+    for axis in range(3):
+        for sign, side in ((1.0, high), (-1.0, low)):
+            if len(corners):
+                corners = cut_by_plane(corners, sign * np.eye(3)[axis], sign * float(side[axis]))
+    return corners
+
+
+def hull_surface(corners: Array) -> TriangleMesh:
+    """Return the surface of a solid; triangles share no corners, so that they are shaded flat."""
+    from trimesh.convex import convex_hull
+
+    triangles = np.asarray(convex_hull(corners).triangles)
+    return TriangleMesh(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
+
+
+def facets(corners: Array) -> list[tuple[Array, Array]]:
+    """Return the faces of a solid: corners (k, 3), counter-clockwise from outside, and unit normal (3,)."""
+    hull = ConvexHull(corners)
+    planes, which = np.unique(hull.equations.round(9), axis=0, return_inverse=True)
+    listed = []
+    for k, normal in enumerate(planes[:, :3]):
+        face = corners[np.unique(hull.simplices[which.ravel() == k])]
+        out = face - face.mean(axis=0)
+        first = out[0] / np.linalg.norm(out[0])
+        angles = np.arctan2(out @ np.cross(normal, first), out @ first)
+        listed.append((face[np.argsort(angles)], normal))
+    return listed
+
+
+def section(corners: Array, origin: Array, plane: Array) -> Array:
+    """Return the section of a solid (n, 3) [m] with a plane, given by a point and orthonormal axes (2, 3).
+
+    Returns:
+        Corners of the section in order, (k, 2) [m], in the axes of the plane from the origin of the world;
+        none if the solid does not meet the plane.
+    """
+    normal = np.cross(*plane)
+    offset = float(normal @ origin)
+    size = float(np.ptp(corners, axis=0).max())
+    low, high = (corners @ normal - offset).min(), (corners @ normal - offset).max()
+    if not low < -FLATNESS * size < FLATNESS * size < high:
+        return np.zeros((0, 2))
+    lower = cut_by_plane(corners, normal, offset)
+    face = lower[np.abs(lower @ normal - offset) <= FLATNESS * size]
+    return convex_outline(face @ plane.T)
+
+
+def convex_outline(flat: Array) -> Array:
+    """Return the corners of the convex hull of points (n, 2), in order; none if they lie on a line."""
+    return np.zeros((0, 2)) if _is_flat(flat) else np.asarray(flat[ConvexHull(flat).vertices])
+
+
+def is_hidden(points: Array, corners: Array, eye: Array) -> NDArray[np.bool_]:
+    """Return which points (n, 3) [m] a solid contains or hides from an eye in a direction (3,), far away."""
+    sides = ConvexHull(corners).equations
+    # The ray from a point to the eye crosses the plane of each side once, inwards or outwards.
+    above, rising = points @ sides[:, :3].T + sides[:, 3], sides[:, :3] @ eye
+    along = np.abs(rising) < 1e-12
+    passed = -above / np.where(along, 1.0, rising)
+    enter = np.where(rising < 0.0, passed, -np.inf)
+    leave = np.where(rising > 0.0, passed, np.inf)
+    enter[:, along], leave[:, along] = -np.inf, np.inf
+    aside = np.any(above[:, along] > 0.0, axis=1)
+    return np.asarray(~aside & (np.maximum(enter.max(axis=1), 0.0) < leave.min(axis=1)))
+
+
+def _is_flat(points: Array) -> bool:
+    """Whether points (n, d) lie in a subspace of fewer than d dimensions."""
+    if len(points) <= points.shape[1]:
+        return True
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(spread[-1] <= FLATNESS * spread[0])
+
+
+# Surfaces of obstacles.
+
+CYLINDER_SIDES = 48  # of the polygon that stands for the section of an obstacle, which may be large
+MAX_SHOWN = 20_000  # points of a mesh or a scan that are drawn
+DOT_SIZE = 2e-3  # smallest radius of a point of a cloud, relative to the width of the cloud
+
+
+def is_hollow(obstacle: Obstacle) -> bool:
+    """Return whether an obstacle is a scan, or a mesh that may have hollows."""
+    return isinstance(obstacle, Scan) or (isinstance(obstacle, Mesh) and not obstacle.convex)
+
+
+def surface(obstacle: Sphere | Capsule | Cylinder | Box | Mesh | Scan) -> TriangleMesh:
+    """Return the surface of an obstacle other than a half-space, which is unbounded, world frame [m].
+
+    Large scans and meshes are thinned; a point of a cloud is an octahedron.
+    """
+    if isinstance(obstacle, Sphere):
+        center = np.array(obstacle.center)
+        return _revolved(center, np.array([0.0, 0.0, 1.0]), _arc(obstacle.radius, -1.0, 1.0))
+    if isinstance(obstacle, (Capsule, Cylinder)):
+        start, radius = np.array(obstacle.start), obstacle.radius
+        length = float(np.linalg.norm(np.subtract(obstacle.end, start)))
+        if isinstance(obstacle, Capsule):
+            profile = np.vstack([_arc(radius, -1.0, 0.0), _arc(radius, 0.0, 1.0) + (0.0, length)])
+        else:  # rims twice: an edge shared by two faces would be shaded as if it were round
+            profile = np.array([[0.0, 0.0], [radius, 0.0], [radius, 0.0], [radius, length]])
+            profile = np.vstack([profile, [[radius, length], [0.0, length]]])
+        return _revolved(start, np.subtract(obstacle.end, start) / length, profile)
+    if not isinstance(obstacle, Box) and is_hollow(obstacle):
+        own = _thinned(obstacle)
+        return TriangleMesh(own.vertices @ np.array(obstacle.rotation).T + obstacle.center, own.faces)
+    if isinstance(obstacle, Box):
+        half = np.array(obstacle.size) / 2.0
+        corners = box_corners(-half, half)
+    else:
+        corners = obstacle.content[0]
+    return hull_surface(corners @ np.array(obstacle.rotation).T + obstacle.center)
+
+
+def _thinned(obstacle: Mesh | Scan) -> TriangleMesh:
+    """Return the surface of a mesh or a scan in its own frame, with at most `MAX_SHOWN` points."""
+    points: Array = obstacle.content[0]
+    faces: NDArray[np.integer] | None = obstacle.content[1]
+    if len(points) > MAX_SHOWN:
+        kept, cubes = representatives(points, MAX_SHOWN)
+        points, faces = points[kept], None if faces is None else between_cubes(faces, cubes)
+    if faces is not None:
+        return TriangleMesh(points, np.asarray(faces, dtype=np.intp))
+    radius = DOT_SIZE * float(np.ptp(obstacle.bounds, axis=0).max())
+    radius = max(radius, obstacle.point_radius) if isinstance(obstacle, Scan) else radius
+    dot = hull_surface(radius * np.vstack([np.eye(3), -np.eye(3)]))
+    corners = points[:, None] + dot.vertices
+    return TriangleMesh(corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3))
+
+
+def _arc(radius: float, first: float, last: float) -> Array:
+    """Return distance from the axis and height, (n, 2), between two latitudes [quarter turns]."""
+    count = 1 + round(CYLINDER_SIDES / 4 * (last - first))
+    latitude = np.pi / 2.0 * np.linspace(first, last, count)
+    return radius * np.column_stack([np.cos(latitude), np.sin(latitude)])
+
+
+def _revolved(origin: Array, axis: Array, profile: Array) -> TriangleMesh:
+    """Return the surface of revolution of a profile (n, 2) [m]: distance from the axis, and height."""
+    from trimesh.creation import revolve
+    from trimesh.geometry import align_vectors
+
+    placement: Array = align_vectors([0.0, 0.0, 1.0], axis)  # type: ignore[no-untyped-call]
+    placement[:3, 3] = origin
+    turned = revolve(profile, sections=CYLINDER_SIDES, transform=placement, process=False)
+    return TriangleMesh(np.asarray(turned.vertices), np.asarray(turned.faces, dtype=np.intp))

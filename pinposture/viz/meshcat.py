@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import base64
+import html
 import io
+import json
 import logging
 import subprocess
 import webbrowser
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
+from importlib import resources
+from pathlib import Path
+from string import Template
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +24,8 @@ from meshcat.animation import Animation, AnimationClip
 from meshcat.commands import SetAnimation
 from meshcat.geometry import Geometry, Mesh, MeshPhongMaterial, TriangularMeshGeometry
 from meshcat.geometry import Sphere as BallGeometry
-from meshcat.path import Path
+from meshcat.path import Path as TreePath
+from meshcat.servers.zmqserver import VIEWER_ROOT
 from meshcat.visualizer import ViewerWindow
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
@@ -30,19 +37,31 @@ from pinposture.collision import Scene
 from pinposture.errors import InvalidValue, UnknownName, ViewerError
 from pinposture.motion import Motion, Trajectory
 from pinposture.placement import Target
-from pinposture.viz import animation, drawing, palette
-from pinposture.viz.animation import ROOT, Timeline, Track
-from pinposture.viz.axes import Place, group_alike, shown_places
-from pinposture.viz.body import bodies, body_poses
-from pinposture.viz.ellipsoids import (
+from pinposture.storage import with_suffix, write_text
+from pinposture.viz import drawing, palette
+from pinposture.viz.body import TriangleMesh, ball, bodies, body_poses, merge, tube
+from pinposture.viz.drawing import ROOT, Timeline, Track, playback, require_fitting
+from pinposture.viz.palette import (
+    Place,
+    controller_name,
+    ending_text,
+    group_alike,
+    is_slowed,
+    motion_ending_text,
+    placement_text,
+    shown_places,
+)
+from pinposture.viz.panels import has_clearance
+from pinposture.viz.postures import (
+    INDEX_LABELS,
     EllipsoidMotion,
     axis_ends,
     ellipsoid_motion,
     ellipsoid_path,
     ellipsoid_tracks,
     round_down,
+    scale_in_words,
 )
-from pinposture.viz.mesh import TriangleMesh, ball, merge, tube
 
 logger = logging.getLogger(__name__)
 
@@ -153,7 +172,7 @@ def play_animation(viewer: Visualizer, moving: Sequence[Track], fps: float) -> N
     """Play tracks over and over, in place of what was played before; without tracks, stop."""
     whole = Animation()
     for track in moving:
-        clip = whole.clips.setdefault(Path().append(track.path), AnimationClip(fps=fps, name="run"))
+        clip = whole.clips.setdefault(TreePath().append(track.path), AnimationClip(fps=fps, name="run"))
         clip.tracks[track.name] = track
     viewer.window.send(PlayAnimation(whole, repetitions=float("inf")))
 
@@ -186,17 +205,17 @@ def add_arm(viewer: Visualizer, arm: Arm, q: Array) -> None:
     add(viewer, f"{ROOT}/arm/base", surfaces.base, palette.BASE)
     for u, body in enumerate(bodies(arm)):
         shade = palette.MODULES[body.module % len(palette.MODULES)]
-        add(viewer, f"{animation.body_path(u)}/link", surfaces.bodies[u], shade)
+        add(viewer, f"{drawing.body_path(u)}/link", surfaces.bodies[u], shade)
         if body.point is not None:
-            add(viewer, animation.point_path(u), BallGeometry(animation.POINT_SIZE * radius), palette.IDLE)
-            viewer[animation.point_path(u)].set_transform(_transform(body.point, animation.IDLE_SIZE))
+            add(viewer, drawing.point_path(u), BallGeometry(drawing.POINT_SIZE * radius), palette.IDLE)
+            viewer[drawing.point_path(u)].set_transform(_transform(body.point, drawing.IDLE_SIZE))
     pose_arm(viewer, arm, q)
 
 
 def pose_arm(viewer: Visualizer, arm: Arm, q: Array) -> None:
     """Move an arm that is drawn to a configuration (nq,)."""
     for u, pose in enumerate(body_poses(arm, q)):
-        viewer[animation.body_path(u)].set_transform(pose)
+        viewer[drawing.body_path(u)].set_transform(pose)
 
 
 def add_target(viewer: Visualizer, arm: Arm, target: Target) -> None:
@@ -222,15 +241,13 @@ def add_moving_targets(viewer: Visualizer, motion: Motion, places: Sequence[Plac
             add(viewer, f"{ROOT}/target/place_{number:03d}", tube(line, LINE_RADIUS * radius), place.color)
     around = 2.0 * np.pi * np.arange(HOOP_SIDES + 1) / HOOP_SIDES
     circle = np.stack([np.cos(around), np.sin(around), np.zeros(HOOP_SIDES + 1)], axis=1)
-    hoop = tube(
-        HOOP_RADIUS * animation.POINT_SIZE * radius * circle, WIRE_RADIUS * animation.POINT_SIZE * radius
-    )
-    turns = animation.hoop_turns(arm, motion.targets[:1], motion.target_mask[:1])
-    for k in animation.targeted_points(motion):
-        size = 1.0 if motion.target_mask[0, k] else animation.NO_SIZE
+    hoop = tube(HOOP_RADIUS * drawing.POINT_SIZE * radius * circle, WIRE_RADIUS * drawing.POINT_SIZE * radius)
+    turns = drawing.hoop_turns(arm, motion.targets[:1], motion.target_mask[:1])
+    for k in drawing.targeted_points(motion):
+        size = 1.0 if motion.target_mask[0, k] else drawing.NO_SIZE
         turn = Rotation.from_quat(turns[0, k]).as_matrix()
-        add(viewer, animation.hoop_path(k), hoop, palette.TARGET)
-        viewer[animation.hoop_path(k)].set_transform(_transform(motion.targets[0, k], size * turn))
+        add(viewer, drawing.hoop_path(k), hoop, palette.TARGET)
+        viewer[drawing.hoop_path(k)].set_transform(_transform(motion.targets[0, k], size * turn))
 
 
 def add_obstacles(viewer: Visualizer, shown: Sequence[drawing.ShownObstacle]) -> None:
@@ -351,8 +368,8 @@ def draw_scene(
     add_ellipsoids(viewer, ellipsoids)
     moving: list[Track] = []
     if shown is not None:
-        moving = [*animation.arm_tracks(arm, shown), *ellipsoid_tracks(ellipsoids, shown)]
-        moving += [] if motion is None else animation.moving_target_tracks(motion, shown)
+        moving = [*drawing.arm_tracks(arm, shown), *ellipsoid_tracks(ellipsoids, shown)]
+        moving += [] if motion is None else drawing.moving_target_tracks(motion, shown)
     return DrawnScene(moving, bool(obstacles), places)
 
 
@@ -388,7 +405,7 @@ class Viewer:
         drawing.require_fitting(arm, run, target)
         self.arm, self.run, self.target, self.scene = arm, run, target, scene
         self.ellipsoids = chosen_points(arm.control_points, ellipsoids)
-        self._playback = None if run is None else animation.playback(run, fps, MAX_FRAMES)
+        self._playback = None if run is None else drawing.playback(run, fps, MAX_FRAMES)
         self._playing = False
         self.meshcat = Visualizer(window=Connection(url))
         try:
@@ -512,3 +529,158 @@ def view(
     if open_browser:
         shown.open()
     return shown
+
+
+# Captions and legend.
+
+
+def captions(shown: Timeline) -> list[str]:
+    """Return the text under each configuration that is shown."""
+    listed, run = [], shown.run
+    for row in shown.rows:
+        text = _step_text(shown, row) if shown.motion is None else _motion_text(shown.motion, row)
+        listed.append(text + (f", clearance {run.clearance[row]:.3g} m" if has_clearance(run) else ""))
+    return listed
+
+
+def _step_text(shown: Timeline, row: int) -> str:
+    """Describe a configuration of a run."""
+    run = shown.run
+    text = f"step {row} of {run.steps}, posture error {run.posture_error[row]:.3g} m"
+    if run.steps:
+        count = int(run.active[min(row, run.steps - 1)].sum())
+        text += f", {count} of {run.arm.n_modules} control points active"
+        if run.switches:
+            text += f" by {run.method[min(row, run.steps - 1)].capitalize()}"
+    return text
+
+
+def _motion_text(motion: Motion, row: int) -> str:
+    """Describe a configuration of a motion."""
+    text = f"{motion.time[row]:.2f} of {motion.time[-1]:.2f} s"
+    if is_slowed(motion):
+        text += f" ({motion.plan_time[row]:.2f} of {motion.planned:.2f} s of the plan)"
+    count = sum(place.row is not None and place.row <= row for place in motion.waypoints)
+    if row < motion.start_index:
+        text += ", coming to the first posture"
+    elif count:
+        text += f", reached {motion.waypoints[count - 1].name} ({count} of {len(motion.waypoints)})"
+    return f"{text}, posture error {motion.run.posture_error[row]:.3g} m"
+
+
+def legend_html(shown: Timeline, drawn: DrawnScene, target: bool, scale: str) -> str:
+    """Return the legend, and the speed at which a motion is shown, as HTML.
+
+    Args:
+        shown: what is shown.
+        drawn: what is drawn of it.
+        target: whether a fixed target is drawn.
+        scale: the scale of ellipsoids, in words; empty if there are none.
+    """
+    entries = [("target", palette.TARGET)] if target else []
+    if shown.motion is not None:
+        entries = [("target of the moment", palette.TARGET)]
+    if shown.run.steps:
+        entries += [("active control point", palette.ACTIVE), ("idle", palette.IDLE)]
+    else:
+        entries.append(("control point", palette.IDLE))
+    if drawn.obstacles:
+        entries.append(("obstacle", palette.OBSTACLE))
+    lines = [_color_key(entries)]
+    if shown.motion is not None:
+        speed = "in real time" if shown.speedup == 1.0 else f"{shown.speedup:.0f} times as fast as it was"
+        named = [(", ".join(place.name for place in group), group[0].color) for group in drawn.places]
+        lines.append(f"shown {speed}; targets at {_color_key(named)}" if named else f"shown {speed}")
+    moved = placement_text(shown.run if shown.motion is None else shown.motion)
+    if moved:
+        lines.append(html.escape(moved))
+    if scale:
+        listed = [(f"index {meaning}", color) for color, meaning in INDEX_LABELS.items()]
+        lines.append(f"ellipsoids, {scale}: {_color_key(listed)}")
+    return "<br>".join(lines)
+
+
+def _color_key(entries: Sequence[tuple[str, str]]) -> str:
+    dots = [
+        f'<span class="dot" style="background: {color}"></span>{html.escape(name)}' for name, color in entries
+    ]
+    return "".join(dots)
+
+
+# The page.
+
+MAX_RUN_FRAMES, MAX_MOTION_FRAMES = 240, 1200
+
+
+def save_html(
+    arm: Arm,
+    run: Trajectory | Motion,
+    path: str | Path,
+    target: Target | None = None,
+    fps: float = 20.0,
+    max_frames: int | None = None,
+    ellipsoids: ControlPoints = (),
+) -> Path:
+    """Write a run or a motion as an animation to one HTML file, atomically.
+
+    The file contains everything, including the script of the viewer, so it opens from disk, offline. The run
+    plays over and over; the mouse turns, shifts and zooms. Active control points are coloured and large.
+    Obstacles are translucent; a half-space is drawn as a plate.
+
+    A motion in time plays as by `view`. Its caption tells which of its named places it has reached.
+
+    Args:
+        arm: the arm.
+        run: the run, or the motion in time, to show.
+        path: the file; ".html" is added to a name without suffix.
+        target: a fixed target to show; that of a run if None.
+        fps: configurations shown per second; fewer if the run is so short that it would last under 2 s.
+        max_frames: largest number of configurations shown; of longer runs some are skipped. None: 240 of a
+            run, 1200 of a motion.
+        ellipsoids: control points to show the manipulability ellipsoids of, as for `view`; the page explains
+            their colours and their scale.
+
+    Returns:
+        The path written.
+
+    Raises:
+        FileError: the name has another suffix, or the file cannot be written.
+        InvalidValue: a run of another arm, `fps` or `max_frames`, or no choice of control points.
+        UnknownName: a name that no control point has.
+    """
+    path = with_suffix(Path(path), ".html", ".htm")
+    target = run.target if target is None and isinstance(run, Trajectory) else target
+    require_fitting(arm, run, target)
+    points = chosen_points(arm.control_points, ellipsoids)
+    if max_frames is None:
+        max_frames = MAX_MOTION_FRAMES if isinstance(run, Motion) else MAX_RUN_FRAMES
+    write_text(path, _page_html(arm, playback(run, fps, max_frames), target, points))
+    return path
+
+
+def _page_html(arm: Arm, shown: Timeline, target: Target | None, points: tuple[int, ...]) -> str:
+    run, motion = shown.run, shown.motion
+    recording = CommandRecorder()
+    viewer = Visualizer(window=recording)
+    drawn = draw_scene(viewer, arm, shown, target, run.scene, points)
+    play_animation(viewer, drawn.tracks, shown.fps)
+    packed = [base64.b64encode(command).decode("ascii") for command in recording.packed]
+    described = {"times": (shown.times / shown.fps).round(6).tolist(), "texts": captions(shown)}
+    template = resources.files("pinposture.viz").joinpath("page.html").read_text(encoding="utf-8")
+    ended = ending_text(run) if motion is None else motion_ending_text(motion)
+    return Template(template).substitute(
+        title=html.escape(f"{controller_name(run)} {ended}"),
+        reason=html.escape(run.reason),
+        legend=legend_html(shown, drawn, target is not None, scale_in_words(arm, points) if points else ""),
+        ink=palette.INK,
+        end=shown.end / shown.fps,
+        aspect=ASPECT,
+        viewer=_viewer_script(),
+        run=json.dumps(described).replace("<", r"\u003c"),  # a name in it must not end the script
+        commands=json.dumps(packed),
+    )
+
+
+def _viewer_script() -> str:
+    """Return the script of the meshcat viewer, as meshcat ships it for its own pages."""
+    return Path(VIEWER_ROOT, "main.min.js").read_text(encoding="utf-8")

@@ -1,12 +1,26 @@
-"""Colours that mean the same thing in every picture.
+"""The look of all figures: colours that mean the same thing in every picture, scales, layout, titles.
 
-They are those of Okabe and Ito, which are distinct under every kind of colour blindness. Initial posture,
-target curve, Selection and Projection have the hues of the thesis: blue, black, red, green.
+The colours are those of Okabe and Ito, which are distinct under every kind of colour blindness. Initial
+posture, target curve, Selection and Projection have the hues of the thesis: blue, black, red, green.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import textwrap
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.ticker import MaxNLocator, NullFormatter
+
+from pinposture.arm import Arm
+from pinposture.motion import Motion, Trajectory
+from pinposture.motion.trajectory import ENDINGS
 
 START = "#0072B2"  # initial posture
 FINAL = "#D55E00"  # final posture of a controller that has no colour of its own
@@ -87,3 +101,228 @@ def rgb(color: str) -> tuple[float, float, float]:
     """Return red, green and blue of a colour "#RRGGBB", each in [0, 1]."""
     red, green, blue = (int(color[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
     return red, green, blue
+
+
+# Scales, ticks and labels of axes against steps or time.
+
+LOG_DECADES = 1.5  # a range of values of so many powers of ten or more gets a logarithmic axis
+MAX_DECADES = 12.0  # powers of ten below the largest value that such an axis shows at most; below is rounding
+
+
+def format_step_axes(ax: Axes, label: str) -> None:
+    """Format axes against steps, from 0 to the last step drawn: ticks, grid and labels."""
+    steps = _format_axes(ax, "step", label)
+    ax.set_xlim(0.0 if steps else -1.0, max(steps, 1.0))
+    ax.xaxis.set_major_locator(MaxNLocator(nbins=8, integer=True, min_n_ticks=1))
+
+
+def format_time_axes(ax: Axes, label: str) -> None:
+    """Format axes against time, from 0 to the last time drawn: ticks, grid and labels."""
+    end = _format_axes(ax, "time [s]", label)
+    ax.set_xlim(0.0 if end else -1.0, end or 1.0)
+    ax.xaxis.set_major_locator(MaxNLocator(nbins=8, min_n_ticks=1))
+
+
+def _format_axes(ax: Axes, xlabel: str, ylabel: str) -> float:
+    """Format what all axes have in common; return the largest x that was drawn."""
+    ax.set_xlabel(xlabel, fontsize=9)
+    ax.set_ylabel(ylabel, fontsize=9)
+    add_grid(ax)
+    return max((float(np.max(line.get_xdata(), initial=0.0)) for line in ax.get_lines()), default=0.0)
+
+
+def add_grid(ax: Axes) -> None:
+    """Draw a grid behind everything, and axes without a frame."""
+    ax.tick_params(labelsize=8)
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.grid(color=FAINT, lw=0.6)
+    ax.set_axisbelow(True)
+
+
+def scale_values(ax: Axes) -> None:
+    """Fit the vertical axis to the lines drawn, logarithmic if that shows more.
+
+    On a logarithmic axis a line leaves the picture at the bottom where its value is exactly 0.
+    """
+    drawn = [np.asarray(line.get_ydata(), dtype=np.float64) for line in ax.get_lines()]
+    values = np.concatenate([*drawn, np.zeros(0)])
+    positive = values[values > 0.0]
+    top = float(positive.max()) if len(positive) else 1.0
+    if not len(positive) or np.log10(top / positive.min()) < LOG_DECADES:
+        ax.set_yscale("linear")
+        ax.set_ylim(-0.03 * top, 1.15 * top)
+        return
+    ax.set_yscale("log", nonpositive="clip")
+    ax.yaxis.set_minor_formatter(NullFormatter())
+    ax.set_ylim(max(float(positive.min()), top * 10.0**-MAX_DECADES) / 1.8, top * 1.8)
+
+
+def scale_counts(ax: Axes, largest: int) -> None:
+    """Fit the vertical axis to whole numbers from 0 to the largest possible one."""
+    ax.set_ylim(-0.04 * largest, 1.06 * largest)
+    ax.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True, min_n_ticks=1))
+
+
+def mark_value(ax: Axes, x: float, value: float, color: str, unit: str, where: str) -> None:
+    """Annotate the value at the "start" or "end" of a line, or its "least" value.
+
+    The last value is written in the right margin, above the axis if it is below that, the least one above it.
+    """
+    low, high = ax.get_ylim()
+    place = (x, float(np.clip(value, low, high)))  # a logarithmic axis has no place for 0
+    ax.plot(*place, marker="o", ms=4, color=color, clip_on=False, zorder=5)
+    ax.set_ylim(low, high)
+    styles = {"start": (7, 4, "left", "bottom"), "least": (0, 8, "center", "bottom")}
+    styles["end"] = (6, 4, "left", "bottom") if value <= low else (6, 0, "left", "center")
+    right, up, ha, va = styles[where]
+    ax.annotate(
+        f"{value:.3g} {unit}",
+        place,
+        xytext=(right, up),
+        textcoords="offset points",
+        ha=ha,
+        va=va,
+        fontsize=8,
+        color=color,
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
+        annotation_clip=False,
+    )
+
+
+def colors_along(count: int) -> tuple[LinearSegmentedColormap, Normalize]:
+    """Return the colours of things numbered from base to tip, 1 to `count`."""
+    return LinearSegmentedColormap.from_list("along the arm", ALONG), Normalize(1, max(count, 2))
+
+
+def add_colorbar(panels: Sequence[Axes], count: int, label: str, **options: Any) -> None:
+    """Add a colour bar for `colors_along` beside panels."""
+    colors, norm = colors_along(count)
+    figure: Any = panels[0].figure
+    bar = figure.colorbar(ScalarMappable(norm, colors), ax=panels, **options)
+    bar.set_ticks(MaxNLocator(nbins=8, integer=True, min_n_ticks=1) if count > 1 else [1])
+    bar.set_label(label, fontsize=9)
+    bar.ax.tick_params(labelsize=8)
+    bar.outline.set_visible(False)
+
+
+# Layout of figures: postures on the left, panels that share an axis on the right.
+
+FIGURE_WIDTH, FIGURE_HEIGHT = 12.0, 7.2  # [inch]; 1200 pixels wide at the default resolution
+
+
+def new_figure(arm: Arm, rows: int) -> tuple[Figure, Axes, list[Axes]]:
+    """Return a figure with axes for postures of an arm and so many panels beside them, from the top."""
+    size = FIGURE_WIDTH, FIGURE_HEIGHT + max(0, rows - 3)
+    figure = Figure(figsize=size, layout=ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.09, wspace=0.04))
+    grid = figure.add_gridspec(rows, 2, width_ratios=(1.1, 1.0))
+    postures = figure.add_subplot(grid[:, 0], projection="3d" if arm.dimension == 3 else None)
+    return figure, postures, [figure.add_subplot(grid[row, 1]) for row in range(rows)]
+
+
+def share_axis(panels: Sequence[Axes]) -> None:
+    """Label the horizontal axis of the last of several stacked panels only."""
+    for panel in panels[:-1]:
+        panel.set_xlabel("")
+        panel.tick_params(labelbottom=False)
+
+
+def add_title(figure: Figure, sentences: Sequence[str]) -> None:
+    """Write sentences above the panels, each on a line of its own, wrapped if it is long."""
+    text = "\n".join(textwrap.fill(sentence, 145) for sentence in sentences)
+    figure.suptitle(text, fontsize=10, x=0.012, ha="left", color=INK, parse_math=False)
+
+
+def add_footnote(figure: Figure, text: str) -> None:
+    """Write details below the panels."""
+    text = textwrap.fill(textwrap.shorten(text, 500), 190)
+    figure.supxlabel(text, fontsize=8, x=0.012, ha="left", color=QUIET, parse_math=False)
+
+
+# Words for titles.
+
+SLOWED = 1.001  # duration relative to the plan above which a motion counts as slowed down
+
+
+def placement_text(run: Trajectory | Motion) -> str:
+    """Describe how curves were moved from where they were drawn; empty if none was."""
+    if isinstance(run, Motion):
+        moved = [f"{place.name} {place.moved}" for place in run.waypoints if place.moved]
+        return f"curves: {', '.join(moved)}" if moved else ""
+    return f"curve {run.target.moved} to the base of the arm" if run.target.moved else ""
+
+
+def controller_name(run: Trajectory) -> str:
+    """Return the name of the controller of a run, without its parameters."""
+    return run.controller.partition("(")[0].strip() or "The run"
+
+
+def ending_text(run: Trajectory) -> str:
+    """Return how and after how many steps a run ended, to follow the name of its controller."""
+    return f"{ENDINGS[run.status]} after {run.steps} step{'s' * (run.steps != 1)}"
+
+
+def motion_ending_text(motion: Motion) -> str:
+    """Return how and when a motion ended, and by how much it was slowed down if it reached its end."""
+    text = f"{ENDINGS[motion.run.status]} after {motion.time[-1]:.4g} s"
+    if motion.plan_time[-1] < motion.planned or not is_slowed(motion):
+        return text
+    since = f"from {motion.time[motion.start_index]:.4g} s on " if motion.start_index else ""
+    return f"{text}, {since}{motion.time_scale:.3g} times as long as planned"
+
+
+def is_slowed(motion: Motion) -> bool:
+    """Whether a motion was slowed down visibly."""
+    return motion.time_scale > SLOWED
+
+
+# Named places of a motion.
+
+MAX_PLACES = 8  # that a picture shows
+MAX_NAME_LENGTH = 22  # of a place [characters]
+SAME_POSTURE = 1e-4  # distance of control points below which postures look the same, in arm lengths
+
+
+class Place(NamedTuple):
+    """A named place that a motion reached.
+
+    Attributes:
+        name: its name, shortened.
+        row: row of the motion at which the arm was there.
+        color: pale for an early place, dark for a late one.
+    """
+
+    name: str
+    row: int
+    color: str
+
+
+def shown_places(motion: Motion) -> list[Place]:
+    """Return the places that a motion reached, in order; of too many, some from the first to the last."""
+    reached = [(place.name, place.row) for place in motion.waypoints if place.row is not None]
+    if len(reached) > MAX_PLACES:
+        reached = [reached[k] for k in np.round(np.linspace(0, len(reached) - 1, MAX_PLACES)).astype(int)]
+    shares = np.linspace(1.0, 0.0, len(reached))[::-1]  # a single place counts as the last one
+    colors = [in_time(float(share)) for share in shares]
+    return [Place(_shorten(name), row, color) for (name, row), color in zip(reached, colors, strict=True)]
+
+
+def group_alike(motion: Motion, places: Sequence[Place]) -> list[list[Place]]:
+    """Group places in which the arm looks the same, in order of the first of each group."""
+    points, tolerance = motion.run.points, SAME_POSTURE * motion.arm.length
+    groups: list[list[Place]] = []
+    for place in places:
+        for group in groups:
+            if np.linalg.norm(points[place.row] - points[group[0].row], axis=1).max() < tolerance:
+                group.append(place)
+                break
+        else:
+            groups.append([place])
+    return groups
+
+
+def _shorten(name: str) -> str:
+    """Cut the middle out of a long name: names may differ at either end."""
+    name = " ".join(name.split())
+    if len(name) <= MAX_NAME_LENGTH:
+        return name
+    return f"{name[: MAX_NAME_LENGTH - 11].rstrip()}...{name[-8:].lstrip()}"

@@ -1,30 +1,50 @@
-"""Single panels of a figure: errors, control points, clearance, against steps or time."""
+"""Figures of runs and motions, and their panels: errors, control points, clearance, against steps or time."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from pinposture.errors import InvalidValue
 from pinposture.motion import Motion, Trajectory
 from pinposture.motion.trajectory import limit_shares
 from pinposture.viz import palette
-from pinposture.viz.axes import (
+from pinposture.viz.palette import (
     MAX_NAME_LENGTH,
     Place,
     add_colorbar,
+    add_footnote,
+    add_title,
     colors_along,
+    controller_name,
+    ending_text,
     format_step_axes,
     format_time_axes,
+    group_alike,
+    is_slowed,
     mark_value,
+    motion_ending_text,
+    new_figure,
+    placement_text,
     scale_counts,
     scale_values,
+    share_axis,
+    shown_places,
+)
+from pinposture.viz.postures import (
+    PosturePanel,
+    draw_intermediate_postures,
+    draw_runs,
+    evenly_spaced_rows,
+    plot_postures,
 )
 
 Array = NDArray[np.float64]
@@ -349,3 +369,155 @@ def _merge_close_names(places: Sequence[Place], positions: Sequence[float]) -> l
         elif len(names[-1][1]) + len(place.name) < MAX_NAME_LENGTH:
             names[-1] = names[-1][0], f"{names[-1][1]}, {place.name}"
     return names
+
+
+# A motion.
+
+MIN_PLACES = 3  # a motion with fewer named places is shown with intermediate postures
+LEGEND_WIDTH, HANDLE_WIDTH = 84, 8  # of the legend above the postures, and of a symbol in it [characters]
+MAX_DETOURS = 2  # in a title
+
+
+def plot_motion(motion: Motion) -> Figure:
+    """Draw a motion in time in one figure; see `pinposture.viz.plot`."""
+    run, time = motion.run, motion.time
+    draws: list[Callable[[Motion, Axes], None]] = [plot_error]
+    if any(share is not None for share in limit_shares(run)):
+        draws.append(plot_joint_rates)
+    if is_slowed(motion):
+        draws.append(plot_plan_time)
+    if has_clearance(run):
+        draws.append(lambda motion, ax: plot_clearance(motion.run, ax, time=motion.time))
+    figure, postures, rows = new_figure(motion.arm, len(draws))
+    plot_places(motion, postures)
+    for draw, panel in zip(draws, rows, strict=True):
+        draw(motion, panel)
+    places = shown_places(motion)
+    mark_places(places, rows, [float(time[place.row]) for place in places])
+    share_axis(rows)
+    deviations = [f"Detour: {text}" for text in motion.deviations[:MAX_DETOURS]]
+    if len(motion.deviations) > MAX_DETOURS:
+        deviations.append(f"and {len(motion.deviations) - MAX_DETOURS} more")
+    ending = f"{controller_name(run)} {motion_ending_text(motion)}: {run.reason}"
+    add_title(figure, [ending, *deviations])
+    add_footnote(figure, "; ".join(filter(None, [placement_text(motion), run.controller])))
+    figure.draw_without_rendering()  # the layout of a high legend needs two passes
+    return figure
+
+
+def plot_places(motion: Motion, ax: Axes) -> None:
+    """Draw the postures at the named places of a motion, from pale to dark, and the targets there.
+
+    Raises:
+        InvalidValue: plain axes for an arm that moves in space.
+    """
+    run, panel = motion.run, PosturePanel(motion.arm, ax)
+    color = palette.controller_color(run.controller)
+    groups = group_alike(motion, shown_places(motion))
+    rows = [group[0].row for group in groups]
+    targets = [motion.targets[row][motion.target_mask[row]] for row in rows or [motion.steps]]
+    rings: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 4.6, "mfc": "white", "mew": 0.8}
+    panel.line(np.vstack(targets), label="target points", zorder=3, mec=palette.TARGET, **rings)
+    if motion.start_index or not groups:
+        panel.posture(run.q[0], palette.START, "initial posture", width=1.2)
+    for group in groups:
+        label = "; ".join(f"{place.name}, {motion.time[place.row]:.3g} s" for place in group)
+        panel.posture(run.q[group[0].row], group[0].color, label, 2.2)
+    if not groups:
+        panel.posture(run.q[-1], color, "final posture", 2.2)
+    if run.scene is not None or len(groups) < MIN_PLACES:
+        draw_intermediate_postures(panel, run, color, evenly_spaced_rows(run))
+    panel.finish(run.scene)
+    handles, labels = ax.get_legend_handles_labels()
+    for columns in (3, 2, 1):
+        rows_each = -(-len(labels) // columns)
+        widths = [max(map(len, labels[k : k + rows_each])) for k in range(0, len(labels), rows_each)]
+        if sum(widths) + HANDLE_WIDTH * columns <= LEGEND_WIDTH:
+            break
+    where: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": columns}
+    legend = ax.legend(handles, labels, fontsize=9, frameon=False, **where)
+    for text in legend.get_texts():
+        text.set_parse_math(False)
+
+
+# Runs.
+
+
+def plot(run: Trajectory | Motion) -> Figure:
+    """Draw a run in one figure: postures, posture error, point errors, active points, clearance.
+
+    Active points are left out if the controller does not choose any, clearance if there was no scene. For a
+    switching controller, red dots on the axis mark the steps by Projection. Behind the posture error, escape
+    steps are shaded; red bars below it mark steps in which a constraint was relaxed.
+
+    A motion in time is drawn by the postures at its named places, and over time by the posture error, joint
+    speeds and accelerations relative to their limits, delays, and clearance.
+
+    Args:
+        run: the run, or the motion.
+
+    Returns:
+        A figure, 1200 pixels wide; `figure.savefig(path)` writes it. It is not shown, and pyplot does not
+        know of it.
+
+    Raises:
+        InvalidValue: it is neither a run nor a motion.
+    """
+    if isinstance(run, Motion):
+        return plot_motion(run)
+    if not isinstance(run, Trajectory):
+        raise InvalidValue("run", run, "a Trajectory, as from `track`, or a Motion, as from `move_through`")
+    draws = [plot_posture_error, plot_point_errors]
+    if chooses_points(run):
+        draws.append(plot_active_points)
+    if has_clearance(run):
+        draws.append(plot_clearance)
+    figure, postures, rows = new_figure(run.arm, len(draws))
+    plot_postures(run, postures)
+    for draw, panel in zip(draws, rows, strict=True):
+        draw(run, panel)
+    mark_escapes(run, rows[0])
+    mark_relaxed(run, rows[0])
+    add_legend(rows[0])
+    share_axis(rows)
+    if run.switches:
+        mark_method(run, rows[-1])
+        rows[-1].set_xlabel("step (red: steps by Projection)")
+    add_title(figure, [f"{controller_name(run)} {ending_text(run)}: {run.reason}"])
+    add_footnote(figure, "; ".join(filter(None, [placement_text(run), run.controller])))
+    return figure
+
+
+def plot_comparison(runs: Mapping[str, Trajectory]) -> Figure:
+    """Draw several runs to one target in one figure: postures, posture errors, active points, clearance.
+
+    Args:
+        runs: the runs by their names in the figure.
+
+    Returns:
+        A figure, 1200 pixels wide, as from `plot`.
+
+    Raises:
+        InvalidValue: no run at all, or runs of different arms or targets.
+    """
+    if not runs:
+        raise InvalidValue("runs", dict(runs), "at least one run")
+    first_label, first = next(iter(runs.items()))
+    for label, run in runs.items():
+        same = run.target.points.shape == first.target.points.shape
+        if not (same and np.allclose(run.target.points, first.target.points, rtol=0.0, atol=1e-9)):
+            raise InvalidValue("runs", label, f"runs towards the same target as {first_label!r}")
+    colors = palette.distinct_colors(run.controller for run in runs.values())
+    drawn = [(run, label, color) for (label, run), color in zip(runs.items(), colors, strict=True)]
+    near = any(has_clearance(run) for run in runs.values())
+    figure, postures, rows = new_figure(first.arm, 2 + near)
+    draw_runs(drawn, postures)
+    for run, label, color in drawn:
+        plot_posture_error(run, rows[0], color, label)
+        plot_point_count(run, rows[1], color)
+        if near:
+            plot_clearance(run, rows[2], color)
+    scale_counts(rows[1], max(run.arm.n_modules for run in runs.values()))
+    share_axis(rows)
+    add_title(figure, [f"{label} {ending_text(run)}: {run.reason}" for label, run in runs.items()])
+    return figure

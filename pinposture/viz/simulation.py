@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pinposture.sim import Simulation
 from pinposture.viz import palette
-from pinposture.viz.axes import (
+from pinposture.viz.palette import (
     FIGURE_HEIGHT,
     FIGURE_WIDTH,
     add_colorbar,

@@ -60,4 +60,4 @@ def run_directory(command: Command, arm_file: Path, tmp_path_factory: pytest.Tem
 def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Spares a test the plot and the animation, which take most of the time of a short run."""
     for name in ("write_plot", "write_animation"):
-        monkeypatch.setattr(f"pinposture.cli.results.{name}", lambda _, path: write_text(path, ""))
+        monkeypatch.setattr(f"pinposture.cli.output.{name}", lambda _, path: write_text(path, ""))

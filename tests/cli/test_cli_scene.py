@@ -40,7 +40,7 @@ def passed(command, arm_file, scene_file, tmp_path_factory):
     path = tmp_path_factory.mktemp("passed")
     with pytest.MonkeyPatch.context() as patch:
         for name in ("write_plot", "write_animation"):
-            patch.setattr(f"pinposture.cli.results.{name}", lambda *_: None)
+            patch.setattr(f"pinposture.cli.output.{name}", lambda *_: None)
         asked = ("track", arm_file, "--curve", "line", "--start", ABOVE, "--scene", scene_file)
         result = command(*asked, "-o", path, "--json")
     assert result.code == 0, result.err

@@ -135,8 +135,7 @@ def test_wrong_usage_is_one_line_and_costs_no_run(command, arm_file, arguments, 
     def never(*_, **__):
         raise AssertionError("tracked first")
 
-    for module in ("scenes", "cycles"):
-        monkeypatch.setattr(f"pinposture.study.{module}.track", never)
+    monkeypatch.setattr("pinposture.study.record.track", never)
     done = command("study", *arguments.replace("FILE", str(arm_file)).split())
     assert (done.code, done.out) == (2, "")
     assert message in done.err

@@ -13,7 +13,7 @@ import pytest
 
 import pinposture as pp
 from pinposture.motion.joint_trajectory import JointTrajectory
-from pinposture.motion.motion import Motion
+from pinposture.motion.trajectory import Motion
 
 STEPS = 10
 

@@ -12,16 +12,10 @@ import pytest
 from viz.motions import five_modules, some_motion
 
 import pinposture as pp
-from pinposture.cli.results import (
-    FORMATS,
-    find_kept,
-    keep_motion,
-    load_kept,
-    motion_in_words,
-    summarize_motion,
-)
+from pinposture.cli.output import FORMATS, find_kept, keep_motion, load_kept
+from pinposture.cli.run import motion_in_words, summarize_motion
 from pinposture.errors import FileError
-from pinposture.motion.motion import Motion, Waypoint
+from pinposture.motion.trajectory import Motion, Waypoint
 
 
 def around_a_ball() -> pp.Scene:

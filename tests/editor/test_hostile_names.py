@@ -27,7 +27,7 @@ from pinposture.editor import Editor
 from pinposture.editor.ui.keyframes import rename
 from pinposture.motion import Motion
 from pinposture.task import Keyframe, Task
-from pinposture.viz.html import _viewer_script
+from pinposture.viz.meshcat import _viewer_script
 
 HOSTILE = '<iframe id=hostile srcdoc="&lt;script&gt;parent.ran=1&lt;%2Fscript&gt;"></iframe>'
 """Markup that runs a script where it is shown as it is. A slash would be none of a file's name."""

@@ -18,7 +18,7 @@ from pinposture.editor.edits import DEGREE, FIT_TOLERANCE, MAX_SHAPE_POINTS, MIN
 from pinposture.editor.solver import judge
 from pinposture.errors import CurveError, InvalidValue, PostureError
 from pinposture.placement import resolve_targets
-from pinposture.placement.curve_placement import place_curve
+from pinposture.placement.target import place_curve
 from pinposture.task import Keyframe
 
 AWAY = pin.SE3(pin.exp3(np.array([0.3, -0.5, 0.9])), np.array([0.7, -0.4, 1.1]))

@@ -17,7 +17,7 @@ from sampling import examples
 import pinposture as pp
 from pinposture.errors import FileError, InvalidValue
 from pinposture.motion.files import kind_of
-from pinposture.motion.motion import Motion
+from pinposture.motion.trajectory import Motion
 from pinposture.task import Mark, Reference, perform
 
 LIMITS = pp.Limits(step=None, velocity=np.full(8, 1.5), dt=0.05, acceleration=30.0, position_margin=0.01)

@@ -14,7 +14,7 @@ from arms import template_arm
 from scipy.spatial.transform import Rotation
 
 import pinposture as pp
-from pinposture.placement.curve_placement import Moved
+from pinposture.placement.target import Moved
 from pinposture.task.follow_leader import Leader
 
 AWAY = pin.SE3(pin.rpy.rpyToMatrix(0.3, -0.5, 1.2), np.array([0.1, -0.2, 0.4]))

@@ -47,10 +47,10 @@ def test_methods_are_compared_with_all_baselines_unless_others_are_named():
     code = (
         "import pinposture.study as study\n"
         "from pinposture.cli.inputs import ArmOptions\n"
-        "from pinposture.cli.studies import run_methods\n"
+        "from pinposture.cli.studies import ShowOptions, run_methods\n"
         "compared = []\n"
         "study.compare_methods = lambda arm, names, *others: compared.extend(names) or []\n"
-        "run_methods(arm_options=ArmOptions(), as_json=True)\n"
+        "run_methods(arm_options=ArmOptions(), options=ShowOptions(as_json=True))\n"
         "assert set(study.BASELINES) < set(compared), compared\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

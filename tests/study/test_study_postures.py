@@ -82,7 +82,7 @@ def test_the_default_is_a_thousand_cases_with_the_controllers_of_interest(monkey
         asked.append(len(tasks))
         return []
 
-    monkeypatch.setattr("pinposture.study.postures.collect_results", count_tasks)
+    monkeypatch.setattr("pinposture.study.record.collect_results", count_tasks)
     study_postures([built_subject("planar45")])
     assert asked == [1000]
     assert COMPARED == ("geodesic", "selection", "projection", "switching", "lm", "joint")

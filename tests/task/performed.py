@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 import pinposture as pp
-from pinposture.motion.motion import Motion
+from pinposture.motion.trajectory import Motion
 from pinposture.task import Mark, Reference
 
 ROUNDING = 1e-9

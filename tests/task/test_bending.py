@@ -15,8 +15,8 @@ from scipy.interpolate import BSpline, CubicHermiteSpline
 from task.keyed_arms import S_CURVE, coil
 
 import pinposture as pp
-from pinposture.placement.curve_placement import place_curve
-from pinposture.task.interpolation import AnchoredCurve, Bending
+from pinposture.placement.target import place_curve
+from pinposture.task.reference import AnchoredCurve, Bending
 
 CURVES = {
     "line": lambda: pp.Curve.line((0, 0, 0), (2, 0, 0)),

@@ -18,9 +18,8 @@ from pinposture.collision.pipe import pipe, pipe_axis
 from pinposture.control import Limits
 from pinposture.curve import Curve
 from pinposture.errors import CurveBendsTooMuch, InvalidValue, UnknownName, UnsupportedModule
-from pinposture.task.deviation import path_deviation
-from pinposture.task.follow_leader import advance, follow_leader
-from pinposture.task.perform import perform
+from pinposture.task.follow_leader import advance, follow_leader, path_deviation
+from pinposture.task.task import perform
 
 LINK = 0.05
 

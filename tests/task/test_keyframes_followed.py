@@ -10,9 +10,8 @@ from scipy.spatial import KDTree
 from task.keyed_arms import S_CURVE, coil, five_postures, snake, straight
 
 import pinposture as pp
-from pinposture.task.interpolation import AnchoredCurve, Bending, crossfade
 from pinposture.task.keyframes import Keyframe, keyframe_reference
-from pinposture.task.reference import Reference
+from pinposture.task.reference import AnchoredCurve, Bending, Reference, crossfade
 
 J = pp.JointSpec
 ARMS = {

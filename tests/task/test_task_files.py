@@ -14,8 +14,7 @@ from task_texts import LEADER, VALID
 
 import pinposture as pp
 from pinposture.errors import FileError
-from pinposture.task.document import Document
-from pinposture.task.reader import read_arm
+from pinposture.task.reader import Document, read_arm
 from pinposture.task.specification import TaskSpec
 
 if sys.version_info >= (3, 11):

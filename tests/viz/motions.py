@@ -8,7 +8,7 @@ import numpy as np
 from arms import template_arm
 
 import pinposture as pp
-from pinposture.motion.motion import Motion, Waypoint
+from pinposture.motion.trajectory import Motion, Waypoint
 
 LIMITS = pp.Limits(step=None, dt=0.05, velocity=2.0, acceleration=30.0)
 

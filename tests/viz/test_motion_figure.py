@@ -18,9 +18,9 @@ from viz.motions import LIMITS, around_a_ball, five_modules, some_motion
 
 import pinposture as pp
 from pinposture.errors import InvalidValue
-from pinposture.motion.motion import Motion
+from pinposture.motion.trajectory import Motion
 from pinposture.viz.body import backbone
-from pinposture.viz.plots import plot_places
+from pinposture.viz.panels import plot_places
 
 RATES = "largest of all joints\n[share of limit]"
 

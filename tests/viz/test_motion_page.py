@@ -15,7 +15,7 @@ from viz.test_view_html import Page
 import pinposture as pp
 from pinposture.errors import InvalidValue
 from pinposture.viz import palette
-from pinposture.viz.animation import REST_AFTER, REST_BEFORE
+from pinposture.viz.drawing import REST_AFTER, REST_BEFORE
 
 
 def page_of(motion, tmp_path, **options) -> Page:

@@ -15,11 +15,11 @@ from viz.commands import recorded_commands
 from viz.motions import five_modules, some_motion
 
 import pinposture as pp
-from pinposture.motion.motion import Motion, Waypoint
-from pinposture.viz.animation import REST_BEFORE, arm_tracks, hoop_turns, moving_target_tracks, playback
-from pinposture.viz.axes import MAX_PLACES, group_alike, shown_places
+from pinposture.motion.trajectory import Motion, Waypoint
 from pinposture.viz.body import body_poses
+from pinposture.viz.drawing import REST_BEFORE, arm_tracks, hoop_turns, moving_target_tracks, playback
 from pinposture.viz.meshcat import add_moving_targets
+from pinposture.viz.palette import MAX_PLACES, group_alike, shown_places
 
 
 @cache

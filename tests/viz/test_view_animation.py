@@ -16,8 +16,8 @@ from viz.commands import recorded_commands
 from pinposture import Arm, Target, Trajectory, track
 from pinposture.errors import InvalidValue
 from pinposture.viz import palette
-from pinposture.viz.animation import arm_tracks, playback
 from pinposture.viz.body import body_poses
+from pinposture.viz.drawing import arm_tracks, playback
 from pinposture.viz.meshcat import play_animation
 
 

@@ -12,7 +12,7 @@ from viz.ellipsoid_shapes import levels, planar, spatial
 
 import pinposture as pp
 from pinposture.viz import palette
-from pinposture.viz.ellipsoids import INDEX_LABELS, drawn_length, silhouette
+from pinposture.viz.postures import INDEX_LABELS, drawn_length, silhouette
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from pinposture.viz.mesh import SIDES, TriangleMesh, ball, disc, merge, tube
+from pinposture.viz.body import SIDES, TriangleMesh, ball, disc, merge, tube
 
 
 def volume(mesh: TriangleMesh) -> float:

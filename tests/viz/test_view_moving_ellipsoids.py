@@ -21,8 +21,9 @@ from viz.ellipsoid_shapes import gram, levels, planar, some_run, spatial
 import pinposture as pp
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.viz import palette
-from pinposture.viz.animation import playback
-from pinposture.viz.ellipsoids import (
+from pinposture.viz.drawing import playback
+from pinposture.viz.meshcat import add_ellipsoids
+from pinposture.viz.postures import (
     INDEX_LABELS,
     EllipsoidMotion,
     axis_ends,
@@ -31,7 +32,6 @@ from pinposture.viz.ellipsoids import (
     ellipsoid_motion,
     ellipsoid_tracks,
 )
-from pinposture.viz.meshcat import add_ellipsoids
 
 
 @pytest.fixture

@@ -22,8 +22,7 @@ from viz.obstacle_scenes import QUARTER, SOLIDS
 
 import pinposture as pp
 from pinposture.viz import palette, plot_postures
-from pinposture.viz.drawing import shown_obstacles
-from pinposture.viz.mesh import (
+from pinposture.viz.body import (
     CYLINDER_SIDES,
     MAX_SHOWN,
     box_corners,
@@ -34,6 +33,7 @@ from pinposture.viz.mesh import (
     section,
     surface,
 )
+from pinposture.viz.drawing import shown_obstacles
 
 STAGE = box_corners(np.array([0.0, -0.4, -0.3]), np.array([0.8, 0.4, 0.5]))
 FLOOR = pp.HalfSpace((0.0, 0.0, -0.45), (0, 0, 1))

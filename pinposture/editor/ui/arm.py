@@ -18,10 +18,9 @@ from pinposture.editor.session import Session
 from pinposture.editor.solver import Live
 from pinposture.editor.ui.parts import Post, Typed, color, framed_html, on_change, put, quaternions
 from pinposture.viz import palette
-from pinposture.viz.body import bodies, body_poses
+from pinposture.viz.body import TriangleMesh, ball, bodies, body_poses
 from pinposture.viz.drawing import arm_surfaces, link_radius
-from pinposture.viz.ellipsoids import MIN_ELLIPSOID_RADIUS, drawn_length, principal_frame
-from pinposture.viz.mesh import TriangleMesh, ball
+from pinposture.viz.postures import MIN_ELLIPSOID_RADIUS, drawn_length, principal_frame
 
 Array = NDArray[np.float64]
 Colors = NDArray[np.uint8]

@@ -27,12 +27,12 @@ from pinposture.editor.ui.parts import (
     put_at,
     quaternions,
 )
-from pinposture.placement.curve_placement import place_curve
+from pinposture.placement.target import place_curve
 from pinposture.task import Keyframe
 from pinposture.viz import palette
+from pinposture.viz.body import ball as ball_mesh
+from pinposture.viz.body import tube
 from pinposture.viz.drawing import link_radius
-from pinposture.viz.mesh import ball as ball_mesh
-from pinposture.viz.mesh import tube
 
 Array = NDArray[np.float64]
 Colors = NDArray[np.uint8]

@@ -37,11 +37,11 @@ from pinposture.editor.ui.parts import (
     quaternions,
 )
 from pinposture.viz import palette
+from pinposture.viz.body import TriangleMesh as Surface
+from pinposture.viz.body import is_hollow, surface
 from pinposture.viz.drawing import MANY_OBSTACLES, link_radius
-from pinposture.viz.mesh import TriangleMesh as Surface
-from pinposture.viz.mesh import is_hollow, surface
 
-POINT_SIZE = 0.003  # of a scan, relative to the arm
+SCAN_POINT_SIZE = 0.003  # of a scan, relative to the arm
 SCAN_COLOR = palette.mixed(palette.OBSTACLE, "#FFFFFF", 0.35)  # of a scan without colours of its own
 SCAN_OPACITY = 0.6  # of such a surface, which may stand in front of the arm
 LOAD_KINDS = ("scan", "obstacle")
@@ -55,7 +55,7 @@ class Scans:
     """The scans of the task in the page."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm, shelf: ScanShelf) -> None:
-        self._server, self._shelf, self._size = server, shelf, POINT_SIZE * arm.length
+        self._server, self._shelf, self._size = server, shelf, SCAN_POINT_SIZE * arm.length
         self._drawn: dict[Path, tuple[Scan, viser.MeshHandle | viser.PointCloudHandle | Any]] = {}
         self._made = 0
 
