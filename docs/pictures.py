@@ -293,7 +293,7 @@ def dragging_frame(arm: pp.Arm, q: Array, controls: Array, curve: pp.Curve, note
 
 
 def dragging() -> list[Image.Image]:
-    """The frames of a drag: one control point of the curve moves round, and the tracker follows in each cycle."""
+    """Drag one control point of a curve in a loop, follow it with a tracker, and draw each cycle."""
     arm = pp.Arm.from_template("RyRz", modules=20)
     limits = pp.Limits(step=None, dt=CYCLE, velocity=2.0, acceleration=10.0)
     tracker = pp.Tracker(arm, limits=limits)
