@@ -22,9 +22,7 @@ largest = curve.curvature(np.linspace(0, curve.length, 500)).max()
 print(f"length {curve.length:.3f} m, largest curvature {largest:.1f} /m")
 
 target = pp.resolve_targets(arm, curve)
-print(
-    f"modules end at {target.parameters[:3].round(3)} ... m, largest residual {target.residual.max():.1g} m"
-)
+print(f"modules end at {target.parameters[:3].round(3)} ... m, residual {target.residual.max():.1g} m")
 
 # A curve that is too short raises an error, or is placed as far as it goes.
 short = pp.Curve.line((0, 0, 0), (0.6, 0, 0))

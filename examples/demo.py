@@ -54,9 +54,7 @@ def main() -> None:
             pp.save_html(arm, runs["geodesic"], folder / "run.html")
             pp.plot_comparison(runs).savefig(OUT / scenario.name / "comparison.png", dpi=120)
     console.print(table)
-    console.print(
-        "paths: path length of the control points, relative to straight lines from start to end"
-    )
+    console.print("paths: path length of the control points, relative to straight lines from start to end")
     motion = pp.Task.load(TASK).perform()
     folder = OUT / "keyframes"
     pp.save(motion, folder / "motion.npz")
