@@ -43,10 +43,10 @@ Array = NDArray[np.float64]
 
 HERE = Path(__file__).parent
 DPI, COLORS = 110, 256
-"""Resolution of the drawings, and how many colours a picture keeps: the fewer, the smaller its file."""
+"""Resolution of the drawings, and the number of colours of a file."""
 
 PLANAR = pp.Arm.from_template("Rz", modules=20, link_lengths=(0.05,))
-"""What most pictures show: an arm of 1 m that moves in the plane of the paper."""
+"""The arm of most pictures: planar, 1 m."""
 
 WORDS: dict[str, Any] = {"fontsize": 9, "color": palette.INK}
 ARROW: dict[str, Any] = {"arrowstyle": "-", "color": palette.QUIET, "lw": 0.8, "shrinkB": 3}
@@ -64,7 +64,7 @@ def empty(columns: int, height: float, **grid: Any) -> tuple[Figure, list[Axes]]
 
 
 def frame(*axes: Axes) -> None:
-    """Give axes the same scales, as far as any of them needs, and no more room than that."""
+    """Give axes the same scales, fitted to what they show."""
     boxes = [ax.dataLim for ax in axes]
     wide = np.array([min(box.x0 for box in boxes), max(box.x1 for box in boxes)])
     high = np.array([min(box.y0 for box in boxes), max(box.y1 for box in boxes)])
@@ -104,7 +104,7 @@ def modules() -> Figure:
 
 
 def target() -> Figure:
-    """A curve by its control points, and where the arm belongs on it."""
+    """A target curve with its control points, and the target posture on it."""
     controls = np.array([(0, 0, 0), (0.35, 0, 0), (0.5, 0.5, 0), (0.8, 0.1, 0), (1.2, 0.2, 0)])
     curve = pp.Curve.spline(controls)
     resolved = pp.resolve_targets(PLANAR, curve)
@@ -113,12 +113,12 @@ def target() -> Figure:
     drawn.line(controls, color=palette.START, lw=0.8, ls=(0, (4, 3)), marker="s", ms=5)
     drawn.line(curve.at(np.linspace(0, curve.length, 300)), color=palette.TARGET, lw=1.6)
     drawn.finish()
-    axes[0].set_title("what you draw: control points, and the curve they pull", **WORDS)
+    axes[0].set_title("target curve and its control points", **WORDS)
     panel = PosturePanel(PLANAR, axes[1])
     panel.target(resolved)
     panel.posture(resolved.q, palette.FINAL, "posture of the arm", 2.0)
     panel.finish()
-    axes[1].set_title("what follows: a place on the curve for each control point", **WORDS)
+    axes[1].set_title("target posture: a point on the curve for each control point", **WORDS)
     axes[1].legend(fontsize=8, frameon=False, loc="upper left")
     frame(*axes)
     return figure
@@ -142,7 +142,7 @@ def ellipsoids() -> Figure:
 
 
 def active() -> Figure:
-    """The control points that Selection moves, in a posture with a straight stretch."""
+    """The active control set of Selection, in a posture with a straight part."""
     q = bent(0.0, 0.0, 1.2, -0.7, 1.3)
     goal = pp.Target.from_configuration(PLANAR, bent(0.4, 0.5, -0.8, 0.6, 0.3))
     step = pp.Selection().step(PLANAR.at(q), goal)
@@ -151,7 +151,7 @@ def active() -> Figure:
     points = PLANAR.at(q).points
     panel.line(np.vstack([PLANAR.chain.base, points]), color=palette.MODULES[0], lw=4.0, zorder=3)
     dots = {"ls": "none", "marker": "o", "ms": 7.5, "mec": palette.INK, "mew": 0.8}
-    panel.line(points, mfc=palette.IDLE, zorder=4, label="not active: in this step it goes along", **dots)
+    panel.line(points, mfc=palette.IDLE, zorder=4, label="not active", **dots)
     panel.line(points[list(step.active)], mfc=palette.ACTIVE, zorder=5, label="active", **dots)
     panel.finish()
     ax.legend(fontsize=9, frameon=False, loc="upper left")
@@ -216,7 +216,7 @@ def scene() -> Figure:
 
 
 def clutter() -> Figure:
-    """A problem of each kind of `pinposture study clutter`, and the run that solves it."""
+    """A problem of each kind of `pinposture study clutter`, and its run."""
     arm = situation_arm()
     return draw_clutter({kind: run_problem(arm, kind, 0) for kind in KINDS_OF_CLUTTER})
 
