@@ -292,14 +292,14 @@ def dragging_frame(arm: pp.Arm, q: Array, controls: Array, curve: pp.Curve, note
     return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 
 
-def dragging() -> list[Image.Image]:
-    """Drag one control point of a curve in a loop, follow it with a tracker, and draw each cycle."""
+def dragging(count: int = FRAMES) -> list[Image.Image]:
+    """Drag one control point of a curve in a loop, follow it with a tracker, and draw the first cycles."""
     arm = pp.Arm.from_template("RyRz", modules=20)
     limits = pp.Limits(step=None, dt=CYCLE, velocity=2.0, acceleration=10.0)
     tracker = pp.Tracker(arm, limits=limits)
     rest = np.array([(0, 0, 0), (0.25, 0, 0), (0.45, 0.1, 0.25), (0.75, 0.1, 0.25), (1.15, 0.05, 0.05)])
     target, q, frames = None, None, []
-    for k in range(FRAMES + 1):
+    for k in range(count + 1):
         angle = 2.0 * np.pi * k / FRAMES
         controls = rest.copy()
         controls[DRAGGED] += (0.12 * (np.cos(angle) - 1), 0.25 * np.sin(2 * angle), 0.28 * np.sin(angle))
