@@ -321,7 +321,11 @@ def animate(path: Path) -> None:
     for k in range(3):
         sample.paste(frames[k * len(frames) // 3], (0, k * frames[0].height))
     colors = sample.quantize(64, dither=Image.Dither.NONE)
+    entries = np.reshape(colors.getpalette(), (-1, 3))
+    entries[entries.min(axis=1) > 245] = 255  # the background stays white
     reduced = [frame.quantize(palette=colors, dither=Image.Dither.NONE) for frame in frames]
+    for frame in reduced:
+        frame.putpalette(entries.ravel().tolist())
     delay = round(1e3 * CYCLE)
     reduced[0].save(path, save_all=True, append_images=reduced[1:], duration=delay, loop=0, optimize=True)
 

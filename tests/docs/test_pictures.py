@@ -45,7 +45,7 @@ def test_the_drag_can_be_drawn_and_is_what_is_kept(script: dict[str, Any]) -> No
         for k, frame in enumerate(drawn):
             kept.seek(k)
             difference = np.asarray(frame.convert("L"), float) - np.asarray(kept.convert("L"), float)
-            assert np.abs(difference).mean() < 5.0
+            assert np.abs(difference).mean() < 3.0
 
 
 @pytest.mark.pictures
