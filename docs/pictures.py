@@ -1,6 +1,6 @@
-"""The pictures of the documentation: the concepts, drawn here, and what the examples leave.
+"""The pictures of the documentation: the concepts, drawn here, and the figures that the examples save.
 
-python docs/pictures.py            # all, into docs/pictures
+python docs/pictures.py            # all, into docs/pictures, and docs/dragging.gif
 python docs/pictures.py limits     # those named
 """
 
@@ -22,6 +22,7 @@ mpl.use("Agg")
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
@@ -32,6 +33,7 @@ from pinposture.study.pictures import draw_clutter
 from pinposture.study.scenes import situation_arm
 from pinposture.task.reference import Reference
 from pinposture.viz import palette
+from pinposture.viz.body import backbone
 from pinposture.viz.palette import format_time_axes
 from pinposture.viz.panels import plot_clearance
 from pinposture.viz.postures import PosturePanel, draw_ellipsoids, draw_runs, ellipsoid_key, shade_ellipsoids
@@ -40,10 +42,10 @@ Array = NDArray[np.float64]
 
 HERE = Path(__file__).parent
 DPI, COLORS = 110, 256
-"""Resolution of the drawings, and how many colours a picture keeps: the fewer, the smaller its file."""
+"""Resolution of the drawings, and the number of colours of a file."""
 
 PLANAR = pp.Arm.from_template("Rz", modules=20, link_lengths=(0.05,))
-"""What most pictures show: an arm of 1 m that moves in the plane of the paper."""
+"""The arm of most pictures: planar, 1 m."""
 
 WORDS: dict[str, Any] = {"fontsize": 9, "color": palette.INK}
 ARROW: dict[str, Any] = {"arrowstyle": "-", "color": palette.QUIET, "lw": 0.8, "shrinkB": 3}
@@ -61,7 +63,7 @@ def empty(columns: int, height: float, **grid: Any) -> tuple[Figure, list[Axes]]
 
 
 def frame(*axes: Axes) -> None:
-    """Give axes the same scales, as far as any of them needs, and no more room than that."""
+    """Give axes the same scales, fitted to what they show."""
     boxes = [ax.dataLim for ax in axes]
     wide = np.array([min(box.x0 for box in boxes), max(box.x1 for box in boxes)])
     high = np.array([min(box.y0 for box in boxes), max(box.y1 for box in boxes)])
@@ -101,7 +103,7 @@ def modules() -> Figure:
 
 
 def target() -> Figure:
-    """A curve by its control points, and where the arm belongs on it."""
+    """A target curve with its control points, and the target posture on it."""
     controls = np.array([(0, 0, 0), (0.35, 0, 0), (0.5, 0.5, 0), (0.8, 0.1, 0), (1.2, 0.2, 0)])
     curve = pp.Curve.spline(controls)
     resolved = pp.resolve_targets(PLANAR, curve)
@@ -110,12 +112,12 @@ def target() -> Figure:
     drawn.line(controls, color=palette.START, lw=0.8, ls=(0, (4, 3)), marker="s", ms=5)
     drawn.line(curve.at(np.linspace(0, curve.length, 300)), color=palette.TARGET, lw=1.6)
     drawn.finish()
-    axes[0].set_title("what you draw: control points, and the curve they pull", **WORDS)
+    axes[0].set_title("target curve and its control points", **WORDS)
     panel = PosturePanel(PLANAR, axes[1])
     panel.target(resolved)
     panel.posture(resolved.q, palette.FINAL, "posture of the arm", 2.0)
     panel.finish()
-    axes[1].set_title("what follows: a place on the curve for each control point", **WORDS)
+    axes[1].set_title("target posture: a point on the curve for each control point", **WORDS)
     axes[1].legend(fontsize=8, frameon=False, loc="upper left")
     frame(*axes)
     return figure
@@ -139,7 +141,7 @@ def ellipsoids() -> Figure:
 
 
 def active() -> Figure:
-    """The control points that Selection moves, in a posture with a straight stretch."""
+    """The active control set of Selection, in a posture with a straight part."""
     q = bent(0.0, 0.0, 1.2, -0.7, 1.3)
     goal = pp.Target.from_configuration(PLANAR, bent(0.4, 0.5, -0.8, 0.6, 0.3))
     step = pp.Selection().step(PLANAR.at(q), goal)
@@ -148,7 +150,7 @@ def active() -> Figure:
     points = PLANAR.at(q).points
     panel.line(np.vstack([PLANAR.chain.base, points]), color=palette.MODULES[0], lw=4.0, zorder=3)
     dots = {"ls": "none", "marker": "o", "ms": 7.5, "mec": palette.INK, "mew": 0.8}
-    panel.line(points, mfc=palette.IDLE, zorder=4, label="not active: in this step it goes along", **dots)
+    panel.line(points, mfc=palette.IDLE, zorder=4, label="not active", **dots)
     panel.line(points[list(step.active)], mfc=palette.ACTIVE, zorder=5, label="active", **dots)
     panel.finish()
     ax.legend(fontsize=9, frameon=False, loc="upper left")
@@ -158,11 +160,11 @@ def active() -> Figure:
 
 
 def direct() -> Figure:
-    """The most direct way to a posture, and the way straight through joint space."""
+    """The most direct path to a posture, and the straight one through joint space."""
     start, goal = bent(1.5, -0.3), bent(-1.1, -0.9)
     slowly = pp.Limits(step=0.02)
     figure, axes = empty(2, 4.4)
-    names = {"geodesic": "the most direct way (qp)", "joint": "straight through joint space (joint)"}
+    names = {"geodesic": "the most direct path (geodesic)", "joint": "straight through joint space (joint)"}
     for ax, (controller, name) in zip(axes, names.items(), strict=True):
         run = pp.track(PLANAR, pp.Target.from_configuration(PLANAR, goal), start, controller, slowly)
         panel = PosturePanel(PLANAR, ax)
@@ -201,7 +203,7 @@ def limits() -> Figure:
 
 
 def scene() -> Figure:
-    """A way round a post, and how near the arm came to it."""
+    """A path around a post, and the clearance along it."""
     post = pp.Cylinder(start=(0.82, 0.0, -1.0), end=(0.82, 0.0, 1.0), radius=0.06)
     around = pp.Scene({"post": post}, margin=0.02)
     goal = pp.Target.from_configuration(PLANAR, bent(-0.9, 0.6))
@@ -213,13 +215,13 @@ def scene() -> Figure:
 
 
 def clutter() -> Figure:
-    """A problem of each kind of `pinposture study clutter`, and the run that solves it."""
+    """A problem of each kind of `pinposture study clutter`, and its run."""
     arm = situation_arm()
     return draw_clutter({kind: run_problem(arm, kind, 0) for kind in KINDS_OF_CLUTTER})
 
 
 def between() -> Figure:
-    """What lies between two keyframes: the curve bends, and keeps its length."""
+    """The curve between two keyframes: it bends, and keeps its length."""
     line = pp.Curve.line((0, 0, 0), (1, 0, 0))
     coil = pp.Curve.helix(radius=0.16, pitch=0.0, turns=1.0)
     keyframes = [pp.Keyframe(line), pp.Keyframe(coil, time=1.0, trim=True)]
@@ -234,6 +236,97 @@ def between() -> Figure:
     frame(ax)
     ax.legend(fontsize=8, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
+
+
+DRAGGED, FRAMES, CYCLE = 3, 150, 0.04
+"""The control point that the animation drags, its number of frames, and the time between two of them [s]."""
+
+FLOOR = -0.12
+"""Height of the floor in the animation [m]."""
+
+
+def on_screen(points: Array) -> Array:
+    """Project points (n, 3) [m] to the plane of the picture: right, up and towards the viewer."""
+    turn, tilt = np.radians((-62.0, 24.0))
+    right = np.array([np.cos(turn + np.pi / 2), np.sin(turn + np.pi / 2), 0.0])
+    eye = np.array([np.cos(tilt) * np.cos(turn), np.cos(tilt) * np.sin(turn), np.sin(tilt)])
+    return np.asarray(points @ np.stack([right, np.cross(eye, right), eye], axis=1))
+
+
+def dragging_frame(arm: pp.Arm, q: Array, controls: Array, curve: pp.Curve, note: str) -> Image.Image:
+    """Draw one frame: the curve with its control points, the arm at q, and their shadows on the floor."""
+    figure = Figure(figsize=(6.4, 3.6), dpi=100)
+    ax = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    for k in np.arange(-0.4, 1.41, 0.2):
+        for ends in ([(k, -0.6, FLOOR), (k, 0.8, FLOOR)], [(-0.4, k - 0.2, FLOOR), (1.4, k - 0.2, FLOOR)]):
+            ax.plot(*on_screen(np.array(ends))[:, :2].T, color=palette.FAINT, lw=0.6, zorder=0)
+    body = backbone(arm, q)
+    ax.plot(*on_screen(body * (1, 1, 0) + (0, 0, FLOOR))[:, :2].T, color="#E4E4E4", lw=7, zorder=1)
+    polygon = on_screen(controls)
+    ax.plot(*polygon[:, :2].T, color=palette.START, lw=0.9, ls=(0, (4, 3)), zorder=2)
+    line = on_screen(curve.at(np.linspace(0, curve.length, 300)))
+    ax.plot(*line[:, :2].T, color=palette.TARGET, lw=1.4, zorder=8)  # above the arm: it is always seen
+    ends = on_screen(np.vstack([arm.chain.base, arm.at(q).points]))
+    stations = on_screen(body)
+    for k in range(arm.n_modules):
+        first, last = (int(np.abs(stations - end).sum(axis=1).argmin()) for end in ends[k : k + 2])
+        depth = 3.0 + 0.5 * ends[k, 2]
+        part = stations[first : last + 1, :2].T
+        ax.plot(*part, color=palette.MODULES[k % 2], lw=9, solid_capstyle="round", zorder=depth)
+    ax.plot(
+        *ends[1:, :2].T, ls="none", marker="o", ms=4, mfc=palette.ACTIVE, mec=palette.INK, mew=0.5, zorder=9
+    )
+    ax.plot(*ends[:1, :2].T, ls="none", marker="s", ms=11, color=palette.BASE, zorder=4)
+    ax.plot(
+        *polygon[1:, :2].T, ls="none", marker="o", ms=7, color=palette.SPARE[0], mec=palette.INK, zorder=9
+    )
+    held = polygon[DRAGGED : DRAGGED + 1, :2].T
+    ax.plot(*held, ls="none", marker="o", ms=11, color=palette.START, mec=palette.INK, zorder=10)
+    ax.plot(*held, ls="none", marker="o", ms=21, mfc="none", mec=palette.FINAL, mew=1.6, zorder=10)
+    ax.text(0.02, 0.05, note, transform=ax.transAxes, fontsize=9, color=palette.INK)
+    ax.set(xlim=(-0.32, 1.2), ylim=(-0.28, 0.575), aspect="equal")
+    ax.axis("off")
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+
+
+def dragging(count: int = FRAMES) -> list[Image.Image]:
+    """Drag one control point of a curve in a loop, follow it with a tracker, and draw the first cycles."""
+    arm = pp.Arm.from_template("RyRz", modules=20)
+    limits = pp.Limits(step=None, dt=CYCLE, velocity=2.0, acceleration=10.0)
+    tracker = pp.Tracker(arm, limits=limits)
+    rest = np.array([(0, 0, 0), (0.25, 0, 0), (0.45, 0.1, 0.25), (0.75, 0.1, 0.25), (1.15, 0.05, 0.05)])
+    target, q, frames = None, None, []
+    for k in range(count + 1):
+        angle = 2.0 * np.pi * k / FRAMES
+        controls = rest.copy()
+        controls[DRAGGED] += (0.12 * (np.cos(angle) - 1), 0.25 * np.sin(2 * angle), 0.28 * np.sin(angle))
+        curve = pp.Curve.spline(controls)
+        target = pp.resolve_targets(arm, curve, placement="as_is", near=target)
+        q = target.q if q is None else q
+        tracker.update(target)
+        q = arm.integrate(q, tracker.step(q))
+        error = np.linalg.norm(arm.at(q).points - target.points, axis=1).mean()
+        note = f"40 joints, 2 rad/s and 10 rad/s² at most; mean point error {1e3 * error:.1f} mm"
+        frames.append(dragging_frame(arm, q, controls, curve, note))
+    return frames[1:]
+
+
+def animate(path: Path) -> None:
+    """Write the drag as an animated GIF that repeats, with one palette for all frames."""
+    frames = dragging()
+    sample = Image.new("RGB", (frames[0].width, 3 * frames[0].height))
+    for k in range(3):
+        sample.paste(frames[k * len(frames) // 3], (0, k * frames[0].height))
+    colors = sample.quantize(64, dither=Image.Dither.NONE)
+    entries = np.reshape(colors.getpalette(), (-1, 3))
+    entries[entries.min(axis=1) > 245] = 255  # the background stays white
+    reduced = [frame.quantize(palette=colors, dither=Image.Dither.NONE) for frame in frames]
+    for frame in reduced:
+        frame.putpalette(entries.ravel().tolist())
+    delay = round(1e3 * CYCLE)
+    reduced[0].save(path, save_all=True, append_images=reduced[1:], duration=delay, loop=0, optimize=True)
 
 
 CONCEPTS: dict[str, Callable[[], Figure]] = {
@@ -256,7 +349,7 @@ EXAMPLES = {
     "12_many_targets": "out/many_targets/reached.png",
     "13_tendon_arm": "out/tendon_arm/motion.png",
 }
-"""The picture that each example of the tutorial leaves."""
+"""The figure that each example of the tutorial saves."""
 
 
 def draw(name: str, folder: Path) -> Path:
@@ -289,5 +382,8 @@ def draw(name: str, folder: Path) -> Path:
 
 
 if __name__ == "__main__":
-    for wanted in sys.argv[1:] or (*CONCEPTS, *EXAMPLES):
-        draw(wanted, HERE / "pictures")
+    for wanted in sys.argv[1:] or (*CONCEPTS, *EXAMPLES, "dragging"):
+        if wanted == "dragging":
+            animate(HERE / "dragging.gif")
+        else:
+            draw(wanted, HERE / "pictures")

@@ -13,13 +13,13 @@ from pinposture.arm import smooth_configuration
 # An arm of 20 modules, each with two crossed hinges: 40 degrees of freedom, 1 m long.
 arm = pp.Arm.from_template("RyRz", modules=20)
 
-# The shape that it should take. The curve is moved to the base and turned to the arm's axis.
+# The target curve. It is moved to the base and aligned with the arm's axis.
 curve = pp.Curve.helix(radius=0.06, pitch=0.15, turns=4)
 target = pp.resolve_targets(arm, curve)
 
-# Any start will do; this one is a random, gently curved posture.
+# Any start works; this one is a random, gently curved posture.
 start = smooth_configuration(arm, np.random.default_rng(0), amplitude=0.6)
-# The default controller, "geodesic", takes the most direct way; no joint turns by more than 0.1 rad in a
+# The default controller, "geodesic", plans the most direct path; no joint moves by more than 0.1 rad per
 # step.
 run = pp.track(arm, target, start, limits=pp.Limits(step=0.1))
 
@@ -30,4 +30,4 @@ out = Path("out/first_posture")
 pp.save(run, out / "run.npz")
 pp.plot(run).savefig(out / "run.png", dpi=120)
 pp.save_html(arm, run, out / "run.html")
-print(f"look at {out / 'run.png'}, and open {out / 'run.html'} in a browser to see it move")
+print(f"figure: {out / 'run.png'}, animation: {out / 'run.html'}")

@@ -1,4 +1,4 @@
-"""Your own module: describe it in a few lines, chain it, and get a URDF that other programs read too.
+"""Your own module: describe it in a few lines, chain it, and get a URDF that other programs can read.
 
 python examples/03_your_own_module.py
 """
@@ -9,7 +9,7 @@ import numpy as np
 
 import pinposture as pp
 
-# A stubby module with hinges that turn by up to 60 degrees, and a slimmer one for the far half of the arm.
+# A thick module with hinges that turn by up to 60 degrees, and a slimmer one for the far half of the arm.
 bend = np.radians(60.0)
 hinges = (pp.JointSpec("z", lower=-bend, upper=bend), pp.JointSpec("y", lower=-bend, upper=bend))
 stub = pp.ModuleTemplate("stub", joints=hinges, link_lengths=(0.04, 0.05), radius=0.02)
@@ -22,14 +22,14 @@ out = Path("out/your_own_module")
 out.mkdir(parents=True, exist_ok=True)
 (out / "tapered.urdf").write_text(arm.urdf)
 
-# What can such modules follow? Ask before tracking.
+# Check the curvature before tracking.
 curve = pp.Curve.helix(radius=0.15, pitch=0.4, turns=2)
-adequacy = arm.can_follow(curve)
-print(f"curvature they follow: {adequacy.max_curvature:.1f} /m; of the curve: {adequacy.curvature:.1f} /m")
+feasibility = arm.can_follow(curve)
+print(f"largest curvature: arm {feasibility.max_curvature:.1f} /m, curve {feasibility.curvature:.1f} /m")
 
-target = pp.resolve_targets(arm, curve, placement="align")  # the helix begins beside its axis
-run = pp.track(arm, target, arm.straight())  # by the default controller, "geodesic", within the limits above
+target = pp.resolve_targets(arm, curve, placement="align")  # the helix does not start at the base
+run = pp.track(arm, target, arm.straight())  # with the default controller, "geodesic"
 print(run.status, "-", run.reason)
 pp.plot_arm(arm, run.q[-1]).savefig(out / "arm.png", dpi=100)
 pp.save_html(arm, run, out / "run.html")
-print(f"look at {out / 'arm.png'}, and open {out / 'run.html'} in a browser to see it move")
+print(f"figure: {out / 'arm.png'}, animation: {out / 'run.html'}")

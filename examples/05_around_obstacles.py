@@ -1,4 +1,4 @@
-"""Around obstacles: the arm threads a slot in a wall, and says how near it came.
+"""Around obstacles: the arm moves through a slot in a wall; the run records its clearance.
 
 python examples/05_around_obstacles.py
 """
@@ -17,9 +17,9 @@ wall = {
     "left": pp.Box(center=(0.6, 0.45, 0.0), size=(0.1, 0.6, 0.5)),
     "right": pp.Box(center=(0.6, -0.45, 0.0), size=(0.1, 0.6, 0.5)),
 }
-scene = pp.Scene(wall, margin=0.01)  # keep 1 cm away from both
+scene = pp.Scene(wall, margin=0.01)  # 1 cm of clearance
 
-# It starts bent along the wall, and shall reach through the slot in the shape of an S.
+# The start is bent along the wall; the goal reaches through the slot in the shape of an S.
 start, goal = np.zeros(arm.nq), np.zeros(arm.nq)
 start[1::2] = 0.1  # the joints about z [rad]
 goal[0::2], goal[1::2] = 0.015, np.linspace(-0.03, 0.03, 20)
@@ -29,14 +29,12 @@ run = pp.track(arm, target, start, scene=scene)
 
 print(run.status, "-", run.reason)
 nearest = pp.CollisionModel(arm, scene).minimum(run.q[run.clearance.argmin()])
-print(f"{run.steps} steps, never nearer than {1e3 * nearest.distance:.1f} mm ({' to '.join(nearest.pair)})")
-ways = np.linalg.norm(np.diff(run.points, axis=0), axis=2).sum()
-straight = np.linalg.norm(run.points[-1] - run.points[0], axis=1).sum()
-print(f"control points went {ways / straight:.2f} times as far as on straight lines")
-print(f"escape steps, on which the posture error rose: {run.error_increasing.sum()}")
+print(f"{run.steps} steps, clearance {1e3 * nearest.distance:.1f} mm ({' to '.join(nearest.pair)})")
+print(f"path length of the control points: {run.path_length_ratio:.2f} times the straight lines")
+print(f"steps on which the posture error rose: {run.error_increasing.sum()}")
 
 out = Path("out/around_obstacles")
 pp.save(run, out / "run.npz")
 pp.plot(run).savefig(out / "run.png", dpi=120)
 pp.save_html(arm, run, out / "run.html")
-print(f"look at {out / 'run.png'}, and open {out / 'run.html'} in a browser to see it move")
+print(f"figure: {out / 'run.png'}, animation: {out / 'run.html'}")

@@ -1,4 +1,4 @@
-"""Keyframes: five postures at their times, from straight to coiled, within limits of speed and acceleration.
+"""Keyframes: five postures at given times, within velocity and acceleration limits.
 
 python examples/06_keyframes.py
 """
@@ -12,7 +12,7 @@ import pinposture as pp
 # An arm of 20 modules, each with two crossed hinges: 40 degrees of freedom, 1 m long.
 arm = pp.Arm.from_template("RyRz", modules=20)
 
-# What to look like when. Where a curve is longer than the arm, the arm takes its first part.
+# The postures and their times. If a curve is longer than the arm, the arm takes its first part.
 straight = pp.Curve.line((0, 0, 0), (1, 0, 0))
 bend = pp.Curve.spline(np.array([(0, 0, 0), (0.4, 0, 0), (0.6, 0.3, 0.1), (0.9, 0.3, 0.3), (1.3, 0.2, 0.3)]))
 helix = pp.Curve.helix(radius=0.06, pitch=0.15, turns=4, handedness="left")
@@ -25,20 +25,20 @@ keyframes = [
     pp.Keyframe(straight, duration=2.0, name="straight again"),
 ]
 
-# Control cycles of 20 ms. What the limits do not admit in time takes longer.
+# A cycle time of 20 ms. If the limits do not allow the times, the motion takes longer.
 limits = pp.Limits(step=None, dt=0.02, velocity=1.0, acceleration=4.0)
 motion = pp.move_through(arm, keyframes, limits=limits)
 
 print(f"{motion.run.status} after {motion.time[-1]:.2f} s, {motion.time_scale:.2f} times as long as planned")
-print(f"fastest joint: {np.abs(motion.velocities).max():.3f} of {limits.velocity} rad/s")
-print(f"hardest acceleration: {np.abs(motion.accelerations).max():.3f} of {limits.acceleration} rad/s^2")
+print(f"largest joint velocity: {np.abs(motion.velocities).max():.3f} of {limits.velocity} rad/s")
+print(f"largest acceleration: {np.abs(motion.accelerations).max():.3f} of {limits.acceleration} rad/s^2")
 for place in motion.waypoints:
     print(f"  {place.name:14}  planned {place.planned:.2f} s, reached {place.reached:.2f} s")
-print(f"mean distance of the control points from their targets: {motion.mean_error.max():.2g} m at most")
+print(f"largest mean point error: {motion.mean_error.max():.2g} m")
 
 out = Path("out/five_postures")
 pp.save(motion, out / "motion.npz")
 pp.save(motion.joint_trajectory(), out / "motion.json")  # for a robot: trajectory_msgs/JointTrajectory
 pp.plot(motion).savefig(out / "motion.png", dpi=120)
 pp.save_html(arm, motion, out / "motion.html")
-print(f"look at {out / 'motion.png'}, and open {out / 'motion.html'} in a browser to see it move")
+print(f"figure: {out / 'motion.png'}, animation: {out / 'motion.html'}")

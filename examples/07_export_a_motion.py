@@ -1,4 +1,4 @@
-"""Export a motion: joint positions, speeds and accelerations for a robot or a simulator, and back again.
+"""Export a motion: joint positions, velocities and accelerations for a robot, and read them back.
 
 python examples/07_export_a_motion.py
 """
@@ -10,7 +10,7 @@ import numpy as np
 
 import pinposture as pp
 
-# A short motion in time: six modules, from straight to a hook and back.
+# A short motion: six modules, from straight to a hook and back.
 arm = pp.Arm.from_template("RyRz", modules=6)
 straight = pp.Curve.line((0, 0, 0), (0.3, 0, 0))
 hook = pp.Curve.spline([(0, 0, 0), (0.12, 0, 0), (0.22, 0.06, 0), (0.2, 0.2, 0.08)])
@@ -22,22 +22,22 @@ postures = [
 limits = pp.Limits(step=None, dt=0.02, velocity=1.5, acceleration=6.0)
 motion = pp.move_through(arm, postures, limits=limits)
 
-# What a robot needs: where each joint is when, and how fast it moves. At rest at both ends.
+# The input of a robot: positions, velocities and accelerations of the joints. At rest at both ends.
 joints = motion.joint_trajectory()
 print(joints)
 fastest, hardest = np.abs(joints.velocities).max(), np.abs(joints.accelerations).max()
-print(f"fastest joint {fastest:.3g} rad/s, hardest acceleration {hardest:.3g} rad/s^2")
+print(f"largest velocity {fastest:.3g} rad/s, largest acceleration {hardest:.3g} rad/s^2")
 
-# One motion, three formats: for NumPy, for a spreadsheet, and the message that ros2_control takes.
+# Three formats: for NumPy, for a spreadsheet, and the message that ros2_control accepts.
 out = Path("out/export")
 for suffix in ("npz", "csv", "json"):
     path = pp.save(joints, out / f"motion.{suffix}")
     again = pp.load(path).matched(arm)
     same = np.array_equal(again.positions, joints.positions)
-    print(f"{path}: {path.stat().st_size} bytes, the same positions when read back: {same}")
+    print(f"{path}: {path.stat().st_size} bytes, reads back unchanged: {same}")
 
-# A player with a cycle of its own gets rows at its own rate.
-print("for a player of 1 kHz:", joints.sampled(0.001))
+# Resample it for a controller with another cycle time.
+print("at 1 kHz:", joints.sampled(0.001))
 
 figure, axes = plt.subplots(2, 1, sharex=True, figsize=(9, 5), layout="constrained")
 axes[0].plot(joints.time, joints.positions)
@@ -45,4 +45,4 @@ axes[0].set_ylabel("position [rad]")
 axes[1].plot(joints.time, joints.velocities)
 axes[1].set(xlabel="time [s]", ylabel="velocity [rad/s]")
 figure.savefig(out / "joints.png", dpi=100)
-print(f"look at {out / 'joints.png'}")
+print(f"figure: {out / 'joints.png'}")

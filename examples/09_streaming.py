@@ -1,4 +1,4 @@
-"""A control loop: targets come and go, drives lag and sag, measurements fail, and somebody pushes the arm.
+"""Streaming: a control loop with new targets, lagging drives, failed measurements and a push.
 
 python examples/09_streaming.py
 """
@@ -10,7 +10,7 @@ import numpy as np
 
 import pinposture as pp
 
-DT, LAG = 0.01, 0.05  # duration of a cycle, and the time in which the drives follow [s]
+DT, LAG = 0.01, 0.05  # cycle time, and time constant of the drives [s]
 
 arm = pp.Arm.from_template("RyRz", modules=20)
 helix = pp.resolve_targets(arm, pp.Curve.helix(radius=0.06, pitch=0.15, turns=4))
@@ -19,7 +19,7 @@ limits = pp.Limits(step=None, dt=DT, velocity=2.0, acceleration=10.0)
 
 tracker = pp.Tracker(arm, limits=limits)
 rng = np.random.default_rng(0)
-sag = 0.02 * rng.normal(size=arm.nv)  # what gravity does to joints held by springs [rad]
+sag = 0.02 * rng.normal(size=arm.nv)  # sag of the drives under gravity [rad]
 q = arm.straight()
 errors, notes = [], {}
 
@@ -27,7 +27,7 @@ for cycle in range(1000):
     if cycle == 20:
         tracker.update(helix)
     if cycle == 500:
-        tracker.update(bow)  # in the middle of nothing: the arm turns round within its limits
+        tracker.update(bow)  # while the arm moves
     measured = q + 1e-4 * rng.normal(size=arm.nv)
     if 150 <= cycle < 170:
         measured = None  # the bus is down
@@ -36,7 +36,7 @@ for cycle in range(1000):
     if cycle == 800:
         q = q + 0.4 * rng.normal(size=arm.nv)  # somebody bumps into the arm
 
-    tracker.step(measured)  # returns dq; drives that take positions are sent `command`
+    tracker.step(measured)  # returns dq; position drives receive `command`
 
     q = q + (tracker.command + sag - q) * (DT / LAG)
     errors.append(1e3 * (tracker.report.mean_error or np.nan))
@@ -46,7 +46,7 @@ for cycle in range(1000):
         print(f"{cycle * DT:5.2f} s  {status:8} {reason}")
 
 final = np.linalg.norm(arm.at(q).points - bow.points, axis=1).mean()
-print(f"at the end the points are {1e6 * final:.0f} um from their targets on average, sag and noise and all")
+print(f"mean point error at the end: {1e6 * final:.0f} um, with sag and noise")
 
 figure, ax = plt.subplots(figsize=(8, 3), layout="constrained")
 ax.semilogy(DT * np.arange(len(errors)), errors)
@@ -54,4 +54,4 @@ ax.set(xlabel="time [s]", ylabel="mean error [mm]", title="a target at 0.2 s, an
 out = Path("out/streaming")
 out.mkdir(parents=True, exist_ok=True)
 figure.savefig(out / "errors.png", dpi=120)
-print(f"wrote {out / 'errors.png'}")
+print(f"figure: {out / 'errors.png'}")

@@ -11,21 +11,21 @@ import numpy as np
 import pinposture as pp
 from pinposture.arm import smooth_configuration
 
-if __name__ == "__main__":  # other processes read this file, too
-    # An arm of 10 modules, 20 degrees of freedom, 0.5 m long, and 40 postures that it can take.
+if __name__ == "__main__":  # worker processes import this file
+    # An arm of 10 modules, 20 degrees of freedom, 0.5 m long, and 40 reachable postures.
     arm = pp.Arm.from_template("RyRz", modules=10)
     rng = np.random.default_rng(0)
     goals = [smooth_configuration(arm, rng, rng.uniform(0.3, 1.2)) for _ in range(40)]
     targets = [pp.Target.from_configuration(arm, goal) for goal in goals]
 
-    # One start for all. Forty runs take a moment here; ten thousand would go to every core by themselves.
+    # One start for all. Forty runs take a moment; ten thousand would use every core automatically.
     batch = pp.track_many(arm, targets, arm.straight(), max_steps=100)
 
     out = Path("out/many_targets")
     pp.save(batch, out / "batch.npz")
     print(batch.summary())
 
-    # What was reached: each posture, the darker the more steps it took; a cross where the tip should be.
+    # Plot each final posture, darker for more steps; a cross marks the target of the tip.
     figure, axes = plt.subplots(subplot_kw={"projection": "3d"}, figsize=(7, 6))
     for number, run in enumerate(batch):
         points = np.vstack([arm.chain.base, run.points[-1]])
@@ -34,9 +34,9 @@ if __name__ == "__main__":  # other processes read this file, too
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", aspect="equal")
     figure.savefig(out / "reached.png", dpi=120)
 
-    # The runs that took longest.
-    print("\n run  status     steps  error at first [m]  at last [m]  paths")
+    # The runs with the most steps.
+    print("\n run  status     steps  start error [m]  end error [m]   path")
     for k in np.argsort(-batch.steps, kind="stable")[:8]:
         errors = f"{batch.start_error[k]:18.3g}  {batch.final_error[k]:11.2g}"
         print(f"{k:4}  {batch.status[k]:9}  {batch.steps[k]:5}  {errors}  {batch.path_length_ratio[k]:5.2f}")
-    print(f"look at {out / 'reached.png'}")
+    print(f"figure: {out / 'reached.png'}")

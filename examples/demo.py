@@ -1,4 +1,4 @@
-"""Scenarios of the thesis by the default controller, Selection, Projection and Switching; and a task in time.
+"""Run scenarios of the thesis with four controllers, and a task in time.
 
 make demo
 """
@@ -22,11 +22,11 @@ CONTROLLERS = ("geodesic", "selection", "projection", "switching")
 
 
 def main() -> None:
-    """Run, tabulate, draw."""
+    """Run the scenarios, print the table, draw the figures."""
     begun = time.perf_counter()
     console = Console()
     if not console.is_terminal:
-        console = Console(width=150)  # whoever reads a pipe or a log wants whole lines
+        console = Console(width=150)  # a pipe or a log gets whole lines
     scenarios = (*SPATIAL_SCENARIOS, *PLANAR_SCENARIOS[:2])
     console.print(f"starts and targets from seed {SEED}, |dq| <= 0.1 rad per step")
     table = Table(
@@ -54,9 +54,7 @@ def main() -> None:
             pp.save_html(arm, runs["geodesic"], folder / "run.html")
             pp.plot_comparison(runs).savefig(OUT / scenario.name / "comparison.png", dpi=120)
     console.print(table)
-    console.print(
-        "paths: length of the ways of the control points, relative to the distance from start to end"
-    )
+    console.print("paths: path length of the control points, relative to straight lines from start to end")
     motion = pp.Task.load(TASK).perform()
     folder = OUT / "keyframes"
     pp.save(motion, folder / "motion.npz")

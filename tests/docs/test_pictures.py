@@ -38,6 +38,17 @@ def test_every_picture_has_words_for_those_who_cannot_see_it() -> None:
 
 
 @pytest.mark.pictures
+def test_the_drag_can_be_drawn_and_is_what_is_kept(script: dict[str, Any]) -> None:
+    drawn = script["dragging"](5)
+    with Image.open(DOCS / "dragging.gif") as kept:
+        assert kept.n_frames == script["FRAMES"]
+        for k, frame in enumerate(drawn):
+            kept.seek(k)
+            difference = np.asarray(frame.convert("L"), float) - np.asarray(kept.convert("L"), float)
+            assert np.abs(difference).mean() < 3.0
+
+
+@pytest.mark.pictures
 @pytest.mark.parametrize("name", CONCEPTS)
 def test_a_concept_can_be_drawn_and_is_what_is_kept(
     script: dict[str, Any], name: str, tmp_path: Path

@@ -21,7 +21,7 @@ def rows(heading: str) -> dict[str, str]:
 
 def test_every_message_of_a_refusal_is_the_real_one() -> None:
     for heading, cases in (
-        ("Refused: what is asked does not fit", CHAIN),
+        ("Refused: the request does not fit", CHAIN),
         ("Refused: the file has a fault", FILE),
     ):
         assert rows(heading) == {name: f"`{refusal(load)}`" for name, load in cases.items()}
@@ -29,7 +29,7 @@ def test_every_message_of_a_refusal_is_the_real_one() -> None:
 
 def test_every_warning_is_the_real_one() -> None:
     real = {name: " ".join(f"`{said}`" for said in settlements(load)) for name, load in SETTLED.items()}
-    assert rows("Settled with a warning") == real
+    assert rows("Accepted with a warning") == real
 
 
 def test_the_description_shown_is_an_arm() -> None:
