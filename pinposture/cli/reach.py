@@ -27,7 +27,6 @@ from pinposture.cli.output import (
     print_json,
     print_note,
     print_table,
-    write_picture,
 )
 from pinposture.errors import InvalidValue
 
@@ -94,7 +93,7 @@ def run(
     """
     from pinposture.control.reach import reach
     from pinposture.motion import track
-    from pinposture.storage import check_writable, write_text
+    from pinposture.storage import check_writable, write_figure, write_text
 
     if degrees and start is None:
         raise InvalidValue("--degrees", degrees, "only with --start")
@@ -123,7 +122,7 @@ def run(
             files.append(output / f"posture_{number}.json")
             write_text(files[-1], json.dumps(each.q.tolist()) + "\n")
         files.append(output / PICTURE)
-        write_picture(_draw(arm, found, surroundings), files[-1])
+        write_figure(files[-1], _draw(arm, found, surroundings))
         if first is not None and not hindrance:
             keep(track(arm, found[0].target, first, scene=surroundings), output)
             files += [output / name for name in FILES.values()]
