@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pinposture._validation import finite_vector
 from pinposture.arm import Arm
 from pinposture.curve import Curve
-from pinposture.curve.construction import deviation
+from pinposture.curve.curve import deviation
 from pinposture.errors import CurveError, InvalidValue, TaskError
 from pinposture.placement.target import beginning, place_curve
 from pinposture.task import Keyframe, Task
