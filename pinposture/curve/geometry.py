@@ -247,6 +247,8 @@ def _scalar(values: Array, shape: tuple[int, ...]) -> float | Array:
     return values if shape else float(values[0])
 
 
+# B-splines.
+
 MAX_DEGREE = 5
 GAUSS_NODES = 12
 """Gauss nodes per piece of the arc length."""
