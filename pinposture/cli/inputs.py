@@ -141,14 +141,10 @@ NoBrowserOption = Annotated[
 ]
 
 ToleranceOption = Annotated[
-    float | None,
-    MOTION("Mean point error at which the arm is there, in metres; else 1e-6 of its length."),
+    float | None, MOTION("Mean point error at which the arm is there, in metres; else 1e-6 of its length.")
 ]
 
-JobsOption = Annotated[
-    int,
-    MOTION("Number of processes; -1 for all there can be.", "N"),
-]
+JobsOption = Annotated[int, MOTION("Number of processes; -1 for all there can be.", "N")]
 
 
 def refuse_given(options: Mapping[str, object], allowed: str) -> None:
@@ -519,8 +515,7 @@ def _controller_named(name: str) -> Controller:
 
 # The target on the command line: a curve, how it is laid, and which control points are to follow it.
 CurveOption = Annotated[
-    str,
-    TARGET("A .json, .csv or .txt file, or a preset: line (1.1 m), helix (1.62 m).", "CURVE"),
+    str, TARGET("A .json, .csv or .txt file, or a preset: line (1.1 m), helix (1.62 m).", "CURVE")
 ]
 
 
@@ -584,8 +579,7 @@ class PlacementOptions:
 
 # What is around an arm on the command line: scene files, and how far an arm is from what is in them.
 SceneOption = Annotated[
-    Path | None,
-    SURROUNDINGS("A .toml or .json file of obstacles.", "FILE", flags="--scene"),
+    Path | None, SURROUNDINGS("A .toml or .json file of obstacles.", "FILE", flags="--scene")
 ]
 
 

@@ -19,15 +19,7 @@ from pinposture.cli.inputs import (
     read_numbers,
     read_start,
 )
-from pinposture.cli.output import (
-    FILES,
-    end_with,
-    examples,
-    keep,
-    print_json,
-    print_note,
-    print_table,
-)
+from pinposture.cli.output import FILES, end_with, examples, keep, print_json, print_note, print_table
 from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:

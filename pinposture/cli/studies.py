@@ -493,8 +493,7 @@ _SCENE_COLUMNS: Columns = {
 def run_scenes(
     *,
     scenes: Annotated[
-        str | None,
-        MOTION("Some of: post,slot,narrow,wall,pipe,inside,coil,out; else all.", "NAME,..."),
+        str | None, MOTION("Some of: post,slot,narrow,wall,pipe,inside,coil,out; else all.", "NAME,...")
     ] = None,
     seeds: Annotated[int, MOTION("Number of runs in each scene.", "N")] = 10,
     seed0: SeedOption = 0,
@@ -567,10 +566,7 @@ def run_clutter(
     *,
     kinds: Annotated[
         str | None,
-        MOTION(
-            "Some of: balls,posts,hole,two-walls,shelf,corner,pipe,machine,coil; else all.",
-            "NAME,...",
-        ),
+        MOTION("Some of: balls,posts,hole,two-walls,shelf,corner,pipe,machine,coil; else all.", "NAME,..."),
     ] = None,
     seeds: Annotated[int, MOTION("Number of problems of each kind.", "N")] = 10,
     seed0: SeedOption = 0,
