@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import pinposture as pp
-from pinposture.study.clutter import KINDS_OF_CLUTTER, run_problem
+from pinposture.study.clutter import KINDS_OF_CLUTTER, draw_problem, run_problem
 from pinposture.study.pictures import draw_clutter
 from pinposture.study.scenes import situation_arm
 from pinposture.task.reference import Reference
@@ -217,7 +217,7 @@ def scene() -> Figure:
 def clutter() -> Figure:
     """A problem of each kind of `pinposture study clutter`, and its run."""
     arm = situation_arm()
-    return draw_clutter({kind: run_problem(arm, kind, 0) for kind in KINDS_OF_CLUTTER})
+    return draw_clutter({kind: run_problem(arm, draw_problem(arm, kind, 0)) for kind in KINDS_OF_CLUTTER})
 
 
 def between() -> Figure:

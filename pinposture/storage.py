@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import os
 import uuid
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pinposture.errors import FileError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # Files: read with a reason where that fails, written whole or not at all.
 
@@ -67,6 +72,13 @@ def read_text(path: Path) -> str:
 def write_text(path: Path, text: str) -> None:
     """Write a UTF-8 text file in the way of `write_bytes`."""
     write_bytes(path, text.encode())
+
+
+def write_figure(path: Path, figure: Figure) -> None:
+    """Write a figure of matplotlib as PNG, as `write_bytes` does, whatever the name of the file."""
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png")
+    write_bytes(path, picture.getvalue())
 
 
 def with_suffix(path: Path, *allowed: str) -> Path:

@@ -122,11 +122,7 @@ class ArmOptions:
         return Arm.load(source, self.base, self.tip, sizes, held, self.package_dir, couplings=couplings)
 
     def refuse(self, allowed: str) -> None:
-        """Refuse all of them where something else says what the arm is.
-
-        Raises:
-            InvalidValue: one of them was given.
-        """
+        """Raise InvalidValue if one was given where something else says what the arm is."""
         refuse_given({f"--{name.replace('_', '-')}": value for name, value in vars(self).items()}, allowed)
 
 
@@ -145,33 +141,21 @@ NoBrowserOption = Annotated[
 ]
 
 ToleranceOption = Annotated[
-    float | None,
-    MOTION("Mean point error at which the arm is there, in metres; else 1e-6 of its length."),
+    float | None, MOTION("Mean point error at which the arm is there, in metres; else 1e-6 of its length.")
 ]
 
-JobsOption = Annotated[
-    int,
-    MOTION("Number of processes; -1 for all there can be.", "N"),
-]
+JobsOption = Annotated[int, MOTION("Number of processes; -1 for all there can be.", "N")]
 
 
 def refuse_given(options: Mapping[str, object], allowed: str) -> None:
-    """Refuse options that do not go with another argument.
-
-    Raises:
-        InvalidValue: one of them was given.
-    """
+    """Raise InvalidValue for an option that was given and does not go with another argument."""
     for name, value in options.items():
         if value is not None and value != []:
             raise InvalidValue(name, value if isinstance(value, str) else f"{value}", allowed)
 
 
 def read_locked(given: list[str] | None) -> dict[str, float]:
-    """The joints that are held still, and where [rad or m].
-
-    Raises:
-        InvalidValue: not a name, "=" and a position; or a joint that is named twice.
-    """
+    """The joints held still, and where [rad or m]; raises InvalidValue unless NAME=VALUE, each once."""
     locked: dict[str, float] = {}
     for text in given or ():
         name, _, value = (part.strip() for part in text.rpartition("="))
@@ -187,11 +171,7 @@ def read_locked(given: list[str] | None) -> dict[str, float]:
 
 
 def _read_position(text: str) -> float:
-    """A joint position in rad or metres, or with a unit.
-
-    Raises:
-        ValueError: it is none.
-    """
+    """A joint position in rad or metres, or with a unit; raises ValueError for anything else."""
     from pinposture.task.specification import read_quantity
 
     numbers = _parsed(text)
@@ -199,11 +179,7 @@ def _read_position(text: str) -> float:
 
 
 def read_couplings(given: list[str] | None) -> dict[str, tuple[str, float, float]]:
-    """The joints that follow others: leader, ratio, and offset [rad or m].
-
-    Raises:
-        InvalidValue: not a name, "=" and a leader with up to two numbers; or a joint that is named twice.
-    """
+    """What coupled joints follow: leader, ratio, offset [rad or m]; raises InvalidValue, as for one twice."""
     couplings: dict[str, tuple[str, float, float]] = {}
     for text in given or ():
         name, _, value = (part.strip() for part in text.partition("="))
@@ -312,11 +288,7 @@ def read_numbers(name: str, text: str) -> list[float]:
 
 
 def read_modules(text: str) -> int | list[int] | list[str]:
-    """Joints per module, one number or several, or names of links, separated by commas.
-
-    Raises:
-        InvalidValue: nothing between two commas, or at either end.
-    """
+    """Joints per module, one number or several, or names of links; raises InvalidValue for an empty field."""
     fields = [field.strip() for field in text.split(",")]
     if not all(fields):
         raise InvalidValue("--modules", text, "whole numbers or names of links, separated by commas")
@@ -375,15 +347,10 @@ _READERS = {".npy": _read_npy, ".csv": _read_csv, ".json": _read_json}
 
 # Control points on the command line: their numbers as pictures show them, from 1 at the base to the tip.
 def read_region(name: str, text: str, arm: Arm) -> tuple[int, int]:
-    """Indices, 0-based, of the first and the last control point of a region given as "first-last", 1-based.
-
-    Args:
-        name: the option, for the message.
-        text: two numbers with a hyphen between them.
-        arm: whose control points they are.
+    """Indices, 0-based, of the first and the last control point of a region "first-last", 1-based.
 
     Raises:
-        InvalidValue: anything else, or numbers that are not in order or that no control point has.
+        InvalidValue: for anything else, or numbers not in order or that no control point has.
     """
     first, hyphen, last = text.partition("-")
     if hyphen and first.strip().isdecimal() and last.strip().isdecimal():
@@ -395,15 +362,10 @@ def read_region(name: str, text: str, arm: Arm) -> tuple[int, int]:
 
 
 def read_points(name: str, text: str, arm: Arm) -> tuple[int, ...]:
-    """Indices, 0-based, of the control points in a list of their numbers, 1-based.
-
-    Args:
-        name: the option, for the message.
-        text: numbers separated by commas, or "all".
-        arm: whose control points they are.
+    """Indices, 0-based, of control points: their numbers, 1-based, separated by commas, or "all".
 
     Raises:
-        InvalidValue: anything else, or a number that is given twice or that no control point has.
+        InvalidValue: for anything else, or a number given twice or that no control point has.
     """
     if text.strip() == "all":
         return tuple(range(arm.n_modules))
@@ -552,8 +514,7 @@ def _controller_named(name: str) -> Controller:
 
 # The target on the command line: a curve, how it is laid, and which control points are to follow it.
 CurveOption = Annotated[
-    str,
-    TARGET("A .json, .csv or .txt file, or a preset: line (1.1 m), helix (1.62 m).", "CURVE"),
+    str, TARGET("A .json, .csv or .txt file, or a preset: line (1.1 m), helix (1.62 m).", "CURVE")
 ]
 
 
@@ -617,8 +578,7 @@ class PlacementOptions:
 
 # What is around an arm on the command line: scene files, and how far an arm is from what is in them.
 SceneOption = Annotated[
-    Path | None,
-    SURROUNDINGS("A .toml or .json file of obstacles.", "FILE", flags="--scene"),
+    Path | None, SURROUNDINGS("A .toml or .json file of obstacles.", "FILE", flags="--scene")
 ]
 
 
@@ -637,11 +597,7 @@ class SceneOptions:
         return None if self.scene is None else str(self.scene)
 
     def read(self) -> Scene | None:
-        """The scene of the file, with self-collision if asked for; None if there is neither.
-
-        Raises:
-            FileError: the file is missing, or holds no scene.
-        """
+        """The scene of the file, with self-collision if asked for; None if there is neither."""
         from pinposture.collision import Scene
 
         scene = None if self.scene is None else Scene.load(self.scene)

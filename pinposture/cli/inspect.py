@@ -16,7 +16,7 @@ from pinposture.cli.inputs import (
     read_curve,
     read_points,
 )
-from pinposture.cli.output import examples, print_facts, print_json, print_note, print_table, write_picture
+from pinposture.cli.output import examples, print_facts, print_json, print_note, print_table
 from pinposture.errors import InvalidValue, UnsupportedModule
 
 if TYPE_CHECKING:
@@ -81,9 +81,10 @@ def run(
     followed = None if curve is None else _describe_following(arm, curve)
     around = None if surroundings is None else describe_scene(surroundings, arm)
     if plot is not None:
+        from pinposture.storage import write_figure
         from pinposture.viz import plot_arm
 
-        write_picture(plot_arm(arm, ellipsoids=points, scene=surroundings), plot)
+        write_figure(plot, plot_arm(arm, ellipsoids=points, scene=surroundings))
     if as_json:
         drawn = None if plot is None else str(plot)
         print_json({"file": urdf, **about, "curve": followed, "scene": around, "plot": drawn})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import math
 import sys
@@ -17,7 +16,6 @@ import typer
 from pinposture.errors import FileError, PostureWarning
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from rich.console import RenderableType
 
     from pinposture.motion import Motion, Trajectory
@@ -266,11 +264,7 @@ FOR_ROBOTS = ("csv", "json")
 
 
 def keep(motion: Trajectory, directory: Path) -> None:
-    """Write a run, its plot and its animation into a directory.
-
-    Raises:
-        FileError: one of them cannot be written.
-    """
+    """Write a run, its plot and its animation into a directory."""
     from pinposture.motion import save
 
     write_plot(motion, directory / PLOT)
@@ -350,35 +344,14 @@ def load_kept(path: Path) -> Trajectory | Motion:
 
 def write_plot(motion: Trajectory | Motion, path: Path) -> None:
     """Write the plot of a run or a motion as PNG, whatever the name of the file."""
+    from pinposture.storage import write_figure
     from pinposture.viz import plot
 
-    write_picture(plot(motion), path)
-
-
-def write_picture(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG, whatever the name of the file.
-
-    Raises:
-        FileError: it cannot be written.
-    """
-    from pinposture.storage import write_bytes
-
-    picture = io.BytesIO()
-    figure.savefig(picture, format="png")
-    write_bytes(path, picture.getvalue())
+    write_figure(path, plot(motion))
 
 
 def write_animation(motion: Trajectory | Motion, path: Path, ellipsoids: Sequence[int] = ()) -> Path:
-    """Write the animation of a run or a motion as one HTML file.
-
-    Args:
-        motion: the run, or the motion.
-        path: the file.
-        ellipsoids: indices of the control points to show the manipulability ellipsoids of, 0-based.
-
-    Returns:
-        The path written, which ends in .html.
-    """
+    """Write the animation of a run or a motion, and ellipsoids of control points, as one HTML file."""
     from pinposture.viz import save_html
 
     return save_html(motion.arm, motion, path, ellipsoids=ellipsoids)

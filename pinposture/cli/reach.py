@@ -19,16 +19,7 @@ from pinposture.cli.inputs import (
     read_numbers,
     read_start,
 )
-from pinposture.cli.output import (
-    FILES,
-    end_with,
-    examples,
-    keep,
-    print_json,
-    print_note,
-    print_table,
-    write_picture,
-)
+from pinposture.cli.output import FILES, end_with, examples, keep, print_json, print_note, print_table
 from pinposture.errors import InvalidValue
 
 if TYPE_CHECKING:
@@ -94,7 +85,7 @@ def run(
     """
     from pinposture.control.reach import reach
     from pinposture.motion import track
-    from pinposture.storage import check_writable, write_text
+    from pinposture.storage import check_writable, write_figure, write_text
 
     if degrees and start is None:
         raise InvalidValue("--degrees", degrees, "only with --start")
@@ -123,7 +114,7 @@ def run(
             files.append(output / f"posture_{number}.json")
             write_text(files[-1], json.dumps(each.q.tolist()) + "\n")
         files.append(output / PICTURE)
-        write_picture(_draw(arm, found, surroundings), files[-1])
+        write_figure(files[-1], _draw(arm, found, surroundings))
         if first is not None and not hindrance:
             keep(track(arm, found[0].target, first, scene=surroundings), output)
             files += [output / name for name in FILES.values()]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,7 +23,6 @@ from pinposture.cli.output import (
     print_result,
     print_warning,
     verdict_in_colour,
-    write_picture,
 )
 from pinposture.errors import InvalidValue
 
@@ -100,7 +100,7 @@ def run(
     """
     from pinposture._validation import require_positive
     from pinposture.collision import Scene
-    from pinposture.sim import Servos
+    from pinposture.sim import Servos, simulate
     from pinposture.sim.model import load_mujoco
     from pinposture.storage import check_writable
 
@@ -112,9 +112,8 @@ def run(
     if output is not None:
         check_writable(output)
     with count_progress("cycle") as progress:
-        simulation = _simulate(
-            arm, motion, servos, closed, not no_gravity, dt, hold, surroundings, tolerance, progress
-        )
+        drive = _simulate_closed if closed else simulate
+        simulation = drive(arm, motion, servos, not no_gravity, dt, hold, progress, surroundings, tolerance)
     if output is not None:
         keep(simulation, output)
     files = {} if output is None else {kind: str(output / name) for kind, name in SIMULATION_FILES.items()}
@@ -127,15 +126,12 @@ def run(
 
 
 def keep(simulation: Simulation, directory: Path) -> None:
-    """Write a simulation and its plot into a directory.
-
-    Raises:
-        FileError: one of them cannot be written.
-    """
+    """Write a simulation and its plot into a directory."""
     from pinposture.motion import save
+    from pinposture.storage import write_figure
     from pinposture.viz.simulation import plot_simulation
 
-    write_picture(plot_simulation(simulation), directory / PICTURE)
+    write_figure(directory / PICTURE, plot_simulation(simulation))
     save(simulation, directory / SIMULATION)  # last: where it is, its picture is
 
 
@@ -160,24 +156,22 @@ def _read(
     return arm, load(file, JointTrajectory).matched(arm)
 
 
-def _simulate(
+def _simulate_closed(
     arm: Arm,
     motion: Trajectory | Motion | JointTrajectory,
     servos: Servos,
-    closed: bool,
     gravity: bool,
     dt: float | None,
     hold: float,
+    progress: Callable[[int, int], object],
     scene: Scene | None,
     tolerance: float | None,
-    progress: Any,
 ) -> Simulation:
+    """Simulate a motion as `simulate` does, but let the streaming controller drive the arm."""
     from pinposture.control import Limits
     from pinposture.motion import Motion, Tracker, Trajectory
-    from pinposture.sim import set_points, simulate, simulate_closed
+    from pinposture.sim import set_points, simulate_closed
 
-    if not closed:
-        return simulate(arm, motion, servos, gravity, dt, hold, progress, scene, tolerance)
     asked = set_points(arm, motion, dt)
     kept = motion.run if isinstance(motion, Motion) else motion
     # A run has one target; a motion in time has one for each moment.
@@ -185,26 +179,12 @@ def _simulate(
     limits = Limits(dt=asked.dt)
     if isinstance(kept, Trajectory):
         limits, scene = replace(kept.limits, dt=asked.dt), kept.scene if scene is None else scene
-    if isinstance(
-        motion, Motion
-    ):  # it is within its limits, and whoever follows it has no need to brake early
+    if isinstance(motion, Motion):  # it is within its limits: whoever follows it need not brake early
         limits = replace(limits, acceleration=None)
     duration = asked.dt * (len(asked.positions) - 1) + hold
-    start = arm.configuration(asked.positions[0])
-    tracker = Tracker(arm, limits=limits, scene=scene)
-    return simulate_closed(
-        arm,
-        tracker,
-        targets,
-        start,
-        duration,
-        asked.dt,
-        servos,
-        gravity,
-        progress=progress,
-        scene=scene,
-        tolerance=tolerance,
-    )
+    start, tracker = arm.configuration(asked.positions[0]), Tracker(arm, limits=limits, scene=scene)
+    told: dict[str, Any] = {"progress": progress, "scene": scene, "tolerance": tolerance}
+    return simulate_closed(arm, tracker, targets, start, duration, asked.dt, servos, gravity, **told)
 
 
 def in_words(summary: dict[str, Any]) -> dict[str, str | tuple[str, str]]:

@@ -493,8 +493,7 @@ _SCENE_COLUMNS: Columns = {
 def run_scenes(
     *,
     scenes: Annotated[
-        str | None,
-        MOTION("Some of: post,slot,narrow,wall,pipe,inside,coil,out; else all.", "NAME,..."),
+        str | None, MOTION("Some of: post,slot,narrow,wall,pipe,inside,coil,out; else all.", "NAME,...")
     ] = None,
     seeds: Annotated[int, MOTION("Number of runs in each scene.", "N")] = 10,
     seed0: SeedOption = 0,
@@ -567,10 +566,7 @@ def run_clutter(
     *,
     kinds: Annotated[
         str | None,
-        MOTION(
-            "Some of: balls,posts,hole,two-walls,shelf,corner,pipe,machine,coil; else all.",
-            "NAME,...",
-        ),
+        MOTION("Some of: balls,posts,hole,two-walls,shelf,corner,pipe,machine,coil; else all.", "NAME,..."),
     ] = None,
     seeds: Annotated[int, MOTION("Number of problems of each kind.", "N")] = 10,
     seed0: SeedOption = 0,
@@ -587,7 +583,7 @@ def run_clutter(
     and path length ratio of the plans are median (90th percentile). Problems that were not solved are named.
     With -o the first problem of each kind is left as an animation, too.
     """
-    from pinposture.study.clutter import KINDS_OF_CLUTTER, by_kind, run_problem, study_clutter
+    from pinposture.study.clutter import KINDS_OF_CLUTTER, by_kind, draw_problem, run_problem, study_clutter
     from pinposture.study.pictures import draw_clutter
     from pinposture.study.scenes import situation_arm
     from pinposture.viz import save_html
@@ -603,7 +599,7 @@ def run_clutter(
             print_warning(f"{each.kind}, seed {each.seed}: {each.hindrance or each.reason}")
     if options.output is not None:
         arm = situation_arm()
-        shown = {name: run_problem(arm, name, seed0) for name in names}
+        shown = {name: run_problem(arm, draw_problem(arm, name, seed0)) for name in names}
         options.keep(runs, found, clutter=lambda _: draw_clutter(shown))
         for name, run in shown.items():
             print_note(f"wrote {save_html(arm, run, options.output / f'{name}.html')}")

@@ -17,7 +17,7 @@ from pinposture.collision.obstacles import Obstacle
 from pinposture.control import controller_named
 from pinposture.control.limits import cycle_of
 from pinposture.curve import Curve
-from pinposture.curve.construction import deviation
+from pinposture.curve.curve import deviation
 from pinposture.errors import CurveError, InvalidValue, TaskError
 from pinposture.placement.target import beginning, place_curve
 from pinposture.task import Keyframe, Task

@@ -402,6 +402,9 @@ class Trajectory:
         return f"Trajectory({self.status}, {self.steps} steps, posture error {first:.4g} -> {last:.4g} m)"
 
 
+# A motion in time: a run, and what it should have done when.
+
+
 class Waypoint(NamedTuple):
     """A named place of a motion, a keyframe for instance, and how the arm passed it.
 

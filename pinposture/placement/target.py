@@ -163,6 +163,8 @@ def _finite_array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array
     return array
 
 
+# How a curve is laid at an arm, and how far an arm is from it.
+
 ON_CURVE = 1e-9  # distance from a curve that counts as zero, relative to the arm length
 MIN_MOVEMENT = 1e-9  # smallest translation [m] and rotation [rad] that count as having moved a curve
 

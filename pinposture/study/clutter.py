@@ -341,9 +341,8 @@ def dense_clearance(arm: Arm, scene: Scene, q: Array) -> float:
     return float(least)
 
 
-def run_problem(arm: Arm, kind: str, seed: int) -> Trajectory:
-    """Return the run of a problem."""
-    problem = draw_problem(arm, kind, seed)
+def run_problem(arm: Arm, problem: ClutterProblem) -> Trajectory:
+    """Run a problem within limits of speed and acceleration."""
     target = Target.from_configuration(arm, problem.goal)
     return track(arm, target, problem.start, limits=RUN_LIMITS, scene=problem.scene, max_steps=MAX_RUN_STEPS)
 
@@ -351,12 +350,11 @@ def run_problem(arm: Arm, kind: str, seed: int) -> Trajectory:
 def solve_problem(arm: Arm, kind: str, seed: int) -> ClutterRun:
     """Plan for a problem, run it, and judge both."""
     problem = draw_problem(arm, kind, seed)
-    target = Target.from_configuration(arm, problem.goal)
-    state = arm.at(problem.start)
+    target, state = Target.from_configuration(arm, problem.goal), arm.at(problem.start)
     began = perf_counter()
     path = plan(state, target, problem.scene, RUN_LIMITS)
     took = perf_counter() - began
-    run = run_problem(arm, kind, seed)
+    run = run_problem(arm, problem)
     points = np.array([arm.at(q).compiled.points for q in path.configurations])
     return ClutterRun(
         kind=kind,

@@ -73,11 +73,7 @@ class Following(NamedTuple):
 
 
 def fed_arm(name: str) -> Arm:
-    """One of `ARMS`, 1 m long, on a feed.
-
-    Raises:
-        UnknownName: there is no such arm.
-    """
+    """One of `ARMS`, 1 m long, on a feed; raises UnknownName if there is no such arm."""
     if name not in ARMS:
         raise UnknownName("arm", name, ARMS)
     return Arm.from_modules([FEED, *[ARMS[name]] * MODULES], name=name)

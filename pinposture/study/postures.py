@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import chain
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,8 +81,7 @@ def _run_one(subject: Subject, family: Family, seed: int, controllers: list[Cont
 
 Array = NDArray[np.float64]
 
-Knowledge = Literal["configuration", "curve"]
-KNOWLEDGE: tuple[Knowledge, ...] = ("configuration", "curve")
+KNOWLEDGE = ("configuration", "curve")
 
 PAIRS = 300
 """Number of pairs for each arm unless told otherwise."""
@@ -163,24 +162,15 @@ def study_headings(
         TargetError: a curve on which some control point has no place.
     """
     check_study(first_seed, pairs=pairs, subjects=subjects)
-    known = knowledge_named(knowledge)
+    if knowledge not in KNOWLEDGE:
+        raise UnknownName("knowledge of the target", knowledge, KNOWLEDGE)
     listed = named_controllers(controllers)
     seeds = range(first_seed, first_seed + pairs)
-    pairs_drawn = ((subject, seed, known, listed) for subject in subjects for seed in seeds)
+    pairs_drawn = ((subject, seed, knowledge, listed) for subject in subjects for seed in seeds)
     return list(chain.from_iterable(run_all(_run_pair, pairs_drawn, jobs, progress)))
 
 
-def knowledge_named(name: str) -> Knowledge:
-    """What may be known of a target, by name; raises UnknownName if there is no such thing."""
-    for known in KNOWLEDGE:
-        if known == name:
-            return known
-    raise UnknownName("knowledge of the target", name, KNOWLEDGE)
-
-
-def _run_pair(
-    subject: Subject, seed: int, knowledge: Knowledge, controllers: list[Controller]
-) -> list[Record]:
+def _run_pair(subject: Subject, seed: int, knowledge: str, controllers: list[Controller]) -> list[Record]:
     arm = subject.arm
     start, goal = draw_pair(arm, seed)
     if knowledge == "configuration":

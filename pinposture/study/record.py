@@ -20,7 +20,7 @@ from pinposture.errors import FileError, InvalidValue, PostureError
 from pinposture.motion import Trajectory, track
 from pinposture.motion.processes import Progress, collect_results
 from pinposture.placement import Target
-from pinposture.storage import write_bytes, write_text
+from pinposture.storage import write_figure, write_text
 from pinposture.study.arms import UNIFORM, Subject
 from pinposture.study.reproduce.runs import displacements
 from pinposture.study.scenarios import largest_turn
@@ -511,10 +511,8 @@ def keep_study(
     directory = Path(directory)
     files = [write_records(records, directory / CASES_FILE, fields)]
     for name, figure in figures.items():
-        picture = io.BytesIO()
-        figure.savefig(picture, format="png")
         files.append(directory / name)
-        write_bytes(files[-1], picture.getvalue())
+        write_figure(files[-1], figure)
     files.append(directory / SUMMARY)  # last: where it is, the rest is
     write_text(files[-1], json.dumps(summary, indent=1, allow_nan=False) + "\n")
     return files

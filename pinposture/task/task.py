@@ -254,9 +254,12 @@ def _as_tuple(name: str, values: object, allowed: str) -> tuple[Any, ...]:
     return tuple(values)
 
 
+# How a motion is performed: the arm follows a reference, and time waits where it must.
+
 Progress = Callable[[float, float], object]
 
 logger = logging.getLogger(__name__)
+
 MAX_MEAN_LAG = 0.1
 """Mean distance of the control points from their targets beyond which time waits for the arm, in module
 lengths; for controllers that do not look ahead."""

@@ -240,6 +240,8 @@ def _three_numbers(text: str) -> Array:
     return numbers if numbers.shape == (3,) else np.full(3, np.nan)
 
 
+# Surfaces made of triangles.
+
 SIDES = 16  # of the polygon that stands for the section of a tube or disc
 
 

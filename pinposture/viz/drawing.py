@@ -378,7 +378,6 @@ def _half_space_plates(
 
 # Paths of objects in the viewer, and how their properties change with time.
 
-
 ROOT = "/pinposture"
 POINT_SIZE = 1.9  # radius of an active control point, relative to that of the bars of the arm
 IDLE_SIZE = 0.75  # size of an inactive control point, relative to an active one

@@ -368,8 +368,7 @@ def draw_intermediate_postures(
         panel.line(backbone(run.arm, run.q[row]), label="_" if k else "postures on the way", **pale)
 
 
-# Scale, colours and figures.
-
+# Manipulability ellipsoids: scale, colours and figures.
 
 LARGEST_RADIUS = 0.2  # that is drawn, approximately, relative to the length of the arm
 ELLIPSE_SIDES = 48  # of the polygon that stands for an ellipse
