@@ -80,7 +80,7 @@ SEARCHES = {
     "projection": Search(
         pp.Projection(),
         {
-            "threshold": (0.05, 0.1, 0.2, 0.3, 0.4, 0.6),
+            "threshold": (0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.6),
             "coupling": ("full", "local", "relative"),
             "gain": (0.25, 0.5, 1.0),
             "null_gain": (0.0, 0.25, 0.5, 1.0),
