@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -11,12 +11,18 @@ from pinposture.cli.inputs import MOTION, OUTPUT, JobsOption, JsonOption
 from pinposture.cli.output import count_progress, examples, print_json, print_note, print_table
 
 if TYPE_CHECKING:
+    from pinposture.control import Controller
     from pinposture.study.reproduce import Reproduction
+
+
+SETTINGS = "Methods and figures"
 
 
 @examples(
     "pinposture reproduce",
     "pinposture reproduce 6.3 6.4",
+    "pinposture reproduce 6.4 --controller lm --controller dls",
+    "pinposture reproduce 6.4 --width 88 --format pdf --format svg",
     "pinposture reproduce claims --seeds 10",
     "pinposture reproduce all -o out/thesis",
 )
@@ -26,38 +32,141 @@ def run(
         list[str] | None,
         typer.Argument(metavar="[FIGURE]...", help="6.3 to 6.12, claims, or all; else they are listed."),
     ] = None,
+    controller: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="A controller to show beside those of the thesis: a name, or module:Class. Repeat it for "
+            "more.",
+            rich_help_panel=MOTION,
+        ),
+    ] = None,
     seeds: Annotated[
         int, typer.Option(metavar="N", help="Number of seeds to judge claims over.", rich_help_panel=MOTION)
     ] = 100,
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="What start and target of figures are drawn from, else that of each figure; and the first "
+            "seed of claims, else 0.",
+            rich_help_panel=MOTION,
+        ),
+    ] = None,
     steps: Annotated[
         int, typer.Option(metavar="N", help="Steps after which a run ends.", rich_help_panel=MOTION)
     ] = 200,
+    step_limit: Annotated[
+        float,
+        typer.Option(
+            metavar="RAD", help="Largest |dq| of a joint in a step; figures only.", rich_help_panel=SETTINGS
+        ),
+    ] = 0.1,
+    gain: Annotated[
+        float | None,
+        typer.Option(metavar="K", help="Gain of both methods; figures only.", rich_help_panel=SETTINGS),
+    ] = None,
+    null_gain: Annotated[
+        float | None,
+        typer.Option(
+            metavar="A", help="Weight of the null-space term; figures only.", rich_help_panel=SETTINGS
+        ),
+    ] = None,
+    index: Annotated[
+        float | None,
+        typer.Option(
+            metavar="W",
+            help="Threshold of Selection's manipulability conditions; figures only.",
+            rich_help_panel=SETTINGS,
+        ),
+    ] = None,
+    kappa: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="Threshold of Projection; figures only.", rich_help_panel=SETTINGS),
+    ] = None,
+    form: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--format",
+            metavar="FORMAT",
+            help="Format of pictures: png, pdf or svg. Repeat it for more.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = None,
+    width: Annotated[
+        float | None,
+        typer.Option(
+            metavar="MM",
+            help="Width of pictures for print: 88 is a column, 180 a page; else they are for the screen.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = None,
     jobs: JobsOption = -1,
     output: Annotated[
         Path,
         typer.Option("--output", "-o", metavar="DIR", help="Where to leave files.", rich_help_panel=OUTPUT),
     ] = Path("out/reproduce"),
+    page: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="A page in Markdown into which the tables of the claims are written, between markers; a "
+            "JSON file beside it gets what they come from.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Reproduce the experiments of chapter 6 of the thesis, and judge its claims.
 
-    Each figure is drawn as the thesis lays it out, from runs whose numbers go to results.json. The claims are
-    measured over many seeds; results.json has every number and a verdict on each, claims.md the same to read.
-    All of it takes some minutes.
+    Each figure is drawn as the thesis lays it out, from runs whose numbers go to results.json and CSV files.
+    The claims are measured over many seeds; results.json has every number and a verdict on each, claims.md
+    the same to read. All of it takes some minutes.
     """
     if not figures:
         _list(as_json)
         return
-    from pinposture.study.reproduce import reproduce
+    from pinposture.study.reproduce import FigureSettings, reproduce
 
+    settings = FigureSettings(
+        seed, step_limit, _methods(gain, null_gain, index, kappa), tuple(form or ("png",)), width
+    )
     with count_progress("run") as progress:
-        done = reproduce(figures, output, seeds, steps, jobs, progress)
+        done = reproduce(
+            figures,
+            output,
+            seeds,
+            steps,
+            jobs,
+            progress,
+            controllers=controller or (),
+            settings=settings,
+            page=page,
+        )
     if as_json:
         print_json(done.results)
     else:
         _print(done)
     for file in done.files:
         print_note(f"wrote {file}")
+
+
+def _methods(
+    gain: float | None, null_gain: float | None, index: float | None, kappa: float | None
+) -> dict[str, Controller]:
+    """The methods of the thesis with what was given; none if nothing was."""
+    from pinposture.control import Projection, Selection, Switching
+
+    def given(**values: float | None) -> dict[str, Any]:
+        return {name: value for name, value in values.items() if value is not None}
+
+    both = given(gain=gain, null_gain=null_gain)
+    selection = Selection(**both, **given(absolute=index, relative=index))
+    projection = Projection(**both, **given(threshold=kappa))
+    if not (both or given(index=index, kappa=kappa)):
+        return {}
+    switching = Switching(selection=selection, projection=projection)
+    return {"selection": selection, "projection": projection, "switching": switching}
 
 
 def _list(as_json: bool) -> None:
@@ -78,7 +187,7 @@ def _list(as_json: bool) -> None:
 
 def _print(done: Reproduction) -> None:
     """The tables at the end."""
-    from pinposture.study.reproduce.reproduction import span
+    from pinposture.study.reproduce.page import span
 
     runs = [
         (
@@ -94,8 +203,17 @@ def _print(done: Reproduction) -> None:
     ]
     if runs:
         print_table(("figure", "controller", "posture error [m]", "steps", "ending", "shows"), runs)
-    claims = [
-        (each.verdict, span(each.finding.shares), each.claim.text, each.claim.where) for each in done.judged
-    ]
+    claims = done.results["claims"]
     if claims:
-        print_table(("verdict", "true in", "claim", "where"), claims)
+        own = list(dict.fromkeys(name for claim in claims for name in claim["own"]))
+        rows = [
+            (
+                claim["verdict"],
+                span(claim["shares"]),
+                *(claim["own"][name]["verdict"] if name in claim["own"] else "" for name in own),
+                claim["claim"],
+                claim["where"],
+            )
+            for claim in claims
+        ]
+        print_table(("verdict", "true in", *own, "claim", "where"), rows)

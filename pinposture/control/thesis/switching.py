@@ -90,7 +90,7 @@ class Switching:
 
     selection: Selection = field(default_factory=Selection)
     projection: Projection = field(default_factory=Projection)
-    patience: float = 0.3
+    patience: float = 0.5
     progress: float = 0.1
     stay: float = 0.5
     reach: float = 0.1

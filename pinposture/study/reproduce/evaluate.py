@@ -241,6 +241,7 @@ MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
 """How each claim is measured on runs; those on postures are in `POSTURES_MEASURES`."""
 
 _PROJECTIONS = ("projection", "projection, full", "projection, local", "projection, kappa 0.6")
+_SCORES = ("selection, (4.8)", "selection, (4.8) relative")
 _METHODS = ("selection", *_PROJECTIONS, "switching, Figure 4.8", "switching")
 _SCENARIOS = (*measures.NON_SINGULAR, *measures.SINGULAR)
 
@@ -257,10 +258,12 @@ BATCHES: tuple[RunSet, ...] = (
     *(
         RunSet(s, v, twins=s in measures.TWINS)
         for s in ("planar-random", "planar-near-line")
-        for v in ("selection, (4.8)", "selection, (4.8) relative")
+        for v in _SCORES
     ),
     *(RunSet(s, f"{method}, free joints") for s in ("helix", "line") for method in measures.BOTH),
-    *(RunSet(s, f"{method}, {ANY_STEP}") for s in measures.SINGULAR for method in measures.BOTH),
+    *(RunSet(s, f"{v}, {ANY_STEP}") for s in measures.SINGULAR for v in ("selection", *_PROJECTIONS)),
+    *(RunSet("planar-near-line", f"{v}, {ANY_STEP}") for v in _SCORES),
+    *(RunSet("line", f"{method}, free joints, {ANY_STEP}") for method in measures.BOTH),
 )
 """The runs that the claims are judged by."""
 
