@@ -32,18 +32,20 @@ class JacobianTranspose:
 
 
 def main() -> None:
-    """Run it, register it, and draw it beside Selection and Projection."""
+    """Register it, and run it beside Projection and the default controller."""
     arm = pp.Arm.from_template("RyRz", modules=20)
-    target = pp.resolve_targets(arm, pp.Curve.helix(0.06, 0.15))
+    target = pp.resolve_targets(arm, pp.Curve.helix(radius=0.06, pitch=0.15, turns=4))
     q0 = pp.arm.smooth_configuration(arm, np.random.default_rng(0), 0.5)
 
     CONTROLLERS["transpose"] = JacobianTranspose  # now it has a name
-    runs = [pp.track(arm, target, q0, name) for name in ("transpose", "projection", "geodesic")]
-    for run in runs:
-        print(f"{run.controller.partition('(')[0]:18}{run.posture_error[-1]:8.2g} m after {run.steps} steps")
+    runs = {name: pp.track(arm, target, q0, name) for name in ("transpose", "projection", "geodesic")}
+    for name, run in runs.items():
+        print(f"{name:12}{run.posture_error[-1]:8.2g} m after {run.steps} steps")
 
     out = Path("out/your_own_controller")
-    pp.plot(runs).savefig(out.with_suffix(".png"), dpi=120)
+    out.mkdir(parents=True, exist_ok=True)
+    pp.plot_comparison(runs).savefig(out / "comparison.png", dpi=120)
+    print(f"look at {out / 'comparison.png'}")
 
 
 if __name__ == "__main__":
