@@ -179,6 +179,7 @@ for module in (
     compile,
 ):
     _add(module.__name__.rpartition(".")[2], module.run, app)
+_add("score", reproduce.run_score, app)
 for name, verb in studies.VERBS.items():
     _add(name, verb, study)
 app.add_typer(study, name="study")

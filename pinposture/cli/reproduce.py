@@ -217,3 +217,49 @@ def _print(done: Reproduction) -> None:
             for claim in claims
         ]
         print_table(("verdict", "true in", *own, "claim", "where"), rows)
+
+
+@examples("pinposture score results.json --cases benchmarks/cases/postures-1.json")
+def run_score(
+    *,
+    results: Annotated[
+        Path, typer.Argument(metavar="RESULTS", help="What a program made of the cases, JSON.")
+    ],
+    cases: Annotated[Path, typer.Option(metavar="FILE", help="The file of cases.")] = Path(
+        "benchmarks/cases/postures-1.json"
+    ),
+    as_json: JsonOption = False,
+) -> None:
+    """Score what any program made of the cases of the benchmark.
+
+    Reached are the cases that end within 0.1 % of the arm length of the target (mean of the control points),
+    within all limits and clear of all obstacles. Steps, path (length of the paths of the control points per
+    direct distance) and rising (share of steps on which the posture error rises) are medians over these.
+    """
+    from pinposture.study.benchmark import score
+
+    program, scores = score(results, cases)
+    if as_json:
+        print_json({"program": program, "scores": [each._asdict() for each in scores]})
+        return
+    heads = ("group", "reached", "of", "limits held", "clear", "error", "steps", "path", "rising")
+    rows = [
+        (
+            each.group,
+            each.reached,
+            each.cases,
+            each.limits_held,
+            each.clear,
+            _short(each.error, ".2g"),
+            _short(each.steps, ".0f"),
+            _short(each.path, ".2f"),
+            _short(each.rising, ".0%"),
+        )
+        for each in scores
+    ]
+    print_note(program)
+    print_table(heads, rows)
+
+
+def _short(value: float | None, form: str) -> str:
+    return "" if value is None else f"{value:{form}}"
