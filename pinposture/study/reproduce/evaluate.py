@@ -242,11 +242,11 @@ MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
 
 _PROJECTIONS = ("projection", "projection, full", "projection, local", "projection, kappa 0.6")
 _SCORES = ("selection, (4.8)", "selection, (4.8) relative")
-_METHODS = ("selection", *_PROJECTIONS, "switching, Figure 4.8", "switching")
+_TRIED = ("selection", *_PROJECTIONS, "switching, Figure 4.8", "switching")
 _SCENARIOS = (*measures.NON_SINGULAR, *measures.SINGULAR)
 
 BATCHES: tuple[RunSet, ...] = (
-    *(RunSet(s, v, twins=s in measures.TWINS) for s in _SCENARIOS for v in _METHODS),
+    *(RunSet(s, v, twins=s in measures.TWINS) for s in _SCENARIOS for v in _TRIED),
     *(
         RunSet(s, f"switching, {name}", s in measures.TWINS)
         for s in _SCENARIOS

@@ -426,8 +426,8 @@ def _no_blow_up(reading: Reading) -> Finding:
         {name: share(value <= 2.0 for value in values) for name, values in growth.items()},
         _prefixed("largest growth", {name: max(values, default=1.0) for name, values in growth.items()})
         | _prefixed("runs that come near", near),
-        "With a step limit the error does not grow again. Without one it does: the step limit is what keeps "
-        f"operation stable. Runs that come near a singular posture at all: {_in_words(near, '.0f')}.",
+        "With a step limit the error hardly ever grows again; without one it may. Runs that come near a "
+        f"singular posture at all: {_in_words(near, '.0f')}.",
     )
 
 
