@@ -348,6 +348,7 @@ EXAMPLES = {
     "10_follow_the_leader": "out/follow_the_leader/motion.png",
     "12_many_targets": "out/many_targets/reached.png",
     "13_tendon_arm": "out/tendon_arm/motion.png",
+    "14_your_own_controller": "out/your_own_controller/comparison.png",
 }
 """The figure that each example of the tutorial saves."""
 

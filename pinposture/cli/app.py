@@ -21,6 +21,7 @@ from pinposture.cli import (
     generate,
     inspect,
     reach,
+    reproduce,
     run,
     simulate,
     studies,
@@ -174,7 +175,8 @@ VERBS: dict[str, Callable[..., None]] = {
     "view": view.run,
     "export": export.run,
     "simulate": simulate.run,
-    "reproduce": studies.run_reproduce,
+    "reproduce": reproduce.run,
+    "score": reproduce.run_score,
     "compile": compile.run,
 }
 for name, verb in VERBS.items():

@@ -1,4 +1,4 @@
-"""The verbs of evidence: `pinposture study ...`, and `pinposture reproduce`."""
+"""The verbs `pinposture study ...`."""
 
 from __future__ import annotations
 
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from pinposture.study import ArmSurvey, Record, SceneRun, Spread, Subject
-    from pinposture.study.reproduce import Reproduction
 
 
 # What the verbs have in common: options, a bar while it runs, tables, files.
@@ -706,86 +705,3 @@ STUDIES: dict[str, Callable[..., None]] = {
     "leader": run_leader,
 }
 """The verbs `pinposture study ...` by name, in the order of the help."""
-
-
-# `pinposture reproduce`: the experiments of the thesis once more.
-
-
-@examples(
-    "pinposture reproduce",
-    "pinposture reproduce 6.3 6.4",
-    "pinposture reproduce claims --seeds 10",
-    "pinposture reproduce all -o out/thesis",
-)
-def run_reproduce(
-    *,
-    figures: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="[FIGURE]...", help="6.3 to 6.12, claims, or all; else they are listed."),
-    ] = None,
-    seeds: Annotated[int, MOTION("Number of seeds to judge claims over.", "N")] = 100,
-    steps: Annotated[int, MOTION("Steps after which a run ends.", "N")] = 200,
-    jobs: JobsOption = -1,
-    output: Annotated[Path, OUTPUT("Where to leave files.", "DIR", flags="--output -o")] = Path(
-        "out/reproduce"
-    ),
-    as_json: JsonOption = False,
-) -> None:
-    """Reproduce the experiments of chapter 6 of the thesis, and judge its claims.
-
-    Each figure is drawn as the thesis lays it out, from runs whose numbers go to results.json. The claims are
-    measured over many seeds; results.json has every number and a verdict on each, claims.md the same to read.
-    All of it takes some minutes.
-    """
-    if not figures:
-        _list_figures(as_json)
-        return
-    from pinposture.study.reproduce import reproduce
-
-    with count_progress("run") as progress:
-        done = reproduce(figures, output, seeds, steps, jobs, progress)
-    if as_json:
-        print_json(done.results)
-    else:
-        _print_reproduction(done)
-    for file in done.files:
-        print_note(f"wrote {file}")
-
-
-def _list_figures(as_json: bool) -> None:
-    """Say what there is to reproduce."""
-    from pinposture.study.claims import CLAIMS, FIGURES
-
-    rows = [(number, each.title, f"Section {each.section}") for number, each in FIGURES.items()]
-    if as_json:
-        shown = [{"figure": number, "title": title, "section": section} for number, title, section in rows]
-        print_json({"figures": shown, "claims": len(CLAIMS)})
-        return
-    rows.append(("claims", f"verdicts on {len(CLAIMS)} claims", "all chapters"))
-    rows.append(("all", "everything", ""))
-    print_table(("figure", "shows", "thesis"), rows)
-
-
-def _print_reproduction(done: Reproduction) -> None:
-    """The tables at the end."""
-    from pinposture.study.reproduce.reproduction import span
-
-    runs = [
-        (
-            figure.about.number,
-            name,
-            f"{run.posture_error[0]:.3g} -> {run.posture_error[-1]:.3g}",
-            run.steps,
-            run.status,
-            figure.about.title,
-        )
-        for figure in done.figures
-        for name, run in figure.runs.items()
-    ]
-    if runs:
-        print_table(("figure", "controller", "posture error [m]", "steps", "ending", "shows"), runs)
-    claims = [
-        (each.verdict, span(each.finding.shares), each.claim.text, each.claim.where) for each in done.judged
-    ]
-    if claims:
-        print_table(("verdict", "true in", "claim", "where"), claims)

@@ -178,10 +178,33 @@ def stack_rows(jacobians: Array) -> Array:
 def next_step(
     controller: Controller, state: ArmState, target: Target, limits: Limits | None, memory: Memory | None
 ) -> Step:
-    """The step of a controller; of one that remembers nothing, the displacement is remembered for it."""
+    """The step of a controller; of one that remembers nothing, the displacement is remembered for it.
+
+    Raises:
+        InvalidValue: the controller returns something other than a `Step` for this arm.
+    """
     step = controller.step(state, target, limits, memory)
     if not isinstance(step, Step):
-        returned = f"{type(controller).__name__}.step(...) (returned)"
-        allowed = "a Step, for instance Step(limits.apply(state, dq).dq, (), Diagnostics(clipped))"
-        raise InvalidValue(returned, step, allowed)
-    return step if step.memory is not None else step._replace(memory=Memory(step.dq))
+        allowed = "a Step, for instance Step(limited.dq, (), Diagnostics(limited.clipped), None)"
+        raise InvalidValue(f"{type(controller).__name__}.step(...) (returned)", step, allowed)
+    dq, active, diagnostics, remembered = step
+    nv = state.arm.nv
+    if not (isinstance(dq, np.ndarray) and dq.shape == (nv,) and np.isfinite(dq).all()):
+        raise _unfit(
+            controller, "dq", dq, f"an array of {nv} finite numbers, as `limits.apply(state, dq).dq`"
+        )
+    if not isinstance(diagnostics, Diagnostics) or np.shape(diagnostics.clipped) != (nv,):
+        allowed = "Diagnostics(clipped=...), as `limits.apply(state, dq).clipped`"
+        raise _unfit(controller, "diagnostics", diagnostics, allowed)
+    if not isinstance(active, tuple) or (
+        active and not 0 <= min(active) <= max(active) < state.arm.n_modules
+    ):
+        allowed = f"a tuple of control points from 0 to {state.arm.n_modules - 1}; () if that means nothing"
+        raise _unfit(controller, "active", active, allowed)
+    if not isinstance(remembered, Memory | None):
+        raise _unfit(controller, "memory", remembered, "a Memory(dq), or a class derived from it; or None")
+    return step if remembered is not None else step._replace(memory=Memory(dq))
+
+
+def _unfit(controller: Controller, field: str, value: object, allowed: str) -> InvalidValue:
+    return InvalidValue(f"{type(controller).__name__}.step(...).{field}", value, allowed)

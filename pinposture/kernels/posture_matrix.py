@@ -125,7 +125,7 @@ def _reflect(A: Array2, row: int, pivot: int, width: int) -> None:
     head, tail = A[row, pivot], 0.0
     for c in range(pivot + 1, width):
         tail += A[row, c] * A[row, c]
-    if tail == 0.0:
+    if tail < ZERO_PIVOT:  # as good as zero; its inverse may be infinite
         return
     norm = np.sqrt(head * head + tail)
     A[row, pivot] = head + norm if head > 0.0 else head - norm

@@ -22,6 +22,8 @@ class Claim:
         rule: how large that share must be: "always" for what is guaranteed or said of every case, "usually"
             for how a method works in general, "rather" for comparisons and tendencies.
         methods: the methods that it speaks of: of "selection", "projection", "switching".
+        general: whether the same can be asked of any controller.
+        construction: why the best reading cannot fail, whatever the case; empty if it can.
     """
 
     id: str
@@ -30,6 +32,8 @@ class Claim:
     measured: str
     rule: Literal["always", "usually", "rather"]
     methods: tuple[str, ...] = ()
+    general: bool = False
+    construction: str = ""
 
 
 # Claims on where the arm gets to.
@@ -42,6 +46,7 @@ TRACKING = (
         "runs that end with a mean point error of at most 1 % of the arm length",
         "usually",
         ("selection", "projection"),
+        general=True,
     ),
     Claim(
         "tracks-singular",
@@ -50,6 +55,7 @@ TRACKING = (
         "runs that end with a mean point error of at most 1 % of the arm length",
         "usually",
         ("selection", "projection"),
+        general=True,
     ),
     Claim(
         "similar-performance",
@@ -83,6 +89,7 @@ TRACKING = (
         "runs that end with a mean point error of at most 0.1 % of the arm length",
         "usually",
         ("projection",),
+        general=True,
     ),
     Claim(
         "selection-few-steps",
@@ -91,6 +98,7 @@ TRACKING = (
         "runs that come to a mean point error of 1 % of the arm length within 50 steps, and end there",
         "usually",
         ("selection",),
+        general=True,
     ),
     Claim(
         "selection-cannot-start",
@@ -116,6 +124,7 @@ TRACKING = (
         "runs from the straight posture that at least halve the posture error",
         "usually",
         ("projection",),
+        general=True,
     ),
     Claim(
         "projection-converges-from-singular",
@@ -124,13 +133,15 @@ TRACKING = (
         "runs from the straight posture that end with a mean point error of at most 1 % of the arm length",
         "usually",
         ("projection",),
+        general=True,
     ),
     Claim(
         "selection-cannot-pass",
         "6.3 (3); 7 (2)",
         "Selection cannot traverse a singular posture or pass near one.",
-        "runs to the posture with all joints reversed, on the other side of the straight one, that do not "
-        "end with a mean point error of at most 1 % of the arm length",
+        "runs to targets clear of singular postures that come near one (smallest singular value of the tip's "
+        "Jacobian at most 0.03 of the arm length per rad, from 0.06 or more) and do not leave it again (to "
+        "0.06); seen if 10 % of the runs come near",
         "usually",
         ("selection",),
     ),
@@ -138,10 +149,11 @@ TRACKING = (
         "projection-passes",
         "6.3 (3)",
         "Projection can traverse a singular posture.",
-        "runs to the posture with all joints reversed, on the other side of the straight one, that end with "
-        "a mean point error of at most 1 % of the arm length",
+        "runs to targets clear of singular postures that come near one (as above) and leave it again; seen "
+        "if 10 % of the runs come near",
         "usually",
         ("projection",),
+        general=True,
     ),
     Claim(
         "targets-on-curve",
@@ -165,6 +177,7 @@ MOVING = (
         "runs on none of whose steps the posture error rises",
         "usually",
         ("selection",),
+        general=True,
     ),
     Claim(
         "null-space-descends",
@@ -206,6 +219,7 @@ MOVING = (
         "nudged by 1e-6 rad leads at most 0.1 % of the arm length away",
         "usually",
         ("selection",),
+        general=True,
     ),
     Claim(
         "projection-unpredictable",
@@ -233,15 +247,17 @@ MOVING = (
         "arm length per rad) that ask no joint for more than half a turn",
         "always",
         ("selection", "projection"),
+        general=True,
     ),
     Claim(
         "no-blow-up",
         "Abstract; 1.2; 3.4",
         "Operation is stable in the vicinity of singular postures.",
-        "runs to singular targets that come near a singular posture and whose posture error never again "
-        "exceeds twice what it was there",
+        "runs to singular targets, with a step limit and without, that come near a singular posture and "
+        "whose posture error never again exceeds twice what it was there",
         "usually",
         ("selection", "projection"),
+        general=True,
     ),
     Claim(
         "smooth-near-singular",
@@ -251,6 +267,7 @@ MOVING = (
         "of the larger of the two",
         "usually",
         ("selection", "projection"),
+        general=True,
     ),
     Claim(
         "stable-without-step-limit",
@@ -259,12 +276,21 @@ MOVING = (
         "runs without a step limit, at gains of 1, that end with a mean point error of at most 1 % of the "
         "arm length",
         "usually",
+        ("selection", "projection"),
+        general=True,
     ),
 )
 """How it moves."""
 
 
 # Claims on which control points are used, and on switching between the methods.
+
+ALL_POINTS = (
+    "a module has a singular value of at least half its length in every posture, so that no point is left "
+    "out while kappa is below 0.5"
+)
+
+HALF_THE_POINTS = f"Selection never has two neighbours, half of the points at most; and {ALL_POINTS}"
 
 POINTS = (
     Claim(
@@ -298,6 +324,7 @@ POINTS = (
         "runs to singular targets with at least half of all control points active in every step",
         "always",
         ("projection",),
+        construction=ALL_POINTS,
     ),
     Claim(
         "projection-uses-all",
@@ -306,6 +333,7 @@ POINTS = (
         "steps with all control points active",
         "always",
         ("projection",),
+        construction=ALL_POINTS,
     ),
     Claim(
         "projection-more-points",
@@ -314,12 +342,14 @@ POINTS = (
         "seeds with more active control points, on average over the steps",
         "always",
         ("selection", "projection"),
+        construction=HALF_THE_POINTS,
     ),
     Claim(
         "selection-full-rank",
         "4.3; 4.5; 7",
         "The posture control matrix of Selection always has full row rank.",
-        "steps whose posture control matrix has full row rank",
+        "steps whose control set has a posture control matrix of full row rank before any point is dropped "
+        "for conditioning",
         "always",
         ("selection",),
     ),
@@ -401,11 +431,21 @@ POSTURES = (
         "always",
     ),
     Claim(
-        "singular-section",
+        "singular-section-planar",
         "Appendix A",
-        "If the section between two neighbours of a set is singular, so is the posture control matrix.",
+        "Planar arms: if the section between two neighbours of a set is singular, so is the posture control "
+        "matrix.",
         "random postures at which the Jacobians of two control points with a singular section between them "
         "stack to a matrix of less than full row rank",
+        "always",
+    ),
+    Claim(
+        "singular-section-spatial",
+        "4.3, which refers to Appendix A",
+        "Spatial arms: if the section between two neighbours of a set is singular, so is the posture control "
+        "matrix.",
+        "random postures at which the Jacobians of the two ends of a module stack to a matrix of less than "
+        "full row rank",
         "always",
     ),
 )

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.text import Text
 from matplotlib.ticker import NullFormatter
 
 from pinposture.errors import InvalidValue
@@ -31,11 +32,17 @@ from pinposture.viz.postures import PosturePanel, draw_intermediate_postures, dr
 THESIS_FIGURE_WIDTH = 12.0
 """Width of a figure [inch]; 1200 pixels at the default resolution."""
 
+STACKED_BELOW = 120.0
+"""Width for print below which panels go below each other [mm]: a column of a journal has 80 to 90."""
+
+PRINT_TYPE = 7.0
+"""Largest type in print [pt]."""
+
 SHOWN_POSTURES = 14
 """How many of the postures on the way are drawn, the first ones closer together than the last."""
 
 
-def draw_final_postures(runs: Mapping[str, Trajectory], title: str) -> Figure:
+def draw_final_postures(runs: Mapping[str, Trajectory], title: str, width: float | None = None) -> Figure:
     """Initial posture, target curve and final postures, as Figures 6.3, 6.5 and 6.7.
 
     Beside them target and final postures alone, which may fill a far smaller room than the initial one.
@@ -43,17 +50,19 @@ def draw_final_postures(runs: Mapping[str, Trajectory], title: str) -> Figure:
     Args:
         runs: runs from one start to one target, by the names of their controllers.
         title: what to write above.
+        width: width for print [mm]; None for the screen.
 
     Raises:
         InvalidValue: no run.
     """
     first = _first(runs)
     kind = "3d" if first.arm.dimension == 3 else None
-    figure = _figure(6.0, title)
-    grid = figure.add_gridspec(1, 2, width_ratios=(1.15, 1.0))
+    figure, stacked = _figure(6.0, title, width, 2)
+    grid = figure.add_gridspec(2, 1) if stacked else figure.add_gridspec(1, 2, width_ratios=(1.15, 1.0))
+    colors = palette.distinct_colors(run.controller for run in runs.values())
     named = [
-        (run, f"{name}, final posture", palette.controller_color(run.controller))
-        for name, run in runs.items()
+        (run, f"{name}, final posture", color)
+        for (name, run), color in zip(runs.items(), colors, strict=True)
     ]
     draw_runs(named, figure.add_subplot(grid[0], projection=kind))
     closer = PosturePanel(first.arm, figure.add_subplot(grid[1], projection=kind))
@@ -65,10 +74,10 @@ def draw_final_postures(runs: Mapping[str, Trajectory], title: str) -> Figure:
     if closer.spatial:
         view: Any = closer.ax
         view.zaxis.labelpad += 8.0  # a slender box has the numbers of its scale where the label would be
-    return figure
+    return _finished(figure, width)
 
 
-def draw_errors(runs: Mapping[str, Trajectory], title: str) -> Figure:
+def draw_errors(runs: Mapping[str, Trajectory], title: str, width: float | None = None) -> Figure:
     """Control point errors, posture error and number of control points, as Figures 6.4, 6.6 and 6.8.
 
     Each run has a row of its own; rows share their scales.
@@ -76,17 +85,18 @@ def draw_errors(runs: Mapping[str, Trajectory], title: str) -> Figure:
     Args:
         runs: runs from one start to one target, by the names of their controllers.
         title: what to write above.
+        width: width for print [mm]; None for the screen.
 
     Raises:
         InvalidValue: no run.
     """
     _first(runs)
-    figure = _figure(0.6 + 3.3 * len(runs), title)
-    grid = figure.add_gridspec(len(runs), 3)
+    figure, stacked = _figure(0.6 + 3.3 * len(runs), title, width, 3)
+    grid = figure.add_gridspec(3 * len(runs), 1) if stacked else figure.add_gridspec(len(runs), 3)
     letters = count()
     columns: tuple[list[Axes], ...] = ([], [], [])
     for row, (name, run) in enumerate(runs.items()):
-        panels = [figure.add_subplot(grid[row, column]) for column in range(3)]
+        panels = [figure.add_subplot(grid[3 * row + column]) for column in range(3)]
         plot_point_errors(run, panels[0])
         plot_posture_error(run, panels[1])
         plot_point_count(run, panels[2])
@@ -96,11 +106,14 @@ def draw_errors(runs: Mapping[str, Trajectory], title: str) -> Figure:
             column.append(panel)
     for column in columns[:2]:
         _share_values(column)
-    return figure
+    return _finished(figure, width)
 
 
 def draw_planar(
-    runs: Mapping[str, Trajectory], title: str, compared: Mapping[str, Trajectory] | None = None
+    runs: Mapping[str, Trajectory],
+    title: str,
+    compared: Mapping[str, Trajectory] | None = None,
+    width: float | None = None,
 ) -> Figure:
     """Everything about runs of a planar arm, as Figures 6.9 to 6.12.
 
@@ -112,6 +125,7 @@ def draw_planar(
         runs: runs from one start to one target, by the names of their controllers.
         title: what to write above.
         compared: further runs of which only the posture error is drawn, beside each of the others.
+        width: width for print [mm]; None for the screen.
 
     Raises:
         InvalidValue: no run, or an arm that is not planar.
@@ -119,10 +133,10 @@ def draw_planar(
     first = _first(runs)
     if first.arm.dimension != 2:
         raise InvalidValue("runs (arm)", first.arm, "a planar arm")
-    figure = _figure(3.4 + 3.9 * len(runs), title)
+    figure, stacked = _figure(3.4 + 3.9 * len(runs), title, width, 3)
     rows = figure.add_gridspec(1 + len(runs), 1, height_ratios=(0.8, *(1.0 for _ in runs)))
     letters = count()
-    top = rows[0].subgridspec(1, 2, width_ratios=(1.0, 0.8))
+    top = rows[0].subgridspec(2, 1) if stacked else rows[0].subgridspec(1, 2, width_ratios=(1.0, 0.8))
     ax = figure.add_subplot(top[0])
     panel = PosturePanel(first.arm, ax)
     panel.target(first.target)
@@ -136,8 +150,10 @@ def draw_planar(
     lines += [f"{name} alone: posture error {_change(run)}" for name, run in (compared or {}).items()]
     words.text(0.02, 0.0, "\n".join(lines), fontsize=9, color=palette.INK, va="bottom", linespacing=1.5)
     finals = []
+    colors = dict(zip(runs, palette.distinct_colors(run.controller for run in runs.values()), strict=True))
     for row, (name, run) in enumerate(runs.items(), start=1):
-        cells = rows[row].subgridspec(1, 3, width_ratios=(1.0, 1.0, 1.05))
+        beside = rows[row].subgridspec(1, 3, width_ratios=(1.0, 1.0, 1.05))
+        cells = rows[row].subgridspec(3, 1) if stacked else beside
         ax = figure.add_subplot(cells[0])
         plot_used_points(run, ax)
         _head(ax, f"{name}: control points used", next(letters))
@@ -148,13 +164,13 @@ def draw_planar(
         handles, labels = handles + errors[0], labels + [f"{label}: posture error" for label in errors[1]]
     named = dict(zip(labels, handles, strict=True))
     for ax, name, run in finals:
-        _draw_way(run, ax)
+        _draw_way(run, ax, colors[name])
         _head(ax, f"{name}: final posture", next(letters))
         for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
             if label != "final posture":  # which the title says, and which has a colour for each run
                 named.setdefault(label, handle)
     words.legend(list(named.values()), list(named), loc="upper left", fontsize=9, frameon=False, ncols=2)
-    return figure
+    return _finished(figure, width)
 
 
 def _share_values(panels: list[Axes]) -> None:
@@ -206,9 +222,9 @@ def _draw_progress(
     return error
 
 
-def _draw_way(run: Trajectory, ax: Axes) -> None:
+def _draw_way(run: Trajectory, ax: Axes, color: str) -> None:
     """The final posture and the target, with some of the postures on the way."""
-    panel, color = PosturePanel(run.arm, ax), palette.controller_color(run.controller)
+    panel = PosturePanel(run.arm, ax)
     steps = np.unique(np.geomspace(1, max(run.steps, 1), SHOWN_POSTURES).round().astype(np.intp))
     draw_intermediate_postures(panel, run, color, steps[steps < run.steps])
     panel.target(run.target)
@@ -216,11 +232,33 @@ def _draw_way(run: Trajectory, ax: Axes) -> None:
     panel.finish()
 
 
-def _figure(height: float, title: str) -> Figure:
+def _figure(height: float, title: str, width: float | None, columns: int) -> tuple[Figure, bool]:
+    """An empty figure, and whether its columns of panels go below each other.
+
+    Args:
+        height: its height on the screen [inch].
+        title: what to write above; on the screen only, captions of print are set by others.
+        width: width for print [mm]; None for the screen.
+        columns: number of panels beside each other.
+    """
     layout = ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08, wspace=0.03, hspace=0.03)
+    if width is not None:
+        inches, stacked = width / 25.4, width < STACKED_BELOW
+        height *= 1.2 * inches / THESIS_FIGURE_WIDTH * (columns if stacked else 1)
+        return Figure(figsize=(inches, height), layout=layout), stacked
     figure = Figure(figsize=(THESIS_FIGURE_WIDTH, height), layout=layout)
     text = "\n".join(textwrap.fill(line, 150) for line in title.splitlines())
     figure.suptitle(text, fontsize=10, x=0.012, ha="left", color=palette.INK, parse_math=False)
+    return figure, False
+
+
+def _finished(figure: Figure, width: float | None) -> Figure:
+    """The figure; for print, in the size of type that journals ask for."""
+    if width is not None:
+        for ax in figure.axes:
+            ax.tick_params(labelsize=PRINT_TYPE - 1.0)
+            for text in ax.findobj(Text):
+                text.set_fontsize(min(text.get_fontsize(), PRINT_TYPE))
     return figure
 
 

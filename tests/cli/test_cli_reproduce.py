@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import sys
 from pathlib import Path
 
 import pytest
@@ -26,9 +27,9 @@ def asked(monkeypatch):
     """What the library is asked for, instead of doing it."""
     calls = []
 
-    def take(*arguments):
-        calls.append(arguments[:-1])
-        return package.Reproduction([], [], {"figures": []}, [])
+    def take(*arguments, **named):
+        calls.append((*arguments[:-1], named))
+        return package.Reproduction([], [], {"figures": [], "claims": []}, [])
 
     monkeypatch.setattr("pinposture.study.reproduce.reproduce", take)
     return calls
@@ -47,7 +48,8 @@ def test_alone_it_lists_what_there_is_and_runs_nothing(command, asked):
 def test_a_figure_leaves_its_picture_and_its_numbers(done):
     result, directory = done
     assert result.code == 0
-    assert sorted(path.name for path in directory.iterdir()) == ["figure-6.08.png", "results.json"]
+    names = ["figure-6.08.csv", "figure-6.08.png", "results.json"]
+    assert sorted(path.name for path in directory.iterdir()) == names
     (figure,) = json.loads((directory / "results.json").read_text())["figures"]
     (run,) = figure["runs"]
     row = next(line.split() for line in result.out.splitlines() if line.strip().startswith("6.8"))
@@ -61,6 +63,7 @@ def test_a_figure_leaves_its_picture_and_its_numbers(done):
     ]
     assert result.err.splitlines() == [
         f"wrote {directory / 'figure-6.08.png'}",
+        f"wrote {directory / 'figure-6.08.csv'}",
         f"wrote {directory / 'results.json'}",
     ]
 
@@ -74,24 +77,65 @@ def test_json_is_the_file(command, done, tmp_path):
 
 def test_verdicts_are_a_table(command, monkeypatch, tmp_path):
     from pinposture.study.reproduce.measures import Finding, Share
+    from pinposture.study.reproduce.reproduction import describe
 
     claim = CLAIMS["tracks-singular"]
     finding = Finding({"a": Share(1, 4), "b": Share(4, 4)}, {}, "")
-    judged = package.JudgedClaim(claim, "holds partly", finding, {})
-    result = package.Reproduction([], [judged], {}, [])
-    monkeypatch.setattr("pinposture.study.reproduce.reproduce", lambda *_: result)
+    judged = [package.JudgedClaim(claim, "holds partly", finding, {}, {"mine": ("does not hold", finding)})]
+    result = package.Reproduction([], judged, describe([], judged, None, 9), [])
+    monkeypatch.setattr("pinposture.study.reproduce.reproduce", lambda *_, **__: result)
     out = command("reproduce", "claims", "-o", tmp_path).out
-    row = next(line for line in out.splitlines() if claim.text in line)
-    assert row.split() == ["holds", "partly", "25%", "to", "100%", *claim.text.split(), *claim.where.split()]
+    row = next(line for line in out.splitlines() if claim.text in line).split()
+    expected = ["holds", "partly", "25%", "to", "100%", "does", "not", "hold", *claim.text.split()]
+    assert row == [*expected, *claim.where.split()]
+    assert any("mine" in line.split() for line in out.splitlines())
 
 
 def test_options_reach_the_library(command, asked):
     command("reproduce", "6.3", "claims", "--seeds", 7, "--steps", 9, "--jobs", 2, "-o", "there")
-    command("reproduce", "all")
-    assert asked == [
-        (["6.3", "claims"], Path("there"), 7, 9, 2),
-        (["all"], Path("out/reproduce"), 100, 200, -1),
+    command("reproduce", "all", "--controller", "lm", "--controller", "a:B", "--seed", 3, "--page", "p.md")
+    options = ("--step-limit", 0.05, "--gain", 0.5, "--null-gain", 0.1, "--index", 0.01, "--kappa", 0.3)
+    command("reproduce", "6.4", *options, "--format", "pdf", "--format", "svg", "--width", 88)
+    plain = {"controllers": (), "settings": package.FigureSettings(), "page": None}
+    seeded = package.FigureSettings(seed=3)
+    assert asked[:2] == [
+        (["6.3", "claims"], Path("there"), 7, 9, 2, plain),
+        (
+            ["all"],
+            Path("out/reproduce"),
+            100,
+            200,
+            -1,
+            {"controllers": ["lm", "a:B"], "settings": seeded, "page": Path("p.md")},
+        ),
     ]
+    settings = asked[2][-1]["settings"]
+    assert (settings.step_limit, settings.formats, settings.width) == (0.05, ("pdf", "svg"), 88.0)
+    selection, projection = settings.methods["selection"], settings.methods["projection"]
+    assert (selection.gain, selection.null_gain) == (projection.gain, projection.null_gain) == (0.5, 0.1)
+    assert (selection.absolute, selection.relative, projection.threshold) == (0.01, 0.01, 0.3)
+    assert settings.methods["switching"].selection == selection
+
+
+def test_a_controller_of_the_users_own_is_a_row_of_the_figure(command, tmp_path, monkeypatch):
+    lines = (
+        "from pinposture.control import Projection",
+        "",
+        "",
+        "def make():",
+        '    return Projection(name="own")',
+    )
+    (tmp_path / "made_for_a_test.py").write_text("\n".join(lines) + "\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.path", list(sys.path))
+    arguments = ("reproduce", "6.8", "--steps", 3, "--jobs", 1, "--controller", "made_for_a_test:make")
+    result = command(*arguments)
+    assert result.code == 0
+    rows = [line.split() for line in result.out.splitlines() if line.strip().startswith("6.8")]
+    assert [row[1] for row in rows] == ["Projection", "own"]
+    assert rows[0][2:] == rows[1][2:]  # it is the same method
+    text = (tmp_path / "out/reproduce/figure-6.08.csv").read_text().splitlines()
+    assert [line.split(",")[0] for line in text] == ["controller", *["Projection"] * 4, *["own"] * 4]
 
 
 @pytest.mark.parametrize(
@@ -103,6 +147,13 @@ def test_options_reach_the_library(command, asked):
         (("6.3", "--steps", "0"), ("max_steps is 0",)),
         (("6.3", "--jobs", "0"), ("jobs is 0",)),
         (("6.3", "--seeds", "few"), ("--seeds",)),
+        (("6.3", "--format", "gif"), ("no format is called 'gif'", "png, pdf, svg")),
+        (("6.3", "--step-limit", "0"), ("step_limit is 0.0",)),
+        (("6.3", "--width", "-1"), ("width is -1.0",)),
+        (("6.3", "--page", "page.md"), ("page is 'page.md'", '"claims"')),
+        (("claims", "--kappa", "0.1"), ("settings", "default methods")),
+        (("6.3", "--controller", "selektion"), ("did you mean 'selection'?",)),
+        (("6.3", "--controller", "projection"), ("controllers (names)", "names that differ")),
     ],
 )
 def test_what_cannot_be_done_is_one_line_and_leaves_nothing(command, tmp_path, monkeypatch, arguments, words):
@@ -128,7 +179,7 @@ def test_the_examples_are_what_can_be_asked_for(command, asked, tmp_path, monkey
         program, *arguments = shlex.split(example)
         assert program == "pinposture"
         assert command(*arguments).code == 0
-    assert [names for names, *_ in asked] == [["6.3", "6.4"], ["claims"], ["all"]]
+    assert [names for names, *_ in asked] == [["6.3", "6.4"], ["6.4"], ["6.4"], ["claims"], ["all"]]
     assert all(name in NAMES for names, *_ in asked for name in names)
 
 

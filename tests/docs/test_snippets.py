@@ -28,6 +28,7 @@ PAGES = (
         "robot.md",
     ),
     "streaming.md",
+    "your_own_controller.md",
 )
 ELSEWHERE = {"tasks.md", "follow_leader.md", "trajectories.md", "physics.md"}  # in tests/test_docs.py
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)

@@ -55,6 +55,8 @@ def one(
     by_projection=0.0,
     off_curve=0.0,
     deficient=0,
+    dropping=0,
+    goal_nearness=0.3,
 ) -> MeasuredRun:
     """A measurement of one run; errors are mean point errors per arm length."""
     errors, count = np.array(errors, dtype=float), len(errors) - 1
@@ -85,8 +87,10 @@ def one(
         modules=modules,
         descent=descent or Descent(count, rose, 0, 0, int(counts.sum()), 0, int(counts.sum()), 0, 0),
         deficient=deficient,
+        dropping=dropping,
         path_length_ratio=path_length_ratio,
         steps=Steps(row(nearness, 0.1), row(asked, 0.1), row(turn, 0.0), np.zeros(count)),
         by_projection=by_projection,
         separation=separation,
+        goal_nearness=goal_nearness,
     )

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from sampling import examples
 from study.handmade import one
 
+import pinposture as pp
 from pinposture.study.claims import CLAIMS
 from pinposture.study.reproduce import evaluate
 from pinposture.study.reproduce.measures import RULES, Share, judge, share
-from pinposture.study.reproduce.runs import DEFAULT, READINGS, VARIANTS, Descent, Reading
+from pinposture.study.reproduce.runs import DEFAULT, READINGS, VARIANTS, Descent, Reading, thesis_arm
 
 USUALLY = RULES["usually"]
 
@@ -36,8 +38,9 @@ def test_a_claim_is_judged_by_its_shares(shares, verdict):
 
 
 def test_a_single_exception_refutes_what_is_said_of_every_case():
-    assert judge({"": Share(999, 1000)}, RULES["always"]) == "holds partly"
+    assert judge({"": Share(999, 1000)}, RULES["always"]) == "does not hold as stated"
     assert judge({"": Share(1000, 1000)}, RULES["always"]) == "holds"
+    assert judge({"": Share(0, 1000), "other": Share(0, 0)}, RULES["always"]) == "does not hold"
 
 
 @given(truths=st.lists(st.booleans()))
@@ -89,7 +92,7 @@ def test_switching_must_beat_both_parts():
     pool = {
         (scenario, "selection"): [one((1, 0.1))] * 3,
         (scenario, "projection"): [one((1, 0.01))] * 3,
-        (scenario, "switching"): [one((1, 0.005)), one((1, 0.05)), one((1, 0.2))],
+        (scenario, "switching, Figure 4.8"): [one((1, 0.005)), one((1, 0.05)), one((1, 0.2))],
     }
     assert judged("switching-lower", pool) == {"planar, random -> near line": (1, 3)}
 
@@ -168,7 +171,75 @@ def test_a_blow_up_is_an_error_that_doubles_after_coming_near():
     calm = one((9, 3, 1, 1.9), [9] * 3, nearness=[0.2, 0.2, 0.01])
     wild = one((9, 1, 0.4, 2.1), [9] * 3, nearness=[0.2, 0.01, 0.2])
     far = one((1, 9, 9), nearness=[0.2, 0.2])
-    assert list(judged("no-blow-up", {("line", "selection"): [calm, wild, far]}).values()) == [(1, 2)]
+    pool = {("line", "selection"): [calm, wild, far], ("line", "selection, any step"): [wild]}
+    assert judged("no-blow-up", pool) == {
+        "spatial, random -> line, selection": (1, 2),
+        "spatial, random -> line, selection, any step": (0, 1),
+    }
+
+
+def test_passing_is_to_come_near_a_singular_posture_and_to_leave_it():
+    errors, points = (4, 3, 2, 1), [9] * 3
+    passed = one(errors, points, nearness=[0.2, 0.02, 0.07])
+    stuck = one(errors, points, nearness=[0.2, 0.02, 0.05])
+    away = one(errors, points, nearness=[0.2, 0.04, 0.2])
+    departed = one(errors, points, nearness=[0.02, 0.04, 0.2])
+    bound = one(errors, points, nearness=[0.2, 0.02, 0.02], goal_nearness=0.02)
+    pool = {("opposite", "projection"): [passed, passed, stuck, away, departed, bound]}
+    assert list(judged("projection-passes", pool).values()) == [(2, 3)]
+    pool = {("opposite", "selection"): [passed, passed, stuck, away, departed, bound]}
+    assert list(judged("selection-cannot-pass", pool).values()) == [(1, 3)]
+    # Where fewer than a tenth come near, nothing was seen.
+    pool = {("opposite", "selection"): [passed] + [away] * 10}
+    assert list(judged("selection-cannot-pass", pool).values()) == [(0, 0)]
+
+
+def test_what_cannot_fail_is_said_to_hold_by_construction():
+    pool = {
+        ("helix", "projection"): [one((2, 1), [20])],
+        ("helix", "projection, kappa 0.6"): [one((2, 1), [20])],
+    }
+    found = evaluate._judged(CLAIMS["projection-uses-all"], evaluate.Evidence(pool, [], 1, 2))
+    assert found.verdict == "holds by construction"
+    assert {name: verdict for name, (verdict, _) in found.readings.items()} == {"kappa 0.6": "holds"}
+
+
+def test_kappa_below_a_half_leaves_no_point_out_and_above_it_does():
+    # Closed form: the module of equal links has singular values |cos(q1 / 2)|^2 and 1/2, per length.
+    arm = thesis_arm("ryrz20")
+    q = np.tile([0.0, 1.9], 20)  # bent by more than a right angle: (1 + cos 1.9) / 2 = 0.34
+    everything = np.ones(20, dtype=bool)
+    for threshold, count in ((0.2, 20), (0.49, 20), (0.51, 0)):
+        controller = pp.Projection(threshold=threshold)
+        _, _, active, _ = controller.posture_control_matrix(arm.at(q), np.zeros((20, 3)), everything)
+        assert len(active) == count
+
+
+def test_a_controller_of_the_users_own_is_judged_by_the_general_claims():
+    pool = {
+        ("helix", "selection"): [one((1, 0.5))],
+        ("helix", "mine"): [one((1, 0.001)), one((1, 0.5))],
+        ("line", "mine, any step"): [one((1, 0.001))],
+    }
+    evidence = evaluate.Evidence(pool, [], 1, 2, own=("mine",))
+    found = evaluate._judged(CLAIMS["tracks-arbitrary"], evidence)
+    assert found.verdict == "does not hold"
+    verdict, finding = found.own["mine"]
+    assert (verdict, finding.shares) == ("holds partly", {"spatial, random -> helix, mine": Share(1, 2)})
+    _, finding = evaluate._judged(CLAIMS["stable-without-step-limit"], evidence).own["mine"]
+    assert finding.shares == {"spatial, random -> line, mine, any step": Share(1, 1)}
+    assert not evaluate._judged(CLAIMS["selection-cannot-pass"], evidence).own
+
+
+def test_general_claims_have_runs_of_the_users_controller():
+    batches = evaluate.own_batches({"mine": pp.Projection()})
+    assert all(batch.given is not None for batch in batches)
+    assert {batch.scenario for batch in batches if batch.twins} == set(evaluate.measures.TWINS)
+    pool = {(batch.scenario, batch.variant): [one()] for batch in batches}
+    evidence = evaluate.Evidence(pool, [], 1, 2, own=("mine",))
+    for claim in CLAIMS.values():
+        if claim.id not in evaluate.POSTURES_MEASURES:
+            assert bool(evaluate._judged(claim, evidence).own) is claim.general
 
 
 def test_points_are_counted_by_the_step():

@@ -112,7 +112,22 @@ def test_steps_uphill_are_told_by_their_first_direction_alone():
 def test_matrices_of_less_than_full_rank_are_counted_and_empty_ones_are_not():
     q = np.zeros((4, 3))
     run = made(flat(), q, sigma_min=np.array([0.0, 0.0, 1e-3]), rows=np.array([4, 0, 4]))
-    assert runs.deficient_steps(run) == 1
+    states = runs.states_before_steps(run)
+    assert runs.deficient_steps(run, states, [(), (), ()]) == (1, 0)
+
+
+def test_points_that_were_dropped_count_for_the_rank():
+    # Neighbours of one-joint modules conflict in every posture (Appendix A); points two joints apart do not
+    # unless the section between them is straight.
+    arm = flat()
+    q = np.array([[0.3, 0.4, 0.5]] * 3)
+    active = [[0, 0, 1], [0, 0, 1]]
+    run = made(arm, q, active=active, rows=np.array([2, 2]))
+    states = runs.states_before_steps(run)
+    assert runs.deficient_steps(run, states, [(1,), ()]) == (1, 1)
+    run = made(template_arm("Rz", 4, (0.1,)), np.full((2, 4), 0.4), active=[[0, 0, 0, 1]])
+    states = runs.states_before_steps(run)
+    assert runs.deficient_steps(run, states, [(1,)]) == (0, 1)
 
 
 @pytest.mark.parametrize("controller", ["selection", "projection"])

@@ -69,7 +69,10 @@ def test_counts_over_the_arms_of_the_thesis():
         assert all(each.true <= each.cases for each in finding.shares.values())
     total = findings["absolute-carries-over"].shares.values()
     assert sum(each.true for each in total) == sum(each.carried for each in counted)
-    assert sum(each.cases for each in findings["singular-section"].shares.values()) == len(counted) / 3
+    for arm in ("planar", "spatial"):
+        shares = findings[f"singular-section-{arm}"].shares
+        assert all(name.startswith(arm) for name in shares)
+        assert sum(each.cases for each in shares.values()) == len(counted) / 6
 
 
 def test_a_posture_that_fails_the_absolute_condition_later_is_counted():

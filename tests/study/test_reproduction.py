@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import csv
 import json
+from typing import get_args
 
 import numpy as np
 import pytest
+from matplotlib.text import Text
 
-from pinposture.control import CONTROLLERS
+from pinposture.control import CONTROLLERS, Projection
 from pinposture.errors import FileError, InvalidValue, UnknownName
 from pinposture.study.claims import CLAIMS, FIGURES
-from pinposture.study.reproduce import NAMES, reproduce, run_figures
-from pinposture.study.reproduce.reproduction import count_runs
+from pinposture.study.reproduce import NAMES, FigureSettings, reproduce, run_figures
+from pinposture.study.reproduce.measures import Verdict
+from pinposture.study.reproduce.page import PARTS, update_page, with_tables
+from pinposture.study.reproduce.reproduction import count_runs, draw_figure
+from pinposture.study.scenarios import SCENARIOS, case
 
-VERDICTS = {"holds", "holds partly", "does not hold", "not seen"}
+VERDICTS = set(get_args(Verdict))
 
 
 @pytest.fixture(scope="module")
@@ -59,11 +65,80 @@ def test_numbers_of_a_figure_are_those_of_its_runs():
 @pytest.mark.reproduction
 def test_files_are_named_after_the_thesis_and_written_whole(tmp_path):
     done = reproduce(["6.3", "6.11"], tmp_path / "new", max_steps=2)
-    names = ["figure-6.03.png", "figure-6.11.png", "results.json"]
-    assert [path.name for path in done.files] == names == sorted(p.name for p in (tmp_path / "new").iterdir())
-    for path in done.files[:2]:
-        assert path.read_bytes().startswith(b"\x89PNG")
-    assert json.loads(done.files[2].read_text()) == done.results
+    names = [
+        "figure-6.03.png",
+        "figure-6.03-postures.csv",
+        "figure-6.11.png",
+        "figure-6.11.csv",
+        "figure-6.11-postures.csv",
+        "results.json",
+    ]
+    assert [path.name for path in done.files] == names
+    assert sorted(names) == sorted(path.name for path in (tmp_path / "new").iterdir())
+    for path in done.files:
+        assert path.suffix != ".png" or path.read_bytes().startswith(b"\x89PNG")
+    assert json.loads(done.files[-1].read_text()) == done.results
+    (run,) = done.figures[1].runs.values()
+    with done.files[3].open() as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["posture_error_m"]) for row in rows] == run.posture_error.tolist()
+    assert [float(row["point_error_45_m"]) for row in rows] == run.point_errors[:, -1].tolist()
+    assert [row["active_points"] for row in rows] == ["", *map(str, run.active.sum(axis=1))]
+    with done.files[4].open() as file:
+        rows = [row for row in csv.DictReader(file) if row["posture"] == "final, Projection"]
+    np.testing.assert_array_equal(
+        [[float(row[f"{axis}_m"]) for axis in "xyz"] for row in rows], run.points[-1]
+    )
+
+
+@pytest.mark.reproduction
+@pytest.mark.parametrize(("form", "begins"), [("pdf", b"%PDF"), ("svg", b"<?xml")])
+def test_figures_for_print_are_as_wide_as_asked_for_in_small_type(tmp_path, form, begins):
+    settings = FigureSettings(formats=(form,), width=88.0)
+    done = reproduce(["6.4"], tmp_path, max_steps=2, settings=settings)
+    assert done.files[0].read_bytes().startswith(begins)
+    drawn = draw_figure(done.figures[0], 88.0)
+    assert drawn.get_size_inches()[0] == pytest.approx(88.0 / 25.4)
+    assert drawn.get_suptitle() == ""
+    sizes = [text.get_fontsize() for ax in drawn.axes for text in ax.findobj(Text) if text.get_text()]
+    assert sizes and max(sizes) <= 7.0
+    places = [place for ax in drawn.axes if (place := ax.get_subplotspec()) is not None]
+    assert {place.get_gridspec().ncols for place in places} == {1}  # stacked
+
+
+def test_a_figure_takes_a_seed_a_step_limit_methods_and_a_controller_of_ones_own():
+    gentle = Projection(gain=0.01, null_gain=0.0)
+    settings = FigureSettings(seed=5, step_limit=0.02, methods={"projection": gentle})
+    (figure,) = run_figures(["6.4"], 2, settings=settings, own={"mine": Projection(name="mine")})
+    assert (figure.seed, list(figure.runs)) == (5, ["Selection", "Projection", "mine"])
+    start, _ = case(figure.runs["mine"].arm, SCENARIOS["helix"], 5)
+    for run in figure.runs.values():
+        np.testing.assert_array_equal(run.q[0], start)
+        assert np.abs(np.diff(run.q, axis=0)).max() <= 0.02 * (1 + 1e-12)
+    assert "gain=0.01" in figure.runs["Projection"].controller
+    assert "gain=1.0" in figure.runs["mine"].controller
+    for fault in ({"methods": {"lm": gentle}}, {"formats": ("gif",)}):
+        with pytest.raises(UnknownName):
+            FigureSettings(**fault)
+
+
+@pytest.mark.reproduction
+def test_the_page_is_written_between_its_markers_from_what_is_left_beside_it(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("Before.\n" + "".join(f"<!-- {n}: begin -->old<!-- {n}: end -->\nKept.\n" for n in PARTS))
+    done = reproduce(["claims"], None, seeds=1, max_steps=2, controllers=["dls"], page=page)
+    assert [path.name for path in done.files] == ["page.md", "page.json"]
+    kept = json.loads((tmp_path / "page.json").read_text())
+    assert kept["claims"] == done.results["claims"]
+    text = page.read_text()
+    assert text.startswith("Before.\n") and text.count("Kept.") == len(PARTS) and "old" not in text
+    assert with_tables(text, kept, page) == text
+    assert "| read otherwise | dls |" in text
+    own = [claim["id"] for claim in kept["claims"] if claim["own"]]
+    assert own == [claim.id for claim in CLAIMS.values() if claim.general]
+    page.write_text("No markers.")
+    with pytest.raises(FileError, match="begin"):
+        update_page(page, kept)
 
 
 @pytest.mark.reproduction
@@ -72,13 +147,13 @@ def test_every_claim_gets_a_verdict_and_a_place_in_the_file(judged):
     results = json.loads((directory / "results.json").read_text())
     assert results == done.results
     assert set(results) == {"format", "version", "parameters", "figures", "claims", "runs"}
-    assert (results["format"], results["version"]) == ("pinposture-reproduction", 1)
+    assert (results["format"], results["version"]) == ("pinposture-reproduction", 2)
     parameters = results["parameters"]
     assert (parameters["seeds"], parameters["max_steps"], parameters["step_limit"]) == (1, 5, 0.1)
     assert parameters["rules"]["always"] == {
         "words": "guaranteed, or said of every case",
         "holds": 1.0,
-        "partly": 0.5,
+        "partly": None,
     }
     assert [claim["id"] for claim in results["claims"]] == list(CLAIMS)
     for claim in results["claims"]:
@@ -94,6 +169,8 @@ def test_every_claim_gets_a_verdict_and_a_place_in_the_file(judged):
             "by_nearness",
             "instead",
             "readings",
+            "construction",
+            "own",
         }
         assert set(claim) == keys
         assert claim["verdict"] in VERDICTS
@@ -113,9 +190,9 @@ def test_the_table_of_claims_tells_the_same(judged):
     done, directory, _ = judged
     text = (directory / "claims.md").read_text()
     for each in done.judged:
-        assert f"| {each.claim.text} | {each.claim.where} | {each.verdict} |" in text
-        assert f"## {each.claim.id}\n" in text
-    assert "Over 1 seeds" not in text
+        told = f"| [{each.claim.text}](#{each.claim.id}) | {each.claim.where} | {each.verdict} |"
+        assert told in text
+        assert f"### {each.claim.id}\n" in text
     lines = [line for line in text.splitlines() if line.startswith("|")]
     assert all(line.endswith("|") for line in lines)
 
@@ -165,8 +242,6 @@ def test_what_does_not_exist_or_makes_no_sense_is_refused(tmp_path):
 
 
 def test_figures_name_scenarios_and_controllers_that_exist():
-    from pinposture.study.scenarios import SCENARIOS
-
     assert list(FIGURES) == [f"6.{number}" for number in range(3, 13)]
     for number, figure in FIGURES.items():
         assert figure.number == number

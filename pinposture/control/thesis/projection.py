@@ -46,19 +46,19 @@ class Projection:
     Attributes:
         threshold: smallest singular value that counts as motion (kappa), relative to the length of the
             module [1/rad]. Where points have no target, the modules up to the next one that has count as one.
-        coupling: "full" keeps the columns of all joints that move a point, so that the matrix is block
-            lower triangular and knows that the base of a module moves; "local" keeps only the module's
-            own columns, (5.9) as printed; "relative" asks of each point to cover the error that it has
-            relative to the point before, so that a module turns into its direction on the target posture
-            wherever its base is.
+        coupling: "relative" asks of each point to cover the error that it has relative to the point before,
+            so that a module turns into its direction on the target posture wherever its base is; "full" asks
+            for the whole error of each point and keeps the columns of all joints that move it. Both know
+            that the base of a module moves; "local", (5.9) as printed, keeps the module's own columns only
+            and does not.
         gain: share of its projected error that a point is asked to cover in one step (K); one number, or one
             for each control point, (m,).
         null_gain: weight of the null-space term of (4.7).
         null_objective: what to follow in the null space in its place, as for `Selection`.
     """
 
-    threshold: float = 0.4
-    coupling: Coupling = "full"
+    threshold: float = 0.2
+    coupling: Coupling = "relative"
     gain: Gain = 1.0
     null_gain: float = 0.5
     null_objective: NullObjective | None = None

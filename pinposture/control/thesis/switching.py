@@ -77,7 +77,7 @@ class Switching:
 
     Attributes:
         selection: the primary method.
-        projection: the one to fall back on. Of its couplings, "relative" frees an arm in the fewest steps.
+        projection: the one to fall back on.
         patience: how long Selection may go on without progress [rad].
         progress: share by which the posture error has to fall in that time.
         stay: length of the first stint of Projection [rad].
@@ -89,8 +89,8 @@ class Switching:
     """
 
     selection: Selection = field(default_factory=Selection)
-    projection: Projection = field(default_factory=lambda: Projection(coupling="relative"))
-    patience: float = 0.3
+    projection: Projection = field(default_factory=Projection)
+    patience: float = 0.5
     progress: float = 0.1
     stay: float = 0.5
     reach: float = 0.1

@@ -1,9 +1,11 @@
 """The experiments of chapter 6 once more, with numbers where the thesis has pictures, and its claims."""
 
 from pinposture.study.reproduce.evaluate import Evidence, JudgedClaim, gather, judge_claims
+from pinposture.study.reproduce.page import update_page
 from pinposture.study.reproduce.reproduction import (
     NAMES,
     FigureRuns,
+    FigureSettings,
     Reproduction,
     draw_figure,
     reproduce,
@@ -14,6 +16,7 @@ __all__ = [
     "NAMES",
     "Evidence",
     "FigureRuns",
+    "FigureSettings",
     "JudgedClaim",
     "Reproduction",
     "draw_figure",
@@ -21,4 +24,5 @@ __all__ = [
     "judge_claims",
     "reproduce",
     "run_figures",
+    "update_page",
 ]

@@ -9,20 +9,26 @@ import numpy as np
 from joblib import delayed
 from numpy.typing import NDArray
 
-from pinposture.arm import Arm, ArmState
+from pinposture.arm import Arm
+from pinposture.control import Controller
 from pinposture.motion.processes import in_order
 from pinposture.study.claims import CLAIMS, Claim
 from pinposture.study.reproduce import measures
 from pinposture.study.reproduce.measures import RULES, Finding, Share, Verdict, judge, share
 from pinposture.study.reproduce.runs import (
+    ANY_STEP,
     DEFAULT,
     READINGS,
+    SWITCHING_READINGS,
     THESIS_STEPS,
     Pool,
     Reading,
     RunSet,
+    Variant,
+    has_full_rank,
     make_pool,
     seed_bundles,
+    stacked,
     thesis_arm,
 )
 from pinposture.study.scenarios import arbitrary_configuration
@@ -72,9 +78,9 @@ class Counted(NamedTuple):
     section_deficient: bool
 
 
-def count_postures(seeds: int, jobs: int = 1) -> list[Counted]:
-    """Count over random postures of both arms; the result depends on the number of seeds alone."""
-    tasks = (delayed(_count)(name, bundle) for name in ARM_NAMES for bundle in seed_bundles(seeds))
+def count_postures(seeds: int, jobs: int = 1, first: int = 0) -> list[Counted]:
+    """Count over random postures of both arms; the result depends on the seeds alone."""
+    tasks = (delayed(_count)(name, bundle) for name in ARM_NAMES for bundle in seed_bundles(seeds, first))
     return [each for listed in in_order(tasks, jobs) for each in listed]
 
 
@@ -133,17 +139,6 @@ def random_set(indices: Array, threshold: float, rng: np.random.Generator) -> li
         chosen.append(int(rng.choice(may[:3])))
         may = np.flatnonzero(clears & (indices[chosen[-1]] > threshold))
     return chosen
-
-
-def stacked(state: ArmState, points: list[int]) -> Array:
-    """Stacked Jacobians of control points (0-based), without the columns that move none of them."""
-    matrix = state.task_jacobians[points].reshape(-1, state.arm.nv)
-    return np.asarray(matrix[:, np.any(matrix != 0.0, axis=0)])
-
-
-def has_full_rank(matrix: Array) -> bool:
-    """Whether the rows of a matrix are linearly independent, as far as numbers can tell."""
-    return len(matrix) == 0 or int(np.linalg.matrix_rank(matrix)) == len(matrix)
 
 
 def _section_is_deficient(arm: Arm, q: Array, rng: np.random.Generator) -> bool:
@@ -211,15 +206,13 @@ def _away(counted: list[Counted]) -> Finding:
     )
 
 
-def _section(counted: list[Counted]) -> Finding:
-    groups = _groups(counted, by_threshold=False)
-    return Finding(
-        {name: share(each.section_deficient for each in listed) for name, listed in groups.items()},
-        {},
-        "The proof is for planar arms, and holds for them. In space a section of one module has an index of "
-        "0, and its ends can be moved independently all the same: the condition is sufficient, not "
-        "necessary.",
-    )
+def _section(arm: str, text: str) -> Callable[[list[Counted]], Finding]:
+    def find(counted: list[Counted]) -> Finding:
+        groups = _groups((each for each in counted if each.arm == arm), by_threshold=False)
+        shares = {name: share(each.section_deficient for each in listed) for name, listed in groups.items()}
+        return Finding(shares, {}, text)
+
+    return find
 
 
 POSTURES_MEASURES: Mapping[str, Callable[[list[Counted]], Finding]] = {
@@ -227,7 +220,12 @@ POSTURES_MEASURES: Mapping[str, Callable[[list[Counted]], Finding]] = {
     "neighbours-suffice": _pairs,
     "conditions-give-full-rank": _full_rank_share,
     "conditions-keep-away": _away,
-    "singular-section": _section,
+    "singular-section-planar": _section("planar45", ""),
+    "singular-section-spatial": _section(
+        "ryrz20",
+        "In space a section of one module has an index of 0, and its ends can be moved independently all the "
+        "same: the condition is sufficient, not necessary. The proof is for planar arms.",
+    ),
 }
 """How each claim of `pinposture.study.claims.POSTURES` is measured."""
 
@@ -242,21 +240,46 @@ MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
 }
 """How each claim is measured on runs; those on postures are in `POSTURES_MEASURES`."""
 
-_FOUR = ("selection", "projection", "projection, local", "switching")
-_FREE = ("selection, free joints", "projection, free joints")
+_PROJECTIONS = ("projection", "projection, full", "projection, local", "projection, kappa 0.6")
+_SCORES = ("selection, (4.8)", "selection, (4.8) relative")
+_TRIED = ("selection", *_PROJECTIONS, "switching, Figure 4.8", "switching")
+_SCENARIOS = (*measures.NON_SINGULAR, *measures.SINGULAR)
 
 BATCHES: tuple[RunSet, ...] = (
-    *(RunSet(s, v, twins=True) for s in measures.TWINS for v in _FOUR),
-    *(RunSet(s, v) for s in ("random", "line", "planar-near-line") for v in _FOUR),
-    *(RunSet(s, "switching, no waypoints", twins=s in measures.TWINS) for s in measures.SWITCHED),
-    *(RunSet(s, v) for s in measures.FROM_STRAIGHT for v in _FOUR[:3]),
-    *(RunSet(s, v) for s in measures.ACROSS for v in measures.BOTH),
+    *(RunSet(s, v, twins=s in measures.TWINS) for s in _SCENARIOS for v in _TRIED),
+    *(
+        RunSet(s, f"switching, {name}", s in measures.TWINS)
+        for s in _SCENARIOS
+        for name in SWITCHING_READINGS
+    ),
+    *(RunSet(s, v) for s in measures.FROM_STRAIGHT for v in ("selection", *_PROJECTIONS)),
+    *(RunSet(s, v) for s in measures.ACROSS for v in ("selection", *_PROJECTIONS)),
     *(RunSet(s, "selection") for s in measures.FROM_NEAR_STRAIGHT),
-    *(RunSet(s, "selection, (4.8)") for s in ("planar-random", "planar-near-line")),
-    *(RunSet(s, v) for s in ("helix", "line") for v in _FREE),
-    *(RunSet(s, f"{method}, any step") for s in measures.SINGULAR for method in measures.BOTH),
+    *(
+        RunSet(s, v, twins=s in measures.TWINS)
+        for s in ("planar-random", "planar-near-line")
+        for v in _SCORES
+    ),
+    *(RunSet(s, f"{method}, free joints") for s in ("helix", "line") for method in measures.BOTH),
+    *(RunSet(s, f"{v}, {ANY_STEP}") for s in measures.SINGULAR for v in ("selection", *_PROJECTIONS)),
+    *(RunSet("planar-near-line", f"{v}, {ANY_STEP}") for v in _SCORES),
+    *(RunSet("line", f"{method}, free joints, {ANY_STEP}") for method in measures.BOTH),
 )
 """The runs that the claims are judged by."""
+
+
+def own_batches(controllers: Mapping[str, Controller]) -> list[RunSet]:
+    """The runs by which the general claims are judged for controllers, given by their names."""
+    return [
+        batch
+        for name, controller in controllers.items()
+        for batch in (
+            *(RunSet(s, name, s in measures.TWINS, Variant(controller)) for s in _SCENARIOS),
+            *(RunSet(s, name, given=Variant(controller)) for s in measures.FROM_STRAIGHT),
+            *(RunSet(s, name, given=Variant(controller)) for s in measures.ACROSS),
+            *(RunSet(s, f"{name}, {ANY_STEP}", given=Variant(controller, None)) for s in measures.SINGULAR),
+        )
+    ]
 
 
 class JudgedClaim(NamedTuple):
@@ -267,12 +290,14 @@ class JudgedClaim(NamedTuple):
         verdict: whether it holds.
         finding: what was measured.
         readings: what was measured, and whether it holds, where the thesis is read differently.
+        own: the same for controllers of the user's own, by their names.
     """
 
     claim: Claim
     verdict: Verdict
     finding: Finding
     readings: Mapping[str, tuple[Verdict, Finding]]
+    own: Mapping[str, tuple[Verdict, Finding]] = {}
 
 
 class Evidence(NamedTuple):
@@ -283,12 +308,16 @@ class Evidence(NamedTuple):
         counted: the postures.
         seeds: number of seeds of either.
         max_steps: steps after which a run ended.
+        first: the first of the seeds.
+        own: names of the user's own controllers.
     """
 
     pool: Pool
     counted: list[Counted]
     seeds: int
     max_steps: int
+    first: int = 0
+    own: tuple[str, ...] = ()
 
 
 def gather(
@@ -296,17 +325,24 @@ def gather(
     max_steps: int = THESIS_STEPS,
     jobs: int = 1,
     progress: Callable[[int], object] | None = None,
+    first: int = 0,
+    own: Mapping[str, Controller] | None = None,
 ) -> Evidence:
     """Make the runs and look at the postures that claims are judged by.
 
     Args:
-        seeds: number of seeds, from 0.
+        seeds: number of seeds.
         max_steps: steps after which a run ends.
         jobs: number of processes; the result does not depend on it.
-        progress: called with the number of runs that have just been finished, of `seeds * len(BATCHES)`.
+        progress: called with the number of runs that have just been finished, of `seeds` for each set of
+            BATCHES and `own_batches`.
+        first: the first seed.
+        own: controllers of the user's own to judge beside those of the thesis, by their names.
     """
-    counted = count_postures(seeds, jobs)
-    return Evidence(make_pool(BATCHES, seeds, max_steps, jobs, progress), counted, seeds, max_steps)
+    counted = count_postures(seeds, jobs, first)
+    batches = (*BATCHES, *own_batches(own or {}))
+    pool = make_pool(batches, seeds, max_steps, jobs, progress, first)
+    return Evidence(pool, counted, seeds, max_steps, first, tuple(own or ()))
 
 
 def judge_claims(evidence: Evidence) -> list[JudgedClaim]:
@@ -319,12 +355,21 @@ def _judged(claim: Claim, evidence: Evidence) -> JudgedClaim:
     if claim.id in POSTURES_MEASURES:
         finding = POSTURES_MEASURES[claim.id](evidence.counted)
         return JudgedClaim(claim, judge(finding.shares, rule), finding, {})
-    found: dict[str, tuple[Verdict, Finding]] = {}
-    for name, variants in READINGS.items():
-        reading = Reading(evidence.pool, variants)
-        if reading.concerns(claim.methods):
-            finding = MEASURES[claim.id](reading)
-            found[name] = (judge(finding.shares, rule), finding)
-    verdict, finding = found.pop(DEFAULT)
-    tried = {name: other for name, other in found.items() if other[0] != "not seen"}
-    return JudgedClaim(claim, verdict, finding, tried)
+
+    def found(readings: Iterable[tuple[str, Reading]]) -> dict[str, tuple[Verdict, Finding]]:
+        measured = {name: MEASURES[claim.id](reading) for name, reading in readings}
+        return {name: (judge(finding.shares, rule), finding) for name, finding in measured.items()}
+
+    read = {name: Reading(evidence.pool, variants) for name, variants in READINGS.items()}
+    tried = found((name, each) for name, each in read.items() if each.concerns(claim.methods))
+    verdict, finding = tried.pop(DEFAULT)
+    if claim.construction and verdict == "holds":
+        verdict = "holds by construction"
+    own = ((name, Reading(evidence.pool, READINGS[DEFAULT], name)) for name in evidence.own)
+    return JudgedClaim(
+        claim,
+        verdict,
+        finding,
+        {name: other for name, other in tried.items() if other[0] != "not seen"},
+        found(own) if claim.general else {},
+    )

@@ -9,11 +9,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinposture.study.reproduce.runs import MeasuredRun, Reading, label, median
+from pinposture.study.reproduce.runs import ANY_STEP, MeasuredRun, Reading, label, median
 
-# How a claim is judged: by the shares of cases in which it is true, against thresholds fixed beforehand.
+# How a claim is judged: by the shares of cases in which it is true, against the thresholds of its rule.
 
-Verdict = Literal["holds", "holds partly", "does not hold", "not seen"]
+Verdict = Literal[
+    "holds", "holds by construction", "holds partly", "does not hold", "does not hold as stated", "not seen"
+]
 
 
 class Rule(NamedTuple):
@@ -22,16 +24,16 @@ class Rule(NamedTuple):
     Attributes:
         words: what kind of claim the rule is for.
         holds: least share at which the claim holds.
-        partly: least share at which it holds partly.
+        partly: least share at which it holds partly; None for what a single counterexample refutes.
     """
 
     words: str
     holds: float
-    partly: float
+    partly: float | None
 
 
 RULES: Mapping[str, Rule] = {
-    "always": Rule("guaranteed, or said of every case", 1.0, 0.5),
+    "always": Rule("guaranteed, or said of every case", 1.0, None),
     "usually": Rule("said of how the method works in general", 0.9, 0.5),
     "rather": Rule("a comparison or a tendency", 0.75, 0.5),
 }
@@ -103,13 +105,17 @@ def judge(shares: Mapping[str, Share], rule: Rule) -> Verdict:
     """The verdict on a claim.
 
     It holds if it does in everything that was tried, does not if it does not even partly in any, and else
-    holds partly. What no case was found for does not count; without any case at all it was not seen.
+    holds partly. What is said of every case does not hold as stated if there is a counterexample, and does
+    not hold if there is nothing else. What no case was found for does not count; without any case at all it
+    was not seen.
     """
     values = [each.value for each in shares.values() if each.cases]
     if not values:
         return "not seen"
     if min(values) >= rule.holds:
         return "holds"
+    if rule.partly is None:
+        return "does not hold as stated" if max(values) > 0.0 else "does not hold"
     return "does not hold" if max(values) < rule.partly else "holds partly"
 
 
@@ -281,17 +287,51 @@ def _is_stranded(run: MeasuredRun) -> bool:
     return run.outcome.status == "no_control_points"
 
 
-def _cannot_pass(reading: Reading) -> Finding:
-    groups = reading.each(ACROSS, ("selection",))
-    there = _values(_count_runs(groups, arrived))
-    nearest = _medians(groups, lambda run: run.steps.nearness.min(initial=1.0))
-    stranded = _values(_count_runs(groups, _is_stranded))
-    return Finding(
-        _count_runs(groups, lambda run: not arrived(run)),
-        _prefixed("median of the smallest nearness on the way [1/rad]", nearest)
-        | _prefixed("out of control points", stranded),
-        f"It gets there in {_in_words(there)}, and ends for want of control points in {_in_words(stranded)}.",
-    )
+NEAR = 0.03
+"""Smallest singular value of the tip's Jacobian, per arm length, up to which a posture is nearly singular."""
+
+AWAY = 2.0 * NEAR
+"""The same from which on a posture is clear of singular ones."""
+
+SEEN = 0.1
+"""Share of the runs that have to come near a singular posture for anything to be said about passing it."""
+
+
+def approach(run: MeasuredRun) -> bool | None:
+    """Whether a run that came near a singular posture left it again; None if it did not come near.
+
+    A run comes near if it gets from AWAY to NEAR, and leaves if it gets AWAY once more. Where the target
+    itself is not clear of singular postures, nobody would leave.
+    """
+    if run.goal_nearness is None or run.goal_nearness < AWAY:
+        return None
+    clear, near = run.steps.nearness >= AWAY, run.steps.nearness <= NEAR
+    if not clear.any():
+        return None
+    came = np.flatnonzero(near & (np.arange(len(near)) > int(np.argmax(clear))))
+    return bool(clear[came[0] :].any()) if len(came) else None
+
+
+def _passes(method: str, expected: bool) -> Callable[[Reading], Finding]:
+    def find(reading: Reading) -> Finding:
+        groups = reading.each((*NON_SINGULAR, *ACROSS), (method,))
+        told = {
+            name: [left for run in runs if (left := approach(run)) is not None]
+            for name, runs in groups.items()
+        }
+        came = {name: Share(len(told[name]), len(runs)) for name, runs in groups.items()}
+        held = {name: share(each is expected for each in told[name]) for name in groups}
+        shares = {name: each if came[name].value >= SEEN else Share(0, 0) for name, each in held.items()}
+        summary = "; ".join(
+            f"{name}: {sum(told[name])} of {each.true}" for name, each in came.items() if each.true
+        )
+        return Finding(
+            shares,
+            _prefixed("share of runs that come near", _values(came)),
+            f"Of the runs that come near these leave again: {summary or 'none comes near'}.",
+        )
+
+    return find
 
 
 def _on_curve(reading: Reading) -> Finding:
@@ -322,17 +362,14 @@ TRACKING_MEASURES: Mapping[str, Callable[[Reading], Finding]] = {
     "selection-cannot-start-near": _cannot_start(FROM_NEAR_STRAIGHT),
     "projection-departs": _departs,
     "projection-converges-from-singular": _arrives(FROM_STRAIGHT, ("projection",)),
-    "selection-cannot-pass": _cannot_pass,
-    "projection-passes": _arrives(ACROSS, ("projection",)),
+    "selection-cannot-pass": _passes("selection", False),
+    "projection-passes": _passes("projection", True),
     "targets-on-curve": _on_curve,
 }
 """How each claim of `pinposture.study.claims.TRACKING` is measured."""
 
 
 # Claims on how the arm moves near singular postures.
-
-NEAR = 0.03
-"""Smallest singular value of the tip's Jacobian, per arm length, up to which a posture is nearly singular."""
 
 BINS = (0.0, 0.003, 0.01, 0.03, 0.1, np.inf)
 """Limits of the classes of nearness for which figures are given."""
@@ -380,25 +417,27 @@ def _bounded_steps(reading: Reading) -> Finding:
 
 
 def _no_blow_up(reading: Reading) -> Finding:
-    groups = reading.each(SINGULAR, BOTH)
-
-    def worst(run: MeasuredRun) -> float | None:
-        near = np.flatnonzero(run.steps.nearness <= NEAR)
-        if not len(near):
-            return None
-        after = run.mean_errors[near[0] :]
-        return float(after.max() / max(float(after[0]), 1e-300))
-
+    groups = reading.each(SINGULAR, BOTH) | reading.each(SINGULAR, BOTH, ANY_STEP)
     growth = {
-        name: [value for run in runs if (value := worst(run)) is not None] for name, runs in groups.items()
+        name: [value for run in runs if (value := _growth(run)) is not None] for name, runs in groups.items()
     }
     near = {name: float(len(values)) for name, values in growth.items()}
     return Finding(
         {name: share(value <= 2.0 for value in values) for name, values in growth.items()},
         _prefixed("largest growth", {name: max(values, default=1.0) for name, values in growth.items()})
         | _prefixed("runs that come near", near),
-        f"Runs that come near a singular posture at all: {_in_words(near, '.0f')}.",
+        "With a step limit the error hardly ever grows again; without one it may. Runs that come near a "
+        f"singular posture at all: {_in_words(near, '.0f')}.",
     )
+
+
+def _growth(run: MeasuredRun) -> float | None:
+    """Largest error after a run came near a singular posture, relative to that there; None if it did not."""
+    near = np.flatnonzero(run.steps.nearness <= NEAR)
+    if not len(near):
+        return None
+    after = run.mean_errors[near[0] :]
+    return float(after.max() / max(float(after[0]), 1e-300))
 
 
 def _smooth(reading: Reading) -> Finding:
@@ -416,13 +455,7 @@ def _smooth(reading: Reading) -> Finding:
 
 
 def _any_step(reading: Reading) -> Finding:
-    # A variant of its own: the default runs have a step limit.
-    groups = {
-        label(scenario, f"{method}, any step"): runs
-        for scenario in SINGULAR
-        for method in BOTH
-        if (runs := reading.pool.get((scenario, f"{method}, any step"), ()))
-    }
+    groups = reading.each(SINGULAR, BOTH, ANY_STEP)
     shares = _count_runs(groups, arrived)
     text = f"Of runs without a step limit these arrive: {_in_words(_values(shares))}."
     return Finding(shares, errors_of(groups), text)
@@ -666,13 +699,13 @@ def _more(reading: Reading) -> Finding:
 def _full_rank(method: str) -> Callable[[Reading], Finding]:
     def find(reading: Reading) -> Finding:
         groups = reading.each((*NON_SINGULAR, *SINGULAR, *FROM_STRAIGHT), (method,))
-        steps = {name: sum(run.descent.steps for run in runs) for name, runs in groups.items()}
-        shares = {
-            name: Share(steps[name] - sum(run.deficient for run in runs), steps[name])
-            for name, runs in groups.items()
-        }
-        missing = sum(each.cases - each.true for each in shares.values())
-        return Finding(shares, {"steps of less than full rank": float(missing)}, "")
+        shares, dropping = {}, {}
+        for name, runs in groups.items():
+            steps = sum(run.descent.steps for run in runs)
+            shares[name] = Share(steps - sum(run.deficient for run in runs), steps)
+            dropping[name] = sum(run.dropping for run in runs) / max(steps, 1)
+        text = f"Steps in which points were dropped for conditioning: {_in_words(dropping, '.1%')}."
+        return Finding(shares, _prefixed("steps in which points were dropped", dropping), text)
 
     return find
 

@@ -2,30 +2,43 @@
 
 from __future__ import annotations
 
+import csv
 import io
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from joblib import delayed
 
-from pinposture._validation import require_whole
+from pinposture._validation import require_positive, require_whole
+from pinposture.control import Controller
 from pinposture.errors import InvalidValue, UnknownName
 from pinposture.motion import Trajectory
 from pinposture.motion.processes import Progress, check_jobs, in_order
 from pinposture.storage import check_writable, write_bytes, write_text
+from pinposture.study.baselines import named_controllers
 from pinposture.study.claims import FIGURES, ThesisFigure
-from pinposture.study.reproduce.evaluate import BATCHES, Evidence, JudgedClaim, gather, judge_claims
-from pinposture.study.reproduce.measures import RULES, Finding, Share, Verdict
+from pinposture.study.reproduce.evaluate import (
+    BATCHES,
+    Evidence,
+    JudgedClaim,
+    gather,
+    judge_claims,
+    own_batches,
+)
+from pinposture.study.reproduce.measures import RULES, Finding, Verdict
+from pinposture.study.reproduce.page import claims_as_markdown, update_page
 from pinposture.study.reproduce.runs import (
-    DEFAULT,
     NUDGE,
     STEP_LIMIT,
     THESIS_STEPS,
+    VARIANTS,
     MeasuredRun,
     RunSet,
+    Variant,
     label,
     run_one,
 )
@@ -38,6 +51,51 @@ if TYPE_CHECKING:
 # The runs that Figures 6.3 to 6.12 show, once more: as pictures and as numbers.
 
 
+FORMATS = ("png", "pdf", "svg")
+"""Formats of the pictures."""
+
+
+@dataclass(frozen=True)
+class FigureSettings:
+    """How figures are made and drawn.
+
+    Attributes:
+        seed: what start and target are drawn from; None for the seed of each figure.
+        step_limit: largest |dq| of a joint in one step [rad].
+        methods: controllers in place of those of these names: "selection", "projection", "switching".
+        formats: formats of the pictures, of FORMATS.
+        width: width of a picture for print [mm]: smaller type, no title; below 120 mm panels are stacked.
+            None: 12 inches, for the screen.
+
+    Raises:
+        InvalidValue: a number that makes no sense, or nothing to draw.
+        UnknownName: there is no such format or method.
+    """
+
+    seed: int | None = None
+    step_limit: float = STEP_LIMIT
+    methods: Mapping[str, Controller] = field(default_factory=dict)
+    formats: tuple[str, ...] = ("png",)
+    width: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.seed is not None:
+            require_whole("seed", self.seed, 0)
+        require_positive("step_limit", self.step_limit)
+        if self.width is not None:
+            require_positive("width", self.width)
+        if not self.formats:
+            raise InvalidValue("formats", self.formats, f"at least one of {', '.join(FORMATS)}")
+        for kind, given, known in (("format", self.formats, FORMATS), ("method", self.methods, METHODS)):
+            for name in given:
+                if name not in known:
+                    raise UnknownName(kind, name, known)
+
+
+METHODS = ("selection", "projection", "switching")
+"""Methods of the thesis, by the names of their controllers."""
+
+
 class FigureRuns(NamedTuple):
     """A figure and the runs that it shows.
 
@@ -45,17 +103,19 @@ class FigureRuns(NamedTuple):
         about: which figure it is.
         runs: its runs by the names of their controllers.
         compared: runs of which only the posture error is drawn, likewise.
+        seed: what start and target are drawn from.
     """
 
     about: ThesisFigure
     runs: Mapping[str, Trajectory]
     compared: Mapping[str, Trajectory]
+    seed: int
 
     @property
-    def file(self) -> str:
-        """Name of the picture; by name, pictures are in the order of the thesis."""
+    def stem(self) -> str:
+        """Name of the files without their endings; by name, they are in the order of the thesis."""
         chapter, _, number = self.about.number.partition(".")
-        return f"figure-{chapter}.{int(number):02d}.png"
+        return f"figure-{chapter}.{int(number):02d}"
 
 
 def run_figures(
@@ -63,6 +123,8 @@ def run_figures(
     max_steps: int = THESIS_STEPS,
     jobs: int = 1,
     progress: Callable[[int], object] | None = None,
+    settings: FigureSettings | None = None,
+    own: Mapping[str, Controller] | None = None,
 ) -> list[FigureRuns]:
     """Make the runs of figures; those that several of them show are made once.
 
@@ -70,36 +132,47 @@ def run_figures(
         numbers: numbers of the figures in the thesis, "6.3" to "6.12".
         max_steps: steps after which a run ends.
         jobs: number of processes.
-        progress: called with the number of runs that have just been finished, of `count_runs(numbers)`.
+        progress: called with the number of runs that have just been finished, of `count_runs`.
+        settings: `FigureSettings()` if None.
+        own: controllers of the user's own to show beside those of the thesis, by their names.
 
     Raises:
         UnknownName: there is no such figure.
     """
-    listed = [_figure(number) for number in numbers]
-    todo = _todo(listed)
-    tasks = (delayed(run_one)(RunSet(scenario, name), seed, max_steps) for scenario, name, seed in todo)
+    listed, own, settings = [_figure(number) for number in numbers], own or {}, settings or FigureSettings()
+    todo = _todo(listed, own, settings)
+    controllers = {**settings.methods, **own}
+
+    def batch(scenario: str, name: str) -> RunSet:
+        return RunSet(scenario, name, given=Variant(controllers.get(name, name), settings.step_limit))
+
+    tasks = (delayed(run_one)(batch(scenario, name), seed, max_steps) for scenario, name, seed in todo)
     done = {}
     for key, run in zip(todo, in_order(tasks, jobs), strict=True):
         done[key] = run
         if progress is not None:
             progress(1)
-    return [
-        FigureRuns(
-            about,
-            {name.capitalize(): done[about.scenario, name, about.seed] for name in about.controllers},
-            {name.capitalize(): done[about.scenario, name, about.seed] for name in about.compared},
-        )
-        for about in listed
-    ]
+    figures = []
+    for about in listed:
+        seed = about.seed if settings.seed is None else settings.seed
+        found = {
+            name: done[about.scenario, name, seed] for name in (*about.controllers, *about.compared, *own)
+        }
+        ours = {name.capitalize(): found[name] for name in about.controllers}
+        beside = {name.capitalize(): found[name] for name in about.compared}
+        figures.append(FigureRuns(about, ours | {name: found[name] for name in own}, beside, seed))
+    return figures
 
 
-def count_runs(numbers: Iterable[str]) -> int:
-    """How many runs these figures take.
+def count_runs(
+    numbers: Iterable[str], own: Iterable[str] = (), settings: FigureSettings | None = None
+) -> int:
+    """How many runs these figures take, with controllers of the user's own by these names.
 
     Raises:
         UnknownName: there is no such figure.
     """
-    return len(_todo([_figure(number) for number in numbers]))
+    return len(_todo([_figure(number) for number in numbers], own, settings or FigureSettings()))
 
 
 def _figure(number: str) -> ThesisFigure:
@@ -108,28 +181,65 @@ def _figure(number: str) -> ThesisFigure:
     return FIGURES[number]
 
 
-def _todo(figures: Iterable[ThesisFigure]) -> list[tuple[str, str, int]]:
+def _todo(
+    figures: Iterable[ThesisFigure], own: Iterable[str], settings: FigureSettings
+) -> list[tuple[str, str, int]]:
     """Scenario, controller and seed of each run, without repetition."""
     wanted = (
-        (figure.scenario, name, figure.seed)
+        (figure.scenario, name, figure.seed if settings.seed is None else settings.seed)
         for figure in figures
-        for name in (*figure.controllers, *figure.compared)
+        for name in (*figure.controllers, *figure.compared, *own)
     )
     return list(dict.fromkeys(wanted))
 
 
-def draw_figure(figure: FigureRuns) -> Figure:
-    """Draw a figure as the thesis lays it out, 1200 pixels wide."""
+def draw_figure(figure: FigureRuns, width: float | None = None) -> Figure:
+    """Draw a figure as the thesis lays it out: 1200 pixels wide, or in a width for print [mm]."""
     from pinposture.study.thesis_figures import draw_errors, draw_final_postures, draw_planar
 
     about = figure.about
     title = (
         f"Figure {about.number}: {about.title} (Section {about.section}). Start and target from seed "
-        f"{about.seed}, |dq| <= {next(iter(figure.runs.values())).limits.step:g} rad per step."
+        f"{figure.seed}, |dq| <= {next(iter(figure.runs.values())).limits.step:g} rad per step."
     )
     if about.layout == "planar":
-        return draw_planar(figure.runs, title, figure.compared)
-    return (draw_final_postures if about.layout == "postures" else draw_errors)(figure.runs, title)
+        return draw_planar(figure.runs, title, figure.compared, width)
+    return (draw_final_postures if about.layout == "postures" else draw_errors)(figure.runs, title, width)
+
+
+def figure_tables(figure: FigureRuns) -> dict[str, str]:
+    """The data of a figure as CSV, by the names of the files: errors by the step, and postures."""
+    every, found = {**figure.runs, **figure.compared}, {}
+    if figure.about.layout != "postures":
+        points = next(iter(every.values())).arm.n_modules
+        rows: list[Sequence[object]] = [
+            ("controller", "step", "posture_error_m", "active_points", "index", "by_projection")
+            + tuple(f"point_error_{k + 1}_m" for k in range(points))
+        ]
+        for name, run in every.items():
+            used = run.active.sum(axis=1)
+            for step, errors in enumerate(run.point_errors):
+                told: tuple[object, ...] = ("", "", "")  # there is no step before the first
+                if step:
+                    by_projection = int(run.method[step - 1] == "projection")
+                    told = (used[step - 1], run.index[step - 1], by_projection)
+                rows.append((name, step, run.posture_error[step], *told, *errors))
+        found[f"{figure.stem}.csv"] = _csv(rows)
+    if figure.about.layout != "errors":
+        rows = [("posture", "point", "x_m", "y_m", "z_m")]
+        first = next(iter(every.values()))
+        postures = {"initial": first.points[0], "target": first.target.points}
+        postures |= {f"final, {name}": run.points[-1] for name, run in every.items()}
+        for name, posture in postures.items():
+            rows += [(name, k + 1, *point) for k, point in enumerate(posture)]
+        found[f"{figure.stem}-postures.csv"] = _csv(rows)
+    return found
+
+
+def _csv(rows: Iterable[Sequence[object]]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
 
 
 def describe_figure(figure: FigureRuns) -> dict[str, Any]:
@@ -139,10 +249,10 @@ def describe_figure(figure: FigureRuns) -> dict[str, Any]:
         "figure": about.number,
         "title": about.title,
         "section": about.section,
-        "file": figure.file,
+        "file": f"{figure.stem}.png",
         "scenario": about.scenario,
         "arm": SCENARIOS[about.scenario].arm,
-        "seed": about.seed,
+        "seed": figure.seed,
         "runs": [_described(name, run) for name, run in figure.runs.items()],
         "compared": [_described(name, run) for name, run in figure.compared.items()],
     }
@@ -170,10 +280,10 @@ def _described(name: str, run: Trajectory) -> dict[str, Any]:
     }
 
 
-# What was found, for programs (results.json) and for people (claims.md).
+# What was found, for programs (results.json); `page` has it for people.
 
 FORMAT = "pinposture-reproduction"
-VERSION = 1
+VERSION = 2
 
 
 def describe(
@@ -192,6 +302,7 @@ def describe(
         "version": VERSION,
         "parameters": {
             "seeds": evidence.seeds if evidence else 0,
+            "first_seed": evidence.first if evidence else 0,
             "max_steps": max_steps,
             "step_limit": STEP_LIMIT,
             "nudge": NUDGE,
@@ -211,8 +322,10 @@ def _claim(judged: JudgedClaim) -> dict[str, Any]:
         "claim": claim.text,
         "measured": claim.measured,
         "rule": claim.rule,
+        "construction": claim.construction,
         **_finding(judged.verdict, judged.finding),
         "readings": {name: _finding(*found) for name, found in judged.readings.items()},
+        "own": {name: _finding(*found) for name, found in judged.own.items()},
     }
 
 
@@ -253,91 +366,6 @@ def _batch(scenario: str, variant: str, runs: Sequence[MeasuredRun]) -> dict[str
     }
 
 
-def claims_as_markdown(judged: Sequence[JudgedClaim], seeds: int, max_steps: int) -> str:
-    """The claims as a Markdown document: a table, then what was measured for each of them."""
-    rows = [
-        f"| {each.claim.text} | {each.claim.where} | {each.verdict} | {span(each.finding.shares)} "
-        f"| {_otherwise(each)} |"
-        for each in judged
-    ]
-    rules = [
-        f"* {name}: {rule.words}. Holds from {rule.holds:.0%}, partly from {rule.partly:.0%}."
-        for name, rule in RULES.items()
-    ]
-    parts = [
-        "# The claims of the thesis, measured",
-        f"Over {seeds} seed{'s' * (seeds != 1)}, at most {max_steps} steps a run. A claim holds if the share "
-        "of cases in which it is true reaches the first threshold of its rule in everything that was tried, "
-        "does not hold if the share stays below the second in all of it, and else holds partly. The rules "
-        "are for claims that are",
-        "\n".join(rules),
-        "\n".join(["| claim | where | verdict | true in | read otherwise |", "|---|---|---|---|---|", *rows]),
-        *(_section(each) for each in judged),
-    ]
-    return "\n\n".join(parts) + "\n"
-
-
-def _otherwise(judged: JudgedClaim) -> str:
-    """Verdicts of other readings where they differ, in words."""
-    differ = {name: found[0] for name, found in judged.readings.items() if found[0] != judged.verdict}
-    return "; ".join(f"{name}: {verdict}" for name, verdict in differ.items())
-
-
-def _section(judged: JudgedClaim) -> str:
-    claim = judged.claim
-    lines = [
-        f"## {claim.id}",
-        f"{claim.text} ({claim.where})",
-        f"Verdict: **{judged.verdict}**. Measured: {claim.measured}. Rule: {claim.rule}.",
-        _table({DEFAULT: (judged.verdict, judged.finding), **judged.readings}),
-    ]
-    if judged.verdict != "holds" and judged.finding.instead:
-        lines.append(f"What holds: {judged.finding.instead}")
-    lines += _nearness_tables(judged.finding)
-    return "\n\n".join(lines)
-
-
-def _table(findings: Mapping[str, tuple[Verdict, Finding]]) -> str:
-    rows = ["| read | tried | true in | share |", "|---|---|---|---|"]
-    for reading, (verdict, finding) in findings.items():
-        rows += [
-            f"| {reading} ({verdict}) | {name} | {each.true} of {each.cases} | {each.value:.1%} |"
-            for name, each in finding.shares.items()
-            if each.cases
-        ]
-    return "\n".join(rows)
-
-
-def _nearness_tables(finding: Finding) -> list[str]:
-    """Medians and largest values by nearness, a table for each quantity."""
-    tables = []
-    for quantity in dict.fromkeys(each.quantity for each in finding.by_nearness):
-        own = [each for each in finding.by_nearness if each.quantity == quantity]
-        classes = sorted({(each.low, each.high) for each in own})
-        heads = " | ".join(
-            f"{low:g} to {high:g}" if np.isfinite(high) else f"above {low:g}" for low, high in classes
-        )
-        rows = [f"| {quantity}: median (largest), by nearness | {heads} |", "|---" * (len(classes) + 1) + "|"]
-        for group in dict.fromkeys(each.group for each in own):
-            cells = {
-                (each.low, each.high): f"{each.median:.2g} ({each.largest:.2g})"
-                for each in own
-                if each.group == group
-            }
-            rows.append(f"| {group} | {' | '.join(cells.get(bounds, '') for bounds in classes)} |")
-        tables.append("\n".join(rows))
-    return tables
-
-
-def span(shares: Mapping[str, Share]) -> str:
-    """The smallest and the largest share, in words."""
-    values = [each.value for each in shares.values() if each.cases]
-    if not values:
-        return "no case"
-    low, high = f"{min(values):.0%}", f"{max(values):.0%}"
-    return low if low == high else f"{low} to {high}"
-
-
 # Figures and claims in one call, and the files that are left.
 
 NAMES = (*FIGURES, "claims", "all")
@@ -369,31 +397,50 @@ def reproduce(
     max_steps: int = THESIS_STEPS,
     jobs: int = 1,
     progress: Progress | None = None,
+    *,
+    controllers: Sequence[str | Controller] = (),
+    settings: FigureSettings | None = None,
+    page: str | Path | None = None,
 ) -> Reproduction:
     """Reproduce figures of the thesis, and judge its claims.
 
     Args:
         names: numbers of figures, "6.3" to "6.12"; "claims"; or "all".
-        directory: where to leave each figure as PNG, results.json, and claims.md if claims were judged; made
-            if it does not exist. What an earlier call left there of other figures, or of claims, stays.
-            None: nothing is kept.
-        seeds: number of seeds that claims are judged over.
+        directory: where to leave each figure as a picture and its data as CSV, results.json, and claims.md if
+            claims were judged; made if it does not exist. What an earlier call left there of other figures,
+            or of claims, stays. None: nothing is kept.
+        seeds: number of seeds that claims are judged over, from the seed of the settings on, or from 0.
         max_steps: steps after which a run ends.
         jobs: number of processes; the results do not depend on it.
         progress: called with the number of runs finished so far, and that of all.
+        controllers: controllers of your own, or names, to show beside those of the thesis in the figures, and
+            to judge by the claims that can be asked of any controller.
+        settings: how figures are made and drawn; `FigureSettings()` if None. Claims know its seed only.
+        page: a page in Markdown with markers, into which the tables of the claims are written (see
+            `page.update_page`); what they come from is left in a JSON file beside it.
 
     Raises:
-        UnknownName: there is no such figure.
-        InvalidValue: nothing to reproduce, or a number of seeds, steps or processes that makes no sense.
+        UnknownName: there is no such figure or controller.
+        InvalidValue: nothing to reproduce, or a number of seeds, steps or processes that makes no sense; two
+            controllers of one name; a page without claims; claims with methods or a step limit of your own.
         FileError: a file cannot be written.
     """
     numbers, with_claims = _select_experiments(names)
+    settings = settings or FigureSettings()
     for name, value in (("seeds", seeds), ("max_steps", max_steps)):
         require_whole(name, value, 1)
     check_jobs(jobs)
-    if directory is not None:
-        check_writable(Path(directory))  # now, so that nobody waits for results that cannot be kept
-    total = count_runs(numbers) + with_claims * seeds * len(BATCHES)
+    own = _own(controllers)
+    if page is not None and not with_claims:
+        raise InvalidValue("page", str(page), 'None, unless names have "claims" or "all"')
+    if with_claims and (settings.methods or settings.step_limit != STEP_LIMIT):
+        told = f"the default methods and step limit where names have claims: {list(names)}"
+        raise InvalidValue("settings", settings, told)
+    for path in (directory, None if page is None else Path(page).parent):
+        if path is not None:
+            check_writable(Path(path))  # now, so that nobody waits for results that cannot be kept
+    total = count_runs(numbers, own, settings)
+    total += with_claims * seeds * (len(BATCHES) + len(own_batches(own)))
     done = 0
 
     def advance(runs: int) -> None:
@@ -402,12 +449,29 @@ def reproduce(
         if progress is not None:
             progress(done, total)
 
-    figures = run_figures(numbers, max_steps, jobs, advance)
-    evidence = gather(seeds, max_steps, jobs, advance) if with_claims else None
+    figures = run_figures(numbers, max_steps, jobs, advance, settings, own)
+    first = settings.seed or 0
+    evidence = gather(seeds, max_steps, jobs, advance, first, own) if with_claims else None
     judged = judge_claims(evidence) if evidence else []
     results = describe(figures, judged, evidence, max_steps)
-    files = [] if directory is None else _write(Path(directory), figures, judged, evidence, results)
+    files = [] if directory is None else _write(Path(directory), figures, settings, results)
+    if page is not None:
+        kept = {name: results[name] for name in ("format", "version", "parameters", "claims")}
+        files += [Path(page), Path(page).with_suffix(".json")]
+        update_page(files[-2], kept)
+        write_text(files[-1], json.dumps(kept, indent=1, allow_nan=False) + "\n")
     return Reproduction(figures, judged, results, files)
+
+
+def _own(controllers: Sequence[str | Controller]) -> dict[str, Controller]:
+    """Controllers of the user's own by their names."""
+    listed = named_controllers(controllers) if controllers else []
+    own = {controller.name: controller for controller in listed}
+    taken = [*VARIANTS, *(name.capitalize() for name in METHODS)]
+    if len(own) < len(listed) or any(name in taken for name in own):
+        allowed = f"names that differ, and none of {', '.join(METHODS)}"
+        raise InvalidValue("controllers (names)", [each.name for each in listed], allowed)
+    return own
 
 
 def _select_experiments(names: Sequence[str]) -> tuple[list[str], bool]:
@@ -423,23 +487,24 @@ def _select_experiments(names: Sequence[str]) -> tuple[list[str], bool]:
 
 
 def _write(
-    directory: Path,
-    figures: Sequence[FigureRuns],
-    judged: Sequence[JudgedClaim],
-    evidence: Evidence | None,
-    results: dict[str, Any],
+    directory: Path, figures: Sequence[FigureRuns], settings: FigureSettings, results: dict[str, Any]
 ) -> list[Path]:
     files = []
     for figure in figures:
-        picture = io.BytesIO()
-        draw_figure(figure).savefig(picture, format="png")
-        files.append(directory / figure.file)
-        write_bytes(files[-1], picture.getvalue())
-    if evidence is not None:
+        drawn = draw_figure(figure, settings.width)
+        for form in settings.formats:
+            picture = io.BytesIO()
+            drawn.savefig(picture, format=form, dpi=100 if settings.width is None else 300)
+            files.append(directory / f"{figure.stem}.{form}")
+            write_bytes(files[-1], picture.getvalue())
+        for name, text in figure_tables(figure).items():
+            files.append(directory / name)
+            write_text(files[-1], text)
+    if results["claims"]:
         files.append(directory / CLAIMS_TABLE)
-        write_text(files[-1], claims_as_markdown(judged, evidence.seeds, results["parameters"]["max_steps"]))
+        write_text(files[-1], claims_as_markdown(results))
     files.append(directory / RESULTS)
-    kept = _with_earlier(results, files[-1], evidence is not None)
+    kept = _with_earlier(results, files[-1], bool(results["claims"]))
     write_text(files[-1], json.dumps(kept, indent=1, allow_nan=False) + "\n")
     return files
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 from types import MappingProxyType
@@ -14,11 +14,16 @@ import pinocchio as pin
 from joblib import delayed
 from numpy.typing import NDArray
 
+from pinposture import kernels
 from pinposture.arm import Arm, ArmState
-from pinposture.control import Controller, Limits, Projection, Selection, controller_named
+from pinposture.arm.kinematics import constants_of
+from pinposture.control import Controller, Limits, Projection, Selection, Switching
+from pinposture.control.thesis.sections import SectionEdges, best_branch
 from pinposture.errors import UnknownName
+from pinposture.kernels.arrays import Screws
 from pinposture.motion import Trajectory, track
 from pinposture.motion.processes import in_order
+from pinposture.motion.track import Callback
 from pinposture.study.scenarios import SCENARIOS, Outcome, case, outcome
 from pinposture.study.thesis_arms import ARMS
 
@@ -201,11 +206,40 @@ def error_slopes(state: ArmState, goals: Array, placed: NDArray[np.bool_], dq: A
     return np.where(placed & away, -along / np.where(away, distances, 1.0), 0.0)
 
 
-def deficient_steps(run: Trajectory) -> int:
-    """Steps whose posture control matrix is not of full row rank, as far as numbers can tell."""
+def deficient_steps(
+    run: Trajectory, states: Sequence[ArmState], dropped: Sequence[tuple[int, ...]]
+) -> tuple[int, int]:
+    """Count the steps whose control set has a posture control matrix of less than full row rank.
+
+    The set is that of the conditions, before points are dropped because the matrix is too close to singular.
+
+    Args:
+        run: the run.
+        states: the arm before each of its steps.
+        dropped: control points that were dropped in each step, 0-based.
+
+    Returns:
+        The number of these steps, as far as numbers can tell, and of those in which a point was dropped.
+    """
     size = np.maximum(run.rows, run.arm.nv)
     full = run.sigma_min > size * np.finfo(float).eps * run.sigma_max
-    return int(np.count_nonzero((run.rows > 0) & ~full))
+    deficient = (run.rows > 0) & ~full
+    for i, points in enumerate(dropped):
+        if points:
+            chosen = sorted({*np.flatnonzero(run.active[i]).tolist(), *points})
+            deficient[i] = not has_full_rank(stacked(states[i], chosen))
+    return int(np.count_nonzero(deficient)), sum(map(bool, dropped))
+
+
+def stacked(state: ArmState, points: list[int]) -> Array:
+    """Stacked Jacobians of control points (0-based), without the columns that move none of them."""
+    matrix = state.task_jacobians[points].reshape(-1, state.arm.nv)
+    return np.asarray(matrix[:, np.any(matrix != 0.0, axis=0)])
+
+
+def has_full_rank(matrix: Array) -> bool:
+    """Whether the rows of a matrix are linearly independent, as far as numbers can tell."""
+    return len(matrix) == 0 or int(np.linalg.matrix_rank(matrix)) == len(matrix)
 
 
 # The runs from which every claim takes its numbers: each scenario by each controller, over many seeds.
@@ -226,45 +260,93 @@ BUNDLE = 5
 """Seeds that a process works off at a time."""
 
 
+@dataclass(frozen=True)
+class PrintedSelection(Selection):
+    """Selection with (4.8) as it is printed: the indices of sections as they are, not relative to their best.
+
+    It is for planar arms of one-joint modules.
+    """
+
+    name: str = "selection, (4.8)"
+
+    def _chosen(
+        self, arm: Arm, screws: Screws, placed: NDArray[np.bool_], distances: Array, base: Array
+    ) -> NDArray[np.int64]:
+        region = np.flatnonzero(placed)
+        indices = np.zeros((len(self.strides), arm.n_modules + 1))
+        strides = np.array(self.strides, dtype=np.int64)
+        kernels.stride_indices(*screws, constants_of(arm).plane, strides, indices)
+        usable = (base > self.absolute) & placed
+        edges = SectionEdges.of(indices, usable, self.relative, self.strides)
+        points = best_branch(edges, int(region[0]), int(region[-1]), "thesis").points
+        return np.array(points, dtype=np.int64)
+
+
 class Variant(NamedTuple):
     """A controller and the step limit that it works under.
 
     Attributes:
-        controller: makes the controller.
-        limits: limits of each step.
+        controller: the controller, or its name.
+        step: largest |dq| of a joint in one step [rad]; None for no limit.
         free: whether the joints of the arm have no position limits.
         blind: whether the controller is not told a configuration that takes the target posture.
     """
 
-    controller: Callable[[], Controller]
-    limits: Limits
+    controller: str | Controller
+    step: float | None = STEP_LIMIT
     free: bool = False
     blind: bool = False
 
 
-def _variant(name: str, step: float | None = STEP_LIMIT, free: bool = False, blind: bool = False) -> Variant:
-    return Variant(lambda: controller_named(name), Limits(step=step), free, blind)
+ANY_STEP = "any step"
+"""What is added to the name of a variant without a step limit."""
 
+SWITCHING_READINGS: Mapping[str, Switching] = MappingProxyType(
+    {
+        "Figure 4.8, 3 steps then 5": Switching(patience=0.3, stay=0.5),
+        "Figure 4.8, 5 steps then 5": Switching(patience=0.5, stay=0.5),
+        "Figure 4.8, 10 steps then 2": Switching(patience=1.0, stay=0.2),
+        "Figure 4.8, 20 steps then 5": Switching(patience=2.0, stay=0.5),
+        "Figure 4.8, back when possible": Switching(patience=1.0, hand_back="when_possible"),
+    }
+)
+"""Further ways to read Figure 4.8: after how many steps without progress Selection loses control, and for how
+many steps of 0.1 rad at a time; the last hands back as soon as Selection can lower the error again.
+
+The best reading has 10 steps and 5: `benchmarks/parameters.py` says by which rule."""
+
+_LIMITED = MappingProxyType(
+    {
+        "selection": Variant("selection"),
+        "projection": Variant("projection"),
+        "projection, full": Variant(Projection(coupling="full", threshold=0.4)),
+        "projection, local": Variant(Projection(coupling="local", threshold=0.4)),
+        "projection, kappa 0.6": Variant(Projection(threshold=0.6)),
+        "selection, (4.8)": Variant(PrintedSelection()),
+        "selection, (4.8) relative": Variant(Selection(score="thesis")),
+        "selection, free joints": Variant("selection", free=True),
+        "projection, free joints": Variant("projection", free=True),
+    }
+)
 
 VARIANTS: Mapping[str, Variant] = MappingProxyType(
     {
-        "selection": _variant("selection"),
-        "projection": _variant("projection"),
-        "projection, local": Variant(lambda: Projection(coupling="local"), Limits(step=STEP_LIMIT)),
-        "selection, (4.8)": Variant(lambda: Selection(score="thesis"), Limits(step=STEP_LIMIT)),
-        "switching": _variant("switching"),
-        "switching, no waypoints": _variant("switching", blind=True),
-        "selection, free joints": _variant("selection", free=True),
-        "projection, free joints": _variant("projection", free=True),
-        "selection, any step": _variant("selection", None),
-        "projection, any step": _variant("projection", None),
+        **_LIMITED,
+        **{f"{name}, {ANY_STEP}": each._replace(step=None) for name, each in _LIMITED.items()},
+        "switching, Figure 4.8": Variant(Switching(patience=1.0, stay=0.5), blind=True),
+        "switching": Variant("switching"),
+        **{
+            f"switching, {name}": Variant(controller, blind=True)
+            for name, controller in SWITCHING_READINGS.items()
+        },
     }
 )
 """What moves the arms, by name.
 
-"local" is the posture control matrix (5.9) as printed, "(4.8)" the score of a planar arm as printed; "no
-waypoints" leaves switching at the failover of Figure 4.8. "free joints" have no position limits, "any step"
-has no step limit; the thesis speaks of neither."""
+"local" is the posture control matrix (5.9) as printed, "full" has the columns of all joints that move a
+point; "(4.8)" is the score of a planar arm as printed, "(4.8) relative" the same of indices relative to the
+best of their section. "Figure 4.8" leaves switching without waypoints. "free joints" have no position limits,
+"any step" has no step limit; the thesis speaks of neither."""
 
 
 class RunSet(NamedTuple):
@@ -272,13 +354,15 @@ class RunSet(NamedTuple):
 
     Attributes:
         scenario: name of the scenario, one of SCENARIOS.
-        variant: name of the variant, one of VARIANTS.
+        variant: name of the variant.
         twins: whether each run has a twin whose start is nudged.
+        given: the variant itself; None for the one of VARIANTS.
     """
 
     scenario: str
     variant: str
     twins: bool = False
+    given: Variant | None = None
 
 
 class MeasuredRun(NamedTuple):
@@ -292,12 +376,16 @@ class MeasuredRun(NamedTuple):
         points: active control points in each step, (steps,).
         modules: number of control points that there are.
         descent: in how many steps errors fell.
-        deficient: steps whose posture control matrix was not of full row rank.
+        deficient: steps whose control set had a posture control matrix of less than full row rank, before
+            points were dropped.
+        dropping: steps in which points were dropped because that matrix was too close to singular.
         path_length_ratio: length of the paths of the control points per direct distance.
         steps: what it was like in each step.
         by_projection: share of the steps that a switching controller left to Projection; 0 for others.
         separation: how far a twin that started 1e-6 rad beside it came from it, per arm length; None where
             there is no twin.
+        goal_nearness: nearness of the target posture to a singular one, as `Steps.nearness`; None if the
+            target knows no configuration.
     """
 
     outcome: Outcome
@@ -307,10 +395,12 @@ class MeasuredRun(NamedTuple):
     modules: int
     descent: Descent
     deficient: int
+    dropping: int
     path_length_ratio: float
     steps: Steps
     by_projection: float
     separation: float | None
+    goal_nearness: float | None = None
 
 
 Pool = Mapping[tuple[str, str], Sequence[MeasuredRun]]
@@ -334,19 +424,23 @@ def thesis_arm(name: str, free: bool = False) -> Arm:
     return Arm.from_modules(modules, name=name)
 
 
-def run_one(batch: RunSet, seed: int, max_steps: int = THESIS_STEPS, nudged: bool = False) -> Trajectory:
-    """The run of one seed, or its twin.
+def run_one(
+    batch: RunSet,
+    seed: int,
+    max_steps: int = THESIS_STEPS,
+    nudged: bool = False,
+    callback: Callback | None = None,
+) -> Trajectory:
+    """The run of one seed, or its twin; `callback` is as for `track`.
 
     Raises:
         UnknownName: no such scenario, variant or controller.
     """
-    for kind, name, known in (
-        ("scenario", batch.scenario, SCENARIOS),
-        ("variant", batch.variant, VARIANTS),
-    ):
-        if name not in known:
-            raise UnknownName(kind, name, known)
-    scenario, variant = SCENARIOS[batch.scenario], VARIANTS[batch.variant]
+    if batch.scenario not in SCENARIOS:
+        raise UnknownName("scenario", batch.scenario, SCENARIOS)
+    if batch.given is None and batch.variant not in VARIANTS:
+        raise UnknownName("variant", batch.variant, VARIANTS)
+    scenario, variant = SCENARIOS[batch.scenario], batch.given or VARIANTS[batch.variant]
     arm = thesis_arm(scenario.arm, variant.free)
     start, target = case(arm, scenario, seed)
     if variant.blind:
@@ -354,19 +448,31 @@ def run_one(batch: RunSet, seed: int, max_steps: int = THESIS_STEPS, nudged: boo
     if nudged:
         aside = np.random.default_rng((seed, 1)).uniform(-NUDGE, NUDGE, arm.nv)
         start = np.array(pin.integrate(arm.model, start, aside))
-    return track(arm, target, start, variant.controller(), variant.limits, max_steps=max_steps)
+    limits = Limits(step=variant.step)
+    return track(arm, target, start, variant.controller, limits, max_steps=max_steps, callback=callback)
 
 
 def measure(batch: RunSet, seed: int, max_steps: int = THESIS_STEPS) -> MeasuredRun:
     """Run one seed, and its twin if it has one, and keep what claims are judged by."""
-    run = run_one(batch, seed, max_steps)
+    dropped: list[tuple[int, ...]] = []
+    run = run_one(
+        batch, seed, max_steps, callback=lambda _, __, step: dropped.append(step.diagnostics.dropped)
+    )
     twin = run_one(batch, seed, max_steps, nudged=True) if batch.twins else None
-    return measured(run, batch, seed, twin)
+    return measured(run, batch, seed, dropped, twin)
 
 
-def measured(run: Trajectory, batch: RunSet, seed: int, twin: Trajectory | None = None) -> MeasuredRun:
-    """What is kept of a run."""
+def measured(
+    run: Trajectory,
+    batch: RunSet,
+    seed: int,
+    dropped: Sequence[tuple[int, ...]],
+    twin: Trajectory | None = None,
+) -> MeasuredRun:
+    """What is kept of a run; `dropped` are the control points that were dropped in each step."""
     states = states_before_steps(run)
+    deficient, dropping = deficient_steps(run, states, dropped)
+    goal = run.target.q
     placed = int(run.target.has_target.sum())
     residual = run.target.residual
     return MeasuredRun(
@@ -376,11 +482,13 @@ def measured(run: Trajectory, batch: RunSet, seed: int, twin: Trajectory | None 
         points=run.active.sum(axis=1),
         modules=run.arm.n_modules,
         descent=descent(run, states),
-        deficient=deficient_steps(run),
+        deficient=deficient,
+        dropping=dropping,
         path_length_ratio=run.path_length_ratio,
         steps=per_step(run, states),
         by_projection=float(np.mean(run.method == "projection")) if run.steps else 0.0,
         separation=None if twin is None else separation(run, twin),
+        goal_nearness=None if goal is None else nearness(run.arm.at(goal)),
     )
 
 
@@ -390,8 +498,9 @@ def make_pool(
     max_steps: int = THESIS_STEPS,
     jobs: int = 1,
     progress: Callable[[int], object] | None = None,
+    first: int = 0,
 ) -> Pool:
-    """Run every batch over the seeds 0, 1, ...
+    """Run every batch over consecutive seeds.
 
     Args:
         batches: what to run.
@@ -399,12 +508,13 @@ def make_pool(
         max_steps: steps after which a run ends.
         jobs: number of processes.
         progress: called with the number of runs that have just been finished.
+        first: the first seed.
 
     Returns:
         The runs; they depend on batches, seeds and steps alone, not on `jobs`.
     """
     listed = list(batches)
-    todo = [(batch, bundle) for batch in listed for bundle in seed_bundles(seeds)]
+    todo = [(batch, bundle) for batch in listed for bundle in seed_bundles(seeds, first)]
     pool: dict[tuple[str, str], list[MeasuredRun]] = {(b.scenario, b.variant): [] for b in listed}
     tasks = (delayed(_work_off)(batch, bundle, max_steps) for batch, bundle in todo)
     results = in_order(tasks, jobs)
@@ -415,9 +525,10 @@ def make_pool(
     return pool
 
 
-def seed_bundles(seeds: int) -> list[range]:
-    """Return the seeds 0, 1, ... in the bundles that a process works off at a time."""
-    return [range(first, min(first + BUNDLE, seeds)) for first in range(0, seeds, BUNDLE)]
+def seed_bundles(seeds: int, first: int = 0) -> list[range]:
+    """Return so many seeds from the first on, in the bundles that a process works off at a time."""
+    end = first + seeds
+    return [range(seed, min(seed + BUNDLE, end)) for seed in range(first, end, BUNDLE)]
 
 
 def _work_off(batch: RunSet, seeds: Sequence[int], max_steps: int) -> list[MeasuredRun]:
@@ -426,54 +537,76 @@ def _work_off(batch: RunSet, seeds: Sequence[int], max_steps: int) -> list[Measu
 
 # Ways to read the thesis where it leaves a choice, and the runs of one reading.
 
-DEFAULT = "as built"
+DEFAULT = "best reading"
 
-_METHODS = {name: name for name in ("selection", "projection", "switching")}
+_METHODS = {"selection": "selection", "projection": "projection", "switching": "switching, Figure 4.8"}
 
 READINGS: Mapping[str, Mapping[str, str]] = {
     DEFAULT: _METHODS,
+    "(5.9) with all columns": _METHODS | {"projection": "projection, full"},
     "(5.9) as printed": _METHODS | {"projection": "projection, local"},
+    "kappa 0.6": _METHODS | {"projection": "projection, kappa 0.6"},
     "(4.8) as printed": _METHODS | {"selection": "selection, (4.8)"},
-    "Figure 4.8 alone": _METHODS | {"switching": "switching, no waypoints"},
+    "(4.8), relative indices": _METHODS | {"selection": "selection, (4.8) relative"},
+    **{name: _METHODS | {"switching": f"switching, {name}"} for name in SWITCHING_READINGS},
+    "ours, with waypoints": _METHODS | {"switching": "switching"},
     "joints without limits": _METHODS
     | {"selection": "selection, free joints", "projection": "projection, free joints"},
 }
 """Which variant stands for a method, by reading.
 
-The posture control matrix (5.9) and the score (4.8) of a planar arm are built otherwise than printed, for
-better, and switching has waypoints beyond Figure 4.8. The thesis does not say whether its joints have limits;
-those of the arms here end at +-pi."""
+The best reading has the defaults of Selection and Projection, and Switching as Figure 4.8 has it, without our
+waypoints. The posture control matrix (5.9) and the score (4.8) of a planar arm are built otherwise than
+printed. The thesis does not say whether its joints have limits; those of the arms here end at +-pi."""
 
 
 class Reading(NamedTuple):
-    """The runs of one reading.
+    """The runs of one reading, or those of a controller of the user's own.
 
     Attributes:
         pool: runs by scenario and variant.
         variants: the variant of each method.
+        own: name of a controller that stands for each method in turn; empty for the methods themselves.
     """
 
     pool: Pool
     variants: Mapping[str, str]
+    own: str = ""
 
     def concerns(self, methods: Sequence[str]) -> bool:
         """Whether this reading has anything of its own to say about methods; the default one has."""
-        return any(self._own(method) for method in methods) or self._is_default
+        return any(self._differs(method) for method in methods) or self._is_default
 
     @property
     def _is_default(self) -> bool:
-        return self.variants == READINGS[DEFAULT]
+        return self.variants == READINGS[DEFAULT] and not self.own
 
-    def _own(self, method: str) -> bool:
-        return self._is_default or self.variants[method] != method
+    def _differs(self, method: str) -> bool:
+        return self._is_default or self.variants[method] != READINGS[DEFAULT][method]
 
     def runs(self, scenario: str, method: str) -> Sequence[MeasuredRun]:
         """Runs of a scenario by a method, by seed; none if this reading did not try it."""
         return self.pool.get((scenario, self.variants[method]), ())
 
-    def each(self, scenarios: Sequence[str], methods: Sequence[str]) -> dict[str, Sequence[MeasuredRun]]:
-        """Runs by "arm, scenario, method" in words, where there are any that are this reading's own."""
-        found = {label(s, m): self.runs(s, m) for s in scenarios for m in methods if self._own(m)}
+    def each(
+        self, scenarios: Sequence[str], methods: Sequence[str], kind: str = ""
+    ) -> dict[str, Sequence[MeasuredRun]]:
+        """Runs by "arm, scenario, method" in words, where there are any that are this reading's own.
+
+        Args:
+            scenarios: names of scenarios.
+            methods: names of methods; a controller of the user's own stands for all of them.
+            kind: ANY_STEP for the runs without a step limit.
+        """
+        variants = {method: self.variants[method] for method in methods if self._differs(method)}
+        if self.own:
+            variants = {self.own: self.own}
+        added = f", {kind}" if kind else ""
+        found = {
+            label(scenario, method + added): self.pool.get((scenario, variant + added), ())
+            for scenario in scenarios
+            for method, variant in variants.items()
+        }
         return {name: runs for name, runs in found.items() if runs}
 
     def pairs(

@@ -1,0 +1,261 @@
+"""A benchmark for any program: cases in a file, results in a file, and the score of the one by the other.
+
+A file of cases holds all that a program needs: arms as URDF, starts, targets, obstacles. A file of results
+holds the joint positions after each step and nothing that has to be believed: all figures are computed here.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinposture.arm import Arm
+from pinposture.collision import Scene
+from pinposture.errors import FileError
+from pinposture.motion.trajectory import path_length_ratio
+from pinposture.storage import read_text, write_text
+from pinposture.study.clutter import dense_clearance, draw_problem
+from pinposture.study.scenarios import SCENARIOS, case
+from pinposture.study.scenes import situation_arm
+from pinposture.study.thesis_arms import ARMS, urdf_files
+
+Array = NDArray[np.float64]
+
+# The cases, drawn once; the files are in `benchmarks/cases`.
+
+CASES_FORMAT, RESULTS_FORMAT = "pinposture-benchmark-cases", "pinposture-benchmark-results"
+
+BENCHMARK_VERSION = 1
+"""Version of both formats."""
+
+BENCHMARK_STEP, BENCHMARK_STEPS = 0.1, 400
+"""Largest |dq| of a joint in one step [rad], and largest number of steps."""
+
+BENCHMARK_REACHED = 1e-3
+"""Mean point error, per arm length, at which a target is reached."""
+
+BENCHMARK_SEED = 5000
+"""First seed of the cases."""
+
+POSTURE_GROUPS = ("helix", "line", "random", "from-straight")
+PLANAR_GROUPS = ("planar-random", "planar-near-line", "planar-from-straight")
+SCENE_GROUPS = ("balls", "posts", "hole")
+
+
+def make_cases(each: int = 5) -> dict[str, Any]:
+    """Draw so many cases of each group, as data that JSON can hold."""
+    arms = {name: Arm.from_modules(ARMS[name], name=name) for name in ("ryrz20", "planar45")}
+    cases = []
+    for scenario in (SCENARIOS[name] for name in POSTURE_GROUPS + PLANAR_GROUPS):
+        for seed in range(BENCHMARK_SEED, BENCHMARK_SEED + each):
+            start, target = case(arms[scenario.arm], scenario, seed)
+            told = _case(scenario.name, seed, scenario.arm, start, target.points)
+            cases.append(told)
+    arm = situation_arm()
+    for kind in SCENE_GROUPS:
+        for seed in range(BENCHMARK_SEED, BENCHMARK_SEED + each):
+            problem = draw_problem(arm, kind, seed)
+            told = _case(kind, seed, "ryrz20", problem.start, arm.at(problem.goal).points)
+            cases.append(told | {"scene": problem.scene.to_dict()})
+    return {
+        "format": CASES_FORMAT,
+        "version": BENCHMARK_VERSION,
+        "step_limit": BENCHMARK_STEP,
+        "max_steps": BENCHMARK_STEPS,
+        "reached": BENCHMARK_REACHED,
+        "arms": {name: _described(name, arm) for name, arm in arms.items()},
+        "cases": cases,
+    }
+
+
+def _described(name: str, arm: Arm) -> dict[str, Any]:
+    frames = [arm.model.frames[arm.model.getFrameId(point)] for point in arm.control_points]
+    return {
+        "urdf": urdf_files()[f"{name}.urdf"],
+        "length": round(arm.length, 9),
+        "joints": list(arm.chain.joints),
+        "joints_per_module": len(arm.chain.joints) // arm.n_modules,
+        "points": [
+            {
+                "joint": arm.model.names[frame.parentJoint],
+                "offset": frame.placement.translation.round(9).tolist(),
+            }
+            for frame in frames
+        ],
+    }
+
+
+def _case(group: str, seed: int, arm: str, start: Array, points: Array) -> dict[str, Any]:
+    told = {"id": f"{group}-{seed}", "group": group, "arm": arm, "scene": None}
+    return told | {"start": start.round(9).tolist(), "target": points.round(9).tolist()}
+
+
+def write_cases(path: Path, each: int = 5) -> str:
+    """Write a file of cases; returns its checksum, SHA-256."""
+    text = json.dumps(make_cases(each), separators=(",", ":"), allow_nan=False).replace('{"id"', '\n{"id"')
+    write_text(path, text + "\n")
+    return checksum(path)
+
+
+def checksum(path: Path) -> str:
+    """SHA-256 of the text of a file."""
+    return hashlib.sha256(read_text(path).encode()).hexdigest()
+
+
+# Results, and their score.
+
+
+class Score(NamedTuple):
+    """What one program made of the cases of one group.
+
+    Attributes:
+        group: name of the group.
+        cases: number of cases in it.
+        tried: number of cases that the results have.
+        reached: cases that end at the target, within all limits, and clear of obstacles.
+        limits_held: cases within the limits of step, position and number of steps.
+        clear: cases that never touch an obstacle; those without obstacles count.
+        error: mean point error at the end per arm length, median of the cases tried.
+        steps: median number of steps, of the cases reached.
+        path: length of the paths of the control points per direct distance; median of the cases reached.
+        rising: share of steps on which the posture error rises; median of the cases reached.
+    """
+
+    group: str
+    cases: int
+    tried: int
+    reached: int
+    limits_held: int
+    clear: int
+    error: float | None
+    steps: float | None
+    path: float | None
+    rising: float | None
+
+
+class _Run(NamedTuple):
+    """One case by one program; the fields as in `Score`."""
+
+    reached: bool
+    limits_held: bool
+    clear: bool
+    error: float
+    steps: int
+    path: float
+    rising: float
+
+
+LIMIT_ROUNDING = 1e-5
+"""By how much a limit may be exceeded [rad]: solvers keep constraints to some digits."""
+
+
+def score(results: str | Path, cases: str | Path) -> tuple[str, list[Score]]:
+    """Score a file of results.
+
+    Args:
+        results: {"format", "version", "cases": checksum of the file of cases, "program": its name, "runs":
+            [{"case": id, "q": positions before the first and after each step, (steps + 1, n)}, ...]}.
+        cases: the file of cases.
+
+    Returns:
+        The name of the program, and a score for each group. Cases that were left out count as not reached.
+
+    Raises:
+        FileError: a file is missing, malformed or of another version; the results are those of other cases,
+            name an unknown case or one twice, do not begin at its start, or hold what is not finite.
+    """
+    results, cases = Path(results), Path(cases)
+    known = _read(cases, CASES_FORMAT, ("step_limit", "max_steps", "reached", "arms", "cases"))
+    given = _read(results, RESULTS_FORMAT, ("cases", "program", "runs"))
+    if given["cases"] != checksum(cases):
+        raise FileError(
+            results, f"has the results of other cases; the checksum of {cases} is {checksum(cases)}"
+        )
+    arms = {
+        name: Arm.load(each["urdf"], modules=each["joints_per_module"])
+        for name, each in known["arms"].items()
+    }
+    named = {each["id"]: each for each in known["cases"]}
+    runs: dict[str, _Run] = {}
+    for run in given["runs"]:
+        name = str(run.get("case")) if isinstance(run, Mapping) else ""
+        if name not in named or name in runs:
+            raise FileError(results, f"has a run of case {name!r}; allowed: each case of {cases} once")
+        told = named[name]
+        runs[name] = _scored(results, known, told, arms[told["arm"]], run.get("q"))
+    groups = list(dict.fromkeys(each["group"] for each in known["cases"]))
+    return str(given["program"]), [_score(group, named.values(), runs) for group in groups]
+
+
+def _read(path: Path, form: str, keys: Sequence[str]) -> dict[str, Any]:
+    try:
+        content = json.loads(read_text(path))
+    except json.JSONDecodeError as error:
+        raise FileError(path, f"line {error.lineno}, column {error.colno}: {error.msg}") from error
+    if not isinstance(content, dict) or content.get("format") != form:
+        raise FileError(path, f'is not a file with "format": "{form}"')
+    if content.get("version") != BENCHMARK_VERSION:
+        raise FileError(path, f"is of version {content.get('version')!r}; allowed: {BENCHMARK_VERSION}")
+    missing = [key for key in keys if key not in content]
+    if missing:
+        raise FileError(path, f"lacks {', '.join(missing)}")
+    return content
+
+
+def _scored(path: Path, known: Mapping[str, Any], told: Mapping[str, Any], arm: Arm, q: object) -> _Run:
+    try:
+        positions = np.array(q, dtype=float)
+    except (TypeError, ValueError):
+        positions = np.empty(0)
+    start = np.array(told["start"])
+    if positions.ndim != 2 or positions.shape[1] != len(start) or not np.isfinite(positions).all():
+        raise FileError(
+            path, f"case {told['id']}: q is not an array of (steps + 1, {len(start)}) finite numbers"
+        )
+    if np.abs(positions[0] - start).max() > LIMIT_ROUNDING:
+        raise FileError(path, f"case {told['id']}: q does not begin at the start of the case")
+    points = np.array([arm.at(each).points for each in positions])
+    errors = np.linalg.norm(points - np.array(told["target"]), axis=2)
+    changes, steps = np.abs(np.diff(positions, axis=0)), len(positions) - 1
+    lower, upper = arm.limits.lower - LIMIT_ROUNDING, arm.limits.upper + LIMIT_ROUNDING
+    held = steps <= known["max_steps"] and changes.max(initial=0.0) <= known["step_limit"] + LIMIT_ROUNDING
+    held = bool(held and np.all((positions >= lower) & (positions <= upper)))
+    clear = told["scene"] is None or dense_clearance(arm, Scene.from_dict(told["scene"]), positions) > 0.0
+    error = float(errors[-1].mean()) / arm.length
+    return _Run(
+        reached=held and clear and error <= known["reached"],
+        limits_held=held,
+        clear=clear,
+        error=error,
+        steps=steps,
+        path=path_length_ratio(points),
+        rising=float(np.mean(np.diff(errors.sum(axis=1)) > 1e-9 * arm.length)) if steps else 0.0,
+    )
+
+
+def _score(group: str, cases: Any, runs: Mapping[str, _Run]) -> Score:
+    ids = [each["id"] for each in cases if each["group"] == group]
+    tried = [runs[name] for name in ids if name in runs]
+    reached = [run for run in tried if run.reached]
+
+    def median(values: Sequence[float]) -> float | None:
+        return float(np.median(values)) if values else None
+
+    return Score(
+        group=group,
+        cases=len(ids),
+        tried=len(tried),
+        reached=len(reached),
+        limits_held=sum(run.limits_held for run in tried),
+        clear=sum(run.clear for run in tried),
+        error=median([run.error for run in tried]),
+        steps=median([run.steps for run in reached]),
+        path=median([run.path for run in reached]),
+        rising=median([run.rising for run in reached]),
+    )

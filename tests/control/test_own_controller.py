@@ -1,0 +1,143 @@
+"""Controllers that others write: how they are found, and what is said of steps that are none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint
+
+import numpy as np
+import pytest
+from arms import template_arm
+
+import pinposture as pp
+from pinposture.control import CONTROLLERS, Diagnostics, Memory, Step, controller_named, registry
+from pinposture.errors import InvalidValue, UnknownName
+
+MODULE = """
+from pinposture.control import Diagnostics, Step
+
+
+class Still:
+    name = "still"
+
+    def step(self, state, target, limits=None, memory=None):
+        held = limits.hold(state)
+        return Step(held.dq, (), Diagnostics(held.clipped, "it never moves"), None)
+
+
+class Picky(Still):
+    def __init__(self, needed):
+        self.needed = needed
+
+
+NUMBER = 3
+"""
+
+
+@dataclass(frozen=True)
+class Returning:
+    """Returns what it is told to, whatever the state."""
+
+    returned: object
+    name: str = "returning"
+
+    def step(self, state, target, limits=None, memory=None):
+        return self.returned
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    (tmp_path / "own_module_of_a_test.py").write_text(MODULE)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.path", list(registry.sys.path))
+
+
+@pytest.fixture
+def arm():
+    return template_arm("RyRz", 4)
+
+
+def test_a_class_is_found_where_it_is_said_to_be(folder, arm):
+    controller = controller_named("own_module_of_a_test:Still")
+    assert (controller.name, type(controller).__name__) == ("still", "Still")
+    target = pp.Target.from_configuration(arm, np.full(arm.nq, 0.2))
+    run = pp.track(arm, target, arm.straight(), "own_module_of_a_test:Still")
+    assert (run.steps, run.status) == (0, "no_control_points")
+    assert "it never moves" in run.reason
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "words"),
+    [
+        ("own_module_of_a_test:Stil", UnknownName, "did you mean 'Still'"),
+        ("own_module_of_a_test:NUMBER", UnknownName, "NUMBER"),
+        ("no_module_of_a_test:Still", InvalidValue, "No module named 'no_module_of_a_test'"),
+        ("own_module_of_a_test:Picky", InvalidValue, "needed"),
+        ("json:JSONDecoder", InvalidValue, "method `step`"),
+        ("own_module_of_a_test", UnknownName, "geodesic"),
+        (":Still", UnknownName, "geodesic"),
+    ],
+)
+def test_what_is_not_found_is_named(folder, name, kind, words):
+    with pytest.raises(kind, match=words):
+        controller_named(name)
+
+
+def test_a_name_can_be_added_and_a_package_can_bring_one(folder, monkeypatch):
+    monkeypatch.setitem(CONTROLLERS, "mine", lambda: Returning(None))
+    assert controller_named("mine") == Returning(None)
+    offered = EntryPoint("theirs", "own_module_of_a_test:Still", registry.ENTRY_POINTS)
+
+    def listed(group):
+        return [offered] if group == registry.ENTRY_POINTS else []
+
+    monkeypatch.setattr(registry, "entry_points", listed)
+    monkeypatch.syspath_prepend(".")
+    assert controller_named("theirs").name == "still"
+    with pytest.raises(UnknownName) as caught:
+        controller_named("nobody")
+    assert {"mine", "theirs", "geodesic"} <= set(caught.value.allowed)
+
+
+def diagnostics(size=8):
+    return Diagnostics(clipped=np.zeros(size, dtype=bool))
+
+
+@pytest.mark.parametrize(
+    ("returned", "words"),
+    [
+        (np.zeros(8), r"Returning.step\(\.\.\.\) \(returned\) is array.*a Step"),
+        (None, "is None.*a Step"),
+        ((np.zeros(8), (), diagnostics(), None), "a Step"),
+        (Step([0.0] * 8, (), diagnostics(), None), r"\.dq is \[0.0"),
+        (Step(np.zeros(3), (), diagnostics(), None), "dq.*8 finite numbers"),
+        (Step(np.zeros((8, 1)), (), diagnostics(), None), "dq.*8 finite numbers"),
+        (Step(np.full(8, np.nan), (), diagnostics(), None), "dq.*8 finite numbers"),
+        (Step(np.zeros(8), (), None, None), "diagnostics is None"),
+        (Step(np.zeros(8), (), diagnostics(3), None), "diagnostics.*clipped"),
+        (Step(np.zeros(8), None, diagnostics(), None), "active is None.*0 to 3"),
+        (Step(np.zeros(8), (4,), diagnostics(), None), r"active is \(4,\)"),
+        (Step(np.zeros(8), (), diagnostics(), {"dq": 0}), "memory is {'dq': 0}.*Memory"),
+    ],
+)
+def test_a_step_that_is_none_is_refused_with_what_was_allowed(arm, returned, words):
+    target = pp.Target.from_configuration(arm, np.full(arm.nq, 0.2))
+    with pytest.raises(InvalidValue, match=words):
+        pp.track(arm, target, arm.straight(), Returning(returned), max_steps=2)
+
+
+def test_a_step_without_memory_is_remembered_for_the_controller(arm):
+    seen = []
+
+    class Forgetful:
+        name = "forgetful"
+
+        def step(self, state, target, limits=None, memory=None):
+            seen.append(memory)
+            return Step(np.full(8, 0.01), (0, 3), diagnostics(), None)
+
+    target = pp.Target.from_configuration(arm, np.full(arm.nq, 0.2))
+    run = pp.track(arm, target, arm.straight(), Forgetful(), max_steps=2)
+    assert run.steps == 2
+    assert isinstance(seen[1], Memory)
+    np.testing.assert_array_equal(seen[1].dq, np.full(8, 0.01))
