@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pinposture.cli.output import verb_examples
-from pinposture.cli.studies import run_reproduce as reproduce_verb
+from pinposture.cli.reproduce import run as reproduce_verb
 from pinposture.study import reproduce as package
 from pinposture.study.claims import CLAIMS, FIGURES
 from pinposture.study.reproduce import NAMES
