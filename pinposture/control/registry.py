@@ -58,10 +58,10 @@ def controller_named(controller: str | Controller) -> Controller:
 
 
 def _checked(made: object, told: object) -> Controller:
-    named = isinstance(getattr(made, "name", None), str)
-    if isinstance(made, type) or not callable(getattr(made, "step", None)) or not named:
-        allowed = "a name, package.module:Class, or an object with a method `step` and a `name`"
-        raise InvalidValue("controller", told, allowed)
+    if isinstance(made, type) or not callable(getattr(made, "step", None)):
+        raise InvalidValue(
+            "controller", told, "a name, package.module:Class, or an object with a method `step`"
+        )
     return cast(Controller, made)
 
 

@@ -133,7 +133,7 @@ def draw_planar(
     first = _first(runs)
     if first.arm.dimension != 2:
         raise InvalidValue("runs (arm)", first.arm, "a planar arm")
-    figure, stacked = _figure(3.4 + 3.9 * len(runs), title, width, 3)
+    figure, stacked = _figure(3.4 + 3.9 * len(runs), title, width, 4)  # the second of three has two panels
     rows = figure.add_gridspec(1 + len(runs), 1, height_ratios=(0.8, *(1.0 for _ in runs)))
     letters = count()
     top = rows[0].subgridspec(2, 1) if stacked else rows[0].subgridspec(1, 2, width_ratios=(1.0, 0.8))
@@ -153,7 +153,7 @@ def draw_planar(
     colors = dict(zip(runs, palette.distinct_colors(run.controller for run in runs.values()), strict=True))
     for row, (name, run) in enumerate(runs.items(), start=1):
         beside = rows[row].subgridspec(1, 3, width_ratios=(1.0, 1.0, 1.05))
-        cells = rows[row].subgridspec(3, 1) if stacked else beside
+        cells = rows[row].subgridspec(3, 1, height_ratios=(1.0, 2.2, 1.0)) if stacked else beside
         ax = figure.add_subplot(cells[0])
         plot_used_points(run, ax)
         _head(ax, f"{name}: control points used", next(letters))

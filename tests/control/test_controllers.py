@@ -164,7 +164,8 @@ def test_projection_moves_each_point_as_asked_within_its_manipulability_space(
     spatial: pp.Arm, seed: int
 ) -> None:
     state, target = state_of(spatial, seed, 0.8), target_of(spatial, seed)
-    step = pp.Projection(gain=0.3, null_gain=0.0).step(state, target, pp.Limits(step=1e6))
+    projection = pp.Projection(coupling="full", gain=0.3, null_gain=0.0)
+    step = projection.step(state, target, pp.Limits(step=1e6))
     if step.diagnostics.clipped.any():
         return
     moved = state.task_jacobians @ step.dq
@@ -172,7 +173,7 @@ def test_projection_moves_each_point_as_asked_within_its_manipulability_space(
         local = ryrz.section_jacobian(k + 1, k, state.q, 0.025, 0.025)
         frame = np.eye(3) if k == 0 else ryrz.rotations(state.q, 0.025, 0.025)[k - 1]
         u, sigma, _ = np.linalg.svd(local)
-        kept = u[:, : np.count_nonzero(sigma > pp.Projection().threshold * 0.05)]
+        kept = u[:, : np.count_nonzero(sigma > projection.threshold * 0.05)]
         asked = 0.3 * (target.points[k] - state.points[k])
         np.testing.assert_allclose(kept.T @ frame.T @ moved[k], kept.T @ frame.T @ asked, atol=1e-9)
 
