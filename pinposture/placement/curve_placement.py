@@ -59,11 +59,13 @@ class Placement(NamedTuple):
         positions: joint positions, (nv,) [rad or m]; zero for modules that could not be placed.
         parameters: arc length of each control point, (m,) [m]; the curve's end where it could not be placed.
         failure: why a module, and all after it, could not be placed; None if all are placed.
+        placed_by: for each module the kinematics that placed it, by name; or "least squares"; (m,).
     """
 
     positions: Array
     parameters: Array
     failure: TargetError | None
+    placed_by: tuple[str, ...] = ()
 
 
 def place_curve(arm: Arm, curve: Curve, placement: str | None, roll: float) -> tuple[Curve, Moved]:
