@@ -20,7 +20,7 @@ ACROSS = 1e-3
 """Sine of the smallest angle between a joint axis and the module at which the axis counts as across it."""
 
 FK_TOLERANCE = 1e-6
-"""How far the FK of registered kinematics may be from that of the joints, in module lengths or radians."""
+"""How far the FK of registered kinematics may be from that of the joints, in reaches or radians."""
 
 CHECKED_POSTURES = 8
 """Number of postures in which registered kinematics are compared with the joints."""
@@ -34,6 +34,9 @@ class ModuleKinematics(Protocol):
     before), x points to the end of the module at its neutral configuration, y is the part across x of the
     first joint axis that is not along x. Lengths are in metres, angles in radians. Joint positions q are
     those of the degrees of freedom of the module from base to end, zero at the neutral configuration.
+
+    Kinematics that only approximate the joints say so by an attribute `tolerance`: the largest error of their
+    FK, in reaches of the module or radians; 1e-6 without it.
 
     Attributes:
         dof: number of degrees of freedom, k.
@@ -104,7 +107,7 @@ class ModuleJoints:
         return len(self.lower)
 
     def forward(self, q: Array) -> tuple[Array, Array]:
-        """FK by the product of exponentials: position (3,) [m] and orientation (3, 3) of the end at q, (k,)."""
+        """FK by exponentials: position (3,) [m] and orientation (3, 3) of the end at q, (k,)."""
         turn, place = np.eye(3), np.zeros(3)
         for u, amount in enumerate(self.ratios * np.asarray(q, dtype=float)[self.inputs]):
             if not self.revolute[u]:
@@ -171,8 +174,18 @@ def _base_frame(span: Array, axes: Array) -> Array:
 Recogniser: TypeAlias = Callable[[ModuleJoints], ModuleKinematics | None]
 """Kinematics of a module that has these joints; None if it is another kind of module."""
 
-_registered: list[Recogniser] = []
-_changes = 0
+
+class _Registry:
+    """Functions that recognise modules, the last one first, and how often they have changed."""
+
+    functions: tuple[Recogniser, ...] = ()
+    changes: int = 0
+
+    def set(self, functions: Iterable[Recogniser]) -> None:
+        self.functions, self.changes = tuple(functions), self.changes + 1
+
+
+_registry = _Registry()
 
 
 def register_module_kinematics(recognise: Chosen) -> Chosen:
@@ -195,11 +208,9 @@ def register_module_kinematics(recognise: Chosen) -> Chosen:
     Raises:
         InvalidValue: not a function.
     """
-    global _changes
     if not callable(recognise):
         raise InvalidValue("recognise", recognise, "a function of ModuleJoints")
-    _registered.append(recognise)  # type: ignore[arg-type]
-    _changes += 1
+    _registry.set((recognise, *_registry.functions))  # type: ignore[arg-type]
     return recognise
 
 
@@ -209,21 +220,19 @@ def unregister_module_kinematics(recognise: Recogniser) -> None:
     Raises:
         InvalidValue: it is not registered.
     """
-    global _changes
-    if recognise not in _registered:
+    if recognise not in _registry.functions:
         raise InvalidValue("recognise", recognise, "a function that was registered")
-    _registered.remove(recognise)
-    _changes += 1
+    _registry.set(each for each in _registry.functions if each is not recognise)
 
 
 def registry_state() -> int:
     """Return a number that changes with every registration; 0 if there never was one."""
-    return _changes
+    return _registry.changes
 
 
 def is_registry_empty() -> bool:
     """Tell whether there are no kinematics but those of the library."""
-    return not _registered
+    return not _registry.functions
 
 
 def registered_kinematics(joints: ModuleJoints) -> ModuleKinematics | None:
@@ -232,7 +241,7 @@ def registered_kinematics(joints: ModuleJoints) -> ModuleKinematics | None:
     Raises:
         InvalidValue: a function returns something else; or kinematics that contradict the joints.
     """
-    for recognise in reversed(_registered):
+    for recognise in _registry.functions:
         found = recognise(joints)
         if found is not None:
             _check(recognise, found, joints)
@@ -241,7 +250,7 @@ def registered_kinematics(joints: ModuleJoints) -> ModuleKinematics | None:
 
 
 def _check(recognise: Recogniser, found: object, joints: ModuleJoints) -> None:
-    """Compare kinematics with the joints that they are for, within their `tolerance` [m, rad] if they tell."""
+    """Compare kinematics with the joints that they are for, within their own `tolerance` if they have one."""
     name = f"module kinematics of {getattr(recognise, '__qualname__', recognise)!s}"
     if not isinstance(found, ModuleKinematics):
         raise InvalidValue(name, found, "ModuleKinematics: dof, reach, forward, inverse and target_point")
@@ -261,6 +270,6 @@ def _check(recognise: Recogniser, found: object, joints: ModuleJoints) -> None:
             values = ", ".join(f"{value:.4g}" for value in q)
             allowed = (
                 f"the placement to which joints {listed} move the end, to {most:g}: "
-                f"{apart:.3g} module lengths and {turned:.3g} rad off"
+                f"{apart:.3g} reaches and {turned:.3g} rad off"
             )
             raise InvalidValue(f"{name}: forward([{values}])", np.asarray(at).tolist(), allowed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -122,7 +123,11 @@ _MEASURE_HEADINGS = ("module", "control point", "measure", "condition", "min. si
 
 def _print_tables(about: Mapping[str, Any]) -> None:
     coupled = sum("follows" in joint for joint in about["joints"])
-    placing = "closed form for every module" if about["closed_form"] else "least squares over the whole arm"
+    counts = Counter(about["kinematics"])
+    listed = ", ".join(f"{name} ({count})" for name, count in counts.items())
+    placing = "closed form for every module" if about["closed_form"] else f"module by module: {listed}"
+    if not counts:
+        placing = "least squares over the whole arm"
     facts = {
         "robot": about["name"],
         "chain": f"from link {about['base']} to link {about['tip']}",
@@ -188,6 +193,7 @@ def describe(arm: Arm, measured: Sequence[int]) -> dict[str, Any]:
         "reach": float(np.linalg.norm(arm.at(arm.straight()).points[-1] - arm.chain.base)),
         "closed_form": not unsolved,
         "closed_form_reason": unsolved,
+        "kinematics": _kinematics(arm),
         "warnings": list(arm.warnings),
         "held": [joint.name for joint in description.joints if joint.moves and joint.name not in moving],
         "joints": _joints(arm, {joint.name: joint for joint in description.joints}),
@@ -221,6 +227,7 @@ def _describe_following(arm: Arm, curve: str) -> dict[str, Any]:
     return {
         "name": curve,
         "placed_by": target.method,
+        "fallback": target.fallback,
         "placed_points": int(target.has_target.sum()),
         "largest_residual": float(target.residual.max()),
         "distance_from_curve": target.distance_from_curve(arm),
@@ -240,6 +247,8 @@ def _following_in_words(about: Mapping[str, Any]) -> dict[str, str]:
         f"{found['largest_residual']:.2g} m off the curve",
         "whole arm": f"its links at most {away:.2g} m from the curve, {share:.2g} of its length",
     }
+    if found["fallback"]:
+        words["why not in turn"] = found["fallback"]
     if found["too_much"]:
         words["too much"] = "\n".join(found["too_much"])
     if found["incomplete"]:
@@ -280,7 +289,22 @@ def _without_closed_form(arm: Arm) -> str:
     from pinposture.placement.module_kinematics import arm_units
 
     try:
-        arm_units(arm.chain)
+        units = arm_units(arm)
     except UnsupportedModule as error:
         return str(error)
-    return ""
+    numeric = next((unit for unit in units if unit.reason), None)
+    if numeric is None:
+        return ""
+    joints = arm.module_joints[numeric.module]
+    return str(UnsupportedModule(numeric.module + 1, joints, f"{numeric.reason}; it is placed numerically"))
+
+
+def _kinematics(arm: Arm) -> list[str]:
+    """The kinematics that place each module, by name; empty if only least squares over the whole arm do."""
+    from pinposture.placement.module_kinematics import arm_units
+
+    try:
+        named = {unit.module: type(unit.kinematics).__name__ for unit in arm_units(arm)}
+    except UnsupportedModule:
+        return []
+    return [named[module] for module in range(arm.n_modules)]

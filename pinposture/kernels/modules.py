@@ -82,9 +82,7 @@ def torus_inverse(l1: float, l2: float, sense: float, x: float, y: float, z: flo
 
 
 @compiled
-def roll_pitch_inverse(
-    l1: float, l2: float, sense: float, x: float, y: float, z: float, out: Array2
-) -> int:
+def roll_pitch_inverse(l1: float, l2: float, sense: float, x: float, y: float, z: float, out: Array2) -> int:
     """Find the angles that put the end at a point, into out (2, 2), that with the smaller roll first.
 
     Returns the number of pairs. The roll is zero where it does not move the end.

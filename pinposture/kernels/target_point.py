@@ -23,7 +23,8 @@ START_DISTANCE = 0.3  # smallest difference of two of them, in units of the join
 COST_OF_DISTANCE = 25.0  # weight of the squared distance from the curve, in reaches, against joint motion
 
 STEPS, POLISHING_STEPS = 40, 8
-"""Largest number of steps to the posture nearest to the preferred one, and then straight to the curve."""
+"""Largest number of steps to the curve, and of those along it towards the preferred posture; and of those to
+the curve after that."""
 
 LARGEST_STEP = 0.5  # in units of the joints, and in reaches along the curve
 COST_ALONG = 0.01  # cost of moving along the curve by one reach, against one unit of a joint
@@ -172,7 +173,7 @@ def nearest_starts(
         nearest[i], scores[i] = best, COST_OF_DISTANCE * least / (reach * reach) + motion
     found = 0
     while found < len(starts):
-        best = np.argmin(scores)
+        best = int(np.argmin(scores))
         if not np.isfinite(scores[best]):
             break
         starts[found], at[found] = best, nearest[best]
@@ -257,13 +258,15 @@ def next_target_point(
     chosen = nearest_starts(candidates, ends, points, count, reach, begins, at)
     z, x, q = np.empty(k + 1), np.empty(k + 1), np.empty(k)
     offset, costs, held = np.zeros(k + 1), np.ones(k + 1), np.zeros(k + 1, np.bool_)
-    gap, wanted = np.empty(3), np.empty(3)
+    gap, wanted, kept = np.empty(3), np.empty(3), np.empty(k + 1)
     costs[k] = COST_ALONG
     best_cost, best_s, best_facing = np.inf, np.nan, False
     for each in range(chosen):
         z[:k] = candidates[begins[each]]
         z[k] = max(min(start + (at[each] + 1) * step, last) / reach, low[k])
-        polishing, left, reached = False, STEPS, False
+        # First straight to the curve; with joints to spare then along it towards the preferred positions, and
+        # to the curve again, if that works.
+        pulled, left, reached, arrived = False, STEPS, False, False
         while left > 0:
             left -= 1
             for j in range(k):
@@ -278,11 +281,14 @@ def next_target_point(
                     rows[i, j] = columns[i, j] * module.units[j]
                 rows[i, k] = -tangent[i] * reach
             reached = distance <= (ON_TARGET * reach) ** 2
-            if polishing and reached:
-                break
-            # Unknowns x: where the joints are to be, or, when polishing, by how much they move; s moves.
+            if reached and not pulled:
+                if arrived or k <= 2:
+                    break
+                arrived, pulled, left = True, True, STEPS
+                kept[:] = z
+            # Unknowns x: by how much the joints move, or, when pulled, where they are to be; s moves.
             for j in range(k):
-                offset[j] = 0.0 if polishing else z[j]
+                offset[j] = z[j] if pulled else 0.0
             for i in range(3):
                 wanted[i] = gap[i]
                 for j in range(k):
@@ -307,8 +313,10 @@ def next_target_point(
             scale = min(1.0, LARGEST_STEP / max(largest, 1e-300))
             for j in range(k + 1):
                 z[j] = min(max(z[j] + scale * (x[j] - offset[j]), low[j]), high[j])
-            if not polishing and (largest <= STILL or left == 0):
-                polishing, left = True, POLISHING_STEPS
+            if pulled and (largest <= STILL or left == 0):
+                pulled, left = False, POLISHING_STEPS
+        if arrived and not reached:
+            z[:], reached = kept, True
         if not reached or z[k] <= low[k]:
             continue
         cost, facing = 0.0, k <= 2

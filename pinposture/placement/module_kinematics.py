@@ -31,8 +31,8 @@ from pinposture.kernels.modules import CIRCLE, ROLL_PITCH, TORUS
 # The RyRz module of the thesis turns by q0 about its y axis, goes l1 along x, turns by q1 about its z axis
 # and goes l2 along x. Its end lies on a torus around the y axis with radii l1 and l2. RzRy, and any other
 # pair of perpendicular hinges across the arm, is the same module in another frame. If l1 = 0 it is a
-# universal joint, and the torus a sphere. The roll-pitch module turns by q0 about its x axis, goes l1 along x,
-# turns by q1 about its y axis and goes l2 along x: its end lies on a sphere around the second hinge.
+# universal joint, and the torus a sphere. The roll-pitch module turns by q0 about its x axis, goes l1 along
+# x, turns by q1 about its y axis and goes l2 along x: its end lies on a sphere around the second hinge.
 
 Array = NDArray[np.float64]
 Level = Callable[[Array], Array]
@@ -152,7 +152,7 @@ class Torus:
         return bool(kernels.torus_faces(self.l1, self.l2, x, y, z))
 
     def target_point(self, base: pin.SE3, curve: Curve, start: float) -> float | None:
-        """TP on the curve itself, as `ModuleKinematics.target_point`; crossings that face the module first."""
+        """TP, as `ModuleKinematics.target_point`; points that face the module come first."""
         l1, l2 = self.l1, self.l2
 
         def level(p: Array) -> Array:
@@ -207,7 +207,7 @@ class Circle:
         return list(out[: kernels.circle_inverse(self.link, x, y, z, out), :1])
 
     def target_point(self, base: pin.SE3, curve: Curve, start: float) -> float | None:
-        """TP on the curve itself, as `ModuleKinematics.target_point`, where it is in the plane of the module."""
+        """TP, as `ModuleKinematics.target_point`, where the curve is in the plane of the module."""
 
         def level(p: Array) -> Array:
             return np.asarray(np.linalg.norm(p, axis=1) - self.link)
@@ -265,7 +265,7 @@ class RollPitch:
         return bool(p[0] >= self.l1 * (1.0 - 1e-12))
 
     def target_point(self, base: pin.SE3, curve: Curve, start: float) -> float | None:
-        """TP on the curve itself, as `ModuleKinematics.target_point`; crossings that face the module first."""
+        """TP, as `ModuleKinematics.target_point`; points that face the module come first."""
 
         def level(p: Array) -> Array:
             return np.asarray(np.linalg.norm(p - [self.l1, 0.0, 0.0], axis=1) - self.l2)
@@ -366,7 +366,7 @@ class NumericModule:
         return self.joints.forward(q)
 
     def inverse(self, p: Array) -> list[Array]:
-        """IK: positions (k,) within the limits that put the end at p, (3,) [m]; one, or none if none is found."""
+        """IK: positions (k,) within the limits that put the end at p, (3,) [m]; one, or none."""
         joints, k, found = self.joints, self.dof, np.clip(self.preferred, self._low, self._high)
         chain = ScrewChain(
             slides=~joints.revolute,
@@ -387,7 +387,7 @@ class NumericModule:
         return [found] if kernels.search_branches(*given, found) == 1 else []
 
     def target_point(self, base: pin.SE3, curve: Curve, start: float) -> float | None:
-        """TP, as `ModuleKinematics.target_point`, within the joint limits and near the preferred positions."""
+        """TP, as `ModuleKinematics.target_point`, within the limits and near the preferred positions."""
         s, _ = self.place(base, curve, start)
         return s if s >= 0.0 else None
 
@@ -442,7 +442,7 @@ def arm_units(arm: Arm) -> tuple[Unit, ...]:
     """Return the kinematics that place the modules of an arm one by one, from base to tip.
 
     Registered kinematics come first. A module with two perpendicular hinges is a `Torus`, one with a roll and
-    a hinge a `RollPitch`; parallel hinges are placed one by one as `Circle`s; all others are `NumericModule`s.
+    a hinge a `RollPitch`; parallel hinges are placed one by one as `Circle`s; others are `NumericModule`s.
     Joints at the end of a module that do not move its end belong to the next module if that needs them, and
     stay where they are otherwise. Slides without limits that carry the base (`Arm.roaming`) belong to none.
 
@@ -514,7 +514,7 @@ def _registered(arm: Arm, module: int) -> Unit | None:
     chain = arm.chain
     joints = chain.module_slices[module]
     base = chain.base if module == 0 else chain.points[module - 1]
-    described = _described(arm, joints, base, chain.points[module])
+    described = module_joints(arm, joints, base, chain.points[module])
     kinematics = registered_kinematics(described)
     if kinematics is None:
         return None
@@ -522,7 +522,8 @@ def _registered(arm: Arm, module: int) -> Unit | None:
     return Unit(module, joints, first, described.base, described.frame, kinematics)
 
 
-def _described(arm: Arm, joints: slice, base: Array, end: Array) -> ModuleJoints:
+def module_joints(arm: Arm, joints: slice, base: Array, end: Array) -> ModuleJoints:
+    """Describe consecutive joints of an arm, from a base to an end, (3,) each [m], world frame."""
     chain = arm.chain
     columns = chain.columns[joints]
     own = np.array(list(dict.fromkeys(columns.tolist())))
@@ -542,40 +543,49 @@ def _last_mover(arm: Arm, module: int) -> int:
         if np.linalg.norm(np.cross(chain.axes[stop - 1], lever)) > SHAPE_TOLERANCE * chain.length:
             break
         stop -= 1
-    return stop
+    return int(stop)
 
 
 def _units_of(arm: Arm, module: int, joints: slice, base: Array, end: Array) -> list[Unit]:
-    found = _closed_forms(arm, module, joints, base, end)
-    if not isinstance(found, str):
-        return found
-    described = _described(arm, joints, base, end)
+    try:
+        return _closed_forms(arm, module, joints, base, end)
+    except UnsupportedModule as error:
+        reason = error.reason
+    described = module_joints(arm, joints, base, end)
     first = int(arm.chain.input_numbers[joints.start])
     columns = arm.columns[first : first + described.dof]
     kinematics = NumericModule(described, arm.positions(arm.straight())[columns])
-    return [Unit(module, joints, first, described.base, described.frame, kinematics, found)]
+    return [Unit(module, joints, first, described.base, described.frame, kinematics, reason)]
 
 
-def _closed_forms(arm: Arm, module: int, joints: slice, start: Array, end: Array) -> list[Unit] | str:
-    """Return the units with closed forms that place the end of a module, or why there are none."""
+def _closed_forms(arm: Arm, module: int, joints: slice, start: Array, end: Array) -> list[Unit]:
+    """Return the units with closed forms that place the end of a module.
+
+    Raises:
+        UnsupportedModule: there are none; says why.
+    """
     chain = arm.chain
     axes, origins = chain.axes[joints], chain.origins[joints]
     stations = np.vstack([start, origins[1:], end])
     links = np.diff(stations, axis=0)
     lengths = np.linalg.norm(links, axis=1)
+
+    def refuse(reason: str) -> UnsupportedModule:
+        return UnsupportedModule(module + 1, chain.joints[joints], reason)
+
     if len(set(chain.columns[joints].tolist())) < len(axes):
-        return "it has coupled joints"
+        raise refuse("it has coupled joints")
     if not np.all(chain.revolute[joints]):
-        return "it has a sliding joint"
+        raise refuse("it has a sliding joint")
     none = lengths <= SHAPE_TOLERANCE * lengths.max()
     universal = len(axes) == 2 and none[0] and not none[1]
     if np.any(none) and not universal:
-        return "it has a link without length"
+        raise refuse("it has a link without length")
     along = links[-1] / lengths[-1]
     if np.abs(links[~none] / lengths[~none, None] - along).max() > SHAPE_TOLERANCE:
-        return "it is not straight at its neutral configuration"
+        raise refuse("it is not straight at its neutral configuration")
     if np.linalg.norm(np.cross(origins[0] - start, axes[0])) > SHAPE_TOLERANCE * lengths.sum():
-        return "its first joint does not sit at its base"
+        raise refuse("its first joint does not sit at its base")
 
     def unit(first: int, last: int, base: Array, frame: Array, form: ClosedForm) -> Unit:
         own = slice(joints.start + first, joints.start + last)
@@ -588,7 +598,7 @@ def _closed_forms(arm: Arm, module: int, joints: slice, start: Array, end: Array
         form = RollPitch(first_link, float(lengths[1]), sense=float(np.sign(along @ axes[0])))
         return [unit(0, 2, start, _frame(along, axes[1]), form)]
     if np.abs(axes @ along).max() > SHAPE_TOLERANCE:
-        return "it has a joint axis that is neither along nor across it"
+        raise refuse("it has a joint axis that is neither along nor across it")
     parallel = np.linalg.norm(np.cross(axes, axes[0]), axis=1) < SHAPE_TOLERANCE
     if np.all(parallel) and not universal:
         return [
@@ -599,7 +609,7 @@ def _closed_forms(arm: Arm, module: int, joints: slice, start: Array, end: Array
         frame = _frame(along, axes[0])
         torus = Torus(first_link, float(lengths[1]), sense=float(np.sign(frame[:, 2] @ axes[1])))
         return [unit(0, 2, start, frame, torus)]
-    return "its joint axes are neither parallel nor a perpendicular pair"
+    raise refuse("its joint axes are neither parallel nor a perpendicular pair")
 
 
 def _frame(x: Array, y: Array) -> Array:

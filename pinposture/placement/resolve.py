@@ -174,16 +174,16 @@ class Walk:
         self._carried = stop
 
     def _by_closed_form(self, unit: Unit, base: pin.SE3) -> tuple[float, Array] | TargetError:
-        arm, form, state = self._arm, unit.kinematics, np.empty(9)
+        arm, state = self._arm, np.empty(9)
         numbers, shapes = unit_row(unit, base.rotation)
         state[0], state[1:4] = self.parameter, base.translation
         here = unit.joints.start > 0 or self._from_base
         state[4:7] = base.translation if here else self._curve.at(self.parameter)
         columns = arm.columns[unit.inputs]
-        lower, upper = arm.limits.lower[columns], arm.limits.upper[columns]
-        found, parameters = np.zeros(form.dof), np.zeros(1)
-        given = self._samples, numbers, shapes, lower, upper, state, found, parameters
-        if kernels.place_modules(*self._curve.measured, *given) >= 0:
+        found, parameters = np.zeros(unit.kinematics.dof), np.zeros(1)
+        limits = arm.limits.lower[columns], arm.limits.upper[columns]
+        measured, options = self._curve.measured, (self._samples, numbers, shapes, *limits)
+        if kernels.place_modules(*measured, *options, state, found, parameters) >= 0:
             return _failure(arm, self._curve, unit, state)
         return float(parameters[0]), found
 
@@ -207,8 +207,8 @@ class Walk:
                 raise InvalidValue(f"{name}.target_point", following, allowed)
             s = float(following)
             p = base.rotation.T @ (np.asarray(self._curve.at(s)) - base.translation)
-            for q in kinematics.inverse(p):
-                q = finite_vector(f"{name}.inverse", q, kinematics.dof)
+            for each in kinematics.inverse(p):
+                q = finite_vector(f"{name}.inverse", each, kinematics.dof)
                 away = float(np.linalg.norm(np.asarray(kinematics.forward(q)[0]) - p))
                 if away > OWN_TOLERANCE * kinematics.reach:
                     allowed = f"positions whose forward is the point; it is {away:.3g} m off"
@@ -217,7 +217,7 @@ class Walk:
                     return s, np.clip(q, lower, upper)
 
     def _no_place(self, unit: Unit, base: pin.SE3, in_reach: bool) -> TargetError:
-        """Explain why there is no point for a module; `in_reach` if the curve ends where it could reach it."""
+        """Explain why there is no point for a module; `in_reach` if the curve ends within its reach."""
         curve, at, module = self._curve, self.parameter, unit.module + 1
         left, reach = curve.length - at, unit.kinematics.reach
         gap = float(np.linalg.norm(curve.at(at) - base.translation))

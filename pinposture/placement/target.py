@@ -36,9 +36,9 @@ class Target:
             have weight 0, and their `points` continue straight on from the last that was placed.
         velocity: how fast the joints move that configuration, if the target moves, (nv,) [rad/s or m/s]; None
             if unknown.
-        placed_by: for each control point what put it on the curve, (m,): the kinematics of its module, "Torus",
-            "Circle", "RollPitch", "NumericModule" or the class of your own; or "least squares" over the whole
-            arm. Empty without a curve.
+        placed_by: for each control point what put it on the curve, (m,): the kinematics of its module,
+            "Torus", "Circle", "RollPitch", "NumericModule" or your own class; or "least squares" over the
+            whole arm. Empty without a curve.
         fallback: why least squares placed the whole arm although `method="auto"` places modules one by one
             where it can; empty if they did not, or were asked for.
         approximate: by how much the posture at `q` misses given points (`fit_points`), which may be a local

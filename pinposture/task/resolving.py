@@ -109,8 +109,8 @@ def resolve_keyframe(arm: Arm, keyframe: Keyframe, near: Target | None = None) -
 def resolve_keyframes(arm: Arm, keyframes: tuple[Keyframe, ...]) -> ResolvedMotion:
     """Resolve all keyframes, those that have `joints` near these, and all that leave it open by one method.
 
-    That is sequential placement if closed forms do it for all keyframes without joints, else the least squares
-    method that works for those where they do not.
+    That is sequential placement if closed forms do it for all keyframes without joints, else the least
+    squares method that works for those where they do not.
 
     Raises:
         TargetError: as `resolve_targets`, naming the keyframe.
