@@ -301,10 +301,9 @@ def _without_closed_form(arm: Arm) -> str:
 
 def _kinematics(arm: Arm) -> list[str]:
     """The kinematics that place each module, by name; empty if only least squares over the whole arm do."""
-    from pinposture.placement.module_kinematics import arm_units
+    from pinposture.placement.module_kinematics import kinematics_names
 
     try:
-        named = {unit.module: type(unit.kinematics).__name__ for unit in arm_units(arm)}
+        return list(kinematics_names(arm))
     except UnsupportedModule:
         return []
-    return [named[module] for module in range(arm.n_modules)]

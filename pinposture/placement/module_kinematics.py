@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 import pinocchio as pin
@@ -449,11 +449,40 @@ def arm_units(arm: Arm) -> tuple[Unit, ...]:
     Raises:
         UnsupportedModule: none of its joints moves the end of a module.
     """
-    known = arm.cache.get(arm_units)
-    if known is None or known[0] != registry_state():
-        known = arm.cache[arm_units] = (registry_state(), _find_units(arm))
-    units: tuple[Unit, ...] = known[1]
-    return units
+    return _units(arm).units
+
+
+class _Units(NamedTuple):
+    """The units of an arm, and what is derived from them."""
+
+    registry: int  # state of the registry for which it holds
+    units: tuple[Unit, ...]
+    names: tuple[str, ...]  # kinematics of each module
+    arrays: tuple[NDArray[np.int64], Array] | None  # of `unit_arrays`; None if a unit has no closed form
+
+
+def _units(arm: Arm) -> _Units:
+    known: _Units | None = arm.cache.get(arm_units)
+    if known is None or known.registry != registry_state():
+        units = _find_units(arm)
+        named = {unit.module: type(unit.kinematics).__name__ for unit in units}
+        arrays = None
+        if all(isinstance(unit.kinematics, ClosedForm) for unit in units):
+            rows = [(FORMS[type(unit.kinematics)], unit.first, unit.module) for unit in units]
+            shapes = [_shape(cast(ClosedForm, unit.kinematics), unit.frame) for unit in units]
+            arrays = np.array(rows, dtype=np.int64), np.array(shapes)
+        names = tuple(named[module] for module in range(arm.n_modules))
+        known = arm.cache[arm_units] = _Units(registry_state(), units, names, arrays)
+    return known
+
+
+def kinematics_names(arm: Arm) -> tuple[str, ...]:
+    """Return the name of the kinematics of each module of an arm, (m,).
+
+    Raises:
+        UnsupportedModule: as `arm_units`.
+    """
+    return _units(arm).names
 
 
 def unit_arrays(arm: Arm) -> tuple[NDArray[np.int64], Array]:
@@ -462,15 +491,13 @@ def unit_arrays(arm: Arm) -> tuple[NDArray[np.int64], Array]:
     Raises:
         UnsupportedModule: a module that is not placed by a closed form of the library.
     """
-    numbers, shapes = [], []
-    for unit in arm_units(arm):
-        form = unit.kinematics
-        if not isinstance(form, ClosedForm):
-            reason = unit.reason or f"it is placed by kinematics of your own ({type(form).__name__})"
-            raise UnsupportedModule(unit.module + 1, arm.module_joints[unit.module], reason)
-        numbers.append((FORMS[type(form)], unit.first, unit.module))
-        shapes.append(_shape(form, unit.frame))
-    return np.array(numbers, dtype=np.int64), np.array(shapes)
+    known = _units(arm)
+    if known.arrays is not None:
+        return known.arrays
+    unit = next(unit for unit in known.units if not isinstance(unit.kinematics, ClosedForm))
+    name = type(unit.kinematics).__name__
+    reason = unit.reason or f"it is placed by kinematics of your own ({name})"
+    raise UnsupportedModule(unit.module + 1, arm.module_joints[unit.module], reason)
 
 
 def unit_row(unit: Unit, frame: Array) -> tuple[NDArray[np.int64], Array]:
@@ -486,7 +513,7 @@ def _shape(form: ClosedForm, frame: Array) -> list[float]:
 
 def is_compiled(arm: Arm) -> bool:
     """Return whether closed forms of the library place all modules, so that one kernel does all of it."""
-    return all(isinstance(unit.kinematics, ClosedForm) for unit in arm_units(arm))
+    return _units(arm).arrays is not None
 
 
 def _find_units(arm: Arm) -> tuple[Unit, ...]:

@@ -45,6 +45,7 @@ from pinposture.placement.module_kinematics import (
     Unit,
     arm_units,
     is_compiled,
+    kinematics_names,
     unit_arrays,
     unit_row,
 )
@@ -92,11 +93,9 @@ def place_in_turn(arm: Arm, curve: Curve, samples: int, near: Target | None = No
         UnsupportedModule: none of its joints moves the end of a module.
         InvalidValue: kinematics of your own contradict themselves.
     """
-    units = arm_units(arm)
-    placed_by = dict.fromkeys(range(arm.n_modules), "")
-    placed_by |= {unit.module: type(unit.kinematics).__name__ for unit in units}
+    units, names = arm_units(arm), kinematics_names(arm)
     if is_compiled(arm):
-        return _place_compiled(arm, curve, samples, units)._replace(placed_by=tuple(placed_by.values()))
+        return _place_compiled(arm, curve, samples, units)._replace(placed_by=names)
     preferred = arm.positions(arm.straight() if near is None or near.q is None else near.q)
     walk = Walk(arm, curve, samples, preferred)
     parameters, failure = np.full(arm.n_modules, curve.length), None
@@ -109,7 +108,7 @@ def place_in_turn(arm: Arm, curve: Curve, samples: int, near: Target | None = No
         parameters[failure.module - 1 :] = curve.length
         ahead = arm.columns[unit.first :]
         walk.positions[ahead] = arm.positions(arm.straight())[ahead]
-    return Placement(walk.positions, parameters, failure, tuple(placed_by.values()))
+    return Placement(walk.positions, parameters, failure, names)
 
 
 def _place_compiled(arm: Arm, curve: Curve, samples: int, units: tuple[Unit, ...]) -> Placement:
@@ -418,7 +417,7 @@ def _leaves_curve(arm: Arm, curve: Curve, placed: Placement) -> str:
 
 def _zigzags(arm: Arm, positions: Array) -> bool:
     """Return whether most modules bend in the opposite direction to the one before."""
-    if all(isinstance(unit.kinematics, Torus | Circle) for unit in arm_units(arm)):
+    if {Torus.__name__, Circle.__name__}.issuperset(kinematics_names(arm)):
         starts = np.append(arm.module_starts, len(arm.columns))
         products, norms = kernels.neighbours(positions[arm.columns], starts)
     else:
