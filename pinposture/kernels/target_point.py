@@ -16,8 +16,9 @@ from pinposture.kernels.spline import parameter_at, span_at, value
 
 CURVE_SAMPLES = 48  # number of samples of the curve in the length of the reach
 MAX_CURVE_SAMPLES = 400  # largest number of samples ahead
-STARTS, STARTS_OF_MANY = 8, 4
-"""Number of postures from which the search starts, for up to two degrees of freedom and for more."""
+STARTS, STARTS_OF_MANY, ENOUGH = 8, 16, 4
+"""Number of postures from which the search starts, for up to two degrees of freedom and for more; of the
+latter, how many that reach the curve are enough."""
 
 START_DISTANCE = 0.3  # smallest difference of two of them, in units of the joints
 COST_OF_DISTANCE = 25.0  # weight of the squared distance from the curve, in reaches, against joint motion
@@ -261,7 +262,10 @@ def next_target_point(
     gap, wanted, kept = np.empty(3), np.empty(3), np.empty(k + 1)
     costs[k] = COST_ALONG
     best_cost, best_s, best_facing = np.inf, np.nan, False
+    arrivals = 0
     for each in range(chosen):
+        if k > 2 and arrivals == ENOUGH:
+            break
         z[:k] = candidates[begins[each]]
         z[k] = max(min(start + (at[each] + 1) * step, last) / reach, low[k])
         # First straight to the curve; with joints to spare then along it towards the preferred positions, and
@@ -319,6 +323,7 @@ def next_target_point(
             z[:], reached = kept, True
         if not reached or z[k] <= low[k]:
             continue
+        arrivals += 1
         cost, facing = 0.0, k <= 2
         for j in range(k):
             cost += z[j] ** 2

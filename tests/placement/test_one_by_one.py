@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -28,6 +29,7 @@ from pinposture.placement.module_kinematics import arm_units, is_compiled
 from pinposture.placement.resolve import Walk
 
 J = pp.JointSpec
+URDF = Path(__file__).parents[2] / "urdf"
 PLACEMENT = pin.SE3(pin.rpy.rpyToMatrix(0.3, -1.1, 2.0), np.array([0.4, -2.0, 0.7]))
 
 
@@ -66,6 +68,19 @@ def test_templates_say_what_placed_them(name: str) -> None:
     assert target.placed_by == (expected,) * 6
     assert target.residual.max() < 1e-5 * arm.length
     assert arm.within_limits(target.q)
+
+
+@pytest.mark.parametrize("file", sorted(URDF.glob("*.urdf")), ids=lambda path: path.stem)
+def test_shipped_arms_say_what_placed_them(file: Path) -> None:
+    arm = pp.Arm.load(file)
+    target = pp.resolve_targets(arm, gentle(arm), placement="align")
+    if target.method == "sequential":
+        assert set(target.placed_by) <= {"Torus", "Circle"}
+        assert target.residual.max() < 1e-5 * arm.length
+    else:  # longer before the second hinge than behind it
+        assert file.stem == "mixed12"
+        assert "zigzag" in target.fallback
+        assert set(target.placed_by) == {"least squares"}
 
 
 @pytest.mark.parametrize("name", ["RyRz", "Rz", "RzRz"])
