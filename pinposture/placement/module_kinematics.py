@@ -391,17 +391,31 @@ class NumericModule:
         s, _ = self.place(base, curve, start)
         return s if s >= 0.0 else None
 
-    def place(self, base: pin.SE3, curve: Curve, start: float) -> tuple[float, Array]:
+    def place(
+        self, base: pin.SE3, curve: Curve, start: float, near: Array | None = None
+    ) -> tuple[float, Array]:
         """Find the next point of a curve and the posture that puts the end there.
+
+        Args:
+            base: as for `target_point`.
+            curve: as for `target_point`.
+            start: as for `target_point`.
+            near: positions to stay near, (k,); the preferred ones if None.
 
         Returns:
             Its arc length [m] and the joint positions (k,). The arc length is NaN if there is none before the
             curve leaves the reach, -1 if the curve ends before.
         """
         placed = np.ascontiguousarray(np.column_stack([base.rotation, base.translation]))
-        found, inside = np.empty(self.dof), np.clip(self.preferred, self.joints.lower, self.joints.upper)
+        wanted = self.preferred if near is None else near
+        found, inside = np.empty(self.dof), np.clip(wanted, self.joints.lower, self.joints.upper)
+        samples, ends = self._samples
+        if near is not None:
+            samples, ends = samples.copy(), ends.copy()
+            samples[0] = inside
+            kernels.module_ends(self._arrays, samples[:1], ends[:1])
         given = self._arrays, *curve.measured, placed, start, self.joints.lower, self.joints.upper, inside
-        return float(kernels.next_target_point(*given, *self._samples, found)), found
+        return float(kernels.next_target_point(*given, samples, ends, found)), found
 
 
 ClosedForm = Torus | Circle | RollPitch

@@ -70,6 +70,8 @@ arm lengths."""
 
 OWN_TOLERANCE = 1e-7  # how far kinematics of your own may be off, in reaches of the module or radians
 
+MAX_ASKED = 1000  # how often kinematics of your own are asked for the next target point of a module
+
 AT_LIMIT = 1e-6  # distance from a position limit at which a joint counts as at it, in `Arm.joint_units`
 
 OFF_CURVE = 0.1
@@ -188,7 +190,7 @@ class Walk:
 
     def _numerically(self, unit: Unit, base: pin.SE3, near: Array) -> tuple[float, Array] | TargetError:
         module = cast(NumericModule, unit.kinematics)
-        s, found = replace(module, preferred=near).place(base, self._curve, self.parameter)
+        s, found = module.place(base, self._curve, self.parameter, near)
         return (s, found) if s >= 0.0 else self._no_place(unit, base, s == -1.0)
 
     def _by_your_own(
@@ -197,10 +199,10 @@ class Walk:
         arm, s, name = self._arm, self.parameter, type(kinematics).__name__
         columns = arm.columns[unit.inputs]
         lower, upper = arm.limits.lower[columns], arm.limits.upper[columns]
-        while True:
+        for _ in range(MAX_ASKED):
             following = kinematics.target_point(base, self._curve, s)
             if following is None:
-                return self._no_place(unit, base, False)
+                break
             if not s < following <= self._curve.length * (1.0 + 1e-12):
                 allowed = f"an arc length above {s:.6g} m, at most {self._curve.length:.6g} m, or None"
                 raise InvalidValue(f"{name}.target_point", following, allowed)
@@ -214,6 +216,7 @@ class Walk:
                     raise InvalidValue(f"{name}.inverse", q.tolist(), allowed)
                 if np.all((q >= lower - OWN_TOLERANCE) & (q <= upper + OWN_TOLERANCE)):
                     return s, np.clip(q, lower, upper)
+        return self._no_place(unit, base, False)
 
     def _no_place(self, unit: Unit, base: pin.SE3, in_reach: bool) -> TargetError:
         """Explain why there is no point for a module; `in_reach` if the curve ends within its reach."""
