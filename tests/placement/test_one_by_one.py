@@ -270,6 +270,24 @@ def test_kinematics_that_contradict_themselves_are_refused(registered: Callable,
         pp.resolve_targets(arm, HELIX, placement="align")
 
 
+def test_kinematics_that_approximate_say_by_how_much(registered: Callable) -> None:
+    @dataclass(frozen=True)
+    class Rough(Own):
+        tolerance: float = 0.0
+
+    def recognise(tolerance: float) -> Callable[[ModuleJoints], ModuleKinematics]:
+        return lambda joints: Rough(Torus(0.0201, 0.03), tolerance=tolerance)
+
+    arm = of(3, "y", "z", lengths=(0.02, 0.03))
+    registered(recognise(0.01))
+    target = pp.resolve_targets(arm, gentle(arm), placement="align")
+    assert target.placed_by == ("Rough",) * 3
+    assert 1e-6 < target.residual.max() < 5e-4  # told as it is, by the joints themselves
+    registered(recognise(0.0))
+    with pytest.raises(InvalidValue, match="reaches"):
+        pp.resolve_targets(arm, gentle(arm), placement="align")
+
+
 def test_what_is_no_kinematics_is_refused(registered: Callable) -> None:
     with pytest.raises(InvalidValue, match="recognise"):
         register_module_kinematics("Torus")  # type: ignore[type-var]
